@@ -1,0 +1,69 @@
+# From a bare checkout: `make demo` and `make test`. Both need only Python >= 3.11 with its venv
+# module; everything else is installed into .venv, at the versions named in constraints.txt.
+
+# The first of these that is at least 3.11; name another with `make test PYTHON=...`.
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
+	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { echo "$$p"; break; }; done)
+WORKERS ?= 2
+
+VENV := .venv
+BIN := $(VENV)/bin
+RUN := $(VENV)/installed-run
+DEV := $(VENV)/installed-dev
+# pip reads these for what it installs and for what it needs to build the package itself.
+PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
+	$(BIN)/python -m pip --disable-pip-version-check install --quiet
+
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: help demo test test-slow lint format install clean distclean
+
+help:
+	@echo 'make demo       friction angle from a measured force history, and a picture in demo-output/'
+	@echo 'make test       lint, type-check and test (minutes)'
+	@echo 'make test-slow  the checks that take longer'
+	@echo 'make lint       lint and type-check only'
+	@echo 'make format     put the code into the house format'
+	@echo 'make clean      remove what the commands above wrote; make distclean removes .venv as well'
+
+demo: $(RUN)
+	$(BIN)/terraphi demo --out demo-output
+
+test: lint
+	$(BIN)/pytest -n $(WORKERS)
+
+test-slow: $(DEV)
+	$(BIN)/pytest -n $(WORKERS) -m slow
+
+lint: $(DEV)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(DEV)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+install: $(DEV)
+
+$(BIN)/python:
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+		echo 'terraphi needs Python 3.11 or newer, and found none: name one, as in make PYTHON=/path/to/python3.12' >&2; \
+		exit 1; }
+	"$(PYTHON)" -m venv $(VENV)
+
+$(RUN): pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) --editable .
+	@touch $@
+
+# What serves the developer serves the demo too.
+$(DEV): pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) --editable '.[dev]'
+	@touch $(RUN) $@
+
+clean:
+	rm -rf build dist demo-output .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+distclean: clean
+	rm -rf $(VENV)
