@@ -1,0 +1,247 @@
+"""Files: written whole or not at all, and read with a sentence for whatever is wrong."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.errors import InputError, nearest
+
+FloatArray = NDArray[np.float64]
+
+CSV_COLUMNS = ("theta_deg", "Fx_N", "Fz_N")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Write a file under a temporary name beside its own, and rename it when it is whole.
+
+    Parameters
+    ----------
+    path
+        The file to make or replace.
+
+    Yields
+    ------
+    Path
+        The temporary name; removed if the block raises.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to or the disk is full.
+    """
+    temporary: Path | None = None
+    try:
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent
+        )
+        os.close(handle)
+        temporary = Path(name)
+        # mkstemp makes private files; a result is as readable as any other file of its owner.
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(
+            f"{path}: cannot be written ({reason}); free some space or choose another place"
+        ) from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
+    """Write a NetCDF-4 file, whole or not at all.
+
+    Parameters
+    ----------
+    dataset
+        An ``xarray.Dataset`` or ``xarray.DataTree``.
+    path
+        The file to make or replace.
+    encoding
+        As in ``xarray.Dataset.to_netcdf``.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to or the disk is full.
+    """
+    # Made in memory: on a full disk the HDF5 library raises anything, and then takes the
+    # interpreter down when it tries again to close the file.
+    content = dataset.to_netcdf(engine="h5netcdf", encoding=encoding)
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def open_netcdf(path: Path, *, kind: str, schema: int) -> Any:
+    """Load a NetCDF of ours into memory, or say in one sentence why it cannot be.
+
+    Parameters
+    ----------
+    path
+        The file.
+    kind
+        Value of the attribute ``terraphi_file`` expected.
+    schema
+        Version of its layout expected.
+
+    Returns
+    -------
+    xarray.Dataset
+
+    Raises
+    ------
+    InputError
+        If the file is missing, not a NetCDF, truncated, of another kind or schema.
+    """
+    import xarray as xr
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as opened:
+            dataset = opened.load()
+    except Exception as error:  # the HDF5 stack raises OSError, KeyError, ValueError and more
+        raise InputError(
+            f"{path}: not a whole NetCDF file (truncated, or of another format); build or "
+            "copy it again"
+        ) from error
+    if dataset.attrs.get("terraphi_file") != kind:
+        raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi")
+    found = dataset.attrs.get("terraphi_schema")
+    if found != schema:
+        raise InputError(
+            f"{path}: {kind} of schema version {found}, this terraphi reads version {schema}; "
+            "build it again with this version"
+        )
+    return dataset
+
+
+def read_force_table(path: Path) -> FloatArray:
+    """Read a CSV with exactly the columns ``theta_deg,Fx_N,Fz_N``, in any order.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    ndarray
+        Columns θ [deg], Fx [N], Fz [N], θ increasing; shape [row, 3].
+
+    Raises
+    ------
+    InputError
+        If anything is wrong with the file; the message names the line.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a text file; a CSV in UTF-8 is expected") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    if not text.strip():
+        raise InputError(f"{path}: the file is empty; expected columns {','.join(CSV_COLUMNS)}")
+    lines = _cells(path, text)
+    header = [name.strip() for name in next(lines)[1]]
+    _check_header(path, header)
+    order = [header.index(name) for name in CSV_COLUMNS]
+    rows: list[list[float]] = []
+    numbers: list[int] = []
+    for number, row in lines:
+        if any(cell.strip() for cell in row):
+            rows.append(_read_row(path, number, row, header, order))
+            numbers.append(number)
+    if not rows:
+        raise InputError(f"{path}: no numbers under the header; expected a row for each angle")
+    table = np.array(rows, dtype=np.float64)
+    return _ordered(path, table, numbers)
+
+
+def _cells(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
+    """Line number and cells of each row of a CSV."""
+    lines = csv.reader(text.splitlines(), strict=True)
+    try:
+        for row in lines:
+            yield lines.line_num, row
+    except csv.Error as error:
+        raise InputError(
+            f"{path}, line {lines.line_num}: not a row of a CSV ({error}); mend its quotes"
+        ) from error
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    expected = ",".join(CSV_COLUMNS)
+    for name in header:
+        if name not in CSV_COLUMNS:
+            known = f"expected exactly {expected}"
+            raise InputError(
+                f"{path}, line 1: unexpected column {name[:40]!r} ({nearest(name, CSV_COLUMNS)}); "
+                f"{known}"
+            )
+        if header.count(name) > 1:
+            raise InputError(f"{path}, line 1: column '{name}' stands twice; expected {expected}")
+    for name in CSV_COLUMNS:
+        if name not in header:
+            raise InputError(f"{path}, line 1: column '{name}' is missing; expected {expected}")
+
+
+def _read_row(
+    path: Path, line: int, row: list[str], header: list[str], order: list[int]
+) -> list[float]:
+    if len(row) != len(header):
+        raise InputError(f"{path}, line {line}: {len(row)} cells, expected {','.join(header)}")
+    values = []
+    for index in order:
+        cell = row[index].strip()
+        try:
+            value = float(cell)
+        except ValueError as error:
+            raise InputError(
+                f"{path}, line {line}: {header[index]} = {cell[:40]!r} is not a number; "
+                "correct it or remove the row"
+            ) from error
+        if not math.isfinite(value):
+            raise InputError(
+                f"{path}, line {line}: {header[index]} = {cell} is not finite; remove the row"
+            )
+        values.append(value)
+    return values
+
+
+def _ordered(path: Path, table: FloatArray, numbers: list[int]) -> FloatArray:
+    theta = table[:, 0]
+    if len(theta) > 1 and np.all(np.diff(theta) < 0):
+        raise InputError(
+            f"{path}: theta_deg decreases; sort the rows so that it increases "
+            "(theta grows in time, and the leg moves down where it is negative)"
+        )
+    for i in np.flatnonzero(np.diff(theta) <= 0)[:1].tolist():
+        what = "repeats" if theta[i + 1] == theta[i] else "falls below"
+        raise InputError(
+            f"{path}, line {numbers[i + 1]}: theta_deg = {theta[i + 1]:g} {what} the value before "
+            f"({theta[i]:g}); it must increase strictly: sort the rows and average repeats"
+        )
+    if np.abs(theta).max() < 5.0:
+        raise InputError(
+            f"{path}: the largest |theta_deg| is {np.abs(theta).max():.2f}; these look like "
+            "radians, degrees are expected"
+        )
+    return table

@@ -1,0 +1,380 @@
+"""Forces on a leg as a function of its angle, and the observation vector made of them.
+
+Signs are those of Li et al. (2013): x forward, z up; ``Fz > 0`` lifts and ``Fx > 0`` thrusts
+forward; the force is the soil's on the leg.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.errors import InputError
+from terraphi.files import (
+    CSV_COLUMNS,
+    open_netcdf,
+    read_force_table,
+    replacing,
+    write_netcdf,
+)
+
+FloatArray = NDArray[np.float64]
+
+WINDOW_DEG = 85.0
+"""Half width of the engaged window of the paper [deg]."""
+OBSERVATION_ANGLES = 40
+"""Number M of angles in the paper's observation vector."""
+FEWEST_ANGLES = 10
+"""Fewest measured angles within the window that an inversion accepts."""
+WIDEST_GAP_DEG = 20.0
+"""Widest gap between measured angles within the window [deg]."""
+SCHEMA = 1
+
+_UNITS = {"theta": "rad", "displacement": "m", "time": "s"}
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Window means of a history at M angles, the data of an inversion.
+
+    Attributes
+    ----------
+    theta_deg
+        Angles θ_j [deg], shape [M].
+    Fx, Fz
+        Mean forces over ± half a spacing around each angle [N], shape [M].
+    """
+
+    theta_deg: FloatArray
+    Fx: FloatArray
+    Fz: FloatArray
+
+    @property
+    def vector(self) -> FloatArray:
+        """D = [Fx(θ_1..M), Fz(θ_1..M)] [N], shape [2M]."""
+        return np.concatenate([self.Fx, self.Fz])
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Largest forces of a history, taken on 1° means."""
+
+    Fx: float
+    """Peak forward thrust [N]."""
+    Fz: float
+    """Peak lift [N]."""
+    theta_Fx_deg: float
+    """Angle of the peak thrust [deg]."""
+    theta_Fz_deg: float
+    """Angle of the peak lift [deg]."""
+
+
+@dataclass(frozen=True)
+class ForceHistory:
+    """Forces of the soil on the leg along its path.
+
+    Attributes
+    ----------
+    position
+        θ [rad], displacement [m] or time [s], increasing, shape [sample].
+    force
+        [N], shape [sample, axis].
+    coordinate
+        What ``position`` is: ``theta``, ``displacement`` or ``time``.
+    axes
+        Names of the force's axes, ``("x", "z")`` in the plane.
+    provenance
+        Where the history comes from: scenario, hash, versions, seed, timings; JSON-able.
+    """
+
+    position: FloatArray
+    force: FloatArray
+    coordinate: str = "theta"
+    axes: tuple[str, ...] = ("x", "z")
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if shapes or order are wrong."""
+        expected = (len(self.position), len(self.axes))
+        if self.force.shape != expected:
+            raise ValueError(f"force has shape {self.force.shape}, expected {expected}")
+        if self.coordinate not in _UNITS:
+            raise ValueError(f"coordinate '{self.coordinate}' is not one of {sorted(_UNITS)}")
+        if np.any(np.diff(self.position) <= 0):
+            raise ValueError("position must increase strictly")
+
+    @property
+    def theta_deg(self) -> FloatArray:
+        """Leg angle [deg], shape [sample].
+
+        Raises
+        ------
+        ValueError
+            If the history is not a function of θ.
+        """
+        if self.coordinate != "theta":
+            raise ValueError(f"this history is a function of {self.coordinate}, not of theta")
+        return np.degrees(self.position)
+
+    @property
+    def Fx(self) -> FloatArray:
+        """Forward force [N], shape [sample]."""
+        return self.force[:, self.axes.index("x")]
+
+    @property
+    def Fz(self) -> FloatArray:
+        """Vertical force, positive up [N], shape [sample]."""
+        return self.force[:, self.axes.index("z")]
+
+    def scaled(self, factor: float) -> ForceHistory:
+        """Copy of this history with all forces multiplied by a factor [-]."""
+        return ForceHistory(
+            self.position, self.force * factor, self.coordinate, self.axes, self.provenance
+        )
+
+    def means(self, centre: FloatArray, half_width: float) -> FloatArray:
+        """Mean forces over windows, by integrating the piecewise linear history.
+
+        Parameters
+        ----------
+        centre
+            Window centres in the unit of ``position``, shape [window].
+        half_width
+            Half the width of the windows, same unit; cut at the ends of the record.
+
+        Returns
+        -------
+        ndarray
+            [N], shape [window, axis].
+
+        Raises
+        ------
+        ValueError
+            If a window lies wholly outside the record.
+        """
+        x = self.position
+        low = np.maximum(centre - half_width, x[0])
+        high = np.minimum(centre + half_width, x[-1])
+        if np.any(high <= low):
+            raise ValueError("a window lies outside the recorded range")
+        columns = []
+        for values in self.force.T:
+            panels = 0.5 * (values[1:] + values[:-1]) * np.diff(x)
+            integral = np.concatenate([[0.0], np.cumsum(panels)])
+            columns.append(
+                (_primitive(high, x, values, integral) - _primitive(low, x, values, integral))
+                / (high - low)
+            )
+        return np.stack(columns, axis=1)
+
+    def observation(
+        self, *, angles: int = OBSERVATION_ANGLES, window_deg: float = WINDOW_DEG
+    ) -> Observation:
+        """Observation vector of the paper: M means over |θ| ≤ window.
+
+        Parameters
+        ----------
+        angles
+            M; the angles are ``linspace(-window, window, M)``.
+        window_deg
+            Half width of the engaged window [deg].
+
+        Returns
+        -------
+        Observation
+
+        Raises
+        ------
+        InputError
+            If the record does not cover the window, has a wide gap in it, fewer than
+            ten angles, or no force at all.
+        """
+        theta_deg = np.linspace(-window_deg, window_deg, angles)
+        half_deg = window_deg / (angles - 1)
+        self._check_window(window_deg, half_deg)
+        force = self.means(np.radians(theta_deg), math.radians(half_deg))
+        fx, fz = force[:, self.axes.index("x")], force[:, self.axes.index("z")]
+        return Observation(theta_deg, fx, fz)
+
+    def _check_window(self, window_deg: float, slack_deg: float) -> None:
+        theta = self.theta_deg
+        file = f"{self.provenance['file']}: " if "file" in self.provenance else ""
+        # Angles a record's step short of the window's end still leave half a mean to take.
+        if max(theta[0] + window_deg, window_deg - theta[-1]) > 0.999 * slack_deg:
+            raise InputError(
+                f"{file}theta covers {theta[0]:.1f} to {theta[-1]:.1f} deg, but the whole window "
+                f"-{window_deg:g} to {window_deg:g} deg is needed"
+            )
+        inside = np.abs(theta) <= window_deg
+        if inside.sum() < FEWEST_ANGLES:
+            raise InputError(
+                f"{file}only {inside.sum()} angles lie within |theta| <= {window_deg:g} deg, "
+                f"at least {FEWEST_ANGLES} are needed"
+            )
+        gaps = np.diff(np.clip(theta, -window_deg, window_deg))
+        if gaps.max() > WIDEST_GAP_DEG:
+            at = int(gaps.argmax())
+            raise InputError(
+                f"{file}no angle between {theta[at]:.1f} and {theta[at + 1]:.1f} deg; gaps of up "
+                f"to {WIDEST_GAP_DEG:g} deg are accepted"
+            )
+        for axis, name in zip(self.force.T, self.axes, strict=True):
+            if not np.any(axis[inside]):
+                raise InputError(
+                    f"{file}F{name} is zero at every angle within |theta| <= {window_deg:g} deg; "
+                    "is the sensor connected?"
+                )
+
+    def peaks(self, *, window_deg: float = WINDOW_DEG) -> Peaks:
+        """Peak thrust and lift on 1° means within |θ| ≤ window [deg]."""
+        theta = np.arange(-window_deg, window_deg + 0.5)
+        theta = theta[(theta >= self.theta_deg[0]) & (theta <= self.theta_deg[-1])]
+        force = self.means(np.radians(theta), math.radians(0.5))
+        x, z = self.axes.index("x"), self.axes.index("z")
+        at_x, at_z = int(force[:, x].argmax()), int(force[:, z].argmax())
+        return Peaks(
+            float(force[at_x, x]), float(force[at_z, z]), float(theta[at_x]), float(theta[at_z])
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """Peaks and provenance for people, JSON-able."""
+        known = self.provenance
+        shown: dict[str, Any] = {"samples": len(self.position), "coordinate": self.coordinate}
+        if self.coordinate == "theta":
+            peaks = self.peaks()
+            shown |= {
+                "peak_Fx_N": peaks.Fx,
+                "theta_peak_Fx_deg": peaks.theta_Fx_deg,
+                "peak_Fz_N": peaks.Fz,
+                "theta_peak_Fz_deg": peaks.theta_Fz_deg,
+            }
+        else:
+            tops = self.force.max(axis=0).tolist()
+            shown |= {f"peak_F{axis}_N": top for axis, top in zip(self.axes, tops, strict=True)}
+        wanted = (
+            "scenario_hash",
+            "model_version",
+            "particles",
+            "steps",
+            "momentum_mismatch",
+            "seconds",
+        )
+        return shown | {key: known[key] for key in wanted if key in known}
+
+    # -- files -----------------------------------------------------------------------------------
+
+    @classmethod
+    def from_csv(cls, path: Path | str) -> ForceHistory:
+        """Read a CSV with exactly the columns ``theta_deg,Fx_N,Fz_N``.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Returns
+        -------
+        ForceHistory
+
+        Raises
+        ------
+        InputError
+            If anything is wrong with the file; the message names the line.
+        """
+        table = read_force_table(Path(path))
+        theta = table[:, 0]
+        provenance = {"file": Path(path).name}
+        return cls(np.radians(theta), table[:, 1:].copy(), provenance=provenance)
+
+    def to_csv(self, path: Path | str) -> None:
+        """Write ``theta_deg,Fx_N,Fz_N``; raises InputError if the place cannot be written."""
+        rows = np.stack([self.theta_deg, self.Fx, self.Fz], axis=1)
+        with replacing(Path(path)) as temporary, temporary.open("w", newline="") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(CSV_COLUMNS)
+            # Twelve digits keep neighbouring angles apart and hide the round-off of radians.
+            writer.writerows([f"{t:.12g}", f"{x:.6g}", f"{z:.6g}"] for t, x, z in rows.tolist())
+
+    def to_netcdf(self, path: Path | str) -> None:
+        """Write a self-describing NetCDF-4; raises InputError if the place cannot be written."""
+        import xarray as xr
+
+        angular = self.coordinate == "theta"
+        name = "theta_deg" if angular else self.coordinate
+        values = self.theta_deg if angular else self.position
+        unit = "degree" if angular else _UNITS[self.coordinate]
+        exact = {"theta": (name, self.position, {"units": "rad"})} if angular else {}
+        dataset = xr.Dataset(
+            {
+                f"F{axis}": (name, self.force[:, i], {"units": "N", "long_name": f"force, {axis}"})
+                for i, axis in enumerate(self.axes)
+            },
+            coords={name: (name, values, {"units": unit}), **exact},
+            attrs={
+                "terraphi_file": "force history",
+                "terraphi_schema": SCHEMA,
+                "coordinate": self.coordinate,
+                "provenance": json.dumps(dict(self.provenance)),
+            },
+        )
+        write_netcdf(dataset, Path(path))
+
+    @classmethod
+    def from_netcdf(cls, path: Path | str) -> ForceHistory:
+        """Read a history that :meth:`to_netcdf` wrote.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Returns
+        -------
+        ForceHistory
+
+        Raises
+        ------
+        InputError
+            If the file is not a whole NetCDF of this kind and schema.
+        """
+        dataset = open_netcdf(Path(path), kind="force history", schema=SCHEMA)
+        try:
+            axes = tuple(str(key)[1:] for key in dataset.data_vars)
+            columns = [np.asarray(dataset[f"F{a}"].values, dtype=np.float64) for a in axes]
+            return cls(
+                positions(dataset),
+                np.stack(columns, axis=1),
+                str(dataset.attrs["coordinate"]),
+                axes,
+                json.loads(dataset.attrs["provenance"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                f"{path}: not as terraphi writes a force history ({error}); make it again"
+            ) from error
+
+
+def positions(dataset: Any) -> FloatArray:
+    """Positions [rad or m or s] in a file of ours, which holds θ in degrees for people as well."""
+    coordinate = str(dataset.attrs["coordinate"])
+    if coordinate == "theta" and "theta" not in dataset:
+        return np.radians(np.asarray(dataset["theta_deg"].values, dtype=np.float64))
+    return np.asarray(dataset[coordinate].values, dtype=np.float64)
+
+
+def _primitive(
+    at: FloatArray, x: FloatArray, values: FloatArray, integral: FloatArray
+) -> FloatArray:
+    """Integral of a piecewise linear function from x[0] to given places."""
+    i = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
+    dx = at - x[i]
+    slope = (values[i + 1] - values[i]) / (x[i + 1] - x[i])
+    return np.asarray(integral[i] + dx * (values[i] + 0.5 * slope * dx), dtype=np.float64)

@@ -1,0 +1,253 @@
+r"""Outlines of rigid intruders: straight leg, C, reversed C, plate.
+
+A leg lives in its own frame: the origin is the hip, the first axis :math:`s` runs along the chord
+towards the tip, the second axis :math:`m` points where the tip moves when θ grows. An outline is
+the set of points within ``half_thickness`` of a centre line (straight or a circular arc), or, for
+the plate, a rectangle with sharp corners. It is given as a signed distance, negative inside.
+
+The three ``*_distance`` functions are written for one point in plain Python, so that the same
+lines serve NumPy here and, compiled, the contact of the material point method.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple, Self, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+LegShape = Literal["straight", "c", "reversed_c", "plate"]
+LEG_SHAPES: tuple[LegShape, ...] = get_args(LegShape)
+
+FloatArray = NDArray[np.float64]
+
+
+def segment_distance(
+    s: float, m: float, chord: float, half_thickness: float
+) -> tuple[float, float, float]:
+    """Distance from a straight leg with round ends, and the outward normal there.
+
+    Parameters
+    ----------
+    s, m
+        Point in the leg's frame [m].
+    chord
+        Length of the centre line [m].
+    half_thickness
+        Half thickness [m].
+
+    Returns
+    -------
+    tuple
+        Signed distance [m] and the components of the unit normal along s and m [-].
+    """
+    foot = min(max(s, 0.0), chord)
+    ds = s - foot
+    length = math.hypot(ds, m)
+    if length == 0.0:
+        return -half_thickness, 0.0, 1.0
+    return length - half_thickness, ds / length, m / length
+
+
+def arc_distance(
+    s: float, m: float, chord: float, half_thickness: float, curvature: float
+) -> tuple[float, float, float]:
+    """Distance from a leg bent into a circular arc with round ends, and the outward normal.
+
+    Parameters
+    ----------
+    s, m
+        Point in the leg's frame [m].
+    chord
+        Distance from hip to tip [m].
+    half_thickness
+        Half thickness [m].
+    curvature
+        Signed curvature of the centre line [1/m], positive if it bulges towards +m; at most
+        2/chord in magnitude (a semicircle).
+
+    Returns
+    -------
+    tuple
+        Signed distance [m] and the components of the unit normal along s and m [-].
+    """
+    radius = 1.0 / abs(curvature)
+    side = math.copysign(1.0, curvature)
+    half = 0.5 * chord
+    # Mirrored so that the arc bulges towards +m; its centre then lies at m = -sagitta offset.
+    x = s - half
+    y = side * m + math.sqrt(max(radius * radius - half * half, 0.0))
+    r = math.hypot(x, y)
+    # On the arc's own sector the nearest point is radial; elsewhere it is one of the two ends.
+    if r > 0.0 and y * radius >= r * math.sqrt(max(radius * radius - half * half, 0.0)):
+        outward = 1.0 if r >= radius else -1.0
+        return abs(r - radius) - half_thickness, outward * x / r, outward * side * y / r
+    end = 0.0 if x < 0.0 else chord
+    ds = s - end
+    length = math.hypot(ds, m)
+    if length == 0.0:
+        return -half_thickness, 0.0, 1.0
+    return length - half_thickness, ds / length, m / length
+
+
+def rectangle_distance(
+    s: float, m: float, chord: float, half_thickness: float
+) -> tuple[float, float, float]:
+    """Distance from a plate with sharp corners, and the outward normal.
+
+    Parameters
+    ----------
+    s, m
+        Point in the plate's frame [m]; the plate covers 0..chord by ±half_thickness.
+    chord
+        Length of the plate [m].
+    half_thickness
+        Half thickness [m].
+
+    Returns
+    -------
+    tuple
+        Signed distance [m] and the components of the unit normal along s and m [-].
+    """
+    x = s - 0.5 * chord
+    dx = abs(x) - 0.5 * chord
+    dm = abs(m) - half_thickness
+    sign_x = 1.0 if x >= 0.0 else -1.0
+    sign_m = 1.0 if m >= 0.0 else -1.0
+    if dx > 0.0 and dm > 0.0:
+        length = math.hypot(dx, dm)
+        return length, sign_x * dx / length, sign_m * dm / length
+    if dx > dm:
+        return dx, sign_x, 0.0
+    return dm, 0.0, sign_m
+
+
+class Panels(NamedTuple):
+    """Straight elements along a centre line, in the leg's frame, shape [panel, 2] and [panel]."""
+
+    centre: FloatArray
+    """Midpoints (s, m) [m]."""
+    tangent: FloatArray
+    """Unit tangents from hip to tip (s, m) [-]."""
+    length: FloatArray
+    """Arc lengths [m]."""
+
+
+class Leg(BaseModel):
+    """A rigid leg or plate; the defaults are those of Li et al. (2013).
+
+    Attributes
+    ----------
+    shape
+        ``straight``; ``c``, a semicircle that bulges where it moves; ``reversed_c``, away from
+        it; ``plate``, a rectangle with sharp corners.
+    chord
+        Distance from hip to tip, 2R [m]; for the plate its length.
+    half_thickness
+        Half thickness [m].
+    width
+        Extent across the plane of motion [m].
+    friction
+        Coulomb coefficient between leg and soil [-].
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    shape: LegShape = "straight"
+    chord: float = Field(0.0762, gt=0)
+    half_thickness: float = Field(0.0032, gt=0)
+    width: float = Field(0.0254, gt=0)
+    friction: float = Field(0.35, ge=0)
+
+    @model_validator(mode="after")
+    def _thinner_than_long(self) -> Self:
+        if 2.0 * self.half_thickness >= self.chord and self.shape != "plate":
+            raise ValueError(
+                f"half_thickness = {self.half_thickness:g} m must stay below half the chord "
+                f"({0.5 * self.chord:g} m)"
+            )
+        return self
+
+    @property
+    def curvature(self) -> float:
+        """Signed curvature κ of the centre line [1/m]: 0, or ±1/R with R half the chord."""
+        sign = {"c": 1.0, "reversed_c": -1.0}.get(self.shape, 0.0)
+        return 2.0 * sign / self.chord
+
+    def signed_distance(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Signed distance and outward normal at points of the leg's frame.
+
+        Parameters
+        ----------
+        points
+            (s, m) [m], shape [point, 2].
+
+        Returns
+        -------
+        distance
+            [m], shape [point]; negative inside.
+        normal
+            Unit vectors (s, m) [-], shape [point, 2].
+        """
+        size = (self.chord, self.half_thickness)
+        rows = [
+            arc_distance(s, m, *size, self.curvature)
+            if self.curvature
+            else (rectangle_distance if self.shape == "plate" else segment_distance)(s, m, *size)
+            for s, m in np.asarray(points, dtype=np.float64).tolist()
+        ]
+        table = np.array(rows, dtype=np.float64).reshape(-1, 3)
+        return table[:, 0], table[:, 1:]
+
+    def centre_line(self, panels: int = 200) -> Panels:
+        """Cut the centre line into equal elements along its true arc.
+
+        Parameters
+        ----------
+        panels
+            Number of elements.
+
+        Returns
+        -------
+        Panels
+            Midpoints, tangents and lengths in the leg's frame.
+        """
+        fraction = (np.arange(panels) + 0.5) / panels
+        if self.curvature == 0.0:
+            centre = np.stack([fraction * self.chord, np.zeros(panels)], axis=1)
+            tangent = np.tile([1.0, 0.0], (panels, 1))
+            return Panels(centre, tangent, np.full(panels, self.chord / panels))
+        radius = 1.0 / abs(self.curvature)
+        side = math.copysign(1.0, self.curvature)
+        angle = math.pi * (1.0 - fraction)
+        centre = np.stack(
+            [0.5 * self.chord + radius * np.cos(angle), side * radius * np.sin(angle)], axis=1
+        )
+        tangent = np.stack([np.sin(angle), -side * np.cos(angle)], axis=1)
+        return Panels(centre, tangent, np.full(panels, math.pi * radius / panels))
+
+    def reach(self) -> float:
+        """Largest distance of the outline from the hip [m]."""
+        if self.shape == "plate":
+            return math.hypot(self.chord, self.half_thickness)
+        return self.chord + self.half_thickness
+
+
+def frame_axes(theta: float | FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Axes of the leg's frame in the plane (x forward, z up).
+
+    Parameters
+    ----------
+    theta
+        Leg angle from the downward vertical [rad], any shape.
+
+    Returns
+    -------
+    along, motion
+        Unit vectors hip to tip, (-sin θ, -cos θ), and of the tip's motion when θ grows,
+        (-cos θ, sin θ); shape [..., 2].
+    """
+    sine, cosine = np.sin(theta), np.cos(theta)
+    return np.stack([-sine, -cosine], axis=-1), np.stack([-cosine, sine], axis=-1)
