@@ -1,0 +1,110 @@
+"""The bed of soil before anything moves: particles, their weight, and the stress at rest."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.leg import frame_axes
+from terraphi.scenario import GRAVITY, Scenario
+
+FloatArray = NDArray[np.float64]
+
+
+class Particles(NamedTuple):
+    """State of the soil, one row a particle; per metre of width."""
+
+    position: FloatArray
+    """(x, z) [m], shape [particle, 2]."""
+    start: FloatArray
+    """First position (x, z) [m], shape [particle, 2]."""
+    velocity: FloatArray
+    """(x, z) [m/s], shape [particle, 2]."""
+    gradient: FloatArray
+    """Affine matrix C, the velocity gradient, row by row [1/s], shape [particle, 4]."""
+    stress: FloatArray
+    """(σ_xx, σ_zz, σ_xz, σ_yy) [Pa], shape [particle, 4]."""
+    mass: FloatArray
+    """[kg/m], shape [particle]."""
+    volume: FloatArray
+    """V₀ [m²], shape [particle]."""
+    stretch: FloatArray
+    """J [-], shape [particle]; stays 1 with fixed volumes."""
+    weight: FloatArray
+    """q of the relief [-], shape [particle]."""
+
+
+class Grid(NamedTuple):
+    """Background grid; row j is height, column i is x; shape [row, column]."""
+
+    mass: FloatArray
+    """[kg/m]."""
+    vx: FloatArray
+    """Momentum, then velocity along x [m/s]."""
+    vz: FloatArray
+    """Momentum, then velocity along z [m/s]."""
+
+
+def empty_grid(scenario: Scenario) -> Grid:
+    """Grid of a scenario, with one node beyond the last for the splines at its edge."""
+    shape = (scenario.numerics.cells + 2, scenario.numerics.cells + 2)
+    return Grid(np.zeros(shape), np.zeros(shape), np.zeros(shape))
+
+
+def geostatic_bed(scenario: Scenario) -> Particles:
+    """Fill the box with one particle a sub-cell, at rest under its own weight.
+
+    Sub-cells are those of the box, as near to Δx / ``particles_per_cell_side`` as an integer
+    number of them allows, so that mass and volume are exact on any grid. σ_zz = -ρ g depth,
+    σ_xx = σ_yy = K0 σ_zz. Particles inside the leg's first position are left out.
+
+    Parameters
+    ----------
+    scenario
+        The scenario; its seed places the particles.
+
+    Returns
+    -------
+    Particles
+    """
+    bed, numerics, soil = scenario.bed, scenario.numerics, scenario.soil
+    target = numerics.cell_size / numerics.particles_per_cell_side
+    columns, rows = round(bed.width / target), round(bed.height / target)
+    size = np.array([bed.width / columns, bed.height / rows])
+    rng = np.random.default_rng(numerics.seed)
+    place = 0.5 + numerics.particle_jitter * (rng.random((rows * columns, 2)) - 0.5)
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    corner = np.stack([column.ravel(), row.ravel()], axis=1)
+    position = np.array([bed.left, bed.floor]) + (corner + place) * size
+    position = position[~_inside_leg(scenario, position)]
+
+    count = len(position)
+    stress = np.zeros((count, 4))
+    stress[:, 1] = -soil.density * GRAVITY * (bed.surface - position[:, 1])
+    stress[:, 0] = stress[:, 3] = soil.k0_at_rest * stress[:, 1]
+    volume = np.full(count, size[0] * size[1])
+    return Particles(
+        position=position,
+        start=position.copy(),
+        velocity=np.zeros((count, 2)),
+        gradient=np.zeros((count, 4)),
+        stress=stress,
+        mass=soil.density * volume,
+        volume=volume,
+        stretch=np.ones(count),
+        weight=np.ones(count),
+    )
+
+
+def _inside_leg(scenario: Scenario, position: FloatArray) -> NDArray[np.bool_]:
+    """Which positions lie inside the leg where it starts, shape [particle]."""
+    pose = scenario.motion.poses(np.zeros(1))
+    along, motion = frame_axes(pose.theta[0])
+    relative = position - pose.hip[0]
+    near = np.einsum("pi,pi->p", relative, relative) <= scenario.leg.reach() ** 2
+    inside = np.zeros(len(position), dtype=np.bool_)
+    local = np.stack([relative[near] @ along, relative[near] @ motion], axis=1)
+    inside[near] = scenario.leg.signed_distance(local)[0] < 0.0
+    return inside

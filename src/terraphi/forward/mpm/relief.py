@@ -1,0 +1,52 @@
+"""Tail-phase relief: soil that the leg has carried far from its place fades (Xu & Wang)."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from terraphi.forward.mpm.compiled import kernel
+from terraphi.scenario import Scenario
+
+
+class Fading(NamedTuple):
+    """Constants of the relief, as the kernels take them."""
+
+    distance: float
+    """Displacement beyond which a particle fades [m]; inf where there is no relief."""
+    rate: float
+    """[1/rad]."""
+    least: float
+    """[-]."""
+
+
+def fading_of(scenario: Scenario) -> Fading:
+    """Constants of a scenario; without effect if disabled or if the leg does not rotate."""
+    relief = scenario.relief
+    active = relief.enabled and scenario.motion.kind == "rotation"
+    return Fading(relief.distance if active else math.inf, relief.rate, relief.least)
+
+
+@kernel
+def faded(weight: float, dx: float, dz: float, turned: float, fading: Fading) -> float:
+    """Weight of a particle after a step, q ← max(q_min, q exp(-rate |Δθ|)) once it is far.
+
+    Parameters
+    ----------
+    weight
+        q [-].
+    dx, dz
+        Displacement since the start [m].
+    turned
+        |Δθ| of the step once θ > 0 [rad], zero before.
+    fading
+        :class:`Fading`.
+
+    Returns
+    -------
+    float
+        q [-].
+    """
+    if turned > 0.0 and math.hypot(dx, dz) > fading.distance:
+        return max(fading.least, weight * math.exp(-fading.rate * turned))
+    return weight

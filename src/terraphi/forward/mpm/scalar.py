@@ -1,0 +1,277 @@
+"""The reference kernel: one particle after another, every option, nothing clever.
+
+The order within a step is that of the paper: particles to grid, gravity, leg, walls, damping, grid
+to particles, stress, relief. Faster kernels are tested against this one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.forward.mpm.bed import Grid, Particles
+from terraphi.forward.mpm.compiled import kernel
+from terraphi.forward.mpm.contact import Intruder, against_walls, distance_to_leg, rub
+from terraphi.forward.mpm.plasticity import Material, jaumann_predictor, return_mapping
+from terraphi.forward.mpm.relief import Fading, faded
+from terraphi.forward.mpm.transfer import grid_to_particle, particles_to_grid
+from terraphi.scenario import GRAVITY, Scenario
+
+FloatArray = NDArray[np.float64]
+
+LEDGER_ROWS = ("gravity", "leg", "walls", "damping", "relief")
+"""What changes the soil's momentum, in the order of the ledger's rows."""
+
+
+class Stepping(NamedTuple):
+    """Constants of a step, as the kernel takes them."""
+
+    time_step: float
+    """Δt [s]."""
+    cell_size: float
+    """Δx [m]."""
+    gravity: float
+    """g [m/s²]."""
+    damping_factor: float
+    """Factor on grid velocities [-]."""
+    band: float
+    """Distance from the leg within which nodes are in contact [m]."""
+    left: float
+    """Left wall x [m]."""
+    right: float
+    """Right wall x [m]."""
+    floor: float
+    """Floor z [m]."""
+    rough: bool
+    """Whether the floor is rough."""
+    update_volume: bool
+    """Whether particle volumes follow the deformation."""
+
+
+def stepping_of(scenario: Scenario) -> Stepping:
+    """Constants of a scenario."""
+    numerics, bed = scenario.numerics, scenario.bed
+    return Stepping(
+        time_step=numerics.time_step,
+        cell_size=numerics.cell_size,
+        gravity=GRAVITY,
+        damping_factor=numerics.damping_factor,
+        band=numerics.contact_band_cells * numerics.cell_size,
+        left=bed.left,
+        right=bed.left + bed.width,
+        floor=bed.floor,
+        rough=bed.floor_friction == "rough",
+        update_volume=numerics.particle_volume == "updated",
+    )
+
+
+class Audit(NamedTuple):
+    """The soil's momentum, followed from step to step; per metre of width."""
+
+    ledger: FloatArray
+    """Impulses so far (x, z), one row for each of :data:`LEDGER_ROWS` [kg/s]."""
+    last: FloatArray
+    """Momentum of the soil and what it should have become a step later [kg/s], shape [2, 2]."""
+    worst: FloatArray
+    """Largest mismatch of a step over the sum of its impulses' magnitudes [-], shape [1]."""
+
+
+def empty_audit() -> Audit:
+    """Audit before the first step."""
+    return Audit(np.zeros((len(LEDGER_ROWS), 2)), np.zeros((2, 2)), np.zeros(1))
+
+
+@kernel
+def advance(
+    soil: Particles,
+    grid: Grid,
+    material: Material,
+    intruder: Intruder,
+    fading: Fading,
+    stepping: Stepping,
+    poses: FloatArray,
+    turned: FloatArray,
+    bins: NDArray[np.int64],
+    impulse: FloatArray,
+    audit: Audit,
+) -> int:
+    """Run the kernel over a block of steps, changing its array arguments in place.
+
+    Parameters
+    ----------
+    soil
+        :class:`~terraphi.forward.mpm.bed.Particles`.
+    grid
+        :class:`~terraphi.forward.mpm.bed.Grid`, working memory.
+    material, intruder, fading, stepping
+        Constants.
+    poses
+        Hip x, z [m], θ [rad], hip velocity x, z [m/s], angular rate [rad/s]; shape [step, 6].
+    turned
+        |Δθ| of each step once θ > 0, zero before [rad], shape [step].
+    bins
+        History bin of each step, shape [step].
+    impulse
+        Impulse of the soil on the leg (x, z) [kg/s], added to; shape [bin, 2].
+    audit
+        :class:`Audit`, updated.
+
+    Returns
+    -------
+    int
+        Index of the first particle to leave the grid, or -1 if none did.
+    """
+    impulses = np.zeros((5, 2))
+    for step in range(poses.shape[0]):
+        momentum = particles_to_grid(soil, grid, stepping.cell_size, stepping.time_step)
+        close_books(audit, impulses, momentum)
+        impulses[:] = 0.0
+        update_grid(grid, intruder, stepping, poses[step], impulses)
+        impulse[bins[step], 0] -= impulses[1, 0]
+        impulse[bins[step], 1] -= impulses[1, 1]
+        lost = update_particles(soil, grid, material, fading, stepping, turned[step], impulses)
+        if lost >= 0:
+            return lost
+        for axis in range(2):
+            audit.last[0, axis] = momentum[axis]
+            audit.last[1, axis] = momentum[axis] + impulses[:, axis].sum()
+        audit.ledger[:] += impulses
+    return -1
+
+
+@kernel
+def close_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
+    """Compare the soil's momentum with what the last step's impulses should have made of it."""
+    scale = np.abs(impulses).sum()
+    if scale > 0.0:
+        miss = abs(momentum[0] - audit.last[1, 0]) + abs(momentum[1] - audit.last[1, 1])
+        audit.worst[0] = max(audit.worst[0], miss / scale)
+
+
+@kernel
+def update_grid(
+    grid: Grid, intruder: Intruder, stepping: Stepping, pose: FloatArray, impulses: FloatArray
+) -> None:
+    """Turn momenta into velocities and apply gravity, leg, walls and damping, in that order.
+
+    Parameters
+    ----------
+    grid
+        Holds momenta; holds velocities afterwards.
+    intruder, stepping
+        Constants.
+    pose
+        One row of the poses.
+    impulses
+        Filled with what each of gravity, leg, walls and damping gave the soil [kg/s].
+    """
+    hip_x, hip_z, theta, hip_vx, hip_vz, rate = pose
+    sine, cosine = math.sin(theta), math.cos(theta)
+    near = (intruder.reach + stepping.band) ** 2
+    for j in range(grid.mass.shape[0]):
+        for i in range(grid.mass.shape[1]):
+            mass = grid.mass[j, i]
+            if mass <= 0.0:
+                continue
+            vx, vz = grid.vx[j, i] / mass, grid.vz[j, i] / mass
+            vz -= stepping.gravity * stepping.time_step
+            impulses[0, 1] -= mass * stepping.gravity * stepping.time_step
+
+            x, z = i * stepping.cell_size, j * stepping.cell_size
+            rx, rz = x - hip_x, z - hip_z
+            if rx * rx + rz * rz < near:
+                # Into the leg's frame: s = (-sin θ, -cos θ), m = (-cos θ, sin θ).
+                distance, ns, nm = distance_to_leg(
+                    intruder, -sine * rx - cosine * rz, -cosine * rx + sine * rz
+                )
+                if distance < stepping.band:
+                    # The leg turns from +z towards +x about +y: v = ω × r = ω (rz, -rx).
+                    px, pz = vx, vz
+                    vx, vz = rub(
+                        vx,
+                        vz,
+                        hip_vx + rate * rz,
+                        hip_vz - rate * rx,
+                        -sine * ns - cosine * nm,
+                        -cosine * ns + sine * nm,
+                        intruder.friction,
+                    )
+                    impulses[1, 0] += mass * (vx - px)
+                    impulses[1, 1] += mass * (vz - pz)
+
+            px, pz = vx, vz
+            vx, vz = against_walls(
+                vx, vz, x, z, stepping.left, stepping.right, stepping.floor, stepping.rough
+            )
+            impulses[2, 0] += mass * (vx - px)
+            impulses[2, 1] += mass * (vz - pz)
+
+            loss = stepping.damping_factor - 1.0
+            impulses[3, 0] += mass * vx * loss
+            impulses[3, 1] += mass * vz * loss
+            grid.vx[j, i] = vx * stepping.damping_factor
+            grid.vz[j, i] = vz * stepping.damping_factor
+
+
+@kernel
+def update_particles(
+    soil: Particles,
+    grid: Grid,
+    material: Material,
+    fading: Fading,
+    stepping: Stepping,
+    turned: float,
+    impulses: FloatArray,
+) -> int:
+    """Move the particles with the grid and update stress, volume and weight.
+
+    Parameters
+    ----------
+    soil, grid, material, fading, stepping
+        As in :func:`advance`.
+    turned
+        |Δθ| of this step once θ > 0 [rad].
+    impulses
+        Its last row is filled with what the relief took from the soil [kg/s].
+
+    Returns
+    -------
+    int
+        Index of the first particle to leave the grid, or -1.
+    """
+    low = 0.5 * stepping.cell_size
+    high = (grid.mass.shape[0] - 2.5) * stepping.cell_size
+    time_step = stepping.time_step
+    for p in range(soil.mass.size):
+        vx, vz, gradient = grid_to_particle(soil, grid, p, stepping.cell_size)
+        stress = (soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2], soil.stress[p, 3])
+        trial = jaumann_predictor(
+            stress, gradient, time_step, material.lame_lambda, material.shear_modulus
+        )
+        stress = return_mapping(trial, material)
+        for c in range(4):
+            soil.gradient[p, c] = gradient[c]
+            soil.stress[p, c] = stress[c]
+        soil.velocity[p, 0] = vx
+        soil.velocity[p, 1] = vz
+        if stepping.update_volume:
+            soil.stretch[p] *= 1.0 + (gradient[0] + gradient[3]) * time_step
+
+        x = soil.position[p, 0] + vx * time_step
+        z = soil.position[p, 1] + vz * time_step
+        # Written so that a position that is not a number counts as outside.
+        if not (low < x < high and low < z < high):
+            return p
+        soil.position[p, 0] = x
+        soil.position[p, 1] = z
+
+        weight = soil.weight[p]
+        new = faded(weight, x - soil.start[p, 0], z - soil.start[p, 1], turned, fading)
+        if new != weight:
+            soil.weight[p] = new
+            impulses[4, 0] += (new - weight) * soil.mass[p] * vx
+            impulses[4, 1] += (new - weight) * soil.mass[p] * vz
+    return -1
