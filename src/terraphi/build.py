@@ -1,0 +1,217 @@
+"""Build a library: run a plan's cases on an executor, keep what is finished, resume.
+
+While a build of ``FILE.nc`` is under way, finished cases lie in the folder ``FILE.nc.cases``, one
+force history each, named by the hash of its scenario. The folder goes when the library is whole.
+"""
+
+from __future__ import annotations
+
+import logging
+import platform
+import shutil
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from terraphi.errors import InputError
+from terraphi.forward import model_version, simulate, software
+from terraphi.history import ForceHistory
+from terraphi.library import Case, Library, Plan, describe
+from terraphi.scenario import Scenario
+from terraphi.workers import heartbeat
+
+log = logging.getLogger(__name__)
+
+Progress = Callable[[int, int], None]
+"""Called with the number of finished cases and of all cases."""
+
+_POLL = 0.25
+"""Seconds between two looks at the executor; the progress display moves that often."""
+
+
+def run_case(scenario_json: str) -> ForceHistory | str:
+    """Simulate one case; runs in a worker, so it takes and returns what travels well.
+
+    Parameters
+    ----------
+    scenario_json
+        A scenario as JSON.
+
+    Returns
+    -------
+    ForceHistory or str
+        The history, or one line that says why the simulation failed.
+    """
+    scenario = Scenario.model_validate_json(scenario_json)
+    seen = 0.0
+
+    def report(fraction: float) -> None:
+        nonlocal seen
+        heartbeat(fraction - seen)
+        seen = fraction
+
+    try:
+        return simulate(scenario, progress=report)
+    except (ArithmeticError, RuntimeError, ValueError) as error:
+        heartbeat(0.0)  # a stop asked for is no failure of the case
+        return f"{type(error).__name__}: {error}"
+
+
+def cases_folder(path: Path) -> Path:
+    """Folder that keeps finished cases while a library is being built."""
+    return path.with_name(path.name + ".cases")
+
+
+def build(
+    plan: Plan,
+    path: Path | str,
+    *,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> Library:
+    """Simulate what a plan asks for and has not been simulated yet, and write the library.
+
+    Parameters
+    ----------
+    plan
+        What to simulate.
+    path
+        The library's file; cases of the same scenario and model version that it, or an
+        interrupted build of it, already holds are taken from there.
+    executor
+        Runs the cases; ``None`` runs them here, one after another.
+    progress
+        Called whenever something may have changed.
+
+    Returns
+    -------
+    Library
+        Failed cases are recorded in it and tried again at the next build.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written, or no case at all succeeded.
+    """
+    path = Path(path)
+    wanted = plan.cases()
+    folder = cases_folder(path)
+    finished = {**_from_library(path), **_from_folder(folder)}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be made ({error.strerror}); choose another place"
+        ) from error
+    finished = {
+        key: history
+        for key, history in finished.items()
+        if key in {scenario.hash for scenario in wanted}
+    }
+    failures: dict[str, str] = {}
+    missing = {s.hash: s for s in wanted if s.hash not in finished}
+    log.info("%d of %d cases are there already", len(wanted) - len(missing), len(wanted))
+
+    def keep(scenario: Scenario, outcome: ForceHistory | str) -> None:
+        if isinstance(outcome, str):
+            failures[scenario.hash] = outcome
+            log.warning("%s failed: %s", describe(plan, scenario), outcome)
+        else:
+            outcome.to_netcdf(folder / f"{scenario.hash}.nc")
+            finished[scenario.hash] = outcome
+        look()
+
+    def look() -> None:
+        if progress is not None:
+            progress(len(wanted) - len(missing) + _settled(), len(wanted))
+
+    def _settled() -> int:
+        return sum(key in finished or key in failures for key in missing)
+
+    look()
+    if executor is None:
+        for scenario in missing.values():
+            keep(scenario, run_case(scenario.model_dump_json()))
+    else:
+        _run_on(executor, list(missing.values()), keep, look)
+
+    if not finished:
+        reason = next(iter(failures.values()))
+        _remove_if_empty(folder)
+        raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
+    cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in wanted]
+    library = Library(plan, tuple(cases), {**software(plan.scenario), "node": platform.machine()})
+    library.save(path)
+    shutil.rmtree(folder)
+    return library
+
+
+def _run_on(
+    executor: Executor,
+    scenarios: list[Scenario],
+    keep: Callable[[Scenario, ForceHistory | str], None],
+    look: Callable[[], None],
+) -> None:
+    """Run cases on an executor, handing each over as it ends."""
+    waiting: dict[Future[ForceHistory | str], Scenario] = {
+        executor.submit(run_case, scenario.model_dump_json()): scenario for scenario in scenarios
+    }
+    try:
+        while waiting:
+            ended, _ = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED)
+            for future in ended:
+                scenario = waiting.pop(future)
+                error = future.exception()
+                # A worker that died takes its case with it, not the others' results.
+                keep(scenario, f"{type(error).__name__}: {error}" if error else future.result())
+            look()
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+def _from_folder(folder: Path) -> dict[str, ForceHistory]:
+    """Usable histories of an interrupted build, by scenario hash; broken files count as missing."""
+    found = {}
+    for file in sorted(folder.glob("[0-9a-f]*.nc")):
+        try:
+            history = ForceHistory.from_netcdf(file)
+        except InputError as error:
+            log.warning("%s; it will be computed again", error)
+            continue
+        if _is_current(history):
+            found[file.stem] = history
+    return found
+
+
+def _from_library(path: Path) -> dict[str, ForceHistory]:
+    """Usable histories of a library file, by scenario hash.
+
+    Raises
+    ------
+    InputError
+        If a file stands there that is not a library of ours: it is not for us to overwrite.
+    """
+    if not path.exists():
+        return {}
+    cases = Library.load(path).cases
+    return {c.scenario.hash: c.history for c in cases if c.history and _is_current(c.history)}
+
+
+def _is_current(history: ForceHistory) -> bool:
+    """Whether today's model would give the same forces."""
+    scenario = history.provenance.get("scenario")
+    if scenario is None:
+        return False
+    try:
+        current = model_version(Scenario.model_validate(scenario))
+    except ValidationError:  # of a version with other scenarios
+        return False
+    return bool(history.provenance.get("model_version") == current)
+
+
+def _remove_if_empty(folder: Path) -> None:
+    if not any(folder.iterdir()):
+        folder.rmdir()

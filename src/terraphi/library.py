@@ -1,0 +1,349 @@
+"""A library of simulations: a plan in, one self-describing NetCDF out.
+
+A plan is a scenario and the keys to sweep. Finished cases are kept beside the file to be
+(``FILE.nc.cases``, one force history each, named by its scenario's hash) until the library is
+whole, so an interrupted build goes on where it stopped and computes nothing twice.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
+
+from terraphi.errors import InputError, sentence_from_validation
+from terraphi.files import open_netcdf, write_netcdf
+from terraphi.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory, positions
+from terraphi.scenario import Scenario, parse_toml, shipped_file
+
+FloatArray = NDArray[np.float64]
+
+SCHEMA = 1
+"""Version of the layout of a library file."""
+
+
+class Plan(BaseModel):
+    """What a library is to contain.
+
+    Attributes
+    ----------
+    name, description
+        For people.
+    scenario
+        What all cases share.
+    sweep
+        Dotted scenario key to its values; the cases are all combinations, the first key slowest.
+    vary_seed
+        Whether case number i takes the scenario's seed plus i, so that the particle scatter of
+        neighbouring cases is independent.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(min_length=1)
+    description: str = ""
+    scenario: Scenario = Field(default_factory=Scenario)
+    sweep: dict[str, list[JsonValue]] = Field(min_length=1)
+    vary_seed: bool = False
+
+    def cases(self) -> list[Scenario]:
+        """Scenarios of all cases.
+
+        Raises
+        ------
+        InputError
+            If a swept key does not exist or a value cannot be.
+        """
+        for key, values in self.sweep.items():
+            if not values:
+                raise InputError(f"plan '{self.name}': sweep key '{key}' has no values")
+        seed = self.scenario.numerics.seed
+        found = []
+        for i, combination in enumerate(itertools.product(*self.sweep.values())):
+            changes = dict(zip(self.sweep, combination, strict=True))
+            if self.vary_seed:
+                changes["numerics.seed"] = seed + i
+            try:
+                found.append(self.scenario.replace(**changes))
+            except ValidationError as error:
+                sentence = sentence_from_validation(error, f"plan '{self.name}', sweep", Scenario)
+                raise InputError(sentence) from error
+        return found
+
+    @classmethod
+    def load(cls, source: Path | str) -> Plan:
+        """Read a plan from a TOML file, or a shipped one by its name.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, not TOML, has an unknown key or a value that cannot be.
+        """
+        if Path(source).suffix != ".toml" and not Path(source).is_file():
+            source = shipped_file("plans", str(source), ".toml")
+        plan = parse_toml(Path(source), cls)
+        plan.cases()
+        return plan
+
+
+class Case(NamedTuple):
+    """One simulation of a library."""
+
+    scenario: Scenario
+    """What was simulated."""
+    history: ForceHistory | None
+    """Its forces; ``None`` if it failed."""
+    failure: str
+    """Why it failed; empty if it did not."""
+
+
+class Curves(NamedTuple):
+    """What an inversion takes from a library: observation vectors over the friction angle."""
+
+    phi_deg: FloatArray
+    """Friction angles [deg], increasing, shape [case]."""
+    theta_deg: FloatArray
+    """Leg angles [deg], shape [M]."""
+    Fx: FloatArray
+    """Forward force [N], shape [case, M]."""
+    Fz: FloatArray
+    """Vertical force [N], shape [case, M]."""
+    scenario: Scenario
+    """Scenario of the first case: density, convention and all that is not swept."""
+
+
+@dataclass(frozen=True)
+class Library:
+    """Simulations over a plan.
+
+    Attributes
+    ----------
+    plan
+        What was to be simulated.
+    cases
+        What came of it, in the plan's order.
+    provenance
+        Versions; JSON-able.
+    """
+
+    plan: Plan
+    cases: tuple[Case, ...]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Name of the library."""
+        return self.plan.name
+
+    @property
+    def failures(self) -> dict[str, str]:
+        """Case to why it failed."""
+        return {describe(self.plan, c.scenario): c.failure for c in self.cases if c.failure}
+
+    @property
+    def legs(self) -> list[str]:
+        """Shapes of the legs that it has, sorted."""
+        return sorted({case.scenario.leg.shape for case in self.cases if case.history})
+
+    def summary(self) -> dict[str, Any]:
+        """What it holds and where it comes from, JSON-able."""
+        first = self.cases[0].scenario
+        phi = [case.scenario.soil.friction_angle_deg for case in self.cases]
+        return {
+            "name": self.name,
+            "description": self.plan.description,
+            "convention": first.convention,
+            "phi_deg": [min(phi), max(phi)],
+            "legs": self.legs,
+            "cases": len(self.cases),
+            "failures": self.failures,
+            "density_kg_m3": first.soil.density,
+            "sweep": self.plan.sweep,
+            "provenance": dict(self.provenance),
+        }
+
+    def curves(
+        self, leg: str, *, angles: int = OBSERVATION_ANGLES, window_deg: float = WINDOW_DEG
+    ) -> Curves:
+        """Observation vectors of one leg over the friction angle.
+
+        Parameters
+        ----------
+        leg
+            Shape of the leg.
+        angles, window_deg
+            As in :meth:`ForceHistory.observation`.
+
+        Returns
+        -------
+        Curves
+
+        Raises
+        ------
+        InputError
+            If the library lacks the leg, has fewer than three friction angles for it or several
+            cases of one.
+        """
+        chosen = [c for c in self.cases if c.history and c.scenario.leg.shape == leg]
+        if not chosen:
+            raise InputError(
+                f"library '{self.name}' has no leg '{leg}'; it has {', '.join(self.legs)}"
+            )
+        chosen.sort(key=lambda case: case.scenario.soil.friction_angle_deg)
+        phi = np.array([case.scenario.soil.friction_angle_deg for case in chosen])
+        if len(phi) < 3 or np.any(np.diff(phi) <= 0):
+            raise InputError(
+                f"library '{self.name}' has the friction angles {phi.tolist()} for leg '{leg}'; "
+                "an inversion needs at least three, each once"
+            )
+        seen = [
+            case.history.observation(angles=angles, window_deg=window_deg)
+            for case in chosen
+            if case.history
+        ]
+        return Curves(
+            phi,
+            seen[0].theta_deg,
+            np.stack([o.Fx for o in seen]),
+            np.stack([o.Fz for o in seen]),
+            chosen[0].scenario,
+        )
+
+    # -- files -----------------------------------------------------------------------------------
+
+    def save(self, path: Path | str) -> None:
+        """Write one NetCDF-4 file.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Raises
+        ------
+        InputError
+            If the place cannot be written; a file that was there stays as it is.
+        """
+        import xarray as xr
+
+        whole = next(case.history for case in self.cases if case.history)
+        for case in self.cases:
+            if case.history and not _alike(case.history, whole):
+                raise InputError(
+                    f"library '{self.name}': the forces at {describe(self.plan, case.scenario)} "
+                    "are taken at other positions than those of the first case; sweep neither the "
+                    "span of the motion nor the dimensions"
+                )
+        coordinate = "theta_deg" if whole.coordinate == "theta" else whole.coordinate
+        position = whole.theta_deg if whole.coordinate == "theta" else whole.position
+        nothing = np.full(whole.force.shape, np.nan)
+        force = np.stack([c.history.force if c.history else nothing for c in self.cases])
+        units = {"theta_deg": "degree", "displacement": "m"}[coordinate]
+
+        def text(values: list[str]) -> tuple[str, NDArray[np.object_]]:
+            return "case", np.array(values, dtype=object)
+
+        dataset = xr.Dataset(
+            {
+                f"F{axis}": (("case", coordinate), force[:, :, i], {"units": "N"})
+                for i, axis in enumerate(whole.axes)
+            },
+            coords={
+                whole.coordinate: (coordinate, whole.position, {"units": "rad"}),
+                coordinate: (coordinate, position, {"units": units}),
+                "scenario": text([c.scenario.model_dump_json() for c in self.cases]),
+                "scenario_hash": text([c.scenario.hash for c in self.cases]),
+                "failure": text([c.failure for c in self.cases]),
+                "provenance": text(
+                    [
+                        json.dumps(dict(c.history.provenance) if c.history else {})
+                        for c in self.cases
+                    ]
+                ),
+            },
+            attrs={
+                "terraphi_file": "library",
+                "terraphi_schema": SCHEMA,
+                "name": self.name,
+                "description": self.plan.description,
+                "plan": self.plan.model_dump_json(),
+                "coordinate": whole.coordinate,
+                "provenance": json.dumps(dict(self.provenance)),
+            },
+        )
+        packing = {f"F{axis}": {"zlib": True, "shuffle": True} for axis in whole.axes}
+        write_netcdf(dataset, Path(path), encoding=packing)
+
+    @classmethod
+    def load(cls, source: Path | str) -> Library:
+        """Read a library file, or a shipped library by its name.
+
+        Parameters
+        ----------
+        source
+            A path ending in ``.nc``, or the name of a shipped library.
+
+        Returns
+        -------
+        Library
+
+        Raises
+        ------
+        InputError
+            If there is no such library, or the file is not a whole one of this schema.
+        """
+        path = Path(source)
+        if path.suffix != ".nc" and not path.is_file():
+            path = shipped_file("libraries", str(source), ".nc")
+        data = open_netcdf(path, kind="library", schema=SCHEMA)
+        try:
+            return cls._from_dataset(data)
+        except (KeyError, TypeError, ValueError) as error:
+            # A scenario of another version fails in many lines; the first says what it is.
+            reason = str(error).splitlines()[0]
+            raise InputError(
+                f"{path}: not as this version writes a library ({reason}); build it again under "
+                "another name"
+            ) from error
+
+    @classmethod
+    def _from_dataset(cls, data: Any) -> Library:
+        coordinate, position = str(data.attrs["coordinate"]), positions(data)
+        axes = tuple(str(name)[1:] for name in data.data_vars)
+        force = np.stack([data[f"F{axis}"].values.astype(np.float64) for axis in axes], axis=2)
+        cases = []
+        for i, failure in enumerate(data["failure"].values.tolist()):
+            scenario = Scenario.model_validate_json(str(data["scenario"].values[i]))
+            provenance = json.loads(str(data["provenance"].values[i]))
+            history = ForceHistory(position, force[i], coordinate, axes, provenance)
+            cases.append(Case(scenario, None if failure else history, str(failure)))
+        plan = Plan.model_validate_json(str(data.attrs["plan"]))
+        return cls(plan, tuple(cases), json.loads(data.attrs["provenance"]))
+
+
+def _alike(one: ForceHistory, other: ForceHistory) -> bool:
+    """Whether two histories have the same axes and positions."""
+    return one.axes == other.axes and np.array_equal(one.position, other.position)
+
+
+def _provenance_json(case: Case) -> str:
+    return json.dumps(dict(case.history.provenance) if case.history else {})
+
+
+def describe(plan: Plan, scenario: Scenario) -> str:
+    """Swept keys of a case and their values, for people."""
+    content = scenario.model_dump(mode="json")
+    parts = []
+    for key in plan.sweep:
+        value: Any = content
+        for section in key.split("."):
+            value = value[section]
+        parts.append(f"{key} = {value}")
+    return ", ".join(parts)

@@ -1,0 +1,106 @@
+"""A pool of processes that reports progress within a task and stops when asked.
+
+Anything that is a ``concurrent.futures.Executor`` can build a library (a Dask cluster's
+``client.get_executor()``, say). This one adds, for the cores of one machine, what an executor
+lacks: a pulse. Tasks call :func:`heartbeat` now and then; it tells the parent how far they are and
+raises :class:`StoppedError` once the parent wants no more.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from concurrent.futures import Executor, ProcessPoolExecutor
+from multiprocessing.sharedctypes import Synchronized
+from multiprocessing.synchronize import Event
+from types import TracebackType
+from typing import Self
+
+
+class StoppedError(RuntimeError):
+    """The parent asked its workers to stop."""
+
+
+_pulse: tuple[Event, Synchronized[float]] | None = None
+
+
+def _join(stop: Event, done: Synchronized[float]) -> None:
+    """Set a fresh worker up: it leaves Ctrl-C to its parent, which will then ask it to stop."""
+    global _pulse
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _pulse = (stop, done)
+
+
+def heartbeat(advance: float) -> None:
+    """Report work done since the last call from within a task; no effect outside a pool.
+
+    Parameters
+    ----------
+    advance
+        Fraction of the task done since the last call [-].
+
+    Raises
+    ------
+    StoppedError
+        If the parent has asked the workers to stop.
+    """
+    if _pulse is None:
+        return
+    stop, done = _pulse
+    if stop.is_set():
+        raise StoppedError("stopped by the parent process")
+    with done.get_lock():
+        done.value += advance
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class WorkerPool:
+    """Processes on this machine, as a context that leaves none behind.
+
+    Parameters
+    ----------
+    workers
+        How many.
+    """
+
+    def __init__(self, workers: int) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._stop = context.Event()
+        self._done = context.Value("d", 0.0)
+        self._before: int | None = None
+        self.executor: Executor = ProcessPoolExecutor(
+            workers, mp_context=context, initializer=_join, initargs=(self._stop, self._done)
+        )
+
+    def counted(self, finished: int) -> float:
+        """Tasks done so far, counting parts of those that run [-].
+
+        Parameters
+        ----------
+        finished
+            Tasks known to be finished, whether this pool ran them or not; the first call sets
+            what had been finished before.
+        """
+        if self._before is None:
+            self._before = finished
+        return self._before + float(self._done.value)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is not None:
+            self._stop.set()
+        self.executor.shutdown(wait=True, cancel_futures=True)
