@@ -1,0 +1,398 @@
+"""The posterior of the friction angle, by quadrature or by an ensemble sampler.
+
+The friction angle is the only unknown, so quadrature is the exact answer and the default; the
+affine-invariant ensemble sampler of the paper (Xu & Wang) stays for comparison. Both take a
+log-likelihood of the friction angle alone, known up to a constant, and a uniform prior on bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.inference.convergence import autocorrelation_time, diagnose
+
+__all__ = ["LogLikelihood", "Posterior", "ensemble", "quadrature"]
+
+FloatArray = NDArray[np.float64]
+LogLikelihood = Callable[[FloatArray], FloatArray]
+"""Log-likelihood [-] of friction angles [deg], shape [k] -> [k]."""
+
+# Refinement of the quadrature: a cell is split into four while it holds more than this much of the
+# mass, may be wrong by more than that much of it, or while log p drops by more than this from a
+# local maximum to the other end of the cell, for then the maximum itself may lie inside.
+CELL_MASS = 2e-3
+CELL_ERROR = 1e-9
+PEAK_DROP = 0.05
+SPLIT = np.array([0.25, 0.5, 0.75])
+MAX_ROUNDS = 60
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Posterior:
+    """The posterior distribution of the friction angle.
+
+    By quadrature the density is linear between nodes. By sampling there is no density: the nodes
+    are the sorted draws of all ensembles and the distribution is the empirical one.
+
+    Attributes
+    ----------
+    bounds_deg
+        Ends of the uniform prior [deg].
+    phi_deg
+        Nodes, or sorted draws [deg], shape [node].
+    cdf
+        Cumulative distribution at the nodes [-], shape [node].
+    density
+        Normalised density at the nodes [1/deg], shape [node]; None if sampled.
+    draws_deg
+        Draws after burn-in [deg], shape [ensemble, walker, step]; None if by quadrature.
+    sampler
+        ``"quadrature"`` or ``"emcee"``.
+    seed
+        Seed of the draws; None if by quadrature.
+    convergence
+        Diagnostics by name, plain numbers.
+    """
+
+    bounds_deg: tuple[float, float]
+    phi_deg: FloatArray = field(repr=False)
+    cdf: FloatArray = field(repr=False)
+    density: FloatArray | None = field(default=None, repr=False)
+    draws_deg: FloatArray | None = field(default=None, repr=False)
+    sampler: Literal["quadrature", "emcee"]
+    seed: int | None = None
+    convergence: dict[str, float]
+
+    @property
+    def median(self) -> float:
+        """Median [deg]."""
+        return self.quantile(0.5)
+
+    def interval(self, probability: float) -> tuple[float, float]:
+        """Equal-tailed credible interval [deg].
+
+        Parameters
+        ----------
+        probability
+            Mass of the interval [-], in (0, 1).
+
+        Raises
+        ------
+        ValueError
+            If the probability is outside (0, 1).
+        """
+        if not 0.0 < probability < 1.0:
+            raise ValueError(f"probability is {probability}; it must lie between 0 and 1")
+        tail = (1.0 - probability) / 2.0
+        return self.quantile(tail), self.quantile(1.0 - tail)
+
+    def quantile(self, probability: float) -> float:
+        """Friction angle [deg] below which a mass of ``probability`` lies.
+
+        Parameters
+        ----------
+        probability
+            Mass [-], in [0, 1].
+
+        Raises
+        ------
+        ValueError
+            If the probability is outside [0, 1].
+        """
+        if not 0.0 <= probability <= 1.0:
+            raise ValueError(f"probability is {probability}; it must lie in [0, 1]")
+        if self.density is None:
+            return float(np.interp(probability, self.cdf, self.phi_deg))
+        # The cell whose two ends enclose the probability, and the root of a quadratic within it,
+        # in the form that does not cancel.
+        i = int(np.searchsorted(self.cdf, probability, side="right")) - 1
+        i = min(max(i, 0), self.cdf.size - 2)
+        width, start, slope = self._cell(i)
+        rest = max(probability - float(self.cdf[i]), 0.0)
+        root = np.sqrt(max(start**2 + 2.0 * slope * rest, 0.0))
+        offset = 2.0 * rest / (start + root) if start + root > 0.0 else 0.0
+        return float(self.phi_deg[i] + min(offset, width))
+
+    def mass(self, low: float, high: float) -> float:
+        """Posterior probability [-] of friction angles between ``low`` and ``high`` [deg].
+
+        Raises
+        ------
+        ValueError
+            If ``low`` exceeds ``high`` or either is not a number.
+        """
+        if not low <= high:
+            raise ValueError(f"low = {low} deg exceeds high = {high} deg")
+        if self.density is None:
+            first = np.searchsorted(self.phi_deg, low, side="left")
+            last = np.searchsorted(self.phi_deg, high, side="right")
+            return float(last - first) / self.phi_deg.size
+        return self._mass_below(high) - self._mass_below(low)
+
+    def chains(self) -> FloatArray:
+        """Draws [deg] as independent chains, shape [chain, draw], as ArviZ wants them.
+
+        A chain is an ensemble, never a walker, since the walkers of an ensemble depend on each
+        other. Only one step in every autocorrelation time is kept, all its walkers side by side,
+        so that the draws of a chain follow in time and are nearly uncorrelated: diagnostics that
+        presume a plain Markov chain are then right about these.
+
+        Raises
+        ------
+        ValueError
+            If the posterior comes from quadrature and has no draws.
+        """
+        if self.draws_deg is None:
+            raise ValueError("a posterior by quadrature has no draws")
+        stride = int(np.ceil(autocorrelation_time(self.draws_deg).max()))
+        kept = self.draws_deg[:, :, ::stride]
+        return kept.transpose(0, 2, 1).reshape(len(kept), -1)
+
+    def _cell(self, i: int) -> tuple[float, float, float]:
+        """Width [deg], density at the left end [1/deg] and its slope [1/deg^2] in cell i."""
+        assert self.density is not None
+        width = float(self.phi_deg[i + 1] - self.phi_deg[i])
+        start = float(self.density[i])
+        return width, start, (float(self.density[i + 1]) - start) / width
+
+    def _mass_below(self, phi_deg: float) -> float:
+        phi = min(max(phi_deg, float(self.phi_deg[0])), float(self.phi_deg[-1]))
+        i = min(int(np.searchsorted(self.phi_deg, phi, side="right")) - 1, self.phi_deg.size - 2)
+        _, start, slope = self._cell(i)
+        offset = phi - float(self.phi_deg[i])
+        return float(self.cdf[i]) + offset * (start + 0.5 * slope * offset)
+
+
+def quadrature(
+    log_likelihood: LogLikelihood, bounds_deg: tuple[float, float], *, nodes: int = 4001
+) -> Posterior:
+    """Posterior by the trapezoidal rule on nodes that gather where the mass is.
+
+    Evenly spaced nodes come first. Cells are then split around every local maximum until it is
+    resolved, and wherever they hold much mass or may be in error, so that a posterior much
+    narrower than the first spacing, at an edge, or with several modes is integrated too: its
+    cumulative distribution is right to about 1e-6. A mode that leaves no trace on the first nodes
+    is not found.
+
+    Parameters
+    ----------
+    log_likelihood
+        Log-likelihood [-] up to a constant of friction angles [deg], shape [k] -> [k]. It may be
+        minus infinity in places.
+    bounds_deg
+        Ends of the uniform prior [deg].
+    nodes
+        Number of evenly spaced nodes to begin with.
+
+    Returns
+    -------
+    Posterior
+        Its ``convergence`` has ``nodes``, the number used in the end, and
+        ``relative_change_on_halving``: the most that the median or an end of the 68 % or 95 %
+        interval moves if every second node is left out, over the half-width of the 68 % interval.
+
+    Raises
+    ------
+    ValueError
+        If bounds are not finite and increasing, ``nodes`` is less than 5, or the log-likelihood is
+        NaN or plus infinity anywhere, minus infinity everywhere, or does not settle.
+    """
+    low, high = _checked_bounds(bounds_deg)
+    if nodes < 5:
+        raise ValueError(f"nodes is {nodes}; it must be at least 5")
+    phi = np.linspace(low, high, nodes)
+    log_p = _checked(log_likelihood, phi)
+    if not np.isfinite(log_p).any():
+        raise ValueError(f"the log-likelihood is minus infinity at all {nodes} nodes")
+    # No cell may shrink to where its ends are the same floating-point number.
+    narrowest = max(1e-12 * (high - low), 64.0 * float(np.spacing(np.abs([low, high]).max())))
+    for _ in range(MAX_ROUNDS):
+        split = np.flatnonzero(_unresolved(phi, log_p) & (np.diff(phi) > narrowest))
+        if split.size == 0:
+            break
+        inner = (phi[split, None] + np.diff(phi)[split, None] * SPLIT).ravel()
+        where = np.repeat(split + 1, SPLIT.size)
+        log_p = np.insert(log_p, where, _checked(log_likelihood, inner))
+        phi = np.insert(phi, where, inner)
+    else:
+        raise ValueError(
+            f"the log-likelihood is not resolved by {phi.size} nodes after {MAX_ROUNDS} rounds of "
+            "refinement; it does not look like a smooth function of phi"
+        )
+    posterior = _from_nodes(phi, log_p, (low, high))
+    every_second = np.r_[0 : phi.size - 1 : 2, phi.size - 1]
+    coarse = _from_nodes(phi[every_second], log_p[every_second], (low, high))
+    probabilities = (0.5, 0.16, 0.84, 0.025, 0.975)
+    change = max(abs(posterior.quantile(p) - coarse.quantile(p)) for p in probabilities)
+    half_width = 0.5 * (posterior.quantile(0.84) - posterior.quantile(0.16))
+    convergence = {"nodes": phi.size, "relative_change_on_halving": change / half_width}
+    return replace(posterior, convergence=convergence)
+
+
+def ensemble(
+    log_likelihood: LogLikelihood,
+    bounds_deg: tuple[float, float],
+    *,
+    walkers: int = 32,
+    steps: int = 4000,
+    burn_in: int = 1000,
+    ensembles: int = 4,
+    seed: int,
+) -> Posterior:
+    """Posterior by emcee's affine-invariant ensemble sampler, as in the paper (Xu & Wang).
+
+    Several ensembles run from their own uniform draws of the prior and their own random streams,
+    all derived from ``seed``; NumPy's global random state is neither used nor changed.
+
+    Parameters
+    ----------
+    log_likelihood
+        As in `quadrature`; called with half the walkers at once.
+    bounds_deg
+        Ends of the uniform prior [deg].
+    walkers, steps, burn_in
+        Number of walkers of an ensemble, even; number of steps of each; how many of these are
+        discarded from the start.
+    ensembles
+        Number of independent ensembles, at least 4, or R-hat between them means little.
+    seed
+        Seed of all random streams.
+
+    Returns
+    -------
+    Posterior
+        Its ``convergence`` holds the `EnsembleDiagnostics` of the draws and the
+        ``acceptance_fraction``.
+
+    Raises
+    ------
+    ValueError
+        If bounds are not finite and increasing, a number is too small, or the log-likelihood is
+        NaN or plus infinity anywhere or minus infinity nearly everywhere.
+    """
+    low, high = _checked_bounds(bounds_deg)
+    if walkers < 4 or walkers % 2:
+        raise ValueError(f"walkers is {walkers}; it must be even and at least 4")
+    if not 0 <= burn_in <= steps - 4:
+        raise ValueError(f"burn_in is {burn_in} of {steps} steps; at least 4 must remain")
+    if ensembles < 4:
+        raise ValueError(f"ensembles is {ensembles}; it must be at least 4")
+
+    def log_posterior(positions: FloatArray) -> FloatArray:
+        phi = positions[:, 0]
+        inside = (phi >= low) & (phi <= high)
+        log_p = np.full(phi.shape, -np.inf)
+        if inside.any():
+            log_p[inside] = _checked(log_likelihood, phi[inside])
+        return log_p
+
+    draws = np.empty((ensembles, walkers, steps - burn_in))
+    accepted = np.empty(ensembles)
+    for i, stream in enumerate(np.random.SeedSequence(seed).spawn(ensembles)):
+        draws[i], accepted[i] = _run_ensemble(
+            log_posterior, (low, high), walkers, steps, burn_in, stream
+        )
+    ordered = np.sort(draws, axis=None)
+    return Posterior(
+        bounds_deg=(low, high),
+        phi_deg=_read_only(ordered),
+        cdf=_read_only((np.arange(ordered.size) + 0.5) / ordered.size),
+        draws_deg=_read_only(draws),
+        sampler="emcee",
+        seed=seed,
+        convergence={**diagnose(draws).as_dict(), "acceptance_fraction": float(accepted.mean())},
+    )
+
+
+def _run_ensemble(
+    log_posterior: LogLikelihood,
+    bounds_deg: tuple[float, float],
+    walkers: int,
+    steps: int,
+    burn_in: int,
+    stream: np.random.SeedSequence,
+) -> tuple[FloatArray, float]:
+    """One ensemble: draws after burn-in [walker, step], and the fraction of accepted proposals."""
+    import emcee
+
+    random = np.random.RandomState(np.random.MT19937(stream))
+    start = random.uniform(*bounds_deg, size=(walkers, 1))
+    # A walker that starts where the likelihood is zero may stay there for long after burn-in.
+    for _ in range(MAX_ROUNDS):
+        stranded = ~np.isfinite(log_posterior(start))
+        if not stranded.any():
+            break
+        start[stranded] = random.uniform(*bounds_deg, size=(np.count_nonzero(stranded), 1))
+    else:
+        raise ValueError(
+            f"the log-likelihood is minus infinity at all or most draws within {bounds_deg} deg"
+        )
+    sampler = emcee.EnsembleSampler(walkers, 1, log_posterior, vectorize=True)
+    # A state that brings its own generator replaces the copy of NumPy's global one.
+    sampler.run_mcmc(emcee.State(start, random_state=random.get_state()), steps)
+    chain: FloatArray = sampler.get_chain(discard=burn_in)[:, :, 0].T
+    return chain, float(np.mean(sampler.acceptance_fraction))
+
+
+def _unresolved(phi: FloatArray, log_p: FloatArray) -> NDArray[np.bool_]:
+    """Cells that refinement must split, shape [node] -> [node - 1]."""
+    p = np.exp(log_p - log_p.max())
+    width, left, right = np.diff(phi), p[:-1], p[1:]
+    trapezoid = 0.5 * width * (left + right)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Minus infinity at both ends gives NaN: no drop there.
+        rise = np.nan_to_num(np.diff(log_p), nan=0.0, posinf=np.inf, neginf=-np.inf)
+        # Exact where log p is linear in a cell; its distance from the trapezoid tells the error.
+        exponential = np.where(np.abs(rise) > 1e-4, width * (right - left) / rise, trapezoid)
+    total = trapezoid.sum()
+    peak = np.isfinite(log_p)
+    peak[1:] &= rise >= 0.0
+    peak[:-1] &= rise <= 0.0
+    beside_peak = peak[:-1] | peak[1:]
+    unresolved: NDArray[np.bool_] = (
+        (trapezoid > CELL_MASS * total)
+        | (np.abs(trapezoid - exponential) > CELL_ERROR * total)
+        | (beside_peak & (np.abs(rise) > PEAK_DROP))
+    )
+    return unresolved
+
+
+def _from_nodes(phi: FloatArray, log_p: FloatArray, bounds_deg: tuple[float, float]) -> Posterior:
+    p = np.exp(log_p - log_p.max())
+    mass = np.r_[0.0, np.cumsum(0.5 * np.diff(phi) * (p[:-1] + p[1:]))]
+    return Posterior(
+        bounds_deg=bounds_deg,
+        phi_deg=_read_only(phi),
+        cdf=_read_only(mass / mass[-1]),
+        density=_read_only(p / mass[-1]),
+        sampler="quadrature",
+        convergence={},
+    )
+
+
+def _checked(log_likelihood: LogLikelihood, phi: FloatArray) -> FloatArray:
+    log_p = np.asarray(log_likelihood(phi), dtype=np.float64)
+    if log_p.shape != phi.shape:
+        raise ValueError(f"the log-likelihood has shape {log_p.shape}; expected {phi.shape}")
+    wrong = np.isnan(log_p) | np.isposinf(log_p)
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise ValueError(f"the log-likelihood is {log_p[i]} at phi = {float(phi[i])!r} deg")
+    return log_p
+
+
+def _checked_bounds(bounds_deg: tuple[float, float]) -> tuple[float, float]:
+    low, high = (float(bound) for bound in bounds_deg)
+    if not (np.isfinite([low, high]).all() and low < high):
+        raise ValueError(f"bounds_deg are {low:g} and {high:g}; they must be finite and increase")
+    return low, high
+
+
+def _read_only(array: FloatArray) -> FloatArray:
+    array.setflags(write=False)
+    return array
