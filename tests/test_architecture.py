@@ -23,14 +23,18 @@ ROOMS = [
     "motion",
     "scenario",
     "history",
+    "measurements",
     "forward",
+    "workers",
     "library",
+    "build",
     "surrogate",
     "inference",
     "robot",
     "plots",
     "studies",
     "report",
+    "console",
     "cli",
 ]
 # Neighbours that stay strangers although the order of the list would let them meet.

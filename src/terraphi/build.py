@@ -7,7 +7,6 @@ force history each, named by the hash of its scenario. The folder goes when the 
 from __future__ import annotations
 
 import logging
-import platform
 import shutil
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
@@ -142,7 +141,7 @@ def build(
         _remove_if_empty(folder)
         raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
     cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in wanted]
-    library = Library(plan, tuple(cases), {**software(plan.scenario), "node": platform.machine()})
+    library = Library(plan, tuple(cases), software(plan.scenario))
     library.save(path)
     shutil.rmtree(folder)
     return library

@@ -1,0 +1,330 @@
+"""The command line: parses, calls, prints. Nothing is computed here."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from terraphi.console import (
+    as_text,
+    print_inversion,
+    print_json,
+    print_library,
+    print_pairs,
+    print_table,
+    progress_bar,
+    words,
+)
+from terraphi.errors import InputError, SimulationError
+
+if TYPE_CHECKING:
+    from terraphi.inference.inversion import Inversion
+    from terraphi.measurements import Measurement
+
+UNUSABLE = 2
+"""Exit status when the input could not be used."""
+DEFAULT_LIBRARY = "quick-plane-strain"
+DEMO_SOURCES = ("li2013:yuma/straight", "li2013:glass03_close/straight")
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="terraphi")
+def cli() -> None:
+    """Friction angle of soil, with its uncertainty, from the forces on a leg that moved through it.
+
+    Example: terraphi invert li2013:yuma/straight
+    """
+
+
+@cli.command()
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("terraphi-demo"),
+    show_default=True,
+    help="Folder for the figure and the answers.",
+)
+@json_option
+def demo(out: Path, as_json: bool) -> None:
+    """Invert two measured histories, Yuma sand and 0.3 mm glass beads.
+
+    Example: terraphi demo
+    """
+    from terraphi import plots
+    from terraphi.inference.inversion import invert as run
+    from terraphi.library import Library
+    from terraphi.measurements import open_forces
+
+    library = Library.load(DEFAULT_LIBRARY)
+    found = []
+    for source in DEMO_SOURCES:
+        forces = open_forces(source)
+        found.append(
+            run(
+                forces.history,
+                library=library,
+                leg=forces.leg,
+                density=forces.density_kg_m3,
+                density_assumed=forces.density_assumed,
+                source=source,
+            )
+        )
+    picture = folder(out) / "demo.png"
+    plots.save(plots.inversions_figure(found), picture)
+    if as_json:
+        print_json({"inversions": [f.as_dict() for f in found], "figure": str(picture)})
+        return
+    for inversion in found:
+        print_inversion(inversion)
+    click.echo(f"Figure: {picture}")
+
+
+@cli.command()
+@click.argument("forces")
+@click.option("--leg", help="Shape of the leg: straight, c, reversed_c or plate.")
+@click.option("--density", type=float, help="Bulk density of the soil [kg/m³].")
+@click.option("--library", default=DEFAULT_LIBRARY, show_default=True, help="Name, or a .nc file.")
+@click.option("--likelihood", default="paper", show_default=True, help="Error model: paper.")
+@click.option(
+    "--sampler", default="quadrature", show_default=True, help="quadrature (exact) or emcee."
+)
+@click.option("--seed", default=0, show_default=True, help="Seed of emcee.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder for answer.json, posterior.nc (opens in ArviZ) and figure.png.",
+)
+@json_option
+def invert(
+    forces: str,
+    leg: str | None,
+    density: float | None,
+    library: str,
+    likelihood: str,
+    sampler: str,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Infer the friction angle from FORCES.
+
+    FORCES is a CSV with exactly the columns theta_deg,Fx_N,Fz_N over |theta| <= 85 deg (theta
+    from the downward vertical, increasing in time; x forward, z up; the soil's force on the leg),
+    a NetCDF that terraphi wrote, or a shipped measurement such as li2013:yuma/c.
+
+    Example: terraphi invert forces.csv --density 1600 --out answer
+    """
+    from terraphi.inference.inversion import invert as run
+    from terraphi.library import Library
+    from terraphi.measurements import open_forces
+
+    measured = open_forces(forces)
+    inversion = run(
+        measured.history,
+        library=Library.load(library),
+        leg=leg_of(leg, measured),
+        density=measured.density_kg_m3 if density is None else density,
+        density_assumed=density is None and measured.density_assumed,
+        likelihood=likelihood,
+        sampler=sampler,
+        seed=seed,
+        source=forces,
+    )
+    if out is not None:
+        save_inversion(inversion, folder(out))
+    if as_json:
+        print_json(inversion.as_dict())
+        return
+    print_inversion(inversion)
+    if out is not None:
+        click.echo(f"Written: {out}/answer.json, posterior.nc, figure.png")
+
+
+@cli.command()
+@click.argument("scenario")
+@click.option("--out", type=click.Path(path_type=Path), help="NetCDF file for the history.")
+@json_option
+def simulate(scenario: str, out: Path | None, as_json: bool) -> None:
+    """Simulate SCENARIO, a TOML file or the name of a shipped preset (quick, paper-0).
+
+    Example: terraphi simulate quick --out quick.nc
+    """
+    from terraphi import forward
+    from terraphi.scenario import Scenario
+
+    chosen = Scenario.load(scenario)
+    if out is not None:
+        folder(out.parent)
+    with progress_bar("simulating") as report:
+        history = forward.simulate(chosen, progress=lambda fraction: report(fraction, 1.0))
+    if out is not None:
+        history.to_netcdf(out)
+    summary = {**history.summary(), "out": None if out is None else str(out)}
+    if as_json:
+        print_json(summary)
+        return
+    print_pairs(summary)
+
+
+@cli.group()
+def library() -> None:
+    """Build, list and show libraries of simulations."""
+
+
+@library.command("build")
+@click.argument("plan")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file to make.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes; all cores if not given.")
+@json_option
+def library_build(plan: str, out: Path, workers: int | None, as_json: bool) -> None:
+    """Simulate all cases of PLAN, a TOML file or the name of a shipped plan.
+
+    An interrupted build is resumed by the same command and computes nothing twice.
+
+    Example: terraphi library build quick-plane-strain --out my.nc --workers 4
+    """
+    from terraphi.build import build, cases_folder
+    from terraphi.library import Plan
+    from terraphi.workers import WorkerPool, available_cores
+
+    chosen = Plan.load(plan)
+    try:
+        with progress_bar("simulating") as report, WorkerPool(workers or available_cores()) as pool:
+            made = build(
+                chosen,
+                out,
+                executor=pool.executor,
+                progress=lambda done, total: report(pool.counted(done), total),
+            )
+    except KeyboardInterrupt:
+        raise InputError(
+            f"{out}: interrupted before it was whole; finished cases are kept in "
+            f"{cases_folder(out)}, and the same command goes on from there"
+        ) from None
+    for case, failure in made.failures.items():
+        click.echo(f"failed: {case}: {failure}", err=True)
+    print_library(made, as_json=as_json)
+
+
+@library.command("list")
+@json_option
+def library_list(as_json: bool) -> None:
+    """List the shipped libraries.
+
+    Example: terraphi library list
+    """
+    from terraphi.library import Library
+    from terraphi.scenario import shipped_names
+
+    found = [Library.load(name).summary() for name in shipped_names("libraries", ".nc")]
+    if as_json:
+        print_json({"libraries": found})
+        return
+    columns = ("name", "convention", "phi_deg", "legs", "cases", "density_kg_m3")
+    print_table(columns, [[words(entry[column]) for column in columns] for entry in found])
+
+
+@library.command("show")
+@click.argument("name")
+@json_option
+def library_show(name: str, as_json: bool) -> None:
+    """Show what the library NAME (or a .nc file) holds and where it comes from.
+
+    Example: terraphi library show quick-paper
+    """
+    from terraphi.library import Library
+
+    print_library(Library.load(name), as_json=as_json)
+
+
+@cli.command()
+@click.argument("name")
+@click.option("--library", "library_name", help="Library to use instead of the study's own.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for data.json and figures.")
+@json_option
+def study(name: str, library_name: str | None, out: Path | None, as_json: bool) -> None:
+    """Run the study NAME: benchmark or recovery.
+
+    Example: terraphi study recovery --out recovery
+    """
+    from terraphi import plots, studies
+    from terraphi.files import replacing
+
+    found = studies.run(name, library=library_name)
+    if out is not None:
+        place = folder(out)
+        with replacing(place / "data.json") as temporary:
+            temporary.write_text(as_text(found.data))
+        for title, figure in found.figures.items():
+            plots.save(figure, place / f"{title}.png")
+    if as_json:
+        print_json(found.data)
+        return
+    print_table(found.header, found.rows, title=found.title)
+
+
+# -- input ---------------------------------------------------------------------------------------
+
+
+def leg_of(leg: str | None, measured: Measurement) -> str:
+    """Shape of the leg: as asked for, else as measured."""
+    from terraphi.errors import nearest
+    from terraphi.leg import LEG_SHAPES
+
+    if leg is None:
+        return measured.leg
+    if leg not in LEG_SHAPES:
+        raise InputError(f"unknown leg '{leg}'; {nearest(leg, LEG_SHAPES)}")
+    return leg
+
+
+def folder(path: Path) -> Path:
+    """Make a folder for results if it is not there."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be made a folder ({error.strerror})") from error
+    if not os.access(path, os.W_OK):
+        raise InputError(f"{path}: no permission to write; choose another place")
+    return path
+
+
+def save_inversion(inversion: Inversion, place: Path) -> None:
+    """Write answer, posterior and figure."""
+    from terraphi import plots
+    from terraphi.files import replacing
+
+    inversion.to_netcdf(place / "posterior.nc")
+    plots.save(plots.inversions_figure([inversion]), place / "figure.png")
+    with replacing(place / "answer.json") as temporary:
+        temporary.write_text(as_text(inversion.as_dict()))
+
+
+def main() -> None:
+    """Run the command line; every expected failure is one sentence and exit status 2."""
+    logging.getLogger("terraphi").addHandler(logging.NullHandler())
+    try:
+        cli.main(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(UNUSABLE)
+    except (InputError, SimulationError) as error:
+        click.echo(f"terraphi: {error}", err=True)
+        sys.exit(UNUSABLE)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("terraphi: interrupted; nothing was written", err=True)
+        sys.exit(UNUSABLE)
+    except BrokenPipeError:
+        # The reader of our output has gone, as `head` does; there is nobody left to tell.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,129 @@
+"""What people see in a terminal: tables, answers, progress. JSON for programs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from terraphi.inference.inversion import Inversion
+    from terraphi.library import Library
+
+
+def as_text(data: Any) -> str:
+    """JSON for people and programs."""
+    return json.dumps(data, indent=2, ensure_ascii=False)
+
+
+def print_json(data: Any) -> None:
+    """One JSON object on standard output."""
+    click.echo(as_text(data))
+
+
+def print_inversion(inversion: Inversion) -> None:
+    """A small table, then the verdict in words."""
+    angles = [(f"φ, {inversion.convention} [deg]", inversion.phi)]
+    if inversion.phi_plane_strain and inversion.convention != "plane_strain":
+        angles.append(("φ, equivalent in plane strain [deg]", inversion.phi_plane_strain))
+    rows = [
+        (
+            name,
+            f"{angle.median:.2f}",
+            "{:.2f} to {:.2f}".format(*angle.ci68),
+            "{:.2f} to {:.2f}".format(*angle.ci95),
+        )
+        for name, angle in angles
+    ]
+    assumed = ", assumed" if inversion.density_assumed else ""
+    title = (
+        f"{inversion.source}: leg {inversion.leg}, library {inversion.library}, "
+        f"density {inversion.density:g} kg/m³{assumed}"
+    )
+    print_table(("", "median", "68 %", "95 %"), rows, title=title)
+    if inversion.phi_plane_strain is None:
+        click.echo(f"No equivalent in plane strain: {inversion.plane_strain_reason}.")
+    verdict = inversion.verdict
+    click.echo(f"Verdict: {verdict.verdict.replace('_', ' ')}. {verdict.reason}\n")
+
+
+def print_library(found: Library, *, as_json: bool) -> None:
+    """Summary of a library."""
+    if as_json:
+        print_json(found.summary())
+    else:
+        print_pairs(found.summary())
+
+
+def print_table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str | None = None
+) -> None:
+    """Aligned columns."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    for name in header:
+        table.add_column(name)
+    for row in rows:
+        table.add_row(*row)
+    # Where nobody looks at a terminal, a line is as wide as it needs to be.
+    width = None if sys.stdout.isatty() else 160
+    Console(highlight=False, markup=False, width=width).print(table)
+
+
+def print_pairs(pairs: dict[str, Any]) -> None:
+    """Names and values, one a line."""
+    width = max(map(len, pairs))
+    for name, value in pairs.items():
+        click.echo(f"{name:<{width}}  {words(value)}")
+
+
+def words(value: Any) -> str:
+    """A value as people read it."""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return ", ".join(words(v) for v in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key}: {words(v)}" for key, v in value.items())
+    return "-" if value is None else str(value)
+
+
+@contextmanager
+def progress_bar(description: str) -> Iterator[Callable[[float, float], None]]:
+    """Progress with the time left on standard error, where that is a terminal."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    if not sys.stderr.isatty():
+        yield lambda _done, _total: None
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("compiling, once", total=None)
+
+        def report(done: float, total: float) -> None:
+            if done:
+                bar.update(task, completed=done, total=total, description=description)
+
+        yield report

@@ -1,0 +1,213 @@
+"""Pictures: forces over the leg angle, and the posterior of the friction angle.
+
+Figures are made without a display. Colours are those of Okabe & Ito, told apart by colour-blind
+readers, and every curve differs in its line as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.files import replacing
+from terraphi.history import WINDOW_DEG, ForceHistory
+from terraphi.inference.inversion import Inversion
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FloatArray = NDArray[np.float64]
+
+BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
+AXIS_LABEL = {"Fx": "$F_x$ [N], forward", "Fz": "$F_z$ [N], up"}
+PHI_LABEL = {
+    "paper": "friction angle, `paper` yield [deg]",
+    "plane_strain": "friction angle, plane strain [deg]",
+    "triaxial": "friction angle, triaxial [deg]",
+    "rft3d": "friction angle, 3-D RFT [deg]",
+}
+
+
+class Curve(NamedTuple):
+    """A history and how to draw it."""
+
+    label: str
+    history: ForceHistory
+    colour: str
+    style: str = "-"
+
+
+def save(figure: Figure, path: Path | str) -> None:
+    """Write a figure in the format of its suffix.
+
+    Parameters
+    ----------
+    figure
+        The figure.
+    path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the place cannot be written.
+    """
+    with replacing(Path(path)) as temporary:
+        figure.savefig(temporary, dpi=150)
+
+
+def inversions_figure(inversions: Sequence[Inversion]) -> Figure:
+    """One row an inversion: both forces with the best curve and its band, and the posterior.
+
+    Parameters
+    ----------
+    inversions
+        One or more.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 3.4 * len(inversions) + 0.3), layout="constrained")
+    axes = figure.subplots(len(inversions), 3, squeeze=False)
+    for row, inversion in zip(axes, inversions, strict=True):
+        _draw_forces(row[0], inversion, "Fx")
+        _draw_forces(row[1], inversion, "Fz")
+        _draw_posterior(row[2], inversion)
+        row[0].legend(loc="best", fontsize="small", frameon=False)
+    return figure
+
+
+def _draw_forces(axes: Axes, inversion: Inversion, component: str) -> None:
+    seen = inversion.observation
+    half = len(seen.theta_deg)
+    part = slice(0, half) if component == "Fx" else slice(half, None)
+    data = seen.Fx if component == "Fx" else seen.Fz
+    axes.fill_between(
+        seen.theta_deg, *inversion.band[:, part], color=BLUE, alpha=0.25, lw=0,
+        label="curves within the 95 % interval",
+    )  # fmt: skip
+    axes.plot(seen.theta_deg, inversion.best[part], color=BLUE, label="curve at the median")
+    axes.plot(
+        seen.theta_deg, data, "o", ms=3.5, color=ORANGE, mec="black", mew=0.4, label="measured"
+    )
+    _finish_force_axes(axes, component)
+    axes.set_title(f"{inversion.source}: misfit {inversion.nrmsd[component]:.1%}", fontsize=10)
+
+
+def _finish_force_axes(axes: Axes, component: str) -> None:
+    axes.axhline(0.0, color=GREY, lw=0.6)
+    axes.set_xlim(-WINDOW_DEG - 3.0, WINDOW_DEG + 3.0)
+    axes.set_xticks(np.arange(-80, 81, 40))
+    axes.set_xlabel("leg angle θ [deg]")
+    axes.set_ylabel(AXIS_LABEL[component])
+
+
+def _draw_posterior(axes: Axes, inversion: Inversion) -> None:
+    posterior, phi = inversion.posterior, inversion.phi
+    if posterior.density is not None:
+        axes.plot(posterior.phi_deg, posterior.density, color=BLUE)
+        inside = (posterior.phi_deg >= phi.ci68[0]) & (posterior.phi_deg <= phi.ci68[1])
+        axes.fill_between(
+            posterior.phi_deg[inside], posterior.density[inside], color=BLUE, alpha=0.25, lw=0
+        )
+    else:
+        axes.hist(posterior.phi_deg, bins=80, density=True, color=BLUE, alpha=0.5)
+        axes.axvspan(*phi.ci68, color=BLUE, alpha=0.15, lw=0)
+    axes.axvline(phi.median, color=BLUE, lw=1.0, ls="--")
+    low, high = posterior.bounds_deg
+    width = phi.ci95[1] - phi.ci95[0]
+    left, right = max(low, phi.ci95[0] - width), min(high, phi.ci95[1] + width)
+    room = 0.03 * (right - left)
+    axes.set_xlim(left - room, right + room)
+    for edge in (low, high):
+        # Beyond the library's edge there is no posterior: say so instead of drawing a cliff.
+        outside = (edge - 90.0, edge) if edge == low else (edge, edge + 90.0)
+        axes.axvspan(*outside, facecolor="none", edgecolor=GREY, alpha=0.5, hatch="///", lw=0)
+    axes.set_ylim(bottom=0.0)
+    axes.set_yticks([])
+    axes.set_ylabel("posterior density")
+    axes.set_xlabel(PHI_LABEL[inversion.convention])
+    axes.set_title(
+        f"φ = {phi.median:.1f}°, 68 %: {phi.ci68[0]:.1f} to {phi.ci68[1]:.1f}° "
+        f"({inversion.verdict.verdict.replace('_', ' ')})",
+        fontsize=10,
+    )
+
+
+def comparison_figure(title: str, curves: Sequence[Curve]) -> Figure:
+    """Force histories of one leg over each other, both components.
+
+    Parameters
+    ----------
+    title
+        What is compared.
+    curves
+        The histories; those with an empty line style are drawn as points.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    figure.suptitle(title, fontsize=11)
+    for axes, component in zip(figure.subplots(1, 2), ("Fx", "Fz"), strict=True):
+        for curve in curves:
+            seen = curve.history.observation(angles=171)
+            values = seen.Fx if component == "Fx" else seen.Fz
+            if curve.style:
+                axes.plot(
+                    seen.theta_deg, values, curve.style, color=curve.colour, label=curve.label
+                )
+            else:
+                axes.plot(seen.theta_deg, values, ".", ms=3, color=curve.colour, label=curve.label)
+        _finish_force_axes(axes, component)
+    figure.axes[0].legend(fontsize="small", frameon=False)
+    return figure
+
+
+def recovery_figure(
+    truth_deg: FloatArray, median_deg: FloatArray, ci68_deg: FloatArray, ci95_deg: FloatArray
+) -> Figure:
+    """Inferred over true friction angles, and their errors with intervals.
+
+    Parameters
+    ----------
+    truth_deg, median_deg
+        [deg], shape [case].
+    ci68_deg, ci95_deg
+        Intervals [deg], shape [case, 2].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    ends = np.array([truth_deg.min() - 1.0, truth_deg.max() + 1.0])
+    left.plot(ends, ends, color=GREY, lw=0.8)
+    left.plot(truth_deg, median_deg, "o", color=BLUE)
+    left.set_xlabel("true φ [deg]")
+    left.set_ylabel("inferred φ, median [deg]")
+    right.axhline(0.0, color=GREY, lw=0.8)
+    for interval, width, name in ((ci95_deg, 1.2, "95 %"), (ci68_deg, 4.0, "68 %")):
+        right.vlines(
+            truth_deg, *(interval - truth_deg[:, None]).T, color=BLUE, lw=width, alpha=0.5,
+            label=f"{name} interval",
+        )  # fmt: skip
+    right.plot(truth_deg, median_deg - truth_deg, "o", ms=4, color=ORANGE, label="median")
+    right.set_xlabel("true φ [deg]")
+    right.set_ylabel("inferred - true φ [deg]")
+    right.legend(fontsize="small", frameon=False)
+    return figure

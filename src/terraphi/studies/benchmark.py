@@ -1,0 +1,150 @@
+"""Benchmark: simulated forces at φ = 35° beside those measured in Yuma sand, for three legs.
+
+The normalised root-mean-square deviation (NRMSD) is taken on 1° means over |θ| < 85° and divided
+by the measured peak-to-peak, as the paper does. Two resistive force theories stand beside the
+material point method: Li et al. (2013) with generic coefficients scaled by ζ = 0.597, and Agarwal
+et al. (2023) at the same φ and density.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.errors import InputError
+from terraphi.forward import simulate
+from terraphi.history import WINDOW_DEG, ForceHistory
+from terraphi.library import Library
+from terraphi.measurements import measurement
+from terraphi.plots import BLUE, GREEN, ORANGE, PURPLE, Curve, comparison_figure
+from terraphi.scenario import Scenario
+from terraphi.studies import Study
+
+FloatArray = NDArray[np.float64]
+
+LEGS = ("straight", "c", "reversed_c")
+PHI_DEG = 35.0
+YUMA_SCALE = 0.597
+"""ζ that makes the generic coefficients reproduce the dashed curves of Li et al. for Yuma sand."""
+
+
+def run(*, library: str = "quick-paper") -> Study:
+    """Compare the library's cases at 35° and both resistive force theories with Yuma sand.
+
+    Parameters
+    ----------
+    library
+        Name or file of a library of straight, C and reversed C legs with a case at 35°.
+
+    Returns
+    -------
+    Study
+        ``data``: ``nrmsd_percent`` by leg, model (``mpm``, ``rft2d``, ``rft3d``) and force;
+        ``peaks`` likewise, with ``measured``. A figure for each leg.
+
+    Raises
+    ------
+    InputError
+        If the library lacks such a case.
+    """
+    simulated = Library.load(library)
+    deviations: dict[str, dict[str, dict[str, float]]] = {}
+    peaks: dict[str, dict[str, dict[str, float]]] = {}
+    figures, rows = {}, []
+    for leg in LEGS:
+        measured = measurement(f"li2013:yuma/{leg}").history
+        models = {
+            "mpm": _from_library(simulated, leg),
+            "rft2d": simulate(_rft(leg, dimensions=2)),
+            "rft3d": simulate(_rft(leg, dimensions=3)),
+        }
+        deviations[leg] = {name: nrmsd_percent(measured, h) for name, h in models.items()}
+        everything = {"measured": measured, **models}
+        peaks[leg] = {name: _peaks(history) for name, history in everything.items()}
+        figures[f"benchmark-{leg}"] = comparison_figure(
+            f"Leg {leg} in Yuma sand, models at φ = {PHI_DEG:g}°",
+            [
+                Curve("measured, Li et al. 2013", measured, ORANGE, ""),
+                Curve(f"MPM, {library}", models["mpm"], BLUE),
+                Curve("RFT 2-D, generic", models["rft2d"], GREEN, "--"),
+                Curve("RFT 3-D", models["rft3d"], PURPLE, "-."),
+            ],
+        )
+        rows += [
+            _row(leg, name, deviations[leg].get(name), peaks[leg][name]) for name in peaks[leg]
+        ]
+    return Study(
+        title=f"Forces at φ = {PHI_DEG:g}° and measured in Yuma sand (library {library})",
+        header=("leg", "model", "NRMSD Fz", "NRMSD Fx", "peak Fz", "peak Fx"),
+        rows=rows,
+        data={"library": library, "nrmsd_percent": deviations, "peaks": peaks},
+        figures=figures,
+    )
+
+
+def nrmsd_percent(measured: ForceHistory, model: ForceHistory) -> dict[str, float]:
+    """Deviation of a model from a measurement on 1° means, percent of the measured range.
+
+    Parameters
+    ----------
+    measured, model
+        Histories that cover |θ| < 85°.
+
+    Returns
+    -------
+    dict
+        ``Fx`` and ``Fz`` [%].
+    """
+    theta = np.radians(np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG))
+    data, guess = (h.means(theta, math.radians(0.5)) for h in (measured, model))
+    rms = np.sqrt(np.mean((data - guess) ** 2, axis=0))
+    fx, fz = (100.0 * rms / np.ptp(data, axis=0)).tolist()
+    return {"Fx": fx, "Fz": fz}
+
+
+def _from_library(library: Library, leg: str) -> ForceHistory:
+    """The library's history of a leg at 35°."""
+    for case in library.cases:
+        wanted = (leg, PHI_DEG)
+        found = (case.scenario.leg.shape, case.scenario.soil.friction_angle_deg)
+        if found == wanted and case.history is not None:
+            return case.history
+    raise InputError(f"library '{library.name}' has no case of leg '{leg}' at {PHI_DEG:g} deg")
+
+
+def _rft(leg: str, *, dimensions: int) -> Scenario:
+    """Scenario of resistive force theory for a leg in Yuma sand."""
+    return Scenario.model_validate(
+        {
+            "model": "rft",
+            "dimensions": dimensions,
+            "leg": {"shape": leg},
+            "soil": {"friction_angle_deg": PHI_DEG},
+            "rft": {"medium": "generic", "scale": YUMA_SCALE},
+        }
+    )
+
+
+def _peaks(history: ForceHistory) -> dict[str, float]:
+    peaks = history.peaks()
+    return {
+        "Fx_N": peaks.Fx,
+        "theta_Fx_deg": peaks.theta_Fx_deg,
+        "Fz_N": peaks.Fz,
+        "theta_Fz_deg": peaks.theta_Fz_deg,
+    }
+
+
+def _row(
+    leg: str, model: str, deviation: dict[str, float] | None, peaks: dict[str, float]
+) -> tuple[str, ...]:
+    return (
+        leg,
+        model,
+        f"{deviation['Fz']:.1f} %" if deviation else "",
+        f"{deviation['Fx']:.1f} %" if deviation else "",
+        f"{peaks['Fz_N']:.1f} N at {peaks['theta_Fz_deg']:.0f}°",
+        f"{peaks['Fx_N']:.1f} N at {peaks['theta_Fx_deg']:.0f}°",
+    )
