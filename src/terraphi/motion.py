@@ -148,6 +148,16 @@ class Rotation(_Motion):
         """Leg angle at given times [rad], shape [time]."""
         return self.poses(time).theta
 
+    def poses_at(self, coordinate: FloatArray) -> Poses:
+        """Poses at given leg angles [rad], shape [angle]."""
+        still = np.zeros((len(coordinate), 2))
+        return Poses(
+            hip=still + np.array(self.hip),
+            theta=np.array(coordinate, dtype=np.float64),
+            velocity=still,
+            rate=np.interp(coordinate, *self._knots()),
+        )
+
     def top_speed(self, reach: float) -> float:
         """Largest speed of a point at a distance ``reach`` [m] from the hip [m/s]."""
         return self.top_rate * reach
@@ -222,6 +232,10 @@ class Translation(_Motion):
         """Distance travelled at given times [m], shape [time]."""
         return math.hypot(*self.velocity) * time
 
+    def poses_at(self, coordinate: FloatArray) -> Poses:
+        """Poses at given travelled distances [m], shape [distance]."""
+        return self.poses(coordinate / math.hypot(*self.velocity))
+
     def top_speed(self, reach: float) -> float:  # noqa: ARG002 - a rotation needs the reach
         """Largest speed of any point [m/s]."""
         return math.hypot(*self.velocity)
@@ -237,3 +251,10 @@ Motion = Annotated[
     Annotated[Rotation, Tag("rotation")] | Annotated[Translation, Tag("translation")],
     Discriminator(_kind),
 ]
+
+
+def bin_centres(motion: Motion) -> FloatArray:
+    """Centres of the history bins of a motion [rad or m], shape [bin]."""
+    low, high = motion.span
+    count = max(1, round((high - low) / motion.bin_width))
+    return low + (np.arange(count) + 0.5) * (high - low) / count

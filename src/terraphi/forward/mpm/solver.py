@@ -17,13 +17,12 @@ from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.relief import fading_of
 from terraphi.forward.mpm.scalar import LEDGER_ROWS, advance, empty_audit, stepping_of
 from terraphi.history import ForceHistory
+from terraphi.motion import bin_centres
 from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
-VERSION = 1
-"""Raised whenever the same scenario would give other forces."""
 BLOCK = 2000
 """Steps between two reports of progress."""
 
@@ -59,7 +58,7 @@ def simulate(
         fading_of(scenario),
         stepping_of(scenario),
     )
-    centres = bin_centres(scenario)
+    centres = bin_centres(scenario.motion)
     impulse, held = np.zeros((len(centres), 2)), np.zeros(len(centres))
     steps = step_count(scenario)
     compiled = time.perf_counter()
@@ -100,13 +99,6 @@ def step_count(scenario: Scenario) -> int:
     """Number of steps that cover the motion."""
     duration = scenario.motion.duration / scenario.numerics.speed_up
     return math.ceil(duration / scenario.numerics.time_step - 1e-9)
-
-
-def bin_centres(scenario: Scenario) -> FloatArray:
-    """Centres of the history bins [rad or m], shape [bin]."""
-    low, high = scenario.motion.span
-    count = max(1, round((high - low) / scenario.motion.bin_width))
-    return low + (np.arange(count) + 0.5) * (high - low) / count
 
 
 def path_of_steps(

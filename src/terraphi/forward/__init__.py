@@ -1,0 +1,127 @@
+"""Forward models: a scenario in, a force history out.
+
+Every model is a function ``simulate(scenario, *, progress=None) -> ForceHistory`` in a module of
+its own, loaded when a scenario first asks for it, so that what only reads histories never waits
+for a compiler. A model leaves in the history's provenance what only it knows (timings, counts,
+balances); :func:`simulate` adds what is the same for all.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Protocol
+
+from terraphi.history import ForceHistory
+from terraphi.scenario import Scenario
+
+MODEL_VERSIONS = {"mpm": 1, "rft": 1}
+"""A number for each model, raised whenever the same scenario would give other forces.
+
+Kept here, and not in the models' modules, so that asking for it loads none of them."""
+
+_PACKAGES = {"mpm": ("terraphi", "numpy", "numba"), "rft": ("terraphi", "numpy")}
+"""Packages whose versions bear on a model's numbers."""
+
+
+class ForwardModel(Protocol):
+    """What a forward model is: a function of a scenario."""
+
+    def __call__(
+        self, scenario: Scenario, *, progress: Callable[[float], None] | None = None
+    ) -> ForceHistory:
+        """Forces on the leg along its path.
+
+        Parameters
+        ----------
+        scenario
+            Soil, leg, motion and numerics.
+        progress
+            Called now and then with the fraction done, 0 to 1.
+        """
+        ...
+
+
+def simulate(
+    scenario: Scenario, *, progress: Callable[[float], None] | None = None
+) -> ForceHistory:
+    """Forces on the leg along its path, by the model that the scenario names.
+
+    Parameters
+    ----------
+    scenario
+        Soil, leg, motion and numerics.
+    progress
+        Called now and then with the fraction done, 0 to 1.
+
+    Returns
+    -------
+    ForceHistory
+        In bins of the path (0.1° of a rotation). Its provenance holds the scenario and its hash,
+        the model and its version, the versions of the software, the seed and the machine type,
+        besides what the model itself wrote.
+
+    Raises
+    ------
+    InputError
+        If the model cannot do this scenario.
+    SimulationError
+        If the solution breaks down.
+    """
+    history = _model(scenario)(scenario, progress=progress)
+    common = {
+        "scenario": scenario.model_dump(mode="json"),
+        "scenario_hash": scenario.hash,
+        "model": scenario.model,
+        "seed": scenario.numerics.seed,
+        **software(scenario),
+    }
+    return replace(history, provenance={**common, **history.provenance})
+
+
+def model_version(scenario: Scenario) -> str:
+    """Name and version of the model that a scenario asks for, such as ``"mpm-1"``."""
+    return f"{scenario.model}-{MODEL_VERSIONS[scenario.model]}"
+
+
+def software(scenario: Scenario) -> dict[str, Any]:
+    """Versions of the model and of the software that it rests on, without loading any of it.
+
+    Parameters
+    ----------
+    scenario
+        Names the model.
+
+    Returns
+    -------
+    dict
+        ``model_version``; versions of terraphi, of numpy and, for a compiled model, of numba;
+        ``python``; ``machine``, the type of the processor. A package that is not installed (a
+        source tree on the path) has the version ``"unknown"``.
+    """
+    return {
+        "model_version": model_version(scenario),
+        **{name: _version(name) for name in _PACKAGES[scenario.model]},
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+    }
+
+
+def _model(scenario: Scenario) -> ForwardModel:
+    """The function that simulates a scenario; loads its module."""
+    if scenario.model == "mpm":
+        from terraphi.forward.mpm import solver
+
+        return solver.simulate
+    from terraphi.forward import rft
+
+    return rft.simulate
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
