@@ -196,6 +196,11 @@ class Library:
             raise InputError(
                 f"library '{self.name}' has no leg '{leg}'; it has {', '.join(self.legs)}"
             )
+        if (chosen[0].scenario.model, chosen[0].scenario.dimensions) == ("rft", 2):
+            raise InputError(
+                f"library '{self.name}': two-dimensional resistive force theory has no friction "
+                "angle to infer; build it with dimensions = 3"
+            )
         chosen.sort(key=lambda case: case.scenario.soil.friction_angle_deg)
         phi = np.array([case.scenario.soil.friction_angle_deg for case in chosen])
         if len(phi) < 3 or np.any(np.diff(phi) <= 0):
