@@ -48,7 +48,7 @@ def print_inversion(inversion: Inversion) -> None:
     if inversion.phi_plane_strain is None:
         click.echo(f"No equivalent in plane strain: {inversion.plane_strain_reason}.")
     verdict = inversion.verdict
-    click.echo(f"Verdict: {verdict.verdict.replace('_', ' ')}. {verdict.reason}\n")
+    click.secho(f"Verdict: {verdict.verdict.replace('_', ' ')}. {verdict.reason}\n", bold=True)
 
 
 def print_library(found: Library, *, as_json: bool) -> None:
@@ -67,7 +67,9 @@ def print_table(
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    if title is not None:
+        click.secho(title, bold=True)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
     for name in header:
         table.add_column(name)
     for row in rows:
@@ -75,6 +77,7 @@ def print_table(
     # Where nobody looks at a terminal, a line is as wide as it needs to be.
     width = None if sys.stdout.isatty() else 160
     Console(highlight=False, markup=False, width=width).print(table)
+    click.echo()
 
 
 def print_pairs(pairs: dict[str, Any]) -> None:

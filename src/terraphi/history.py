@@ -363,11 +363,17 @@ class ForceHistory:
 
 
 def positions(dataset: Any) -> FloatArray:
-    """Positions [rad or m or s] in a file of ours, which holds θ in degrees for people as well."""
+    """Positions [rad or m or s] in a file of ours, which holds θ in degrees for people as well.
+
+    Raises KeyError if the file holds none.
+    """
     coordinate = str(dataset.attrs["coordinate"])
-    if coordinate == "theta" and "theta" not in dataset:
-        return np.radians(np.asarray(dataset["theta_deg"].values, dtype=np.float64))
-    return np.asarray(dataset[coordinate].values, dtype=np.float64)
+    in_degrees = coordinate == "theta" and "theta" not in dataset.coords
+    name = "theta_deg" if in_degrees else coordinate
+    if name not in dataset.coords:  # xarray would number the samples instead
+        raise KeyError(name)
+    values = np.asarray(dataset[name].values, dtype=np.float64)
+    return np.radians(values) if in_degrees else values
 
 
 def _primitive(

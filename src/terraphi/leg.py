@@ -78,10 +78,10 @@ def arc_distance(
     half = 0.5 * chord
     # Mirrored so that the arc bulges towards +m; its centre then lies at m = -sagitta offset.
     x = s - half
-    y = side * m + math.sqrt(max(radius * radius - half * half, 0.0))
+    y = side * m + math.sqrt(max((radius - half) * (radius + half), 0.0))
     r = math.hypot(x, y)
     # On the arc's own sector the nearest point is radial; elsewhere it is one of the two ends.
-    if r > 0.0 and y * radius >= r * math.sqrt(max(radius * radius - half * half, 0.0)):
+    if r > 0.0 and y * radius >= r * math.sqrt(max((radius - half) * (radius + half), 0.0)):
         outward = 1.0 if r >= radius else -1.0
         return abs(r - radius) - half_thickness, outward * x / r, outward * side * y / r
     end = 0.0 if x < 0.0 else chord

@@ -158,6 +158,11 @@ class Rotation(_Motion):
             rate=np.interp(coordinate, *self._knots()),
         )
 
+    @property
+    def top_coordinate_rate(self) -> float:
+        """Largest rate of change of the coordinate, that of θ [rad/s]."""
+        return self.top_rate
+
     def top_speed(self, reach: float) -> float:
         """Largest speed of a point at a distance ``reach`` [m] from the hip [m/s]."""
         return self.top_rate * reach
@@ -235,6 +240,11 @@ class Translation(_Motion):
     def poses_at(self, coordinate: FloatArray) -> Poses:
         """Poses at given travelled distances [m], shape [distance]."""
         return self.poses(coordinate / math.hypot(*self.velocity))
+
+    @property
+    def top_coordinate_rate(self) -> float:
+        """Rate of change of the coordinate, the distance travelled [m/s]."""
+        return math.hypot(*self.velocity)
 
     def top_speed(self, reach: float) -> float:  # noqa: ARG002 - a rotation needs the reach
         """Largest speed of any point [m/s]."""

@@ -32,16 +32,23 @@ def kernel(function: Kernel) -> Kernel:
     callable
         The same function, compiled at its first call.
     """
-    options = {"contract", "nsz", "reassoc"}
-    return cast(Kernel, numba.njit(cache=True, error_model="numpy", fastmath=options)(function))
+    compiled = numba.njit(
+        cache=True,
+        error_model="numpy",
+        fastmath={"contract", "nsz", "reassoc"},
+        # A call that is not inlined would round differently in the process that compiles than in
+        # one that loads the cache.
+        forceinline=True,
+    )(function)
+    return cast(Kernel, compiled)
 
 
 def _drop_stale_cache() -> None:
     """Remove cached machine code if any source of the kernels has changed since it was made.
 
     Numba looks only at the file of the outermost function, not at those of the functions that it
-    has inlined; a change to the latter would silently be ignored. A folder that cannot be written
-    to holds no cache either.
+    has inlined; a change to the latter would silently be ignored. Only the cache beside the sources
+    is looked after: an installed package, whose files change together, needs no more.
     """
     digest = hashlib.sha256(numba.__version__.encode())
     for source in _SOURCES:

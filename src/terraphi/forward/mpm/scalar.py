@@ -75,13 +75,16 @@ class Audit(NamedTuple):
     """Impulses so far (x, z), one row for each of :data:`LEDGER_ROWS` [kg/s]."""
     last: FloatArray
     """Momentum of the soil and what it should have become a step later [kg/s], shape [2, 2]."""
+    impulses: FloatArray
+    """Impulses of the last step, rows as in the ledger [kg/s]."""
     worst: FloatArray
     """Largest mismatch of a step over the sum of its impulses' magnitudes [-], shape [1]."""
 
 
 def empty_audit() -> Audit:
     """Audit before the first step."""
-    return Audit(np.zeros((len(LEDGER_ROWS), 2)), np.zeros((2, 2)), np.zeros(1))
+    rows = (len(LEDGER_ROWS), 2)
+    return Audit(np.zeros(rows), np.zeros((2, 2)), np.zeros(rows), np.zeros(1))
 
 
 @kernel
@@ -125,6 +128,7 @@ def advance(
         Index of the first particle to leave the grid, or -1 if none did.
     """
     impulses = np.zeros((5, 2))
+    impulses[:] = audit.impulses
     for step in range(poses.shape[0]):
         momentum = particles_to_grid(soil, grid, stepping.cell_size, stepping.time_step)
         close_books(audit, impulses, momentum)
@@ -139,6 +143,7 @@ def advance(
             audit.last[0, axis] = momentum[axis]
             audit.last[1, axis] = momentum[axis] + impulses[:, axis].sum()
         audit.ledger[:] += impulses
+        audit.impulses[:] = impulses
     return -1
 
 

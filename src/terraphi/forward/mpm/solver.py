@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.errors import SimulationError
+from terraphi.errors import InputError, SimulationError
 from terraphi.forward.mpm.bed import empty_grid, geostatic_bed
 from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.plasticity import material_of
@@ -47,9 +47,13 @@ def simulate(
 
     Raises
     ------
+    InputError
+        If the scenario is for another model.
     SimulationError
         If the solution breaks down; the message says where.
     """
+    if scenario.model != "mpm":
+        raise InputError(f"model = '{scenario.model}': this is the solver of model = 'mpm'")
     began = time.perf_counter()
     soil, grid, audit = geostatic_bed(scenario), empty_grid(scenario), empty_audit()
     constants = (
@@ -70,8 +74,9 @@ def simulate(
         if lost >= 0 or not np.isfinite(impulse).all():
             raise SimulationError(
                 f"the solution broke down between steps {indices[0]} and {indices[-1]} of {steps} "
-                f"({_where(scenario, indices[0])}): a particle left the grid; try a smaller "
-                "numerics.time_step"
+                f"({_where(scenario, indices[0])}): "
+                f"{'a particle left the grid' if lost >= 0 else 'a force is not a number'}; "
+                "try a smaller numerics.time_step"
             )
         if first == 0:
             compiled = time.perf_counter()

@@ -1,0 +1,90 @@
+"""The cache of machine code is dropped when, and only when, a kernel's source has changed."""
+
+from __future__ import annotations
+
+import pytest
+
+from terraphi.forward.mpm import compiled
+
+
+@pytest.fixture(name="sources")
+def _sources(tmp_path, monkeypatch):
+    inner = tmp_path / "forward" / "mpm"
+    inner.mkdir(parents=True)
+    files = [inner / "scalar.py", inner / "contact.py", tmp_path / "leg.py"]
+    for number, file in enumerate(files):
+        file.write_text(f"value = {number}\n")
+    monkeypatch.setattr(compiled, "_FOLDER", inner)
+    monkeypatch.setattr(compiled, "_SOURCES", files)
+    return files
+
+
+def fill_caches(sources):
+    made = []
+    for folder in {source.parent for source in sources}:
+        cache = folder / "__pycache__"
+        cache.mkdir(exist_ok=True)
+        for name in ("step.py311.nbi", "step.py311.1.nbc", "other.cpython-311.pyc"):
+            (cache / name).write_bytes(b"x")
+            made.append(cache / name)
+    return made
+
+
+def compiled_code(files):
+    return [file for file in files if file.suffix in (".nbi", ".nbc")]
+
+
+def test_cache_of_unknown_origin_is_dropped(sources):
+    made = fill_caches(sources)
+    compiled._drop_stale_cache()
+    assert not any(file.exists() for file in compiled_code(made))
+
+
+def test_cache_is_kept_while_the_sources_stay(sources):
+    compiled._drop_stale_cache()
+    made = fill_caches(sources)
+    compiled._drop_stale_cache()
+    assert all(file.exists() for file in made)
+
+
+@pytest.mark.parametrize("changed", [0, 1, 2])
+def test_change_in_any_source_drops_all_compiled_code_and_nothing_else(sources, changed):
+    compiled._drop_stale_cache()
+    made = fill_caches(sources)
+    sources[changed].write_text("value = 99\n")
+    compiled._drop_stale_cache()
+    code = compiled_code(made)
+    assert not any(file.exists() for file in code)
+    assert all(file.exists() for file in made if file not in code)
+    # And the new stamp holds.
+    again = fill_caches(sources)
+    compiled._drop_stale_cache()
+    assert all(file.exists() for file in again)
+
+
+def test_another_numba_drops_the_cache(sources, monkeypatch):
+    compiled._drop_stale_cache()
+    made = fill_caches(sources)
+    monkeypatch.setattr(compiled.numba, "__version__", "0.0.1")
+    compiled._drop_stale_cache()
+    assert not any(file.exists() for file in compiled_code(made))
+
+
+def test_folder_that_cannot_hold_a_cache_is_no_error(sources):
+    (sources[0].parent / "__pycache__").write_text("a file where the folder would be")
+    compiled._drop_stale_cache()
+
+
+def test_every_compiled_source_is_watched():
+    folder = compiled._FOLDER
+    assert set(folder.glob("*.py")) < set(compiled._SOURCES)
+    assert folder.parents[1] / "leg.py" in compiled._SOURCES
+    assert all(source.is_file() for source in compiled._SOURCES)
+
+
+def test_options_keep_numbers_that_are_not_numbers():
+    @compiled.kernel
+    def inside(low: float, value: float, high: float) -> bool:
+        return low < value < high
+
+    assert not inside(0.0, float("nan"), 1.0)
