@@ -1,0 +1,168 @@
+"""The inversion from end to end, on forces whose friction angle is known."""
+
+from __future__ import annotations
+
+import json
+
+import arviz
+import numpy as np
+import pytest
+
+from terraphi.errors import InputError
+from terraphi.forward import simulate
+from terraphi.history import ForceHistory
+from terraphi.inference.inversion import AngleSummary, Inversion, invert, plane_strain_summary
+from terraphi.library import Library
+from terraphi.scenario import Scenario
+from terraphi.soil import plane_strain_friction_angle_deg
+
+PHI_DEG = 31.3
+
+
+@pytest.fixture(scope="module")
+def library() -> Library:
+    return Library.load("rft3d")
+
+
+def rft_history(phi_deg: float, leg: str = "straight") -> ForceHistory:
+    scenario = {
+        "model": "rft",
+        "dimensions": 3,
+        "leg": {"shape": leg, "friction": 0.40},
+        "soil": {"friction_angle_deg": phi_deg},
+    }
+    return simulate(Scenario.model_validate(scenario))
+
+
+@pytest.fixture(scope="module")
+def history() -> ForceHistory:
+    return rft_history(PHI_DEG)
+
+
+@pytest.fixture(scope="module")
+def found(history: ForceHistory, library: Library) -> Inversion:
+    return invert(history, library=library)
+
+
+def test_known_angle_is_found(found: Inversion) -> None:
+    assert found.phi.median == pytest.approx(PHI_DEG, abs=0.1)
+    # No word on the interval: the paper's likelihood knows nothing of the surrogate's own error,
+    # all there is here where the forces are without noise.
+    assert found.verdict.verdict == "consistent"
+    assert max(found.nrmsd.values()) < 0.01
+
+
+def test_intervals_nest_and_the_band_holds_the_best_curve(found: Inversion) -> None:
+    (low95, high95), (low68, high68) = found.phi.ci95, found.phi.ci68
+    assert low95 < low68 < found.phi.median < high68 < high95
+    assert np.all(found.band[0] <= found.best + 1e-9)
+    assert np.all(found.best <= found.band[1] + 1e-9)
+
+
+def test_density_scales_the_curves(
+    history: ForceHistory, library: Library, found: Inversion
+) -> None:
+    # Half the forces from soil of half the density is the same soil.
+    light = invert(history.scaled(0.5), library=library, density=0.5 * 1650.0)
+    assert light.phi.median == pytest.approx(found.phi.median, abs=1e-6)
+    assert not light.density_assumed
+    assert found.density_assumed
+    assert found.density == 1650.0
+
+
+def test_wrong_density_moves_the_angle(history: ForceHistory, library: Library) -> None:
+    assert invert(history, library=library, density=1300.0).phi.median > PHI_DEG + 1.0
+
+
+def test_emcee_agrees_with_quadrature(
+    history: ForceHistory, library: Library, found: Inversion
+) -> None:
+    sampled = invert(history, library=library, sampler="emcee", seed=3)
+    error = sampled.posterior.convergence["median_standard_error"]
+    assert abs(sampled.phi.median - found.phi.median) < 3.0 * error
+    assert sampled.posterior.seed == 3
+
+
+def test_another_leg_is_not_believed(library: Library) -> None:
+    passed_off = invert(rft_history(PHI_DEG, "reversed_c"), library=library, leg="straight")
+    assert passed_off.verdict.verdict in {"misfit", "out_of_range"}
+
+
+@pytest.mark.parametrize(("phi_deg", "edge"), [(12.0, "low"), (55.0, "high")])
+def test_soil_beyond_the_library_is_out_of_range(
+    phi_deg: float, edge: str, library: Library
+) -> None:
+    beyond = invert(rft_history(phi_deg), library=library)
+    assert beyond.verdict.verdict == "out_of_range"
+    assert beyond.verdict.edge == edge
+
+
+def test_answer_has_the_keys_that_programs_rely_on(found: Inversion) -> None:
+    answer = json.loads(json.dumps(found.as_dict(), allow_nan=False))
+    assert set(answer["phi_deg"]) == {"median", "ci68", "ci95", "yield"}
+    assert answer["phi_deg"]["yield"] == "rft3d"
+    assert answer["phi_plane_strain_deg"] is None
+    assert "empirical law" in answer["phi_plane_strain_reason"]
+    assert set(answer["nrmsd"]) == {"Fx", "Fz"}
+    assert answer["n_angles"] == 40
+    expected = {"verdict", "reason", "edge", "density_kg_m3", "library", "sampler", "convergence"}
+    assert expected <= set(answer)
+
+
+@pytest.mark.parametrize("sampler", ["quadrature", "emcee"])
+def test_posterior_file_opens_in_arviz(
+    sampler: str, history: ForceHistory, library: Library, tmp_path
+) -> None:
+    made = invert(history, library=library, sampler=sampler)
+    made.to_netcdf(tmp_path / "posterior.nc")
+    opened = arviz.from_netcdf(str(tmp_path / "posterior.nc"))
+    draws = np.asarray(opened["posterior"]["phi_deg"])
+    assert draws.ndim == 2
+    width = made.phi.ci68[1] - made.phi.ci68[0]
+    assert np.median(draws) == pytest.approx(made.phi.median, abs=0.05 * width)
+    low, high = np.quantile(draws, [0.16, 0.84])
+    assert high - low == pytest.approx(width, rel=0.1)
+    assert np.asarray(opened["observed_data"]["Fx"]) == pytest.approx(made.observation.Fx)
+
+
+def test_plane_strain_equivalent_maps_the_quantiles() -> None:
+    phi = AngleSummary(30.0, (28.0, 32.0), (26.0, 34.0))
+    found, reason = plane_strain_summary(phi, Scenario())
+    assert found is not None
+    assert reason == ""
+    assert found.median == pytest.approx(13.35, abs=0.01)
+    assert found.ci95[1] == pytest.approx(plane_strain_friction_angle_deg(34.0, "paper"))
+
+
+def test_equivalent_of_associated_flow_takes_the_angle_as_its_dilation() -> None:
+    scenario = Scenario.model_validate(
+        {"soil": {"yield_criterion": "triaxial", "flow": "associated"}}
+    )
+    phi = AngleSummary(25.0, (24.0, 26.0), (23.0, 27.0))
+    found, _ = plane_strain_summary(phi, scenario)
+    assert found is not None
+    assert found.median == pytest.approx(37.0, abs=0.05)
+
+
+def test_no_equivalent_is_said_with_the_reason() -> None:
+    scenario = Scenario.model_validate({"soil": {"yield_criterion": "triaxial"}})
+    found, reason = plane_strain_summary(AngleSummary(41.0, (40.0, 42.0), (39.0, 43.0)), scenario)
+    assert found is None
+    assert "43" in reason
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"likelihood": "papr"}, "did you mean 'paper'"),
+        ({"sampler": "emce"}, "did you mean 'emcee'"),
+        ({"density": -1.0}, "must be positive"),
+        ({"density": float("nan")}, "must be positive"),
+        ({"leg": "plate"}, "it has c, reversed_c, straight"),
+    ],
+)
+def test_unusable_options(
+    options: dict, words: str, history: ForceHistory, library: Library
+) -> None:
+    with pytest.raises(InputError, match=words):
+        invert(history, library=library, **options)

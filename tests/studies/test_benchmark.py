@@ -1,0 +1,32 @@
+"""The benchmark's deviations, against a sum written out and the published figures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from terraphi.history import ForceHistory
+from terraphi.measurements import measurement, reference_rft
+from terraphi.studies.benchmark import nrmsd_percent
+
+
+def test_deviation_of_a_constant_offset() -> None:
+    theta = np.radians(np.arange(-90.0, 91.0))
+    force = np.stack([np.cos(theta), np.sin(theta)], axis=1)
+    offset = ForceHistory(theta, [*force, 0.1, 0.2])
+    measured = ForceHistory(theta, force)
+    found = nrmsd_percent(measured, offset)
+    assert found["Fx"] == pytest.approx(10.0 / (1.0 - np.cos(np.radians(84.0))), rel=1e-3)
+    assert found["Fz"] == pytest.approx(20.0 / (2.0 * np.sin(np.radians(84.0))), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("leg", "fz", "fx"),
+    [("straight", 11.5, 3.5), ("c", 23.7, 16.5), ("reversed_c", 188.7, 75.9)],
+)
+def test_published_deviations_of_the_authors_own_theory(leg: str, fz: float, fx: float) -> None:
+    # Xu & Wang print these for the resistive force theory of Li et al. in Yuma sand.
+    name = f"li2013:yuma/{leg}"
+    found = nrmsd_percent(measurement(name).history, reference_rft(name))
+    assert found["Fz"] == pytest.approx(fz, abs=1.5)
+    assert found["Fx"] == pytest.approx(fx, abs=1.5)

@@ -1,0 +1,55 @@
+"""Studies by name, on the shipped libraries."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from terraphi import studies
+from terraphi.errors import InputError
+
+
+def test_unknown_study_names_the_nearest() -> None:
+    with pytest.raises(InputError, match="did you mean 'benchmark'"):
+        studies.run("bench")
+
+
+def test_benchmark_has_every_leg_and_model() -> None:
+    found = studies.run("benchmark")
+    json.dumps(found.data, allow_nan=False)
+    for leg in ("straight", "c", "reversed_c"):
+        assert set(found.data["nrmsd_percent"][leg]) == {"mpm", "rft2d", "rft3d"}
+        tops = found.data["peaks"][leg]
+        # Signs and orders of magnitude: lift and thrust, within a factor of three of measured.
+        for model in ("mpm", "rft2d", "rft3d"):
+            for force in ("Fx_N", "Fz_N"):
+                assert 1 / 3 < tops[model][force] / tops["measured"][force] < 3.0, (leg, model)
+    assert set(found.figures) == {f"benchmark-{leg}" for leg in ("straight", "c", "reversed_c")}
+
+
+@pytest.fixture(scope="module")
+def recovery() -> studies.Study:
+    return studies.run("recovery")
+
+
+def test_recovery_finds_fresh_off_grid_simulations(recovery: studies.Study) -> None:
+    data = recovery.data
+    assert len(data["cases"]) >= 6
+    assert data["abs_error_deg"]["median"] <= 0.3
+    assert data["inside95"] == len(data["cases"])
+
+
+def test_recovery_samplers_agree(recovery: studies.Study) -> None:
+    for case in recovery.data["cases"]:
+        assert case["medians_apart_in_errors"] < 3.0, case["phi_true_deg"]
+
+
+def test_recovery_summary_follows_from_its_cases(recovery: studies.Study) -> None:
+    cases = recovery.data["cases"]
+    errors = [abs(c["phi_median_deg"] - c["phi_true_deg"]) for c in cases]
+    assert recovery.data["abs_error_deg"]["max"] == pytest.approx(max(errors))
+    halves = [0.5 * (c["ci68"][1] - c["ci68"][0]) for c in cases]
+    assert recovery.data["ci68_half_width_deg"]["median"] == pytest.approx(np.median(halves))
+    assert len(recovery.rows) == len(cases)

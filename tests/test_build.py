@@ -1,0 +1,350 @@
+"""Building libraries: nothing is computed twice, and no trouble costs what is finished."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import multiprocessing
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from terraphi import build as building
+from terraphi.build import build, cases_folder
+from terraphi.errors import InputError
+from terraphi.forward import MODEL_VERSIONS, simulate
+from terraphi.history import ForceHistory
+from terraphi.library import Library, Plan
+from terraphi.scenario import Scenario
+from terraphi.workers import WorkerPool
+
+PHI = "soil.friction_angle_deg"
+ANGLES = [20.0, 25.0, 30.0, 35.0, 40.0]
+Calls = list[float]
+
+
+def plan_of(angles: list[float] = ANGLES, *, legs: list[str] | None = None, **more: Any) -> Plan:
+    scenario = {"model": "rft", "dimensions": 3, "rft": {"panels": 10}}
+    sweep = {"leg.shape": legs or ["straight"], PHI: angles, **more}
+    return Plan.model_validate({"name": "mine", "scenario": scenario, "sweep": sweep})
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
+    """Friction angles simulated, in order."""
+    seen: Calls = []
+
+    def counting(scenario: Scenario, **options: Any) -> ForceHistory:
+        seen.append(scenario.soil.friction_angle_deg)
+        return simulate(scenario, **options)
+
+    monkeypatch.setattr(building, "simulate", counting)
+    return seen
+
+
+def same_forces(one: Library, other: Library) -> bool:
+    """Whether two libraries hold the same cases bit by bit."""
+    return len(one.cases) == len(other.cases) and all(
+        a.scenario == b.scenario
+        and a.failure == b.failure
+        and (a.history is None) == (b.history is None)
+        and (
+            a.history is None
+            or b.history is None
+            or (
+                a.history.force.tobytes() == b.history.force.tobytes()
+                and a.history.position.tobytes() == b.history.position.tobytes()
+            )
+        )
+        for a, b in zip(one.cases, other.cases, strict=True)
+    )
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+def test_a_library_is_its_simulations(tmp_path: Path) -> None:
+    looks: list[tuple[int, int]] = []
+    library = build(plan_of(), tmp_path / "x.nc", progress=lambda *look: looks.append(look))
+    for case in library.cases:
+        assert case.history is not None
+        assert (case.history.force == simulate(case.scenario).force).all()
+    assert library.provenance["model_version"] == f"rft-{MODEL_VERSIONS['rft']}"
+    assert same_forces(Library.load(tmp_path / "x.nc"), library)
+    assert names(tmp_path) == ["x.nc"]
+    assert looks == [(i, 5) for i in range(6)]
+
+
+def test_an_interrupted_build_goes_on_where_it_stopped(
+    tmp_path: Path, calls: Calls, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "x.nc"
+    counting = building.simulate
+
+    def impatient(scenario: Scenario, **options: Any) -> ForceHistory:
+        if scenario.soil.friction_angle_deg == 35.0:
+            raise KeyboardInterrupt
+        return counting(scenario, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(building, "simulate", impatient)
+        with pytest.raises(KeyboardInterrupt):
+            build(plan_of(), file)
+    assert not file.exists()
+    assert len(names(cases_folder(file))) == 3
+    looks: list[tuple[int, int]] = []
+    resumed = build(plan_of(), file, progress=lambda *look: looks.append(look))
+    assert calls == ANGLES  # three before, two after, none twice
+    assert looks[0] == (3, 5)
+    assert names(tmp_path) == ["x.nc"]
+    assert same_forces(resumed, build(plan_of(), tmp_path / "y.nc"))
+
+
+def test_a_finished_library_is_not_computed_again(tmp_path: Path, calls: Calls) -> None:
+    first = build(plan_of(), tmp_path / "x.nc")
+    again = build(plan_of(), tmp_path / "x.nc")
+    assert len(calls) == 5
+    assert same_forces(first, again)
+
+
+def test_a_plan_that_grows_reuses_its_library(tmp_path: Path, calls: Calls) -> None:
+    build(plan_of([25.0, 35.0]), tmp_path / "x.nc")
+    grown = build(plan_of(legs=["straight", "c"]), tmp_path / "x.nc")
+    assert calls == [25.0, 35.0, 20.0, 30.0, 40.0, *ANGLES]
+    assert same_forces(grown, build(plan_of(legs=["straight", "c"]), tmp_path / "y.nc"))
+
+
+def test_another_version_of_the_model_is_computed_again(
+    tmp_path: Path, calls: Calls, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build(plan_of(), tmp_path / "x.nc")
+    monkeypatch.setitem(MODEL_VERSIONS, "rft", MODEL_VERSIONS["rft"] + 1)
+    build(plan_of(), tmp_path / "x.nc")
+    assert len(calls) == 10
+
+
+def failing_at(angle: float, error: Exception) -> Callable[..., ForceHistory]:
+    def fails(scenario: Scenario, **options: Any) -> ForceHistory:
+        if scenario.soil.friction_angle_deg == angle:
+            raise error
+        return simulate(scenario, **options)
+
+    return fails
+
+
+@pytest.mark.parametrize(
+    "error", [ValueError("too wet"), RuntimeError("blew up"), FloatingPointError("nan")]
+)
+def test_a_failed_case_is_recorded_and_tried_again(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    error: Exception,
+) -> None:
+    file = tmp_path / "x.nc"
+    with monkeypatch.context() as patch:
+        patch.setattr(building, "simulate", failing_at(30.0, error))
+        library = build(plan_of(), file)
+    key = "leg.shape = straight, soil.friction_angle_deg = 30.0"
+    reason = f"{type(error).__name__}: {error}"
+    assert library.failures == Library.load(file).failures == {key: reason}
+    assert f"{key} failed: {reason}" in caplog.text
+    assert library.curves("straight").phi_deg.tolist() == [20.0, 25.0, 35.0, 40.0]
+    assert names(tmp_path) == ["x.nc"]
+
+    seen: Calls = []
+    monkeypatch.setattr(
+        building,
+        "simulate",
+        lambda scenario, **_: (
+            seen.append(scenario.soil.friction_angle_deg) or simulate(scenario)  # type: ignore[func-returns-value]
+        ),
+    )
+    whole = build(plan_of(), file)
+    assert seen == [30.0]
+    assert whole.failures == {}
+
+
+def test_a_case_that_the_model_refuses(tmp_path: Path) -> None:
+    """Resistive force theory knows no cohesion, and says so."""
+    plan = plan_of([25.0], **{"soil.cohesion": [0.0, 100.0]})
+    assert "cohesion = 100 Pa" in next(iter(build(plan, tmp_path / "x.nc").failures.values()))
+
+
+def test_no_library_of_failures_alone(tmp_path: Path) -> None:
+    plan = plan_of(**{"soil.cohesion": [100.0]})
+    with pytest.raises(
+        InputError, match=r"plan 'mine': every case failed, the first with: .*cohes"
+    ):
+        build(plan, tmp_path / "x.nc")
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("damage", ["truncated", "garbage", "empty", "no provenance"])
+def test_a_broken_case_is_computed_again(
+    tmp_path: Path, calls: Calls, damage: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    file, plan = tmp_path / "x.nc", plan_of()
+    folder = cases_folder(file)
+    folder.mkdir()
+    for scenario in plan.cases():
+        simulate(scenario).to_netcdf(folder / f"{scenario.hash}.nc")
+    victim = folder / f"{plan.cases()[2].hash}.nc"
+    if damage == "no provenance":
+        history = ForceHistory.from_netcdf(victim)
+        ForceHistory(history.position, history.force).to_netcdf(victim)
+    else:
+        content = victim.read_bytes()
+        victim.write_bytes({"truncated": content[:-100], "garbage": b"1" * 99}.get(damage, b""))
+    with caplog.at_level(logging.WARNING):
+        library = build(plan, file)
+    assert calls == [30.0]
+    assert library.failures == {}
+    assert ("computed again" in caplog.text) == (damage != "no provenance")
+    assert names(tmp_path) == ["x.nc"]
+
+
+def test_a_case_of_a_scenario_unknown_today_is_computed_again(tmp_path: Path, calls: Calls) -> None:
+    file, plan = tmp_path / "x.nc", plan_of([25.0])
+    cases_folder(file).mkdir()
+    scenario = plan.cases()[0]
+    history = simulate(scenario)
+    old = {**history.provenance, "scenario": {"soil": {"wetness": 3}}}
+    ForceHistory(history.position, history.force, provenance=old).to_netcdf(
+        cases_folder(file) / f"{scenario.hash}.nc"
+    )
+    build(plan, file)
+    assert calls == [25.0]
+
+
+def test_a_file_that_is_no_library_is_left_alone(tmp_path: Path, calls: Calls) -> None:
+    file = tmp_path / "x.nc"
+    file.write_text("my thesis")
+    with pytest.raises(InputError, match=r"x\.nc: not a whole NetCDF"):
+        build(plan_of(), file)
+    assert calls == []
+    assert file.read_text() == "my thesis"
+    assert names(tmp_path) == ["x.nc"]
+
+
+def test_a_place_that_cannot_be_written(tmp_path: Path, calls: Calls) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"x\.nc\.cases: cannot be made"):
+        build(plan_of(), tmp_path / "file" / "x.nc")
+    assert calls == []
+
+
+def test_a_disk_that_fills_up_keeps_what_was_finished(
+    tmp_path: Path, calls: Calls, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "x.nc"
+    build(plan_of([20.0]), file)
+    before = file.read_bytes()
+    write = Path.write_bytes
+
+    def fills_up(path: Path, content: bytes) -> int:
+        if len(calls) == 3:
+            raise OSError(28, "No space left on device")
+        return write(path, content)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", fills_up)
+        with pytest.raises(InputError, match=r"No space left on device.*free some space"):
+            build(plan_of(), file)
+    assert file.read_bytes() == before
+    assert len(names(cases_folder(file))) == 1
+    build(plan_of(), file)
+    assert calls == [20.0, 25.0, 30.0, 30.0, 35.0, 40.0]
+
+
+# -- executors ---------------------------------------------------------------------------------
+
+
+def test_any_executor_builds_the_same_library(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(3) as executor:
+        threaded = build(plan_of(), tmp_path / "x.nc", executor=executor)
+    assert same_forces(threaded, build(plan_of(), tmp_path / "y.nc"))
+
+
+def test_two_processes_build_the_same_library(tmp_path: Path) -> None:
+    plan = plan_of([*ANGLES, 85.0], **{"soil.cohesion": [0.0, 100.0]})
+    looks: list[int] = []
+    with WorkerPool(2) as pool:
+
+        def look(finished: int, total: int) -> None:
+            assert total == 12
+            pool.counted(finished)
+            looks.append(finished)
+
+        parallel = build(plan, tmp_path / "x.nc", executor=pool.executor, progress=look)
+        # The six that failed did so before they had done anything.
+        assert pool.counted(12) == pytest.approx(6.0)
+    assert looks[0] == 0
+    assert looks[-1] == 12
+    assert looks == sorted(looks)
+    serial = build(plan, tmp_path / "y.nc")
+    assert same_forces(parallel, serial)
+    assert same_forces(Library.load(tmp_path / "x.nc"), serial)
+    assert len(serial.failures) == 6
+    assert multiprocessing.active_children() == []
+
+
+class Instead(Executor):
+    """Another executor that runs one function whatever it is given."""
+
+    def __init__(self, executor: Executor, function: Callable[..., Any]) -> None:
+        self._executor, self._function = executor, function
+
+    def submit(self, fn: Any, /, *args: Any, **options: Any) -> Future[Any]:
+        return self._executor.submit(self._function, *args, **options)
+
+
+def test_a_worker_that_dies_does_not_lose_the_others_results(
+    tmp_path: Path, calls: Calls, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One worker takes 20°, 25° and dies over 30°; the pool is broken from then on."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+    fatal = importlib.import_module("worker_tasks").run_or_die
+    file = tmp_path / "x.nc"
+    with WorkerPool(1) as pool:
+        library = build(plan_of(), file, executor=Instead(pool.executor, fatal))
+    kept = [case.scenario.soil.friction_angle_deg for case in library.cases if case.history]
+    assert kept == [20.0, 25.0]
+    assert len(library.failures) == 3
+    assert all(reason.startswith("BrokenProcessPool") for reason in library.failures.values())
+    whole = build(plan_of(), file)
+    assert calls == [30.0, 35.0, 40.0]
+    assert same_forces(whole, build(plan_of(), tmp_path / "y.nc"))
+
+
+def test_an_interrupted_parallel_build_cancels_what_waits(tmp_path: Path) -> None:
+    """And keeps what was finished."""
+    file = tmp_path / "x.nc"
+
+    def impatient(finished: int, total: int) -> None:
+        if finished == 2:
+            raise KeyboardInterrupt
+
+    class Slow(Executor):
+        """Runs the first two tasks, and never the others."""
+
+        def __init__(self) -> None:
+            self.futures: list[Future[Any]] = []
+
+        def submit(self, fn: Any, /, *args: Any, **options: Any) -> Future[Any]:
+            future: Future[Any] = Future()
+            if len(self.futures) < 2:
+                future.set_result(fn(*args))
+            self.futures.append(future)
+            return future
+
+    slow = Slow()
+    with pytest.raises(KeyboardInterrupt):
+        build(plan_of(), file, executor=slow, progress=impatient)
+    assert [future.cancelled() for future in slow.futures] == [False, False, True, True, True]
+    assert len(names(cases_folder(file))) == 2
+    assert not file.exists()

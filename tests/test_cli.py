@@ -1,0 +1,293 @@
+"""The command line as people use it, above all where they go wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from terraphi.cli import main
+from terraphi.measurements import measurement
+
+
+class Ran(NamedTuple):
+    status: int
+    out: str
+    err: str
+
+
+Terraphi = Callable[..., Ran]
+
+
+@pytest.fixture
+def terraphi(monkeypatch, capsys, tmp_path) -> Terraphi:
+    """Run a command in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*args: str) -> Ran:
+        monkeypatch.setattr(sys, "argv", ["terraphi", *args])
+        status = 0
+        try:
+            main()
+        except SystemExit as leaving:
+            status = int(leaving.code or 0)
+        return Ran(status, *capsys.readouterr())
+
+    return run
+
+
+def assert_refused(ran: Ran, *words: str) -> None:
+    """One sentence on standard error that says what is wrong and where."""
+    assert ran.status == 2
+    assert ran.out == ""
+    assert "Traceback" not in ran.err
+    for word in words:
+        assert word in ran.err
+
+
+@pytest.fixture
+def forces(tmp_path) -> Path:
+    path = tmp_path / "forces.csv"
+    measurement("li2013:poppy_loose/straight").history.to_csv(path)
+    return path
+
+
+# -- what works ----------------------------------------------------------------------------------
+
+
+def test_help_names_every_command(terraphi: Terraphi) -> None:
+    ran = terraphi("--help")
+    assert ran.status == 0
+    for command in ("demo", "invert", "simulate", "library", "study"):
+        assert command in ran.out
+
+
+@pytest.mark.parametrize("command", ["demo", "invert", "simulate", "study", "library build"])
+def test_help_of_every_command_has_an_example(command: str, terraphi: Terraphi) -> None:
+    assert "Example: terraphi " + command in terraphi(*command.split(), "--help").out
+
+
+def test_invert_prints_the_answer_as_json(terraphi: Terraphi) -> None:
+    ran = terraphi("invert", "li2013:poppy_loose/straight", "--library", "rft3d", "--json")
+    answer = json.loads(ran.out)
+    assert ran.status == 0
+    assert answer["density_kg_m3"] == 638.0
+    assert answer["density_assumed"] is False
+    assert answer["library"] == "rft3d"
+    assert answer["leg"] == "straight"
+
+
+def test_invert_prints_convention_and_assumed_density(terraphi: Terraphi) -> None:
+    ran = terraphi("invert", "li2013:yuma/c", "--library", "rft3d")
+    assert "φ, rft3d [deg]" in ran.out
+    assert "1650 kg/m³, assumed" in ran.out
+    assert "leg c" in ran.out
+    assert "Verdict: " in ran.out
+
+
+def test_invert_writes_answer_posterior_and_figure(
+    terraphi: Terraphi, forces: Path, tmp_path
+) -> None:
+    ran = terraphi("invert", str(forces), "--library", "rft3d", "--density", "638", "--out", "o")
+    assert ran.status == 0
+    assert {p.name for p in (tmp_path / "o").iterdir()} == {
+        "answer.json",
+        "posterior.nc",
+        "figure.png",
+    }
+    answer = json.loads((tmp_path / "o" / "answer.json").read_text())
+    shipped = terraphi("invert", "li2013:poppy_loose/straight", "--library", "rft3d", "--json")
+    same = json.loads(shipped.out)
+    assert answer["phi_deg"]["median"] == pytest.approx(same["phi_deg"]["median"], abs=1e-3)
+
+
+def test_simulate_then_invert(terraphi: Terraphi, tmp_path) -> None:
+    scenario = '[soil]\nfriction_angle_deg = 33.0\n[leg]\nshape = "c"\nfriction = 0.4\n'
+    (tmp_path / "s.toml").write_text('model = "rft"\ndimensions = 3\n' + scenario)
+    ran = terraphi("simulate", "s.toml", "--out", "h.nc", "--json")
+    assert json.loads(ran.out)["peak_Fz_N"] > 0
+    answer = json.loads(terraphi("invert", "h.nc", "--library", "rft3d", "--json").out)
+    assert answer["leg"] == "c"
+    assert answer["phi_deg"]["median"] == pytest.approx(33.0, abs=0.2)
+    assert answer["verdict"] == "consistent"
+
+
+def test_library_list_and_show(terraphi: Terraphi) -> None:
+    listed = json.loads(terraphi("library", "list", "--json").out)["libraries"]
+    assert "rft3d" in [entry["name"] for entry in listed]
+    assert "rft3d" in terraphi("library", "list").out
+    shown = json.loads(terraphi("library", "show", "rft3d", "--json").out)
+    assert shown["cases"] == 45
+    assert shown["provenance"]["model_version"] == "rft-1"
+
+
+PLAN = """
+name = "small"
+[sweep]
+"soil.friction_angle_deg" = [20.0, 30.0, 40.0]
+[scenario]
+model = "rft"
+dimensions = 3
+"""
+
+
+def test_library_build_and_use(terraphi: Terraphi, tmp_path) -> None:
+    (tmp_path / "p.toml").write_text(PLAN)
+    ran = terraphi("library", "build", "p.toml", "--out", "l.nc", "--workers", "1", "--json")
+    assert ran.status == 0, ran.err
+    assert json.loads(ran.out)["cases"] == 3
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["l.nc", "p.toml"]
+    ran = terraphi("invert", "li2013:poppy_loose/straight", "--library", "l.nc", "--json")
+    assert json.loads(ran.out)["library"] == "small"
+
+
+# -- what people get wrong -----------------------------------------------------------------------
+
+HEADER = "theta_deg,Fx_N,Fz_N\n"
+
+
+def rows(theta: np.ndarray, force: float = 1.0) -> str:
+    return HEADER + "".join(f"{t:.3f},{force},{force * t}\n" for t in theta)
+
+
+WHOLE = np.arange(-90.0, 91.0)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", ("empty",)),
+        (HEADER, ("no numbers",)),
+        ("theta_deg,Fx_N\n1,2\n", ("line 1", "'Fz_N' is missing")),
+        ("theta_deg,Fx_N,Fz\n1,2,3\n", ("line 1", "'Fz'", "did you mean 'Fz_N'")),
+        ("theta_deg,Fx_N,Fz_N,time\n1,2,3,4\n", ("line 1", "unexpected column 'time'")),
+        (HEADER + "1,2,three\n", ("line 2", "Fz_N = 'three'", "not a number")),
+        (HEADER + "1,nan,3\n", ("line 2", "Fx_N", "not finite")),
+        (HEADER + "1,inf,3\n", ("line 2", "Fx_N", "not finite")),
+        (HEADER + "8,2,3\n7,2,3\n9,2,3\n", ("line 3", "increase")),
+        (HEADER + "8,2,3\n8,2,3\n", ("line 3", "repeats")),
+        (rows(WHOLE[::-1]), ("decreases",)),
+        (rows(np.radians(WHOLE)), ("radians",)),
+        (rows(np.linspace(-90, 90, 9)), ("at least 10",)),
+        (rows(WHOLE, 0.0), ("zero at every angle",)),
+        (rows(np.arange(-90.0, 1.0)), ("whole window",)),
+        ("\x00\x01\x02", ()),
+    ],
+)
+def test_unusable_forces(
+    content: str, words: tuple[str, ...], terraphi: Terraphi, tmp_path
+) -> None:
+    (tmp_path / "bad.csv").write_text(content)
+    ran = terraphi("invert", "bad.csv", "--library", "rft3d", "--out", "o")
+    assert_refused(ran, "bad.csv", *words)
+    assert [p.name for p in tmp_path.iterdir()] == ["bad.csv"]
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("invert", "no.csv"), ("no.csv", "no such file")),
+        (("invert", "li2013:yma/straight"), ("did you mean 'li2013:yuma/straight'",)),
+        (("invert", "li2013:yuma/c", "--library", "rft"), ("did you mean 'rft3d'",)),
+        (("invert", "li2013:yuma/c", "--leg", "strait"), ("did you mean 'straight'",)),
+        (("invert", "li2013:yuma/c", "--library", "rft3d", "--leg", "plate"), ("no leg 'plate'",)),
+        (("invert", "li2013:yuma/c", "--density", "-5"), ("positive",)),
+        (("invert", "li2013:yuma/c", "--density", "heavy"), ("--density",)),
+        (("invert", "li2013:yuma/c", "--sampler", "emce"), ("did you mean 'emcee'",)),
+        (("invert", "li2013:yuma/c", "--librar", "x"), ("--library",)),
+        (("simulate", "quik"), ("did you mean 'quick'",)),
+        (("simulate", "no.toml"), ("no such file",)),
+        (("library", "show", "rft3"), ("did you mean 'rft3d'",)),
+        (("library", "show", "no.nc"), ("no such file",)),
+        (("library", "build", "rft3", "--out", "x.nc"), ("did you mean 'rft3d'",)),
+        (("study", "recovry"), ("did you mean 'recovery'",)),
+    ],
+)
+def test_unusable_words(args: tuple[str, ...], words: tuple[str, ...], terraphi, tmp_path) -> None:
+    assert_refused(terraphi(*args), *words)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("toml", "words"),
+    [
+        ("sol = 3", ("unknown key 'sol'", "did you mean 'soil'")),
+        ("[soil]\npoison_ratio = 0.3", ("unknown key 'soil.poison_ratio'", "'poisson_ratio'")),
+        ("[soil]\ndensity = -1650.0", ("soil.density = -1650", "greater than 0")),
+        ("[soil]\nfriction_angle_deg = 0", ("soil.friction_angle_deg = 0",)),
+        ("[soil]\nfriction_angle_deg = 90", ("soil.friction_angle_deg = 90", "less than 90")),
+        ("[soil]\npoisson_ratio = 0.5", ("less than 0.5",)),
+        ('[soil]\nyield_criterion = "planestrain"', ("did you mean 'plane_strain'",)),
+        ('[leg]\nshape = "strait"', ("did you mean 'straight'",)),
+        ("[numerics]\ntime_step = 1e-3", ("time_step = 0.001", "CFL limit of 1.65e-05 s")),
+        ("[motion]\nhip = [0.05, 0.19]", ("leaves the domain",)),
+        ("soil = = 1", ("not valid TOML", "line 1")),
+    ],
+)
+def test_unusable_scenarios(toml: str, words: tuple[str, ...], terraphi, tmp_path) -> None:
+    (tmp_path / "s.toml").write_text(toml)
+    assert_refused(terraphi("simulate", "s.toml", "--out", "h.nc"), "s.toml", *words)
+    assert [p.name for p in tmp_path.iterdir()] == ["s.toml"]
+
+
+def test_library_files_that_are_not_whole(terraphi: Terraphi, tmp_path) -> None:
+    (tmp_path / "p.toml").write_text(PLAN)
+    terraphi("library", "build", "p.toml", "--out", "l.nc", "--workers", "1")
+    whole = (tmp_path / "l.nc").read_bytes()
+    (tmp_path / "half.nc").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "text.nc").write_text("not a NetCDF")
+    for name in ("half.nc", "text.nc"):
+        assert_refused(
+            terraphi("invert", "li2013:yuma/straight", "--library", name), name, "not a whole"
+        )
+
+
+def test_nowhere_to_write(terraphi: Terraphi, tmp_path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    ran = terraphi("invert", "li2013:yuma/c", "--library", "rft3d", "--out", "taken")
+    assert_refused(ran, "taken", "folder")
+    ran = terraphi("simulate", "quick", "--out", "taken/h.nc")
+    assert_refused(ran, "taken")
+    assert (tmp_path / "taken").read_text() == "a file"
+
+
+SLOW_PLAN = """
+name = "slow"
+[sweep]
+"soil.friction_angle_deg" = [20.0, 30.0, 40.0]
+[scenario.numerics]
+cells = 64
+time_step = 16e-6
+speed_up = 10.0
+"""
+
+
+def test_interrupted_build_leaves_one_sentence_and_what_is_finished(tmp_path) -> None:
+    (tmp_path / "p.toml").write_text(SLOW_PLAN)
+    command = [sys.executable, "-m", "terraphi.cli", "library", "build", "p.toml", "--out", "l.nc"]
+    started = subprocess.Popen(
+        [*command, "--workers", "1"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    for _ in range(600):
+        if (tmp_path / "l.nc.cases").is_dir():
+            break
+        time.sleep(0.1)
+    time.sleep(1.0)
+    os.killpg(started.pid, signal.SIGINT)
+    out, err = started.communicate(timeout=120)
+    assert_refused(Ran(started.returncode, out, err), "interrupted", "l.nc.cases", "goes on")
+    assert not (tmp_path / "l.nc").exists()

@@ -1,0 +1,69 @@
+"""Pictures: what is drawn is what was found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from terraphi import plots
+from terraphi.errors import InputError
+from terraphi.inference.inversion import Inversion, invert
+from terraphi.library import Library
+from terraphi.measurements import measurement
+
+
+@pytest.fixture(scope="module")
+def found() -> Inversion:
+    measured = measurement("li2013:poppy_loose/straight")
+    return invert(
+        measured.history,
+        library=Library.load("rft3d"),
+        density=measured.density_kg_m3,
+        source=measured.name,
+    )
+
+
+def test_a_row_an_inversion_with_data_curve_and_posterior(found: Inversion) -> None:
+    figure = plots.inversions_figure([found, found])
+    assert len(figure.axes) == 6
+    thrust, lift, posterior = figure.axes[:3]
+    points = next(line for line in thrust.lines if line.get_marker() == "o")
+    assert np.asarray(points.get_ydata()) == pytest.approx(found.observation.Fx)
+    curves = [np.asarray(line.get_ydata()) for line in lift.lines]
+    assert any(len(c) == 40 and np.allclose(c, found.best[40:]) for c in curves)
+    assert f"{found.phi.median:.1f}°" in posterior.get_title()
+    low, high = posterior.get_xlim()
+    assert low < found.phi.ci95[0] < found.phi.ci95[1] < high
+
+
+def test_sampled_posterior_is_drawn_too(found: Inversion) -> None:
+    measured = measurement("li2013:poppy_loose/straight")
+    sampled = invert(
+        measured.history, library=Library.load("rft3d"), density=638.0, sampler="emcee"
+    )
+    heights = [p.get_height() for p in plots.inversions_figure([sampled]).axes[2].patches[:80]]
+    assert max(heights) > 0.0
+
+
+def test_saved_whole_or_not_at_all(found: Inversion, tmp_path) -> None:
+    plots.save(plots.inversions_figure([found]), tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(InputError, match="cannot be written"):
+        plots.save(plots.inversions_figure([found]), tmp_path / "no" / "figure.png")
+    assert [p.name for p in tmp_path.iterdir()] == ["figure.png"]
+
+
+def test_comparison_draws_both_forces_of_every_curve(found: Inversion) -> None:
+    history = measurement("li2013:yuma/c").history
+    curves = [plots.Curve("a", history, plots.BLUE), plots.Curve("b", history, plots.ORANGE, "")]
+    figure = plots.comparison_figure("title", curves)
+    assert [len(axes.lines) for axes in figure.axes] == [3, 3]
+    assert max(figure.axes[1].lines[0].get_ydata()) == pytest.approx(history.Fz.max(), rel=0.02)
+
+
+def test_recovery_shows_errors_with_their_intervals() -> None:
+    truth, median = np.array([20.0, 30.0]), np.array([20.1, 29.7])
+    ci = np.stack([median - 0.5, median + 0.5], axis=1)
+    figure = plots.recovery_figure(truth, median, ci, ci)
+    errors = figure.axes[1].lines[-1].get_ydata()
+    assert np.asarray(errors) == pytest.approx([0.1, -0.3])
