@@ -18,6 +18,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "terraphi"
 ROOMS = [
     "errors",
     "files",
+    "documents",
     "soil",
     "leg",
     "motion",

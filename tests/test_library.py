@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from terraphi.documents import shipped_names
 from terraphi.errors import InputError
 from terraphi.forward import simulate
 from terraphi.library import Case, Library, Plan, describe
-from terraphi.scenario import Scenario, shipped_names
+from terraphi.scenario import Scenario
 
 RFT: dict[str, Any] = {"model": "rft", "dimensions": 3, "rft": {"panels": 10}}
 PHI = "soil.friction_angle_deg"

@@ -220,8 +220,8 @@ def library_list(as_json: bool) -> None:
 
     Example: terraphi library list
     """
+    from terraphi.documents import shipped_names
     from terraphi.library import Library
-    from terraphi.scenario import shipped_names
 
     found = [Library.load(name).summary() for name in shipped_names("libraries", ".nc")]
     if as_json:

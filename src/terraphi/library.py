@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
+from terraphi.documents import parse_toml, shipped_file
 from terraphi.errors import InputError, sentence_from_validation
 from terraphi.files import open_netcdf, write_netcdf
 from terraphi.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory, positions
-from terraphi.scenario import Scenario, parse_toml, shipped_file
+from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 
@@ -64,6 +65,11 @@ class Plan(BaseModel):
         for key, values in self.sweep.items():
             if not values:
                 raise InputError(f"plan '{self.name}': sweep key '{key}' has no values")
+            if self.vary_seed and key == "numerics.seed":
+                raise InputError(
+                    f"plan '{self.name}': vary_seed sets numerics.seed, so it cannot be swept as "
+                    "well; drop one of the two"
+                )
         seed = self.scenario.numerics.seed
         found = []
         for i, combination in enumerate(itertools.product(*self.sweep.values())):

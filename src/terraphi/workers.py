@@ -90,7 +90,7 @@ class WorkerPool:
         """
         if self._before is None:
             self._before = finished
-        return self._before + float(self._done.value)
+        return max(finished, self._before + float(self._done.value))
 
     def __enter__(self) -> Self:
         return self

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.errors import InputError, nearest
-from terraphi.files import replacing
+from terraphi.files import write_netcdf
 from terraphi.history import ForceHistory, Observation
 from terraphi.inference.posterior import Posterior, ensemble, quadrature
 from terraphi.inference.residual import PaperLikelihood
@@ -181,8 +181,7 @@ class Inversion:
                 ),
             }
         )
-        with replacing(Path(path)) as temporary:
-            tree.to_netcdf(temporary, engine="h5netcdf")
+        write_netcdf(tree, Path(path))
 
     def _chains(self) -> FloatArray:
         """Draws of φ [deg], shape [chain, draw]."""
