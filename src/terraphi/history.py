@@ -10,7 +10,7 @@ import csv
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,10 @@ WIDEST_GAP_DEG = 20.0
 """Widest gap between measured angles within the window [deg]."""
 SCHEMA = 1
 
+_SHOWN = (
+    *("scenario_hash", "model_version", "particles", "steps"),
+    *("momentum_mismatch", "seconds"),
+)
 _UNITS = {"theta": "rad", "displacement": "m", "time": "s"}
 
 
@@ -136,9 +140,16 @@ class ForceHistory:
 
     def scaled(self, factor: float) -> ForceHistory:
         """Copy of this history with all forces multiplied by a factor [-]."""
-        return ForceHistory(
-            self.position, self.force * factor, self.coordinate, self.axes, self.provenance
-        )
+        return replace(self, force=self.force * factor)
+
+    def engaged(self, *, window_deg: float = WINDOW_DEG) -> ForceHistory:
+        """Samples of this history within |θ| ≤ window [deg], the engaged window of the paper."""
+        inside = np.abs(self.theta_deg) <= window_deg
+        return replace(self, position=self.position[inside], force=self.force[inside])
+
+    def resampled(self, position: FloatArray, *, half_width: float) -> ForceHistory:
+        """History of the :meth:`means` around new positions; arguments and errors as there."""
+        return replace(self, position=position, force=self.means(position, half_width))
 
     def means(self, centre: FloatArray, half_width: float) -> FloatArray:
         """Mean forces over windows, by integrating the piecewise linear history.
@@ -234,9 +245,17 @@ class ForceHistory:
                 )
 
     def peaks(self, *, window_deg: float = WINDOW_DEG) -> Peaks:
-        """Peak thrust and lift on 1° means within |θ| ≤ window [deg]."""
+        """Peak thrust and lift on 1° means at whole degrees within |θ| ≤ window [deg].
+
+        Raises
+        ------
+        ValueError
+            If the history has no whole degree within the window.
+        """
         theta = np.arange(-window_deg, window_deg + 0.5)
         theta = theta[(theta >= self.theta_deg[0]) & (theta <= self.theta_deg[-1])]
+        if theta.size == 0:
+            raise ValueError(f"the history has no whole degree within ±{window_deg:g} deg")
         force = self.means(np.radians(theta), math.radians(0.5))
         x, z = self.axes.index("x"), self.axes.index("z")
         at_x, at_z = int(force[:, x].argmax()), int(force[:, z].argmax())
@@ -248,7 +267,7 @@ class ForceHistory:
         """Peaks and provenance for people, JSON-able."""
         known = self.provenance
         shown: dict[str, Any] = {"samples": len(self.position), "coordinate": self.coordinate}
-        if self.coordinate == "theta":
+        if self.coordinate == "theta" and len(self.engaged().position):
             peaks = self.peaks()
             shown |= {
                 "peak_Fx_N": peaks.Fx,
@@ -259,15 +278,7 @@ class ForceHistory:
         else:
             tops = self.force.max(axis=0).tolist()
             shown |= {f"peak_F{axis}_N": top for axis, top in zip(self.axes, tops, strict=True)}
-        wanted = (
-            "scenario_hash",
-            "model_version",
-            "particles",
-            "steps",
-            "momentum_mismatch",
-            "seconds",
-        )
-        return shown | {key: known[key] for key in wanted if key in known}
+        return shown | {key: known[key] for key in _SHOWN if key in known}
 
     # -- files -----------------------------------------------------------------------------------
 
