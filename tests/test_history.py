@@ -343,6 +343,6 @@ def test_resampling_a_line_gives_the_line() -> None:
 def test_a_history_outside_the_window_has_no_peaks_and_says_so() -> None:
     theta = np.radians(np.linspace(-135.0, -120.0, 20))
     early = ForceHistory(theta, np.ones((20, 2)))
-    assert "peak_Fz_N" not in early.summary()
+    assert "theta_peak_Fz_deg" not in early.summary()
     with pytest.raises(ValueError, match="no whole degree"):
         early.peaks()
