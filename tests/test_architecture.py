@@ -29,6 +29,7 @@ ROOMS = [
     "workers",
     "library",
     "build",
+    "gaussian_process",
     "surrogate",
     "inference",
     "robot",
@@ -39,7 +40,7 @@ ROOMS = [
     "cli",
 ]
 # Neighbours that stay strangers although the order of the list would let them meet.
-STRANGERS = {"robot": {"forward", "library", "surrogate", "inference"}}
+STRANGERS = {"robot": {"forward", "library", "gaussian_process", "surrogate", "inference"}}
 # The public face and `python -m terraphi` may open every door; nobody may come in through them.
 FACES = {"__init__", "__main__"}
 
