@@ -319,3 +319,30 @@ def test_scaling_leaves_the_rest() -> None:
     assert (doubled.force == 2.0 * history.force).all()
     assert doubled.provenance == history.provenance
     assert math.isclose(doubled.Fz[5], 2.0 * history.Fz[5])
+
+
+# -- window and resampling -----------------------------------------------------------------------
+
+
+def test_engaged_window_keeps_its_ends() -> None:
+    theta = np.arange(-90.0, 91.0)
+    history = ForceHistory(np.radians(theta), np.stack([theta, -theta], axis=1))
+    kept = history.engaged()
+    assert kept.theta_deg == pytest.approx(np.arange(-85.0, 86.0))
+    assert kept.Fx == pytest.approx(kept.theta_deg)
+
+
+def test_resampling_a_line_gives_the_line() -> None:
+    theta = np.linspace(-90.0, 90.0, 1801)
+    history = ForceHistory(np.radians(theta), np.stack([theta, 3.0 - theta], axis=1))
+    fewer = history.resampled(np.radians(np.arange(-80.0, 81.0, 7.0)), half_width=np.radians(0.5))
+    assert fewer.Fx == pytest.approx(np.arange(-80.0, 81.0, 7.0))
+    assert fewer.Fz == pytest.approx(3.0 - np.arange(-80.0, 81.0, 7.0))
+
+
+def test_a_history_outside_the_window_has_no_peaks_and_says_so() -> None:
+    theta = np.radians(np.linspace(-135.0, -120.0, 20))
+    early = ForceHistory(theta, np.ones((20, 2)))
+    assert "theta_peak_Fz_deg" not in early.summary()
+    with pytest.raises(ValueError, match="no whole degree"):
+        early.peaks()

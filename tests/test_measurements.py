@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from terraphi.documents import shipped_file
 from terraphi.errors import InputError
 from terraphi.forward import simulate
 from terraphi.history import ForceHistory
 from terraphi.measurements import measurement, names, open_forces, reference_rft
-from terraphi.scenario import Scenario, shipped_file
+from terraphi.scenario import Scenario
 
 # Peaks [N] and angles [deg] read off Figs. S5 and S12 of Li et al. (2013): Fz, Fx.
 PEAKS = {

@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from terraphi.documents import shipped_names
 from terraphi.errors import InputError
-from terraphi.scenario import PAPER_DAMPING_RATE, Scenario, shipped_names
+from terraphi.scenario import PAPER_DAMPING_RATE, Scenario
 
 TRANSLATION = {
     "kind": "translation",
@@ -44,7 +45,7 @@ def refusal(tmp_path: Path, text: str) -> str:
         ("[motion]\nrat = 0.1", ["'motion.rat'", "did you mean 'rate'?"]),
         ("[motion]\nkind = 'translation'\nspeed = 1", ["'motion.speed'"]),
         ("[soil]\ndensity = 'heavy'", ["soil.density = 'heavy'", "number"]),
-        ("soil = 3", ["soil = 3", "Soil"]),
+        ("soil = 3", ["soil = 3", "should be a table"]),
         ("[numerics]\ncells = 64.5", ["numerics.cells = 64.5", "integer"]),
         ("[soil]\ndensity = -1650.0", ["soil.density = -1650.0", "greater than 0"]),
         ("[soil]\nyoungs_modulus = inf", ["soil.youngs_modulus", "finite"]),

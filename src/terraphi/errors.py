@@ -73,6 +73,7 @@ def sentence_from_validation(error: ValidationError, source: str, model: type[Ba
         return f"{source}: unknown key '{key}'; {nearest(path[-1], names)}"
     key = ".".join(part for part in path if part not in {"rotation", "translation"})
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ").rstrip(".")
+    message = message.replace("an object", "a table")  # TOML has tables
     if first["type"] == "missing":
         return f"{source}: key '{key}' is missing"
     if first["type"] == "value_error":

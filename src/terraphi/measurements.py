@@ -12,10 +12,11 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from terraphi.documents import parse_toml, shipped_file, shipped_names
 from terraphi.errors import InputError, nearest, sentence_from_validation
 from terraphi.history import ForceHistory
 from terraphi.leg import LEG_SHAPES, LegShape
-from terraphi.scenario import Scenario, parse_toml, shipped_file, shipped_names
+from terraphi.scenario import Scenario
 
 COLLECTION = "li2013"
 """Folder of the shipped measurements, and the first part of their names."""

@@ -9,20 +9,16 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tomllib
-from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from terraphi.errors import InputError, nearest, sentence_from_validation
+from terraphi.documents import parse_toml, shipped_file, strictly
 from terraphi.leg import Leg, frame_axes
-from terraphi.motion import Motion, Rotation
+from terraphi.motion import Motion, Rotation, bin_centres
 from terraphi.soil import Soil
-
-Model = TypeVar("Model", bound=BaseModel)
 
 GRAVITY = 9.81
 """Acceleration of gravity g [m/s²]."""
@@ -203,6 +199,11 @@ class Scenario(_Section):
     def _check_domain(self) -> None:
         # Two rows of nodes outside the soil hold it: with one, particles creep through the wall.
         margin = self.numerics.cell_size * (1.0 - 1e-9)
+        if min(self.bed.width, self.bed.height) < margin:
+            raise ValueError(
+                f"bed.width = {self.bed.width:g} m and bed.height = {self.bed.height:g} m must be "
+                f"at least a cell, {margin:g} m"
+            )
         for name, top in (
             ("bed.left + bed.width", self.bed.left + self.bed.width),
             ("bed.floor + bed.height", self.bed.surface),
@@ -228,7 +229,8 @@ class Scenario(_Section):
 
     def _check_every_bin_is_visited(self) -> None:
         rate = self.motion.top_coordinate_rate * self.numerics.speed_up
-        longest = self.motion.bin_width / rate
+        low, high = self.motion.span
+        longest = (high - low) / len(bin_centres(self.motion)) / rate
         if self.numerics.time_step > longest:
             raise ValueError(
                 f"numerics.time_step = {self.numerics.time_step:g} s passes over whole bins of the "
@@ -267,13 +269,22 @@ class Scenario(_Section):
         return COURANT_LIMIT * self.numerics.cell_size / speed
 
     @property
-    def convention(self) -> str:
-        """What the friction angle means here: the yield criterion, or ``rft3d``.
+    def hip_height(self) -> float:
+        """Height of the leg's frame above the free surface at the start [m]."""
+        start = self.motion.poses(np.zeros(1)).hip[0, 1]
+        return float(start) - self.bed.surface
 
-        The angle of three-dimensional resistive force theory enters an empirical law as
+    @property
+    def convention(self) -> str:
+        """What the friction angle means here: the yield criterion, ``rft3d`` or ``none``.
+
+        Two-dimensional resistive force theory has no friction angle. That of the
+        three-dimensional theory enters an empirical law as
         μ = tan φ (Agarwal et al., 2023); no yield criterion stands behind it.
         """
-        return self.soil.yield_criterion if self.model == "mpm" else "rft3d"
+        if self.model == "mpm":
+            return self.soil.yield_criterion
+        return "rft3d" if self.dimensions == 3 else "none"
 
     @property
     def hash(self) -> str:
@@ -307,7 +318,7 @@ class Scenario(_Section):
                     place[section] = {}  # for the check below to refuse
                 place = place[section]
             place[last] = value
-        return Scenario.model_validate(content)
+        return strictly(content, Scenario)
 
     @classmethod
     def load(cls, source: Path | str) -> Scenario:
@@ -330,72 +341,3 @@ class Scenario(_Section):
         if Path(source).suffix != ".toml" and not Path(source).is_file():
             source = shipped_file("scenarios", str(source), ".toml")
         return parse_toml(Path(source), cls)
-
-
-def shipped_names(folder: str, suffix: str) -> list[str]:
-    """Names of the shipped files of a kind, without their suffix, sorted."""
-    place = resources.files("terraphi").joinpath("data", folder)
-    entries = [entry.name for entry in place.iterdir()] if place.is_dir() else []
-    return sorted(name.removesuffix(suffix) for name in entries if name.endswith(suffix))
-
-
-def shipped_file(folder: str, name: str, suffix: str) -> Path:
-    """Path of a shipped file.
-
-    Parameters
-    ----------
-    folder
-        Folder within the package's data.
-    name
-        Name without suffix.
-    suffix
-        With its dot.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    InputError
-        If there is none of that name; the nearest is named.
-    """
-    names = shipped_names(folder, suffix)
-    if name not in names:
-        raise InputError(f"'{name}' is neither a file nor a shipped name; {nearest(name, names)}")
-    return Path(str(resources.files("terraphi").joinpath("data", folder, name + suffix)))
-
-
-def parse_toml(path: Path, model: type[Model]) -> Model:
-    """Read a strict document from a TOML file.
-
-    Parameters
-    ----------
-    path
-        The file.
-    model
-        The pydantic model that it must fill.
-
-    Returns
-    -------
-    Model
-
-    Raises
-    ------
-    InputError
-        One sentence with file, key, what was found and what is expected.
-    """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file; TOML in UTF-8 is expected") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from error
-    try:
-        return model.model_validate(content)
-    except ValidationError as error:
-        raise InputError(sentence_from_validation(error, str(path), model)) from error

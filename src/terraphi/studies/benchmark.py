@@ -50,6 +50,9 @@ def run(*, library: str = "quick-paper") -> Study:
         If the library lacks such a case.
     """
     simulated = Library.load(library)
+    convention = simulated.cases[0].scenario.convention
+    if simulated.cases[0].scenario.model != "mpm":
+        raise InputError(f"library '{library}' is not one of the material point method")
     deviations: dict[str, dict[str, dict[str, float]]] = {}
     peaks: dict[str, dict[str, dict[str, float]]] = {}
     figures, rows = {}, []
@@ -64,7 +67,8 @@ def run(*, library: str = "quick-paper") -> Study:
         everything = {"measured": measured, **models}
         peaks[leg] = {name: _peaks(history) for name, history in everything.items()}
         figures[f"benchmark-{leg}"] = comparison_figure(
-            f"Leg {leg} in Yuma sand, models at φ = {PHI_DEG:g}°",
+            f"Leg {leg} in Yuma sand; MPM at φ = {PHI_DEG:g}° ({convention}), "
+            f"3-D RFT at its own {PHI_DEG:g}°",
             [
                 Curve("measured, Li et al. 2013", measured, ORANGE, ""),
                 Curve(f"MPM, {library}", models["mpm"], BLUE),
@@ -76,10 +80,16 @@ def run(*, library: str = "quick-paper") -> Study:
             _row(leg, name, deviations[leg].get(name), peaks[leg][name]) for name in peaks[leg]
         ]
     return Study(
-        title=f"Forces at φ = {PHI_DEG:g}° and measured in Yuma sand (library {library})",
+        title=f"Forces at φ = {PHI_DEG:g}° ({convention}) and measured in Yuma sand ({library})",
         header=("leg", "model", "NRMSD Fz", "NRMSD Fx", "peak Fz", "peak Fx"),
         rows=rows,
-        data={"library": library, "nrmsd_percent": deviations, "peaks": peaks},
+        data={
+            "library": library,
+            "phi_deg": PHI_DEG,
+            "yield": convention,
+            "nrmsd_percent": deviations,
+            "peaks": peaks,
+        },
         figures=figures,
     )
 
