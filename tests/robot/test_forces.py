@@ -16,6 +16,7 @@ from terraphi.errors import InputError
 from terraphi.robot import forces, residual
 from terraphi.robot.dynamics import GRAVITY, gravity_torque
 from terraphi.robot.forces import estimate
+from terraphi.robot.friction import one_way
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.kinematics import jacobian
 from terraphi.robot.model import Quadruped
@@ -267,7 +268,7 @@ def with_value(name: str, at: tuple[int, ...], value: float) -> JointLog:
         (standing(), {"gain": 0.0}, "gain = 0 should be a number above 0"),
         (standing(), {"cutoff_hz": float("nan")}, "cutoff_hz = nan"),
         (standing(), {"estimator": "gravity", "causal": True}, "no causal form"),
-        (standing(2), {}, "has 2 samples; at least 3"),
+        (standing(0), {}, "no samples; at least 1"),
         (broken(velocity=np.zeros((200, 12))), {}, r"velocity has shape \(200, 12\), expected"),
         (broken(quaternion=None), {}, "no attitude, which frame 'world' needs"),
         (with_value("torque", (7, 2, 1), np.nan), {}, "torque is not a number at sample 7"),
@@ -296,3 +297,31 @@ def test_robot_without_masses_has_the_quasi_static_estimate_only() -> None:
     )
     with pytest.raises(InputError, match="use quasi_static"):
         estimate(standing(), robot=bare)
+
+
+@pytest.mark.parametrize("count", [1, 2, 10])
+@pytest.mark.parametrize("estimator", residual.ESTIMATORS)
+def test_a_few_frames_of_a_standing_robot_carry_its_weight(count: int, estimator: Any) -> None:
+    found = estimate(standing(count), robot=GO2, estimator=estimator)
+    assert np.isfinite(found.force).all()
+    whole = estimate(standing(), robot=GO2, estimator=estimator, friction=False)
+    np.testing.assert_allclose(found.force[0], whole.force[100], atol=1e-3)
+
+
+def test_torques_that_were_cut_off_are_marked() -> None:
+    log = standing(1000)
+    torque = log.torque * (1.0 + np.sin(0.05 * np.arange(1000)))[:, None, None]
+    assert not estimate(replace(log, torque=torque), robot=GO2).saturated.any()
+    limit = 0.8 * np.abs(torque).max()
+    cut = estimate(replace(log, torque=torque.clip(-limit, limit)), robot=GO2).saturated
+    np.testing.assert_array_equal(cut, (np.abs(torque) > limit).any(axis=-1))
+
+
+def test_friction_is_sought_where_joints_keep_moving_one_way() -> None:
+    time = 0.002 * np.arange(500)
+    velocity = np.tile(np.sin(2.0 * np.pi * time)[:, None, None], (1, 4, 3))
+    sure = one_way(time, velocity)[:, 0, 0]
+    # Slower than 0.1 rad/s until arcsin(0.1)/2π s after the start, and 0.02 s are left out then.
+    begin = np.arcsin(0.1) / (2.0 * np.pi) + 0.02
+    assert time[sure.argmax()] == pytest.approx(begin, abs=0.004)
+    assert not sure[np.abs(time - 0.5) < begin - 0.004].any()

@@ -54,7 +54,6 @@ WIDEST_ANGLE = 10.0
 """Joint angles beyond this [rad] are degrees."""
 WORST_ACCELEROMETER = 3.0
 """Mean specific force may differ by this much from gravity's [m/s²], or it is not one."""
-FEWEST_SAMPLES = 3
 MOST_THREADS = 4
 
 
@@ -146,7 +145,7 @@ def estimate(
     Raises
     ------
     InputError
-        If the log has the wrong shape, is too short, runs backwards, holds something that is not a
+        If the log has the wrong shape, is empty, runs backwards, holds something that is not a
         number or angles in degrees, lacks the attitude that ``world`` takes, or an option is
         unknown.
 
@@ -158,10 +157,11 @@ def estimate(
     _check_options(robot, estimator, frame, gain, cutoff_hz, causal)
     _check_log(log, frame)
     log, doubts = _without_broken_accelerometer(log)
-    gap = GAP_STEPS * float(np.median(np.diff(log.time)))
+    # A frame or two are read as well: of a robot at rest, for they say nothing of accelerations.
+    gap = GAP_STEPS * float(np.median(np.diff(log.time))) if len(log.time) > 1 else math.inf
     settings = Settings(estimator, gain, cutoff_hz, causal, gap)
     overview = survey(log, robot, settings, friction=friction and estimator != "quasi_static")
-    noise = _torque_sigma(overview)
+    noise, limit = _torque_sigma(overview), _torque_limit(robot, overview)
     force = np.empty((len(log.time), 4, 3), dtype=np.float32)
     sigma = np.empty_like(force)
     flagged = np.empty((len(log.time), 4), dtype=np.bool_)
@@ -179,7 +179,7 @@ def estimate(
             force[rows] = np.einsum("sfij,sfj->sfi", inverse, torque)
             sigma[rows] = np.sqrt(np.einsum("sfij,sfj->sfi", inverse**2, doubt))
         force[rows][near], sigma[rows][near] = np.nan, np.nan
-        flagged[rows], saturated[rows] = near, _at_limit(seen.torque[chunk.inner], robot)
+        flagged[rows], saturated[rows] = near, _at_limit(seen.torque[chunk.inner], limit)
 
     # NumPy lets other threads run while it works.
     with ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, MOST_THREADS)) as pool:
@@ -241,10 +241,13 @@ def _timing_variance(time: FloatArray, torque: FloatArray, gap: float) -> FloatA
     return variance
 
 
-def _at_limit(torque: FloatArray, robot: Quadruped) -> BoolArray:
-    if robot.torque_limit is None:
-        return np.zeros(torque.shape[:2], dtype=np.bool_)
-    limit = SATURATED * np.array(robot.torque_limit)
+def _torque_limit(robot: Quadruped, overview: Survey) -> FloatArray:
+    """Torques from which on motors are at their limit [N m], shape [foot, joint]."""
+    known = (math.inf,) * len(JOINTS) if robot.torque_limit is None else robot.torque_limit
+    return np.minimum(SATURATED * np.array(known), overview.ceiling)
+
+
+def _at_limit(torque: FloatArray, limit: FloatArray) -> BoolArray:
     return np.asarray((np.abs(torque) >= limit).any(axis=-1))
 
 
@@ -269,8 +272,8 @@ def _check_options(
 
 def _check_log(log: JointLog, frame: Frame) -> None:
     count = len(log.time)
-    if count < FEWEST_SAMPLES:
-        raise InputError(f"the log has {count} samples; at least {FEWEST_SAMPLES} are needed")
+    if not count:
+        raise InputError("the log has no samples; at least 1 is needed")
     shapes = {
         "time": (log.time, ()),
         **{name: (getattr(log, name), (4, 3)) for name in ("angle", "velocity", "torque")},
@@ -347,7 +350,8 @@ def _provenance(
     lost = overview.friction
     if lost is not None and not lost.found.all():
         unknown = [f"{FEET[i]}_{JOINTS[j]}" for i, j in np.argwhere(~lost.found)]
-        assumed.append(f"too little swing to find the friction of {', '.join(unknown)}")
+        whose = ", ".join(unknown) if lost.found.any() else "any joint"
+        assumed.append(f"too little swing to find the friction of {whose}")
     if assumed:
         logger.info("foot forces: %s", "; ".join(assumed))
     return {

@@ -25,6 +25,10 @@ LEAST_SWING = 50
 """Samples in swing that a foot needs for its friction to be found."""
 LEAST_RATE = 0.1
 """Root mean square velocity that a joint needs [rad/s]."""
+REVERSAL_RATE, REVERSAL_S = 2.0 * STANDSTILL, 0.02
+"""A joint slower than this [rad/s] is about to turn round, or has; for this long [s] before and
+after, friction changes its sense in a way of its own, and a regression would take the change for
+less Coulomb friction."""
 _HUBER = 1.345
 """Residuals beyond this many standard deviations count less (95 % efficient if normal)."""
 _GAUSS = 1.4826
@@ -129,7 +133,34 @@ def in_swing(
     return swing
 
 
-def fit(residual: FloatArray, terms: FloatArray, swing: BoolArray) -> JointFriction:
+def one_way(time: FloatArray, velocity: FloatArray) -> BoolArray:
+    """When joints keep moving one way, so that the sense of their friction is sure.
+
+    Parameters
+    ----------
+    time
+        [s], shape [sample].
+    velocity
+        Of the joints [rad/s], shape [sample, foot, joint].
+
+    Returns
+    -------
+    ndarray
+        Shape [sample, foot, joint].
+    """
+    slow = np.abs(velocity) < REVERSAL_RATE
+    turned = velocity[1:] * velocity[:-1] < 0.0
+    slow[1:] |= turned
+    slow[:-1] |= turned
+    when = time[:, None, None]
+    since = when - np.maximum.accumulate(np.where(slow, when, -np.inf), axis=0)
+    until = np.minimum.accumulate(np.where(slow, when, np.inf)[::-1], axis=0)[::-1] - when
+    return np.asarray(np.minimum(since, until) > REVERSAL_S)
+
+
+def fit(
+    residual: FloatArray, terms: FloatArray, swing: BoolArray, sure: BoolArray
+) -> JointFriction:
     """Friction that explains the torques in swing.
 
     Parameters
@@ -140,6 +171,9 @@ def fit(residual: FloatArray, terms: FloatArray, swing: BoolArray) -> JointFrict
         Factors of Coulomb torque, viscous coefficient and inertia, shape [sample, foot, joint, 3].
     swing
         Shape [sample, foot].
+    sure
+        Samples to prefer, see :func:`one_way`, shape [sample, foot, joint]; a joint that has too
+        few of them is given all of its swing.
 
     Returns
     -------
@@ -152,7 +186,10 @@ def fit(residual: FloatArray, terms: FloatArray, swing: BoolArray) -> JointFrict
         if air.sum() < LEAST_SWING:
             continue
         for j in range(3):
-            x, y = terms[air, i, j], -residual[air, i, j]
+            chosen = air & sure[:, i, j]
+            if chosen.sum() < LEAST_SWING:
+                chosen = air
+            x, y = terms[chosen, i, j], -residual[chosen, i, j]
             if np.sqrt(np.mean(x[:, 1] ** 2)) >= LEAST_RATE:
                 numbers[i, j] = _robust(x, y)
                 found[i, j] = True

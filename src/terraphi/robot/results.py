@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.errors import InputError
 from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.forces import DEFAULT_ESTIMATOR, FootForces, Frame, estimate
 from terraphi.robot.joint_log import FEET, JointLog
@@ -46,7 +47,7 @@ class RobotForces:
     pooled
         Mean stance of all feet.
     notes
-        What a reader should know: why there are no stances, what disagrees.
+        What a reader should know: what the log lacks, why there are no stances, what disagrees.
     sensor_correlation
         Of each foot's sensor with its vertical force [-], a cross-check of uncalibrated counts;
         empty if the log has none.
@@ -136,7 +137,12 @@ def analyse(
         report["source"] = str(log)
         # What a LowState holds; an hour of it fits into memory.
         log = read_log(log, topic=topic, joint_names=joint_names, precision="single")
-    forces = estimate(log, robot=body, estimator=estimator, frame=frame)
+    try:
+        forces = estimate(log, robot=body, estimator=estimator, frame=frame)
+    except InputError as error:
+        if "source" not in report:
+            raise
+        raise InputError(f"{report['source']}: {error}") from error
     weight = body.mass * GRAVITY if body.has_masses else None
     usual = Criteria()
     if weight is not None:
@@ -149,7 +155,10 @@ def analyse(
         stances=stances,
         feet={foot: Ensemble.of([s for s in stances if s.foot == foot]) for foot in FEET},
         pooled=Ensemble.of(stances),
-        notes=tuple(_notes(forces, stances, correlation, weight, chosen)),
+        notes=(
+            *log.report.get("notes", ()),
+            *_notes(forces, stances, correlation, weight, chosen),
+        ),
         sensor_correlation=correlation,
         report={**report, **log.report, **describe(log.time)},
     )
@@ -186,6 +195,13 @@ def _notes(
     criteria: Criteria,
 ) -> list[str]:
     notes = list(forces.provenance.get("assumed", ()))
+    counts = forces.saturated.sum(axis=0).tolist()
+    limited = [f"{foot} ({n})" for foot, n in zip(FEET, counts, strict=True) if n]
+    if limited:
+        notes.append(
+            f"motors of {', '.join(limited)} at their limit for as many samples, where forces may "
+            "be larger"
+        )
     walked = {stance.foot for stance in stances}
     if not walked:
         notes.append(_why_no_stances(forces, weight, criteria))
@@ -211,6 +227,12 @@ def _why_no_stances(forces: FootForces, weight: float | None, criteria: Criteria
     total = float(middle.sum())
     of = "" if weight is None else f" of {weight:.0f} N"
     bearing = 4.0 * criteria.rise_N if weight is None else weight
+    step = float(np.median(np.diff(forces.time))) if len(forces.time) > 1 else 0.0
+    if step > criteria.gap_s:
+        return (
+            f"no stances: samples are {step:.3g} s apart, and a stance takes one every "
+            f"{criteria.gap_s:g} s; the feet carry {total:.0f} N{of}"
+        )
     if total > STANDING_SHARE * bearing:
         return f"no stances: the robot stands still, its feet carry {total:.0f} N{of}"
     if total < HANGING_SHARE * bearing:

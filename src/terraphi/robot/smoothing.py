@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-GAP_FACTOR = 8.0
-"""Steps longer than this many median steps are gaps, over which nothing is carried."""
 _NEGLIGIBLE = 1e-17
 
 
@@ -33,7 +31,7 @@ def low_pass(
     Parameters
     ----------
     time
-        [s], strictly increasing, shape [sample]; at least two.
+        [s], strictly increasing, shape [sample]; at least one, which stays as it is.
     gain
         K [1/s].
     values
@@ -85,7 +83,7 @@ def _one_way(
         total[0] = values[0]
         far = 1.0 - decay - near
         total[1:] = np.where(whole, values[1:], near * values[1:] + far * values[:-1])
-    if slopes is not None:
+    if slopes is not None and len(slopes):
         total[0] += slopes[0]
         total[1:] += np.where(whole, 0.0, (1.0 - decay) * slopes)
     # Doubling: after each round, a sample has taken in twice as many of those before it.

@@ -2,7 +2,8 @@
 
 A stance is the interval around a peak of the vertical force, from its zero crossing before to the
 one after. An estimated force wavers around zero while the foot is in the air, so a stance has to
-rise above one threshold, stay above a lower one, and last.
+rise above one threshold, stay above a lower one, and last; and it begins where the force comes up
+from next to nothing, rather than from its last negative value.
 """
 
 from __future__ import annotations
@@ -39,6 +40,9 @@ class Criteria:
         The same as a part of the foot's high loads (95 % quantile) [-]; the larger one counts.
     fall_part
         Part of the rise above which a foot keeps standing [-].
+    touch_part
+        A foot touches down where its force last was below this part of the rise [-]: filters give
+        a sudden force a foot of some milliseconds before it begins.
     impulse_part
         Least ∫ Fz dt as a part of that of the foot's long stances (90 % quantile) [-]: the inertia
         of a swinging leg looks like a short force to an estimate that leaves it out.
@@ -55,6 +59,7 @@ class Criteria:
     rise_N: float = 12.0
     rise_part: float = 0.35
     fall_part: float = 0.25
+    touch_part: float = 0.1
     impulse_part: float = 0.25
     shortest_s: float = 0.06
     longest_s: float = 2.0
@@ -232,7 +237,8 @@ def _bounds(time: FloatArray, lift: Forces, criteria: Criteria) -> list[tuple[in
     # What is high is low as well, so that nothing between two runs can add to the first.
     holds = np.logical_or.reduceat(high, starts) if len(starts) else np.zeros(0, dtype=bool)
     starts, ends = _joined(time, starts[holds], ends[holds], criteria.lift_s)
-    first, last = _crossings(lift, level, starts, ends)
+    touch = max(level, criteria.touch_part * rise)
+    first, last = _crossings(lift, starts, ends, touch=touch, leave=level)
     # Outside the record: the foot stood when it began, or when it ended.
     whole = (first >= 0) & (last < len(lift))
     first, last = first[whole], last[whole]
@@ -251,15 +257,17 @@ def _bounds(time: FloatArray, lift: Forces, criteria: Criteria) -> list[tuple[in
 
 
 def _crossings(
-    lift: Forces, level: float, starts: IntArray, ends: IntArray
+    lift: Forces, starts: IntArray, ends: IntArray, *, touch: float, leave: float
 ) -> tuple[IntArray, IntArray]:
     """Samples around each run at which the force is down at a level; -1 and beyond if none is.
 
+    One level [N] counts before the run, the other after it.
+
     Where the force does not come down between two runs, its least value there parts them.
     """
-    down = np.where(lift <= level, np.arange(len(lift)), -1)
+    down = np.where(lift <= touch, np.arange(len(lift)), -1)
     before = np.maximum.accumulate(down)
-    up = np.where(lift <= level, np.arange(len(lift)), len(lift))
+    up = np.where(lift <= leave, np.arange(len(lift)), len(lift))
     after = np.minimum.accumulate(up[::-1])[::-1]
     first, last = before[starts], after[ends]
     for i in np.flatnonzero(first[1:] < ends[:-1]).tolist():

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.robot.dynamics import GRAVITY
-from terraphi.robot.friction import JointFriction, fit, in_swing, spread
+from terraphi.robot.friction import JointFriction, fit, in_swing, one_way, spread
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.kinematics import inverse_transpose, jacobian
 from terraphi.robot.model import Quadruped
@@ -32,6 +32,12 @@ LEAVE_SHARES = (0.2, 0.1, 0.05, 0.05)
 found each from the other, and before friction is known it looks like force."""
 TOUCH_OVER_LEAVE = 1.6
 """A foot stands again above this many times as much [-]."""
+CUT_SHARE, CUT_OVER_QUARTILE = 0.005, 1.5
+"""A torque that stands at its largest value for this share of the time [-], that value being this
+many times the lower quartile [-], was cut off there: moving legs only touch their largest torque,
+and standing ones hold theirs all the time."""
+FEWEST_CUT = 10
+"""Samples at the largest value that it takes at least."""
 _WINDOW = 4096
 
 
@@ -51,6 +57,8 @@ class Survey(NamedTuple):
         Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
     swing
         Share of the time that each foot was in the air [-], shape [foot].
+    ceiling
+        Torque at which each motor's was cut off [N m], shape [foot, joint]; infinite if it was not.
     """
 
     friction: JointFriction | None
@@ -58,6 +66,7 @@ class Survey(NamedTuple):
     resolution: FloatArray
     noise: FloatArray
     swing: FloatArray
+    ceiling: FloatArray
 
 
 class _Window(NamedTuple):
@@ -67,6 +76,8 @@ class _Window(NamedTuple):
     """Upward force for each torque, shape [sample, foot, joint]."""
     torque: FloatArray
     terms: FloatArray
+    sure: BoolArray
+    """Whether a joint keeps moving one way, shape [sample, foot, joint]."""
 
 
 def survey(log: JointLog, robot: Quadruped, settings: Settings, *, friction: bool) -> Survey:
@@ -98,7 +109,9 @@ def survey(log: JointLog, robot: Quadruped, settings: Settings, *, friction: boo
         seen = signals(log, robot, slice(chunk.first, chunk.last))
         torque = contact_torque(seen, robot, moving, None)[chunk.inner]
         terms = friction_terms(seen, moving)[chunk.inner]
-        windows.append(_Window(seen, chunk.inner, _lift(seen, robot, chunk.inner), torque, terms))
+        sure = one_way(seen.time, seen.velocity)[chunk.inner]
+        lever = _lift(seen, robot, chunk.inner)
+        windows.append(_Window(seen, chunk.inner, lever, torque, terms, sure))
     found, swings = _alternate(windows, robot.mass * GRAVITY)
     kept = found if friction and robot.has_masses else None
     residual = np.full((4, 3), np.nan)
@@ -107,7 +120,8 @@ def survey(log: JointLog, robot: Quadruped, settings: Settings, *, friction: boo
     for foot in np.flatnonzero(swing.any(axis=0)):
         residual[foot] = [spread(column) for column in deviation[swing[:, foot], foot].T]
     steps = np.concatenate([np.diff(w.seen.torque, axis=0) for w in windows])
-    return Survey(kept, residual, _resolution(steps), _noise(steps), swing.mean(axis=0))
+    ceiling = _ceiling(np.concatenate([w.seen.torque[w.inner] for w in windows]))
+    return Survey(kept, residual, _resolution(steps), _noise(steps), swing.mean(axis=0), ceiling)
 
 
 def _alternate(
@@ -116,6 +130,7 @@ def _alternate(
     """Swing from the forces without friction, friction from swing, and again."""
     torque = np.concatenate([w.torque for w in windows])
     terms = np.concatenate([w.terms for w in windows])
+    sure = np.concatenate([w.sure for w in windows])
     left = [w.torque for w in windows]
     friction, swings = None, []
     for leave in weight * np.array(LEAVE_SHARES):
@@ -124,7 +139,7 @@ def _alternate(
             in_swing(w.seen.time[w.inner], lift, touch=TOUCH_OVER_LEAVE * leave, leave=leave)
             for w, lift in zip(windows, lifts, strict=True)
         ]
-        friction = fit(torque, terms, np.concatenate(swings))
+        friction = fit(torque, terms, np.concatenate(swings), sure)
         numbers = np.stack([friction.coulomb, friction.viscous, friction.inertia], axis=-1)
         left = [w.torque + np.sum(numbers * w.terms, axis=-1) for w in windows]
     return friction, swings
@@ -143,6 +158,19 @@ def _resolution(steps: FloatArray) -> FloatArray:
     sizes = np.abs(steps)
     smallest = np.where(sizes > 1e-6, sizes, np.inf).min(axis=0, initial=np.inf)
     return np.asarray(np.where(np.isfinite(smallest), smallest, 0.0))
+
+
+def _ceiling(torque: FloatArray) -> FloatArray:
+    """Torques at which motors' were cut off; infinite where they were not."""
+    size = np.abs(torque)
+    largest = size.max(axis=0) * (1.0 - 1e-6)
+    there = size >= largest
+    count = np.count_nonzero(there, axis=0)
+    cut = (count >= FEWEST_CUT) & (count >= CUT_SHARE * len(size))
+    # It stays there for a while, and does not touch it once a stride.
+    cut &= 2 * np.count_nonzero(there[1:] & there[:-1], axis=0) > count
+    cut &= largest > CUT_OVER_QUARTILE * np.quantile(size, 0.25, axis=0)
+    return np.asarray(np.where(cut, largest, np.inf))
 
 
 def _noise(steps: FloatArray) -> FloatArray:

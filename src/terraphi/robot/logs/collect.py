@@ -19,13 +19,19 @@ Precision = Literal["double", "single"]
 FULL_TURN = 2.0 * np.pi
 DEGREES = np.degrees(1.0)
 
+LARGEST = 1e6
+"""Numbers beyond this are no sensor's."""
+LATEST_S = 1e30
+
 NOT_FINITE = "not a finite number"
+BEYOND = "number beyond any sensor's"
 TURNED = "joint angle beyond a full turn"
 ATTITUDE = "attitude is not a unit quaternion"
 
 # What to do when most of a log is dropped for one reason.
 _REMEDIES = {
     NOT_FINITE: "remove or repair those rows",
+    BEYOND: f"none above {LARGEST:g} is expected; remove or repair those rows",
     TURNED: "the angles look like degrees, radians are expected",
     ATTITUDE: "give (w, x, y, z) of length 1, or leave the attitude out",
     clocks.REPEATED: "stamp every sample with its own time",
@@ -33,6 +39,7 @@ _REMEDIES = {
 }
 _IMU = ("quaternion", "angular_velocity", "acceleration", "foot_counts")
 _MOTION_SAMPLES = 20_000
+_FRACTIONS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 _ROWS = 65_536
 _FIRST_ROWS = 4_096
 
@@ -119,15 +126,21 @@ class Collector:
         finite = np.isfinite(block.stamp)
         for column in values.values():
             finite &= np.isfinite(column).reshape(len(finite), -1).all(axis=1)
+        possible = np.abs(block.stamp) < LATEST_S if block.stamp.dtype.kind == "f" else finite
+        for name in values.keys() - {"angle"}:
+            size = np.abs(values[name]).reshape(len(finite), -1)
+            possible = possible & (size <= LARGEST).all(axis=1)
         with np.errstate(invalid="ignore"):
             within = (np.abs(values["angle"]) <= FULL_TURN).all(axis=(1, 2))
             level = np.ones_like(finite)
             if "quaternion" in values:
                 norm = np.linalg.norm(values["quaternion"].astype(np.float64), axis=1)
                 level = (np.abs(norm - 1.0) < 0.1) | (norm == 0.0)
-        mask = finite & within & level
+        mask = finite & possible & within & level
         if not mask.all():
             self.dropped[NOT_FINITE] += int((~finite).sum())
+            self.dropped[BEYOND] += int((finite & ~possible).sum())
+            finite &= possible
             self.dropped[TURNED] += int((finite & ~within).sum())
             self.dropped[ATTITUDE] += int((finite & within & ~level).sum())
         return mask
@@ -225,7 +238,7 @@ class Collector:
         return velocity
 
     def _check_velocity(self, time: Array, angle: Array, velocity: Array) -> None:
-        """Refuse velocities in degrees per second."""
+        """Refuse velocities in degrees per second, and times that are not in seconds."""
         part = slice(0, _MOTION_SAMPLES)
         steps = np.diff(time[part])[:, None, None]
         if not len(steps):
@@ -233,6 +246,12 @@ class Collector:
         usual = steps <= 1.5 * np.median(steps)
         moved = float(np.abs(np.diff(angle[part], axis=0) / steps).mean(where=usual))
         said = float(np.abs(velocity[part][1:]).mean(where=usual))
+        for unit, number in _FRACTIONS.items():
+            if said > 0.3 and 0.5 * number < said / max(moved, 1e-12) < 2.0 * number:
+                raise InputError(
+                    f"{self._path}: joint velocities are {said / moved:.3g} times the rate at "
+                    f"which the angles change; times look like {unit}, seconds are expected"
+                )
         if moved > 0.1 and 0.5 * DEGREES < said / moved < 2.0 * DEGREES:
             raise InputError(
                 f"{self._path}: joint velocities are {said / moved:.0f} times the rate at which "

@@ -121,6 +121,8 @@ def _read_bag(
     precision: Precision,
 ) -> JointLog:
     present = [(storage, storage.topics()) for storage in storages]
+    if not any(topics for _, topics in present) and any(s.notes for s in storages):
+        raise InputError(f"{path}: cut off or damaged before its first message; copy it again")
     chosen = _choose(path, [t for _, topics in present for t in topics], topic)
     low = chosen.plain_type == _LOW_STATE
     decoder = jointstate.JointStateDecoder(joint_names)
