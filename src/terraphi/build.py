@@ -162,7 +162,8 @@ def _run_on(
     try:
         while waiting:
             ended, _ = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED)
-            for future in ended:
+            # Results before failures: a broken pool ends the build.
+            for future in sorted(ended, key=lambda future: future.exception() is not None):
                 scenario = waiting.pop(future)
                 error = future.exception()
                 if isinstance(error, BrokenExecutor):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -211,6 +212,7 @@ def library_build(plan: str, out: Path, workers: int | None, as_json: bool) -> N
                 progress=lambda done, total: report(pool.counted(done), total),
             )
     except KeyboardInterrupt:
+        ignore_interrupts()
         kept = cases_folder(out)
         raise InputError(
             f"{out}: interrupted before it was whole; finished cases are kept in {kept}, and the "
@@ -359,6 +361,11 @@ def save_inversion(inversion: Inversion, place: Path) -> None:
             file.replace(place.joinpath(file.name))
 
 
+def ignore_interrupts() -> None:
+    """Once is enough: a second Ctrl-C must not cut off what is said about the first."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
 def main() -> None:
     """Run the command line; every expected failure is one sentence and exit status 2."""
     for stream in (sys.stdout, sys.stderr):
@@ -375,6 +382,7 @@ def main() -> None:
         click.echo(f"terraphi: {error}", err=True)
         sys.exit(UNUSABLE)
     except (click.Abort, KeyboardInterrupt):
+        ignore_interrupts()
         click.echo("terraphi: interrupted; nothing was written", err=True)
         sys.exit(UNUSABLE)
     except OSError as error:
