@@ -271,7 +271,10 @@ speed_up = 10.0
 """
 
 
-def test_interrupted_build_leaves_one_sentence_and_what_is_finished(tmp_path) -> None:
+@pytest.mark.parametrize("pauses", [(0.4,), (1.0,), (1.0, 0.1)], ids=["early", "once", "twice"])
+def test_interrupted_build_leaves_one_sentence_and_no_process(
+    pauses: tuple[float, ...], tmp_path
+) -> None:
     (tmp_path / "p.toml").write_text(SLOW_PLAN)
     command = [sys.executable, "-m", "terraphi.cli", "library", "build", "p.toml", "--out", "l.nc"]
     started = subprocess.Popen(
@@ -282,12 +285,30 @@ def test_interrupted_build_leaves_one_sentence_and_what_is_finished(tmp_path) ->
         text=True,
         start_new_session=True,
     )
-    for _ in range(600):
+    early = pauses[0] < 1.0  # Python itself is still starting, and says so in its own words
+    for _ in range(0 if early else 1200):
         if (tmp_path / "l.nc.cases").is_dir():
             break
-        time.sleep(0.1)
-    time.sleep(1.0)
-    os.killpg(started.pid, signal.SIGINT)
+        time.sleep(0.05)
+    for pause in pauses:
+        time.sleep(pause)
+        os.killpg(started.pid, signal.SIGINT)
+    # Ends only when every process that holds the pipes has ended.
     out, err = started.communicate(timeout=120)
-    assert_refused(Ran(started.returncode, out, err), "interrupted", "l.nc.cases", "goes on")
+    if not early:
+        assert_refused(Ran(started.returncode, out, err), "interrupted")
+        assert len(err.strip().splitlines()) == 1
     assert not (tmp_path / "l.nc").exists()
+    kept = tmp_path / "l.nc.cases"
+    assert not kept.exists() or any(kept.iterdir())
+
+
+def test_workers_end_with_a_parent_that_is_killed(tmp_path) -> None:
+    (tmp_path / "p.toml").write_text(SLOW_PLAN)
+    command = [sys.executable, "-m", "terraphi.cli", "library", "build", "p.toml", "--out", "l.nc"]
+    started = subprocess.Popen(
+        [*command, "--workers", "1"], cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True
+    )
+    time.sleep(4.0)
+    started.kill()
+    started.communicate(timeout=120)  # the workers hold the pipe as long as they live

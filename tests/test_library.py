@@ -274,3 +274,14 @@ def test_unknown_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
             Library.load(name + "x")
     with pytest.raises(InputError, match="'qqqqqq' is neither a file nor a shipped name; known: "):
         Library.load("qqqqqq")
+
+
+@pytest.mark.parametrize("name", ["quick-paper", "quick-plane-strain"])
+def test_truths_differ_from_their_library_in_angle_and_seed_alone(name: str) -> None:
+    library, truths = Plan.load(name), Plan.load(f"{name}-truths")
+    same_seed = truths.scenario.replace(**{"numerics.seed": library.scenario.numerics.seed})
+    assert same_seed == library.scenario
+    seeds = [{case.numerics.seed for case in plan.cases()} for plan in (library, truths)]
+    assert not seeds[0] & seeds[1]
+    grid = {case.soil.friction_angle_deg for case in library.cases()}
+    assert not grid & {case.soil.friction_angle_deg for case in truths.cases()}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import shutil
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -92,7 +92,7 @@ def build(
     Raises
     ------
     InputError
-        If the file cannot be written, or no case at all succeeded.
+        If the file cannot be written, a worker was killed, or no case at all succeeded.
     """
     path = Path(path)
     wanted = plan.cases()
@@ -129,21 +129,23 @@ def build(
     def _settled() -> int:
         return sum(key in finished or key in failures for key in missing)
 
-    look()
-    if executor is None:
-        for scenario in missing.values():
-            keep(scenario, run_case(scenario.model_dump_json()))
-    else:
-        _run_on(executor, list(missing.values()), keep, look)
+    try:
+        look()
+        if executor is None:
+            for scenario in missing.values():
+                keep(scenario, run_case(scenario.model_dump_json()))
+        else:
+            _run_on(executor, list(missing.values()), keep, look)
+    finally:
+        _remove_if_empty(folder)
 
     if not finished:
         reason = next(iter(failures.values()))
-        _remove_if_empty(folder)
         raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
     cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in wanted]
     library = Library(plan, tuple(cases), software(plan.scenario))
     library.save(path)
-    shutil.rmtree(folder)
+    shutil.rmtree(folder, ignore_errors=True)
     return library
 
 
@@ -160,10 +162,15 @@ def _run_on(
     try:
         while waiting:
             ended, _ = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED)
-            for future in ended:
+            # Results before failures: a broken pool ends the build.
+            for future in sorted(ended, key=lambda future: future.exception() is not None):
                 scenario = waiting.pop(future)
                 error = future.exception()
-                # A worker that died takes its case with it, not the others' results.
+                if isinstance(error, BrokenExecutor):
+                    raise InputError(
+                        "a worker was killed, for want of memory perhaps; finished cases are "
+                        "kept, and the same command with fewer workers goes on from there"
+                    ) from error
                 keep(scenario, f"{type(error).__name__}: {error}" if error else future.result())
             look()
     finally:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
+import signal
 import sys
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -95,7 +98,9 @@ def demo(out: Path, as_json: bool) -> None:
 @click.option(
     "--sampler", default="quadrature", show_default=True, help="quadrature (exact) or emcee."
 )
-@click.option("--seed", default=0, show_default=True, help="Seed of emcee.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of emcee."
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -161,7 +166,7 @@ def simulate(scenario: str, out: Path | None, as_json: bool) -> None:
 
     chosen = Scenario.load(scenario)
     if out is not None:
-        folder(out.parent)
+        writable(out)
     with progress_bar("simulating") as report:
         history = forward.simulate(chosen, progress=lambda fraction: report(fraction, 1.0))
     if out is not None:
@@ -204,9 +209,13 @@ def library_build(plan: str, out: Path, workers: int | None, as_json: bool) -> N
                 progress=lambda done, total: report(pool.counted(done), total),
             )
     except KeyboardInterrupt:
+        ignore_interrupts()
+        kept = cases_folder(out)
         raise InputError(
-            f"{out}: interrupted before it was whole; finished cases are kept in "
-            f"{cases_folder(out)}, and the same command goes on from there"
+            f"{out}: interrupted before it was whole; finished cases are kept in {kept}, and the "
+            "same command goes on from there"
+            if kept.exists()
+            else f"{out}: interrupted before any case was finished; nothing was written"
         ) from None
     for case, failure in made.failures.items():
         click.echo(f"failed: {case}: {failure}", err=True)
@@ -285,6 +294,16 @@ def leg_of(leg: str | None, measured: Measurement) -> str:
     return leg
 
 
+def writable(path: Path) -> None:
+    """Refuse a file that could not be written, before any work is done for it."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file")
+    if not path.parent.is_dir():
+        raise InputError(f"{path.parent}: no such folder; make it first")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path.parent}: no permission to write; choose another place")
+
+
 def folder(path: Path) -> Path:
     """Make a folder for results if it is not there."""
     try:
@@ -297,33 +316,47 @@ def folder(path: Path) -> Path:
 
 
 def save_inversion(inversion: Inversion, place: Path) -> None:
-    """Write answer, posterior and figure."""
+    """Write answer, posterior and figure, all or none."""
     from terraphi import plots
     from terraphi.files import replacing
 
-    inversion.to_netcdf(place / "posterior.nc")
-    plots.save(plots.inversions_figure([inversion]), place / "figure.png")
-    with replacing(place / "answer.json") as temporary:
-        temporary.write_text(as_text(inversion.as_dict()))
+    with tempfile.TemporaryDirectory(dir=place, prefix=".unfinished-") as unfinished:
+        made = Path(unfinished)
+        inversion.to_netcdf(made / "posterior.nc")
+        plots.save(plots.inversions_figure([inversion]), made / "figure.png")
+        with replacing(made / "answer.json") as temporary:
+            temporary.write_text(as_text(inversion.as_dict()))
+        for file in made.iterdir():
+            file.replace(place.joinpath(file.name))
+
+
+def ignore_interrupts() -> None:
+    """Once is enough: a second Ctrl-C must not cut off what is said about the first."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def main() -> None:
     """Run the command line; every expected failure is one sentence and exit status 2."""
+    for stream in (sys.stdout, sys.stderr):
+        # An angle in the wrong letters beats no angle on a terminal that lacks φ.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     logging.getLogger("terraphi").addHandler(logging.NullHandler())
     try:
         cli.main(standalone_mode=False)
     except click.ClickException as error:
-        error.show()
+        click.echo(f"terraphi: {error.format_message()}", err=True)
         sys.exit(UNUSABLE)
     except (InputError, SimulationError) as error:
         click.echo(f"terraphi: {error}", err=True)
         sys.exit(UNUSABLE)
     except (click.Abort, KeyboardInterrupt):
+        ignore_interrupts()
         click.echo("terraphi: interrupted; nothing was written", err=True)
         sys.exit(UNUSABLE)
-    except BrokenPipeError:
-        # The reader of our output has gone, as `head` does; there is nobody left to tell.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        click.echo(f"terraphi: the system refused ({error}); nothing more was written", err=True)
+        sys.exit(UNUSABLE)
 
 
 if __name__ == "__main__":

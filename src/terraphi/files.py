@@ -239,9 +239,23 @@ def _ordered(path: Path, table: FloatArray, numbers: list[int]) -> FloatArray:
             f"{path}, line {numbers[i + 1]}: theta_deg = {theta[i + 1]:g} {what} the value before "
             f"({theta[i]:g}); it must increase strictly: sort the rows and average repeats"
         )
-    if np.abs(theta).max() < 5.0:
+    if np.abs(theta).max() < 7.0:
         raise InputError(
             f"{path}: the largest |theta_deg| is {np.abs(theta).max():.2f}; these look like "
             "radians, degrees are expected"
         )
     return table
+
+
+def positions(dataset: Any) -> FloatArray:
+    """Positions [rad or m or s] in a file of ours, which holds θ in degrees for people as well.
+
+    Raises KeyError if the file holds none.
+    """
+    coordinate = str(dataset.attrs["coordinate"])
+    in_degrees = coordinate == "theta" and "theta" not in dataset.coords
+    name = "theta_deg" if in_degrees else coordinate
+    if name not in dataset.coords:  # xarray would number the samples instead
+        raise KeyError(name)
+    values = np.asarray(dataset[name].values, dtype=np.float64)
+    return np.radians(values) if in_degrees else values

@@ -21,6 +21,7 @@ from terraphi.errors import InputError
 from terraphi.files import (
     CSV_COLUMNS,
     open_netcdf,
+    positions,
     read_force_table,
     replacing,
     write_netcdf,
@@ -112,6 +113,10 @@ class ForceHistory:
             raise ValueError(f"force has shape {self.force.shape}, expected {expected}")
         if self.coordinate not in _UNITS:
             raise ValueError(f"coordinate '{self.coordinate}' is not one of {sorted(_UNITS)}")
+        if len(self.position) == 0:
+            raise ValueError("there are no samples")
+        if not (np.isfinite(self.position).all() and np.isfinite(self.force).all()):
+            raise ValueError("positions and forces must be finite numbers")
         if np.any(np.diff(self.position) <= 0):
             raise ValueError("position must increase strictly")
 
@@ -144,7 +149,13 @@ class ForceHistory:
 
     def engaged(self, *, window_deg: float = WINDOW_DEG) -> ForceHistory:
         """Samples of this history within |θ| ≤ window [deg], the engaged window of the paper."""
-        inside = np.abs(self.theta_deg) <= window_deg
+        return self.between(-math.radians(window_deg), math.radians(window_deg))
+
+    def between(self, low: float, high: float) -> ForceHistory:
+        """Samples of this history at positions from low to high, in the unit of ``position``."""
+        # Degrees turned to radians and back may miss an end by a rounding error.
+        slack = 1e-9 * (1.0 + np.abs(self.position))
+        inside = (self.position >= low - slack) & (self.position <= high + slack)
         return replace(self, position=self.position[inside], force=self.force[inside])
 
     def resampled(self, position: FloatArray, *, half_width: float) -> ForceHistory:
@@ -267,17 +278,18 @@ class ForceHistory:
         """Peaks and provenance for people, JSON-able."""
         known = self.provenance
         shown: dict[str, Any] = {"samples": len(self.position), "coordinate": self.coordinate}
-        if self.coordinate == "theta" and len(self.engaged().position):
+        try:
             peaks = self.peaks()
+        except ValueError:  # no function of θ, or none within the window
+            tops = self.force.max(axis=0).tolist()
+            shown |= {f"peak_F{axis}_N": top for axis, top in zip(self.axes, tops, strict=True)}
+        else:
             shown |= {
                 "peak_Fx_N": peaks.Fx,
                 "theta_peak_Fx_deg": peaks.theta_Fx_deg,
                 "peak_Fz_N": peaks.Fz,
                 "theta_peak_Fz_deg": peaks.theta_Fz_deg,
             }
-        else:
-            tops = self.force.max(axis=0).tolist()
-            shown |= {f"peak_F{axis}_N": top for axis, top in zip(self.axes, tops, strict=True)}
         return shown | {key: known[key] for key in _SHOWN if key in known}
 
     # -- files -----------------------------------------------------------------------------------
@@ -365,26 +377,12 @@ class ForceHistory:
                 np.stack(columns, axis=1),
                 str(dataset.attrs["coordinate"]),
                 axes,
-                json.loads(dataset.attrs["provenance"]),
+                dict(json.loads(dataset.attrs["provenance"])),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 f"{path}: not as terraphi writes a force history ({error}); make it again"
             ) from error
-
-
-def positions(dataset: Any) -> FloatArray:
-    """Positions [rad or m or s] in a file of ours, which holds θ in degrees for people as well.
-
-    Raises KeyError if the file holds none.
-    """
-    coordinate = str(dataset.attrs["coordinate"])
-    in_degrees = coordinate == "theta" and "theta" not in dataset.coords
-    name = "theta_deg" if in_degrees else coordinate
-    if name not in dataset.coords:  # xarray would number the samples instead
-        raise KeyError(name)
-    values = np.asarray(dataset[name].values, dtype=np.float64)
-    return np.radians(values) if in_degrees else values
 
 
 def _primitive(

@@ -7,8 +7,10 @@ whole, so an interrupted build goes on where it stopped and computes nothing twi
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,8 +22,8 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from terraphi.documents import parse_toml, shipped_file
 from terraphi.errors import InputError, sentence_from_validation
-from terraphi.files import open_netcdf, write_netcdf
-from terraphi.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory, positions
+from terraphi.files import open_netcdf, positions, write_netcdf
+from terraphi.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
@@ -154,6 +156,12 @@ class Library:
         return {describe(self.plan, c.scenario): c.failure for c in self.cases if c.failure}
 
     @property
+    def hash(self) -> str:
+        """SHA-256 of the hashes of all cases, hexadecimal."""
+        joined = "".join(case.scenario.hash for case in self.cases)
+        return hashlib.sha256(joined.encode()).hexdigest()
+
+    @property
     def legs(self) -> list[str]:
         """Shapes of the legs that it has, sorted."""
         return sorted({case.scenario.leg.shape for case in self.cases if case.history})
@@ -161,7 +169,7 @@ class Library:
     def summary(self) -> dict[str, Any]:
         """What it holds and where it comes from, JSON-able."""
         first = self.cases[0].scenario
-        phi = [case.scenario.soil.friction_angle_deg for case in self.cases]
+        phi = [case.scenario.soil.friction_angle_deg for case in self.cases if case.history]
         return {
             "name": self.name,
             "description": self.plan.description,
@@ -176,7 +184,12 @@ class Library:
         }
 
     def curves(
-        self, leg: str, *, angles: int = OBSERVATION_ANGLES, window_deg: float = WINDOW_DEG
+        self,
+        leg: str,
+        *,
+        angles: int = OBSERVATION_ANGLES,
+        window_deg: float = WINDOW_DEG,
+        within: tuple[float, float] = (-math.inf, math.inf),
     ) -> Curves:
         """Observation vectors of one leg over the friction angle.
 
@@ -186,6 +199,9 @@ class Library:
             Shape of the leg.
         angles, window_deg
             As in :meth:`ForceHistory.observation`.
+        within
+            Leg angles between which the curves are used [rad]: those that the measured record
+            covers, so that the windows at its ends are cut alike.
 
         Returns
         -------
@@ -207,6 +223,10 @@ class Library:
                 f"library '{self.name}': two-dimensional resistive force theory has no friction "
                 "angle to infer; build it with dimensions = 3"
             )
+        if chosen[0].scenario.motion.kind != "rotation":
+            raise InputError(
+                f"library '{self.name}' is one of translations; an inversion needs rotations"
+            )
         chosen.sort(key=lambda case: case.scenario.soil.friction_angle_deg)
         phi = np.array([case.scenario.soil.friction_angle_deg for case in chosen])
         if len(phi) < 3 or np.any(np.diff(phi) <= 0):
@@ -215,7 +235,7 @@ class Library:
                 "an inversion needs at least three, each once"
             )
         seen = [
-            case.history.observation(angles=angles, window_deg=window_deg)
+            case.history.between(*within).observation(angles=angles, window_deg=window_deg)
             for case in chosen
             if case.history
         ]
@@ -333,8 +353,10 @@ class Library:
         for i, failure in enumerate(data["failure"].values.tolist()):
             scenario = Scenario.model_validate_json(str(data["scenario"].values[i]))
             provenance = json.loads(str(data["provenance"].values[i]))
-            history = ForceHistory(position, force[i], coordinate, axes, provenance)
-            cases.append(Case(scenario, None if failure else history, str(failure)))
+            history = (
+                None if failure else ForceHistory(position, force[i], coordinate, axes, provenance)
+            )
+            cases.append(Case(scenario, history, str(failure)))
         plan = Plan.model_validate_json(str(data.attrs["plan"]))
         return cls(plan, tuple(cases), json.loads(data.attrs["provenance"]))
 
@@ -342,10 +364,6 @@ class Library:
 def _alike(one: ForceHistory, other: ForceHistory) -> bool:
     """Whether two histories have the same axes and positions."""
     return one.axes == other.axes and np.array_equal(one.position, other.position)
-
-
-def _provenance_json(case: Case) -> str:
-    return json.dumps(dict(case.history.provenance) if case.history else {})
 
 
 def describe(plan: Plan, scenario: Scenario) -> str:

@@ -81,7 +81,9 @@ def inversions_figure(inversions: Sequence[Inversion]) -> Figure:
         _draw_forces(row[0], inversion, "Fx")
         _draw_forces(row[1], inversion, "Fz")
         _draw_posterior(row[2], inversion)
-        row[0].legend(loc="best", fontsize="small", frameon=False)
+    # One legend outside the axes: inside, it would hide data in one panel or another.
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 

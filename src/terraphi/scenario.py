@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from terraphi.documents import parse_toml, shipped_file, strictly
 from terraphi.leg import Leg, frame_axes
-from terraphi.motion import Motion, Rotation
+from terraphi.motion import Motion, Rotation, bin_centres
 from terraphi.soil import Soil
 
 GRAVITY = 9.81
@@ -199,6 +199,11 @@ class Scenario(_Section):
     def _check_domain(self) -> None:
         # Two rows of nodes outside the soil hold it: with one, particles creep through the wall.
         margin = self.numerics.cell_size * (1.0 - 1e-9)
+        if min(self.bed.width, self.bed.height) < margin:
+            raise ValueError(
+                f"bed.width = {self.bed.width:g} m and bed.height = {self.bed.height:g} m must be "
+                f"at least a cell, {margin:g} m"
+            )
         for name, top in (
             ("bed.left + bed.width", self.bed.left + self.bed.width),
             ("bed.floor + bed.height", self.bed.surface),
@@ -224,7 +229,8 @@ class Scenario(_Section):
 
     def _check_every_bin_is_visited(self) -> None:
         rate = self.motion.top_coordinate_rate * self.numerics.speed_up
-        longest = self.motion.bin_width / rate
+        low, high = self.motion.span
+        longest = (high - low) / len(bin_centres(self.motion)) / rate
         if self.numerics.time_step > longest:
             raise ValueError(
                 f"numerics.time_step = {self.numerics.time_step:g} s passes over whole bins of the "
@@ -263,13 +269,22 @@ class Scenario(_Section):
         return COURANT_LIMIT * self.numerics.cell_size / speed
 
     @property
-    def convention(self) -> str:
-        """What the friction angle means here: the yield criterion, or ``rft3d``.
+    def hip_height(self) -> float:
+        """Height of the leg's frame above the free surface at the start [m]."""
+        start = self.motion.poses(np.zeros(1)).hip[0, 1]
+        return float(start) - self.bed.surface
 
-        The angle of three-dimensional resistive force theory enters an empirical law as
+    @property
+    def convention(self) -> str:
+        """What the friction angle means here: the yield criterion, ``rft3d`` or ``none``.
+
+        Two-dimensional resistive force theory has no friction angle. That of the
+        three-dimensional theory enters an empirical law as
         μ = tan φ (Agarwal et al., 2023); no yield criterion stands behind it.
         """
-        return self.soil.yield_criterion if self.model == "mpm" else "rft3d"
+        if self.model == "mpm":
+            return self.soil.yield_criterion
+        return "rft3d" if self.dimensions == 3 else "none"
 
     @property
     def hash(self) -> str:

@@ -11,7 +11,10 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
+from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
 from multiprocessing.sharedctypes import Synchronized
 from multiprocessing.synchronize import Event
 from types import TracebackType
@@ -30,6 +33,29 @@ def _join(stop: Event, done: Synchronized[float]) -> None:
     global _pulse
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _pulse = (stop, done)
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+
+
+def _leave_with_parent() -> None:
+    """End this worker as soon as its parent is gone, killed perhaps, and can want no result."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Hold Ctrl-C back for a moment; what is started meanwhile holds it back for good."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _nothing() -> None:
+    """Task that makes an executor start a worker."""
 
 
 def heartbeat(advance: float) -> None:
@@ -78,6 +104,11 @@ class WorkerPool:
         self.executor: Executor = ProcessPoolExecutor(
             workers, mp_context=context, initializer=_join, initargs=(self._stop, self._done)
         )
+        # Workers start now, deaf to Ctrl-C from the first instant and not only once they have
+        # imported this module.
+        with _without_interrupts():
+            for _ in range(workers):
+                self.executor.submit(_nothing)
 
     def counted(self, finished: int) -> float:
         """Tasks done so far, counting parts of those that run [-].
@@ -103,4 +134,6 @@ class WorkerPool:
     ) -> None:
         if kind is not None:
             self._stop.set()
-        self.executor.shutdown(wait=True, cancel_futures=True)
+        # A second Ctrl-C in the middle of this would leave both sides waiting for each other.
+        with _without_interrupts():
+            self.executor.shutdown(wait=True, cancel_futures=True)

@@ -105,8 +105,11 @@ def test_answer_has_the_keys_that_programs_rely_on(found: Inversion) -> None:
     assert "empirical law" in answer["phi_plane_strain_reason"]
     assert set(answer["nrmsd"]) == {"Fx", "Fz"}
     assert answer["n_angles"] == 40
-    expected = {"verdict", "reason", "edge", "density_kg_m3", "library", "sampler", "convergence"}
-    assert expected <= set(answer)
+    relied_on = {"phi_deg", "phi_plane_strain_deg", "verdict", "reason", "edge", "nrmsd"}
+    relied_on |= {"density_kg_m3", "n_angles", "library", "sampler", "convergence"}
+    besides = {"phi_plane_strain_reason", "density_assumed", "source", "leg", "likelihood", "seed"}
+    assert set(answer) == relied_on | besides | {"provenance"}
+    assert answer["provenance"]["library_hash"]
 
 
 @pytest.mark.parametrize("sampler", ["quadrature", "emcee"])
@@ -156,8 +159,9 @@ def test_no_equivalent_is_said_with_the_reason() -> None:
     [
         ({"likelihood": "papr"}, "did you mean 'paper'"),
         ({"sampler": "emce"}, "did you mean 'emcee'"),
-        ({"density": -1.0}, "must be positive"),
-        ({"density": float("nan")}, "must be positive"),
+        ({"density": -1.0}, "not that of a soil"),
+        ({"density": float("nan")}, "not that of a soil"),
+        ({"density": 1.65}, "not that of a soil"),
         ({"leg": "plate"}, "it has c, reversed_c, straight"),
     ],
 )
@@ -166,3 +170,38 @@ def test_unusable_options(
 ) -> None:
     with pytest.raises(InputError, match=words):
         invert(history, library=library, **options)
+
+
+def test_forces_in_another_unit_are_refused(history: ForceHistory, library: Library) -> None:
+    with pytest.raises(InputError, match="in newtons"):
+        invert(history.scaled(1e9), library=library)
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"leg.width": 0.0127}, "leg.width"),
+        ({"leg.chord": 0.08}, "leg.chord"),
+        ({"motion.hip": [0.15, 0.2]}, "hip above the surface"),
+    ],
+)
+def test_a_leg_of_another_size_is_refused(change: dict, name: str, library: Library) -> None:
+    scenario = Scenario.model_validate({"model": "rft", "dimensions": 3}).replace(**change)
+    with pytest.raises(InputError, match=name):
+        invert(simulate(scenario), library=library)
+
+
+def test_a_record_that_ends_with_the_window_loses_nothing(
+    history: ForceHistory, library: Library, found: Inversion
+) -> None:
+    # Its end windows are half as wide; the library's must be, too.
+    cut = invert(history.engaged(), library=library)
+    assert cut.phi.median == pytest.approx(found.phi.median, abs=0.02)
+    assert max(cut.nrmsd.values()) < 1.2 * max(found.nrmsd.values())
+
+
+def test_a_sensor_stuck_at_an_offset_is_refused(history: ForceHistory, library: Library) -> None:
+    stuck = history.force.copy()
+    stuck[:, 0] = 1.0
+    with pytest.raises(InputError, match="Fx is 1 N at every angle"):
+        invert(ForceHistory(history.position, stuck), library=library)

@@ -13,7 +13,7 @@ from terraphi.studies.benchmark import nrmsd_percent
 def test_deviation_of_a_constant_offset() -> None:
     theta = np.radians(np.arange(-90.0, 91.0))
     force = np.stack([np.cos(theta), np.sin(theta)], axis=1)
-    offset = ForceHistory(theta, [*force, 0.1, 0.2])
+    offset = ForceHistory(theta, force + np.array([0.1, 0.2]))
     measured = ForceHistory(theta, force)
     found = nrmsd_percent(measured, offset)
     assert found["Fx"] == pytest.approx(10.0 / (1.0 - np.cos(np.radians(84.0))), rel=1e-3)

@@ -22,10 +22,14 @@ def test_benchmark_has_every_leg_and_model() -> None:
     for leg in ("straight", "c", "reversed_c"):
         assert set(found.data["nrmsd_percent"][leg]) == {"mpm", "rft2d", "rft3d"}
         tops = found.data["peaks"][leg]
-        # Signs and orders of magnitude: lift and thrust, within a factor of three of measured.
-        for model in ("mpm", "rft2d", "rft3d"):
-            for force in ("Fx_N", "Fz_N"):
-                assert 1 / 3 < tops[model][force] / tops["measured"][force] < 3.0, (leg, model)
+        # Signs and orders of magnitude, above all those of the reversed C, whose lift is small.
+        for force in ("Fx_N", "Fz_N"):
+            assert 0.25 < tops["mpm"][force] / tops["measured"][force] < 4.0, (leg, force)
+    # Xu & Wang print these for the theory of Li et al.: F_z and F_x, percent.
+    published = {"straight": (11.5, 3.5), "c": (23.7, 16.5), "reversed_c": (188.7, 75.9)}
+    for leg, (fz, fx) in published.items():
+        ours = found.data["nrmsd_percent"][leg]["rft2d"]
+        assert (ours["Fz"], ours["Fx"]) == pytest.approx((fz, fx), abs=2.0)
     assert set(found.figures) == {f"benchmark-{leg}" for leg in ("straight", "c", "reversed_c")}
 
 

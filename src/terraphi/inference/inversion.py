@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +31,12 @@ Likelihood = Literal["paper"]
 Sampler = Literal["quadrature", "emcee"]
 LIKELIHOODS: tuple[Likelihood, ...] = ("paper",)
 SAMPLERS: tuple[Sampler, ...] = ("quadrature", "emcee")
+
+DENSITIES = (100.0, 10000.0)
+"""Bulk densities that are accepted [kg/m³]; 1.6 is one in g/cm³."""
+FORCES = (1e-4, 1e5)
+"""Peak forces that are accepted [N]."""
+_SOFTWARE = ("terraphi", "numpy", "scipy", "emcee")
 
 QUADRATURE_DRAWS = (4, 1000)
 """Chains and draws that stand for a posterior by quadrature in a file."""
@@ -83,7 +91,7 @@ class Inversion:
     likelihood
         Name of the likelihood.
     provenance
-        Versions and hashes; JSON-able.
+        Versions of the software, hash and versions of the library, time taken [s]; JSON-able.
     """
 
     source: str
@@ -243,11 +251,12 @@ def invert(
         raise InputError(f"unknown likelihood '{likelihood}'; {nearest(likelihood, LIKELIHOODS)}")
     if sampler not in SAMPLERS:
         raise InputError(f"unknown sampler '{sampler}'; {nearest(sampler, SAMPLERS)}")
-    if density is not None and not 0.0 < density < np.inf:
-        raise InputError(f"density = {density:g} kg/m³ must be positive")
-    curves = library.curves(leg)
+    began = time.perf_counter()
+    observation = history.observation()
+    curves = library.curves(leg, within=(history.position[0], history.position[-1]))
     scenario = curves.scenario
-    observation = history.observation(angles=len(curves.theta_deg))
+    _check_magnitudes(density, observation, scenario)
+    _check_same_setup(history, scenario)
     surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
     used = scenario.soil.density if density is None else density
     scale = used / scenario.soil.density
@@ -277,10 +286,64 @@ def invert(
             bounds_deg=surrogate.phi_bounds_deg,
             step_deg=surrogate.phi_step_deg,
             residual_nrmsd=deviation,
+            convention=scenario.convention,
         ),
         likelihood=likelihood,
-        provenance=dict(library.provenance),
+        provenance={**_provenance(library), "seconds": time.perf_counter() - began},
     )
+
+
+def _provenance(library: Library) -> dict[str, Any]:
+    """Versions of the software at work here, and what the library says of itself."""
+    return {
+        **{name: importlib.metadata.version(name) for name in _SOFTWARE},
+        "library": dict(library.provenance),
+        "library_hash": library.hash,
+    }
+
+
+def _check_magnitudes(density: float | None, observation: Observation, scenario: Scenario) -> None:
+    """Refuse numbers that can only be in another unit, and scaling where it does not hold."""
+    low, high = DENSITIES
+    if density is not None and not low <= density <= high:
+        raise InputError(
+            f"density = {density:g} kg/m³ is not that of a soil; {low:g} to {high:g} kg/m³ is "
+            "accepted"
+        )
+    if density not in (None, scenario.soil.density) and scenario.soil.cohesion > 0.0:
+        raise InputError(
+            f"density = {density:g} kg/m³: the library's soil has cohesion and a density of "
+            f"{scenario.soil.density:g} kg/m³, and its forces are not proportional to the density"
+        )
+    for name, force in (("Fx", observation.Fx), ("Fz", observation.Fz)):
+        # Exact equality would be lost to the rounding of the window means.
+        if np.ptp(force) <= 1e-9 * np.abs(force).max():
+            raise InputError(f"{name} is {force[0]:g} N at every angle; is the sensor connected?")
+    low, high = FORCES
+    peak = float(np.abs(observation.vector).max())
+    if not low <= peak <= high:
+        raise InputError(
+            f"the largest mean force is {peak:g} N; {low:g} to {high:g} N is accepted: are the "
+            "forces in newtons?"
+        )
+
+
+def _check_same_setup(history: ForceHistory, scenario: Scenario) -> None:
+    """Refuse a simulated history of a leg or hip unlike the library's."""
+    if "scenario" not in history.provenance:
+        return
+    made_by = Scenario.model_validate(history.provenance["scenario"])
+    for name, found, expected in (
+        ("leg.chord", made_by.leg.chord, scenario.leg.chord),
+        ("leg.width", made_by.leg.width, scenario.leg.width),
+        ("leg.half_thickness", made_by.leg.half_thickness, scenario.leg.half_thickness),
+        ("hip above the surface", made_by.hip_height, scenario.hip_height),
+    ):
+        if abs(found - expected) > 1e-6:
+            raise InputError(
+                f"the history was simulated with {name} = {found:g} m, the library with "
+                f"{expected:g} m; build a library for this setup"
+            )
 
 
 def _sample(

@@ -76,6 +76,7 @@ def judge(
     bounds_deg: tuple[float, float],
     step_deg: float,
     residual_nrmsd: Mapping[str, float],
+    convention: str = "",
     nrmsd_limit: float = 0.10,
     edge_mass_limit: float = 0.05,
 ) -> Verdict:
@@ -94,6 +95,8 @@ def judge(
         Spacing of the library's friction angles [deg].
     residual_nrmsd
         Deviation of the model at the median from the data, as from `nrmsd`, fractions [-].
+    convention
+        What the friction angle means, named beside every angle in the reason.
     nrmsd_limit, edge_mass_limit
         Largest deviation and largest mass near an edge that are accepted, fractions [-].
 
@@ -114,6 +117,7 @@ def judge(
         raise ValueError(f"residual_nrmsd is {dict(residual_nrmsd)}; fractions must be 0 or more")
 
     margin = step_deg / 2.0
+    of = f" ({convention})" if convention else ""
     low_mass, high_mass = posterior.mass(low, low + margin), posterior.mass(high - margin, high)
     misfit = _describe_misfit(residual_nrmsd, nrmsd_limit)
     if max(low_mass, high_mass) > edge_mass_limit:
@@ -121,7 +125,7 @@ def judge(
         mass, edge_deg = (low_mass, low) if at_low else (high_mass, high)
         reason = (
             f"{_percent(mass)} of the posterior mass lies within {margin:g}° of the "
-            f"{'lower' if at_low else 'upper'} edge of the library at {edge_deg:g}° (limit "
+            f"{'lower' if at_low else 'upper'} edge of the library at {edge_deg:g}°{of} (limit "
             f"{_percent(edge_mass_limit)}), so the friction angle may lie "
             f"{'below' if at_low else 'above'} it"
         )
@@ -139,7 +143,7 @@ def judge(
         f"(Fx) and {_percent(residual_nrmsd['Fz'])} (Fz) of their peak-to-peak (limit "
         f"{_percent(nrmsd_limit)}), and at most {_percent(max(low_mass, high_mass))} of the "
         f"posterior mass lies within {margin:g}° of an edge of the library at {low:g}° or "
-        f"{high:g}° (limit {_percent(edge_mass_limit)}).",
+        f"{high:g}°{of} (limit {_percent(edge_mass_limit)}).",
     )
 
 

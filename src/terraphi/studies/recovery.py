@@ -28,7 +28,8 @@ def run(*, library: str = "quick-plane-strain") -> Study:
     Returns
     -------
     Study
-        ``data``: ``cases`` (``phi_true_deg``, ``phi_median_deg``, ``ci68``, ``ci95``,
+        ``data``: ``library``, ``yield``, ``cases`` (``phi_true_deg``, ``phi_median_deg``,
+        ``ci68``, ``ci95``,
         ``emcee_median_deg``, ``emcee_median_error_deg``, ``medians_apart_in_errors``,
         ``verdict``), ``abs_error_deg`` and ``ci68_half_width_deg`` (``median``, ``max``),
         ``inside68``, ``inside95``.
@@ -40,6 +41,7 @@ def run(*, library: str = "quick-plane-strain") -> Study:
     """
     trained = Library.load(library)
     truths = Library.load(f"{library}-truths")
+    convention = trained.cases[0].scenario.convention
     cases = []
     for truth in truths.cases:
         if truth.history is None:
@@ -61,10 +63,10 @@ def run(*, library: str = "quick-plane-strain") -> Study:
             }
         )
     return Study(
-        title=f"Recovery of {len(cases)} friction angles with library '{library}'",
+        title=f"Recovery of {len(cases)} friction angles ({convention}) with library '{library}'",
         header=("true φ", "median", "error", "68 %", "95 %", "emcee - quadrature", "verdict"),
         rows=[_row(case) for case in cases],
-        data={"library": library, "cases": cases, **_summary(cases)},
+        data={"library": library, "yield": convention, "cases": cases, **_summary(cases)},
         figures={
             "recovery": recovery_figure(
                 np.array([case["phi_true_deg"] for case in cases]),
