@@ -16,12 +16,13 @@ PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test test-slow lint format install clean distclean
+.PHONY: help demo test test-slow bench lint format install clean distclean
 
 help:
 	@echo 'make demo       friction angle from a measured force history, and a picture in demo-output/'
 	@echo 'make test       lint, type-check and test (minutes)'
 	@echo 'make test-slow  the checks that take longer'
+	@echo 'make bench      speed of the kernels, as lines of name and value'
 	@echo 'make lint       lint and type-check only'
 	@echo 'make format     put the code into the house format'
 	@echo 'make clean      remove what the commands above wrote; make distclean removes .venv as well'
@@ -34,6 +35,10 @@ test: lint
 
 test-slow: $(DEV)
 	$(BIN)/pytest -n $(WORKERS) -m slow
+
+# Results depend on what else the machine does: the ratios are what to look at.
+bench: $(DEV)
+	$(BIN)/python benchmarks/bench_kernels.py
 
 lint: $(DEV)
 	$(BIN)/ruff check .

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import io
 import logging
-import os
 import signal
 import sys
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from terraphi.console import (
     as_text,
+    print_forces,
     print_inversion,
     print_json,
     print_library,
@@ -61,6 +61,7 @@ def demo(out: Path, as_json: bool) -> None:
     Example: terraphi demo
     """
     from terraphi import plots
+    from terraphi.files import folder
     from terraphi.inference.inversion import invert as run
     from terraphi.library import Library
     from terraphi.measurements import open_forces
@@ -126,6 +127,7 @@ def invert(
 
     Example: terraphi invert forces.csv --density 1600 --out answer
     """
+    from terraphi.files import folder
     from terraphi.inference.inversion import invert as run
     from terraphi.library import Library
     from terraphi.measurements import open_forces
@@ -162,6 +164,7 @@ def simulate(scenario: str, out: Path | None, as_json: bool) -> None:
     Example: terraphi simulate quick --out quick.nc
     """
     from terraphi import forward
+    from terraphi.files import writable
     from terraphi.scenario import Scenario
 
     chosen = Scenario.load(scenario)
@@ -264,7 +267,7 @@ def study(name: str, library_name: str | None, out: Path | None, as_json: bool) 
     Example: terraphi study recovery --out recovery
     """
     from terraphi import plots, studies
-    from terraphi.files import replacing
+    from terraphi.files import folder, replacing
 
     found = studies.run(name, library=library_name)
     if out is not None:
@@ -277,6 +280,55 @@ def study(name: str, library_name: str | None, out: Path | None, as_json: bool) 
         print_json(found.data)
         return
     print_table(found.header, found.rows, title=found.title)
+
+
+@cli.command()
+@click.argument("log")
+@click.option("--robot", default="go2", show_default=True, help="Name, TOML or URDF of the robot.")
+@click.option(
+    "--estimator",
+    default="momentum_observer",
+    show_default=True,
+    help="quasi_static (the paper's), gravity, inverse_dynamics or momentum_observer.",
+)
+@click.option("--frame", default="world", show_default=True, help="world or body.")
+@click.option("--topic", help="Topic of a bag; the only fitting one if not given.")
+@click.option("--out", type=click.Path(path_type=Path), help="NetCDF file to make.")
+@click.option("--figures", type=click.Path(path_type=Path), help="Folder for two figures.")
+@json_option
+def forces(
+    log: str,
+    robot: str,
+    estimator: Any,
+    frame: Any,
+    topic: str | None,
+    out: Path | None,
+    figures: Path | None,
+    as_json: bool,
+) -> None:
+    """Foot forces and stances from a robot's LOG: CSV, npz, MCAP or rosbag2.
+
+    Example: terraphi forces walk.mcap --out forces.nc
+    """
+    from terraphi import plots
+    from terraphi.files import folder, writable
+    from terraphi.robot import plots as pictures
+    from terraphi.robot.results import analyse
+    from terraphi.robot.results_file import write_forces
+
+    if out is not None:
+        writable(out)
+    found = analyse(log, robot=robot, estimator=estimator, frame=frame, topic=topic)
+    if out is not None:
+        write_forces(found, out)
+    if figures is not None:
+        place = folder(figures)
+        plots.save(pictures.forces_figure(found), place / "forces.png")
+        plots.save(pictures.stance_figure(found), place / "stance.png")
+    if as_json:
+        print_json(found.summary())
+        return
+    print_forces(found.summary())
 
 
 # -- input ---------------------------------------------------------------------------------------
@@ -292,27 +344,6 @@ def leg_of(leg: str | None, measured: Measurement) -> str:
     if leg not in LEG_SHAPES:
         raise InputError(f"unknown leg '{leg}'; {nearest(leg, LEG_SHAPES)}")
     return leg
-
-
-def writable(path: Path) -> None:
-    """Refuse a file that could not be written, before any work is done for it."""
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file")
-    if not path.parent.is_dir():
-        raise InputError(f"{path.parent}: no such folder; make it first")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path.parent}: no permission to write; choose another place")
-
-
-def folder(path: Path) -> Path:
-    """Make a folder for results if it is not there."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be made a folder ({error.strerror})") from error
-    if not os.access(path, os.W_OK):
-        raise InputError(f"{path}: no permission to write; choose another place")
-    return path
 
 
 def save_inversion(inversion: Inversion, place: Path) -> None:

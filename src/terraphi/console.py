@@ -59,6 +59,20 @@ def print_library(found: Library, *, as_json: bool) -> None:
         print_pairs(found.summary())
 
 
+def print_forces(summary: dict[str, Any]) -> None:
+    """Foot forces of a log: a row a foot, then what else there is to know."""
+    header = ("", "stances", "mean duration [s]", "peak of mean Fz [N]", "peak of mean Fx [N]")
+    figures = ("stances", "mean_duration_s", "mean_peak_Fz_N", "mean_peak_Fx_N")
+    rows = {**summary["feet"], "all feet": summary["pooled"]}
+    print_table(
+        header,
+        [(name, *(words(found[figure]) for figure in figures)) for name, found in rows.items()],
+        title=f"Ground's forces on the feet, {summary['estimator']}, {summary['frame']} frame",
+    )
+    shown_above = {"feet", "pooled", "estimator", "frame"}
+    print_pairs({name: value for name, value in summary.items() if name not in shown_above})
+
+
 def print_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str | None = None
 ) -> None:

@@ -87,6 +87,27 @@ def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
         temporary.write_bytes(content)
 
 
+def writable(path: Path) -> None:
+    """Refuse a file that could not be written, before any work is done for it."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file")
+    if not path.parent.is_dir():
+        raise InputError(f"{path.parent}: no such folder; make it first")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path.parent}: no permission to write; choose another place")
+
+
+def folder(path: Path) -> Path:
+    """Make a folder for results if it is not there."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be made a folder ({error.strerror})") from error
+    if not os.access(path, os.W_OK):
+        raise InputError(f"{path}: no permission to write; choose another place")
+    return path
+
+
 def open_netcdf(path: Path, *, kind: str, schema: int) -> Any:
     """Load a NetCDF of ours into memory, or say in one sentence why it cannot be.
 

@@ -1,5 +1,7 @@
 """Material point method in plane strain: MLS-MPM with APIC transfers and a rigid leg.
 
 Read in this order: ``bed`` (what there is), ``transfer``, ``plasticity``, ``contact``, ``relief``
-(one piece of physics each), ``scalar`` (a step), ``solver`` (all steps).
+(one piece of physics each), ``scalar`` (a step), ``solver`` (all steps). Then the same steps made
+fast: ``packing`` (how particles lie), ``lanes`` (what happens to a packet of them), ``rows`` (the
+grid), ``sweep`` (from grid to grid), ``packets`` (a block of steps).
 """

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import hashlib
+import re
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
+import numba.extending
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
+
+_OPTIONS: dict[str, Any] = {
+    "cache": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "nsz", "reassoc"},
+}
 
 _FOLDER = Path(__file__).parent
 _SOURCES = [*sorted(_FOLDER.glob("*.py")), _FOLDER.parents[1] / "leg.py"]
@@ -32,15 +41,74 @@ def kernel(function: Kernel) -> Kernel:
     callable
         The same function, compiled at its first call.
     """
-    compiled = numba.njit(
-        cache=True,
-        error_model="numpy",
-        fastmath={"contract", "nsz", "reassoc"},
-        # A call that is not inlined would round differently in the process that compiles than in
-        # one that loads the cache.
-        forceinline=True,
-    )(function)
-    return cast(Kernel, compiled)
+    # A call that is not inlined would round differently in the process that compiles than in one
+    # that loads the cache.
+    return cast(Kernel, numba.njit(**_OPTIONS, forceinline=True)(function))
+
+
+def entry(function: Kernel) -> Kernel:
+    """Compile an outermost function, one that only Python calls; see :func:`kernel`.
+
+    It is not inlined into the wrappers that Numba makes for its callers, which would compile it
+    three times over and, since the wrappers know nothing of :func:`wide_vectors`, for narrow ones.
+
+    Parameters
+    ----------
+    function
+        A function of scalars, tuples and arrays.
+
+    Returns
+    -------
+    callable
+        The same function, compiled at its first call.
+    """
+    return cast(Kernel, numba.njit(**_OPTIONS)(function))
+
+
+def _wide_vectors(_context: Any) -> tuple[Any, Callable[..., Any]]:
+    """Let the function that calls this use the widest vectors of the machine.
+
+    LLVM uses but half of a 512-bit register on many processors, for fear of a lower clock: right
+    for a few such instructions here and there, wrong for a function that does little else.
+    """
+
+    def mark(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+        # Straight into the set: its own `add` knows only attributes without a value.
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')
+        return context.get_dummy_value()
+
+    return numba.types.void(), mark
+
+
+wide_vectors = cast(Callable[[], None], numba.extending.intrinsic(_wide_vectors))
+
+
+def register_use(function: Callable[..., object], *arguments: object) -> Counter[str]:
+    """Count the arithmetic instructions on doubles in a kernel, compiled anew for x86.
+
+    Parameters
+    ----------
+    function
+        A compiled function.
+    *arguments
+        What it is called with; it may change them.
+
+    Returns
+    -------
+    Counter
+        By register: ``zmm`` (eight doubles), ``ymm`` (four), ``xmm`` (two), ``single`` (one).
+    """
+    fresh = numba.njit(**{**_OPTIONS, "cache": False})(getattr(function, "py_func", function))
+    fresh(*arguments)
+    (code,) = fresh.inspect_asm().values()
+    used: Counter[str] = Counter()
+    for kind, operands in _ARITHMETIC.findall(code):
+        register = next((name for name in ("zmm", "ymm") if name in operands), "xmm")
+        used[register if kind == "p" else "single"] += 1
+    return used
+
+
+_ARITHMETIC = re.compile(r"^\s+v?(?:fn?m(?:add|sub)\d*|mul|add|sub|div|sqrt)([ps])d\s(.*)$", re.M)
 
 
 def _drop_stale_cache() -> None:

@@ -5,9 +5,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from terraphi import leg as outline
 from terraphi.forward.mpm.compiled import kernel
 from terraphi.leg import Leg
+
+FloatArray = NDArray[np.float64]
 
 _segment = kernel(outline.segment_distance)
 _arc = kernel(outline.arc_distance)
@@ -29,6 +34,25 @@ class Intruder(NamedTuple):
     """Largest distance of the outline from the hip [m]."""
     friction: float
     """Coulomb coefficient [-]."""
+
+
+class Pose(NamedTuple):
+    """Where the leg is at a step and how it moves."""
+
+    hip_x: float
+    """[m]."""
+    hip_z: float
+    """[m]."""
+    sine: float
+    """sin θ [-]."""
+    cosine: float
+    """cos θ [-]."""
+    hip_vx: float
+    """[m/s]."""
+    hip_vz: float
+    """[m/s]."""
+    rate: float
+    """dθ/dt [rad/s]."""
 
 
 def intruder_of(leg: Leg) -> Intruder:
@@ -86,6 +110,54 @@ def rub(
     if slip > 0.0:
         kept = max(0.0, 1.0 + friction * approach / slip)
     return ux + kept * tx, uz + kept * tz
+
+
+@kernel
+def pose_of(row: FloatArray) -> Pose:
+    """Pose from hip x, z [m], θ [rad], hip velocity x, z [m/s], angular rate [rad/s]."""
+    return Pose(row[0], row[1], math.sin(row[2]), math.cos(row[2]), row[3], row[4], row[5])
+
+
+@kernel
+def against_leg(
+    vx: float, vz: float, x: float, z: float, intruder: Intruder, band: float, pose: Pose
+) -> tuple[float, float]:
+    """Velocity after contact with the leg.
+
+    Parameters
+    ----------
+    vx, vz
+        Velocity of the node [m/s].
+    x, z
+        Its position [m].
+    intruder, pose
+        The leg.
+    band
+        Distance from the leg within which a node is in contact [m].
+
+    Returns
+    -------
+    tuple
+        (vx, vz) [m/s].
+    """
+    rx, rz = x - pose.hip_x, z - pose.hip_z
+    if rx * rx + rz * rz >= (intruder.reach + band) ** 2:
+        return vx, vz
+    sine, cosine = pose.sine, pose.cosine
+    # Into the leg's frame: s = (-sin θ, -cos θ), m = (-cos θ, sin θ).
+    distance, ns, nm = distance_to_leg(intruder, -sine * rx - cosine * rz, -cosine * rx + sine * rz)
+    if distance >= band:
+        return vx, vz
+    # The leg turns from +z towards +x about +y: v = ω × r = ω (rz, -rx).
+    return rub(
+        vx,
+        vz,
+        pose.hip_vx + pose.rate * rz,
+        pose.hip_vz - pose.rate * rx,
+        -sine * ns - cosine * nm,
+        -cosine * ns + sine * nm,
+        intruder.friction,
+    )
 
 
 @kernel

@@ -15,6 +15,9 @@ from terraphi.soil import Soil, cone_slope
 
 Four = tuple[float, float, float, float]
 
+SMALLEST = 1e-300
+"""Keeps a quotient of zeros from being no number."""
+
 
 class Material(NamedTuple):
     """Constants of the stress update, as the kernels take them."""
@@ -187,4 +190,91 @@ def return_mapping(trial: Four, material: Material) -> Four:
         centre + shrink * dzz,
         shrink * sxz,
         centre + shrink * dyy if material.triaxial else 0.0,
+    )
+
+
+class Cone(NamedTuple):
+    """Return mapping of all criteria in one formula, on the centre of the stress circle.
+
+    The centre is the mean of the normal stresses that count, :math:`p` or :math:`I_1/3`.
+    """
+
+    share: float
+    """Part of σ_xx and σ_zz in the centre [-]."""
+    share_out: float
+    """Part of σ_yy in the centre [-]."""
+    out: float
+    """1 if σ_yy counts, else 0."""
+    slope: float
+    """Decrease of the radius allowed per increase of the centre [-]."""
+    intercept: float
+    """Radius allowed where the centre is 0 [Pa]."""
+    per_excess: float
+    """Plastic multiplier per radius in excess [1/Pa]."""
+    shear_modulus: float
+    """Decrease of the radius per multiplier [Pa]."""
+    drop: float
+    """Decrease of the centre per multiplier [Pa]."""
+    apex: float
+    """Centre of the tip [Pa]."""
+    limit: float
+    """Centre beyond which a trial state goes to the tension limit [Pa]."""
+
+
+def cone_of(material: Material) -> Cone:
+    """Constants of a material; measures of mean stress become those of the centre."""
+    shear = material.shear_modulus
+    if material.triaxial:
+        per_centre, share, out = 3.0, 1.0 / 3.0, 1.0
+        bulk = 9.0 * material.lame_lambda + 6.0 * shear
+    else:
+        per_centre, share, out = 1.0, 0.5, 0.0
+        bulk = material.lame_lambda + shear
+    return Cone(
+        share,
+        share * out,
+        out,
+        material.alpha * per_centre,
+        material.intercept,
+        1.0 / (shear + bulk * material.alpha * material.beta),
+        shear,
+        bulk * material.beta / per_centre,
+        material.intercept / material.alpha / per_centre,
+        material.tension_limit / per_centre,
+    )
+
+
+@kernel
+def return_to_cone(trial: Four, cone: Cone) -> Four:
+    """Bring a trial stress back to the yield surface, without branches.
+
+    Parameters
+    ----------
+    trial
+        (σ_xx, σ_zz, σ_xz, σ_yy) [Pa].
+    cone
+        :class:`Cone`.
+
+    Returns
+    -------
+    tuple
+        Admissible stress [Pa], as :func:`return_mapping` gives.
+    """
+    sxx, szz, sxz, syy = trial
+    centre = cone.share * (sxx + szz) + cone.share_out * syy
+    dxx, dzz, dyy = sxx - centre, szz - centre, cone.out * (syy - centre)
+    radius = math.sqrt(0.5 * (dxx * dxx + dzz * dzz + dyy * dyy) + sxz * sxz)
+    excess = max(radius + cone.slope * centre - cone.intercept, 0.0)
+    multiplier = cone.per_excess * excess
+    new_radius = radius - cone.shear_modulus * multiplier
+    new_centre = centre - cone.drop * multiplier
+    new_centre = cone.apex if new_radius < 0.0 else new_centre
+    new_centre = cone.limit if centre > cone.limit else new_centre
+    new_radius = 0.0 if centre > cone.limit else max(new_radius, 0.0)
+    shrink = new_radius / max(radius, SMALLEST)
+    return (
+        new_centre + shrink * dxx,
+        new_centre + shrink * dzz,
+        shrink * sxz,
+        cone.out * (new_centre + shrink * dyy),
     )

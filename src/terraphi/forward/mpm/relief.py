@@ -47,6 +47,6 @@ def faded(weight: float, dx: float, dz: float, turned: float, fading: Fading) ->
     float
         q [-].
     """
-    if turned > 0.0 and math.hypot(dx, dz) > fading.distance:
+    if turned > 0.0 and math.sqrt(dx * dx + dz * dz) > fading.distance:
         return max(fading.least, weight * math.exp(-fading.rate * turned))
     return weight

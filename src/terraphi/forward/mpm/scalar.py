@@ -6,7 +6,6 @@ to particles, stress, relief. Faster kernels are tested against this one.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from terraphi.forward.mpm.bed import Grid, Particles
 from terraphi.forward.mpm.compiled import kernel
-from terraphi.forward.mpm.contact import Intruder, against_walls, distance_to_leg, rub
+from terraphi.forward.mpm.contact import Intruder, against_leg, against_walls, pose_of
 from terraphi.forward.mpm.plasticity import Material, jaumann_predictor, return_mapping
 from terraphi.forward.mpm.relief import Fading, faded
 from terraphi.forward.mpm.transfer import grid_to_particle, particles_to_grid
@@ -139,11 +138,7 @@ def advance(
         lost = update_particles(soil, grid, material, fading, stepping, turned[step], impulses)
         if lost >= 0:
             return lost
-        for axis in range(2):
-            audit.last[0, axis] = momentum[axis]
-            audit.last[1, axis] = momentum[axis] + impulses[:, axis].sum()
-        audit.ledger[:] += impulses
-        audit.impulses[:] = impulses
+        write_books(audit, impulses, momentum)
     return -1
 
 
@@ -154,6 +149,17 @@ def close_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float
     if scale > 0.0:
         miss = abs(momentum[0] - audit.last[1, 0]) + abs(momentum[1] - audit.last[1, 1])
         audit.worst[0] = max(audit.worst[0], miss / scale)
+
+
+@kernel
+def write_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
+    """Enter the impulses of a step that began with some momentum of the soil."""
+    for axis in range(2):
+        audit.last[0, axis] = momentum[axis]
+        audit.last[1, axis] = momentum[axis] + impulses[:, axis].sum()
+        for row in range(impulses.shape[0]):
+            audit.ledger[row, axis] += impulses[row, axis]
+            audit.impulses[row, axis] = impulses[row, axis]
 
 
 @kernel
@@ -173,9 +179,7 @@ def update_grid(
     impulses
         Filled with what each of gravity, leg, walls and damping gave the soil [kg/s].
     """
-    hip_x, hip_z, theta, hip_vx, hip_vz, rate = pose
-    sine, cosine = math.sin(theta), math.cos(theta)
-    near = (intruder.reach + stepping.band) ** 2
+    leg_pose = pose_of(pose)
     for j in range(grid.mass.shape[0]):
         for i in range(grid.mass.shape[1]):
             mass = grid.mass[j, i]
@@ -186,26 +190,10 @@ def update_grid(
             impulses[0, 1] -= mass * stepping.gravity * stepping.time_step
 
             x, z = i * stepping.cell_size, j * stepping.cell_size
-            rx, rz = x - hip_x, z - hip_z
-            if rx * rx + rz * rz < near:
-                # Into the leg's frame: s = (-sin θ, -cos θ), m = (-cos θ, sin θ).
-                distance, ns, nm = distance_to_leg(
-                    intruder, -sine * rx - cosine * rz, -cosine * rx + sine * rz
-                )
-                if distance < stepping.band:
-                    # The leg turns from +z towards +x about +y: v = ω × r = ω (rz, -rx).
-                    px, pz = vx, vz
-                    vx, vz = rub(
-                        vx,
-                        vz,
-                        hip_vx + rate * rz,
-                        hip_vz - rate * rx,
-                        -sine * ns - cosine * nm,
-                        -cosine * ns + sine * nm,
-                        intruder.friction,
-                    )
-                    impulses[1, 0] += mass * (vx - px)
-                    impulses[1, 1] += mass * (vz - pz)
+            px, pz = vx, vz
+            vx, vz = against_leg(vx, vz, x, z, intruder, stepping.band, leg_pose)
+            impulses[1, 0] += mass * (vx - px)
+            impulses[1, 1] += mass * (vz - pz)
 
             px, pz = vx, vz
             vx, vz = against_walls(

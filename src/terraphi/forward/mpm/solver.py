@@ -6,16 +6,18 @@ import logging
 import math
 import time
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.errors import InputError, SimulationError
+from terraphi.forward.mpm import packets, scalar
 from terraphi.forward.mpm.bed import empty_grid, geostatic_bed
 from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.relief import fading_of
-from terraphi.forward.mpm.scalar import LEDGER_ROWS, advance, empty_audit, stepping_of
+from terraphi.forward.mpm.scalar import LEDGER_ROWS, empty_audit, stepping_of
 from terraphi.history import ForceHistory
 from terraphi.motion import bin_centres
 from terraphi.scenario import Scenario
@@ -23,12 +25,19 @@ from terraphi.scenario import Scenario
 FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
+Kernel = Literal["packets", "scalar"]
+KERNELS: dict[Kernel, Callable[..., int]] = {"packets": packets.advance, "scalar": scalar.advance}
+"""``packets``: the fast one; ``scalar``: the reference, to which it agrees but for rounding."""
+
 BLOCK = 2000
 """Steps between two reports of progress."""
 
 
 def simulate(
-    scenario: Scenario, *, progress: Callable[[float], None] | None = None
+    scenario: Scenario,
+    *,
+    kernel: Kernel = "packets",
+    progress: Callable[[float], None] | None = None,
 ) -> ForceHistory:
     """Move the leg through the bed and record the forces.
 
@@ -36,6 +45,9 @@ def simulate(
     ----------
     scenario
         A scenario of ``model = "mpm"`` in two dimensions.
+    kernel
+        ``packets``, or ``scalar``: the reference, three times slower and the same but for rounding.
+        Not part of the scenario, as it does not bear on the result; recorded in its provenance.
     progress
         Called now and then with the fraction done, 0 to 1.
 
@@ -43,17 +55,21 @@ def simulate(
     -------
     ForceHistory
         Mean force in each bin of the path (0.1° of a rotation), from the momentum that the
-        contact takes out of the grid, times the leg's width. Bitwise the same at each run.
+        contact takes out of the grid, times the leg's width. Bitwise the same at each run on the
+        same machine.
 
     Raises
     ------
     InputError
-        If the scenario is for another model.
+        If the scenario is for another model, or there is no such kernel.
     SimulationError
         If the solution breaks down; the message says where.
     """
     if scenario.model != "mpm":
         raise InputError(f"model = '{scenario.model}': this is the solver of model = 'mpm'")
+    if kernel not in KERNELS:
+        raise InputError(f"kernel = '{kernel}': there are {' and '.join(KERNELS)}")
+    advance = KERNELS[kernel]
     began = time.perf_counter()
     soil, grid, audit = geostatic_bed(scenario), empty_grid(scenario), empty_audit()
     constants = (
@@ -86,6 +102,7 @@ def simulate(
     ended = time.perf_counter()
     log.info("%d steps of %d particles in %.1f s", steps, len(soil.mass), ended - began)
     provenance = {
+        "kernel": kernel,
         "momentum_mismatch": float(audit.worst[0]),
         "impulse_kg_m_s": {
             row: [float(v) * scenario.leg.width for v in audit.ledger[i]]

@@ -33,6 +33,51 @@ def weights(offset: float) -> tuple[float, float, float]:
 
 
 @kernel
+def particle_to_grid(
+    soil: Particles, grid: Grid, p: int, cell_size: float, time_step: float
+) -> tuple[float, float]:
+    """Scatter one particle.
+
+    Parameters
+    ----------
+    soil, grid, cell_size, time_step
+        As in :func:`particles_to_grid`; the grid is added to.
+    p
+        Index of the particle.
+
+    Returns
+    -------
+    tuple
+        Momentum (x, z) of the particle per metre of width [kg/s].
+    """
+    per_cell = 1.0 / cell_size
+    stress_scale = -4.0 * time_step * per_cell * per_cell
+    i = int(soil.position[p, 0] * per_cell - 0.5)
+    j = int(soil.position[p, 1] * per_cell - 0.5)
+    fx = soil.position[p, 0] * per_cell - i
+    fz = soil.position[p, 1] * per_cell - j
+    wx, wz = weights(fx), weights(fz)
+    mass = soil.weight[p] * soil.mass[p]
+    k = stress_scale * soil.weight[p] * soil.volume[p] * soil.stretch[p]
+    sxx, szz, sxz = soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2]
+    # The affine part of the momentum, per cell of distance from the particle.
+    axx = (k * sxx + mass * soil.gradient[p, 0]) * cell_size
+    axz = (k * sxz + mass * soil.gradient[p, 1]) * cell_size
+    azx = (k * sxz + mass * soil.gradient[p, 2]) * cell_size
+    azz = (k * szz + mass * soil.gradient[p, 3]) * cell_size
+    px, pz = mass * soil.velocity[p, 0], mass * soil.velocity[p, 1]
+    for b in range(3):
+        rz = b - fz
+        for a in range(3):
+            rx = a - fx
+            w = wz[b] * wx[a]
+            grid.mass[j + b, i + a] += w * mass
+            grid.vx[j + b, i + a] += w * (px + axx * rx + axz * rz)
+            grid.vz[j + b, i + a] += w * (pz + azx * rx + azz * rz)
+    return px, pz
+
+
+@kernel
 def particles_to_grid(
     soil: Particles, grid: Grid, cell_size: float, time_step: float
 ) -> tuple[float, float]:
@@ -57,34 +102,11 @@ def particles_to_grid(
     grid.mass[:] = 0.0
     grid.vx[:] = 0.0
     grid.vz[:] = 0.0
-    per_cell = 1.0 / cell_size
-    stress_scale = -4.0 * time_step * per_cell * per_cell
     total_x, total_z = 0.0, 0.0
     for p in range(soil.mass.size):
-        i = int(soil.position[p, 0] * per_cell - 0.5)
-        j = int(soil.position[p, 1] * per_cell - 0.5)
-        fx = soil.position[p, 0] * per_cell - i
-        fz = soil.position[p, 1] * per_cell - j
-        wx, wz = weights(fx), weights(fz)
-        mass = soil.weight[p] * soil.mass[p]
-        k = stress_scale * soil.weight[p] * soil.volume[p] * soil.stretch[p]
-        sxx, szz, sxz = soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2]
-        # The affine part of the momentum, per cell of distance from the particle.
-        axx = (k * sxx + mass * soil.gradient[p, 0]) * cell_size
-        axz = (k * sxz + mass * soil.gradient[p, 1]) * cell_size
-        azx = (k * sxz + mass * soil.gradient[p, 2]) * cell_size
-        azz = (k * szz + mass * soil.gradient[p, 3]) * cell_size
-        px, pz = mass * soil.velocity[p, 0], mass * soil.velocity[p, 1]
+        px, pz = particle_to_grid(soil, grid, p, cell_size, time_step)
         total_x += px
         total_z += pz
-        for b in range(3):
-            rz = b - fz
-            for a in range(3):
-                rx = a - fx
-                w = wz[b] * wx[a]
-                grid.mass[j + b, i + a] += w * mass
-                grid.vx[j + b, i + a] += w * (px + axx * rx + axz * rz)
-                grid.vz[j + b, i + a] += w * (pz + azx * rx + azz * rz)
     return total_x, total_z
 
 

@@ -1,0 +1,148 @@
+"""The Go2 of the package ``example-robot-data``, on a floor, as MuJoCo simulates it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.robot.joint_log import FEET, JOINTS
+
+FloatArray = NDArray[np.float64]
+
+FOOT_RADIUS = 0.022
+"""Of the ball at the end of a calf [m]."""
+TORQUE_LIMIT = np.array([23.7, 23.7, 45.43])
+"""Largest torques of hip, thigh and calf [N m], from the URDF."""
+
+
+@dataclass(frozen=True)
+class Physics:
+    """What the simulated world is made of.
+
+    Attributes
+    ----------
+    step
+        Time step of the simulation [s].
+    ground_friction
+        Coefficient of sliding friction between feet and floor [-].
+    ground_softness
+        Time constant with which the floor pushes a foot out [s]; sand yields, concrete does not.
+    coulomb, viscous
+        Friction in each joint, which its motor has to overcome [N m] and [N m s/rad].
+    armature
+        Inertia of a rotor seen from its joint [kg m²]; zero is what the URDF says.
+    """
+
+    step: float = 0.0005
+    ground_friction: float = 0.8
+    ground_softness: float = 0.02
+    coulomb: float = 0.0
+    viscous: float = 0.0
+    armature: float = 0.0
+
+
+def urdf_path() -> Path:
+    """Where the package ``example-robot-data`` keeps the Go2's URDF.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the package has none.
+    """
+    # Importing the package would ask for pinocchio, of which nothing is needed here.
+    for file in importlib.metadata.files("example-robot-data") or []:
+        if file.name == "go2.urdf":
+            return Path(str(file.locate()))
+    raise FileNotFoundError("example-robot-data holds no go2.urdf; install a newer version")
+
+
+def build(physics: Physics) -> mujoco.MjModel:
+    """Compile the robot with spheres for feet on a flat floor.
+
+    Parameters
+    ----------
+    physics
+        Step, ground and joint friction.
+
+    Returns
+    -------
+    mujoco.MjModel
+    """
+    robot = ET.parse(urdf_path()).getroot()
+    for link in robot.iter("link"):
+        for tag in ("visual", "collision"):
+            for element in link.findall(tag):
+                link.remove(element)
+    # MuJoCo welds the first link of a URDF to the world; one more link and the robot is free.
+    ET.SubElement(robot, "link", name="world")
+    joint = ET.SubElement(robot, "joint", name="root", type="floating")
+    ET.SubElement(joint, "parent", link="world")
+    ET.SubElement(joint, "child", link="base")
+    spec = mujoco.MjSpec.from_string(ET.tostring(robot, encoding="unicode"))
+    spec.compiler.fusestatic = False  # feet are links of their own
+    spec.option.timestep = physics.step
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 10.0
+    contact = {
+        "friction": [physics.ground_friction, 0.005, 0.0001],
+        "solref": [physics.ground_softness, 1.0],
+        "condim": 3,
+    }
+    spec.worldbody.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], **contact
+    )
+    for foot in FEET:
+        spec.body(f"{foot}_foot").add_geom(
+            name=foot,
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[FOOT_RADIUS, 0.0, 0.0],
+            mass=0.0,  # the link of the URDF has it
+            **contact,
+        )
+    imu = spec.body("base").add_site(name="imu")
+    spec.add_sensor(
+        name="acceleration",
+        type=mujoco.mjtSensor.mjSENS_ACCELEROMETER,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        objname=imu.name,
+    )
+    model = spec.compile()
+    dofs = joint_dofs(model).ravel()
+    model.dof_frictionloss[dofs] = physics.coulomb
+    model.dof_damping[dofs] = physics.viscous
+    model.dof_armature[dofs] = physics.armature
+    return model
+
+
+def joint_dofs(model: mujoco.MjModel) -> NDArray[np.int64]:
+    """Indices of the legs' joints among the degrees of freedom, shape [foot, joint]."""
+    rows = [[model.joint(f"{foot}_{name}_joint").dofadr[0] for name in JOINTS] for foot in FEET]
+    return np.array(rows, dtype=np.int64)
+
+
+class ContactForces:
+    """Adds up what the floor does to each foot in the step that was just made."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._foot = {model.geom(foot).id: i for i, foot in enumerate(FEET)}
+        self._wrench = np.zeros(6)
+
+    def __call__(self, model: mujoco.MjModel, data: mujoco.MjData, out: FloatArray) -> None:
+        """Write the ground's force on each foot in the world [N], shape [foot, 3]."""
+        out[:] = 0.0
+        for i in range(data.ncon):
+            contact = data.contact[i]
+            mujoco.mj_contactForce(model, data, i, self._wrench)
+            # The frame's rows are its axes; its first points from geom 1 to geom 2.
+            force = self._wrench[:3] @ contact.frame.reshape(3, 3)
+            first, second = contact.geom
+            if second in self._foot:
+                out[self._foot[second]] += force
+            else:
+                out[self._foot[first]] -= force

@@ -1,0 +1,325 @@
+"""What a step does to one packet: the same arithmetic in every lane, without branches.
+
+The loops over lanes are what the compiler turns into vector instructions. It does so only if their
+length is not known to it (a known one is unrolled, and then nothing comes of the vectors), if all
+indices are unsigned and all arrays flat, and if the distances between what is read and written in
+one array are known to be a register or more. Hence the argument ``lanes``, always
+:data:`~terraphi.forward.mpm.packing.LANES`, and one array ``work`` for all that passes between the
+stages; ``tests/forward/mpm/test_packets.py`` looks at the instructions that come of it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from terraphi.forward.mpm.compiled import kernel, wide_vectors
+from terraphi.forward.mpm.packing import (
+    FIELDS,
+    LANES,
+    MASS,
+    OFFSET_X,
+    OFFSET_Z,
+    ORIGINS,
+    START_X,
+    START_Z,
+    SXX,
+    SXZ,
+    SYY,
+    SZZ,
+    VOLUME,
+    WEIGHT,
+    FloatArray,
+    Index,
+)
+from terraphi.forward.mpm.plasticity import Cone, jaumann_predictor, return_to_cone
+from terraphi.forward.mpm.relief import Fading, faded
+from terraphi.forward.mpm.transfer import weights
+
+Three = tuple[float, float, float]
+
+# Where lane 0 stands in the working memory.
+WINDOW_X, WINDOW_Z = 0 * LANES, 9 * LANES  # node velocities, three rows of three columns [m/s]
+TOTAL_X, TOTAL_Z = 18 * LANES, 19 * LANES  # momentum of the soil, lane by lane [kg/s]
+RELIEF_X, RELIEF_Z = 20 * LANES, 21 * LANES  # what the relief gave to it [kg/s]
+# Sums for nodes: three rows of (mass, x and z momentum) of three columns [kg/m, kg/s].
+SUMS = 22 * LANES
+SUMS_OF_ROW, SUMS_OF_QUANTITY = 9 * LANES, 3 * LANES
+WORK = 49 * LANES
+
+# Where a field of lane 0 stands in the motion of a packet.
+VX, VZ = 0 * LANES, 1 * LANES  # velocity [m/s]
+CXX, CXZ, CZX, CZZ = 2 * LANES, 3 * LANES, 4 * LANES, 5 * LANES  # its gradient [1/s]
+MOTION = 6 * LANES
+
+TWO, THREE, SIX = np.uint64(2), np.uint64(3), np.uint64(6)
+
+
+class Laws(NamedTuple):
+    """Constants of a step as the lanes take them."""
+
+    time_step: float
+    """Δt [s]."""
+    cell_size: float
+    """Δx [m]."""
+    cells_per_velocity: float
+    """Δt/Δx [s/m]."""
+    per_moment: float
+    """4/Δx, from first moments of velocity to its gradient [1/m]."""
+    stress_impulse: float
+    """-4 Δt/Δx² [s/m²]."""
+    lame_lambda: float
+    """λ [Pa]."""
+    shear_modulus: float
+    """G [Pa]."""
+    cone: Cone
+    """The yield surface."""
+    stretching: float
+    """1 if volumes follow the deformation, else 0."""
+
+
+@kernel
+def gather_row(work: FloatArray, at: Index, wx: Three) -> tuple[float, float]:
+    """Sum of a row of nodes, and the same weighed by their places -1, 0, 1."""
+    left, right = wx[0] * work[at], wx[2] * work[at + TWO * LANES]
+    return left + wx[1] * work[at + LANES] + right, right - left
+
+
+@kernel
+def gather(
+    work: FloatArray, at: Index, wx: Three, wz: Three, ux: float, uz: float
+) -> tuple[float, float, float]:
+    """Interpolate one component of the velocity from its window of three by three nodes.
+
+    Parameters
+    ----------
+    work
+        Working memory.
+    at
+        Place of the window's first node.
+    wx, wz
+        Spline weights along x and z [-].
+    ux, uz
+        Place of the particle from the window's middle [cell].
+
+    Returns
+    -------
+    tuple
+        Value [m/s] and its first moments along x and z about the particle [m cell/s].
+    """
+    low, skew_low = gather_row(work, at, wx)
+    middle, skew_middle = gather_row(work, at + THREE * LANES, wx)
+    high, skew_high = gather_row(work, at + SIX * LANES, wx)
+    low, high = wz[0] * low, wz[2] * high
+    value = low + wz[1] * middle + high
+    skew = wz[0] * skew_low + wz[1] * skew_middle + wz[2] * skew_high
+    return value, skew - ux * value, high - low - uz * value
+
+
+@kernel
+def follow_grid(
+    state: FloatArray,
+    motion: FloatArray,
+    work: FloatArray,
+    first: Index,
+    layers: Index,
+    lanes: Index,
+    laws: Laws,
+) -> float:
+    """Grid to particle, stress update and motion of the packets of a block.
+
+    Parameters
+    ----------
+    state
+        Of all packets; changed.
+    motion
+        Filled with velocities and gradients, from the block's first packet on.
+    work
+        Holds the window of grid velocities.
+    first, layers
+        First packet of the block, and how many there are.
+    lanes
+        :data:`~terraphi.forward.mpm.packing.LANES`.
+    laws
+        Constants.
+
+    Returns
+    -------
+    float
+        Number of particles that are still in their cells.
+    """
+    wide_vectors()
+    inside = 0.0
+    for layer in range(layers):
+        for lane in range(lanes):
+            at, out = (first + layer) * FIELDS + lane, layer * MOTION + lane
+            fx, fz = state[at + OFFSET_X], state[at + OFFSET_Z]
+            wx, wz = weights(fx), weights(fz)
+            vx, vxx, vxz = gather(work, WINDOW_X + lane, wx, wz, fx - 1.0, fz - 1.0)
+            vz, vzx, vzz = gather(work, WINDOW_Z + lane, wx, wz, fx - 1.0, fz - 1.0)
+            gradient = (
+                laws.per_moment * vxx,
+                laws.per_moment * vxz,
+                laws.per_moment * vzx,
+                laws.per_moment * vzz,
+            )
+            stress = (state[at + SXX], state[at + SZZ], state[at + SXZ], state[at + SYY])
+            trial = jaumann_predictor(
+                stress, gradient, laws.time_step, laws.lame_lambda, laws.shear_modulus
+            )
+            stress = return_to_cone(trial, laws.cone)
+            fx += vx * laws.cells_per_velocity
+            fz += vz * laws.cells_per_velocity
+            # Written so that an offset that is not a number counts as outside.
+            within = 1.0 if abs(fx - 1.0) <= 0.5 else 0.0
+            inside += within if abs(fz - 1.0) <= 0.5 else 0.0
+            growth = laws.stretching * (gradient[0] + gradient[3]) * laws.time_step
+
+            state[at + OFFSET_X], state[at + OFFSET_Z] = fx, fz
+            state[at + SXX], state[at + SZZ], state[at + SXZ], state[at + SYY] = stress
+            state[at + VOLUME] += state[at + VOLUME] * growth
+            motion[out + VX], motion[out + VZ] = vx, vz
+            motion[out + CXX], motion[out + CXZ] = gradient[0], gradient[1]
+            motion[out + CZX], motion[out + CZZ] = gradient[2], gradient[3]
+    return inside
+
+
+@kernel
+def fade(
+    state: FloatArray,
+    origin: FloatArray,
+    motion: FloatArray,
+    work: FloatArray,
+    first: Index,
+    layers: Index,
+    lanes: Index,
+    turned: float,
+    fading: Fading,
+    cell_size: float,
+) -> None:
+    """Relief of the packets of a block.
+
+    Parameters
+    ----------
+    state, origin
+        Of all packets; weights, masses and volumes are changed.
+    motion
+        Holds the velocities.
+    work
+        What the relief gives to the soil is added up there.
+    first, layers, lanes
+        As in :func:`follow_grid`.
+    turned
+        |Δθ| of the step once θ > 0 [rad].
+    fading
+        :class:`~terraphi.forward.mpm.relief.Fading`.
+    cell_size
+        Δx [m].
+    """
+    wide_vectors()
+    for layer in range(layers):
+        for lane in range(lanes):
+            at, start = (first + layer) * FIELDS + lane, (first + layer) * ORIGINS + lane
+            moves = layer * MOTION + lane
+            dx = (state[at + OFFSET_X] - origin[start + START_X]) * cell_size
+            dz = (state[at + OFFSET_Z] - origin[start + START_Z]) * cell_size
+            weight = origin[start + WEIGHT]
+            new = faded(weight, dx, dz, turned, fading)
+            kept = new / weight
+            lost = state[at + MASS] * (kept - 1.0)
+            origin[start + WEIGHT] = new
+            state[at + MASS] *= kept
+            state[at + VOLUME] *= kept
+            work[RELIEF_X + lane] += lost * motion[moves + VX]
+            work[RELIEF_Z + lane] += lost * motion[moves + VZ]
+
+
+@kernel
+def scatter_row(
+    work: FloatArray,
+    at: Index,
+    wx: Three,
+    wz: float,
+    mass: float,
+    px: float,
+    pz: float,
+    step_x: float,
+    step_z: float,
+) -> None:
+    """Add what a particle gives to a row of three nodes.
+
+    Parameters
+    ----------
+    work
+        Working memory.
+    at
+        Place of the row's first sum.
+    wx, wz
+        Spline weights along x, and that of the row [-].
+    mass
+        Of the particle [kg/m].
+    px, pz
+        Affine momentum at the middle node of the row [kg/s].
+    step_x, step_z
+        How much more it is one node to the right [kg/s].
+    """
+    for_x, for_z = at + SUMS_OF_QUANTITY, at + TWO * SUMS_OF_QUANTITY
+    left, middle, right = wx[0] * wz, wx[1] * wz, wx[2] * wz
+    work[at] += left * mass
+    work[at + LANES] += middle * mass
+    work[at + TWO * LANES] += right * mass
+    work[for_x] += left * (px - step_x)
+    work[for_x + LANES] += middle * px
+    work[for_x + TWO * LANES] += right * (px + step_x)
+    work[for_z] += left * (pz - step_z)
+    work[for_z + LANES] += middle * pz
+    work[for_z + TWO * LANES] += right * (pz + step_z)
+
+
+@kernel
+def scatter(
+    state: FloatArray,
+    motion: FloatArray,
+    work: FloatArray,
+    first: Index,
+    layers: Index,
+    lanes: Index,
+    laws: Laws,
+) -> None:
+    """Particle to grid: add mass and momentum of the packets of a block to its sums.
+
+    Parameters
+    ----------
+    state, motion
+        As :func:`follow_grid` leaves them.
+    work
+        Holds the sums for the nodes.
+    first, layers, lanes, laws
+        As in :func:`follow_grid`.
+    """
+    wide_vectors()
+    for layer in range(layers):
+        for lane in range(lanes):
+            at, moves = (first + layer) * FIELDS + lane, layer * MOTION + lane
+            fx, fz = state[at + OFFSET_X], state[at + OFFSET_Z]
+            wx, wz = weights(fx), weights(fz)
+            mass, k = state[at + MASS], laws.stress_impulse * state[at + VOLUME]
+            # The affine part of the momentum, per cell of distance from the particle.
+            axx = (k * state[at + SXX] + mass * motion[moves + CXX]) * laws.cell_size
+            axz = (k * state[at + SXZ] + mass * motion[moves + CXZ]) * laws.cell_size
+            azx = (k * state[at + SXZ] + mass * motion[moves + CZX]) * laws.cell_size
+            azz = (k * state[at + SZZ] + mass * motion[moves + CZZ]) * laws.cell_size
+            px, pz = mass * motion[moves + VX], mass * motion[moves + VZ]
+            work[TOTAL_X + lane] += px
+            work[TOTAL_Z + lane] += pz
+
+            # The affine momentum at the middle node, and from there a row down and a row up.
+            px -= axx * (fx - 1.0) + axz * (fz - 1.0)
+            pz -= azx * (fx - 1.0) + azz * (fz - 1.0)
+            row = SUMS + lane
+            scatter_row(work, row, wx, wz[0], mass, px - axz, pz - azz, axx, azx)
+            row += SUMS_OF_ROW
+            scatter_row(work, row, wx, wz[1], mass, px, pz, axx, azx)
+            row += SUMS_OF_ROW
+            scatter_row(work, row, wx, wz[2], mass, px + axz, pz + azz, axx, azx)

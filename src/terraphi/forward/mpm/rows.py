@@ -1,0 +1,186 @@
+"""Grid of the packets: padded rows, and the update of all its nodes row by row.
+
+The physics is that of :func:`~terraphi.forward.mpm.scalar.update_grid`; only nodes near the leg are
+taken one by one.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from terraphi.forward.mpm.bed import Grid
+from terraphi.forward.mpm.compiled import kernel, wide_vectors
+from terraphi.forward.mpm.contact import Intruder, Pose, against_leg, against_walls, pose_of
+from terraphi.forward.mpm.packing import LANES, ONE, ZERO, FloatArray, Index, aligned_zeros
+from terraphi.forward.mpm.scalar import Stepping
+
+
+def padded_grid(rows: int) -> Grid:
+    """Empty grid of at least ``rows`` columns that ends in a block to spare.
+
+    Parameters
+    ----------
+    rows
+        Rows of nodes.
+
+    Returns
+    -------
+    Grid
+    """
+    lanes = int(LANES)
+    columns = ((rows + lanes - 1) // lanes + 1) * lanes
+    mass, vx, vz = (aligned_zeros(rows * columns).reshape(rows, columns) for _ in range(3))
+    return Grid(mass, vx, vz)
+
+
+@kernel
+def flat(nodes: FloatArray) -> FloatArray:
+    """View of an array of the grid with a single index, row by row."""
+    return nodes.reshape(nodes.size)
+
+
+@kernel
+def nodes_between(
+    low: float, high: float, cell_size: float, count: Index
+) -> tuple[np.uint64, np.uint64]:
+    """First node at or after ``low`` and the one after the last before ``high`` [m]."""
+    first = min(max(math.ceil(low / cell_size), 0), int(count))
+    stop = min(max(math.floor(high / cell_size) + 1, first), int(count))
+    return np.uint64(first), np.uint64(stop)
+
+
+@kernel
+def update_rows(
+    grid: Grid,
+    used: Index,
+    intruder: Intruder,
+    stepping: Stepping,
+    pose: FloatArray,
+    impulses: FloatArray,
+) -> None:
+    """Turn momenta into velocities and apply gravity, leg, walls and damping, in that order.
+
+    Parameters
+    ----------
+    grid
+        Padded; holds momenta; holds velocities afterwards.
+    used
+        Rows that may hold mass.
+    intruder, stepping, pose, impulses
+        As in :func:`~terraphi.forward.mpm.scalar.update_grid`.
+    """
+    mass, vx, vz = flat(grid.mass), flat(grid.vx), flat(grid.vz)
+    columns = np.uint64(grid.mass.shape[1])
+    leg = pose_of(pose)
+    reach = intruder.reach + stepping.band
+    left, right = nodes_between(leg.hip_x - reach, leg.hip_x + reach, stepping.cell_size, columns)
+    low, high = nodes_between(leg.hip_z - reach, leg.hip_z + reach, stepping.cell_size, used)
+    for j in range(used):
+        row = j * columns
+        z = float(j) * stepping.cell_size
+        accelerate(mass, vx, vz, row, columns, stepping, impulses)
+        if low <= j < high:
+            push_aside(mass, vx, vz, row, left, right, z, intruder, leg, stepping, impulses)
+        hold_back(mass, vx, vz, row, columns, z, stepping, impulses)
+
+
+@kernel
+def accelerate(
+    mass: FloatArray,
+    vx: FloatArray,
+    vz: FloatArray,
+    row: Index,
+    columns: Index,
+    stepping: Stepping,
+    impulses: FloatArray,
+) -> None:
+    """Momentum to velocity, and gravity, in a row of nodes that starts at ``row``."""
+    wide_vectors()
+    gain = -stepping.gravity * stepping.time_step
+    total = 0.0
+    for i in range(row, row + columns):
+        weighs = mass[i] > 0.0
+        per_mass = 1.0 / mass[i] if weighs else 0.0
+        vx[i] = vx[i] * per_mass
+        vz[i] = vz[i] * per_mass + (gain if weighs else 0.0)
+        total += mass[i]
+    impulses[0, 1] += total * gain
+
+
+@kernel
+def push_aside(
+    mass: FloatArray,
+    vx: FloatArray,
+    vz: FloatArray,
+    row: Index,
+    left: Index,
+    right: Index,
+    z: float,
+    intruder: Intruder,
+    leg: Pose,
+    stepping: Stepping,
+    impulses: FloatArray,
+) -> None:
+    """Contact with the leg in the columns from ``left`` to before ``right``."""
+    for i in range(left, right):
+        at = row + i
+        if mass[at] <= 0.0:
+            continue
+        x = float(i) * stepping.cell_size
+        px, pz = vx[at], vz[at]
+        nx, nz = against_leg(px, pz, x, z, intruder, stepping.band, leg)
+        impulses[1, 0] += mass[at] * (nx - px)
+        impulses[1, 1] += mass[at] * (nz - pz)
+        vx[at], vz[at] = nx, nz
+
+
+@kernel
+def hold_back(
+    mass: FloatArray,
+    vx: FloatArray,
+    vz: FloatArray,
+    row: Index,
+    columns: Index,
+    z: float,
+    stepping: Stepping,
+    impulses: FloatArray,
+) -> None:
+    """Walls and damping in a row of nodes."""
+    wide_vectors()
+    wall_x, wall_z, left_x, left_z = 0.0, 0.0, 0.0, 0.0
+    for i in range(columns):
+        at = row + i
+        px, pz = vx[at], vz[at]
+        nx, nz = against_walls(
+            px,
+            pz,
+            float(i) * stepping.cell_size,
+            z,
+            stepping.left,
+            stepping.right,
+            stepping.floor,
+            stepping.rough,
+        )
+        wall_x += mass[at] * (nx - px)
+        wall_z += mass[at] * (nz - pz)
+        left_x += mass[at] * nx
+        left_z += mass[at] * nz
+        vx[at], vz[at] = nx * stepping.damping_factor, nz * stepping.damping_factor
+    loss = stepping.damping_factor - 1.0
+    impulses[2, 0] += wall_x
+    impulses[2, 1] += wall_z
+    impulses[3, 0] += left_x * loss
+    impulses[3, 1] += left_z * loss
+
+
+@kernel
+def clear_rows(grid: Grid, used: Index) -> None:
+    """Empty the first rows of a grid."""
+    wide_vectors()
+    mass, vx, vz = flat(grid.mass), flat(grid.vx), flat(grid.vz)
+    for i in range(ZERO, used * np.uint64(grid.mass.shape[1]), ONE):
+        mass[i] = 0.0
+        vx[i] = 0.0
+        vz[i] = 0.0

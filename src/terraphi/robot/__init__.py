@@ -1,0 +1,1 @@
+"""From a robot's log to foot forces and stances."""

@@ -1,0 +1,370 @@
+"""Forces of the ground on the feet, from what the joints' motors felt."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.errors import InputError, nearest
+from terraphi.robot.dynamics import GRAVITY
+from terraphi.robot.friction import JointFriction
+from terraphi.robot.joint_log import FEET, JOINTS, JointLog
+from terraphi.robot.kinematics import inverse_transpose, jacobian, rotation
+from terraphi.robot.model import Quadruped
+from terraphi.robot.residual import (
+    CHUNK,
+    ESTIMATORS,
+    GAP_STEPS,
+    Chunk,
+    Estimator,
+    Settings,
+    Signals,
+    chunks,
+    contact_torque,
+    signals,
+)
+from terraphi.robot.survey import Survey, survey
+
+logger = logging.getLogger(__name__)
+
+FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+Frame = Literal["world", "body"]
+FRAMES: tuple[Frame, ...] = get_args(Frame)
+
+DEFAULT_ESTIMATOR: Estimator = "momentum_observer"
+OBSERVER_GAIN = 900.0
+"""K of the momentum observer [1/s]."""
+ACCELERATION_CUTOFF_HZ = 60.0
+"""−3 dB frequency of the accelerations in ``inverse_dynamics`` [Hz]."""
+LEAST_LEVER = 0.05
+"""A knee is near-singular below this lever of J over the leg's length [-]; about 11° of bend."""
+SATURATED = 0.99
+"""Torques above this share of the motor's limit are taken to be cut off [-]."""
+WIDEST_ANGLE = 10.0
+"""Joint angles beyond this [rad] are degrees."""
+WORST_ACCELEROMETER = 3.0
+"""Mean specific force may differ by this much from gravity's [m/s²], or it is not one."""
+MOST_THREADS = 4
+
+
+@dataclass(frozen=True)
+class FootForces:
+    """Forces of the ground on the feet, over time.
+
+    Single precision keeps an hour of them in memory; it errs by 1e-5 N.
+
+    Attributes
+    ----------
+    time
+        [s], shape [sample].
+    force
+        Of the ground on the robot [N], shape [sample, foot, 3], feet in the order of
+        :data:`~terraphi.robot.joint_log.FEET`; NaN where flagged.
+    sigma
+        Standard uncertainty of each component [N], same shape.
+    flagged
+        The knee is near-singular: torques do not tell the force; shape [sample, foot].
+    saturated
+        A motor of the leg is at its limit, and the force may be larger; shape [sample, foot].
+    swing_residual
+        Spread of the contact torques in swing, where the truth is zero [N m], shape [foot,
+        joint]; NaN for feet that do not swing.
+    estimator
+        How the forces were found.
+    frame
+        ``world``: x where the world's x points, z up; ``body``: x forward, y left.
+    friction
+        Of the joints, as found in swing and accounted for; ``None`` if it was not.
+    provenance
+        Robot, options and what was assumed; JSON-able.
+    """
+
+    time: FloatArray
+    force: SingleArray
+    sigma: SingleArray
+    flagged: BoolArray
+    saturated: BoolArray
+    swing_residual: FloatArray
+    estimator: Estimator
+    frame: Frame
+    friction: JointFriction | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def estimate(
+    log: JointLog,
+    *,
+    robot: Quadruped,
+    estimator: Estimator = DEFAULT_ESTIMATOR,
+    frame: Frame = "world",
+    friction: bool = True,
+    gain: float = OBSERVER_GAIN,
+    cutoff_hz: float = ACCELERATION_CUTOFF_HZ,
+    causal: bool = False,
+) -> FootForces:
+    """Forces of the ground on the feet.
+
+    Parameters
+    ----------
+    log
+        Joint states, and the trunk's motion as far as it is known.
+    robot
+        Geometry of the legs; all estimators but ``quasi_static`` ask for masses too.
+    estimator
+        ``quasi_static``: f = −J⁻ᵀ τ at the centre of the foot's ball, the paper's; nothing else is
+        accounted for. ``gravity``: the weight of the links too. ``inverse_dynamics``: their
+        inertia too, with accelerations that are filtered without delay. ``momentum_observer``, the
+        default: the same equations through a filter on momentum, which needs no accelerations
+        and treats all terms alike, so that they stay in step when a foot strikes. All but the first
+        take the ground to push on the ball's lowest point.
+    frame
+        ``world``, by the log's attitude, or ``body``.
+    friction
+        Find the joints' friction in swing and take it off; ``quasi_static`` does not.
+    gain
+        K of the momentum observer [1/s]; its bandwidth is K/2π.
+    cutoff_hz
+        −3 dB frequency of the accelerations in ``inverse_dynamics`` [Hz].
+    causal
+        Run the observer forwards only, as on board: forces lag by 1/K.
+
+    Returns
+    -------
+    FootForces
+
+    Raises
+    ------
+    InputError
+        If the log has the wrong shape, is empty, runs backwards, holds something that is not a
+        number or angles in degrees, lacks the attitude that ``world`` takes, or an option is
+        unknown.
+
+    Notes
+    -----
+    The residual of the observer (De Luca et al., IROS 2006) obeys ṙ = K (Jᵀ f − r). It is solved
+    exactly between samples, forwards and backwards in time, and the mean of the two has no delay.
+    """
+    _check_options(robot, estimator, frame, gain, cutoff_hz, causal)
+    _check_log(log, frame)
+    log, doubts = _without_broken_accelerometer(log)
+    # A frame or two are read as well: of a robot at rest, for they say nothing of accelerations.
+    gap = GAP_STEPS * float(np.median(np.diff(log.time))) if len(log.time) > 1 else math.inf
+    settings = Settings(estimator, gain, cutoff_hz, causal, gap)
+    overview = survey(log, robot, settings, friction=friction and estimator != "quasi_static")
+    noise, limit = _torque_sigma(overview), _torque_limit(robot, overview)
+    force = np.empty((len(log.time), 4, 3), dtype=np.float32)
+    sigma = np.empty_like(force)
+    flagged = np.empty((len(log.time), 4), dtype=np.bool_)
+    saturated = np.empty_like(flagged)
+
+    def fill(chunk: Chunk) -> None:
+        seen = signals(log, robot, slice(chunk.first, chunk.last))
+        torque = contact_torque(seen, robot, settings, overview.friction)
+        doubt = noise**2 + _timing_variance(seen.time, torque, gap)[chunk.inner]
+        torque, rows = torque[chunk.inner], slice(chunk.start, chunk.stop)
+        if overview.friction is not None:
+            doubt += overview.friction.doubt(seen.velocity[chunk.inner]) ** 2
+        inverse, near = _leverage(seen, robot, chunk, settings, frame)
+        with np.errstate(over="ignore", invalid="ignore"):  # where a knee is singular
+            force[rows] = np.einsum("sfij,sfj->sfi", inverse, torque)
+            sigma[rows] = np.sqrt(np.einsum("sfij,sfj->sfi", inverse**2, doubt))
+        force[rows][near], sigma[rows][near] = np.nan, np.nan
+        flagged[rows], saturated[rows] = near, _at_limit(seen.torque[chunk.inner], limit)
+
+    # NumPy lets other threads run while it works.
+    with ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, MOST_THREADS)) as pool:
+        list(pool.map(fill, chunks(log.time, settings.margin)))
+    return FootForces(
+        time=np.asarray(log.time, dtype=np.float64),
+        force=force,
+        sigma=sigma,
+        flagged=flagged,
+        saturated=saturated,
+        swing_residual=overview.residual,
+        estimator=estimator,
+        frame=frame,
+        friction=overview.friction,
+        provenance=_provenance(log, robot, settings, frame, overview, doubts),
+    )
+
+
+def _leverage(
+    seen: Signals, robot: Quadruped, chunk: Chunk, settings: Settings, frame: Frame
+) -> tuple[FloatArray, BoolArray]:
+    """J⁻ᵀ in the wanted frame, and where it means nothing."""
+    turn, angle = seen.turn[chunk.inner], seen.angle[chunk.inner]
+    offset = None
+    if settings.estimator != "quasi_static" and robot.foot_radius > 0.0:
+        offset = -robot.foot_radius * turn[:, None, 2, :]
+    inverse, lever = inverse_transpose(jacobian(robot, angle, offset=offset))
+    links = np.linalg.norm(robot.chain.origin[:, 2:], axis=-1).sum(axis=-1)
+    near = lever < LEAST_LEVER * links
+    if frame == "world":
+        inverse = turn[:, None] @ inverse
+    return inverse, near
+
+
+def _torque_sigma(overview: Survey) -> FloatArray:
+    """Standard uncertainty of contact torques [N m], shape [foot, joint].
+
+    A foot that never swings is given what the others show, or else the torques' noise.
+    """
+    residual = overview.residual.copy()
+    unknown = np.isnan(residual[:, 0])
+    if unknown.all():
+        residual = overview.noise
+    elif unknown.any():
+        residual[unknown] = np.median(residual[~unknown], axis=0)
+    return np.asarray(np.sqrt(residual**2 + overview.resolution**2 / 12.0))
+
+
+def _timing_variance(time: FloatArray, torque: FloatArray, gap: float) -> FloatArray:
+    """Variance [N² m²] for not knowing when, between its neighbours, a sample was taken.
+
+    A torque that changes at a rate r is uncertain by r Δt/√12: much where a foot strikes.
+    """
+    change = np.diff(torque, axis=0)
+    change[np.diff(time) > gap] = 0.0
+    variance = np.zeros_like(torque)
+    variance[1:] += change**2 / 24.0
+    variance[:-1] += change**2 / 24.0
+    return variance
+
+
+def _torque_limit(robot: Quadruped, overview: Survey) -> FloatArray:
+    """Torques from which on motors are at their limit [N m], shape [foot, joint]."""
+    known = (math.inf,) * len(JOINTS) if robot.torque_limit is None else robot.torque_limit
+    return np.minimum(SATURATED * np.array(known), overview.ceiling)
+
+
+def _at_limit(torque: FloatArray, limit: FloatArray) -> BoolArray:
+    return np.asarray((np.abs(torque) >= limit).any(axis=-1))
+
+
+def _check_options(
+    robot: Quadruped, estimator: str, frame: str, gain: float, cutoff_hz: float, causal: bool
+) -> None:
+    if estimator not in ESTIMATORS:
+        raise InputError(f"estimator '{estimator}' is unknown; {nearest(estimator, ESTIMATORS)}")
+    if frame not in FRAMES:
+        raise InputError(f"frame '{frame}' is unknown; {nearest(frame, FRAMES)}")
+    for name, value in (("gain", gain), ("cutoff_hz", cutoff_hz)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise InputError(f"{name} = {value:g} should be a number above 0")
+    if causal and estimator != "momentum_observer":
+        raise InputError(f"estimator '{estimator}' has no causal form; momentum_observer has")
+    if estimator != "quasi_static" and not robot.has_masses:
+        raise InputError(
+            f"robot '{robot.name}' lacks the masses of some links, which estimator '{estimator}' "
+            "needs; give their bodies, or use quasi_static"
+        )
+
+
+def _check_log(log: JointLog, frame: Frame) -> None:
+    count = len(log.time)
+    if not count:
+        raise InputError("the log has no samples; at least 1 is needed")
+    shapes = {
+        "time": (log.time, ()),
+        **{name: (getattr(log, name), (4, 3)) for name in ("angle", "velocity", "torque")},
+        "quaternion": (log.quaternion, (4,)),
+        "angular_velocity": (log.angular_velocity, (3,)),
+        "acceleration": (log.acceleration, (3,)),
+    }
+    for name, (values, shape) in shapes.items():
+        if values is None:
+            continue
+        if values.shape != (count, *shape):
+            raise InputError(f"{name} has shape {values.shape}, expected {(count, *shape)}")
+        for start in range(0, count, CHUNK):
+            part = values[start : start + CHUNK]
+            bad = ~np.isfinite(part.reshape(len(part), -1)).all(axis=1)
+            if bad.any():
+                raise InputError(f"{name} is not a number at sample {start + int(bad.argmax())}")
+    back = np.flatnonzero(np.diff(log.time) <= 0.0)
+    if back.size:
+        raise InputError(
+            f"time goes from {log.time[back[0]]:.6f} to {log.time[back[0] + 1]:.6f} s at sample "
+            f"{back[0] + 1}; it should increase"
+        )
+    widest = max(float(log.angle.max()), -float(log.angle.min()))
+    if widest > WIDEST_ANGLE:
+        raise InputError(f"joint angles reach {widest:.1f}; radians are expected, not degrees")
+    if log.quaternion is None:
+        if frame == "world":
+            raise InputError("the log has no attitude, which frame 'world' needs; use 'body'")
+        return
+    lengths = np.einsum("ij,ij->i", log.quaternion, log.quaternion)
+    if lengths.min() < 0.5 or lengths.max() > 2.0:
+        at = int(np.argmax(np.abs(lengths - 1.0)))
+        raise InputError(
+            f"quaternion has length {math.sqrt(lengths[at]):.3g} at sample {at}, expected 1"
+        )
+
+
+def _without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
+    """The log without accelerations that do not hold the robot up on the whole, and why."""
+    if log.acceleration is None:
+        return log, []
+    every = slice(None, None, max(1, len(log.time) // 10_000))
+    felt = np.asarray(log.acceleration[every], dtype=np.float64)
+    if log.quaternion is not None:
+        felt = np.einsum("sij,sj->si", rotation(log.quaternion[every]), felt)
+    mean = felt.mean(axis=0)
+    if log.quaternion is None:
+        off = abs(float(np.linalg.norm(mean)) - GRAVITY)
+    else:
+        off = float(np.linalg.norm(mean - [0.0, 0.0, GRAVITY]))
+    if off <= WORST_ACCELEROMETER:
+        return log, []
+    text = ", ".join(f"{value:.1f}" for value in mean)
+    reason = f"accelerometer ignored: its mean is ({text}) m/s², {GRAVITY:g} upward is expected"
+    return replace(log, acceleration=None), [reason]
+
+
+def _provenance(
+    log: JointLog,
+    robot: Quadruped,
+    settings: Settings,
+    frame: Frame,
+    overview: Survey,
+    doubts: list[str],
+) -> dict[str, Any]:
+    assumed = list(doubts)
+    if log.quaternion is None:
+        assumed.append("no attitude: gravity is taken along the body's z")
+    if log.acceleration is None:
+        assumed.append("no accelerometer: the trunk is taken to be unaccelerated")
+    if log.angular_velocity is None:
+        assumed.append("no gyroscope: the trunk is taken not to turn")
+    lost = overview.friction
+    if lost is not None and not lost.found.all():
+        unknown = [f"{FEET[i]}_{JOINTS[j]}" for i, j in np.argwhere(~lost.found)]
+        whose = ", ".join(unknown) if lost.found.any() else "any joint"
+        assumed.append(f"too little swing to find the friction of {whose}")
+    if assumed:
+        logger.info("foot forces: %s", "; ".join(assumed))
+    return {
+        "robot": robot.name,
+        "robot_source": robot.source,
+        "estimator": settings.estimator,
+        "frame": frame,
+        "gain_per_s": settings.gain if settings.estimator == "momentum_observer" else None,
+        "causal": settings.causal,
+        "cutoff_hz": settings.cutoff if settings.estimator == "inverse_dynamics" else None,
+        "contact_point": "ball centre" if settings.estimator == "quasi_static" else "ball bottom",
+        "friction": None if lost is None else lost.summary(),
+        "torque_resolution_Nm": overview.resolution.tolist(),
+        "swing_share": dict(zip(FEET, overview.swing.tolist(), strict=True)),
+        "assumed": assumed,
+    }

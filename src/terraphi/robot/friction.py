@@ -1,0 +1,221 @@
+"""Friction of the joints, found where a foot swings and the ground's force is zero.
+
+A motor's torque also turns its own rotor and overcomes Coulomb and viscous friction:
+τ_lost = c sign(q̇) + v q̇ + I q̈. In swing nothing else separates the torques from the equations of
+motion, so the three numbers of each joint follow from a robust regression. A constant error of the
+torque is not among them: a joint that swings mostly one way cannot tell it from c.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.robot.joint_log import FEET, JOINTS
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+STANDSTILL = 0.05
+"""Velocity below which the sense of Coulomb friction fades [rad/s]."""
+LEAST_SWING = 50
+"""Samples in swing that a foot needs for its friction to be found."""
+LEAST_RATE = 0.1
+"""Root mean square velocity that a joint needs [rad/s]."""
+REVERSAL_RATE, REVERSAL_S = 2.0 * STANDSTILL, 0.02
+"""A joint slower than this [rad/s] is about to turn round, or has; for this long [s] before and
+after, friction changes its sense in a way of its own, and a regression would take the change for
+less Coulomb friction."""
+_HUBER = 1.345
+"""Residuals beyond this many standard deviations count less (95 % efficient if normal)."""
+_GAUSS = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+@dataclass(frozen=True)
+class JointFriction:
+    """What the motors' torques lose on their way to the links; each shape [foot, joint].
+
+    Attributes
+    ----------
+    coulomb
+        [N m].
+    viscous
+        [N m s/rad].
+    inertia
+        Of the rotor, seen from the joint [kg m²].
+    found
+        Whether there was enough swing to find them; they are zero where not.
+    """
+
+    coulomb: FloatArray
+    viscous: FloatArray
+    inertia: FloatArray
+    found: BoolArray
+
+    def torque(self, velocity: FloatArray) -> FloatArray:
+        """Torque lost at joint velocities [rad/s], without the rotor's inertia [N m]."""
+        return self.coulomb * smooth_sign(velocity) + self.viscous * velocity
+
+    def doubt(self, velocity: FloatArray) -> FloatArray:
+        """Coulomb torque whose sense is unknown, near standstill [N m]."""
+        return self.coulomb * np.sqrt(np.maximum(1.0 - smooth_sign(velocity) ** 2, 0.0))
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers by foot and joint, JSON-able; ``None`` where they were not found."""
+        names = {
+            "coulomb_Nm": self.coulomb,
+            "viscous_Nms": self.viscous,
+            "inertia_kgm2": self.inertia,
+        }
+        return {
+            foot: {
+                joint: {name: float(values[i, j]) for name, values in names.items()}
+                if self.found[i, j]
+                else None
+                for j, joint in enumerate(JOINTS)
+            }
+            for i, foot in enumerate(FEET)
+        }
+
+
+def smooth_sign(velocity: FloatArray) -> FloatArray:
+    """Sense of motion, tanh(velocity / :data:`STANDSTILL`)."""
+    return np.tanh(velocity / STANDSTILL)
+
+
+def in_swing(
+    time: FloatArray,
+    lift: FloatArray,
+    *,
+    touch: float,
+    leave: float,
+    guard: float = 0.025,
+    shortest: float = 0.04,
+) -> BoolArray:
+    """When feet are in the air, from the forces on them.
+
+    Parameters
+    ----------
+    time
+        [s], shape [sample].
+    lift
+        Upward force of the ground on the feet [N], shape [sample, foot].
+    touch, leave
+        A foot stands once it is above ``touch`` and swings once it is below ``leave`` [N].
+    guard
+        Time cut off at both ends of a swing, where the detection may err [s].
+    shortest
+        Swings that are shorter after that are dropped [s].
+
+    Returns
+    -------
+    ndarray
+        Shape [sample, foot].
+    """
+    event = np.where(lift > touch, 1, np.where(lift < leave, -1, 0))
+    event[0] = np.where(event[0] == 0, 1, event[0])
+    rows = np.arange(len(time))[:, None]
+    latest = np.maximum.accumulate(np.where(event != 0, rows, 0), axis=0)
+    air = np.take_along_axis(event, latest, axis=0) < 0
+    swing = np.zeros_like(air)
+    for foot in range(air.shape[1]):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], air[:, foot].astype(np.int8), [0]])))
+        for start, stop in edges.reshape(-1, 2):
+            low = time[start] + (guard if start > 0 else 0.0)
+            high = time[stop - 1] - (guard if stop < len(time) else 0.0)
+            if high - low >= shortest:
+                first, last = np.searchsorted(time, [low, high])
+                swing[first : last + 1, foot] = True
+    return swing
+
+
+def one_way(time: FloatArray, velocity: FloatArray) -> BoolArray:
+    """When joints keep moving one way, so that the sense of their friction is sure.
+
+    Parameters
+    ----------
+    time
+        [s], shape [sample].
+    velocity
+        Of the joints [rad/s], shape [sample, foot, joint].
+
+    Returns
+    -------
+    ndarray
+        Shape [sample, foot, joint].
+    """
+    slow = np.abs(velocity) < REVERSAL_RATE
+    turned = velocity[1:] * velocity[:-1] < 0.0
+    slow[1:] |= turned
+    slow[:-1] |= turned
+    when = time[:, None, None]
+    since = when - np.maximum.accumulate(np.where(slow, when, -np.inf), axis=0)
+    until = np.minimum.accumulate(np.where(slow, when, np.inf)[::-1], axis=0)[::-1] - when
+    return np.asarray(np.minimum(since, until) > REVERSAL_S)
+
+
+def fit(
+    residual: FloatArray, terms: FloatArray, swing: BoolArray, sure: BoolArray
+) -> JointFriction:
+    """Friction that explains the torques in swing.
+
+    Parameters
+    ----------
+    residual
+        Contact torque if there were no friction [N m], shape [sample, foot, joint].
+    terms
+        Factors of Coulomb torque, viscous coefficient and inertia, shape [sample, foot, joint, 3].
+    swing
+        Shape [sample, foot].
+    sure
+        Samples to prefer, see :func:`one_way`, shape [sample, foot, joint]; a joint that has too
+        few of them is given all of its swing.
+
+    Returns
+    -------
+    JointFriction
+    """
+    numbers = np.zeros((4, 3, 3))
+    found = np.zeros((4, 3), dtype=bool)
+    for i in range(4):
+        air = swing[:, i]
+        if air.sum() < LEAST_SWING:
+            continue
+        for j in range(3):
+            chosen = air & sure[:, i, j]
+            if chosen.sum() < LEAST_SWING:
+                chosen = air
+            x, y = terms[chosen, i, j], -residual[chosen, i, j]
+            if np.sqrt(np.mean(x[:, 1] ** 2)) >= LEAST_RATE:
+                numbers[i, j] = _robust(x, y)
+                found[i, j] = True
+    coulomb, viscous, inertia = np.moveaxis(numbers, -1, 0)
+    return JointFriction(coulomb, viscous, inertia, found)
+
+
+def _robust(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Huber's regression by reweighting, with no coefficient below zero."""
+    free = np.ones(x.shape[1], dtype=bool)
+    while True:
+        solution = np.zeros(x.shape[1])
+        weight = np.ones(len(y))
+        for _ in range(12):
+            weighted = x[:, free].T * weight
+            solution[free] = np.linalg.lstsq(weighted @ x[:, free], weighted @ y, rcond=1e-10)[0]
+            error = np.abs(y - x @ solution)
+            scale = max(spread(error), 1e-9)
+            weight = np.minimum(1.0, _HUBER * scale / np.maximum(error, 1e-12))
+        # The one that is furthest below zero, by the torque that it stands for.
+        torque = solution * np.sqrt(np.mean(x**2, axis=0))
+        if torque.min() >= 0.0:
+            return solution
+        free[np.argmin(torque)] = False
+
+
+def spread(deviation: FloatArray) -> float:
+    """Robust standard deviation of errors about zero."""
+    return float(_GAUSS * np.median(np.abs(deviation)))

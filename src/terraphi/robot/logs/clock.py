@@ -1,0 +1,171 @@
+"""Time of a log: which clock, in seconds, strictly increasing; jitter and gaps."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.robot.joint_log import FloatArray
+
+Clock = Literal["time_s", "time", "tick", "header stamp"]
+"""Column of a CSV or npz [s], tick of a LowState [ms], header of a JointState [ns]."""
+
+GAP_STEPS, GAP_S = 5.0, 0.02
+"""A pause is a gap if longer than this many usual steps, and than this many seconds [s]."""
+REORDERED = 0.01
+"""Fraction of samples that may arrive out of order without the log having been restarted."""
+STALLED = 0.9
+"""Fraction of steps without advance beyond which a clock stands still."""
+
+REPEATED = "repeated time"
+BACKWARDS = "time ran backwards"
+
+
+def seconds(
+    stamp: NDArray[Any], recorded: NDArray[np.int64] | None, clock: Clock
+) -> tuple[FloatArray, str, dict[str, Any]]:
+    """Turn stamps into seconds.
+
+    Parameters
+    ----------
+    stamp
+        As the format has it, see :data:`Clock`; shape [sample].
+    recorded
+        When each message was recorded [ns]; None if unknown.
+    clock
+        What the stamps are.
+
+    Returns
+    -------
+    ndarray
+        Time [s]. A tick counts from the robot's start, its wrap at 2³² ms undone; stamps and
+        recording times count from the first sample.
+    str
+        The clock used: the recording time where the messages' own stands still.
+    dict
+        What to report besides.
+    """
+    if clock in {"time_s", "time"}:
+        return stamp.astype(np.float64), clock, {}
+    if recorded is not None and len(stamp) > 1 and np.mean(np.diff(stamp) == 0) > STALLED:
+        facts = {
+            "start_ns": int(recorded[0]),
+            "notes": [f"the messages' {clock} stands still; times are those of recording"],
+        }
+        return (recorded - recorded[0]) / 1e9, "recording time", facts
+    if clock == "header stamp":
+        return (stamp - stamp[0]) / 1e9, clock, {"start_ns": int(stamp[0])}
+    # Differences modulo 2³² of the smallest size: forwards across a wrap, backwards after a glitch.
+    steps = np.diff(stamp.astype(np.uint32)).view(np.int32).astype(np.int64)
+    ticks = stamp[0] + np.concatenate([[0], np.cumsum(steps)])
+    facts = {}
+    if recorded is not None and len(stamp) > 1 and recorded[-1] > recorded[0]:
+        ratio = (ticks[-1] - ticks[0]) * 1e6 / float(recorded[-1] - recorded[0])
+        facts["clock_ratio"] = round(float(ratio), 6)
+    return ticks / 1e3, clock, facts
+
+
+def increasing(time: FloatArray) -> tuple[NDArray[np.bool_], Counter[str]]:
+    """Choose samples whose time increases strictly.
+
+    Repeats go, and so do single stamps that jump away and back. A few samples out of order go too.
+    Where the clock was set back for good, the longest piece stays, for pieces of different runs
+    must not be joined.
+
+    Parameters
+    ----------
+    time
+        Time [s], shape [sample].
+
+    Returns
+    -------
+    ndarray
+        Which samples to keep.
+    Counter
+        Reasons and numbers of those that go.
+    """
+    keep = np.ones(len(time), dtype=bool)
+    dropped: Counter[str] = Counter()
+    if np.all(np.diff(time) > 0):
+        return keep, dropped
+    keep[1:] &= np.diff(time) != 0
+    dropped[REPEATED] = int((~keep).sum())
+    for _ in range(4):
+        bad = _strays(time[keep])
+        if not len(bad):
+            break
+        keep[np.flatnonzero(keep)[bad]] = False
+    index = np.flatnonzero(keep)
+    keep[:] = False
+    keep[index[_best(time[index])]] = True
+    dropped[BACKWARDS] = int((~keep).sum()) - dropped[REPEATED]
+    return keep, +dropped
+
+
+def _strays(t: FloatArray) -> NDArray[np.intp]:
+    """Single stamps that jump away from their neighbours and back."""
+    back = np.flatnonzero(np.diff(t) <= 0)
+    before = np.where(back > 0, t[back - 1], -np.inf)
+    after = np.append(t, np.inf)[back + 2]
+    ahead = before < t[back + 1]  # without the one before the step, time increases
+    behind = ~ahead & (after > t[back])  # without the one after it
+    return np.unique(np.concatenate([back[ahead], back[behind] + 1]))
+
+
+def _best(t: FloatArray) -> NDArray[np.intp] | slice:
+    """Largest increasing choice: all but a few out of order, or one unbroken piece."""
+    if np.all(np.diff(t) > 0):
+        return slice(None)
+    highest = np.maximum.accumulate(np.concatenate([[-np.inf], t[:-1]]))
+    lowest = np.minimum.accumulate(np.concatenate([[np.inf], t[:0:-1]]))[::-1]
+    for choice in (t > highest, t < lowest):
+        if np.mean(~choice) <= REORDERED:
+            return np.flatnonzero(choice)
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(t) <= 0) + 1, [len(t)]])
+    longest = int(np.diff(edges).argmax())
+    return slice(int(edges[longest]), int(edges[longest + 1]))
+
+
+def describe(time: FloatArray) -> dict[str, Any]:
+    """Duration, rate, jitter and gaps.
+
+    Parameters
+    ----------
+    time
+        Time [s], strictly increasing; shape [sample].
+
+    Returns
+    -------
+    dict
+        ``duration_s`` [s]; ``rate_hz`` [Hz], from the usual step, ``None`` for a single sample;
+        ``jitter_s`` [s], root mean square deviation of ordinary steps from the usual one;
+        ``missing``, samples lost by the look of the steps; ``gaps``, the start and end [s] of
+        every pause longer than ``gap_limit_s`` [s].
+    """
+    if len(time) < 2:
+        return {
+            "duration_s": 0.0,
+            "rate_hz": None,
+            "jitter_s": 0.0,
+            "missing": 0,
+            "gap_limit_s": GAP_S,
+            "gaps": [],
+        }
+    steps = np.diff(time)
+    ordinary = steps[steps <= 1.5 * float(np.median(steps))]
+    # Clocks of whole milliseconds make 400 Hz out of steps of 2 and 3 ms: the mean knows.
+    usual = float(ordinary.mean())
+    limit = max(GAP_STEPS * usual, GAP_S)
+    wide = np.flatnonzero(steps > limit)
+    missing = np.rint(steps[steps > 1.5 * usual] / usual - 1.0).sum()
+    return {
+        "duration_s": float(time[-1] - time[0]),
+        "rate_hz": 1.0 / usual,
+        "jitter_s": float(ordinary.std()),
+        "missing": int(missing),
+        "gap_limit_s": limit,
+        "gaps": [{"start_s": float(time[i]), "end_s": float(time[i + 1])} for i in wide],
+    }

@@ -1,0 +1,259 @@
+"""Gather the sound samples of a log and say what became of the others."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.errors import InputError
+from terraphi.robot.joint_log import FEET, JOINTS, JointLog
+from terraphi.robot.logs import clock as clocks
+from terraphi.robot.logs.block import SHAPES, Array, Block
+
+Precision = Literal["double", "single"]
+
+FULL_TURN = 2.0 * np.pi
+DEGREES = np.degrees(1.0)
+
+LARGEST = 1e6
+"""Numbers beyond this are no sensor's."""
+LATEST_S = 1e30
+
+NOT_FINITE = "not a finite number"
+BEYOND = "number beyond any sensor's"
+TURNED = "joint angle beyond a full turn"
+ATTITUDE = "attitude is not a unit quaternion"
+
+# What to do when most of a log is dropped for one reason.
+_REMEDIES = {
+    NOT_FINITE: "remove or repair those rows",
+    BEYOND: f"none above {LARGEST:g} is expected; remove or repair those rows",
+    TURNED: "the angles look like degrees, radians are expected",
+    ATTITUDE: "give (w, x, y, z) of length 1, or leave the attitude out",
+    clocks.REPEATED: "stamp every sample with its own time",
+    clocks.BACKWARDS: "sort the samples by time, or cut the log where its clock was set back",
+}
+_IMU = ("quaternion", "angular_velocity", "acceleration", "foot_counts")
+_MOTION_SAMPLES = 20_000
+_FRACTIONS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+_ROWS = 65_536
+_FIRST_ROWS = 4_096
+
+
+class Column:
+    """A column that grows in place: no second copy is ever made of what is there."""
+
+    def __init__(self, shape: tuple[int, ...], dtype: Any) -> None:
+        self.values = np.empty((0, *shape), dtype=dtype)
+        self.length = 0
+
+    def append(self, values: Array) -> None:
+        """Add rows."""
+        end = self.length + len(values)
+        if end > len(self.values):
+            rows = max(end, len(self.values) + max(_FIRST_ROWS, len(self.values) // 16))
+            self.values.resize((rows, *self.values.shape[1:]), refcheck=False)
+        self.values[self.length : end] = values
+        self.length = end
+
+    def keep(self, mask: NDArray[np.bool_]) -> None:
+        """Keep only some rows."""
+        end = 0
+        for start in range(0, self.length, _ROWS):
+            part = slice(start, min(start + _ROWS, self.length))
+            chosen = self.values[part][mask[part]]
+            self.values[end : end + len(chosen)] = chosen
+            end += len(chosen)
+        self.length = end
+
+    def finish(self) -> Array:
+        """The rows, and no memory beyond them."""
+        self.values.resize((self.length, *self.values.shape[1:]), refcheck=False)
+        return self.values
+
+
+class Collector:
+    """Takes blocks, keeps what is sound, makes a JointLog.
+
+    Parameters
+    ----------
+    path
+        The log, for messages.
+    clock
+        What the stamps of the blocks are.
+    precision
+        Of the values: ``single`` halves the memory.
+    """
+
+    def __init__(self, path: Path, clock: clocks.Clock, precision: Precision = "double") -> None:
+        self.dropped: Counter[str] = Counter()
+        self.facts: dict[str, Any] = {"notes": []}
+        self._path = path
+        self._clock = clock
+        self._dtype = np.float64 if precision == "double" else np.float32
+        self._columns: dict[str, Column] = {}
+        self._stamp: Column | None = None
+        self._recorded: Column | None = None
+
+    @property
+    def empty(self) -> bool:
+        """Whether no sample has been kept."""
+        return self._stamp is None or not self._stamp.length
+
+    def add(self, block: Block) -> None:
+        """Keep the sound samples of a block."""
+        self.dropped.update(block.dropped)
+        if not len(block.stamp):
+            return
+        if self._stamp is None:
+            self._stamp = Column((), block.stamp.dtype)
+            self._recorded = None if block.recorded is None else Column((), np.int64)
+            self._columns = {name: Column(SHAPES[name], self._dtype) for name in block.values}
+        mask = self._sound(block)
+        self._stamp.append(block.stamp[mask])
+        if self._recorded is not None and block.recorded is not None:
+            self._recorded.append(block.recorded[mask])
+        for name, column in self._columns.items():
+            values = block.values[name]
+            column.append(values if mask.all() else values[mask])
+
+    def _sound(self, block: Block) -> NDArray[np.bool_]:
+        values = block.values
+        finite = np.isfinite(block.stamp)
+        for column in values.values():
+            finite &= np.isfinite(column).reshape(len(finite), -1).all(axis=1)
+        possible = np.abs(block.stamp) < LATEST_S if block.stamp.dtype.kind == "f" else finite
+        for name in values.keys() - {"angle"}:
+            size = np.abs(values[name]).reshape(len(finite), -1)
+            possible = possible & (size <= LARGEST).all(axis=1)
+        with np.errstate(invalid="ignore"):
+            within = (np.abs(values["angle"]) <= FULL_TURN).all(axis=(1, 2))
+            level = np.ones_like(finite)
+            if "quaternion" in values:
+                norm = np.linalg.norm(values["quaternion"].astype(np.float64), axis=1)
+                level = (np.abs(norm - 1.0) < 0.1) | (norm == 0.0)
+        mask = finite & possible & within & level
+        if not mask.all():
+            self.dropped[NOT_FINITE] += int((~finite).sum())
+            self.dropped[BEYOND] += int((finite & ~possible).sum())
+            finite &= possible
+            self.dropped[TURNED] += int((finite & ~within).sum())
+            self.dropped[ATTITUDE] += int((finite & within & ~level).sum())
+        return mask
+
+    # -- the end ---------------------------------------------------------------------------------
+
+    def finish(self) -> JointLog:
+        """Make the log.
+
+        Returns
+        -------
+        JointLog
+            With ``report``: ``samples``, ``dropped`` (number by reason), ``notes``, those of
+            :func:`~terraphi.robot.logs.clock.describe`, ``clock`` and whatever the format added.
+
+        Raises
+        ------
+        InputError
+            If no sample is sound, if over half are not for one reason, or if the units are wrong.
+        """
+        if self._stamp is None or not self._stamp.length:
+            self._refuse_if_hopeless(0)
+            raise InputError(f"{self._path}: no samples in it; record the log again")
+        self._drop_unlevel()
+        self._refuse_if_hopeless(self._stamp.length)
+        recorded = None if self._recorded is None else self._recorded.finish()
+        time, clock, facts = clocks.seconds(self._stamp.finish(), recorded, self._clock)
+        self.facts["notes"] += facts.pop("notes", [])
+        mask, dropped = clocks.increasing(time)
+        if dropped:
+            self.dropped.update(dropped)
+            time = time[mask]
+            for column in self._columns.values():
+                column.keep(mask)
+            self._refuse_if_hopeless(len(time))
+        values = {name: column.finish() for name, column in self._columns.items()}
+        self._columns.clear()
+        if "velocity" in values:
+            self._check_velocity(time, values["angle"], values["velocity"])
+        else:
+            values["velocity"] = self._velocity(time, values["angle"])
+        report = {
+            "samples": len(time),
+            "dropped": dict(sorted((+self.dropped).items())),
+            **clocks.describe(time),
+            "clock": clock,
+            **facts,
+            **self.facts,
+        }
+        return JointLog(time, **self._present(values), report=report)
+
+    def _refuse_if_hopeless(self, kept: int) -> None:
+        lost = self.dropped.total()
+        if not lost:
+            return
+        reason, number = self.dropped.most_common(1)[0]
+        if 2 * number > kept + lost or not kept:
+            remedy = _REMEDIES.get(reason, "check what wrote it, or record it again")
+            raise InputError(f"{self._path}: {number} of {kept + lost} samples: {reason}; {remedy}")
+
+    def _drop_unlevel(self) -> None:
+        """Without any attitude there is none; without some, those samples go."""
+        column = self._columns.get("quaternion")
+        if column is None or self._stamp is None:
+            return
+        level = np.asarray(column.values[: column.length].any(axis=1), dtype=bool)
+        if level.all() or not level.any():
+            return
+        self.dropped[ATTITUDE] += int((~level).sum())
+        for each in (self._stamp, self._recorded, *self._columns.values()):
+            if each is not None:
+                each.keep(level)
+
+    def _present(self, values: dict[str, Array]) -> dict[str, Array]:
+        """Columns without those of sensors that only ever gave zeros; unit quaternions."""
+        silent = [name for name in _IMU if name in values and not values[name].any()]
+        if silent:
+            self.facts["notes"].append(f"always zero, taken as absent: {', '.join(silent)}")
+        for name in silent:
+            del values[name]
+        attitude = values.get("quaternion")
+        if attitude is not None:
+            for start in range(0, len(attitude), _ROWS):
+                part = attitude[start : start + _ROWS]
+                part /= np.linalg.norm(part, axis=1, keepdims=True)
+        return values
+
+    def _velocity(self, time: np.ndarray[Any, Any], angle: Array) -> Array:
+        """Joint velocities [rad/s] by central differences."""
+        self.facts["notes"].append("no velocities in the log: central differences of the angles")
+        velocity = np.zeros_like(angle)
+        if len(time) > 1:
+            for place in np.ndindex(len(FEET), len(JOINTS)):
+                velocity[(slice(None), *place)] = np.gradient(angle[(slice(None), *place)], time)
+        return velocity
+
+    def _check_velocity(self, time: Array, angle: Array, velocity: Array) -> None:
+        """Refuse velocities in degrees per second, and times that are not in seconds."""
+        part = slice(0, _MOTION_SAMPLES)
+        steps = np.diff(time[part])[:, None, None]
+        if not len(steps):
+            return
+        usual = steps <= 1.5 * np.median(steps)
+        moved = float(np.abs(np.diff(angle[part], axis=0) / steps).mean(where=usual))
+        said = float(np.abs(velocity[part][1:]).mean(where=usual))
+        for unit, number in _FRACTIONS.items():
+            if said > 0.3 and 0.5 * number < said / max(moved, 1e-12) < 2.0 * number:
+                raise InputError(
+                    f"{self._path}: joint velocities are {said / moved:.3g} times the rate at "
+                    f"which the angles change; times look like {unit}, seconds are expected"
+                )
+        if moved > 0.1 and 0.5 * DEGREES < said / moved < 2.0 * DEGREES:
+            raise InputError(
+                f"{self._path}: joint velocities are {said / moved:.0f} times the rate at which "
+                "the angles change; they look like degrees per second, rad/s are expected"
+            )

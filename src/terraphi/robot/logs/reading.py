@@ -1,0 +1,177 @@
+"""Read a log, whatever its format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from terraphi.errors import InputError, nearest
+from terraphi.robot.joint_log import JointLog
+from terraphi.robot.logs import jointstate, lowstate, npz_file
+from terraphi.robot.logs.block import Block
+from terraphi.robot.logs.collect import Collector, Precision
+from terraphi.robot.logs.csv_file import read_csv
+from terraphi.robot.logs.joints import NAMES
+from terraphi.robot.logs.mcap_file import MAGIC as MCAP_MAGIC
+from terraphi.robot.logs.mcap_file import McapFile
+from terraphi.robot.logs.npz_file import read_npz
+from terraphi.robot.logs.rosbag2 import SQLITE_MAGIC, open_bag, open_database
+from terraphi.robot.logs.storage import Storage, Topic
+
+ROS1_MAGIC = b"#ROSBAG V"
+FORMATS = "CSV, npz, MCAP or the folder of a rosbag2"
+
+_LOW_STATE, _JOINT_STATE = "unitree_go/LowState", "sensor_msgs/JointState"
+
+
+def read_log(
+    path: Path | str,
+    *,
+    topic: str | None = None,
+    joint_names: Sequence[str] | None = None,
+    precision: Precision = "double",
+) -> JointLog:
+    """Read what a walking robot recorded.
+
+    Parameters
+    ----------
+    path
+        A CSV (:mod:`~terraphi.robot.logs.csv_file` has its columns), an npz
+        (:mod:`~terraphi.robot.logs.npz_file` has its arrays), an MCAP file, the folder of a rosbag2
+        or one of its files. The content decides, not the name.
+    topic
+        Topic of a bag to read; by default the one with ``unitree_go/msg/LowState`` messages, or
+        else ``sensor_msgs/msg/JointState``.
+    joint_names
+        Names of the twelve joints in JointState messages, FR, FL, RR, RL × hip, thigh, calf, where
+        they are not named like ``FR_hip_joint`` or ``RF_HAA``.
+    precision
+        Of everything but time: ``single`` is what LowState messages hold, and halves the memory.
+
+    Returns
+    -------
+    JointLog
+        Time comes from the messages themselves: the tick of a LowState [ms], counted from the
+        robot's start; the header stamp of a JointState, counted from the first; the time of
+        recording only where these stand still. ``report`` says what was read and what was dropped.
+
+    Raises
+    ------
+    InputError
+        If the file is not a log, holds nothing sound, lacks what is needed or is mostly broken; or
+        a package is missing.
+    """
+    path = Path(path)
+    if joint_names is not None and len(joint_names) != len(NAMES):
+        raise InputError(f"{len(joint_names)} joint names given; {len(NAMES)} are expected")
+    if path.name == "metadata.yaml":
+        path = path.parent
+    try:
+        with ExitStack() as stack:
+            kind, source = _sniff(path, stack)
+            if isinstance(source, list):
+                return _read_bag(path, kind, source, topic, joint_names, precision)
+            if topic is not None:
+                raise InputError(f"{path}: a {kind} file has no topics; leave '{topic}' out")
+            collector = Collector(path, "time_s" if kind == "csv" else "time", precision)
+            for block in source(path):
+                collector.add(block)
+            collector.facts |= {"format": kind, "topic": None}
+            return collector.finish()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def _sniff(
+    path: Path, stack: ExitStack
+) -> tuple[str, list[Storage] | Callable[[Path], Iterator[Block]]]:
+    """Name of the format, and what reads it."""
+    if path.is_dir():
+        storages = open_bag(path, stack)
+        inner = "mcap" if isinstance(storages[0], McapFile) else "sqlite3"
+        return f"rosbag2 ({inner})", storages
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected {FORMATS}")
+    with path.open("rb") as stream:
+        magic = stream.read(64)
+    if not magic:
+        raise InputError(f"{path}: the file is empty; record or copy it again")
+    if magic.startswith(MCAP_MAGIC):
+        return "mcap", [McapFile(path)]
+    if magic.startswith(SQLITE_MAGIC):
+        return "rosbag2 (sqlite3)", [open_database(path, stack)]
+    if magic.startswith(npz_file.MAGIC):
+        return "npz", read_npz
+    if magic.startswith(ROS1_MAGIC):
+        raise InputError(
+            f"{path}: a bag of ROS 1; convert it with rosbags-convert (pip install rosbags)"
+        )
+    if b"\0" in magic or path.suffix in {".mcap", ".db3", ".npz"}:
+        raise InputError(f"{path}: not a log, or damaged at its start; expected {FORMATS}")
+    return "csv", read_csv
+
+
+def _read_bag(
+    path: Path,
+    kind: str,
+    storages: list[Storage],
+    topic: str | None,
+    joint_names: Sequence[str] | None,
+    precision: Precision,
+) -> JointLog:
+    present = [(storage, storage.topics()) for storage in storages]
+    if not any(topics for _, topics in present) and any(s.notes for s in storages):
+        raise InputError(f"{path}: cut off or damaged before its first message; copy it again")
+    chosen = _choose(path, [t for _, topics in present for t in topics], topic)
+    low = chosen.plain_type == _LOW_STATE
+    decoder = jointstate.JointStateDecoder(joint_names)
+    collector = Collector(path, "tick" if low else "header stamp", precision)
+    for storage, topics in present:
+        wanted = [t for t in topics if (t.name, t.type) == (chosen.name, chosen.type)]
+        for messages, recorded in storage.batches(wanted) if wanted else ():
+            if low:
+                collector.add(lowstate.decode(messages, recorded))
+            else:
+                for block in decoder.decode(messages, recorded):
+                    collector.add(block)
+        collector.facts["notes"] += storage.notes
+    others = sorted(
+        {t.name for _, topics in present for t in topics if _supported(t)} - {chosen.name}
+    )
+    if others:
+        collector.facts["notes"].append(f"also there, not read: {', '.join(others)}")
+    collector.facts |= {"format": kind, "topic": chosen.name, "message": chosen.type}
+    if decoder.refusal and set(collector.dropped) == {jointstate.OTHERS} and collector.empty:
+        raise InputError(f"{path}, topic '{chosen.name}': {decoder.refusal}")
+    return collector.finish()
+
+
+def _supported(topic: Topic) -> bool:
+    return topic.plain_type in {_LOW_STATE, _JOINT_STATE} and topic.encoding == "cdr"
+
+
+def _choose(path: Path, topics: list[Topic], wanted: str | None) -> Topic:
+    """The topic to read."""
+    listed = ", ".join(sorted({f"'{t.name}' ({t.type})" for t in topics})[:12]) or "none"
+    expected = f"expected {lowstate.TYPE} or {jointstate.TYPE}"
+    if wanted is not None:
+        named = [t for t in topics if t.name.strip("/") == wanted.strip("/")]
+        if not named:
+            hint = nearest(wanted, {t.name for t in topics})
+            hint = f"; {hint}" if hint.startswith("did") else ""
+            raise InputError(f"{path}: no topic '{wanted}'; present: {listed}{hint}")
+        if not _supported(named[0]):
+            raise InputError(
+                f"{path}: topic '{wanted}' has {named[0].type} messages ({named[0].encoding}); "
+                f"{expected} in cdr"
+            )
+        return named[0]
+    supported = [t for t in topics if _supported(t)]
+    if not supported:
+        raise InputError(f"{path}: no topic with joint states; {expected}; present: {listed}")
+    # Robots repeat their state on lf/lowstate at a low frequency.
+    return min(
+        supported,
+        key=lambda t: (t.plain_type != _LOW_STATE, "lf" in t.name.split("/"), len(t.name), t.name),
+    )

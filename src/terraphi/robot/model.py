@@ -1,0 +1,320 @@
+"""What the force estimators know of a quadruped: its geometry, its masses, its joints' names.
+
+Every leg is a chain of three revolute joints whose frames are parallel when all angles are zero:
+the hip turns about x (forward), the thigh and the calf about y (left); z is up. That is the build
+of Unitree's quadrupeds and of most others with twelve joints.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from terraphi.errors import InputError, nearest, sentence_from_validation
+from terraphi.robot.joint_log import FEET, JOINTS
+
+FloatArray = NDArray[np.float64]
+Vector = tuple[float, float, float]
+Inertia = tuple[float, float, float, float, float, float]
+Sign = Literal[-1, 1]
+Positive = Annotated[float, Field(gt=0)]
+
+JOINT_NAMES = tuple(f"{foot}_{joint}" for foot in FEET for joint in JOINTS)
+"""The twelve joints as ``FOOT_JOINT``, in the order of the Go2's motors."""
+
+_FOOT_PATTERNS = {
+    "FR": r"fr|rf|front_?right|right_?front",
+    "FL": r"fl|lf|front_?left|left_?front",
+    "RR": r"rr|hr|rh|br|(rear|hind|back)_?right|right_?(rear|hind|back)",
+    "RL": r"rl|hl|lh|bl|(rear|hind|back)_?left|left_?(rear|hind|back)",
+}
+_JOINT_PATTERNS = {
+    "hip": r"hip_?(x|aa|roll)|haa|hx|hip|abd(uct(ion|or))?|0",
+    "thigh": r"hip_?(y|fe|pitch)|hfe|hy|thigh|upper(_?leg)?|1",
+    "calf": r"kfe|kn|knee(_?pitch)?|calf|lower(_?leg)?|shank|2",
+}
+
+
+def joint_place(name: str) -> tuple[int, int] | None:
+    """Foot and joint that a name means, by the usual patterns.
+
+    Parameters
+    ----------
+    name
+        Such as ``FL_hip_joint``, ``front_left_hip_x``, ``LF_HAA`` or ``FR_0``.
+
+    Returns
+    -------
+    tuple or None
+        Indices into :data:`~terraphi.robot.joint_log.FEET` and
+        :data:`~terraphi.robot.joint_log.JOINTS`; ``None`` if the name fits no pattern.
+    """
+    stem = re.sub(r"_?joint$", "", re.sub(r"[\s./-]+", "_", name.strip().lower()))
+    for i, foot in enumerate(FEET):
+        match = re.fullmatch(rf"(?:.*_)?(?:{_FOOT_PATTERNS[foot]})_?(?:leg_)?(?P<rest>.+)", stem)
+        if match is None:
+            continue
+        for j, joint in enumerate(JOINTS):
+            if re.fullmatch(_JOINT_PATTERNS[joint], match["rest"]):
+                return i, j
+    return None
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Body(_Part):
+    """A rigid body fixed to one of a leg's links.
+
+    Attributes
+    ----------
+    link
+        The link that carries it.
+    mass
+        [kg].
+    centre
+        Centre of mass in the link's frame, whose origin is the joint that moves it [m].
+    inertia
+        About the centre of mass, in the link's axes: xx, yy, zz, xy, xz, yz [kg m²], products
+        with the sign of the inertia matrix (xy = −∫xy dm).
+    """
+
+    link: Literal["hip", "thigh", "calf"]
+    mass: float = Field(ge=0)
+    centre: Vector
+    inertia: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _can_be_matter(self) -> Self:
+        xx, yy, zz, xy, xz, yz = self.inertia
+        matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        moments = np.linalg.eigvalsh(matrix)
+        slack = 1e-3 * abs(moments[-1])  # published inertias are rounded
+        if moments[0] < -slack or moments[0] + moments[1] < moments[2] - slack:
+            raise ValueError(
+                f"inertia of the {self.link} has the principal moments "
+                f"{', '.join(f'{m:.3g}' for m in moments)} kg m², which no mass distribution has; "
+                "the order is xx, yy, zz, xy, xz, yz"
+            )
+        return self
+
+
+class QuadrupedLeg(_Part):
+    """Geometry and masses of one leg, in axes x forward, y left, z up.
+
+    Attributes
+    ----------
+    hip
+        Hip joint in the body's frame [m].
+    thigh
+        Thigh joint in the hip link's frame [m]; its y is the lateral offset L, positive on the
+        left.
+    calf
+        Knee in the thigh's frame [m]; for a straight thigh (0, 0, −length).
+    foot
+        Centre of the foot's ball in the calf's frame [m].
+    signs
+        −1 for each joint whose logged angle, velocity and torque count the other way round.
+    bodies
+        Everything that has mass; empty if unknown.
+    """
+
+    hip: Vector
+    thigh: Vector
+    calf: Vector
+    foot: Vector
+    signs: tuple[Sign, Sign, Sign] = (1, 1, 1)
+    bodies: tuple[Body, ...] = ()
+
+    @model_validator(mode="after")
+    def _has_length(self) -> Self:
+        for name, (x, _, z) in (("calf", self.calf), ("foot", self.foot)):
+            if float(np.hypot(x, z)) < 1e-3:
+                raise ValueError(
+                    f"{name} = [{', '.join(f'{v:g}' for v in getattr(self, name))}] m leaves the "
+                    "link before it without length; (0, 0, -length) is expected"
+                )
+        return self
+
+
+class Legs(_Part):
+    """The four legs."""
+
+    FR: QuadrupedLeg
+    FL: QuadrupedLeg
+    RR: QuadrupedLeg
+    RL: QuadrupedLeg
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Constants of the four legs as arrays, feet in the order FR, FL, RR, RL.
+
+    The second moments Σ = ∫ r rᵀ dm about a link's origin say what the inertia matrix says, and
+    make the equations of motion shorter.
+    """
+
+    origin: FloatArray
+    """Places of hip, thigh, knee and foot, each in the frame before [m]; shape [foot, 4, 3]."""
+    sign: FloatArray
+    """±1 [-]; shape [foot, joint]."""
+    mass: FloatArray
+    """[kg]; shape [foot, link]."""
+    first: FloatArray
+    """First moments ∫ r dm about the link's origin [kg m]; shape [foot, link, 3]."""
+    second: FloatArray
+    """Second moments ∫ r rᵀ dm about the link's origin [kg m²]; shape [foot, link, 3, 3]."""
+
+
+class Quadruped(_Part):
+    """A quadruped with three joints a leg.
+
+    Attributes
+    ----------
+    name
+        For people.
+    source
+        Where the numbers come from.
+    mass
+        Total [kg].
+    foot_radius
+        Of the foot's ball [m].
+    torque_limit
+        Largest torque of hip, thigh and calf [N m]; ``None`` if unknown.
+    imu
+        Place of the accelerometer in the body's frame [m].
+    joint_order
+        The joints in the order in which the robot's motors are numbered.
+    legs
+        Front right, front left, rear right and rear left.
+    """
+
+    name: str = ""
+    source: str = ""
+    mass: float = Field(gt=0)
+    foot_radius: float = Field(0.0, ge=0)
+    torque_limit: tuple[Positive, Positive, Positive] | None = None
+    imu: Vector = (0.0, 0.0, 0.0)
+    joint_order: tuple[str, ...] = JOINT_NAMES
+    legs: Legs
+
+    @model_validator(mode="after")
+    def _knows_each_joint_once(self) -> Self:
+        for name in self.joint_order:
+            if name not in JOINT_NAMES:
+                raise ValueError(
+                    f"joint_order has '{name}'; {nearest(name, JOINT_NAMES)}; names are FOOT_JOINT"
+                )
+        if sorted(self.joint_order) != sorted(JOINT_NAMES):
+            missing = sorted(set(JOINT_NAMES) - set(self.joint_order))
+            raise ValueError(
+                f"joint_order has {len(self.joint_order)} names, each of the 12 joints is "
+                f"expected once; missing: {', '.join(missing) or 'none'}"
+            )
+        return self
+
+    @property
+    def has_masses(self) -> bool:
+        """Whether every link of every leg has a mass."""
+        return bool(np.all(self.chain.mass > 0.0))
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Constants of the legs as arrays."""
+        legs = [getattr(self.legs, foot) for foot in FEET]
+        mass = np.zeros((4, 3))
+        first = np.zeros((4, 3, 3))
+        second = np.zeros((4, 3, 3, 3))
+        for i, leg in enumerate(legs):
+            for body in leg.bodies:
+                at = i, JOINTS.index(body.link)
+                xx, yy, zz, xy, xz, yz = body.inertia
+                matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+                centre = np.array(body.centre)
+                mass[at] += body.mass
+                first[at] += body.mass * centre
+                second[at] += 0.5 * np.trace(matrix) * np.eye(3) - matrix
+                second[at] += body.mass * np.outer(centre, centre)
+        origin = np.array([[leg.hip, leg.thigh, leg.calf, leg.foot] for leg in legs])
+        sign = np.array([leg.signs for leg in legs], dtype=np.float64)
+        return Chain(origin, sign, mass, first, second)
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Names of the robots that are shipped."""
+        place = resources.files("terraphi").joinpath("data", "robots")
+        names = [entry.name for entry in place.iterdir()] if place.is_dir() else []
+        return tuple(sorted(n.removesuffix(".toml") for n in names if n.endswith(".toml")))
+
+    @classmethod
+    def load(cls, source: Path | str) -> Quadruped:
+        """A shipped robot by its name, or one from a TOML or URDF file.
+
+        Parameters
+        ----------
+        source
+            ``"go2"``, or a path that ends in ``.toml``, ``.urdf`` or ``.xml``.
+
+        Returns
+        -------
+        Quadruped
+
+        Raises
+        ------
+        InputError
+            If there is no such robot or file, or the file cannot be used; one sentence that names
+            what is missing.
+
+        Examples
+        --------
+        >>> Quadruped.load("go2").legs.FL.thigh
+        (0.0, 0.0955, 0.0)
+        """
+        path = Path(source)
+        if not path.suffix and not path.is_file():
+            if path.name not in cls.names():
+                hint = nearest(path.name, cls.names())
+                raise InputError(f"'{source}' is neither a file nor a shipped robot; {hint}")
+            path = Path(str(resources.files("terraphi").joinpath("data", "robots", path.name)))
+            path = path.with_suffix(".toml")
+        text = _text(path)
+        if path.suffix.lower() in {".urdf", ".xml"}:
+            from terraphi.robot.urdf import document_from_urdf
+
+            content = document_from_urdf(text, str(path))
+        else:
+            try:
+                content = tomllib.loads(text)
+            except tomllib.TOMLDecodeError as error:
+                raise InputError(f"{path}: not valid TOML: {error}") from error
+        return cls.from_document(content, str(path))
+
+    @classmethod
+    def from_document(cls, content: Mapping[str, object], source: str) -> Quadruped:
+        """Check what a file says; raises InputError that names the source, key and remedy."""
+        try:
+            return cls.model_validate(content)
+        except ValidationError as error:
+            raise InputError(sentence_from_validation(error, source, cls)) from error
+
+
+def _text(path: Path) -> str:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a text file; TOML or URDF in UTF-8 is expected") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error

@@ -1,0 +1,126 @@
+"""Pictures of foot forces: over time with the stances, and the mean stance with its spread.
+
+Figures are made without a display. Colours are those of Okabe & Ito, told apart by colour-blind
+readers.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from terraphi.robot.joint_log import FEET
+from terraphi.robot.results import RobotForces
+from terraphi.robot.stance import AXES, Ensemble
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = {"FR": "#0072B2", "FL": "#D55E00", "RR": "#009E73", "RL": "#CC79A7"}
+STYLES = {"FR": "-", "FL": "--", "RR": "-.", "RL": ":"}
+FOOT_NAMES = {"FR": "front right", "FL": "front left", "RR": "rear right", "RL": "rear left"}
+GREY = "#666666"
+SHOWN = ("x", "z")
+"""Components of the paper's figures, forward and up."""
+AXIS_LABEL = {"x": "$F_x$ [N]", "z": "$F_z$ [N], up"}
+
+
+def forces_figure(
+    result: RobotForces, *, seconds: float = 7.0, start: float | None = None
+) -> Figure:
+    """F_x and F_z of each foot over time, with its stances shaded.
+
+    Parameters
+    ----------
+    result
+        What :func:`~terraphi.robot.results.analyse` found.
+    seconds
+        Length of the part of the log that is shown [s].
+    start
+        Its beginning on the log's clock [s]; by default a little before the first stance.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    time = result.forces.time
+    if start is None:
+        first = result.stances[0].begin if result.stances else time[0]
+        start = float(max(min(first - 0.1, time[-1] - seconds), time[0]))
+    shown = slice(*np.searchsorted(time, [start, start + seconds]).tolist())
+    figure = Figure(figsize=(12.0, 9.0), layout="constrained")
+    grid = figure.subplots(len(FEET), len(SHOWN), sharex=True, sharey="col", squeeze=False)
+    for i, foot in enumerate(FEET):
+        for axes, name in zip(grid[i], SHOWN, strict=True):
+            force = result.forces.force[shown, i, AXES.index(name)]
+            axes.plot(time[shown] - start, force, color=COLOURS[foot], lw=1.0)
+            _shade(axes, result, foot, start, seconds)
+            axes.axhline(0.0, color=GREY, lw=0.6)
+            axes.set_ylabel(AXIS_LABEL[name])
+        grid[i, 0].set_title(f"{foot}, {FOOT_NAMES[foot]}", fontsize=10, loc="left")
+    for axes in grid[-1]:
+        axes.set_xlabel(f"time after {start:.2f} s [s]")
+    grid[0, 0].set_xlim(0.0, min(seconds, time[-1] - start))
+    figure.suptitle(
+        f"Force of the ground on each foot ({result.forces.estimator.replace('_', ' ')}, "
+        f"frame: {result.forces.frame}); stances shaded",
+        fontsize=11,
+    )
+    return figure
+
+
+def stance_figure(result: RobotForces) -> Figure:
+    """Mean stance over normalised time: all feet with the spread, and foot by foot.
+
+    Parameters
+    ----------
+    result
+        What :func:`~terraphi.robot.results.analyse` found.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    for axes, name in zip(figure.subplots(1, 2), SHOWN, strict=True):
+        if result.stances:
+            _draw_mean(axes, result.pooled, name)
+        for foot in FEET:
+            ensemble = result.feet[foot]
+            if ensemble.count:
+                axes.plot(
+                    ensemble.part, ensemble.mean[:, AXES.index(name)], STYLES[foot],
+                    color=COLOURS[foot], lw=1.0, label=f"{foot}, {ensemble.count} stances",
+                )  # fmt: skip
+        axes.axhline(0.0, color=GREY, lw=0.6)
+        axes.set_xlim(0.0, 1.0)
+        axes.set_xlabel("normalised time in the stance [-]")
+        axes.set_ylabel(AXIS_LABEL[name])
+        peak = result.pooled.peak(name)
+        title = "no stances" if peak is None else f"peak of the mean {peak:.1f} N"
+        axes.set_title(title, fontsize=10)
+    if result.stances:
+        figure.axes[1].legend(fontsize="small", frameon=False, loc="center")
+    return figure
+
+
+def _draw_mean(axes: Axes, ensemble: Ensemble, name: str) -> None:
+    column = AXES.index(name)
+    mean, spread = ensemble.mean[:, column], ensemble.spread[:, column]
+    axes.fill_between(
+        ensemble.part, mean - spread, mean + spread, color=GREY, alpha=0.3, lw=0,
+        label="± one standard deviation",
+    )  # fmt: skip
+    axes.plot(ensemble.part, mean, color="black", lw=2.0, label=f"all, {ensemble.count} stances")
+
+
+def _shade(axes: Axes, result: RobotForces, foot: str, start: float, seconds: float) -> None:
+    for stance in result.stances:
+        if stance.foot == foot and start < stance.end and stance.begin < start + seconds:
+            axes.axvspan(stance.begin - start, stance.end - start, color=GREY, alpha=0.15, lw=0)

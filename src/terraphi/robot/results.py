@@ -1,0 +1,240 @@
+"""From a log to foot forces, stances and their mean course, with what people want to know of it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.errors import InputError
+from terraphi.robot.dynamics import GRAVITY
+from terraphi.robot.forces import DEFAULT_ESTIMATOR, FootForces, Frame, estimate
+from terraphi.robot.joint_log import FEET, JointLog
+from terraphi.robot.logs import read_log
+from terraphi.robot.logs.clock import describe
+from terraphi.robot.model import Quadruped
+from terraphi.robot.residual import Estimator
+from terraphi.robot.stance import Criteria, Ensemble, Stance, find_stances
+
+FloatArray = NDArray[np.float64]
+
+RISE_SHARE = 0.1
+"""Part of the robot's weight that a foot carries at least at the height of a stance [-]."""
+STANDING_SHARE, HANGING_SHARE = 0.7, 0.3
+"""Parts of the robot's weight above which it stands, and below which it hangs [-]."""
+SENSOR_AGREEMENT = 0.5
+"""Correlation of a foot sensor with the vertical force below which one of them is doubtful [-]."""
+
+
+@dataclass(frozen=True)
+class RobotForces:
+    """Foot forces of a log and what they amount to.
+
+    Attributes
+    ----------
+    forces
+        Forces over time.
+    stances
+        Those wholly inside the log, in the order of touch-down.
+    feet
+        Mean stance of each foot.
+    pooled
+        Mean stance of all feet.
+    notes
+        What a reader should know: what the log lacks, why there are no stances, what disagrees.
+    sensor_correlation
+        Of each foot's sensor with its vertical force [-], a cross-check of uncalibrated counts;
+        empty if the log has none.
+    report
+        What was read and what was dropped.
+    """
+
+    forces: FootForces
+    stances: tuple[Stance, ...]
+    feet: Mapping[str, Ensemble]
+    pooled: Ensemble
+    notes: tuple[str, ...]
+    sensor_correlation: Mapping[str, float]
+    report: Mapping[str, Any]
+
+    def summary(self) -> dict[str, Any]:
+        """For people and programs, JSON-able.
+
+        ``dropped`` counts samples that were left out as unsound or never arrived; ``mean_peak_*``
+        are the signed extremes of the mean stance [N], null without stances.
+        """
+        return {
+            "samples": len(self.forces.time),
+            "duration_s": self.report["duration_s"],
+            "rate_hz": self.report["rate_hz"],
+            # What was left out shows as missing as well, but for repeats.
+            "dropped": max(self.report["missing"], sum(self.report["dropped"].values())),
+            "dropped_by_reason": dict(self.report["dropped"]),
+            "missing": self.report["missing"],
+            "gaps": list(self.report["gaps"]),
+            "flagged": int(self.forces.flagged.sum()),
+            "saturated": int(self.forces.saturated.sum()),
+            "feet": {foot: _figures(self.feet[foot]) for foot in FEET},
+            "pooled": _figures(self.pooled),
+            "foot_sensor_correlation": dict(self.sensor_correlation) or None,
+            "estimator": self.forces.estimator,
+            "frame": self.forces.frame,
+            "notes": list(self.notes),
+        }
+
+    def provenance(self) -> dict[str, Any]:
+        """Where all this comes from, JSON-able."""
+        return {
+            **self.forces.provenance,
+            "log": dict(self.report),
+            "terraphi": importlib.metadata.version("terraphi"),
+        }
+
+
+def analyse(
+    log: Path | str | JointLog,
+    *,
+    robot: Quadruped | Path | str = "go2",
+    estimator: Estimator = DEFAULT_ESTIMATOR,
+    frame: Frame = "world",
+    topic: str | None = None,
+    joint_names: Sequence[str] | None = None,
+    criteria: Criteria | None = None,
+) -> RobotForces:
+    """Foot forces, stances and mean stances of a log.
+
+    Parameters
+    ----------
+    log
+        A file or folder that :func:`~terraphi.robot.logs.read_log` reads, or what it read.
+    robot
+        The robot, or its name, TOML or URDF.
+    estimator, frame
+        See :func:`~terraphi.robot.forces.estimate`.
+    topic, joint_names
+        See :func:`~terraphi.robot.logs.read_log`.
+    criteria
+        What makes a stance; by default a tenth of the robot's weight has to be reached.
+
+    Returns
+    -------
+    RobotForces
+
+    Raises
+    ------
+    InputError
+        If the log or the description of the robot cannot be used, or an option is unknown.
+    """
+    body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
+    report: dict[str, Any] = {"dropped": {}}
+    if not isinstance(log, JointLog):
+        report["source"] = str(log)
+        # What a LowState holds; an hour of it fits into memory.
+        log = read_log(log, topic=topic, joint_names=joint_names, precision="single")
+    try:
+        forces = estimate(log, robot=body, estimator=estimator, frame=frame)
+    except InputError as error:
+        if "source" not in report:
+            raise
+        raise InputError(f"{report['source']}: {error}") from error
+    weight = body.mass * GRAVITY if body.has_masses else None
+    usual = Criteria()
+    if weight is not None:
+        usual = Criteria(rise_N=max(usual.rise_N, RISE_SHARE * weight))
+    chosen = criteria or usual
+    stances = find_stances(forces.time, forces.force, criteria=chosen)
+    correlation = _sensor_correlation(log, forces)
+    return RobotForces(
+        forces=forces,
+        stances=stances,
+        feet={foot: Ensemble.of([s for s in stances if s.foot == foot]) for foot in FEET},
+        pooled=Ensemble.of(stances),
+        notes=(
+            *log.report.get("notes", ()),
+            *_notes(forces, stances, correlation, weight, chosen),
+        ),
+        sensor_correlation=correlation,
+        report={**report, **log.report, **describe(log.time)},
+    )
+
+
+def _figures(ensemble: Ensemble) -> dict[str, Any]:
+    return {
+        "stances": ensemble.count,
+        "mean_duration_s": None if math.isnan(ensemble.duration) else ensemble.duration,
+        "mean_peak_Fz_N": ensemble.peak("z"),
+        "mean_peak_Fx_N": ensemble.peak("x"),
+    }
+
+
+def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
+    """Correlation of each foot's counts with its vertical force; none for silent sensors."""
+    if log.foot_counts is None:
+        return {}
+    found = {}
+    for i, foot in enumerate(FEET):
+        lift = forces.force[:, i, 2]
+        known = np.isfinite(lift)
+        counts, lift = log.foot_counts[known, i], lift[known]
+        if len(lift) > 1 and np.ptp(counts) > 0 and np.ptp(lift) > 0:
+            found[foot] = float(np.corrcoef(counts, lift)[0, 1])
+    return found
+
+
+def _notes(
+    forces: FootForces,
+    stances: Sequence[Stance],
+    correlation: Mapping[str, float],
+    weight: float | None,
+    criteria: Criteria,
+) -> list[str]:
+    notes = list(forces.provenance.get("assumed", ()))
+    counts = forces.saturated.sum(axis=0).tolist()
+    limited = [f"{foot} ({n})" for foot, n in zip(FEET, counts, strict=True) if n]
+    if limited:
+        notes.append(
+            f"motors of {', '.join(limited)} at their limit for as many samples, where forces may "
+            "be larger"
+        )
+    walked = {stance.foot for stance in stances}
+    if not walked:
+        notes.append(_why_no_stances(forces, weight, criteria))
+    elif len(walked) < len(FEET):
+        notes.append(f"no stances of {', '.join(foot for foot in FEET if foot not in walked)}")
+    unlike = [foot for foot, value in correlation.items() if value < SENSOR_AGREEMENT]
+    if walked and unlike:
+        notes.append(
+            f"foot sensors of {', '.join(unlike)} do not follow the vertical force "
+            f"(correlation below {SENSOR_AGREEMENT:g})"
+        )
+    return notes
+
+
+def _why_no_stances(forces: FootForces, weight: float | None, criteria: Criteria) -> str:
+    """One sentence on what the robot did instead of walking."""
+    with np.errstate(invalid="ignore"):
+        known = np.isfinite(forces.force[:, :, 2]).all(axis=1)
+        lift = forces.force[known][:, :, 2].astype(np.float64)
+    if not len(lift):
+        return "no stances: no sample has the forces of all four feet"
+    middle = np.median(lift, axis=0)
+    total = float(middle.sum())
+    of = "" if weight is None else f" of {weight:.0f} N"
+    bearing = 4.0 * criteria.rise_N if weight is None else weight
+    step = float(np.median(np.diff(forces.time))) if len(forces.time) > 1 else 0.0
+    if step > criteria.gap_s:
+        return (
+            f"no stances: samples are {step:.3g} s apart, and a stance takes one every "
+            f"{criteria.gap_s:g} s; the feet carry {total:.0f} N{of}"
+        )
+    if total > STANDING_SHARE * bearing:
+        return f"no stances: the robot stands still, its feet carry {total:.0f} N{of}"
+    if total < HANGING_SHARE * bearing:
+        return f"no stances: the robot hangs or lies, its feet carry {total:.0f} N{of}"
+    return f"no stances: no foot was set down and lifted again, the feet carry {total:.0f} N{of}"

@@ -1,0 +1,302 @@
+"""Stances: when a foot stood, and the mean course of its forces.
+
+A stance is the interval around a peak of the vertical force, from its zero crossing before to the
+one after. An estimated force wavers around zero while the foot is in the air, so a stance has to
+rise above one threshold, stay above a lower one, and last; and it begins where the force comes up
+from next to nothing, rather than from its last negative value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.history import ForceHistory
+from terraphi.robot.joint_log import FEET
+
+FloatArray = NDArray[np.float64]
+Forces = NDArray[np.float64] | NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+AXES = ("x", "y", "z")
+POINTS = 101
+"""Points of normalised time at which stances are averaged."""
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """What makes a stance.
+
+    Attributes
+    ----------
+    rise_N
+        Vertical force that a stance reaches at least [N].
+    rise_part
+        The same as a part of the foot's high loads (95 % quantile) [-]; the larger one counts.
+    fall_part
+        Part of the rise above which a foot keeps standing [-].
+    touch_part
+        A foot touches down where its force last was below this part of the rise [-]: filters give
+        a sudden force a foot of some milliseconds before it begins.
+    impulse_part
+        Least ∫ Fz dt as a part of that of the foot's long stances (90 % quantile) [-]: the inertia
+        of a swinging leg looks like a short force to an estimate that leaves it out.
+    shortest_s, longest_s
+        Durations of a stance [s]; who stands longer stands still.
+    lift_s
+        A foot lifted for less than this has not been lifted [s].
+    gap_s
+        Longest interval without samples that a stance may contain [s].
+    smooth_s
+        Width of the moving mean on which thresholds are tried [s].
+    """
+
+    rise_N: float = 12.0
+    rise_part: float = 0.35
+    fall_part: float = 0.25
+    touch_part: float = 0.1
+    impulse_part: float = 0.25
+    shortest_s: float = 0.06
+    longest_s: float = 2.0
+    lift_s: float = 0.03
+    gap_s: float = 0.04
+    smooth_s: float = 0.01
+
+
+@dataclass(frozen=True)
+class Stance:
+    """One foot's time on the ground.
+
+    Attributes
+    ----------
+    foot
+        ``FR``, ``FL``, ``RR`` or ``RL``.
+    time
+        [s], from the log's own clock; shape [sample].
+    force
+        Of the ground on the robot [N], shape [sample, axis].
+    """
+
+    foot: str
+    time: FloatArray
+    force: Forces
+
+    @property
+    def begin(self) -> float:
+        """When the foot touched the ground [s]."""
+        return float(self.time[0])
+
+    @property
+    def end(self) -> float:
+        """When the foot left the ground [s]."""
+        return float(self.time[-1])
+
+    @property
+    def duration(self) -> float:
+        """Time on the ground [s]."""
+        return self.end - self.begin
+
+    def normalised(self, points: int = POINTS) -> FloatArray:
+        """Forces at equal steps of normalised time [N], shape [point, axis]."""
+        at = np.linspace(self.begin, self.end, points)
+        return np.stack([np.interp(at, self.time, column) for column in self.force.T], axis=1)
+
+    def history(self, provenance: Mapping[str, Any] | None = None) -> ForceHistory:
+        """Forces since touch-down as a history over time.
+
+        Parameters
+        ----------
+        provenance
+            Where they come from; foot and time of touch-down are added.
+
+        Returns
+        -------
+        ForceHistory
+        """
+        known = {**(provenance or {}), "foot": self.foot, "begin_s": self.begin}
+        force = self.force.astype(np.float64)
+        return ForceHistory(self.time - self.begin, force, "time", AXES, known)
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Stances of one foot or of several, over normalised time.
+
+    Attributes
+    ----------
+    part
+        Normalised time from 0 at touch-down to 1 at lift-off [-], shape [point].
+    mean, spread
+        Mean force and its standard deviation among the stances [N], shape [point, axis];
+        not a number where there are no stances.
+    count
+        Number of stances.
+    duration
+        Their mean duration [s]; not a number where there are none.
+    """
+
+    part: FloatArray
+    mean: FloatArray
+    spread: FloatArray
+    count: int
+    duration: float
+
+    @classmethod
+    def of(cls, stances: Sequence[Stance], *, points: int = POINTS) -> Ensemble:
+        """Average stances.
+
+        Parameters
+        ----------
+        stances
+            None or more.
+        points
+            Points of normalised time.
+
+        Returns
+        -------
+        Ensemble
+        """
+        part = np.linspace(0.0, 1.0, points)
+        if not stances:
+            empty = np.full((points, len(AXES)), np.nan)
+            return cls(part, empty, empty, 0, float("nan"))
+        courses = np.stack([stance.normalised(points) for stance in stances])
+        spread = courses.std(axis=0, ddof=1) if len(stances) > 1 else np.zeros(courses.shape[1:])
+        duration = float(np.mean([stance.duration for stance in stances]))
+        return cls(part, courses.mean(axis=0), spread, len(stances), duration)
+
+    def peak(self, axis: str) -> float | None:
+        """Signed extreme of the mean course along an axis [N]; ``None`` without stances."""
+        if not self.count:
+            return None
+        course = self.mean[:, AXES.index(axis)]
+        return float(course[np.abs(course).argmax()])
+
+
+def find_stances(
+    time: FloatArray, force: Forces, *, criteria: Criteria | None = None
+) -> tuple[Stance, ...]:
+    """Find the stances that lie wholly inside a record.
+
+    Parameters
+    ----------
+    time
+        [s], strictly increasing, shape [sample].
+    force
+        Of the ground on the robot, z up [N], shape [sample, foot, axis]; samples that are not
+        numbers are left out, and what is lost by that is a gap like any other.
+    criteria
+        What makes a stance.
+
+    Returns
+    -------
+    tuple of Stance
+        In the order of touch-down.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit.
+
+    Notes
+    -----
+    Where an estimate is off by a constant, its force may never cross zero in the air. The level
+    that ends a stance is therefore the lower quartile of the foot's low forces where that is
+    positive.
+    """
+    if force.shape != (len(time), len(FEET), len(AXES)):
+        raise ValueError(f"force has shape {force.shape}, expected {(len(time), len(FEET), 3)}")
+    chosen = criteria or Criteria()
+    found: list[Stance] = []
+    for column, foot in enumerate(FEET):
+        own_time, own = time, force[:, column]
+        known = np.isfinite(own).all(axis=1)
+        if not known.all():
+            own_time, own = time[known], own[known]
+        for first, last in _bounds(own_time, own[:, 2], chosen):
+            part = slice(first, last + 1)
+            found.append(Stance(foot, own_time[part], own[part]))
+    return tuple(sorted(found, key=lambda stance: stance.begin))
+
+
+def _bounds(time: FloatArray, lift: Forces, criteria: Criteria) -> list[tuple[int, int]]:
+    """First and last sample of each stance of one foot."""
+    if len(time) < 3:
+        return []
+    rise = max(criteria.rise_N, criteria.rise_part * float(np.quantile(lift, 0.95)))
+    smooth = _smoothed(lift, round(criteria.smooth_s / float(np.median(np.diff(time)))))
+    high, low = smooth >= rise, smooth >= criteria.fall_part * rise
+    in_air = lift[~low]
+    level = max(0.0, float(np.quantile(in_air, 0.25))) if len(in_air) else 0.0
+    starts, ends = _runs(low)
+    # What is high is low as well, so that nothing between two runs can add to the first.
+    holds = np.logical_or.reduceat(high, starts) if len(starts) else np.zeros(0, dtype=bool)
+    starts, ends = _joined(time, starts[holds], ends[holds], criteria.lift_s)
+    touch = max(level, criteria.touch_part * rise)
+    first, last = _crossings(lift, starts, ends, touch=touch, leave=level)
+    # Outside the record: the foot stood when it began, or when it ended.
+    whole = (first >= 0) & (last < len(lift))
+    first, last = first[whole], last[whole]
+    breaks = np.concatenate([[0], np.cumsum(np.diff(time) > criteria.gap_s)])
+    duration = time[last] - time[first]
+    good = (duration >= criteria.shortest_s) & (duration <= criteria.longest_s)
+    good &= breaks[first] == breaks[last]
+    first, last = first[good], last[good]
+    if len(first):
+        panels = 0.5 * (lift[1:] + lift[:-1]) * np.diff(time)
+        total = np.concatenate([[0.0], np.cumsum(panels, dtype=np.float64)])
+        impulse = total[last] - total[first]
+        great = impulse >= criteria.impulse_part * np.quantile(impulse, 0.9)
+        first, last = first[great], last[great]
+    return list(zip(first.tolist(), last.tolist(), strict=True))
+
+
+def _crossings(
+    lift: Forces, starts: IntArray, ends: IntArray, *, touch: float, leave: float
+) -> tuple[IntArray, IntArray]:
+    """Samples around each run at which the force is down at a level; -1 and beyond if none is.
+
+    One level [N] counts before the run, the other after it.
+
+    Where the force does not come down between two runs, its least value there parts them.
+    """
+    down = np.where(lift <= touch, np.arange(len(lift)), -1)
+    before = np.maximum.accumulate(down)
+    up = np.where(lift <= leave, np.arange(len(lift)), len(lift))
+    after = np.minimum.accumulate(up[::-1])[::-1]
+    first, last = before[starts], after[ends]
+    for i in np.flatnonzero(first[1:] < ends[:-1]).tolist():
+        parting = ends[i] + int(lift[ends[i] : starts[i + 1]].argmin())
+        first[i + 1] = last[i] = parting
+    return first, last
+
+
+def _smoothed(values: Forces, width: int) -> FloatArray:
+    """Centred moving mean over an odd number of samples, of fewer at the ends."""
+    half = min(width // 2, (len(values) - 1) // 2)
+    total = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
+    centre = np.arange(len(values))
+    left, right = np.maximum(centre - half, 0), np.minimum(centre + half + 1, len(values))
+    return np.asarray((total[right] - total[left]) / (right - left))
+
+
+def _runs(flag: BoolArray) -> tuple[IntArray, IntArray]:
+    """First and last index of each run of true values."""
+    edges = np.diff(np.concatenate([[0], flag.astype(np.int8), [0]]))
+    return np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
+
+
+def _joined(
+    time: FloatArray, starts: IntArray, ends: IntArray, lift_s: float
+) -> tuple[IntArray, IntArray]:
+    """Runs with pauses shorter than a lift taken as one."""
+    apart = time[starts[1:]] - time[ends[:-1]] >= lift_s
+    return (
+        starts[np.concatenate([[True], apart])] if len(starts) else starts,
+        ends[np.concatenate([apart, [True]])] if len(ends) else ends,
+    )

@@ -1,0 +1,182 @@
+"""A look at parts of a log, for what holds all along it: joint friction, noise of torques."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.robot.dynamics import GRAVITY
+from terraphi.robot.friction import JointFriction, fit, in_swing, one_way, spread
+from terraphi.robot.joint_log import JointLog
+from terraphi.robot.kinematics import inverse_transpose, jacobian
+from terraphi.robot.model import Quadruped
+from terraphi.robot.residual import (
+    Settings,
+    Signals,
+    chunks,
+    contact_torque,
+    friction_terms,
+    signals,
+)
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+SURVEY = 60_000
+"""Samples, from all over the log, that are looked at."""
+LEAVE_SHARES = (0.2, 0.1, 0.05, 0.05)
+"""A foot swings below this share of the robot's weight [-], round by round: swing and friction are
+found each from the other, and before friction is known it looks like force."""
+TOUCH_OVER_LEAVE = 1.6
+"""A foot stands again above this many times as much [-]."""
+CUT_SHARE, CUT_OVER_QUARTILE = 0.005, 1.5
+"""A torque that stands at its largest value for this share of the time [-], that value being this
+many times the lower quartile [-], was cut off there: moving legs only touch their largest torque,
+and standing ones hold theirs all the time."""
+FEWEST_CUT = 10
+"""Samples at the largest value that it takes at least."""
+_WINDOW = 4096
+
+
+class Survey(NamedTuple):
+    """What holds all along a log.
+
+    Attributes
+    ----------
+    friction
+        Of the joints; ``None`` if it was not asked for or cannot be known.
+    residual
+        Spread of contact torques in swing, where the truth is zero [N m], shape [foot, joint];
+        NaN for feet that were not seen to swing.
+    resolution
+        Smallest step of the torques [N m], shape [foot, joint].
+    noise
+        Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
+    swing
+        Share of the time that each foot was in the air [-], shape [foot].
+    ceiling
+        Torque at which each motor's was cut off [N m], shape [foot, joint]; infinite if it was not.
+    """
+
+    friction: JointFriction | None
+    residual: FloatArray
+    resolution: FloatArray
+    noise: FloatArray
+    swing: FloatArray
+    ceiling: FloatArray
+
+
+class _Window(NamedTuple):
+    seen: Signals
+    inner: slice
+    lever: FloatArray
+    """Upward force for each torque, shape [sample, foot, joint]."""
+    torque: FloatArray
+    terms: FloatArray
+    sure: BoolArray
+    """Whether a joint keeps moving one way, shape [sample, foot, joint]."""
+
+
+def survey(log: JointLog, robot: Quadruped, settings: Settings, *, friction: bool) -> Survey:
+    """Find friction, resolution and noise from windows spread over a log.
+
+    Parameters
+    ----------
+    log
+        The log.
+    robot
+        Geometry and masses of the legs.
+    settings
+        The estimator whose residual in swing is wanted.
+    friction
+        Whether joint friction is to be found; it takes a robot with masses.
+
+    Returns
+    -------
+    Survey
+    """
+    moving = replace(settings, causal=False)
+    if robot.has_masses:
+        moving = replace(moving, estimator="momentum_observer")
+    wanted = max(settings.margin, moving.margin)
+    every = list(chunks(log.time, wanted, size=_WINDOW))
+    picked = np.unique(np.linspace(0, len(every) - 1, min(len(every), SURVEY // _WINDOW + 1)))
+    windows = []
+    for chunk in (every[int(i)] for i in picked):
+        seen = signals(log, robot, slice(chunk.first, chunk.last))
+        torque = contact_torque(seen, robot, moving, None)[chunk.inner]
+        terms = friction_terms(seen, moving)[chunk.inner]
+        sure = one_way(seen.time, seen.velocity)[chunk.inner]
+        lever = _lift(seen, robot, chunk.inner)
+        windows.append(_Window(seen, chunk.inner, lever, torque, terms, sure))
+    found, swings = _alternate(windows, robot.mass * GRAVITY)
+    kept = found if friction and robot.has_masses else None
+    residual = np.full((4, 3), np.nan)
+    deviations = [contact_torque(w.seen, robot, settings, kept)[w.inner] for w in windows]
+    deviation, swing = np.concatenate(deviations), np.concatenate(swings)
+    for foot in np.flatnonzero(swing.any(axis=0)):
+        residual[foot] = [spread(column) for column in deviation[swing[:, foot], foot].T]
+    steps = np.concatenate([np.diff(w.seen.torque, axis=0) for w in windows])
+    ceiling = _ceiling(np.concatenate([w.seen.torque[w.inner] for w in windows]))
+    return Survey(kept, residual, _resolution(steps), _noise(steps), swing.mean(axis=0), ceiling)
+
+
+def _alternate(
+    windows: list[_Window], weight: float
+) -> tuple[JointFriction | None, list[BoolArray]]:
+    """Swing from the forces without friction, friction from swing, and again."""
+    torque = np.concatenate([w.torque for w in windows])
+    terms = np.concatenate([w.terms for w in windows])
+    sure = np.concatenate([w.sure for w in windows])
+    left = [w.torque for w in windows]
+    friction, swings = None, []
+    for leave in weight * np.array(LEAVE_SHARES):
+        lifts = [np.sum(w.lever * t, axis=-1) for w, t in zip(windows, left, strict=True)]
+        swings = [
+            in_swing(w.seen.time[w.inner], lift, touch=TOUCH_OVER_LEAVE * leave, leave=leave)
+            for w, lift in zip(windows, lifts, strict=True)
+        ]
+        friction = fit(torque, terms, np.concatenate(swings), sure)
+        numbers = np.stack([friction.coulomb, friction.viscous, friction.inertia], axis=-1)
+        left = [w.torque + np.sum(numbers * w.terms, axis=-1) for w in windows]
+    return friction, swings
+
+
+def _lift(seen: Signals, robot: Quadruped, inner: slice) -> FloatArray:
+    """World's vertical row of J⁻ᵀ; zero where the leg tells no force."""
+    up = seen.turn[inner][:, 2, :]
+    inverse, _ = inverse_transpose(jacobian(robot, seen.angle[inner]))
+    row = np.einsum("sk,sfkj->sfj", up, inverse)
+    return np.where(np.isfinite(row), row, 0.0)
+
+
+def _resolution(steps: FloatArray) -> FloatArray:
+    """Smallest step of quantised torques; next to nothing if they are not quantised."""
+    sizes = np.abs(steps)
+    smallest = np.where(sizes > 1e-6, sizes, np.inf).min(axis=0, initial=np.inf)
+    return np.asarray(np.where(np.isfinite(smallest), smallest, 0.0))
+
+
+def _ceiling(torque: FloatArray) -> FloatArray:
+    """Torques at which motors' were cut off; infinite where they were not."""
+    size = np.abs(torque)
+    largest = size.max(axis=0) * (1.0 - 1e-6)
+    there = size >= largest
+    count = np.count_nonzero(there, axis=0)
+    cut = (count >= FEWEST_CUT) & (count >= CUT_SHARE * len(size))
+    # It stays there for a while, and does not touch it once a stride.
+    cut &= 2 * np.count_nonzero(there[1:] & there[:-1], axis=0) > count
+    cut &= largest > CUT_OVER_QUARTILE * np.quantile(size, 0.25, axis=0)
+    return np.asarray(np.where(cut, largest, np.inf))
+
+
+def _noise(steps: FloatArray) -> FloatArray:
+    """Noise from second differences, which the motion hardly has."""
+    bends = np.diff(steps, axis=0).reshape(-1, 12)
+    if len(bends) == 0:
+        return np.zeros((4, 3))
+    deviations = np.array([spread(column) for column in bends.T])
+    return np.asarray(deviations.reshape(4, 3) / np.sqrt(6.0))

@@ -1,0 +1,243 @@
+"""Geometry and masses of a quadruped from its URDF."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.errors import InputError
+from terraphi.robot.joint_log import FEET, JOINTS
+from terraphi.robot.model import JOINT_NAMES, joint_place
+
+FloatArray = NDArray[np.float64]
+
+_AXES = {"hip": "x", "thigh": "y", "calf": "y"}
+
+
+@dataclass(frozen=True)
+class _Joint:
+    name: str
+    kind: str
+    parent: str
+    child: str
+    place: FloatArray
+    rotation: FloatArray
+    axis: FloatArray
+    effort: float
+
+
+def document_from_urdf(text: str, source: str) -> dict[str, Any]:
+    """What a TOML for :class:`~terraphi.robot.model.Quadruped` would say, from a URDF.
+
+    Joints are found by the patterns of :func:`~terraphi.robot.model.joint_place`, the feet as the
+    links fixed to the calves whose names say so, or the farthest ones. What is fixed to a link
+    counts as part of it; whatever is on no leg belongs to the trunk.
+
+    Parameters
+    ----------
+    text
+        The URDF.
+    source
+        Name of the file, for messages.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    InputError
+        If it is not a URDF, lacks joints (they are named), or has legs of another build.
+    """
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise InputError(f"{source}: not valid XML: {error}") from error
+    if root.tag != "robot":
+        raise InputError(f"{source}: the outermost element is <{root.tag}>, <robot> is expected")
+    try:
+        joints = [_joint(element) for element in root.findall("joint")]
+        masses = {e.attrib["name"]: _inertial(e) for e in root.findall("link")}
+    except KeyError as error:
+        raise InputError(f"{source}: an element lacks its {error.args[0]}") from error
+    except ValueError as error:
+        raise InputError(f"{source}: a number cannot be read ({error})") from error
+    legs, limits = {}, np.full((4, 3), np.nan)
+    chains = _leg_joints(joints, source)
+    for i, foot in enumerate(FEET):
+        legs[foot] = _leg(chains[foot], joints, masses, source)
+        limits[i] = [joint.effort for joint in chains[foot]]
+    radii = [_radius(root, leg.pop("foot_link")) for leg in legs.values()]
+    document = {
+        "name": root.get("name", ""),
+        "source": source,
+        "mass": sum(mass for mass, _, _ in masses.values()),
+        "foot_radius": radii[0],
+        "imu": _imu(joints, chains["FR"][0].parent),
+        "legs": legs,
+    }
+    if np.all(limits > 0.0):
+        document["torque_limit"] = tuple(limits.min(axis=0).tolist())
+    return document
+
+
+def _leg_joints(joints: list[_Joint], source: str) -> dict[str, list[_Joint]]:
+    """The three joints of each foot, checked for axes, order and parallel frames."""
+    found = {joint_place(j.name): j for j in joints if j.kind in {"revolute", "continuous"}}
+    places = {place: j for place, j in found.items() if place is not None}
+    missing = [name for k, name in enumerate(JOINT_NAMES) if (k // 3, k % 3) not in places]
+    if missing:
+        raise InputError(
+            f"{source}: no revolute joint is named like {', '.join(missing)}; a quadruped with "
+            "hip, thigh and calf on each of its feet FR, FL, RR, RL is expected"
+        )
+    chains = {foot: [places[i, j] for j in range(3)] for i, foot in enumerate(FEET)}
+    for chain in chains.values():
+        for kind, joint in zip(JOINTS, chain, strict=True):
+            along = np.abs(joint.axis["xyz".index(_AXES[kind])])
+            if not np.isclose(along, 1.0, atol=1e-6):
+                raise InputError(
+                    f"{source}: joint '{joint.name}' turns about "
+                    f"({', '.join(f'{v:g}' for v in joint.axis)}); the {kind} should turn about "
+                    f"±{_AXES[kind]}"
+                )
+            if not np.allclose(joint.rotation, np.eye(3), atol=1e-6):
+                raise InputError(
+                    f"{source}: joint '{joint.name}' has a rotated origin (rpy); legs whose frames "
+                    "are parallel at zero angles are expected"
+                )
+        for inner, outer in pairwise(chain):
+            if outer.parent != inner.child:
+                raise InputError(
+                    f"{source}: joint '{outer.name}' hangs on link '{outer.parent}', not on "
+                    f"'{inner.child}' that '{inner.name}' moves"
+                )
+    return chains
+
+
+def _leg(
+    chain: list[_Joint],
+    joints: list[_Joint],
+    masses: dict[str, tuple[float, FloatArray, FloatArray]],
+    source: str,
+) -> dict[str, Any]:
+    bodies, ends = [], {}
+    for kind, joint in zip(JOINTS, chain, strict=True):
+        for link, place, rotation in _fixed_to(joint.child, joints):
+            mass, centre, inertia = masses[link]
+            if kind == "calf" and link != joint.child:
+                ends[link] = place
+            if mass > 0.0:
+                turned = rotation @ inertia @ rotation.T
+                body = {
+                    "link": kind,
+                    "mass": mass,
+                    "centre": tuple((place + rotation @ centre).tolist()),
+                    "inertia": tuple(
+                        float(turned[i]) for i in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+                    ),
+                }
+                bodies.append(body)
+    named = {k: v for k, v in ends.items() if re.search(r"foot|feet|toe", k, re.IGNORECASE)}
+    if not (named or ends):
+        raise InputError(
+            f"{source}: nothing is fixed to link '{chain[2].child}'; a foot's frame, joined to the "
+            "calf by a fixed joint, is expected"
+        )
+    candidates = named or ends
+    foot = max(candidates, key=lambda link: float(np.linalg.norm(candidates[link])))
+    return {
+        "hip": tuple(chain[0].place.tolist()),
+        "thigh": tuple(chain[1].place.tolist()),
+        "calf": tuple(chain[2].place.tolist()),
+        "foot": tuple(candidates[foot].tolist()),
+        "signs": tuple(1 if joint.axis.sum() > 0.0 else -1 for joint in chain),
+        "bodies": bodies,
+        "foot_link": foot,
+    }
+
+
+def _fixed_to(link: str, joints: list[_Joint]) -> list[tuple[str, FloatArray, FloatArray]]:
+    """A link and whatever is fixed to it, with places and rotations in its frame."""
+    found = [(link, np.zeros(3), np.eye(3))]
+    for parent, place, rotation in found:  # grows while it is read: a tree from its root
+        found += [
+            (j.child, place + rotation @ j.place, rotation @ j.rotation)
+            for j in joints
+            if j.parent == parent and j.kind == "fixed"
+        ]
+    return found
+
+
+def _imu(joints: list[_Joint], trunk: str) -> tuple[float, ...]:
+    for link, place, _ in _fixed_to(trunk, joints):
+        if "imu" in link.lower():
+            return tuple(place.tolist())
+    return (0.0, 0.0, 0.0)
+
+
+def _radius(root: ET.Element, foot: str) -> float:
+    """Radius of the foot's sphere [m]; 0 if the URDF has none."""
+    for link in root.findall("link"):
+        if link.get("name") == foot:
+            sphere = link.find("collision/geometry/sphere")
+            return float(sphere.attrib["radius"]) if sphere is not None else 0.0
+    return 0.0
+
+
+def _numbers(element: ET.Element | None, key: str, default: str) -> FloatArray:
+    words = (default if element is None else element.get(key, default)).split()
+    numbers = np.array([float(word) for word in words])
+    if numbers.shape != (3,) or not np.all(np.isfinite(numbers)):
+        raise ValueError(f"{key} = '{' '.join(words)}', three are expected")
+    return numbers
+
+
+def _joint(element: ET.Element) -> _Joint:
+    parent, child, limit = (element.find(tag) for tag in ("parent", "child", "limit"))
+    if parent is None or child is None:
+        raise KeyError(f"parent or child (joint '{element.get('name')}')")
+    origin = element.find("origin")
+    return _Joint(
+        name=element.attrib["name"],
+        kind=element.attrib["type"],
+        parent=parent.attrib["link"],
+        child=child.attrib["link"],
+        place=_numbers(origin, "xyz", "0 0 0"),
+        rotation=_rotation(_numbers(origin, "rpy", "0 0 0")),
+        axis=_numbers(element.find("axis"), "xyz", "1 0 0"),
+        effort=math.nan if limit is None else float(limit.get("effort", "nan")),
+    )
+
+
+def _inertial(element: ET.Element) -> tuple[float, FloatArray, FloatArray]:
+    """Mass [kg], centre [m] and inertia about it [kg m²], in the link's axes."""
+    inertial = element.find("inertial")
+    if inertial is None:
+        return 0.0, np.zeros(3), np.zeros((3, 3))
+    mass, origin = inertial.find("mass"), inertial.find("origin")
+    moments = inertial.find("inertia")
+    if mass is None or moments is None:
+        raise KeyError(f"mass or inertia (link '{element.get('name')}')")
+    xx, yy, zz, xy, xz, yz = (
+        float(moments.get(key, "0")) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    )
+    turn = _rotation(_numbers(origin, "rpy", "0 0 0"))
+    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return float(mass.attrib["value"]), _numbers(origin, "xyz", "0 0 0"), turn @ matrix @ turn.T
+
+
+def _rotation(rpy: FloatArray) -> FloatArray:
+    """Rotation by roll, pitch and yaw about fixed axes [rad]."""
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
+    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(yaw @ pitch @ roll, dtype=np.float64)

@@ -1,0 +1,75 @@
+"""Small logs for tests, and what may come back of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from terraphi.robot.joint_log import FEET, JOINTS, JointLog
+from terraphi.robot.logs import read_log
+
+COLUMNS = (
+    "angle",
+    "velocity",
+    "torque",
+    "quaternion",
+    "angular_velocity",
+    "acceleration",
+    "foot_counts",
+)
+
+
+def walking(samples: int = 200, *, step_s: float = 0.002, start_s: float = 5.0) -> JointLog:
+    """A log of whole milliseconds and single precision, as a robot would send it."""
+    rng = np.random.default_rng(7)
+    time = np.rint((start_s + step_s * np.arange(samples)) * 1e3) / 1e3
+    phase = rng.uniform(0, 6, (len(FEET), len(JOINTS)))
+    turned = 7.0 * time[:, None, None] + phase
+    quaternion = rng.normal(size=(samples, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+
+    def single(values: np.ndarray) -> np.ndarray:
+        return values.astype(np.float32).astype(np.float64)
+
+    return JointLog(
+        time,
+        single(0.5 * np.sin(turned)),
+        single(3.5 * np.cos(turned)),
+        single(rng.normal(size=turned.shape)),
+        single(quaternion),
+        single(rng.normal(size=(samples, 3))),
+        single(rng.normal(size=(samples, 3))),
+        rng.integers(-50, 300, (samples, 4)).astype(np.float64),
+    )
+
+
+def assert_same(found: JointLog, log: JointLog, *, rounding: float) -> None:
+    """Every column of a log as it was written, to a relative rounding error."""
+    np.testing.assert_allclose(found.time, log.time, rtol=1e-14)
+    for name in COLUMNS:
+        # The reader makes quaternions unit again, which moves them by their own rounding.
+        atol = 1e-7 if name == "quaternion" else 0.0
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(log, name), rtol=rounding, atol=atol, err_msg=name
+        )
+
+
+def assert_prefix(found: JointLog, log: JointLog, *, rounding: float) -> None:
+    """A sound beginning of a log."""
+    part = slice(len(found.time))
+    offset = log.time[0] - found.time[0]  # joint states count from their first stamp
+    np.testing.assert_allclose(found.time + offset, log.time[part], atol=1e-9)
+    for name in ("angle", "velocity", "torque"):
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(log, name)[part], rtol=rounding, err_msg=name
+        )
+
+
+def read_again(path: Path, **options: object) -> JointLog:
+    """Read a log and check that the folder is left as it was."""
+    before = sorted(path.parent.rglob("*"))
+    try:
+        return read_log(path, **options)
+    finally:
+        assert sorted(path.parent.rglob("*")) == before

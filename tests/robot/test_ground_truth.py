@@ -1,0 +1,260 @@
+"""Estimated forces against those of a simulated walk, where MuJoCo knows them exactly."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from terraphi.robot.joint_log import FEET, JointLog
+from terraphi.robot.logs import write_csv, write_mcap, write_npz, write_rosbag2
+from terraphi.robot.results import RobotForces, analyse
+from terraphi.robot.stance import Ensemble, Stance, find_stances
+
+pytest.importorskip("mujoco")
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+LOADED = 1.0
+"""A foot stands where the ground pushes it up with more than this [N]."""
+
+
+class Run(NamedTuple):
+    """A simulated walk: what happened, and two logs of it."""
+
+    truth: Any
+    exact: JointLog
+    realistic: JointLog
+    stances: tuple[Stance, ...]
+
+
+@pytest.fixture(scope="session")
+def simulation() -> Iterator[Any]:
+    """The modules of examples/go2."""
+    sys.path.insert(0, str(EXAMPLES))
+    try:
+        from go2 import control, gait, model, sensors, walk
+
+        yield type("Simulation", (), {
+            "control": control, "gait": gait, "model": model, "sensors": sensors, "walk": walk,
+        })  # fmt: skip
+    finally:
+        sys.path.remove(str(EXAMPLES))
+
+
+def run(simulation: Any, **options: Any) -> Run:
+    truth = simulation.walk.Walk(**options).run()
+    sensors = simulation.sensors
+    return Run(
+        truth,
+        sensors.exact_log(truth),
+        sensors.realistic_log(truth, sensors.Sensors(), seed=11),
+        find_stances(truth.time, truth.force),
+    )
+
+
+@pytest.fixture(scope="session")
+def clean(simulation: Any) -> Run:
+    """Ten seconds of trot with joints that have no friction."""
+    return run(simulation)
+
+
+@pytest.fixture(scope="session")
+def rubbing(simulation: Any) -> Run:
+    """Ten seconds of trot with friction in the joints, and other pushes on the body."""
+    physics = simulation.model.Physics(coulomb=0.2, viscous=0.05)
+    return run(simulation, physics=physics, seed=1)
+
+
+def rmse_in_stance(found: RobotForces, truth: Any) -> np.ndarray:
+    """Root mean square error per axis [N], shape [3]."""
+    force, time = found.forces.force, found.forces.time
+    true = np.empty(force.shape)
+    for place in np.ndindex(4, 3):
+        own = (slice(None), *place)
+        true[own] = np.interp(time, truth.time, truth.force[own])
+    loaded = true[:, :, 2] > LOADED
+    return np.sqrt(np.nanmean((force - true)[loaded] ** 2, axis=0))
+
+
+def numbers(stances: tuple[Stance, ...]) -> list[int]:
+    return [sum(stance.foot == foot for stance in stances) for foot in FEET]
+
+
+# -- the truth itself ----------------------------------------------------------------------------
+
+
+def test_it_really_walks(clean: Run, rubbing: Run) -> None:
+    for truth in (clean.truth, rubbing.truth):
+        assert truth.time[-1] == pytest.approx(10.0, abs=0.01)
+        way = truth.position[-1] - truth.position[0]
+        assert way[0] / truth.time[-1] == pytest.approx(0.3, abs=0.05)
+        assert abs(way[1]) < 0.1
+        assert np.ptp(truth.position[:, 2]) < 0.03
+        # Vertical component of the body's z axis, 1 − 2(x² + y²): within 5° of upright.
+        tilt = 1.0 - 2.0 * (truth.quaternion[:, 1:3] ** 2).sum(axis=1)
+        assert tilt.min() > np.cos(np.radians(5.0))
+
+
+def test_feet_roll_and_do_not_slide(clean: Run) -> None:
+    # A ball of 22 mm at the end of a leg of 0.29 m that swings over its foot at 0.3 m/s moves its
+    # centre at 0.3 · 22/290 m/s while its lowest point rests.
+    truth = clean.truth
+    loaded = truth.force[:, :, 2] > 20.0
+    speed = np.linalg.norm(truth.foot_velocity[:, :, :2], axis=2)[loaded]
+    assert np.median(speed) == pytest.approx(0.3 * 0.022 / 0.29, rel=0.2)
+    assert np.quantile(speed, 0.95) < 0.06
+
+
+def test_contact_forces_obey_newton(clean: Run) -> None:
+    # Over whole strides velocities repeat: mean forces balance weight and the slope's 12 N.
+    truth = clean.truth
+    part = slice(0, round(23 * 0.42 * 1000))
+    mean = truth.force[part].sum(axis=1).mean(axis=0)
+    assert mean[2] == pytest.approx(16.085 * 9.81, rel=0.01)
+    assert mean[0] == pytest.approx(-12.0, abs=1.5)
+    # Cones of friction, and the ground does not pull.
+    across = np.hypot(truth.force[..., 0], truth.force[..., 1])
+    assert (across <= 0.8 * truth.force[..., 2] + 1e-6).all()
+
+
+def test_truth_has_the_stances_of_its_gait(clean: Run) -> None:
+    # Ten seconds hold 23.8 periods of 0.42 s.
+    assert all(count in {23, 24} for count in numbers(clean.stances))
+    durations = [stance.duration for stance in clean.stances]
+    assert np.ptp(durations) < 0.03
+    assert np.mean(durations) == pytest.approx(0.6 * 0.42, abs=0.025)
+    mean = Ensemble.of(clean.stances)
+    assert 70.0 < (mean.peak("z") or 0.0) < 90.0
+    assert -16.0 < (mean.peak("x") or 0.0) < -10.0
+
+
+def test_realistic_log_is_that_of_a_robot(rubbing: Run) -> None:
+    log, truth = rubbing.realistic, rubbing.truth
+    steps = np.diff(log.time)
+    assert 4900 < len(log.time) < 5000
+    assert steps.min() > 0.0
+    assert np.median(steps) == pytest.approx(0.002, abs=5e-5)
+    assert steps[steps < 0.003].std() > 1e-4
+    assert len(np.unique(log.torque)) < 4000  # quantised
+    torque = np.interp(log.time, truth.time, truth.torque[:, 0, 2])
+    assert (log.torque[:, 0, 2] - torque).std() == pytest.approx(0.1, rel=0.1)
+    assert np.linalg.norm(log.quaternion, axis=1) == pytest.approx(np.ones(len(log.time)))
+
+
+# -- estimates against it ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("estimator", "limit"),
+    [
+        ("quasi_static", 6.0),
+        ("gravity", 6.0),
+        ("inverse_dynamics", 2.0),
+        ("momentum_observer", 2.0),
+    ],
+)
+def test_exact_torques_give_the_forces(clean: Run, estimator: Any, limit: float) -> None:
+    found = analyse(clean.exact, estimator=estimator)
+    assert rmse_in_stance(found, clean.truth).max() < limit
+    assert numbers(found.stances) == numbers(clean.stances)
+
+
+@pytest.mark.parametrize("walk", ["clean", "rubbing"])
+@pytest.mark.parametrize(
+    ("estimator", "limit"), [("quasi_static", 6.0), ("momentum_observer", 5.0)]
+)
+def test_realistic_logs_give_the_forces(
+    walk: str, estimator: Any, limit: float, request: pytest.FixtureRequest
+) -> None:
+    made: Run = request.getfixturevalue(walk)
+    found = analyse(made.realistic, estimator=estimator)
+    assert rmse_in_stance(found, made.truth).max() < limit
+    assert numbers(found.stances) == numbers(made.stances)
+
+
+@pytest.mark.parametrize("walk", ["clean", "rubbing"])
+@pytest.mark.parametrize("log", ["exact", "realistic"])
+def test_mean_stance_peaks_within_five_percent(
+    walk: str, log: str, request: pytest.FixtureRequest
+) -> None:
+    made: Run = request.getfixturevalue(walk)
+    truth, found = Ensemble.of(made.stances), analyse(getattr(made, log)).pooled
+    assert found.peak("z") == pytest.approx(truth.peak("z"), rel=0.05)
+    assert found.peak("x") == pytest.approx(truth.peak("x"), rel=0.05)
+    assert found.duration == pytest.approx(truth.duration, abs=0.02)
+
+
+@pytest.mark.parametrize("write", [write_csv, write_npz, write_mcap, write_rosbag2])
+def test_every_format_tells_the_same(rubbing: Run, write: Any, tmp_path: Path) -> None:
+    if write in {write_mcap, write_rosbag2}:
+        pytest.importorskip("rosbags" if write is write_rosbag2 else "mcap")
+    suffix = {write_csv: ".csv", write_npz: ".npz", write_mcap: ".mcap"}.get(write, "")
+    write(tmp_path / f"log{suffix}", rubbing.realistic)
+    found = analyse(tmp_path / f"log{suffix}").summary()
+    expected = analyse(rubbing.realistic).summary()
+    assert found["samples"] == expected["samples"]
+    # The tick of a LowState counts whole milliseconds.
+    assert abs(found["dropped"] - expected["dropped"]) <= 2
+    for part in ("pooled", *FEET):
+        one = found["feet"].get(part, found["pooled"])
+        other = expected["feet"].get(part, expected["pooled"])
+        assert one["stances"] == other["stances"]
+        assert one["mean_peak_Fz_N"] == pytest.approx(other["mean_peak_Fz_N"], rel=0.01)
+        assert one["mean_peak_Fx_N"] == pytest.approx(other["mean_peak_Fx_N"], rel=0.03)
+
+
+@pytest.mark.parametrize(("gait", "word"), [("stand", "stands still"), ("hang", "hangs")])
+def test_standing_and_hanging_robots_have_no_stances(simulation: Any, gait: str, word: str) -> None:
+    made = run(simulation, gait=simulation.gait.Gait(gait), duration=2.0, settle=1.0)
+    for log in (made.exact, made.realistic):
+        summary = analyse(log).summary()
+        assert summary["pooled"]["stances"] == 0
+        assert any(word in note for note in summary["notes"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "period", "speed", "clearance"),
+    [("walk", 0.8, 0.3, 0.06), ("trot", 0.36, 0.5, 0.06), ("trot", 0.6, 0.3, 0.08)],
+)
+def test_other_gaits(
+    simulation: Any, name: str, period: float, speed: float, clearance: float
+) -> None:
+    made = run(
+        simulation,
+        gait=simulation.gait.Gait(name, period, clearance=clearance),
+        aim=simulation.control.Aim(speed=speed),
+        physics=simulation.model.Physics(coulomb=0.3, viscous=0.05, armature=0.004),
+        seed=2,
+    )
+    found = analyse(made.realistic)
+    assert rmse_in_stance(found, made.truth).max() < 5.0
+    # Walking, rear feet leave with 2 N for a tenth of a second. Where the record begins or ends in
+    # that, errors of a few newtons decide whether a stance is whole. Touch-down is sharp.
+    assert numbers(away_from_ends(found.stances)) == numbers(away_from_ends(made.stances))
+
+
+def away_from_ends(stances: tuple[Stance, ...]) -> tuple[Stance, ...]:
+    return tuple(stance for stance in stances if 0.1 < stance.begin < 9.1)
+
+
+def test_script_writes_truth_and_logs(simulation: Any, tmp_path: Path) -> None:
+    import xarray as xr
+    from click.testing import CliRunner
+    from go2_walk import main
+
+    words = ["--out", str(tmp_path), "--duration", "1", "--format", "csv", "--format", "npz"]
+    done = CliRunner().invoke(main, words, catch_exceptions=False)
+    assert done.exit_code == 0
+    written = {path.name for path in tmp_path.iterdir()}
+    assert written == {
+        "truth.nc", "exact.csv", "exact.npz", "realistic.csv", "realistic.npz",
+    }  # fmt: skip
+    with xr.open_dataset(tmp_path / "truth.nc", engine="h5netcdf") as truth:
+        assert truth.force.dims == ("time", "foot", "axis")
+        assert truth.sizes["time"] == 1000
+    assert analyse(tmp_path / "exact.npz").summary()["samples"] == 500

@@ -1,0 +1,190 @@
+"""From a log whose forces were chosen: the torques are those that Jᵀ makes of them."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from terraphi.errors import InputError
+from terraphi.robot import plots
+from terraphi.robot.joint_log import FEET, JointLog
+from terraphi.robot.kinematics import jacobian
+from terraphi.robot.logs import write_npz
+from terraphi.robot.model import Quadruped
+from terraphi.robot.results import RobotForces, analyse
+from terraphi.robot.results_file import read_stances, write_forces
+
+STEP, PERIOD = 0.002, 0.4
+KEYS = {"samples", "duration_s", "rate_hz", "dropped", "feet", "pooled", "estimator", "frame"}
+
+
+def pulses(time: np.ndarray) -> np.ndarray:
+    """Half sines: 76 N up and 14 N backwards, the peaks of the paper; feet half a period apart."""
+    force = np.zeros((len(time), 4, 3))
+    for foot, ahead in enumerate((0.0, 0.5, 0.5, 0.0)):
+        phase = ((time - 0.1) / PERIOD + ahead) % 1.0
+        lift = np.sin(np.pi * np.clip(phase / 0.5, 0.0, 1.0))
+        force[:, foot] = lift[:, None] * [-14.0, 2.0, 76.0]
+    return force
+
+
+def made_log(force: np.ndarray, *, counts: bool = True) -> JointLog:
+    """A level robot that does not move and feels these forces; its legs weigh nothing."""
+    time = 100.0 + STEP * np.arange(len(force))
+    angle = np.broadcast_to([0.1, 0.8, -1.6], (len(time), 4, 3)).copy()
+    matrix = jacobian(Quadruped.load("go2"), angle[:1])[0]
+    return JointLog(
+        time=time,
+        angle=angle,
+        velocity=np.zeros_like(angle),
+        torque=-np.einsum("fij,sfi->sfj", matrix, force),
+        quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (len(time), 1)),
+        angular_velocity=np.zeros((len(time), 3)),
+        acceleration=np.tile([0.0, 0.0, 9.81], (len(time), 1)),
+        foot_counts=np.round(20.0 + force[:, :, 2]) if counts else None,
+    )
+
+
+@pytest.fixture(scope="module")
+def found() -> RobotForces:
+    return analyse(made_log(pulses(STEP * np.arange(5000))), estimator="quasi_static")
+
+
+def test_forces_that_were_put_in_come_out(found: RobotForces) -> None:
+    truth = pulses(STEP * np.arange(5000))
+    assert found.forces.force == pytest.approx(truth, abs=1e-3)  # single precision
+    assert not found.notes
+
+
+def test_summary_has_the_agreed_keys(found: RobotForces) -> None:
+    summary = json.loads(json.dumps(found.summary()))
+    assert set(summary) >= KEYS
+    assert (summary["samples"], summary["dropped"]) == (5000, 0)
+    assert summary["rate_hz"] == pytest.approx(500.0)
+    assert summary["duration_s"] == pytest.approx(9.998)
+    assert (summary["estimator"], summary["frame"]) == ("quasi_static", "world")
+    assert list(summary["feet"]) == list(FEET)
+    # FR and RL touch down at 0.1 + 0.4 n; the others stand at 0 s and at 10 s.
+    assert [summary["feet"][foot]["stances"] for foot in FEET] == [25, 24, 24, 25]
+    assert summary["pooled"]["stances"] == 98
+    for part in (*summary["feet"].values(), summary["pooled"]):
+        assert part["mean_peak_Fz_N"] == pytest.approx(76.0, rel=2e-3)
+        assert part["mean_peak_Fx_N"] == pytest.approx(-14.0, rel=2e-3)
+        assert part["mean_duration_s"] == pytest.approx(0.2, abs=0.003)
+    assert min(summary["foot_sensor_correlation"].values()) > 0.99
+
+
+def test_lost_samples_are_counted() -> None:
+    log = made_log(pulses(STEP * np.arange(5000)), counts=False)
+    kept = np.ones(5000, dtype=bool)
+    kept[[100, 1000, 1001, 3000]] = False
+    names = ("time", "angle", "velocity", "torque", "quaternion", "angular_velocity")
+    log = replace(log, acceleration=None)
+    log = replace(log, **{name: getattr(log, name)[kept] for name in names})
+    summary = analyse(log, estimator="quasi_static").summary()
+    assert (summary["samples"], summary["dropped"]) == (4996, 4)
+    assert summary["foot_sensor_correlation"] is None
+    assert summary["pooled"]["stances"] == 98
+
+
+@pytest.mark.parametrize(
+    ("load", "word"), [(40.0, "stands still"), (0.0, "hangs"), (20.0, "no foot was set down")]
+)
+def test_no_stances_are_explained(load: float, word: str, tmp_path: Path) -> None:
+    force = np.zeros((2000, 4, 3))
+    force[:, :, 2] = load
+    found = analyse(made_log(force), estimator="quasi_static")
+    summary = found.summary()
+    assert summary["pooled"] == {
+        "stances": 0, "mean_duration_s": None, "mean_peak_Fz_N": None, "mean_peak_Fx_N": None,
+    }  # fmt: skip
+    assert any(word in note for note in summary["notes"])
+    json.dumps(summary, allow_nan=False)
+    write_forces(found, tmp_path / "still.nc")
+    assert read_stances(tmp_path / "still.nc") == ()
+    plots.forces_figure(found)
+    plots.stance_figure(found)
+
+
+def test_sensor_of_a_wrong_foot_is_noticed() -> None:
+    log = made_log(pulses(STEP * np.arange(3000)))
+    assert log.foot_counts is not None
+    swapped = replace(log, foot_counts=log.foot_counts[:, [1, 0, 2, 3]])
+    found = analyse(swapped, estimator="quasi_static")
+    assert any("foot sensors of FR, FL" in note for note in found.notes)
+    # They are looked at, and never used.
+    assert (
+        found.summary()["pooled"]["stances"]
+        == analyse(log, estimator="quasi_static").summary()["pooled"]["stances"]
+    )
+
+
+def test_file_has_labelled_axes_and_knows_where_it_comes_from(
+    found: RobotForces, tmp_path: Path
+) -> None:
+    write_forces(found, tmp_path / "forces.nc")
+    with xr.open_dataset(tmp_path / "forces.nc", engine="h5netcdf") as opened:
+        data = opened.load()
+    assert data.force.dims == ("time", "foot", "axis")
+    assert [str(foot) for foot in data.foot.values] == list(FEET)
+    assert [str(axis) for axis in data.axis.values] == ["x", "y", "z"]
+    assert (data.force.attrs["units"], data.time.attrs["units"]) == ("N", "s")
+    assert data.sigma.shape == data.force.shape
+    assert data.flagged.dims == ("time", "foot")
+    assert data.stance_count.values.tolist() == [25, 24, 24, 25]
+    assert float(data.pooled_mean.sel(axis="z").max()) == pytest.approx(76.0, rel=2e-3)
+    assert (data.attrs["frame"], data.attrs["estimator"]) == ("world", "quasi_static")
+    provenance = json.loads(data.attrs["provenance"])
+    assert {"terraphi", "robot", "log"} <= set(provenance)
+    assert json.loads(data.attrs["summary"]) == json.loads(json.dumps(found.summary()))
+
+
+def test_stances_come_back_as_histories(found: RobotForces, tmp_path: Path) -> None:
+    write_forces(found, tmp_path / "forces.nc")
+    back = read_stances(tmp_path / "forces.nc")
+    assert [stance.foot for stance in back] == [stance.foot for stance in found.stances]
+    for one, other in zip(back, found.stances, strict=True):
+        assert one.time.tolist() == other.time.tolist()
+        assert one.force.tolist() == other.force.tolist()
+    assert back[0].history().Fz.max() == pytest.approx(76.0, rel=1e-3)
+
+
+def test_other_files_are_refused(found: RobotForces, tmp_path: Path) -> None:
+    found.stances[0].history().to_netcdf(tmp_path / "history.nc")
+    with pytest.raises(InputError, match="not a foot forces"):
+        read_stances(tmp_path / "history.nc")
+    with pytest.raises(InputError, match="cannot be written"):
+        write_forces(found, tmp_path / "no" / "forces.nc")
+    assert [path.name for path in tmp_path.iterdir()] == ["history.nc"]
+
+
+def test_a_path_is_read_first(found: RobotForces, tmp_path: Path) -> None:
+    write_npz(tmp_path / "log.npz", made_log(pulses(STEP * np.arange(5000))))
+    read = analyse(tmp_path / "log.npz", estimator="quasi_static")
+    assert read.forces.force == pytest.approx(found.forces.force, abs=1e-3)
+    assert read.provenance()["log"]["source"].endswith("log.npz")
+    with pytest.raises(InputError, match="no such file"):
+        analyse(tmp_path / "none.npz")
+
+
+def test_figures_show_both_forces_of_all_feet(
+    found: RobotForces, caplog: pytest.LogCaptureFixture
+) -> None:
+    figure = plots.forces_figure(found, seconds=7.0)
+    assert len(figure.axes) == 8
+    line = figure.axes[1].lines[0]
+    assert np.ptp(np.asarray(line.get_xdata())) == pytest.approx(7.0, abs=2 * STEP)
+    assert max(np.asarray(line.get_ydata())) == pytest.approx(76.0, rel=1e-3)
+    # FR stands 17 or 18 times in 7 s at 2.5 stances a second.
+    assert len(figure.axes[0].patches) in {17, 18}
+    with caplog.at_level(logging.WARNING):
+        mean = plots.stance_figure(found)
+    assert not caplog.records
+    thick = max(mean.axes[1].lines, key=lambda each: each.get_linewidth())
+    assert max(np.asarray(thick.get_ydata())) == pytest.approx(76.0, rel=2e-3)

@@ -1,0 +1,177 @@
+"""Stances of forces whose stances are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from terraphi.robot.joint_log import FEET
+from terraphi.robot.stance import Criteria, Ensemble, Stance, find_stances
+
+STEP = 0.002
+PERIOD, DUTY, PEAK = 0.4, 0.5, 80.0
+
+
+def walk(seconds: float = 10.0, *, peak: float = PEAK, begin: float = 0.1):
+    """Half sines of vertical force, feet half a period apart, braking with a fifth of it."""
+    time = np.arange(0.0, seconds, STEP)
+    force = np.zeros((len(time), 4, 3))
+    for foot, ahead in enumerate((0.0, 0.5, 0.5, 0.0)):
+        phase = ((time - begin) / PERIOD + ahead) % 1.0
+        lift = peak * np.sin(np.pi * np.clip(phase / DUTY, 0.0, 1.0))
+        force[:, foot, 2] = lift
+        force[:, foot, 0] = -0.2 * lift
+    return time, force
+
+
+def counts(stances) -> list[int]:
+    return [sum(stance.foot == foot for stance in stances) for foot in FEET]
+
+
+# From 0 to 10 s, FR and RL stand from 0.1 + 0.4 n to 0.3 + 0.4 n; FL and RR from 0.3 + 0.4 n on,
+# and both of these stand from -0.1 to 0.1 s as well, where the record begins.
+WHOLE = [25, 24, 24, 25]
+
+
+def test_bounds_and_numbers_are_those_of_the_walk() -> None:
+    stances = find_stances(*walk())
+    assert counts(stances) == WHOLE
+    for foot, first in (("FR", 0.1), ("FL", 0.3)):
+        own = [stance for stance in stances if stance.foot == foot]
+        begin = np.array([stance.begin for stance in own])
+        assert begin == pytest.approx(first + PERIOD * np.arange(len(own)), abs=1.5 * STEP)
+        assert np.array([s.duration for s in own]) == pytest.approx(PERIOD * DUTY, abs=2.5 * STEP)
+    assert sorted(stance.begin for stance in stances) == [stance.begin for stance in stances]
+
+
+@pytest.mark.parametrize("sigma", [1.0, 3.0, 5.0])
+def test_noise_makes_and_breaks_no_stance(sigma: float) -> None:
+    time, force = walk()
+    noisy = force + np.random.default_rng(1).normal(0.0, sigma, force.shape)
+    stances = find_stances(time, noisy)
+    assert counts(stances) == WHOLE
+    # Noise crosses zero a little inside a slow rise: 80 N sin(π t/0.2 s) reaches 2σ at t = 8 ms.
+    truth = Ensemble.of(find_stances(time, force))
+    found = Ensemble.of(stances)
+    assert found.peak("z") == pytest.approx(PEAK, rel=0.03)
+    assert found.peak("x") == pytest.approx(-0.2 * PEAK, rel=0.05)
+    assert found.duration == pytest.approx(truth.duration, abs=0.02)
+
+
+@pytest.mark.parametrize("bias", [-6.0, 6.0])
+def test_constant_bias_changes_no_number(bias: float) -> None:
+    time, force = walk()
+    biased = force + np.random.default_rng(2).normal(0.0, 1.0, force.shape) + [0.0, 0.0, bias]
+    assert counts(find_stances(time, biased)) == WHOLE
+
+
+def test_short_force_of_a_swinging_leg_is_no_stance() -> None:
+    time, force = walk()
+    phase = ((time - 0.1) / PERIOD) % 1.0
+    # 30 N for 70 ms in the middle of each swing.
+    force[:, 0, 2] += 30.0 * (np.abs(phase - 0.75) < 0.0875)
+    assert counts(find_stances(time, force)) == WHOLE
+
+
+def test_bounce_and_dip_do_not_split_a_stance() -> None:
+    time, force = walk()
+    phase = ((time - 0.1) / PERIOD) % 1.0
+    force[np.abs(phase - 0.25) < 0.02, 0, 2] = -0.5  # 16 ms off the ground in the middle
+    assert counts(find_stances(time, force)) == WHOLE
+
+
+def test_standing_and_hanging_make_none() -> None:
+    time = np.arange(0.0, 5.0, STEP)
+    rng = np.random.default_rng(3)
+    for load in (40.0, 0.0, -5.0):
+        force = rng.normal(0.0, 3.0, (len(time), 4, 3))
+        force[:, :, 2] += load
+        assert find_stances(time, force) == ()
+
+
+def test_put_down_and_picked_up_again_stood_still() -> None:
+    time = np.arange(0.0, 8.0, STEP)
+    force = np.zeros((len(time), 4, 3))
+    force[(time > 2.0) & (time < 6.0), :, 2] = 40.0
+    assert find_stances(time, force) == ()
+    assert counts(find_stances(time, force, criteria=Criteria(longest_s=10.0))) == [1, 1, 1, 1]
+
+
+def test_walking_before_and_after_standing_counts() -> None:
+    time, force = walk(4.0)
+    still = np.zeros((1500, 4, 3))
+    still[:, :, 2] = 40.0
+    force = np.concatenate([force[:-100], still, force])
+    time = STEP * np.arange(len(force))
+    # The record's first three or so seconds twice, and standing joins two stances to itself.
+    assert all(stance.duration < 0.25 for stance in find_stances(time, force))
+    assert len(find_stances(time, force)) > 60
+
+
+def test_single_lost_samples_do_not_matter_and_gaps_do() -> None:
+    time, force = walk()
+    kept = np.random.default_rng(4).random(len(time)) > 0.02
+    assert counts(find_stances(time[kept], force[kept])) == WHOLE
+    # 100 ms in the middle of FR's and RL's third stance, 0.9 to 1.1 s: FL and RR swing.
+    kept = (time < 0.95) | (time > 1.05)
+    assert counts(find_stances(time[kept], force[kept])) == [24, 24, 24, 24]
+
+
+def test_samples_without_a_force_are_gaps() -> None:
+    time, force = walk()
+    force[np.abs(time - 1.0) < 0.05, 0] = np.nan
+    force[np.abs(time - 1.0) < 0.005, 3] = np.nan
+    stances = find_stances(time, force)
+    assert counts(stances) == [24, 24, 24, 25]
+    assert all(np.isfinite(stance.force).all() for stance in stances)
+
+
+def test_single_precision_is_taken_as_it_is() -> None:
+    time, force = walk()
+    double, single = find_stances(time, force), find_stances(time, force.astype(np.float32))
+    assert [s.begin for s in double] == [s.begin for s in single]
+
+
+def test_shapes_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"expected \(5, 4, 3\)"):
+        find_stances(np.arange(5.0), np.zeros((5, 4)))
+    assert find_stances(np.zeros(0), np.zeros((0, 4, 3))) == ()
+
+
+def test_ensemble_has_the_mean_and_spread_of_its_stances() -> None:
+    time = np.linspace(3.0, 3.2, 101)
+    course = np.sin(np.pi * (time - 3.0) / 0.2)[:, None] * [-10.0, 0.0, 70.0]
+    first = Stance("FR", time, course)
+    second = Stance("RL", time[::2] + 1.0, 1.2 * course[::2])
+    found = Ensemble.of([first, second], points=51)
+    assert (found.count, found.duration) == (2, pytest.approx(0.2))
+    assert found.mean == pytest.approx(1.1 * course[::2])
+    # Standard deviation of a and 1.2 a: 0.2 a/√2.
+    assert found.spread == pytest.approx(np.abs(0.2 * course[::2]) / np.sqrt(2.0))
+    assert (found.peak("x"), found.peak("z")) == (pytest.approx(-11.0), pytest.approx(77.0))
+
+
+def test_no_stances_have_no_mean() -> None:
+    found = Ensemble.of([])
+    assert found.peak("z") is None
+    assert np.isnan(found.mean).all()
+    assert np.isnan(found.duration)
+
+
+def test_one_stance_has_no_spread() -> None:
+    stance = find_stances(*walk())[0]
+    assert not Ensemble.of([stance]).spread.any()
+
+
+def test_a_stance_is_a_force_history_over_time() -> None:
+    stance = replace(find_stances(*walk())[3], foot="RL")
+    history = stance.history({"file": "walk.csv"})
+    assert (history.coordinate, history.axes) == ("time", ("x", "y", "z"))
+    assert history.position[0] == 0.0
+    assert history.position[-1] == pytest.approx(stance.duration)
+    assert history.Fz.max() == pytest.approx(PEAK, rel=1e-3)
+    assert history.Fx == pytest.approx(-0.2 * history.Fz)
+    assert history.provenance["foot"] == "RL"
+    assert history.provenance["file"] == "walk.csv"
