@@ -1,0 +1,197 @@
+"""``terraphi forces`` as people use it, and what a log's faults come to in the answer."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from terraphi.cli import main
+from terraphi.robot.joint_log import JointLog
+from terraphi.robot.kinematics import jacobian
+from terraphi.robot.logs import write_csv, write_mcap, write_npz, write_rosbag2
+from terraphi.robot.model import Quadruped
+from terraphi.robot.results import analyse
+from terraphi.robot.stance import Criteria, find_stances
+
+Terraphi = Callable[..., tuple[int, str, str]]
+STEP = 0.002
+
+
+def walking(seconds: float = 4.0) -> JointLog:
+    """Legs that swing a little and feel half sines of 76 N up and 14 N backwards."""
+    time = STEP * np.arange(round(seconds / STEP))
+    phase = (time[:, None] / 0.4 + np.array([0.0, 0.5, 0.5, 0.0])) % 1.0
+    lift = np.sin(np.pi * np.clip(phase / 0.5, 0.0, 1.0))
+    force = lift[:, :, None] * [-14.0, 2.0, 76.0]
+    swing = 0.05 * np.sin(2 * np.pi * phase)[:, :, None]
+    angle = np.array([0.1, 0.8, -1.6]) + swing * [0.0, 1.0, 1.0]
+    matrix = jacobian(Quadruped.load("go2"), angle)
+    return JointLog(
+        time=time,
+        angle=angle,
+        velocity=np.gradient(angle, time, axis=0),
+        torque=-np.einsum("sfij,sfi->sfj", matrix, force),
+        quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (len(time), 1)),
+        angular_velocity=np.zeros((len(time), 3)),
+        acceleration=np.tile([0.0, 0.0, 9.81], (len(time), 1)),
+        foot_counts=np.round(20.0 + force[:, :, 2]),
+    )
+
+
+@pytest.fixture
+def terraphi(monkeypatch, capsys, tmp_path) -> Terraphi:
+    monkeypatch.chdir(tmp_path)
+
+    def run(*args: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["terraphi", *args])
+        status = 0
+        try:
+            main()
+        except SystemExit as leaving:
+            status = int(leaving.code or 0)
+        return status, *capsys.readouterr()
+
+    return run
+
+
+def test_every_format_gives_the_same_answer(terraphi: Terraphi) -> None:
+    log = walking()
+    write_csv("log.csv", log)
+    write_npz("log.npz", log)
+    write_mcap("log.mcap", log)
+    write_rosbag2("bag", log, storage="sqlite3")
+    answers = []
+    for name in ("log.csv", "log.npz", "log.mcap", "bag"):
+        status, out, err = terraphi("forces", name, "--estimator", "quasi_static", "--json")
+        assert (status, err) == (0, "")
+        answers.append(json.loads(out))
+    for answer in answers:
+        assert answer["samples"] == len(log.time)
+        assert answer["pooled"]["stances"] == answers[0]["pooled"]["stances"] > 30
+        assert answer["pooled"]["mean_peak_Fz_N"] == pytest.approx(76.0, abs=1.0)
+        assert answer["pooled"]["mean_peak_Fx_N"] == pytest.approx(-14.0, abs=0.3)
+
+
+def test_file_and_figures(terraphi: Terraphi, tmp_path: Path) -> None:
+    write_npz("log.npz", walking())
+    status, out, _ = terraphi("forces", "log.npz", "--out", "forces.nc", "--figures", "figures")
+    assert status == 0
+    assert "all feet" in out
+    with xr.open_dataset("forces.nc", engine="h5netcdf") as found:
+        assert found["force"].dims == ("time", "foot", "axis")
+        assert found["foot"].values.tolist() == ["FR", "FL", "RR", "RL"]
+        assert found["axis"].values.tolist() == ["x", "y", "z"]
+    assert {p.name for p in (tmp_path / "figures").iterdir()} == {"forces.png", "stance.png"}
+
+
+@pytest.mark.parametrize(
+    ("args", "word"),
+    [
+        (("no.mcap",), "no such file"),
+        (("log.npz", "--robot", "go3"), "go2"),
+        (("log.npz", "--estimator", "observer"), "momentum_observer"),
+        (("log.npz", "--frame", "earth"), "world"),
+        (("log.npz", "--topic", "/lowstate"), "topic"),
+        (("log.npz", "--out", "no/f.nc"), "no such folder"),
+    ],
+)
+def test_unusable_words(args: tuple[str, ...], word: str, terraphi: Terraphi, tmp_path) -> None:
+    write_npz("log.npz", walking(1.0))
+    status, out, err = terraphi("forces", *args)
+    assert (status, out) == (2, "")
+    assert word in err
+    assert len(err.strip().splitlines()) == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["log.npz"]
+
+
+def test_world_frame_without_an_attitude_is_refused(terraphi: Terraphi) -> None:
+    write_npz("log.npz", replace(walking(1.0), quaternion=None))
+    status, _, err = terraphi("forces", "log.npz")
+    assert status == 2
+    assert "body" in err
+    assert terraphi("forces", "log.npz", "--frame", "body", "--json")[0] == 0
+
+
+def test_what_the_reader_noticed_reaches_the_answer(terraphi: Terraphi) -> None:
+    write_mcap("log.mcap", walking(), chunked=False, compression="none")
+    whole = Path("log.mcap").read_bytes()
+    Path("half.mcap").write_bytes(whole[: len(whole) // 2])
+    status, out, _ = terraphi("forces", "half.mcap", "--json")
+    answer = json.loads(out)
+    assert status == 0
+    assert 0 < answer["samples"] < len(walking().time)
+    assert any("cut off" in note for note in answer["notes"])
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e6, 1e9])
+def test_times_in_another_unit_are_refused(factor: float, terraphi: Terraphi) -> None:
+    log = walking()
+    write_npz("log.npz", replace(log, time=log.time * factor))
+    status, _, err = terraphi("forces", "log.npz")
+    assert status == 2
+    assert "seconds are expected" in err
+
+
+def test_huge_numbers_are_dropped_and_counted(terraphi: Terraphi) -> None:
+    log = walking()
+    torque = log.torque.copy()
+    torque[100, 0, 0] = 1e300
+    write_npz("log.npz", replace(log, torque=torque))
+    status, out, err = terraphi("forces", "log.npz", "--json")
+    assert (status, err) == (0, "")
+    assert json.loads(out)["dropped"] == 1
+
+
+def test_clipped_torques_are_named() -> None:
+    log = walking()
+    limit = 0.8 * np.abs(log.torque[:, 0, 2]).max()
+    clipped = analyse(replace(log, torque=np.clip(log.torque, -limit, limit)))
+    assert clipped.summary()["saturated"] > 0
+    assert any("at their limit" in note for note in clipped.notes)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 10])
+def test_a_few_frames_of_a_standing_robot(samples: int) -> None:
+    weight = Quadruped.load("go2").mass * 9.81
+    log = walking(1.0)
+    angle = np.tile([0.0, 0.8, -1.6], (samples, 4, 1))
+    force = np.zeros((samples, 4, 3))
+    force[..., 2] = 0.25 * weight
+    matrix = jacobian(Quadruped.load("go2"), angle)
+    standing = JointLog(
+        time=STEP * np.arange(samples),
+        angle=angle,
+        velocity=np.zeros_like(angle),
+        torque=-np.einsum("sfij,sfi->sfj", matrix, force),
+        quaternion=log.quaternion[:samples],
+        angular_velocity=log.angular_velocity[:samples],
+        acceleration=log.acceleration[:samples],
+    )
+    found = analyse(standing, estimator="quasi_static")
+    assert found.forces.force[..., 2].sum(axis=1) == pytest.approx(weight, rel=1e-3)
+    assert not found.stances
+    assert found.notes
+
+
+def test_a_stance_begins_where_the_force_does_not_where_a_filter_smears_it() -> None:
+    time = STEP * np.arange(1000)
+    force = np.zeros((1000, 4, 3))
+    inside = (time >= 0.5) & (time <= 1.0)
+    force[inside, :, 2] = 80.0
+    before = (time >= 0.48) & (time < 0.5)
+    force[before, :, 2] = 80.0 * np.exp((time[before, None] - 0.5) / 0.004)  # a leak, 1 N at 18 ms
+    begins, smeared = (
+        [stance.begin for stance in find_stances(time, force, criteria=criteria)]
+        for criteria in (Criteria(), Criteria(touch_part=0.0))
+    )
+    assert len(begins) == len(smeared) == 4
+    for begin, early in zip(begins, smeared, strict=True):
+        assert early < begin - 0.002
+        assert begin == pytest.approx(0.5, abs=0.015)
