@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import os
 import tempfile
@@ -82,9 +83,12 @@ def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
     """
     # Made in memory: on a full disk the HDF5 library raises anything, and then takes the
     # interpreter down when it tries again to close the file.
-    content = dataset.to_netcdf(engine="h5netcdf", encoding=encoding)
+    # Our own buffer and a copy of it: xarray's memoryview would be in the way of HDF5, which closes
+    # its end of the buffer when it is collected.
+    buffer = io.BytesIO()
+    dataset.to_netcdf(buffer, engine="h5netcdf", encoding=encoding)
     with replacing(path) as temporary:
-        temporary.write_bytes(content)
+        temporary.write_bytes(buffer.getvalue())
 
 
 def writable(path: Path) -> None:
