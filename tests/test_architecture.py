@@ -21,6 +21,7 @@ ROOMS = [
     "soil",
     "leg",
     "motion",
+    "setting",
     "scenario",
     "history",
     "measurements",

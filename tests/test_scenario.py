@@ -10,11 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import xarray as xr
 from pydantic import ValidationError
 
-from terraphi.documents import shipped_names
+from terraphi.documents import shipped_file, shipped_names
 from terraphi.errors import InputError
-from terraphi.scenario import PAPER_DAMPING_RATE, Scenario
+from terraphi.library import Library
+from terraphi.scenario import Scenario
+from terraphi.setting import ADDED_LATER, PAPER_DAMPING_RATE
 
 TRANSLATION = {
     "kind": "translation",
@@ -161,6 +164,20 @@ def test_the_hash_is_the_same_in_another_process() -> None:
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
     )
     assert answer.stdout.strip() == Scenario.load("quick").hash
+
+
+@pytest.mark.parametrize("name", ["quick-paper", "quick-plane-strain-truths", "rft3d"])
+def test_options_added_later_leave_the_hashes_of_what_was_simulated_before(name: str) -> None:
+    path = shipped_file("libraries", name, ".nc")
+    with xr.open_dataset(path, engine="h5netcdf") as stored:
+        hashes = [str(h) for h in stored["scenario_hash"].values]
+    assert hashes == [case.scenario.hash for case in Library.load(name).cases]
+
+
+def test_options_added_later_count_where_they_change_something() -> None:
+    for key, before in ADDED_LATER.items():
+        section, option = key.split(".")
+        assert Scenario().model_dump(mode="json")[section][option] == before
 
 
 def test_the_name_is_no_part_of_the_hash() -> None:

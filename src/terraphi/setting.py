@@ -1,0 +1,146 @@
+"""The parts of a scenario beside soil, leg and motion: bed, relief, discretisation, RFT.
+
+An option that is added later says in :data:`ADDED_LATER` which value means what was there before.
+A scenario that leaves it there keeps its hash, and what was simulated is not simulated again.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+ADDED_LATER: dict[str, Any] = {}
+"""Dotted key to the value that leaves a scenario as it was before the option existed."""
+PAPER_DAMPING_RATE = -math.log(0.997) / 8e-6
+"""The paper multiplies grid velocities by 0.997 every 8 µs: a decay rate of 375.6 1/s."""
+
+
+class Section(BaseModel):
+    """Frozen, strict and finite."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Bed(Section):
+    """The box of soil; its walls are fixed in space whatever the grid.
+
+    Attributes
+    ----------
+    left, floor
+        Position of the left wall x and of the floor z [m].
+    width, height
+        Extent of the soil [m]; the right wall stands at left + width.
+    floor_friction
+        ``rough``: soil that presses on the floor sticks; ``smooth``: it slips freely. The side
+        walls always let soil slip.
+    """
+
+    left: float = Field(0.005, ge=0)
+    floor: float = Field(0.005, ge=0)
+    width: float = Field(0.290, gt=0)
+    height: float = Field(0.165, gt=0)
+    floor_friction: Literal["rough", "smooth"] = "rough"
+
+    @property
+    def surface(self) -> float:
+        """Height of the free surface z [m]."""
+        return self.floor + self.height
+
+
+class Relief(Section):
+    """Fading of soil that the leg has carried away (the paper's tail-phase relief).
+
+    Attributes
+    ----------
+    enabled
+        Whether particles fade at all; only in a rotation.
+    distance
+        Displacement from its first place beyond which a particle fades once θ > 0 [m].
+    rate
+        Decay rate per turned angle [1/rad].
+    least
+        Smallest weight q of a particle [-].
+    """
+
+    enabled: bool = True
+    distance: float = Field(0.020, ge=0)
+    rate: float = Field(2.0, ge=0)
+    least: float = Field(0.05, gt=0, le=1)
+
+
+class Numerics(Section):
+    """Discretisation of the material point method.
+
+    Attributes
+    ----------
+    domain
+        Side of the square background grid [m].
+    cells
+        Cells along a side.
+    particles_per_cell_side
+        Particles along a side of a cell; 2 makes 4 a cell in the plane.
+    particle_jitter
+        Share of its sub-cell over which a particle's place is drawn [-]: 0 a lattice, 1 anywhere.
+    seed
+        Seed of the particle places.
+    time_step
+        Δt [s].
+    speed_up
+        k: the motion runs k times faster, and the damping rate is divided by k, so that its
+        drag on the soil stays the same.
+    damping_rate
+        Decay rate of grid velocities [1/s]; 0 for none.
+    contact_band_cells
+        Nodes closer to the leg than this many cells are in contact.
+    particle_volume
+        ``fixed``: V₀; ``updated``: J V₀.
+    """
+
+    domain: float = Field(0.300, gt=0)
+    cells: int = Field(128, ge=8, le=4096)
+    particles_per_cell_side: int = Field(2, ge=1, le=8)
+    particle_jitter: float = Field(1.0, ge=0, le=1)
+    seed: int = Field(0, ge=0)
+    time_step: float = Field(8e-6, gt=0)
+    speed_up: float = Field(1.0, gt=0)
+    damping_rate: float = Field(PAPER_DAMPING_RATE, ge=0)
+    contact_band_cells: float = Field(2.0, ge=0)
+    particle_volume: Literal["fixed", "updated"] = "fixed"
+
+    @property
+    def cell_size(self) -> float:
+        """Δx [m]."""
+        return self.domain / self.cells
+
+    @property
+    def damping_factor(self) -> float:
+        """Factor on grid velocities each step, exp(-rate Δt / k) [-]."""
+        return math.exp(-self.damping_rate * self.time_step / self.speed_up)
+
+
+class Resistive(Section):
+    """Resistive force theory.
+
+    Attributes
+    ----------
+    medium
+        In two dimensions, whose coefficients to take (Li et al., 2013); the friction angle plays
+        no part. In three dimensions the coefficients follow from φ and ρ (Agarwal et al., 2023).
+    scale
+        Factor ζ on the two-dimensional coefficients [-].
+    panels
+        Elements along the leg.
+    """
+
+    medium: Literal[
+        "generic",
+        "poppy_loose",
+        "poppy_close",
+        "glass03_loose",
+        "glass03_close",
+        "glass3_close",
+    ] = "generic"
+    scale: float = Field(1.0, gt=0)
+    panels: int = Field(200, ge=10)
