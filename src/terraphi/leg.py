@@ -228,6 +228,23 @@ class Leg(BaseModel):
         tangent = np.stack([np.sin(angle), -side * np.cos(angle)], axis=1)
         return Panels(centre, tangent, np.full(panels, math.pi * radius / panels))
 
+    def extremities(self) -> tuple[FloatArray, float]:
+        """Points that the leg lies between, whichever way it is turned.
+
+        Returns
+        -------
+        array
+            Points of the leg's frame (s, m) [m], shape [point, 2]: corners, or a centre line.
+        float
+            How far the leg extends around them [m].
+        """
+        if self.shape == "plate":
+            thick = self.half_thickness
+            ends = [[s, m] for s in (0.0, self.chord) for m in (-thick, thick)]
+            return np.array(ends), 0.0
+        line = np.vstack([[0.0, 0.0], self.centre_line(60).centre, [self.chord, 0.0]])
+        return line, self.half_thickness
+
     def reach(self) -> float:
         """Largest distance of the outline from the hip [m]."""
         if self.shape == "plate":

@@ -17,11 +17,16 @@ from pydantic import Field, model_validator
 from terraphi.documents import parse_toml, shipped_file, strictly
 from terraphi.leg import Leg, frame_axes
 from terraphi.motion import Motion, Rotation, bin_centres
-from terraphi.setting import ADDED_LATER, Bed, Numerics, Relief, Resistive, Section
+from terraphi.setting import (
+    ADDED_LATER,
+    Bed,
+    Numerics,
+    Relief,
+    Resistive,
+    Section,
+)
 from terraphi.soil import Soil
 
-GRAVITY = 9.81
-"""Acceleration of gravity g [m/s²]."""
 COURANT_LIMIT = 0.9
 """Largest stable (c_p + v) Δt / Δx of the explicit step.
 
@@ -65,15 +70,21 @@ class Scenario(Section):
             self._check_time_step()
             self._check_every_bin_is_visited()
             self._check_leg_stays_inside()
+        elif self.bed.surcharge > 0.0:
+            raise ValueError(
+                f"bed.surcharge = {self.bed.surcharge:g} Pa: resistive force theory knows the "
+                "soil's own weight only; set it to 0, or model = 'mpm'"
+            )
         return self
 
     def _check_domain(self) -> None:
         # Two rows of nodes outside the soil hold it: with one, particles creep through the wall.
         margin = self.numerics.cell_size * (1.0 - 1e-9)
-        if min(self.bed.width, self.bed.height) < margin:
+        low, high = self.bed.soil_span
+        if min(high - low, self.bed.height) < margin:
             raise ValueError(
-                f"bed.width = {self.bed.width:g} m and bed.height = {self.bed.height:g} m must be "
-                f"at least a cell, {margin:g} m"
+                f"bed.width = {high - low:g} m of soil and bed.height = {self.bed.height:g} m must "
+                f"be at least a cell, {margin:g} m"
             )
         for name, top in (
             ("bed.left + bed.width", self.bed.left + self.bed.width),
@@ -113,16 +124,21 @@ class Scenario(Section):
         times = np.linspace(0.0, self.motion.duration, 541)
         poses = self.motion.poses(times)
         along, motion = frame_axes(poses.theta)
-        line = np.vstack([[0.0, 0.0], self.leg.centre_line(60).centre, [self.leg.chord, 0.0]])
+        line, margin = self.leg.extremities()
         points = (
             poses.hip[:, None, :]
             + line[None, :, :1] * along[:, None, :]
             + line[None, :, 1:] * motion[:, None, :]
         )
-        low = points.min(axis=(0, 1)) - self.leg.half_thickness
-        high = points.max(axis=(0, 1)) + self.leg.half_thickness
-        room_low = (self.bed.left, self.bed.floor)
-        room_high = (self.bed.left + self.bed.width, self.numerics.domain)
+        low, high = points.min(axis=(0, 1)) - margin, points.max(axis=(0, 1)) + margin
+        room_low = [self.bed.left, self.bed.floor]
+        room_high = [self.bed.left + self.bed.width, self.numerics.domain]
+        if self.motion.kind == "translation":
+            # What slides along a wall may reach into it: a wall's foot, a half of what is
+            # symmetric. Otherwise the grid would see its end face in the corner.
+            for axis in range(2):
+                if self.motion.velocity[axis] == 0.0:
+                    room_low[axis], room_high[axis] = 0.0, self.numerics.domain
         for axis, name in enumerate("xz"):
             if low[axis] < room_low[axis] or high[axis] > room_high[axis]:
                 raise ValueError(

@@ -7,11 +7,18 @@ A scenario that leaves it there keeps its hash, and what was simulated is not si
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-ADDED_LATER: dict[str, Any] = {}
+GRAVITY = 9.81
+"""Acceleration of gravity g [m/s²]."""
+ADDED_LATER: dict[str, Any] = {
+    "bed.soil_left": None,
+    "bed.soil_width": None,
+    "bed.surcharge": 0.0,
+    "bed.gravity": GRAVITY,
+}
 """Dotted key to the value that leaves a scenario as it was before the option existed."""
 PAPER_DAMPING_RATE = -math.log(0.997) / 8e-6
 """The paper multiplies grid velocities by 0.997 every 8 µs: a decay rate of 375.6 1/s."""
@@ -31,10 +38,17 @@ class Bed(Section):
     left, floor
         Position of the left wall x and of the floor z [m].
     width, height
-        Extent of the soil [m]; the right wall stands at left + width.
+        Extent of the box x and of the soil z [m]; the right wall stands at left + width.
     floor_friction
         ``rough``: soil that presses on the floor sticks; ``smooth``: it slips freely. The side
         walls always let soil slip.
+    soil_left, soil_width
+        Where the soil begins, x, and how far it reaches [m]; ``None`` from the left wall, and to
+        the right one.
+    surcharge
+        Pressure on the free surface [Pa]: dead weight that the uppermost particles carry.
+    gravity
+        g [m/s²].
     """
 
     left: float = Field(0.005, ge=0)
@@ -42,6 +56,33 @@ class Bed(Section):
     width: float = Field(0.290, gt=0)
     height: float = Field(0.165, gt=0)
     floor_friction: Literal["rough", "smooth"] = "rough"
+    soil_left: float | None = Field(None, ge=0)
+    soil_width: float | None = Field(None, gt=0)
+    surcharge: float = Field(0.0, ge=0)
+    gravity: float = Field(GRAVITY, ge=0)
+
+    @model_validator(mode="after")
+    def _holds_its_soil(self) -> Self:
+        low, high = self.soil_span
+        slack = 1e-9 * self.width
+        if low < self.left - slack or high > self.left + self.width + slack or low >= high:
+            raise ValueError(
+                f"soil from x = {low:g} to {high:g} m does not lie between the walls at "
+                f"{self.left:g} and {self.left + self.width:g} m; change soil_left or soil_width"
+            )
+        if self.surcharge > 0.0 and self.gravity == 0.0:
+            raise ValueError(
+                f"surcharge = {self.surcharge:g} Pa is dead weight, and gravity = 0 gives it none; "
+                "set gravity above 0"
+            )
+        return self
+
+    @property
+    def soil_span(self) -> tuple[float, float]:
+        """Where the soil begins and ends x [m]."""
+        low = self.left if self.soil_left is None else self.soil_left
+        room = self.left + self.width - low
+        return low, low + (room if self.soil_width is None else self.soil_width)
 
     @property
     def surface(self) -> float:

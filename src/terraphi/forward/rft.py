@@ -36,7 +36,8 @@ from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.leg import Leg, frame_axes
 from terraphi.motion import Poses, bin_centres
-from terraphi.scenario import GRAVITY, Scenario
+from terraphi.scenario import Scenario
+from terraphi.setting import GRAVITY
 
 FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
@@ -197,6 +198,8 @@ def leg_force(scenario: Scenario, poses: Poses) -> FloatArray:
             surface_friction=scenario.leg.friction,
         )
     area_depth = np.where(submerged, parts.depth, 0.0) * parts.length * scenario.leg.width
+    # Both laws are proportional to the soil's weight.
+    area_depth *= scenario.bed.gravity / GRAVITY
     return np.asarray(np.einsum("pe,pei->pi", area_depth, per_depth), dtype=np.float64)
 
 

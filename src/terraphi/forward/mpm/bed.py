@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.leg import frame_axes
-from terraphi.scenario import GRAVITY, Scenario
+from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 
@@ -54,11 +54,14 @@ def empty_grid(scenario: Scenario) -> Grid:
 
 
 def geostatic_bed(scenario: Scenario) -> Particles:
-    """Fill the box with one particle a sub-cell, at rest under its own weight.
+    """Fill the box, or a part of it, with one particle a sub-cell, at rest under its own weight.
 
-    Sub-cells are those of the box, as near to Δx / ``particles_per_cell_side`` as an integer
-    number of them allows, so that mass and volume are exact on any grid. σ_zz = -ρ g depth,
-    σ_xx = σ_yy = K0 σ_zz. That state is admissible under ``plane_strain`` and ``triaxial``. Under
+    Sub-cells are those of the soil, as near to Δx / ``particles_per_cell_side`` as an integer
+    number of them allows, so that mass and volume are exact on any grid. σ_zz = -q - ρ g depth,
+    σ_xx = σ_yy = K0 σ_zz. The surcharge q is dead weight that adds to the mass of the uppermost
+    row of particles, not to their volume; its inertia is to its weight what that of the soil is to
+    the soil's. Soil under a plate carries it too: q is then part of what the plate rests on, and
+    not of the force on it. That state is admissible under ``plane_strain`` and ``triaxial``. Under
     ``paper`` it is not, because K0 = 1 - sin φ takes the nominal φ and the yield surface does not:
     the first step returns it to the surface (φ = 35°: K = 0.57 instead of 0.43, σ_zz 9 % smaller),
     and the bed settles at speeds below 1 mm/s long before the leg arrives. Particles
@@ -75,27 +78,33 @@ def geostatic_bed(scenario: Scenario) -> Particles:
     """
     bed, numerics, soil = scenario.bed, scenario.numerics, scenario.soil
     target = numerics.cell_size / numerics.particles_per_cell_side
-    columns, rows = round(bed.width / target), round(bed.height / target)
-    size = np.array([bed.width / columns, bed.height / rows])
+    left, right = bed.soil_span
+    columns, rows = round((right - left) / target), round(bed.height / target)
+    size = np.array([(right - left) / columns, bed.height / rows])
     rng = np.random.default_rng(numerics.seed)
     place = 0.5 + numerics.particle_jitter * (rng.random((rows * columns, 2)) - 0.5)
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
     corner = np.stack([column.ravel(), row.ravel()], axis=1)
-    position = np.array([bed.left, bed.floor]) + (corner + place) * size
-    position = position[~_inside_leg(scenario, position)]
+    position = np.array([left, bed.floor]) + (corner + place) * size
+    kept = ~_inside_leg(scenario, position)
+    position, uppermost = position[kept], corner[kept, 1] == rows - 1
 
     count = len(position)
     stress = np.zeros((count, 4))
-    stress[:, 1] = -soil.density * GRAVITY * (bed.surface - position[:, 1])
+    depth = bed.surface - position[:, 1]
+    stress[:, 1] = -bed.surcharge - soil.density * bed.gravity * depth
     stress[:, 0] = stress[:, 3] = soil.k0_at_rest * stress[:, 1]
     volume = np.full(count, size[0] * size[1])
+    mass = soil.density * volume
+    if bed.surcharge > 0.0:
+        mass[uppermost] += bed.surcharge / bed.gravity * size[0]
     return Particles(
         position=position,
         start=position.copy(),
         velocity=np.zeros((count, 2)),
         gradient=np.zeros((count, 4)),
         stress=stress,
-        mass=soil.density * volume,
+        mass=mass,
         volume=volume,
         stretch=np.ones(count),
         weight=np.ones(count),

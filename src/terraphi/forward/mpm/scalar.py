@@ -17,7 +17,7 @@ from terraphi.forward.mpm.contact import Intruder, against_leg, against_walls, p
 from terraphi.forward.mpm.plasticity import Material, jaumann_predictor, return_mapping
 from terraphi.forward.mpm.relief import Fading, faded
 from terraphi.forward.mpm.transfer import grid_to_particle, particles_to_grid
-from terraphi.scenario import GRAVITY, Scenario
+from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ def stepping_of(scenario: Scenario) -> Stepping:
     return Stepping(
         time_step=numerics.time_step,
         cell_size=numerics.cell_size,
-        gravity=GRAVITY,
+        gravity=bed.gravity,
         damping_factor=numerics.damping_factor,
         band=numerics.contact_band_cells * numerics.cell_size,
         left=bed.left,
