@@ -258,24 +258,23 @@ def library_show(name: str, as_json: bool) -> None:
 
 @cli.command()
 @click.argument("name")
-@click.option("--library", "library_name", help="Library to use instead of the study's own.")
+@click.option("--library", help="Library to use instead of the study's own.")
+@click.option("--only", help="Family of problems, for verification.")
+@click.option("--quick", is_flag=True, default=None, help="Coarse and fast, for verification.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes; 1 if not given.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for data.json and figures.")
 @json_option
-def study(name: str, library_name: str | None, out: Path | None, as_json: bool) -> None:
-    """Run the study NAME: benchmark or recovery.
+def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
+    """Run the study NAME: benchmark, recovery or verification.
 
     Example: terraphi study recovery --out recovery
     """
-    from terraphi import plots, studies
-    from terraphi.files import folder, replacing
+    from terraphi import studies
 
-    found = studies.run(name, library=library_name)
+    with progress_bar("computing") as report:
+        found = studies.run(name, out=out, progress=report, **options)
     if out is not None:
-        place = folder(out)
-        with replacing(place / "data.json") as temporary:
-            temporary.write_text(as_text(found.data))
-        for title, figure in found.figures.items():
-            plots.save(figure, place / f"{title}.png")
+        found.save(out)
     if as_json:
         print_json(found.data)
         return

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping, Sequence
+import inspect
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from terraphi.errors import InputError, nearest
+from terraphi.files import folder, replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,6 +19,7 @@ if TYPE_CHECKING:
 STUDIES = {
     "benchmark": "three legs: our models beside the forces measured in Yuma sand",
     "recovery": "friction angles of fresh simulations, inferred with a library",
+    "verification": "problems with known answers, by the code that the leg uses",
 }
 
 
@@ -32,6 +37,8 @@ class Study:
         Everything, JSON-able; its keys are fixed.
     figures
         Name to figure.
+    documents
+        File name to text.
     """
 
     title: str
@@ -39,17 +46,39 @@ class Study:
     rows: Sequence[Sequence[str]]
     data: Mapping[str, Any]
     figures: Mapping[str, Figure] = field(default_factory=dict)
+    documents: Mapping[str, str] = field(default_factory=dict)
+
+    def save(self, out: Path) -> None:
+        """Write ``data.json``, documents and figures (PNG) into a folder, made if need be."""
+        from terraphi import plots
+
+        place = folder(out)
+        data = json.dumps(self.data, indent=2, ensure_ascii=False)
+        for name, text in {"data.json": data, **self.documents}.items():
+            with replacing(place / name) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+        for name, figure in self.figures.items():
+            plots.save(figure, place / f"{name}.png")
 
 
-def run(name: str, *, library: str | None = None) -> Study:
+def run(
+    name: str,
+    *,
+    out: Path | None = None,
+    progress: Callable[[float, float], None] | None = None,
+    **options: Any,
+) -> Study:
     """Run a study.
 
     Parameters
     ----------
     name
         One of :data:`STUDIES`.
-    library
-        Library to use instead of the study's own choice.
+    out, progress
+        Folder of the results, where a long study keeps what is finished, and a function to be
+        called with the work done and the work of all. Both are for studies that take them.
+    **options
+        Options of that study; those that are None are left to it.
 
     Returns
     -------
@@ -58,10 +87,17 @@ def run(name: str, *, library: str | None = None) -> Study:
     Raises
     ------
     InputError
-        If there is no such study or library.
+        If there is no such study, or the study has no such option.
     """
     if name not in STUDIES:
         raise InputError(f"unknown study '{name}'; {nearest(name, STUDIES)}")
     module = importlib.import_module(f"terraphi.studies.{name}")
-    study: Study = module.run() if library is None else module.run(library=library)
+    known = inspect.signature(module.run).parameters
+    given = {option: value for option, value in options.items() if value is not None}
+    for option in given:
+        if option not in known:
+            raise InputError(f"study '{name}' has no option '{option}'; leave it out")
+    services = {"out": out, "progress": progress}
+    given |= {service: value for service, value in services.items() if service in known}
+    study: Study = module.run(**given)
     return study

@@ -1,0 +1,186 @@
+"""The data of a verification, and the document made from the data alone."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numba
+import numpy as np
+
+from terraphi.studies.verification.check import Check, Family, Outcome
+
+HEADER = (
+    "problem",
+    "quantity",
+    "expected",
+    "obtained",
+    "deviation",
+    "allowed",
+    "resolution",
+    "verdict",
+)
+_SIGN = {"equal": "±", "at_most": "at most +", "at_least": "at least −"}
+
+_INTRODUCTION = """\
+Problems whose answers are known, computed with the very kernel, contact and stress update that the
+leg uses. Nothing here is written by hand: `{command}` computes it again and writes this page, its
+figures and, in `data.json`, every number with more digits. An interrupted run goes on where it
+stopped; `--only NAME` computes one family; `--quick` is a coarse version that takes seconds.
+
+**{passed} checks pass, {missed} miss.** A check passes if obtained less expected is within what is
+allowed, given beforehand. A miss stays in the table, with what is known of its cause."""
+
+
+def data_of(
+    families: Mapping[str, Family], found: Mapping[str, Mapping[str, Outcome]], *, quick: bool
+) -> dict[str, Any]:
+    """Everything that was found, JSON-able.
+
+    Parameters
+    ----------
+    families
+        By name.
+    found
+        Outcomes by family and task.
+    quick
+        Whether it is the quick tier.
+
+    Returns
+    -------
+    dict
+        ``tier``, ``software``, ``passed``, ``missed`` and ``families``: by name, ``checks`` (see
+        :class:`~terraphi.studies.verification.check.Check`) and ``curves`` by task.
+    """
+    content = {
+        name: {
+            "checks": [check.as_dict() for task in found[name].values() for check in task.checks],
+            "curves": {task: dict(o.curves) for task, o in found[name].items() if o.curves},
+        }
+        for name in families
+    }
+    verdicts = [check["passed"] for family in content.values() for check in family["checks"]]
+    return {
+        "tier": "quick" if quick else "full",
+        "software": {
+            "numpy": np.__version__,
+            "numba": numba.__version__,
+            "python": platform.python_version(),
+            "machine": platform.machine(),
+        },
+        "passed": sum(verdicts),
+        "missed": len(verdicts) - sum(verdicts),
+        "families": content,
+    }
+
+
+def table(data: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Rows for a terminal: problem with its case, quantity, numbers, verdict."""
+    return [
+        (f"{check.problem}: {check.case}" if check.case else check.problem, *_cells(check))
+        for family in data["families"].values()
+        for check in map(Check.from_dict, family["checks"])
+    ]
+
+
+def markdown(
+    families: Mapping[str, Family], data: Mapping[str, Any], pictures: Mapping[str, Sequence[str]]
+) -> str:
+    """The document.
+
+    Parameters
+    ----------
+    families
+        By name.
+    data
+        As :func:`data_of` gives it.
+    pictures
+        Names of each family's figures, which stand beside the document as PNG.
+
+    Returns
+    -------
+    str
+        Markdown, in which each family has a table, numbered sources and notes.
+    """
+    only = f" --only {next(iter(families))}" if len(families) == 1 else ""
+    quick = " --quick" if data["tier"] == "quick" else ""
+    command = f"terraphi study verification{only}{quick} --out DIR"
+    software = ", ".join(f"{name} {version}" for name, version in data["software"].items())
+    parts = [
+        "# Verification",
+        _INTRODUCTION.format(command=command, passed=data["passed"], missed=data["missed"]),
+        _overview(families, data),
+        f"Tier: {data['tier']}. Computed with {software}.",
+    ]
+    for name, family in families.items():
+        checks = [Check.from_dict(entry) for entry in data["families"][name]["checks"]]
+        parts += [f"## {family.title}", family.meaning, _section(checks)]
+        parts += [f"![{picture}]({picture}.png)" for picture in pictures.get(name, ())]
+    return "\n\n".join(parts) + "\n"
+
+
+def _overview(families: Mapping[str, Family], data: Mapping[str, Any]) -> str:
+    rows = []
+    for name, family in families.items():
+        verdicts = [check["passed"] for check in data["families"][name]["checks"]]
+        missed = len(verdicts) - sum(verdicts)
+        rows.append((f"`{name}`", family.title, str(sum(verdicts)), str(missed)))
+    return _grid(("`--only`", "family", "pass", "miss"), rows)
+
+
+def _section(checks: Sequence[Check]) -> str:
+    """Table of a family, with its sources and notes below."""
+    footnotes: list[str] = []
+
+    def mark(text: str) -> str:
+        if not text:
+            return ""
+        if text not in footnotes:
+            footnotes.append(text)
+        return f" [{footnotes.index(text) + 1}]"
+
+    rows, before = [], ""
+    for check in checks:
+        head = f"**{check.problem}**{mark(check.source)}" if check.problem != before else ""
+        before = check.problem
+        name = "<br>".join(filter(None, (head, check.case + mark(check.note))))
+        rows.append((name, *_cells(check)))
+    lines = [f"{number}. {text}" for number, text in enumerate(footnotes, start=1)]
+    return "\n\n".join(filter(None, (_grid(HEADER, rows), "\n".join(lines))))
+
+
+def _cells(check: Check) -> tuple[str, ...]:
+    cause = f": {check.cause}" if check.cause else ""
+    return (
+        check.quantity,
+        number(check.expected),
+        number(check.obtained),
+        _difference(check.deviation, check.relative, signed=True),
+        _SIGN[check.sense] + _difference(check.tolerance, check.relative),
+        check.resolution,
+        "pass" if check.passed else f"**MISS**{cause}",
+    )
+
+
+def _grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(
+        f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines
+    )
+
+
+def number(value: float) -> str:
+    """Four digits; no more zeros than needed."""
+    if value != value:
+        return "none"
+    return f"{value:.3e}" if value and not 1e-3 <= abs(value) < 1e5 else f"{value:.4g}"
+
+
+def _difference(value: float, relative: bool, *, signed: bool = False) -> str:
+    if value != value:
+        return "none"
+    sign = "+" if signed else ""
+    if relative and abs(value) >= 1e-5:
+        return f"{100.0 * value:{sign}.2g} %"
+    return f"{value:{sign}.2g}"
