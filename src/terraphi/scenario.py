@@ -33,6 +33,10 @@ COURANT_LIMIT = 0.9
 Measured: elastic beds stay quiet up to 1.00 in the worst arrangement of particles tried and 1.10 in
 most, soil up to 1.15; see tests/forward/mpm."""
 
+LONGEST_TRAVEL = 0.1
+"""Cells that the leg may travel while the grid keeps its velocities [-]: the particles' places on
+the grid are held meanwhile."""
+
 
 class Scenario(Section):
     """A soil, a leg, a motion and the numerics that bring them together.
@@ -68,6 +72,7 @@ class Scenario(Section):
                 )
             self._check_domain()
             self._check_time_step()
+            self._check_phases()
             self._check_every_bin_is_visited()
             self._check_leg_stays_inside()
         elif self.bed.surcharge > 0.0:
@@ -107,6 +112,18 @@ class Scenario(Section):
             raise ValueError(
                 f"numerics.time_step = {self.numerics.time_step:g} s is above the CFL limit of "
                 f"{limit:.3g} s for this grid, stiffness and density"
+            )
+
+    def _check_phases(self) -> None:
+        numerics = self.numerics
+        speed = numerics.speed_up * self.motion.top_speed(self.leg.reach())
+        interval = numerics.steps_per_phase * numerics.time_step
+        longest = LONGEST_TRAVEL * numerics.cell_size / speed
+        if interval > longest:
+            raise ValueError(
+                f"numerics.remap_interval = {numerics.remap_interval:g} s lets the leg travel more "
+                f"than {LONGEST_TRAVEL:g} cells while the grid keeps its velocities; at most "
+                f"{longest:.3g} s fits"
             )
 
     def _check_every_bin_is_visited(self) -> None:

@@ -18,6 +18,9 @@ ADDED_LATER: dict[str, Any] = {
     "bed.soil_width": None,
     "bed.surcharge": 0.0,
     "bed.gravity": GRAVITY,
+    "numerics.contact": "nodes",
+    "numerics.remap_interval": 0.0,
+    "numerics.dilatation": "particle",
 }
 """Dotted key to the value that leaves a scenario as it was before the option existed."""
 PAPER_DAMPING_RATE = -math.log(0.997) / 8e-6
@@ -133,8 +136,18 @@ class Numerics(Section):
         drag on the soil stays the same.
     damping_rate
         Decay rate of grid velocities [1/s]; 0 for none.
+    contact
+        ``nodes``: the nodes of the grid near the leg take its velocity; ``surface``: the material
+        points press on its true surface.
     contact_band_cells
         Nodes closer to the leg than this many cells are in contact.
+    remap_interval
+        For how long the grid keeps its velocities before it takes them from the particles anew [s],
+        rounded to steps; 0: it does so at every step.
+    dilatation
+        Volumetric strain rate that the stress follows: ``particle``, that at each particle;
+        ``cell``: their mean over a cell (B-bar; Hughes, 1980, doi 10.1002/nme.1620150914), without
+        which plastic flow at constant volume locks.
     particle_volume
         ``fixed``: V₀; ``updated``: J V₀.
     """
@@ -147,8 +160,31 @@ class Numerics(Section):
     time_step: float = Field(8e-6, gt=0)
     speed_up: float = Field(1.0, gt=0)
     damping_rate: float = Field(PAPER_DAMPING_RATE, ge=0)
+    contact: Literal["nodes", "surface"] = "nodes"
     contact_band_cells: float = Field(2.0, ge=0)
+    remap_interval: float = Field(0.0, ge=0)
+    dilatation: Literal["particle", "cell"] = "particle"
     particle_volume: Literal["fixed", "updated"] = "fixed"
+
+    @model_validator(mode="after")
+    def _phases_where_needed(self) -> Self:
+        for name, value, usual in (
+            ("contact", self.contact, "nodes"),
+            ("dilatation", self.dilatation, "particle"),
+        ):
+            if value != usual and self.remap_interval == 0.0:
+                raise ValueError(
+                    f"{name} = '{value}' needs a grid that keeps its velocities for a while; "
+                    "set remap_interval above 0, as to 20 time steps"
+                )
+        return self
+
+    @property
+    def steps_per_phase(self) -> int:
+        """Steps for which the grid keeps its velocities, 0 if it does not."""
+        if self.remap_interval == 0.0:
+            return 0
+        return max(1, round(self.remap_interval / self.time_step))
 
     @property
     def cell_size(self) -> float:

@@ -34,6 +34,8 @@ class Particles(NamedTuple):
     """J [-], shape [particle]; stays 1 with fixed volumes."""
     weight: FloatArray
     """q of the relief [-], shape [particle]."""
+    slip: FloatArray
+    """Elastic part of the slip along the leg's surface, where it presses [m], shape [particle]."""
 
 
 class Grid(NamedTuple):
@@ -108,6 +110,7 @@ def geostatic_bed(scenario: Scenario) -> Particles:
         volume=volume,
         stretch=np.ones(count),
         weight=np.ones(count),
+        slip=np.zeros(count),
     )
 
 

@@ -184,3 +184,51 @@ def clear_rows(grid: Grid, used: Index) -> None:
         mass[i] = 0.0
         vx[i] = 0.0
         vz[i] = 0.0
+
+
+@kernel
+def begin_rows(grid: Grid, shift: Grid, used: Index, time_step: float) -> None:
+    """Begin a Lagrangian phase in the first rows: momenta to velocities, and the displacements.
+
+    Parameters
+    ----------
+    grid
+        Padded; holds momenta; holds velocities afterwards.
+    shift
+        Padded; its velocities are displacements since the phase began [m], set.
+    used
+        Rows that may hold mass.
+    time_step
+        Time for which the nodes go on with these velocities [s].
+    """
+    wide_vectors()
+    mass, vx, vz = flat(grid.mass), flat(grid.vx), flat(grid.vz)
+    dx, dz = flat(shift.vx), flat(shift.vz)
+    for i in range(ZERO, used * np.uint64(grid.mass.shape[1]), ONE):
+        per_mass = 1.0 / mass[i] if mass[i] > 0.0 else 0.0
+        vx[i] = vx[i] * per_mass
+        vz[i] = vz[i] * per_mass
+        dx[i] = vx[i] * time_step
+        dz[i] = vz[i] * time_step
+
+
+@kernel
+def carry_rows(grid: Grid, shift: Grid, used: Index, time_step: float) -> None:
+    """Add a step to the displacements; arguments as in :func:`begin_rows`."""
+    wide_vectors()
+    vx, vz, dx, dz = flat(grid.vx), flat(grid.vz), flat(shift.vx), flat(shift.vz)
+    for i in range(ZERO, used * np.uint64(grid.mass.shape[1]), ONE):
+        dx[i] += vx[i] * time_step
+        dz[i] += vz[i] * time_step
+
+
+@kernel
+def to_momenta(now: Grid, then: Grid, used: Index) -> None:
+    """Masses and momenta from masses and velocities, in the first rows of padded grids."""
+    wide_vectors()
+    mass, vx, vz = flat(now.mass), flat(now.vx), flat(now.vz)
+    weight, px, pz = flat(then.mass), flat(then.vx), flat(then.vz)
+    for i in range(ZERO, used * np.uint64(now.mass.shape[1]), ONE):
+        weight[i] = mass[i]
+        px[i] = vx[i] * mass[i]
+        pz[i] = vz[i] * mass[i]

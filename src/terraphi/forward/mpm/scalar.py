@@ -48,6 +48,12 @@ class Stepping(NamedTuple):
     """Whether the floor is rough."""
     update_volume: bool
     """Whether particle volumes follow the deformation."""
+    phase: int
+    """Steps for which the grid keeps its velocities; 0: none."""
+    surface: bool
+    """Whether particles press on the leg's surface, rather than nodes near it."""
+    mean_dilatation: bool
+    """Whether stresses follow the mean volumetric strain rate of a cell."""
 
 
 def stepping_of(scenario: Scenario) -> Stepping:
@@ -58,13 +64,23 @@ def stepping_of(scenario: Scenario) -> Stepping:
         cell_size=numerics.cell_size,
         gravity=bed.gravity,
         damping_factor=numerics.damping_factor,
-        band=numerics.contact_band_cells * numerics.cell_size,
+        band=_band(scenario),
         left=bed.left,
         right=bed.left + bed.width,
         floor=bed.floor,
         rough=bed.floor_friction == "rough",
         update_volume=numerics.particle_volume == "updated",
+        phase=numerics.steps_per_phase,
+        surface=numerics.contact == "surface",
+        mean_dilatation=numerics.dilatation == "cell",
     )
+
+
+def _band(scenario: Scenario) -> float:
+    """Distance from the leg within which nodes are in contact [m]; far inside it if none are."""
+    if scenario.numerics.contact == "surface":
+        return -scenario.leg.reach()
+    return scenario.numerics.contact_band_cells * scenario.numerics.cell_size
 
 
 class Audit(NamedTuple):

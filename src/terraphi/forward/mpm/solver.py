@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.errors import InputError, SimulationError
-from terraphi.forward.mpm import packets, scalar
+from terraphi.forward.mpm import packet_phases, packets, phases, scalar
 from terraphi.forward.mpm.bed import empty_grid, geostatic_bed
 from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.plasticity import material_of
@@ -26,11 +26,22 @@ FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 Kernel = Literal["packets", "scalar"]
-KERNELS: dict[Kernel, Callable[..., int]] = {"packets": packets.advance, "scalar": scalar.advance}
-"""``packets``: the fast one; ``scalar``: the reference, to which it agrees but for rounding."""
+KERNELS: dict[Kernel, tuple[Callable[..., int], Callable[..., int]]] = {
+    "packets": (packets.advance, packet_phases.advance),
+    "scalar": (scalar.advance, phases.advance),
+}
+"""``packets``: the fast one; ``scalar``: the reference, to which it agrees but for rounding.
+
+Of each, the one that transfers at every step and the one with Lagrangian phases."""
 
 BLOCK = 2000
-"""Steps between two reports of progress."""
+"""Steps between two reports of progress, or a little less."""
+
+
+def block_length(scenario: Scenario) -> int:
+    """Steps between two reports of progress: whole phases, if there are any."""
+    phase = max(1, scenario.numerics.steps_per_phase)
+    return max(phase, BLOCK // phase * phase)
 
 
 def simulate(
@@ -69,7 +80,7 @@ def simulate(
         raise InputError(f"model = '{scenario.model}': this is the solver of model = 'mpm'")
     if kernel not in KERNELS:
         raise InputError(f"kernel = '{kernel}': there are {' and '.join(KERNELS)}")
-    advance = KERNELS[kernel]
+    advance = KERNELS[kernel][scenario.numerics.steps_per_phase > 0]
     began = time.perf_counter()
     soil, grid, audit = geostatic_bed(scenario), empty_grid(scenario), empty_audit()
     constants = (
@@ -82,8 +93,9 @@ def simulate(
     impulse, held = np.zeros((len(centres), 2)), np.zeros(len(centres))
     steps = step_count(scenario)
     compiled = time.perf_counter()
-    for first in range(0, steps, BLOCK):
-        indices = np.arange(first, min(first + BLOCK, steps))
+    block = block_length(scenario)
+    for first in range(0, steps, block):
+        indices = np.arange(first, min(first + block, steps))
         poses, turned, bins = path_of_steps(scenario, indices, len(centres))
         lost = advance(soil, grid, *constants, poses, turned, bins, impulse, audit)
         held += np.bincount(bins, minlength=len(centres))

@@ -7,8 +7,13 @@ transfer's own viscosity triples the forces at steps this small.
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from terraphi.forward.mpm.bed import Grid, Particles
 from terraphi.forward.mpm.compiled import kernel
+
+FloatArray = NDArray[np.float64]
 
 
 @kernel
@@ -108,6 +113,61 @@ def particles_to_grid(
         total_x += px
         total_z += pz
     return total_x, total_z
+
+
+@kernel
+def stress_to_grid(soil: Particles, grid: Grid, cell_size: float, time_step: float) -> None:
+    """Scatter the impulse of the stresses alone; arguments as in :func:`particles_to_grid`.
+
+    The grid holds momenta, and is added to.
+    """
+    per_cell = 1.0 / cell_size
+    for p in range(soil.mass.size):
+        i = int(soil.position[p, 0] * per_cell - 0.5)
+        j = int(soil.position[p, 1] * per_cell - 0.5)
+        fx = soil.position[p, 0] * per_cell - i
+        fz = soil.position[p, 1] * per_cell - j
+        wx, wz = weights(fx), weights(fz)
+        k = -4.0 * time_step * per_cell * soil.weight[p] * soil.volume[p] * soil.stretch[p]
+        sxx, szz, sxz = k * soil.stress[p, 0], k * soil.stress[p, 1], k * soil.stress[p, 2]
+        for b in range(3):
+            rz = b - fz
+            for a in range(3):
+                rx = a - fx
+                w = wz[b] * wx[a]
+                grid.vx[j + b, i + a] += w * (sxx * rx + sxz * rz)
+                grid.vz[j + b, i + a] += w * (sxz * rx + szz * rz)
+
+
+@kernel
+def gather_values(
+    first: FloatArray, second: FloatArray, x: float, z: float, cell_size: float
+) -> tuple[float, float]:
+    """Interpolate two values of the nodes at a place.
+
+    Parameters
+    ----------
+    first, second
+        Values of the nodes, shape [row, column].
+    x, z
+        The place [m].
+    cell_size
+        Δx [m].
+
+    Returns
+    -------
+    tuple
+        Both values there.
+    """
+    per_cell = 1.0 / cell_size
+    i, j = int(x * per_cell - 0.5), int(z * per_cell - 0.5)
+    wx, wz = weights(x * per_cell - i), weights(z * per_cell - j)
+    one, two = 0.0, 0.0
+    for b in range(3):
+        for a in range(3):
+            one += wz[b] * wx[a] * first[j + b, i + a]
+            two += wz[b] * wx[a] * second[j + b, i + a]
+    return one, two
 
 
 @kernel
