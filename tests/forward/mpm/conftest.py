@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from terraphi.forward.mpm import packets, scalar
 from terraphi.forward.mpm.bed import Grid, Particles, empty_grid, geostatic_bed
 from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.plasticity import material_of
@@ -73,6 +75,51 @@ def take_steps(
     return Stepped(soil, grid, impulse, audit, lost)
 
 
+def run_blocks(kernel, scenario, blocks, *, soil=None):
+    """Run blocks of steps with a kernel; soil, grid, audit, impulse, lost."""
+    soil = geostatic_bed(scenario) if soil is None else soil
+    grid, audit, impulse = empty_grid(scenario), empty_audit(), np.zeros((3, 2))
+    constants = (
+        material_of(scenario.soil),
+        intruder_of(scenario.leg),
+        fading_of(scenario),
+        stepping_of(scenario),
+    )
+    lost, first = -1, 0
+    for count in blocks:
+        poses, turned, bins = path_of_steps(scenario, np.arange(first, first + count), 3)
+        lost = kernel.advance(soil, grid, *constants, poses, turned, bins, impulse, audit)
+        first += count
+        if lost >= 0:
+            break
+    return soil, grid, audit, impulse, lost
+
+
+def copy_of(soil: Particles) -> Particles:
+    return Particles(*(values.copy() for values in soil))
+
+
+def largest_difference(ours, theirs) -> float:
+    """Relative to the largest entry."""
+    scale = np.abs(theirs).max()
+    return float(np.abs(ours - theirs).max() / scale) if scale > 0 else float(np.abs(ours).max())
+
+
+def assert_agree(scenario, blocks, *, soil=None, tolerance=1e-10, kernels=(packets, scalar)):
+    soil = geostatic_bed(scenario) if soil is None else soil
+    ours = run_blocks(kernels[0], scenario, blocks, soil=copy_of(soil))
+    theirs = run_blocks(kernels[1], scenario, [sum(blocks)], soil=copy_of(soil))
+    assert ours[4] == theirs[4] == -1
+    for name, one, other in zip(Particles._fields, ours[0], theirs[0], strict=True):
+        assert largest_difference(one, other) < tolerance, name
+    for one, other in zip(ours[1], theirs[1], strict=True):
+        assert largest_difference(one, other) < tolerance
+    assert largest_difference(ours[3], theirs[3]) < tolerance
+    assert largest_difference(ours[2].ledger, theirs[2].ledger) < tolerance
+    assert ours[2].worst[0] < 1e-10
+    return ours, theirs
+
+
 FAR_AWAY = {
     "motion.hip": [0.150, 0.215],
     "motion.start_deg": -180.0,
@@ -94,3 +141,13 @@ def _steps():
 @pytest.fixture(name="far_away")
 def _far_away():
     return dict(FAR_AWAY)
+
+
+@pytest.fixture(name="compare", scope="session")
+def _compare():
+    return SimpleNamespace(
+        run_blocks=run_blocks,
+        assert_agree=assert_agree,
+        copy_of=copy_of,
+        largest_difference=largest_difference,
+    )

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from terraphi.errors import InputError, SimulationError
 from terraphi.forward.mpm import lanes, packets, packing, scalar
-from terraphi.forward.mpm.bed import Particles, empty_grid, geostatic_bed
+from terraphi.forward.mpm.bed import geostatic_bed
 from terraphi.forward.mpm.compiled import register_use
-from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.packing import LANES, pack, unpack
 from terraphi.forward.mpm.plasticity import (
     Material,
@@ -24,67 +23,22 @@ from terraphi.forward.mpm.plasticity import (
     return_to_cone,
 )
 from terraphi.forward.mpm.relief import fading_of
-from terraphi.forward.mpm.scalar import empty_audit, stepping_of
-from terraphi.forward.mpm.solver import path_of_steps, simulate
+from terraphi.forward.mpm.scalar import stepping_of
+from terraphi.forward.mpm.solver import simulate
 from terraphi.forward.mpm.sweep import laws_of
 from terraphi.soil import Soil
 
 THROUGH_THE_VERTICAL = {"motion.start_deg": -10.0, "motion.stop_deg": 40.0}
 
 
-def advance(kernel, scenario, blocks, *, soil=None):
-    """Run blocks of steps; soil, grid, audit, impulse, lost."""
-    soil = geostatic_bed(scenario) if soil is None else soil
-    grid, audit, impulse = empty_grid(scenario), empty_audit(), np.zeros((3, 2))
-    constants = (
-        material_of(scenario.soil),
-        intruder_of(scenario.leg),
-        fading_of(scenario),
-        stepping_of(scenario),
-    )
-    lost, first = -1, 0
-    for count in blocks:
-        poses, turned, bins = path_of_steps(scenario, np.arange(first, first + count), 3)
-        lost = kernel.advance(soil, grid, *constants, poses, turned, bins, impulse, audit)
-        first += count
-        if lost >= 0:
-            break
-    return soil, grid, audit, impulse, lost
-
-
-def copy_of(soil: Particles) -> Particles:
-    return Particles(*(values.copy() for values in soil))
-
-
-def largest_difference(ours, theirs) -> float:
-    """Relative to the largest entry."""
-    scale = np.abs(theirs).max()
-    return float(np.abs(ours - theirs).max() / scale) if scale > 0 else float(np.abs(ours).max())
-
-
-def assert_agree(scenario, blocks, *, soil=None, tolerance=1e-10):
-    soil = geostatic_bed(scenario) if soil is None else soil
-    ours = advance(packets, scenario, blocks, soil=copy_of(soil))
-    theirs = advance(scalar, scenario, [sum(blocks)], soil=copy_of(soil))
-    assert ours[4] == theirs[4] == -1
-    for name, one, other in zip(Particles._fields, ours[0], theirs[0], strict=True):
-        assert largest_difference(one, other) < tolerance, name
-    for one, other in zip(ours[1], theirs[1], strict=True):
-        assert largest_difference(one, other) < tolerance
-    assert largest_difference(ours[3], theirs[3]) < tolerance
-    assert largest_difference(ours[2].ledger, theirs[2].ledger) < tolerance
-    assert ours[2].worst[0] < 1e-10
-    return ours, theirs
-
-
-def test_packing_round_trip(coarse):
+def test_packing_round_trip(compare, coarse):
     scenario = coarse()
     soil = geostatic_bed(scenario)
     rng = np.random.default_rng(4)
     soil.weight[:] = rng.uniform(0.05, 1.0, len(soil.mass))
     soil.stretch[:] = rng.uniform(0.8, 1.2, len(soil.mass))
     soil.stress[:] = rng.normal(size=soil.stress.shape)
-    before = copy_of(soil)
+    before = compare.copy_of(soil)
     packed = pack(soil, scenario.numerics.cells + 2, scenario.numerics.cell_size)
     for changed in (soil.position, soil.stress, soil.weight, soil.stretch):
         changed[:] = math.nan
@@ -123,18 +77,18 @@ SHAPES = ["straight", "c", "reversed_c", "plate"]
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("criterion", ["plane_strain", "paper", "triaxial"])
-def test_legs_and_yields(coarse, shape, criterion):
+def test_legs_and_yields(compare, coarse, shape, criterion):
     scenario = coarse(**{"leg.shape": shape, "soil.yield_criterion": criterion})
-    ours, _ = assert_agree(scenario, [400])
+    ours, _ = compare.assert_agree(scenario, [400])
     assert np.abs(ours[3]).max() > 0
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_relief(coarse, shape):
+def test_relief(compare, coarse, shape):
     scenario = coarse(
         **THROUGH_THE_VERTICAL, **{"leg.shape": shape, "relief.distance": 1e-3, "relief.rate": 9.0}
     )
-    ours, _ = assert_agree(scenario, [1500, 700])
+    ours, _ = compare.assert_agree(scenario, [1500, 700])
     assert 0 < (ours[0].weight < 0.5).sum() < len(ours[0].weight)
     assert ours[0].weight.min() >= scenario.relief.least
 
@@ -156,24 +110,24 @@ def test_relief(coarse, shape):
     ],
     ids=lambda options: " ".join(f"{key.split('.')[-1]}={value}" for key, value in options.items()),
 )
-def test_options(coarse, options):
-    assert_agree(coarse(**options), [400])
+def test_options(compare, coarse, options):
+    compare.assert_agree(coarse(**options), [400])
 
 
-def test_translation(coarse):
+def test_translation(compare, coarse):
     motion = {"kind": "translation", "start": [0.14, 0.18], "velocity": [0.02, 0.0]}
     scenario = coarse(motion={**motion, "distance": 0.02}, **{"leg.shape": "plate"})
-    assert_agree(scenario, [400])
+    compare.assert_agree(scenario, [400])
 
 
-def test_step_for_step(coarse):
+def test_step_for_step(compare, coarse):
     """After any number of steps, and however they are cut into blocks."""
     scenario = coarse(**{"motion.start_deg": -30.0, "motion.stop_deg": 30.0})
     for blocks in ([1], [2], [1, 1, 1], [50], [200, 1, 199], [800]):
-        assert_agree(scenario, blocks)
+        compare.assert_agree(scenario, blocks)
 
 
-def test_particles_that_change_cells(coarse, far_away, monkeypatch):
+def test_particles_that_change_cells(compare, coarse, far_away, monkeypatch):
     """A bed in flight, turning and spreading: every particle changes its cell, blocks fill up."""
     packed = []
     monkeypatch.setattr(packets, "pack", lambda *all_: packed.append(1) or pack(*all_))
@@ -184,36 +138,36 @@ def test_particles_that_change_cells(coarse, far_away, monkeypatch):
     soil.velocity[:] = np.stack([-4.0 * x + 15.0 * z, 4.0 * z - 15.0 * x], axis=1)
     soil.gradient[:] = [-4.0, 15.0, -15.0, 4.0]
     soil.stress[:] = 0.0
-    ours, _ = assert_agree(scenario, [400], soil=soil, tolerance=1e-9)
+    ours, _ = compare.assert_agree(scenario, [400], soil=soil, tolerance=1e-9)
     cells = np.floor(ours[0].position / scenario.numerics.cell_size - 0.5)
     moved = cells != np.floor(ours[0].start / scenario.numerics.cell_size - 0.5)
     assert moved.any(axis=1).mean() > 0.9
     assert 1 < len(packed) < 200
 
 
-def test_same_run_gives_the_same_bits(coarse):
+def test_same_run_gives_the_same_bits(compare, coarse):
     scenario = coarse(**THROUGH_THE_VERTICAL)
-    first, again = (advance(packets, scenario, [300])[0] for _ in range(2))
+    first, again = (compare.run_blocks(packets, scenario, [300])[0] for _ in range(2))
     for one, other in zip(first, again, strict=True):
         assert np.array_equal(one, other)
 
 
-def test_lost_particle_is_found(coarse, far_away):
+def test_lost_particle_is_found(compare, coarse, far_away):
     scenario = coarse(**far_away)
     soil = geostatic_bed(scenario)
     stray = int(np.argmax(soil.position[:, 1]))
     soil.velocity[stray] = [0.0, 2000.0]
     soil.mass[stray] *= 1e6
     for kernel in (packets, scalar):
-        assert advance(kernel, scenario, [300], soil=copy_of(soil))[4] >= 0
+        assert compare.run_blocks(kernel, scenario, [300], soil=compare.copy_of(soil))[4] >= 0
 
 
-def test_number_that_is_none_is_found(coarse):
+def test_number_that_is_none_is_found(compare, coarse):
     scenario = coarse()
     soil = geostatic_bed(scenario)
     soil.stress[700, 0] = math.nan
     for kernel in (packets, scalar):
-        assert advance(kernel, scenario, [10], soil=copy_of(soil))[4] >= 0
+        assert compare.run_blocks(kernel, scenario, [10], soil=compare.copy_of(soil))[4] >= 0
 
 
 @pytest.mark.parametrize("kernel", ["packets", "scalar"])

@@ -28,6 +28,7 @@ def some_particles(count: int = 200, *, seed: int = 3, stressed: bool = True) ->
         volume=rng.uniform(0.5, 2.0, count) * DX**2,
         stretch=rng.uniform(0.8, 1.2, count),
         weight=rng.uniform(0.05, 1.0, count),
+        slip=np.zeros(count),
     )
 
 
@@ -48,6 +49,7 @@ def at_rest(position: np.ndarray, volume: float) -> Particles:
         volume=np.full(count, volume),
         stretch=np.ones(count),
         weight=np.ones(count),
+        slip=np.zeros(count),
     )
 
 
