@@ -5,6 +5,10 @@ from __future__ import annotations
 import importlib
 import logging
 import multiprocessing
+import os
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
@@ -15,7 +19,7 @@ import pytest
 from terraphi import build as building
 from terraphi.build import build, cases_folder
 from terraphi.errors import InputError
-from terraphi.forward import MODEL_VERSIONS, simulate
+from terraphi.forward import MODEL_VERSIONS, Checkpoint, simulate
 from terraphi.history import ForceHistory
 from terraphi.library import Library, Plan
 from terraphi.scenario import Scenario
@@ -259,6 +263,125 @@ def test_a_disk_that_fills_up_keeps_what_was_finished(
     assert len(names(cases_folder(file))) == 1
     build(plan_of(), file)
     assert calls == [20.0, 25.0, 30.0, 30.0, 35.0, 40.0]
+
+
+# -- long cases --------------------------------------------------------------------------------
+
+
+def coarse_plan(**sweep: list[Any]) -> Plan:
+    """Half a second a case, of several blocks of steps."""
+    scenario = {
+        "numerics": {
+            "cells": 32,
+            "speed_up": 20.0,
+            "time_step": 5e-5,
+            "contact_band_cells": 0.5,
+        },
+        "soil": {"yield_criterion": "plane_strain", "friction_angle_deg": 45.0},
+        "bed": {"left": 0.010, "floor": 0.010, "width": 0.280, "height": 0.160},
+        "motion": {"start_deg": -130.0, "stop_deg": -20.0},
+    }
+    return Plan.model_validate({"name": "coarse", "scenario": scenario, "sweep": sweep})
+
+
+def test_a_solution_that_blows_up_is_recorded_and_the_build_goes_on(tmp_path: Path) -> None:
+    """Associated flow without cohesion, whose particles swell with the soil."""
+    plan = coarse_plan(
+        **{
+            "numerics.particle_volume": ["updated"],
+            "soil.flow": ["associated", "dilation"],
+            "numerics.seed": [0, 1],
+        }
+    )
+    file = tmp_path / "x.nc"
+    library = build(plan, file)
+    assert [bool(case.failure) for case in library.cases] == [True, True, False, False]
+    for case in library.cases[:2]:
+        assert case.failure.startswith("SimulationError: the solution broke down at step ")
+        for words in ("particle ", "theta = -", "likely cause: associated flow", "last good state"):
+            assert words in case.failure
+        kept = cases_folder(file) / f"{case.scenario.hash}.checkpoint"
+        assert str(kept) in case.failure
+        assert kept.is_file()
+    assert Library.load(file).failures == library.failures
+    assert len(names(cases_folder(file))) == 2
+
+    # The next build tries again, from that state on, and finds the same; what succeeded stays.
+    again = build(plan, file)
+    assert again.failures == library.failures
+    assert same_forces(again, library)
+
+
+def test_a_case_that_was_stopped_is_taken_up_where_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, plan = tmp_path / "x.nc", coarse_plan(**{"numerics.seed": [0, 1]})
+    told = 0
+
+    def impatient(advance: float) -> None:
+        nonlocal told
+        told += 1
+        if told == 7:  # in the middle of the second case
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(building, "heartbeat", impatient)
+        with pytest.raises(KeyboardInterrupt):
+            build(plan, file)
+    first, second = (scenario.hash for scenario in plan.cases())
+    assert names(cases_folder(file)) == sorted([f"{first}.nc", f"{second}.checkpoint"])
+    resumed = build(plan, file)
+    assert names(tmp_path) == ["x.nc"]
+    histories = [case.history for case in resumed.cases if case.history]
+    assert [history.provenance.get("resumed_at_step") for history in histories] == [None, [4000]]
+    assert same_forces(resumed, build(plan, tmp_path / "y.nc"))
+
+
+KILLED = """
+import sys
+from pathlib import Path
+from terraphi.build import build
+from terraphi.library import Plan
+plan = Plan.model_validate_json(sys.stdin.read())
+print("ready", flush=True)
+build(plan, Path(sys.argv[1]), checkpoint_every=0.0)
+"""
+
+
+def test_a_killed_build_loses_no_more_than_the_interval(tmp_path: Path) -> None:
+    """Killed as soon as its first checkpoint is there, then run to its end."""
+    file, plan = tmp_path / "x.nc", coarse_plan(**{"numerics.seed": [0, 1]})
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    started = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(file)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        env=environment,
+    )
+    assert started.stdin is not None
+    started.stdin.write(plan.model_dump_json().encode())
+    started.stdin.close()
+    first = cases_folder(file) / f"{plan.cases()[0].hash}.checkpoint"
+    for _ in range(6000):
+        if first.exists():
+            break
+        time.sleep(0.01)
+    started.kill()
+    started.wait()
+    assert not file.exists()
+    resumed = build(plan, file)
+    history = resumed.cases[0].history
+    assert history is not None
+    assert history.provenance["resumed_at_step"][0] >= 2000
+    assert names(tmp_path) == ["x.nc"]
+    assert same_forces(resumed, build(plan, tmp_path / "y.nc"))
+
+
+def test_a_worker_that_sees_no_folder_keeps_nothing(tmp_path: Path) -> None:
+    scenario = coarse_plan(**{"numerics.seed": [0]}).cases()[0].replace(**{"motion.stop_deg": -120})
+    far = Checkpoint(tmp_path / "elsewhere" / "c", every=0.0)
+    assert isinstance(building.run_case(scenario.model_dump_json(), far), ForceHistory)
+    assert names(tmp_path) == []
 
 
 # -- executors ---------------------------------------------------------------------------------

@@ -211,3 +211,17 @@ def test_a_plate_may_be_thicker_than_long() -> None:
     assert Leg(shape="plate", chord=0.02, half_thickness=0.05).reach() == pytest.approx(
         math.hypot(0.02, 0.05)
     )
+
+
+@pytest.mark.parametrize("shape", LEG_SHAPES)
+def test_outline_lies_where_the_distance_is_zero_and_encloses_the_leg(shape: LegShape) -> None:
+    leg = Leg(shape=shape)
+    corners = leg.outline()
+    distance, _ = leg.signed_distance(corners)
+    assert np.abs(distance).max() < 1e-12
+    x, y = corners.T
+    area = 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
+    # A strip of constant thickness, by Pappus also where it is bent, and two half discs.
+    length = leg.chord * (1.0 if leg.curvature == 0.0 else 0.5 * math.pi)
+    ends = 0.0 if shape == "plate" else math.pi * leg.half_thickness**2
+    assert area == pytest.approx(2.0 * leg.half_thickness * length + ends, rel=2e-3)

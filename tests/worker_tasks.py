@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from terraphi.build import run_case
+from terraphi.forward import Checkpoint
 from terraphi.history import ForceHistory
 from terraphi.workers import heartbeat
 
@@ -31,7 +32,7 @@ def without_end(started: str) -> None:
         time.sleep(0.01)
 
 
-def run_or_die(scenario_json: str) -> ForceHistory | str:
+def run_or_die(scenario_json: str, checkpoint: Checkpoint | None = None) -> ForceHistory | str:
     """Run a case, unless its friction angle is the fatal one: die as an operating system kills."""
     content: dict[str, Any] = json.loads(scenario_json)
     if content["soil"]["friction_angle_deg"] == FATAL_DEG:

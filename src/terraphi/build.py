@@ -1,13 +1,14 @@
 """Build a library: run a plan's cases on an executor, keep what is finished, resume.
 
 While a build of ``FILE.nc`` is under way, finished cases lie in the folder ``FILE.nc.cases``, one
-force history each, named by the hash of its scenario. The folder goes when the library is whole.
+force history each, named by the hash of its scenario, and beside them the checkpoints of the cases
+that are running. When the library is whole the folder goes, but for the last good states of cases
+that broke down.
 """
 
 from __future__ import annotations
 
 import logging
-import shutil
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from pathlib import Path
@@ -15,7 +16,8 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from terraphi.errors import InputError
-from terraphi.forward import model_version, simulate, software
+from terraphi.forward import Checkpoint, model_version, simulate, software
+from terraphi.forward.watch import EVERY
 from terraphi.history import ForceHistory
 from terraphi.library import Case, Library, Plan, describe
 from terraphi.scenario import Scenario
@@ -30,13 +32,16 @@ _POLL = 0.25
 """Seconds between two looks at the executor; the progress display moves that often."""
 
 
-def run_case(scenario_json: str) -> ForceHistory | str:
+def run_case(scenario_json: str, checkpoint: Checkpoint | None = None) -> ForceHistory | str:
     """Simulate one case; runs in a worker, so it takes and returns what travels well.
 
     Parameters
     ----------
     scenario_json
         A scenario as JSON.
+    checkpoint
+        Where its state is kept meanwhile; not used where the folder cannot be seen, as on a
+        cluster without common files.
 
     Returns
     -------
@@ -51,8 +56,9 @@ def run_case(scenario_json: str) -> ForceHistory | str:
         heartbeat(fraction - seen)
         seen = fraction
 
+    kept = checkpoint if checkpoint and checkpoint.path.parent.is_dir() else None
     try:
-        return simulate(scenario, progress=report)
+        return simulate(scenario, progress=report, checkpoint=kept)
     except (ArithmeticError, RuntimeError, ValueError) as error:
         heartbeat(0.0)  # a stop asked for is no failure of the case
         return f"{type(error).__name__}: {error}"
@@ -63,12 +69,21 @@ def cases_folder(path: Path) -> Path:
     return path.with_name(path.name + ".cases")
 
 
+def kept_cases(path: Path) -> Path | None:
+    """Folder with what is left of a build that has ended; ``None``, and removed, if empty."""
+    folder = cases_folder(path)
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+    return folder if folder.is_dir() else None
+
+
 def build(
     plan: Plan,
     path: Path | str,
     *,
     executor: Executor | None = None,
     progress: Progress | None = None,
+    checkpoint_every: float = EVERY,
 ) -> Library:
     """Simulate what a plan asks for and has not been simulated yet, and write the library.
 
@@ -83,6 +98,8 @@ def build(
         Runs the cases; ``None`` runs them here, one after another.
     progress
         Called whenever something may have changed.
+    checkpoint_every
+        Least time between two checkpoints of a case [s].
 
     Returns
     -------
@@ -95,21 +112,12 @@ def build(
         If the file cannot be written, a worker was killed, or no case at all succeeded.
     """
     path = Path(path)
-    wanted = plan.cases()
-    folder = cases_folder(path)
-    finished = {**_from_library(path), **_from_folder(folder)}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be made ({error.strerror}); choose another place"
-        ) from error
-    finished = {
-        key: history
-        for key, history in finished.items()
-        if key in {scenario.hash for scenario in wanted}
-    }
+    wanted, folder = plan.cases(), cases_folder(path)
+    finished = _finished(path, folder, wanted)
     failures: dict[str, str] = {}
+    checkpoints = {
+        s.hash: Checkpoint(folder / f"{s.hash}.checkpoint", checkpoint_every) for s in wanted
+    }
     missing = {s.hash: s for s in wanted if s.hash not in finished}
     log.info("%d of %d cases are there already", len(wanted) - len(missing), len(wanted))
 
@@ -119,6 +127,7 @@ def build(
             log.warning("%s failed: %s", describe(plan, scenario), outcome)
         else:
             outcome.to_netcdf(folder / f"{scenario.hash}.nc")
+            checkpoints[scenario.hash].remove()
             finished[scenario.hash] = outcome
         look()
 
@@ -132,32 +141,54 @@ def build(
     try:
         look()
         if executor is None:
-            for scenario in missing.values():
-                keep(scenario, run_case(scenario.model_dump_json()))
+            for key, scenario in missing.items():
+                keep(scenario, run_case(scenario.model_dump_json(), checkpoints[key]))
         else:
-            _run_on(executor, list(missing.values()), keep, look)
-    finally:
-        _remove_if_empty(folder)
-
+            _run_on(executor, list(missing.values()), checkpoints, keep, look)
+    except BaseException:
+        if executor is None:  # its workers may have something to keep even now
+            kept_cases(path)
+        raise
     if not finished:
+        kept_cases(path)
         reason = next(iter(failures.values()))
         raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
     cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in wanted]
     library = Library(plan, tuple(cases), software(plan.scenario))
     library.save(path)
-    shutil.rmtree(folder, ignore_errors=True)
+    for file in set(folder.iterdir()) - {checkpoints[key].path for key in failures}:
+        file.unlink()
+    kept_cases(path)
     return library
+
+
+def _finished(path: Path, folder: Path, wanted: list[Scenario]) -> dict[str, ForceHistory]:
+    """Histories that there are already, by scenario hash; makes the folder for the others.
+
+    Raises InputError if the library's file is no library, or the folder cannot be made.
+    """
+    there = {**_from_library(path), **_from_folder(folder)}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be made ({error.strerror}); choose another place"
+        ) from error
+    hashes = {scenario.hash for scenario in wanted}
+    return {key: history for key, history in there.items() if key in hashes}
 
 
 def _run_on(
     executor: Executor,
     scenarios: list[Scenario],
+    checkpoints: dict[str, Checkpoint],
     keep: Callable[[Scenario, ForceHistory | str], None],
     look: Callable[[], None],
 ) -> None:
     """Run cases on an executor, handing each over as it ends."""
     waiting: dict[Future[ForceHistory | str], Scenario] = {
-        executor.submit(run_case, scenario.model_dump_json()): scenario for scenario in scenarios
+        executor.submit(run_case, scenario.model_dump_json(), checkpoints[scenario.hash]): scenario
+        for scenario in scenarios
     }
     try:
         while waiting:
@@ -216,8 +247,3 @@ def _is_current(history: ForceHistory) -> bool:
     except ValidationError:  # of a version with other scenarios
         return False
     return bool(history.provenance.get("model_version") == current)
-
-
-def _remove_if_empty(folder: Path) -> None:
-    if not any(folder.iterdir()):
-        folder.rmdir()

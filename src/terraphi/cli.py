@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import logging
-import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -12,13 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from terraphi.commands import checkpoint_every_option, json_option
+from terraphi.commands.simulate import simulate
 from terraphi.console import (
     as_text,
+    ignore_interrupts,
     print_forces,
     print_inversion,
     print_json,
     print_library,
-    print_pairs,
     print_table,
     progress_bar,
     words,
@@ -33,8 +34,6 @@ UNUSABLE = 2
 """Exit status when the input could not be used."""
 DEFAULT_LIBRARY = "quick-plane-strain"
 DEMO_SOURCES = ("li2013:yuma/straight", "li2013:glass03_close/straight")
-
-json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -154,31 +153,7 @@ def invert(
         click.echo(f"Written: {out}/answer.json, posterior.nc, figure.png")
 
 
-@cli.command()
-@click.argument("scenario")
-@click.option("--out", type=click.Path(path_type=Path), help="NetCDF file for the history.")
-@json_option
-def simulate(scenario: str, out: Path | None, as_json: bool) -> None:
-    """Simulate SCENARIO, a TOML file or the name of a shipped preset (quick, paper-0).
-
-    Example: terraphi simulate quick --out quick.nc
-    """
-    from terraphi import forward
-    from terraphi.files import writable
-    from terraphi.scenario import Scenario
-
-    chosen = Scenario.load(scenario)
-    if out is not None:
-        writable(out)
-    with progress_bar("simulating") as report:
-        history = forward.simulate(chosen, progress=lambda fraction: report(fraction, 1.0))
-    if out is not None:
-        history.to_netcdf(out)
-    summary = {**history.summary(), "out": None if out is None else str(out)}
-    if as_json:
-        print_json(summary)
-        return
-    print_pairs(summary)
+cli.add_command(simulate)
 
 
 @cli.group()
@@ -190,15 +165,18 @@ def library() -> None:
 @click.argument("plan")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file to make.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; all cores if not given.")
+@checkpoint_every_option
 @json_option
-def library_build(plan: str, out: Path, workers: int | None, as_json: bool) -> None:
+def library_build(
+    plan: str, out: Path, workers: int | None, checkpoint_every: float, as_json: bool
+) -> None:
     """Simulate all cases of PLAN, a TOML file or the name of a shipped plan.
 
-    An interrupted build is resumed by the same command and computes nothing twice.
+    An interrupted or killed build is resumed by the same command, cases that were running included.
 
     Example: terraphi library build quick-plane-strain --out my.nc --workers 4
     """
-    from terraphi.build import build, cases_folder
+    from terraphi.build import build, kept_cases
     from terraphi.library import Plan
     from terraphi.workers import WorkerPool, available_cores
 
@@ -210,16 +188,20 @@ def library_build(plan: str, out: Path, workers: int | None, as_json: bool) -> N
                 out,
                 executor=pool.executor,
                 progress=lambda done, total: report(pool.counted(done), total),
+                checkpoint_every=checkpoint_every,
             )
     except KeyboardInterrupt:
         ignore_interrupts()
-        kept = cases_folder(out)
+        kept = kept_cases(out)
         raise InputError(
-            f"{out}: interrupted before it was whole; finished cases are kept in {kept}, and the "
+            f"{out}: interrupted before it was whole; what was done is kept in {kept}, and the "
             "same command goes on from there"
-            if kept.exists()
-            else f"{out}: interrupted before any case was finished; nothing was written"
+            if kept
+            else f"{out}: interrupted before there was anything to keep; nothing was written"
         ) from None
+    except InputError:
+        kept_cases(out)
+        raise
     for case, failure in made.failures.items():
         click.echo(f"failed: {case}: {failure}", err=True)
     print_library(made, as_json=as_json)
@@ -358,11 +340,6 @@ def save_inversion(inversion: Inversion, place: Path) -> None:
             temporary.write_text(as_text(inversion.as_dict()))
         for file in made.iterdir():
             file.replace(place.joinpath(file.name))
-
-
-def ignore_interrupts() -> None:
-    """Once is enough: a second Ctrl-C must not cut off what is said about the first."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def main() -> None:

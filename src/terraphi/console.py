@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import logging
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -113,7 +115,30 @@ def words(value: Any) -> str:
 
 
 @contextmanager
-def progress_bar(description: str) -> Iterator[Callable[[float, float], None]]:
+def warnings_shown() -> Iterator[None]:
+    """Print what our own code warns of on standard error."""
+
+    class Printing(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            click.echo(f"terraphi: {record.getMessage()}", err=True)
+
+    handler, log = Printing(logging.WARNING), logging.getLogger("terraphi")
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+
+
+def ignore_interrupts() -> None:
+    """Once is enough: a second Ctrl-C must not cut off what is said about the first."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def progress_bar(
+    description: str, *, at_first: str = "compiling, once"
+) -> Iterator[Callable[[float, float], None]]:
     """Progress with the time left on standard error, where that is a terminal."""
     from rich.console import Console
     from rich.progress import (
@@ -137,7 +162,7 @@ def progress_bar(description: str) -> Iterator[Callable[[float, float], None]]:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("compiling, once", total=None)
+        task = bar.add_task(at_first, total=None)
 
         def report(done: float, total: float) -> None:
             if done:

@@ -245,11 +245,43 @@ class Leg(BaseModel):
         line = np.vstack([[0.0, 0.0], self.centre_line(60).centre, [self.chord, 0.0]])
         return line, self.half_thickness
 
+    def outline(self, panels: int = 60) -> FloatArray:
+        """Corners of a polygon that follows the outline, in the leg's frame.
+
+        Parameters
+        ----------
+        panels
+            Number of elements along the centre line; each round end has a third as many.
+
+        Returns
+        -------
+        ndarray
+            (s, m) [m], shape [corner, 2], around the leg once; the last is not the first again.
+        """
+        half = self.half_thickness
+        if self.shape == "plate":
+            return np.array([[0.0, -half], [self.chord, -half], [self.chord, half], [0.0, half]])
+        line = self.centre_line(panels)
+        # Tangents at hip and tip: along the chord or, of a semicircle, across it.
+        side = math.copysign(1.0, self.curvature)
+        first, last = ((0.0, side), (0.0, -side)) if self.curvature else ((1.0, 0.0), (1.0, 0.0))
+        normal = half * np.stack([-line.tangent[:, 1], line.tangent[:, 0]], axis=1)
+        tip = np.array([self.chord, 0.0]) + half * _half_circle(last, panels // 3)
+        hip = -half * _half_circle(first, panels // 3)
+        return np.concatenate([line.centre - normal, tip, (line.centre + normal)[::-1], hip])
+
     def reach(self) -> float:
         """Largest distance of the outline from the hip [m]."""
         if self.shape == "plate":
             return math.hypot(self.chord, self.half_thickness)
         return self.chord + self.half_thickness
+
+
+def _half_circle(direction: tuple[float, float], panels: int) -> FloatArray:
+    """Points of a half circle of radius 1 about a direction, its right hand first; [point, 2]."""
+    angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, panels + 1)[:, None]
+    left = np.array([-direction[1], direction[0]])
+    return np.asarray(np.cos(angle) * np.array(direction) + np.sin(angle) * left)
 
 
 def frame_axes(theta: float | FloatArray) -> tuple[FloatArray, FloatArray]:

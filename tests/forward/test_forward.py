@@ -7,7 +7,6 @@ import json
 import math
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 
 from terraphi import forward
+from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.motion import Rotation, Translation, bin_centres
 from terraphi.scenario import Scenario
@@ -39,17 +39,24 @@ def test_history_says_where_it_comes_from(tmp_path: Path) -> None:
 def test_material_point_method_is_called_and_its_words_are_kept(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def fake(
-        scenario: Scenario, *, progress: Callable[[float], None] | None = None
-    ) -> ForceHistory:
-        assert progress is print
+    kept, looks = forward.Checkpoint(Path("c")), list.append
+
+    def fake(scenario: Scenario, **options: Any) -> ForceHistory:
+        assert options == {"progress": print, "checkpoint": kept, "observe": looks}
         return ForceHistory(np.array([0.0, 1.0]), np.ones((2, 2)), provenance={"machine": "mine"})
 
     monkeypatch.setattr("terraphi.forward.mpm.solver.simulate", fake)
-    known = forward.simulate(Scenario(), progress=print).provenance
+    known = forward.simulate(Scenario(), progress=print, checkpoint=kept, observe=looks).provenance
     assert known["model_version"] == "mpm-1"
     assert known["machine"] == "mine"
     assert known["numba"] == importlib.metadata.version("numba")
+
+
+def test_resistive_force_theory_keeps_nothing_and_has_nothing_to_show(tmp_path: Path) -> None:
+    forward.simulate(RFT, checkpoint=forward.Checkpoint(tmp_path / "c", every=0.0))
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(InputError, match="model = 'rft' has no particles to look at"):
+        forward.simulate(RFT, observe=print)
 
 
 def test_version_of_a_package_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:

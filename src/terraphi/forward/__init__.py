@@ -12,10 +12,24 @@ import importlib.metadata
 import platform
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, Protocol
 
+from terraphi.errors import InputError
+from terraphi.forward.watch import Checkpoint, Observer, Snapshot
 from terraphi.history import ForceHistory
 from terraphi.scenario import Scenario
+
+__all__ = [
+    "MODEL_VERSIONS",
+    "Checkpoint",
+    "ForwardModel",
+    "Observer",
+    "Snapshot",
+    "model_version",
+    "simulate",
+    "software",
+]
 
 MODEL_VERSIONS = {"mpm": 1, "rft": 1}
 """A number for each model, raised whenever the same scenario would give other forces.
@@ -45,7 +59,11 @@ class ForwardModel(Protocol):
 
 
 def simulate(
-    scenario: Scenario, *, progress: Callable[[float], None] | None = None
+    scenario: Scenario,
+    *,
+    progress: Callable[[float], None] | None = None,
+    checkpoint: Checkpoint | None = None,
+    observe: Observer | None = None,
 ) -> ForceHistory:
     """Forces on the leg along its path, by the model that the scenario names.
 
@@ -55,6 +73,12 @@ def simulate(
         Soil, leg, motion and numerics.
     progress
         Called now and then with the fraction done, 0 to 1.
+    checkpoint
+        Where the state is kept meanwhile, and taken from if it is there and fits, so that a killed
+        simulation goes on and ends in the same bits. Left behind at the end: remove it once the
+        history is safe. Resistive force theory, done in no time, keeps nothing.
+    observe
+        Called with the state at the start and after each block of steps.
 
     Returns
     -------
@@ -66,11 +90,17 @@ def simulate(
     Raises
     ------
     InputError
-        If the model cannot do this scenario.
+        If the model cannot do this scenario or has nothing to observe, or a checkpoint that a
+        person named does not fit.
     SimulationError
-        If the solution breaks down.
+        If the solution breaks down; the message says at which step and particle, the likely cause
+        and where the last good state is kept.
     """
-    history = _model(scenario)(scenario, progress=progress)
+    if observe is not None and scenario.model != "mpm":
+        raise InputError(
+            f"model = '{scenario.model}' has no particles to look at; set model = 'mpm'"
+        )
+    history = _model(scenario, checkpoint, observe)(scenario, progress=progress)
     common = {
         "scenario": scenario.model_dump(mode="json"),
         "scenario_hash": scenario.hash,
@@ -109,12 +139,14 @@ def software(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def _model(scenario: Scenario) -> ForwardModel:
+def _model(
+    scenario: Scenario, checkpoint: Checkpoint | None, observe: Observer | None
+) -> ForwardModel:
     """The function that simulates a scenario; loads its module."""
     if scenario.model == "mpm":
         from terraphi.forward.mpm import solver
 
-        return solver.simulate
+        return partial(solver.simulate, checkpoint=checkpoint, observe=observe)
     from terraphi.forward import rft
 
     return rft.simulate

@@ -3,5 +3,7 @@
 Read in this order: ``bed`` (what there is), ``transfer``, ``plasticity``, ``contact``, ``relief``
 (one piece of physics each), ``scalar`` (a step), ``solver`` (all steps). Then the same steps made
 fast: ``packing`` (how particles lie), ``lanes`` (what happens to a packet of them), ``rows`` (the
-grid), ``sweep`` (from grid to grid), ``packets`` (a block of steps).
+grid), ``sweep`` (from grid to grid), ``packets`` (a block of steps). Around the solver: ``state``
+(all there is between two blocks), ``checkpoint`` (the same in a file), ``breakdown`` (why a
+solution failed), ``fields`` (frames for ParaView).
 """

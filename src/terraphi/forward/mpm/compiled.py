@@ -111,6 +111,17 @@ def register_use(function: Callable[..., object], *arguments: object) -> Counter
 _ARITHMETIC = re.compile(r"^\s+v?(?:fn?m(?:add|sub)\d*|mul|add|sub|div|sqrt)([ps])d\s(.*)$", re.M)
 
 
+def _digest_of_sources() -> str:
+    digest = hashlib.sha256(numba.__version__.encode())
+    for source in _SOURCES:
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
+
+
+SOURCE_DIGEST = _digest_of_sources()
+"""SHA-256 of the compiler's version and of the source of all that is compiled, hexadecimal."""
+
+
 def _drop_stale_cache() -> None:
     """Remove cached machine code if any source of the kernels has changed since it was made.
 
@@ -118,19 +129,17 @@ def _drop_stale_cache() -> None:
     has inlined; a change to the latter would silently be ignored. Only the cache beside the sources
     is looked after: an installed package, whose files change together, needs no more.
     """
-    digest = hashlib.sha256(numba.__version__.encode())
-    for source in _SOURCES:
-        digest.update(source.read_bytes())
+    digest = _digest_of_sources()
     cache = _FOLDER / "__pycache__"
     stamp = cache / "kernels.sha256"
     try:
-        if stamp.is_file() and stamp.read_text() == digest.hexdigest():
+        if stamp.is_file() and stamp.read_text() == digest:
             return
         for folder in {source.parent / "__pycache__" for source in _SOURCES}:
             for old in [*folder.glob("*.nbi"), *folder.glob("*.nbc")]:
                 old.unlink(missing_ok=True)
         cache.mkdir(exist_ok=True)
-        stamp.write_text(digest.hexdigest())
+        stamp.write_text(digest)
     except OSError:
         return
 

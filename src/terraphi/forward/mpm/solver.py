@@ -6,18 +6,22 @@ import logging
 import math
 import time
 from collections.abc import Callable
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.errors import InputError, SimulationError
 from terraphi.forward.mpm import packet_phases, packets, phases, scalar
-from terraphi.forward.mpm.bed import empty_grid, geostatic_bed
+from terraphi.forward.mpm.bed import empty_grid
+from terraphi.forward.mpm.breakdown import find_breakdown, is_whole
+from terraphi.forward.mpm.checkpoint import Keeper
 from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.relief import fading_of
-from terraphi.forward.mpm.scalar import LEDGER_ROWS, empty_audit, stepping_of
+from terraphi.forward.mpm.scalar import LEDGER_ROWS, stepping_of
+from terraphi.forward.mpm.state import State, copy_of, first_state, read_only
+from terraphi.forward.watch import Checkpoint, Observer, Snapshot
 from terraphi.history import ForceHistory
 from terraphi.motion import bin_centres
 from terraphi.scenario import Scenario
@@ -35,7 +39,9 @@ KERNELS: dict[Kernel, tuple[Callable[..., int], Callable[..., int]]] = {
 Of each, the one that transfers at every step and the one with Lagrangian phases."""
 
 BLOCK = 2000
-"""Steps between two reports of progress, or a little less."""
+"""Steps between two reports of progress, or a little less. Blocks end at multiples of their length
+wherever a run starts: the fast kernel packs its particles anew for each, and its roundings depend
+on that."""
 
 
 def block_length(scenario: Scenario) -> int:
@@ -49,6 +55,8 @@ def simulate(
     *,
     kernel: Kernel = "packets",
     progress: Callable[[float], None] | None = None,
+    checkpoint: Checkpoint | None = None,
+    observe: Observer | None = None,
 ) -> ForceHistory:
     """Move the leg through the bed and record the forces.
 
@@ -61,72 +69,136 @@ def simulate(
         Not part of the scenario, as it does not bear on the result; recorded in its provenance.
     progress
         Called now and then with the fraction done, 0 to 1.
+    checkpoint
+        Where the state is kept meanwhile, and taken from if it is there and fits. Kept as well if
+        anything stops the run; left behind at the end, for the caller to remove.
+    observe
+        Called with the state at the start and after each block of steps.
 
     Returns
     -------
     ForceHistory
         Mean force in each bin of the path (0.1° of a rotation), from the momentum that the
         contact takes out of the grid, times the leg's width. Bitwise the same at each run on the
-        same machine.
+        same machine, whether or not it was stopped, kept and observed on the way.
 
     Raises
     ------
     InputError
-        If the scenario is for another model, or there is no such kernel.
+        If the scenario is for another model, there is no such kernel, or a checkpoint that a
+        person named does not fit.
     SimulationError
-        If the solution breaks down; the message says where.
+        If the solution breaks down; the message says at which step and particle, the likely cause
+        and where the last good state is kept.
     """
     if scenario.model != "mpm":
         raise InputError(f"model = '{scenario.model}': this is the solver of model = 'mpm'")
     if kernel not in KERNELS:
         raise InputError(f"kernel = '{kernel}': there are {' and '.join(KERNELS)}")
-    advance = KERNELS[kernel][scenario.numerics.steps_per_phase > 0]
     began = time.perf_counter()
-    soil, grid, audit = geostatic_bed(scenario), empty_grid(scenario), empty_audit()
-    constants = (
-        material_of(scenario.soil),
-        intruder_of(scenario.leg),
-        fading_of(scenario),
-        stepping_of(scenario),
+    keeper = Keeper(checkpoint, scenario, kernel)
+    state = keeper.resumed() or first_state(scenario)
+    steps, blocks = step_count(scenario), _Blocks(scenario, kernel)
+    length = block_length(scenario)
+    _show(observe, scenario, state)
+    compiled, whole = 0.0, state
+    try:
+        while state.step < steps:
+            whole = copy_of(state)
+            state, lost = blocks.take(state, min(length, steps - state.step))
+            if not is_whole(state, lost):
+                raise SimulationError(_account(scenario, blocks, keeper, whole, state.step))
+            whole, compiled = state, compiled or time.perf_counter()
+            _show(observe, scenario, state)
+            keeper.offer(state)
+            if progress is not None:
+                progress(state.step / steps)
+    except SimulationError:
+        raise
+    except BaseException:  # a person, a parent process or an observer who wants no more
+        keeper.save(whole)
+        raise
+    seconds = {
+        "first_block": max(compiled - began, 0.0),
+        "all": keeper.seconds + time.perf_counter() - began,
+        "checkpoints": keeper.cost,
+    }
+    log.info("%d steps of %d particles in %.1f s", steps, len(state.soil.mass), seconds["all"])
+    provenance = {"kernel": kernel, **_books(scenario, state), "seconds": seconds}
+    if keeper.resumed_at:
+        provenance["resumed_at_step"] = keeper.resumed_at
+    return ForceHistory(
+        bin_centres(scenario.motion),
+        state.impulse / (state.held * scenario.numerics.time_step)[:, None] * scenario.leg.width,
+        coordinate=scenario.motion.coordinate,
+        provenance=provenance,
     )
-    centres = bin_centres(scenario.motion)
-    impulse, held = np.zeros((len(centres), 2)), np.zeros(len(centres))
-    steps = step_count(scenario)
-    compiled = time.perf_counter()
-    block = block_length(scenario)
-    for first in range(0, steps, block):
-        indices = np.arange(first, min(first + block, steps))
-        poses, turned, bins = path_of_steps(scenario, indices, len(centres))
-        lost = advance(soil, grid, *constants, poses, turned, bins, impulse, audit)
-        held += np.bincount(bins, minlength=len(centres))
-        if lost >= 0 or not np.isfinite(impulse).all():
-            raise SimulationError(
-                f"the solution broke down between steps {indices[0]} and {indices[-1]} of {steps} "
-                f"({_where(scenario, indices[0])}): "
-                f"{'a particle left the grid' if lost >= 0 else 'a force is not a number'}; "
-                "try a smaller numerics.time_step"
-            )
-        if first == 0:
-            compiled = time.perf_counter()
-        if progress is not None:
-            progress((indices[-1] + 1) / steps)
-    force = impulse / (held * scenario.numerics.time_step)[:, None] * scenario.leg.width
-    ended = time.perf_counter()
-    log.info("%d steps of %d particles in %.1f s", steps, len(soil.mass), ended - began)
-    provenance = {
-        "kernel": kernel,
-        "momentum_mismatch": float(audit.worst[0]),
+
+
+class _Blocks:
+    """A kernel and what it needs besides the state, which depends on the scenario alone."""
+
+    def __init__(self, scenario: Scenario, kernel: Kernel) -> None:
+        self._scenario = scenario
+        self._advance = KERNELS[kernel][scenario.numerics.steps_per_phase > 0]
+        self._constants = (
+            empty_grid(scenario),
+            material_of(scenario.soil),
+            intruder_of(scenario.leg),
+            fading_of(scenario),
+            stepping_of(scenario),
+        )
+
+    def take(self, state: State, count: int) -> tuple[State, int]:
+        """Take some steps, changing the arrays of a state; the state then, and who left the grid.
+
+        Parameters
+        ----------
+        state
+            Between two blocks.
+        count
+            Number of steps.
+
+        Returns
+        -------
+        State
+            The same arrays, so many steps later.
+        int
+            Index of the first particle to leave the grid, or -1.
+        """
+        bins = len(state.held)
+        path = path_of_steps(self._scenario, np.arange(state.step, state.step + count), bins)
+        lost = self._advance(state.soil, *self._constants, *path, state.impulse, state.audit)
+        state.held[:] += np.bincount(path[2], minlength=bins)
+        return state._replace(step=state.step + count), lost
+
+
+def _show(observe: Observer | None, scenario: Scenario, state: State) -> None:
+    """Let the observer look at a state, and touch nothing."""
+    if observe is not None:
+        observe(Snapshot(scenario, state.step, step_count(scenario), read_only(state.soil)))
+
+
+def _account(scenario: Scenario, blocks: _Blocks, keeper: Keeper, whole: State, failed: int) -> str:
+    """Account of a breakdown between a whole state and a step, for a message."""
+    log.info("the solution broke down before step %d; looking for the step", failed)
+    found = find_breakdown(
+        scenario, whole, failed - whole.step, lambda count: blocks.take(copy_of(whole), count)
+    )
+    return found.sentence(step_count(scenario)) + keeper.last_resort(whole)
+
+
+def _books(scenario: Scenario, state: State) -> dict[str, Any]:
+    """Counts and balances of a finished run, JSON-able."""
+    return {
+        "momentum_mismatch": float(state.audit.worst[0]),
         "impulse_kg_m_s": {
-            row: [float(v) * scenario.leg.width for v in audit.ledger[i]]
+            row: [float(v) * scenario.leg.width for v in state.audit.ledger[i]]
             for i, row in enumerate(LEDGER_ROWS)
         },
-        "particles": len(soil.mass),
-        "steps": steps,
-        "seconds": {"first_block": compiled - began, "all": ended - began},
+        "particles": len(state.soil.mass),
+        "steps": state.step,
     }
-    return ForceHistory(
-        centres, force, coordinate=scenario.motion.coordinate, provenance=provenance
-    )
 
 
 def step_count(scenario: Scenario) -> int:
@@ -168,12 +240,3 @@ def path_of_steps(
     low, high = scenario.motion.span
     bins = np.floor((middle - low) / (high - low) * bin_count).astype(np.int64)
     return np.ascontiguousarray(poses), turned, np.clip(bins, 0, bin_count - 1)
-
-
-def _where(scenario: Scenario, step: np.int64) -> str:
-    """Place on the path at a step, for a message."""
-    at = step * scenario.numerics.time_step * scenario.numerics.speed_up
-    value = float(scenario.motion.coordinates(np.array([at]))[0])
-    if scenario.motion.coordinate == "theta":
-        return f"theta = {math.degrees(value):.1f} deg"
-    return f"displacement = {value * 1e3:.2f} mm"

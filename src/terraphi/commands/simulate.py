@@ -1,0 +1,167 @@
+"""``terraphi simulate``: one simulation, what it leaves behind, and how it is taken up again."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from terraphi.commands import checkpoint_every_option, json_option
+from terraphi.console import (
+    ignore_interrupts,
+    print_json,
+    print_pairs,
+    progress_bar,
+    warnings_shown,
+)
+from terraphi.errors import InputError
+
+if TYPE_CHECKING:
+    from terraphi.forward import Checkpoint
+    from terraphi.forward.mpm.fields import FieldSeries
+    from terraphi.history import ForceHistory
+    from terraphi.scenario import Scenario
+
+file_type = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("scenario")
+@click.option("--out", type=file_type, help="NetCDF file for the history.")
+@click.option("--fields", type=file_type, help="Folder for particles and leg as VTK (ParaView).")
+@click.option("--animate", type=file_type, help="A .gif or .mp4 of particles and growing forces.")
+@click.option(
+    "--frames",
+    type=click.IntRange(min=2),
+    default=100,
+    show_default=True,
+    help="Frames of the fields and the animation, one each 2000 steps at most.",
+)
+@click.option(
+    "--checkpoint",
+    type=file_type,
+    help="File that keeps the state until all is written; OUT.checkpoint if not given.",
+)
+@checkpoint_every_option
+@json_option
+def simulate(
+    scenario: str,
+    out: Path | None,
+    fields: Path | None,
+    animate: Path | None,
+    frames: int,
+    checkpoint: Path | None,
+    checkpoint_every: float,
+    as_json: bool,
+) -> None:
+    """Simulate SCENARIO, a TOML file or the name of a shipped preset (quick, paper-0).
+
+    A simulation that was interrupted or killed is taken up again by the same command, and ends in
+    the same bits.
+
+    Example: terraphi simulate quick --out quick.nc
+    """
+    from terraphi.files import writable
+    from terraphi.scenario import Scenario
+
+    chosen = Scenario.load(scenario)
+    for file in (out, animate, checkpoint):
+        if file is not None:
+            writable(file)
+    if animate is not None:
+        from terraphi.animation import check_animation
+
+        check_animation(animate)
+    kept = kept_state(out, checkpoint, checkpoint_every)
+    series = field_series(chosen, fields, animate, frames)
+    history = run(chosen, kept, series)
+    if out is not None:
+        history.to_netcdf(out)
+    if animate is not None and series is not None:
+        draw(animate, history, chosen, series)
+        if fields is None:
+            shutil.rmtree(series.particles.parent)
+    if kept is not None:
+        kept.remove()
+    made = {"out": out, "fields": fields, "animation": animate}
+    summary = {
+        **history.summary(),
+        **{name: str(path) for name, path in made.items() if path is not None},
+    }
+    if as_json:
+        print_json(summary)
+        return
+    print_pairs(summary)
+
+
+def kept_state(out: Path | None, named: Path | None, every: float) -> Checkpoint | None:
+    """Where the state is kept: in the file that was named, or else beside the history."""
+    from terraphi.forward import Checkpoint
+
+    if named is not None:
+        return Checkpoint(named, every, named=True)
+    return None if out is None else Checkpoint(out.with_name(out.name + ".checkpoint"), every)
+
+
+def field_series(
+    scenario: Scenario, fields: Path | None, animation: Path | None, frames: int
+) -> FieldSeries | None:
+    """Series of the fields; those of an animation alone stay beside it until it is drawn."""
+    place = fields
+    if place is None and animation is not None:
+        place = animation.with_name(animation.name + ".frames")
+    if place is None:
+        return None
+    if scenario.model != "mpm":
+        raise InputError(
+            f"model = '{scenario.model}' has no particles to look at: --fields and --animate need "
+            "model = 'mpm'"
+        )
+    from terraphi.forward.mpm.fields import FieldSeries
+
+    return FieldSeries(place, scenario, frames=frames)
+
+
+def run(scenario: Scenario, kept: Checkpoint | None, series: FieldSeries | None) -> ForceHistory:
+    """Simulate; Ctrl-C ends in a sentence that says how to go on."""
+    from terraphi import forward
+
+    try:
+        with warnings_shown(), progress_bar("simulating") as report:
+            return forward.simulate(
+                scenario,
+                progress=lambda fraction: report(fraction, 1.0),
+                checkpoint=kept,
+                observe=series,
+            )
+    except KeyboardInterrupt:
+        ignore_interrupts()
+        raise InputError(
+            f"interrupted; the state so far is kept in {kept.path}, and the same command goes on "
+            "from there"
+            if kept is not None and kept.path.exists()
+            else "interrupted; no history was written"
+        ) from None
+
+
+def draw(path: Path, history: ForceHistory, scenario: Scenario, series: FieldSeries) -> None:
+    """Draw the animation."""
+    from terraphi.animation import animate
+
+    try:
+        with progress_bar("drawing", at_first="drawing") as report:
+            animate(
+                path,
+                history,
+                scenario,
+                series.particles,
+                progress=lambda fraction: report(fraction, 1.0),
+            )
+    except KeyboardInterrupt:
+        ignore_interrupts()
+        raise InputError(
+            f"{path}: interrupted before it was drawn; its frames are kept in "
+            f"{series.particles.parent}, and the same command draws it"
+        ) from None
