@@ -18,7 +18,7 @@ from terraphi.studies.verification.check import Family
 from terraphi.studies.verification.document import HEADER, data_of, markdown, table
 from terraphi.studies.verification.running import forget, run_tasks
 
-FAMILIES: tuple[str, ...] = ()
+FAMILIES = ("elements", "rest", "waves", "sliding", "order")
 """Modules of problems, in the order of the document."""
 
 

@@ -73,10 +73,10 @@ class Check:
         """Whether the deviation is within the tolerance."""
         deviation = self.deviation
         if self.sense == "at_most":
-            return deviation <= self.tolerance
+            return bool(deviation <= self.tolerance)
         if self.sense == "at_least":
-            return deviation >= -self.tolerance
-        return abs(deviation) <= self.tolerance
+            return bool(deviation >= -self.tolerance)
+        return bool(abs(deviation) <= self.tolerance)
 
     def as_dict(self) -> dict[str, Any]:
         """Fields, deviation and verdict, JSON-able: a number that is none becomes null."""

@@ -53,7 +53,7 @@ def data_of(
         ``tier``, ``software``, ``passed``, ``missed`` and ``families``: by name, ``checks`` (see
         :class:`~terraphi.studies.verification.check.Check`) and ``curves`` by task.
     """
-    content = {
+    content: dict[str, dict[str, Any]] = {
         name: {
             "checks": [check.as_dict() for task in found[name].values() for check in task.checks],
             "curves": {task: dict(o.curves) for task, o in found[name].items() if o.curves},

@@ -1,0 +1,224 @@
+"""Errors of smooth solutions, at the end of some steps on a grid."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.forward.mpm.bed import Particles, geostatic_bed
+from terraphi.scenario import Scenario
+from terraphi.studies.verification.driver import advance, block_of, rig_of
+from terraphi.studies.verification.vortex import DURATION, RING, Vortex
+from terraphi.studies.verification.waves import elastic, lame_mode
+
+FloatArray = NDArray[np.float64]
+Errors = dict[str, float]
+
+DOMAIN = 0.32
+"""Side of the domain [m]: 16, 32, 64, ... cells divide it and the bodies in it evenly."""
+BOX = {
+    "bed.left": 0.08,
+    "bed.floor": 0.08,
+    "bed.width": 0.16,
+    "bed.height": 0.16,
+    "motion.hip": [0.16, 0.28],
+    "leg.chord": 0.03,
+}
+"""A box whose edges lie on nodes, and a leg that has room above it, were it asked for."""
+TINY = 1e-6
+"""Amplitude at which everything is linear, in radians or as a share of a length [-]."""
+
+
+def vortex_errors(cells: int, per_side: int, amplitude: float) -> Errors:
+    """Errors of the vortex, each relative to the root mean square of its field.
+
+    Parameters
+    ----------
+    cells
+        Cells along a side of the domain.
+    per_side
+        Particles along a side of a cell.
+    amplitude
+        Largest angle [rad].
+
+    Returns
+    -------
+    dict
+        By quantity [-].
+    """
+    scenario = _scenario(cells, per_side)
+    spacing = scenario.numerics.cell_size / per_side
+    soil = block_of((0.02, 0.02), (0.28, 0.28), spacing, scenario.soil.density)
+    middle = (0.5 * DOMAIN, 0.5 * DOMAIN)
+    # Beyond the ring nothing happens.
+    near = np.hypot(*(soil.position - middle).T) < RING + 0.07
+    soil = Particles(*(values[near] for values in soil))
+    exact = Vortex(
+        soil.start, middle, amplitude, scenario.soil.shear_modulus, scenario.soil.density
+    )
+    end = 0.75 * DURATION
+    fastest = scenario.soil.p_wave_speed + exact.top_speed
+    steps = math.ceil(end * fastest / (0.3 * scenario.numerics.cell_size))
+    time_step = end / steps
+    rig = rig_of(scenario).open_box().changed(gravity=0.0, time_step=time_step)
+    soil.velocity[:] = exact.at(-0.5 * time_step).velocity
+    advance(soil, rig, steps, kernel="scalar", body_force=lambda t: exact.at(t).body_force)
+    wanted = exact.at(end)
+    return _errors(
+        soil,
+        scenario,
+        soil.position - soil.start,
+        wanted.position - soil.start,
+        exact.at(end - 0.5 * time_step).velocity,
+        wanted.stress[:, 2],
+        soil.stress[:, 2],
+    )
+
+
+def lame_errors(cells: int, per_side: int = 2) -> Errors:
+    """Errors of a free block in Lamé's mode after 0.6 of a period; see :func:`vortex_errors`."""
+    side = 0.16
+    scenario = _scenario(cells, per_side)
+    soil, mode, gradient = lame_mode(scenario, side)
+    speed = math.sqrt(scenario.soil.shear_modulus / scenario.soil.density)
+    pace = math.sqrt(2.0) * math.pi * speed / side
+    steps, time_step = _steps(scenario, 0.6 * 2.0 * math.pi / pace)
+    rig = rig_of(scenario).open_box().changed(gravity=0.0, time_step=time_step)
+    top = TINY * side * pace
+    soil.velocity[:] = top * math.cos(0.5 * pace * time_step) * mode
+    soil.gradient[:] = top * math.cos(0.5 * pace * time_step) * gradient
+    advance(soil, rig, steps)
+    end = steps * time_step
+    strain = top / pace * math.sin(pace * end) * gradient[:, 0]
+    return _errors(
+        soil,
+        scenario,
+        soil.position - soil.start,
+        top / pace * math.sin(pace * end) * mode,
+        top * math.cos(pace * (end - 0.5 * time_step)) * mode,
+        2.0 * scenario.soil.shear_modulus * strain,
+        soil.stress[:, 0],
+    )
+
+
+def column_errors(cells: int, per_side: int = 2) -> Errors:
+    """Errors of a bed on a floor, between walls, after 0.6 of a period.
+
+    What the bed does on its own is taken off: everything is linear but for the contact with the
+    walls, which the weight keeps closed.
+    """
+    scenario = _scenario(cells, per_side)
+    height, speed = scenario.bed.height, scenario.soil.p_wave_speed
+    k = 0.5 * math.pi / height
+    pace, top = k * speed, TINY * height * k * speed
+    steps, time_step = _steps(scenario, 0.6 * 2.0 * math.pi / pace)
+    rig = rig_of(scenario).changed(time_step=time_step)
+    moved, resting = geostatic_bed(scenario), geostatic_bed(scenario)
+    above = moved.start[:, 1] - scenario.bed.floor
+    begin = top * math.cos(0.5 * pace * time_step)
+    moved.velocity[:, 1] = begin * np.sin(k * above)
+    moved.gradient[:, 3] = begin * k * np.cos(k * above)
+    for soil in (moved, resting):
+        advance(soil, rig, steps)
+    end = steps * time_step
+    upwards = np.stack([np.zeros_like(above), np.sin(k * above)], axis=1)
+    stiffness = scenario.soil.lame_lambda + 2.0 * scenario.soil.shear_modulus
+    return _errors(
+        moved._replace(velocity=moved.velocity - resting.velocity),
+        scenario,
+        moved.position - resting.position,
+        top / pace * math.sin(pace * end) * upwards,
+        top * math.cos(pace * (end - 0.5 * time_step)) * upwards,
+        stiffness * top / pace * math.sin(pace * end) * k * np.cos(k * above),
+        moved.stress[:, 1] - resting.stress[:, 1],
+    )
+
+
+def transfer_loss(cells: int, per_side: int) -> float:
+    """What a step without forces takes from a velocity wave, over (kΔx)⁴ [-].
+
+    Parameters
+    ----------
+    cells, per_side
+        As in :func:`vortex_errors`.
+
+    Returns
+    -------
+    float
+    """
+    scenario = _scenario(cells, per_side)
+    cell = scenario.numerics.cell_size
+    soil = block_of((0.02, 0.02), (0.28, 0.28), cell / per_side, scenario.soil.density)
+    rig = rig_of(scenario).open_box().changed(gravity=0.0)
+    rig = rig._replace(material=rig.material._replace(lame_lambda=0.0, shear_modulus=1e-9))
+    k = 2.0 * math.pi / 0.08
+    wave = np.sin(k * soil.start[:, 0])
+    inside = (np.abs(soil.start - 0.5 * DOMAIN) < 0.04).all(axis=1)
+    soil.velocity[:, 1] = TINY * wave
+    # The gradients come to fit the velocities in a few steps.
+    advance(soil, rig, 4)
+    before = float(soil.velocity[inside, 1] @ wave[inside])
+    advance(soil, rig, 4)
+    after = float(soil.velocity[inside, 1] @ wave[inside])
+    return float((1.0 - (after / before) ** 0.25) / (k * cell) ** 4)
+
+
+def _scenario(cells: int, per_side: int) -> Scenario:
+    """Elastic soil in a domain that halves well."""
+    return elastic(
+        cells,
+        on_nodes=True,
+        per_side=per_side,
+        **{"numerics.domain": DOMAIN, **BOX, "bed.floor_friction": "smooth"},
+    )
+
+
+def _steps(scenario: Scenario, duration: float) -> tuple[int, float]:
+    """Number and length of the steps, none longer than that of the scenario."""
+    steps = math.ceil(duration / scenario.numerics.time_step)
+    return steps, duration / steps
+
+
+def _errors(
+    soil: Particles,
+    scenario: Scenario,
+    moved: FloatArray,
+    moved_exact: FloatArray,
+    velocity_exact: FloatArray,
+    stress_exact: FloatArray,
+    stress: FloatArray,
+) -> Errors:
+    """Relative errors [-] of displacement [m], velocity [m/s] and one stress component [Pa]."""
+    nodes = _nodal_means(soil, scenario, np.stack([stress - stress_exact, stress_exact], axis=1))
+    return {
+        "displacement": _rms(moved - moved_exact) / _rms(moved_exact),
+        "velocity": _rms(soil.velocity - velocity_exact) / _rms(velocity_exact),
+        "stress of nodes": _rms(nodes[:, 0]) / _rms(nodes[:, 1]),
+        "stress of particles": _rms(stress - stress_exact) / _rms(stress_exact),
+    }
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt((values**2).sum() / len(values)))
+
+
+def _nodal_means(soil: Particles, scenario: Scenario, values: FloatArray) -> FloatArray:
+    """Means of particles around the nodes inside the body, by the weights of the transfer."""
+    numerics = scenario.numerics
+    place = soil.position / numerics.cell_size
+    base = np.floor(place - 0.5).astype(np.int64)
+    offset = place - base
+    spline = np.stack([0.5 * (1.5 - offset) ** 2, 0.75 - (offset - 1.0) ** 2,
+                       0.5 * (offset - 0.5) ** 2])  # fmt: skip
+    side = numerics.cells + 3
+    total, share = np.zeros((side * side, values.shape[1])), np.zeros(side * side)
+    for a in range(3):
+        for b in range(3):
+            weight = spline[a, :, 0] * spline[b, :, 1]
+            node = (base[:, 0] + a) * side + base[:, 1] + b
+            np.add.at(total, node, weight[:, None] * values)
+            np.add.at(share, node, weight)
+    inside = share > 0.9 * numerics.particles_per_cell_side**2
+    return np.asarray(total[inside] / share[inside, None])
