@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from terraphi.errors import InputError
 from terraphi.files import folder as made_folder
 from terraphi.forward.mpm.bed import Particles
-from terraphi.forward.mpm.solver import block_length, step_count
+from terraphi.forward.mpm.solver import BLOCK, block_length, step_count
 from terraphi.forward.watch import Snapshot
 from terraphi.leg import frame_axes
 from terraphi.scenario import Scenario
@@ -49,7 +49,7 @@ class FieldSeries:
 
     def __init__(self, folder: Path, scenario: Scenario, *, frames: int) -> None:
         self._folder = made_folder(folder)
-        self._steps = frame_steps(step_count(scenario), frames)
+        self._steps = frame_steps(step_count(scenario), frames, block=block_length(scenario))
         self._note = f"scenario {scenario.hash}, frame of each step {self._steps}"
         self._known: dict[int, float] | None = None
 
@@ -113,7 +113,7 @@ class FieldSeries:
         return known
 
 
-def frame_steps(steps: int, frames: int) -> list[int]:
+def frame_steps(steps: int, frames: int, *, block: int = BLOCK) -> list[int]:
     """Steps at which frames are taken: the ends of blocks, evenly spread.
 
     Parameters
@@ -122,13 +122,15 @@ def frame_steps(steps: int, frames: int) -> list[int]:
         Number of steps in all.
     frames
         Number of frames wanted, the first and the last among them.
+    block
+        Steps between two blocks' ends.
 
     Returns
     -------
     list
         Increasing; fewer than wanted if there are fewer blocks.
     """
-    ends = [*range(0, steps, block_length(scenario)), steps]
+    ends = [*range(0, steps, block), steps]
     chosen = np.linspace(0, len(ends) - 1, min(frames, len(ends))).round().astype(int)
     return [ends[i] for i in chosen]
 

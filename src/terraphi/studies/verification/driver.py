@@ -220,4 +220,5 @@ def block_of(
         volume=volume,
         stretch=np.ones(count),
         weight=np.ones(count),
+        slip=np.zeros(count),
     )

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from terraphi.forward.mpm.bed import Particles, geostatic_bed
 from terraphi.forward.mpm.scalar import LEDGER_ROWS
 from terraphi.plots import BLUE, GREY, ORANGE
-from terraphi.scenario import GRAVITY, Scenario
+from terraphi.scenario import Scenario
+from terraphi.setting import GRAVITY
 from terraphi.studies.verification.check import Check, Family, Outcome, Task
 from terraphi.studies.verification.driver import ELASTIC, Rig, advance, benchmark, in_words, rig_of
 

@@ -12,7 +12,8 @@ from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.solver import Kernel
 from terraphi.leg import Leg
 from terraphi.plots import BLUE, GREEN, GREY, ORANGE
-from terraphi.scenario import GRAVITY, Scenario
+from terraphi.scenario import Scenario
+from terraphi.setting import GRAVITY
 from terraphi.studies.verification.check import Check, Family, Outcome, Task
 from terraphi.studies.verification.driver import (
     ELASTIC,
