@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from terraphi.forward.mpm.bed import empty_grid, geostatic_bed
-from terraphi.scenario import GRAVITY, Scenario
+from terraphi.scenario import Scenario
+from terraphi.setting import GRAVITY
 
 
 def bed_of(cells: int, **changes):

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
+import numba
 import pytest
 
 from terraphi.forward.mpm import compiled
@@ -88,3 +93,24 @@ def test_options_keep_numbers_that_are_not_numbers():
         return low < value < high
 
     assert not inside(0.0, float("nan"), 1.0)
+
+
+def test_folder_that_the_user_chose_for_the_cache_is_looked_after_as_well(
+    sources, tmp_path, monkeypatch
+):
+    """Named as Numba names it, which another process shows."""
+    chosen = tmp_path / "chosen"
+    sources[0].write_text(
+        "import numba\n\n@numba.njit(cache=True)\ndef twice(x):\n    return 2 * x\n\ntwice(1.0)\n"
+    )
+    subprocess.run(
+        [sys.executable, "-c", "import scalar"],
+        cwd=sources[0].parent,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(chosen)},
+        check=True,
+    )
+    made = [*chosen.rglob("*.nbi"), *chosen.rglob("*.nbc")]
+    assert made
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(chosen))
+    compiled._drop_stale_cache()
+    assert not any(file.exists() for file in made)

@@ -14,7 +14,7 @@ import pytest
 from terraphi.errors import SimulationError
 from terraphi.forward.mpm.solver import path_of_steps, simulate, step_count
 from terraphi.motion import bin_centres
-from terraphi.scenario import GRAVITY
+from terraphi.setting import GRAVITY
 
 
 @pytest.fixture(name="sweep", scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -88,7 +89,12 @@ def geostatic_bed(scenario: Scenario) -> Particles:
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
     corner = np.stack([column.ravel(), row.ravel()], axis=1)
     position = np.array([left, bed.floor]) + (corner + place) * size
-    kept = ~_inside_leg(scenario, position)
+    distance, outward = _distance_to_leg(scenario, position)
+    kept = distance >= 0.0
+    if numerics.contact == "surface":
+        # A particle that overlaps would be shot out: it begins where it just touches.
+        short = np.clip(0.5 * math.sqrt(size[0] * size[1]) - distance, 0.0, None)
+        position += short[:, None] * outward
     position, uppermost = position[kept], corner[kept, 1] == rows - 1
 
     count = len(position)
@@ -114,13 +120,9 @@ def geostatic_bed(scenario: Scenario) -> Particles:
     )
 
 
-def _inside_leg(scenario: Scenario, position: FloatArray) -> NDArray[np.bool_]:
-    """Which positions lie inside the leg where it starts, shape [particle]."""
+def _distance_to_leg(scenario: Scenario, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Signed distance [m] from the leg where it starts, shape [particle], and unit normal there."""
     pose = scenario.motion.poses(np.zeros(1))
-    along, motion = frame_axes(pose.theta[0])
-    relative = position - pose.hip[0]
-    near = np.einsum("pi,pi->p", relative, relative) <= scenario.leg.reach() ** 2
-    inside = np.zeros(len(position), dtype=np.bool_)
-    local = np.stack([relative[near] @ along, relative[near] @ motion], axis=1)
-    inside[near] = scenario.leg.signed_distance(local)[0] < 0.0
-    return inside
+    axes = np.array(frame_axes(pose.theta[0]))
+    distance, normal = scenario.leg.signed_distance((position - pose.hip[0]) @ axes.T)
+    return distance, normal @ axes

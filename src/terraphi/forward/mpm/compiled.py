@@ -122,23 +122,34 @@ SOURCE_DIGEST = _digest_of_sources()
 """SHA-256 of the compiler's version and of the source of all that is compiled, hexadecimal."""
 
 
+def _cache_folders() -> list[Path]:
+    """Where Numba keeps machine code of the sources; the first one also keeps their digest."""
+    beside = dict.fromkeys(source.parent for source in _SOURCES)
+    if not numba.config.CACHE_DIR:
+        return [folder / "__pycache__" for folder in beside]
+    # As Numba names them: by the folder of the source, and a hash of its path.
+    return [
+        Path(numba.config.CACHE_DIR)
+        / f"{folder.name}_{hashlib.sha1(str(folder.absolute()).encode()).hexdigest()}"
+        for folder in beside
+    ]
+
+
 def _drop_stale_cache() -> None:
     """Remove cached machine code if any source of the kernels has changed since it was made.
 
     Numba looks only at the file of the outermost function, not at those of the functions that it
-    has inlined; a change to the latter would silently be ignored. Only the cache beside the sources
-    is looked after: an installed package, whose files change together, needs no more.
+    has inlined; a change to the latter would silently be ignored.
     """
-    digest = _digest_of_sources()
-    cache = _FOLDER / "__pycache__"
-    stamp = cache / "kernels.sha256"
+    digest, folders = _digest_of_sources(), _cache_folders()
+    stamp = folders[0] / "kernels.sha256"
     try:
         if stamp.is_file() and stamp.read_text() == digest:
             return
-        for folder in {source.parent / "__pycache__" for source in _SOURCES}:
+        for folder in folders:
             for old in [*folder.glob("*.nbi"), *folder.glob("*.nbc")]:
                 old.unlink(missing_ok=True)
-        cache.mkdir(exist_ok=True)
+        folders[0].mkdir(parents=True, exist_ok=True)
         stamp.write_text(digest)
     except OSError:
         return

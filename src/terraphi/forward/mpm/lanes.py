@@ -46,9 +46,10 @@ RELIEF_X, RELIEF_Z = 20 * LANES, 21 * LANES  # what the relief gave to it [kg/s]
 # Sums for nodes: three rows of (mass, x and z momentum) of three columns [kg/m, kg/s].
 SUMS = 22 * LANES
 SUMS_OF_ROW, SUMS_OF_QUANTITY = 9 * LANES, 3 * LANES
-# Of each cell, in a Lagrangian phase: volume times volumetric strain rate [m²/s], and volume [m²].
-RATE, WHOLE = 49 * LANES, 50 * LANES
-WORK = 51 * LANES
+# Of each cell, in a Lagrangian phase: volume times volumetric strain rate [m²/s], volume [m²], and
+# volume times mean stress [N].
+RATE, WHOLE, PRESSED = 49 * LANES, 50 * LANES, 51 * LANES
+WORK = 52 * LANES
 
 # Where a field of lane 0 stands in the motion of a packet.
 VX, VZ = 0 * LANES, 1 * LANES  # velocity [m/s]
@@ -80,7 +81,7 @@ class Laws(NamedTuple):
     stretching: float
     """1 if volumes follow the deformation, else 0."""
     averaging: float
-    """1 if stresses follow the mean volumetric strain rate of a cell, else 0."""
+    """1 if volumetric strain rate and mean stress are those of whole cells, else 0."""
 
 
 @kernel

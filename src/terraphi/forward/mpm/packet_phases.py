@@ -131,7 +131,7 @@ def finish(
     int
         Index of the first particle to leave the grid, or -1.
     """
-    cells = phases.Cells(np.zeros(grid.mass.shape), np.zeros(grid.mass.shape))
+    cells = phases.empty_cells(grid)
     phases.strain(soil, grid, cells, material, stepping, 0.5 * stepping.time_step)
     lost = phases.move(soil, grid, shift, fading, stepping, turn, impulses)
     if lost < 0:

@@ -56,6 +56,15 @@ class Cells(NamedTuple):
     """Volume times volumetric strain rate [m²/s]."""
     volume: FloatArray
     """[m²]."""
+    pressed: FloatArray
+    """Volume times mean stress [N]."""
+
+
+@kernel
+def empty_cells(grid: Grid) -> Cells:
+    """Working memory for the cells of a grid."""
+    shape = grid.mass.shape
+    return Cells(np.zeros(shape), np.zeros(shape), np.zeros(shape))
 
 
 @kernel
@@ -86,7 +95,7 @@ def advance(
         Index of the first particle to leave the grid, or -1 if none did.
     """
     shift = Shift(np.zeros(grid.mass.shape), np.zeros(grid.mass.shape))
-    cells = Cells(np.zeros(grid.mass.shape), np.zeros(grid.mass.shape))
+    cells = empty_cells(grid)
     impulses = np.zeros((5, 2))
     impulses[:] = audit.impulses
     momentum, turn = (0.0, 0.0), 0.0
@@ -101,7 +110,7 @@ def advance(
         turn += turned[step]
         before_x, before_z = impulses[1, 0], impulses[1, 1]
         to_momentum(grid)
-        stress_to_grid(soil, grid, stepping.cell_size, stepping.time_step)
+        push(soil, grid, cells, stepping)
         if stepping.surface:
             press(soil, grid, shift, material, intruder, stepping, pose_of(poses[step]), impulses)
         update_grid(grid, intruder, stepping, poses[step], impulses)
@@ -161,6 +170,8 @@ def strain(
 ) -> None:
     """Update velocity, its gradient, stress and volume of the particles where they stand.
 
+    The mean stresses are summed over the cells, with the volumes before the step.
+
     Parameters
     ----------
     soil, grid, material, stepping
@@ -176,9 +187,9 @@ def strain(
         dxx, dxz = soil.gradient[p, 0], soil.gradient[p, 1]
         dzx, dzz = soil.gradient[p, 2], soil.gradient[p, 3]
         rate = dxx + dzz
+        i = int(soil.position[p, 0] * per_cell - 0.5)
+        j = int(soil.position[p, 1] * per_cell - 0.5)
         if stepping.mean_dilatation:
-            i = int(soil.position[p, 0] * per_cell - 0.5)
-            j = int(soil.position[p, 1] * per_cell - 0.5)
             excess = 0.5 * (cells.rate[j, i] / cells.volume[j, i] - rate)
             dxx, dzz = dxx + excess, dzz + excess
         stress = (soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2], soil.stress[p, 3])
@@ -188,6 +199,8 @@ def strain(
         stress = return_mapping(trial, material)
         for c in range(4):
             soil.stress[p, c] = stress[c]
+        volume = soil.weight[p] * soil.volume[p] * soil.stretch[p]
+        cells.pressed[j, i] += volume * 0.5 * (stress[0] + stress[1])
         if stepping.update_volume:
             soil.stretch[p] *= 1.0 + (dxx + dzz) * time_step
 
@@ -201,6 +214,7 @@ def follow_grid(soil: Particles, grid: Grid, cells: Cells, cell_size: float) -> 
     """
     cells.rate[:] = 0.0
     cells.volume[:] = 0.0
+    cells.pressed[:] = 0.0
     per_cell = 1.0 / cell_size
     for p in range(soil.mass.size):
         vx, vz, gradient = grid_to_particle(soil, grid, p, cell_size)
@@ -213,6 +227,34 @@ def follow_grid(soil: Particles, grid: Grid, cells: Cells, cell_size: float) -> 
         volume = soil.weight[p] * soil.volume[p] * soil.stretch[p]
         cells.rate[j, i] += volume * (gradient[0] + gradient[3])
         cells.volume[j, i] += volume
+
+
+@kernel
+def push(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -> None:
+    """Scatter the impulse of the stresses.
+
+    Where the strain rates are means over cells, so are the mean stresses here: the work of one on
+    the other is then what the grid's forces do, and no energy comes from nowhere.
+
+    Parameters
+    ----------
+    soil, stepping
+        As in :func:`advance`.
+    grid
+        Holds momenta; added to.
+    cells
+        As :func:`strain` leaves them.
+    """
+    per_cell = 1.0 / stepping.cell_size
+    for p in range(soil.mass.size):
+        sxx, szz, sxz = soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2]
+        if stepping.mean_dilatation:
+            i = int(soil.position[p, 0] * per_cell - 0.5)
+            j = int(soil.position[p, 1] * per_cell - 0.5)
+            excess = cells.pressed[j, i] / cells.volume[j, i] - 0.5 * (sxx + szz)
+            sxx, szz = sxx + excess, szz + excess
+        stress = (sxx, szz, sxz)
+        stress_to_grid(soil, grid, p, stress, stepping.cell_size, stepping.time_step)
 
 
 @kernel

@@ -9,6 +9,7 @@ from terraphi.forward.mpm.lanes import (
     CZX,
     CZZ,
     MOTION,
+    PRESSED,
     RATE,
     SUMS,
     SUMS_OF_QUANTITY,
@@ -74,6 +75,7 @@ def follow_velocity(
     for lane in range(lanes):
         work[RATE + lane] = 0.0
         work[WHOLE + lane] = LEAST_VOLUME
+        work[PRESSED + lane] = 0.0
     for layer in range(layers):
         for lane in range(lanes):
             at, out = (first + layer) * FIELDS + lane, layer * MOTION + lane
@@ -100,6 +102,8 @@ def strain(
 ) -> None:
     """Stresses and volumes of the packets of a block after a step of ``laws.time_step``.
 
+    The mean stresses are summed cell by cell, with the volumes before the step.
+
     Parameters
     ----------
     state
@@ -124,6 +128,7 @@ def strain(
             stress = return_to_cone(trial, laws.cone)
             growth = laws.stretching * (cxx + czz) * laws.time_step
             state[at + SXX], state[at + SZZ], state[at + SXZ], state[at + SYY] = stress
+            work[PRESSED + lane] += state[at + VOLUME] * 0.5 * (stress[0] + stress[1])
             state[at + VOLUME] += state[at + VOLUME] * growth
 
 
@@ -165,7 +170,7 @@ def push(
     state
         Of all packets.
     work
-        Holds the sums for the nodes.
+        Holds the sums for the nodes, and those over the cells.
     first, layers, lanes, laws
         As in :func:`~terraphi.forward.mpm.lanes.follow_grid`.
     """
@@ -176,7 +181,10 @@ def push(
             fx, fz = state[at + OFFSET_X], state[at + OFFSET_Z]
             wx, wz = weights(fx), weights(fz)
             k = laws.stress_impulse * state[at + VOLUME] * laws.cell_size
-            sxx, szz, sxz = k * state[at + SXX], k * state[at + SZZ], k * state[at + SXZ]
+            sxx, szz, sxz = state[at + SXX], state[at + SZZ], state[at + SXZ]
+            mean = work[PRESSED + lane] / work[WHOLE + lane]
+            excess = laws.averaging * (mean - 0.5 * (sxx + szz))
+            sxx, szz, sxz = k * (sxx + excess), k * (szz + excess), k * sxz
             # The impulse at the middle node, and from there a row down and a row up.
             px = -sxx * (fx - 1.0) - sxz * (fz - 1.0)
             pz = -sxz * (fx - 1.0) - szz * (fz - 1.0)

@@ -116,27 +116,42 @@ def particles_to_grid(
 
 
 @kernel
-def stress_to_grid(soil: Particles, grid: Grid, cell_size: float, time_step: float) -> None:
-    """Scatter the impulse of the stresses alone; arguments as in :func:`particles_to_grid`.
+def stress_to_grid(
+    soil: Particles,
+    grid: Grid,
+    p: int,
+    stress: tuple[float, float, float],
+    cell_size: float,
+    time_step: float,
+) -> None:
+    """Scatter the impulse of one particle's stress alone.
 
-    The grid holds momenta, and is added to.
+    Parameters
+    ----------
+    soil, cell_size, time_step
+        As in :func:`particles_to_grid`.
+    grid
+        Holds momenta; added to.
+    p
+        Index of the particle.
+    stress
+        (σ_xx, σ_zz, σ_xz) to take for it [Pa].
     """
     per_cell = 1.0 / cell_size
-    for p in range(soil.mass.size):
-        i = int(soil.position[p, 0] * per_cell - 0.5)
-        j = int(soil.position[p, 1] * per_cell - 0.5)
-        fx = soil.position[p, 0] * per_cell - i
-        fz = soil.position[p, 1] * per_cell - j
-        wx, wz = weights(fx), weights(fz)
-        k = -4.0 * time_step * per_cell * soil.weight[p] * soil.volume[p] * soil.stretch[p]
-        sxx, szz, sxz = k * soil.stress[p, 0], k * soil.stress[p, 1], k * soil.stress[p, 2]
-        for b in range(3):
-            rz = b - fz
-            for a in range(3):
-                rx = a - fx
-                w = wz[b] * wx[a]
-                grid.vx[j + b, i + a] += w * (sxx * rx + sxz * rz)
-                grid.vz[j + b, i + a] += w * (sxz * rx + szz * rz)
+    i = int(soil.position[p, 0] * per_cell - 0.5)
+    j = int(soil.position[p, 1] * per_cell - 0.5)
+    fx = soil.position[p, 0] * per_cell - i
+    fz = soil.position[p, 1] * per_cell - j
+    wx, wz = weights(fx), weights(fz)
+    k = -4.0 * time_step * per_cell * soil.weight[p] * soil.volume[p] * soil.stretch[p]
+    sxx, szz, sxz = k * stress[0], k * stress[1], k * stress[2]
+    for b in range(3):
+        rz = b - fz
+        for a in range(3):
+            rx = a - fx
+            w = wz[b] * wx[a]
+            grid.vx[j + b, i + a] += w * (sxx * rx + sxz * rz)
+            grid.vz[j + b, i + a] += w * (sxz * rx + szz * rz)
 
 
 @kernel

@@ -149,7 +149,7 @@ def advance(
     ArithmeticError
         If a particle leaves the grid.
     """
-    take = KERNELS[kernel]
+    take = KERNELS[kernel][rig.stepping.phase > 0]
     impulse = np.zeros((1, 2))
     done = 0
     while done < steps:

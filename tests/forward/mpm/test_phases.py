@@ -1,0 +1,205 @@
+"""Lagrangian phases: what they conserve, that they stay quiet, and the fast against the plain."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from terraphi.forward.mpm import packet_phases, phases, scalar
+from terraphi.forward.mpm.bed import geostatic_bed
+
+DT = 5e-5
+SHAPES = ["straight", "c", "reversed_c", "plate"]
+PHASES = {"numerics.remap_interval": 7 * DT}
+SURFACE = {**PHASES, "numerics.contact": "surface"}
+RESOLVED = {**SURFACE, "numerics.dilatation": "cell", "numerics.damping_rate": 0.0}
+BOTH = (packet_phases, phases)
+
+
+@pytest.mark.parametrize(
+    ("interval", "steps"), [(0.0, 0), (1e-9, 1), (DT, 1), (7 * DT, 7), (7.4 * DT, 7)]
+)
+def test_interval_is_rounded_to_steps(coarse, interval, steps):
+    assert coarse(**{"numerics.remap_interval": interval}).numerics.steps_per_phase == steps
+
+
+@pytest.mark.parametrize("option", [{"contact": "surface"}, {"dilatation": "cell"}])
+def test_options_that_need_phases_say_so(coarse, option):
+    name = next(iter(option))
+    with pytest.raises(ValidationError, match=f"{name} = .*set remap_interval above 0"):
+        coarse(**{f"numerics.{name}": option[name]})
+
+
+def test_phase_in_which_the_leg_goes_far_is_refused(coarse):
+    with pytest.raises(ValidationError, match=r"numerics.remap_interval = 0.01 s lets the leg"):
+        coarse(**{"numerics.remap_interval": 0.01})
+
+
+def test_phases_of_one_step_come_to_the_usual_scheme_as_the_step_shrinks(coarse):
+    """They differ by where in a step the stress is taken: by an order of the step."""
+    gaps = []
+    for time_step in (4e-5, 1e-5):
+        scenario = coarse(
+            **{"numerics.time_step": time_step, "numerics.damping_rate": 0.0, "bed.height": 0.15}
+        )
+        # Held at first, the bed springs back: everything moves, and nothing yields.
+        scenario = scenario.replace(**{"soil.cohesion": 1e6})
+        soil = geostatic_bed(scenario)
+        soil.stress[:] *= 0.5
+        found = [
+            np.array(_run(kernel, scenario, time_step).velocity)
+            for kernel in (scalar.advance, phases.advance)
+        ]
+        gaps.append(np.abs(found[0] - found[1]).max() / np.abs(found[0]).max())
+    assert gaps[0] < 0.1
+    assert gaps[1] < 0.4 * gaps[0]
+
+
+def _run(advance, scenario, time_step):
+    """Some time of a bed whose stress is half of what its weight asks for."""
+    from terraphi.forward.mpm.bed import empty_grid
+    from terraphi.forward.mpm.contact import intruder_of
+    from terraphi.forward.mpm.plasticity import material_of
+    from terraphi.forward.mpm.relief import fading_of
+    from terraphi.forward.mpm.scalar import empty_audit, stepping_of
+
+    steps = round(8e-4 / time_step)
+    soil = geostatic_bed(scenario)
+    soil.stress[:] *= 0.5
+    far = np.tile([10.0, 10.0, 0.0, 0.0, 0.0, 0.0], (steps, 1))
+    lost = advance(
+        soil,
+        empty_grid(scenario),
+        material_of(scenario.soil),
+        intruder_of(scenario.leg),
+        fading_of(scenario),
+        stepping_of(scenario)._replace(phase=1),
+        far,
+        np.zeros(steps),
+        np.zeros(steps, np.int64),
+        np.zeros((1, 2)),
+        empty_audit(),
+    )
+    assert lost == -1
+    return soil
+
+
+@pytest.mark.parametrize("steps_per_phase", [2, 5, 10, 20])
+def test_bed_at_rest_stays_at_rest(coarse, far_away, compare, steps_per_phase):
+    """With stress and velocity staggered across the transfer it would start to tremble."""
+    scenario = coarse(
+        **far_away,
+        **{
+            "numerics.remap_interval": steps_per_phase * DT,
+            "numerics.damping_rate": 0.0,
+            "numerics.dilatation": "cell",
+            "soil.yield_criterion": "plane_strain",
+        },
+    )
+    soil, _, audit, _, lost = compare.run_blocks(packet_phases, scenario, [2000, 2000])
+    assert lost == -1
+    assert audit.worst[0] < 1e-12
+    assert np.abs(soil.velocity).max() < 1.5e-3
+
+
+@pytest.mark.parametrize("relief", [False, True])
+def test_mass_and_momentum_are_accounted_for(coarse, compare, relief):
+    scenario = coarse(
+        **RESOLVED,
+        **{
+            "motion.start_deg": -20.0,
+            "motion.stop_deg": 30.0,
+            "relief.enabled": relief,
+            "relief.distance": 1e-3,
+        },
+    )
+    soil, _, audit, impulse, _ = compare.run_blocks(phases, scenario, [1400])
+    momentum = (soil.mass * soil.weight) @ soil.velocity
+    np.testing.assert_allclose(audit.ledger.sum(axis=0), momentum, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(impulse.sum(axis=0), -audit.ledger[1], rtol=1e-12)
+    assert audit.worst[0] < 1e-11
+    assert (np.abs(audit.ledger[4]).max() > 0) == relief
+
+
+@pytest.mark.parametrize("criterion", ["plane_strain", "paper", "triaxial"])
+def test_a_cell_that_swells_evenly_is_no_other_for_its_mean(coarse, far_away, compare, criterion):
+    """A velocity field of uniform gradient: the mean over a cell is the value at each particle."""
+    scenario = coarse(**far_away, **PHASES, **{"soil.yield_criterion": criterion})
+    soil = geostatic_bed(scenario)
+    soil.velocity[:] = soil.position @ np.array([[0.2, 0.1], [-0.3, -0.1]]).T
+    soil.gradient[:] = [0.2, 0.1, -0.3, -0.1]
+    inner = (np.abs(soil.position - soil.position.mean(axis=0)) < 0.04).all(axis=1)
+    found = []
+    for dilatation in ("particle", "cell"):
+        chosen = scenario.replace(**{"numerics.dilatation": dilatation})
+        after = compare.run_blocks(phases, chosen, [1], soil=compare.copy_of(soil))[0]
+        found.append(after.stress[inner])
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("criterion", ["plane_strain", "paper", "triaxial"])
+def test_kernels_agree_on_legs_and_yields(coarse, compare, shape, criterion):
+    scenario = coarse(**RESOLVED, **{"leg.shape": shape, "soil.yield_criterion": criterion})
+    ours, _ = compare.assert_agree(scenario, [399], kernels=BOTH)
+    assert np.abs(ours[3]).max() > 0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        PHASES,
+        SURFACE,
+        {**PHASES, "numerics.dilatation": "cell"},
+        {**RESOLVED, "numerics.particle_volume": "updated"},
+        {**RESOLVED, "soil.dilation_angle_deg": 20.0, "soil.cohesion": 300.0},
+        {**RESOLVED, "leg.friction": 0.0},
+        {**RESOLVED, "numerics.remap_interval": DT},
+        {**RESOLVED, "numerics.cells": 45, "numerics.time_step": 4e-5},
+    ],
+    ids=lambda options: " ".join(f"{key.split('.')[-1]}={value}" for key, value in options.items()),
+)
+def test_kernels_agree_on_options(coarse, compare, options):
+    compare.assert_agree(coarse(**options), [350, 49], kernels=BOTH)
+
+
+def test_kernels_agree_on_relief(coarse, compare):
+    scenario = coarse(
+        **RESOLVED,
+        **{
+            "motion.start_deg": -10.0,
+            "motion.stop_deg": 40.0,
+            "relief.distance": 1e-3,
+            "relief.rate": 9.0,
+        },
+    )
+    ours, _ = compare.assert_agree(scenario, [1400, 700], kernels=BOTH, tolerance=1e-9)
+    assert 0 < (ours[0].weight < 0.5).sum() < len(ours[0].weight)
+
+
+def test_kernels_agree_on_particles_that_change_cells(coarse, far_away, compare, monkeypatch):
+    packed = []
+    pack = packet_phases.pack
+    monkeypatch.setattr(packet_phases, "pack", lambda *all_: packed.append(1) or pack(*all_))
+    scenario = coarse(**far_away, **RESOLVED)
+    soil = geostatic_bed(scenario)
+    x, z = (soil.position - soil.position.mean(axis=0)).T
+    soil.velocity[:] = np.stack([-4.0 * x + 15.0 * z, 4.0 * z - 15.0 * x], axis=1)
+    soil.gradient[:] = [-4.0, 15.0, -15.0, 4.0]
+    soil.stress[:] = 0.0
+    ours, _ = compare.assert_agree(scenario, [399], soil=soil, kernels=BOTH, tolerance=1e-9)
+    cells = np.floor(ours[0].position / scenario.numerics.cell_size - 0.5)
+    moved = cells != np.floor(ours[0].start / scenario.numerics.cell_size - 0.5)
+    assert moved.any(axis=1).mean() > 0.9
+    assert len(packed) > 1
+
+
+def test_numbers_that_are_none_are_found(coarse, compare):
+    scenario = coarse(**RESOLVED)
+    soil = geostatic_bed(scenario)
+    soil.stress[700, 0] = math.nan
+    for kernel in BOTH:
+        assert compare.run_blocks(kernel, scenario, [14], soil=compare.copy_of(soil))[4] >= 0
