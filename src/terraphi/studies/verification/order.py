@@ -16,6 +16,7 @@ from terraphi.studies.verification.smooth import (
     Errors,
     column_errors,
     lame_errors,
+    mirrored_errors,
     transfer_loss,
     vortex_errors,
 )
@@ -31,6 +32,7 @@ VORTEX = (
     "Jaumann rate and the body force that it takes; read at ¾ of its duration"
 )
 LAME = "Lamé's mode of a free square block, v = V (sin kx cos kz, −cos kx sin kz) cos ωt"
+MIRROR = "The same wave in a bar of twice the height without floor and walls (ν = 0)"
 COLUMN = "Standing wave on a smooth floor, v_z = V sin(πz/2h) cos ωt, less the bed at rest"
 LEAPFROG = (
     "Step and grid are refined together. The scheme (symplectic Euler, the leapfrog) has positions "
@@ -47,8 +49,8 @@ POINTWISE = (
     "around the nodes, weighed by the splines"
 )
 FIRST = (
-    "First order because of the walls: a one-sided wall holds the nodes beyond it at rest, where "
-    "second order would have them mirror the soil"
+    "First order because of the walls: a one-sided wall holds the nodes beyond it at rest. Where "
+    "they mirror the soil, because there is soil, the order is two: see the mirrored bed"
 )
 LAYER = (
     "The stress beside the floor is off by a fixed share in a layer as thick as a cell, so that "
@@ -136,7 +138,7 @@ def _order(
         relative=False,
         sense="at_least",
         resolution=f"{grids[0]}² → {grids[1]}² cells, error {last:.1e}",
-        source={"vortex": VORTEX, "lame": LAME, "column": COLUMN}[function],
+        source=SOURCES[function],
         note=note,
         cause=QUADRATURE if function == "vortex" else "",
     )
@@ -146,7 +148,9 @@ SERIES: dict[str, Callable[..., Errors]] = {
     "vortex": vortex_errors,
     "lame": lame_errors,
     "column": column_errors,
+    "mirrored": mirrored_errors,
 }
+SOURCES = {"vortex": VORTEX, "lame": LAME, "column": COLUMN, "mirrored": MIRROR}
 
 
 def shorter_steps(cells: int, courants: Sequence[float]) -> Outcome:
@@ -224,7 +228,8 @@ def loss_of_symbol(per_side: int) -> float:
 
 def tasks(quick: bool) -> list[Task]:
     """Smooth solutions at small and at large amplitude."""
-    vortex, free, walled = "Generalised vortex", "Free block", "Bed between walls"
+    vortex, free = "Generalised vortex", "Free block"
+    walled, mirrored = "Bed between walls", "Mirrored bed"
     small = {"function": "vortex", "amplitude": TINY, "problem": vortex}
     large = {"function": "vortex", "amplitude": LARGE, "problem": vortex}
     turned, sheared = f"turned by {TINY:g} rad", f"turned by {LARGE:g} rad, sheared by 0.9"
@@ -236,11 +241,12 @@ def tasks(quick: bool) -> list[Task]:
         ({**large, "case": f"{sheared}, 9 a cell", "per_side": 3, "grids": fine, "pairs": 2}, 80.0),
         ({"problem": free, "case": "4 a cell", "function": "lame", "grids": fine}, 25.0),
         ({"problem": walled, "case": "4 a cell", "function": "column", "grids": fine}, 25.0),
+        ({"problem": mirrored, "case": "4 a cell", "function": "mirrored", "grids": fine}, 25.0),
     ]
     if quick:
-        first, *_, free_run, walled_run = (run for run, _ in runs)
+        first, *_, free_run, walled_run, mirrored_run = (run for run, _ in runs)
         runs = [({**first, "grids": fine[:3]}, 1.0)]
-        runs += [({**run, "grids": fine[1:4]}, 1.0) for run in (free_run, walled_run)]
+        runs += [({**run, "grids": fine[1:4]}, 1.0) for run in (free_run, walled_run, mirrored_run)]
     steps = {"cells": 64, "courants": [0.8 / 2**n for n in range(6)]}
     losses = [(64, 2)] if quick else [(64, 2), (128, 2), (128, 4)]
     return [

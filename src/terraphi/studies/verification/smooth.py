@@ -138,6 +138,40 @@ def column_errors(cells: int, per_side: int = 2) -> Errors:
     )
 
 
+def mirrored_errors(cells: int, per_side: int = 2) -> Errors:
+    """Errors of the same wave with soil below in place of the floor: what a wall should do.
+
+    A bar whose ends are free, swinging against its own mirror image. Poisson's ratio is zero, so
+    that it needs no side walls.
+    """
+    scenario = _scenario(cells, per_side).replace(**{"soil.poisson_ratio": 0.0})
+    height, middle = 0.12, 0.5 * DOMAIN
+    k = 0.5 * math.pi / height
+    pace = k * scenario.soil.p_wave_speed
+    top = TINY * height * pace
+    steps, time_step = _steps(scenario, 0.6 * 2.0 * math.pi / pace)
+    rig = rig_of(scenario).open_box().changed(gravity=0.0, time_step=time_step)
+    spacing = scenario.numerics.cell_size / per_side
+    soil = block_of((0.12, middle - height), (0.08, 2.0 * height), spacing, scenario.soil.density)
+    above = soil.start[:, 1] - middle
+    begin = top * math.cos(0.5 * pace * time_step)
+    soil.velocity[:, 1] = begin * np.sin(k * above)
+    soil.gradient[:, 3] = begin * k * np.cos(k * above)
+    advance(soil, rig, steps)
+    end = steps * time_step
+    upwards = np.stack([np.zeros_like(above), np.sin(k * above)], axis=1)
+    strain = top / pace * math.sin(pace * end) * k * np.cos(k * above)
+    return _errors(
+        soil,
+        scenario,
+        soil.position - soil.start,
+        top / pace * math.sin(pace * end) * upwards,
+        _course(top, pace, end, time_step, upwards),
+        scenario.soil.youngs_modulus * strain,
+        soil.stress[:, 1],
+    )
+
+
 def transfer_loss(cells: int, per_side: int) -> float:
     """What a step without forces takes from a velocity wave, over (kΔx)⁴ [-].
 
