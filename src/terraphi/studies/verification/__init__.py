@@ -15,10 +15,10 @@ from pathlib import Path
 from terraphi.errors import InputError, nearest
 from terraphi.studies import Study
 from terraphi.studies.verification.check import Family
-from terraphi.studies.verification.document import HEADER, data_of, markdown, table
+from terraphi.studies.verification.document import SHORT_HEADER, data_of, markdown, table
 from terraphi.studies.verification.running import forget, run_tasks
 
-FAMILIES = ("elements", "rest", "waves", "sliding", "order")
+FAMILIES = ("elements", "rest", "waves", "sliding", "conservation", "order", "kernels")
 """Modules of problems, in the order of the document."""
 
 
@@ -58,7 +58,9 @@ def run(
     Raises
     ------
     InputError
-        If there is no such family.
+        If there is no such family, or the run was interrupted and goes on from ``out``.
+    SimulationError
+        If a solution breaks down.
     """
     families = {name: _family(name) for name in _chosen(only)}
     tasks = {
@@ -70,7 +72,15 @@ def run(
             from terraphi.workers import WorkerPool
 
             executor = stack.enter_context(WorkerPool(workers)).executor
-        done = run_tasks(tasks, keep=keep, executor=executor, progress=progress)
+        try:
+            done = run_tasks(tasks, keep=keep, executor=executor, progress=progress)
+        except KeyboardInterrupt:
+            if keep is None:
+                raise
+            raise InputError(
+                f"{out}: interrupted; finished tasks are kept in {keep}, and the same command "
+                "goes on from there"
+            ) from None
     found = {
         name: {task: outcome for (family, task), outcome in done.items() if family == name}
         for name in families
@@ -82,7 +92,7 @@ def run(
     data = data_of(families, found, quick=quick)
     study = Study(
         title=f"Verification: {data['passed']} checks pass, {data['missed']} miss",
-        header=HEADER,
+        header=SHORT_HEADER,
         rows=table(data),
         data=data,
         figures={key: figure for drawn in figures.values() for key, figure in drawn.items()},

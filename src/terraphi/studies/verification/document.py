@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -21,16 +22,28 @@ HEADER = (
     "resolution",
     "verdict",
 )
-_SIGN = {"equal": "±", "at_most": "at most +", "at_least": "at least −"}
+SHORT_HEADER = ("problem", "quantity", "expected", "obtained", "deviation", "verdict")
+_SIGN = {"equal": "±", "at_most": "up to +", "at_least": "down to −"}
 
 _INTRODUCTION = """\
-Problems whose answers are known, computed with the very kernel, contact and stress update that the
-leg uses. Nothing here is written by hand: `{command}` computes it again and writes this page, its
-figures and, in `data.json`, every number with more digits. An interrupted run goes on where it
-stopped; `--only NAME` computes one family; `--quick` is a coarse version that takes seconds.
+Problems whose answers are known, computed with the very kernels, contact and stress update that the
+leg uses. This page, its figures and `data.json`, which has every number with all its digits, are
+written by
 
-**{passed} checks pass, {missed} miss.** A check passes if obtained less expected is within what is
-allowed, given beforehand. A miss stays in the table, with what is known of its cause."""
+```
+{command}
+```
+
+An interrupted run goes on where it stopped; `--workers N` uses more cores; `--only NAME` computes
+one family; `--quick` is a coarse version that takes seconds.
+
+**{passed} checks pass, {missed} miss.** A check passes if obtained less expected is within what was
+allowed beforehand, relative to what is expected where that is given in percent. A miss stays in the
+table, with what is known of its cause. Tier: {tier}; {software}."""
+
+_CLOSING = """\
+Numbers in brackets refer to the list below a table: where the expected value comes from, what else
+should be known, why something misses."""
 
 
 def data_of(
@@ -76,9 +89,13 @@ def data_of(
 
 
 def table(data: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Rows for a terminal: problem with its case, quantity, numbers, verdict."""
+    """Rows for a terminal under :data:`SHORT_HEADER`."""
     return [
-        (f"{check.problem}: {check.case}" if check.case else check.problem, *_cells(check))
+        (
+            f"{check.problem}: {check.case}".replace("`", ""),
+            *_numbers(check)[:4],
+            "pass" if check.passed else "MISS",
+        )
         for family in data["families"].values()
         for check in map(Check.from_dict, family["checks"])
     ]
@@ -109,9 +126,9 @@ def markdown(
     software = ", ".join(f"{name} {version}" for name, version in data["software"].items())
     parts = [
         "# Verification",
-        _INTRODUCTION.format(command=command, passed=data["passed"], missed=data["missed"]),
+        _INTRODUCTION.format(**{**data, "command": command, "software": software}),
         _overview(families, data),
-        f"Tier: {data['tier']}. Computed with {software}.",
+        _CLOSING,
     ]
     for name, family in families.items():
         checks = [Check.from_dict(entry) for entry in data["families"][name]["checks"]]
@@ -130,7 +147,7 @@ def _overview(families: Mapping[str, Family], data: Mapping[str, Any]) -> str:
 
 
 def _section(checks: Sequence[Check]) -> str:
-    """Table of a family, with its sources and notes below."""
+    """Table of a family, problem by problem, with its sources, notes and causes below."""
     footnotes: list[str] = []
 
     def mark(text: str) -> str:
@@ -141,25 +158,30 @@ def _section(checks: Sequence[Check]) -> str:
         return f" [{footnotes.index(text) + 1}]"
 
     rows, before = [], ""
-    for check in checks:
-        head = f"**{check.problem}**{mark(check.source)}" if check.problem != before else ""
+    problems = list(dict.fromkeys(check.problem for check in checks))
+    for check in sorted(checks, key=lambda check: problems.index(check.problem)):
+        # The source stands at the problem if all of it has the same, else at each quantity.
+        sources = {other.source for other in checks if other.problem == check.problem}
+        shared = mark(check.source) if len(sources) == 1 else ""
+        own = "" if shared else mark(check.source)
+        head = f"**{check.problem}**{shared}" if check.problem != before else ""
         before = check.problem
         name = "<br>".join(filter(None, (head, check.case + mark(check.note))))
-        rows.append((name, *_cells(check)))
-    lines = [f"{number}. {text}" for number, text in enumerate(footnotes, start=1)]
+        quantity, *numbers = _numbers(check)
+        verdict = "pass" if check.passed else f"**MISS**{mark(check.cause)}"
+        rows.append((name, quantity + own, *numbers, check.resolution, verdict))
+    lines = [f"{number}. {text}." for number, text in enumerate(footnotes, start=1)]
     return "\n\n".join(filter(None, (_grid(HEADER, rows), "\n".join(lines))))
 
 
-def _cells(check: Check) -> tuple[str, ...]:
-    cause = f": {check.cause}" if check.cause else ""
+def _numbers(check: Check) -> tuple[str, ...]:
+    """Quantity, expected, obtained, deviation, allowed."""
     return (
         check.quantity,
         number(check.expected),
         number(check.obtained),
         _difference(check.deviation, check.relative, signed=True),
         _SIGN[check.sense] + _difference(check.tolerance, check.relative),
-        check.resolution,
-        "pass" if check.passed else f"**MISS**{cause}",
     )
 
 
@@ -172,15 +194,15 @@ def _grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def number(value: float) -> str:
     """Four digits; no more zeros than needed."""
-    if value != value:
+    if math.isnan(value):
         return "none"
     return f"{value:.3e}" if value and not 1e-3 <= abs(value) < 1e5 else f"{value:.4g}"
 
 
 def _difference(value: float, relative: bool, *, signed: bool = False) -> str:
-    if value != value:
+    if math.isnan(value):
         return "none"
-    sign = "+" if signed else ""
+    sign = "+" if signed and value else ""
     if relative and abs(value) >= 1e-5:
         return f"{100.0 * value:{sign}.2g} %"
     return f"{value:{sign}.2g}"

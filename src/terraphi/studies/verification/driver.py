@@ -13,12 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.errors import SimulationError
 from terraphi.forward.mpm.bed import Grid, Particles, empty_grid
 from terraphi.forward.mpm.contact import Intruder, intruder_of
 from terraphi.forward.mpm.plasticity import Material, material_of
 from terraphi.forward.mpm.relief import Fading, fading_of
 from terraphi.forward.mpm.scalar import Audit, Stepping, empty_audit, stepping_of
-from terraphi.forward.mpm.solver import KERNELS, Kernel
+from terraphi.forward.mpm.solver import KERNELS, Kernel, path_of_steps
 from terraphi.scenario import Scenario
 from terraphi.workers import heartbeat
 
@@ -146,7 +147,7 @@ def advance(
 
     Raises
     ------
-    ArithmeticError
+    SimulationError
         If a particle leaves the grid.
     """
     take = KERNELS[kernel][rig.stepping.phase > 0]
@@ -170,7 +171,7 @@ def advance(
             rig.audit,
         )
         if lost >= 0:
-            raise ArithmeticError(f"particle {lost} left the grid before step {done + count}")
+            raise SimulationError(f"particle {lost} left the grid before step {done + count}")
         done += count
     return np.array(impulse[0])
 
@@ -222,3 +223,38 @@ def block_of(
         weight=np.ones(count),
         slip=np.zeros(count),
     )
+
+
+def follow(
+    scenario: Scenario,
+    soil: Particles,
+    rig: Rig,
+    first: int,
+    count: int,
+    *,
+    kernel: Kernel = "packets",
+) -> None:
+    """Take some steps of a scenario's own motion, changing soil, grid and books in place.
+
+    Parameters
+    ----------
+    scenario
+        Its motion moves the leg.
+    soil, rig, kernel
+        As in :func:`advance`.
+    first, count
+        Number of the first step, and how many.
+
+    Raises
+    ------
+    SimulationError
+        If a particle leaves the grid.
+    """
+    for begin in range(first, first + count, BLOCK):
+        heartbeat(0.0)
+        steps = np.arange(begin, min(begin + BLOCK, first + count))
+        poses, turned, bins = path_of_steps(scenario, steps, 1)
+        impulse = np.zeros((1, 2))
+        lost = KERNELS[kernel](soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
+        if lost >= 0:
+            raise SimulationError(f"particle {lost} left the grid by step {steps[-1]}")

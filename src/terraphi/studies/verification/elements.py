@@ -26,7 +26,7 @@ PHI_DEG: dict[YieldCriterion, float] = {"plane_strain": 35.0, "paper": 35.0, "tr
 DILATIONS = ("0", "10°", "φ")
 
 DAVIS = (
-    "Davis (1968), in *Soil Mechanics: Selected Topics*, ch. 6: "
+    "Davis (1968), in *Soil Mechanics: Selected Topics*, ed. I. K. Lee, pp. 341–380: "
     "τ/σ_n = sin φ cos ψ / (1 − sin φ sin ψ); without dilation sin φ, associated tan φ"
 )
 MOHR = "Mohr's circle at failure: (σ1 − σ3)/2 = k − p sin φ, with k = c cos φ and p = ½ tr σ"
