@@ -125,12 +125,12 @@ SOURCE_DIGEST = _digest_of_sources()
 def _cache_folders() -> list[Path]:
     """Where Numba keeps machine code of the sources; the first one also keeps their digest."""
     beside = dict.fromkeys(source.parent for source in _SOURCES)
-    if not numba.config.CACHE_DIR:
+    chosen = getattr(numba.config, "CACHE_DIR", "")  # Numba sets its options by name
+    if not chosen:
         return [folder / "__pycache__" for folder in beside]
     # As Numba names them: by the folder of the source, and a hash of its path.
     return [
-        Path(numba.config.CACHE_DIR)
-        / f"{folder.name}_{hashlib.sha1(str(folder.absolute()).encode()).hexdigest()}"
+        Path(chosen) / f"{folder.name}_{hashlib.sha1(str(folder.absolute()).encode()).hexdigest()}"
         for folder in beside
     ]
 

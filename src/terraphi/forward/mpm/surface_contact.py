@@ -98,7 +98,7 @@ def touch(
     normal, along = ux * nx + uz * nz, uz * nx - ux * nz
     spring = STIFFNESS * (material.lame_lambda + 2.0 * material.shear_modulus)
     dashpot = 2.0 * DAMPING * math.sqrt(spring * mass)
-    # The dashpot at most doubles the spring's force or takes it away, so that contact begins softly.
+    # At most as large as the spring's force, so that contact begins softly.
     push = weight * spring * overlap
     press = push + min(max(-dashpot * normal, -push), push)
     rub, slip = _rub(slip + along * time_step, along, spring, dashpot, intruder.friction * press)

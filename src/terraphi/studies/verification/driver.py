@@ -250,11 +250,12 @@ def follow(
     SimulationError
         If a particle leaves the grid.
     """
+    take = KERNELS[kernel][rig.stepping.phase > 0]
     for begin in range(first, first + count, BLOCK):
         heartbeat(0.0)
         steps = np.arange(begin, min(begin + BLOCK, first + count))
         poses, turned, bins = path_of_steps(scenario, steps, 1)
         impulse = np.zeros((1, 2))
-        lost = KERNELS[kernel](soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
+        lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
         if lost >= 0:
             raise SimulationError(f"particle {lost} left the grid by step {steps[-1]}")
