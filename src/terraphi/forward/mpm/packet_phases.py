@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from terraphi.forward.mpm import phases
 from terraphi.forward.mpm.bed import Grid, Particles
-from terraphi.forward.mpm.compiled import entry, wide_vectors
+from terraphi.forward.mpm.compiled import entry, kernel, wide_vectors
 from terraphi.forward.mpm.contact import Intruder, pose_of
 from terraphi.forward.mpm.packet_press import Near, find_near, near_for, press_near
 from terraphi.forward.mpm.packets import NODES, first_half
@@ -207,30 +207,11 @@ def march(
     while True:
         close_books(audit, impulses, momentum)
         impulses[:] = 0.0
-        begin_rows(grids[here], shift, used, 0.5 * stepping.time_step)
-        if stepping.surface:
-            pose = pose_of(poses[step])
-            find_near(packets, near, intruder, pose, grids[0].mass.shape[0], stepping.cell_size)
-        turn, last = 0.0, min(step + stepping.phase, poses.shape[0])
-        # The half step that a phase begins with, then whole ones; the last half is the transfer's.
-        part = laws.half
-        while step < last:
-            now, then = grids[here], grids[1 - here]
-            to_momenta(now, then, used)
-            strain_sweep(packets, now, then, memory, part, laws.whole, lanes)
-            part = laws.whole
-            before_x, before_z = impulses[1, 0], impulses[1, 1]
-            if stepping.surface:
-                pose = pose_of(poses[step])
-                at = (now, then, shift, material, intruder, stepping, pose, impulses)
-                press_near(packets, soil, near, *at)
-            update_rows(then, used, intruder, stepping, poses[step], impulses)
-            impulse[bins[step], 0] -= impulses[1, 0] - before_x
-            impulse[bins[step], 1] -= impulses[1, 1] - before_z
-            turn += turned[step]
-            step += 1
-            carry_rows(then, shift, used, stepping.time_step * (0.5 if step == last else 1.0))
-            here = 1 - here
+        last = min(step + stepping.phase, poses.shape[0])
+        world = (packets, soil, grids, shift, memory, near, laws, material, intruder)
+        path = (stepping, poses, bins, impulse, impulses, used, step, last, here, lanes)
+        here = take_steps(*(world + path))
+        turn, step = turned[step:last].sum(), last
         if step == poses.shape[0]:
             return step, here, turn, momentum, -1
         now, then = grids[here], grids[1 - here]
@@ -247,3 +228,67 @@ def march(
         here = 1 - here
         if not room:
             return step, here, turn, momentum, -1
+
+
+@kernel
+def take_steps(
+    packets: Packets,
+    soil: Particles,
+    grids: tuple[Grid, Grid],
+    shift: Grid,
+    memory: Memory,
+    near: Near,
+    laws: PhaseLaws,
+    material: Material,
+    intruder: Intruder,
+    stepping: Stepping,
+    poses: FloatArray,
+    bins: IntArray,
+    impulse: FloatArray,
+    impulses: FloatArray,
+    used: Index,
+    first: int,
+    last: int,
+    here: int,
+    lanes: Index,
+) -> int:
+    """The steps of a phase, from its momenta to its last velocities.
+
+    Parameters
+    ----------
+    packets, soil, grids, shift, memory, near, laws, material, intruder, stepping, poses, bins
+        As in :func:`march`.
+    impulse, impulses, here, lanes
+        As in :func:`march`.
+    used
+        Rows that may hold mass.
+    first, last
+        First step and the one after the last.
+
+    Returns
+    -------
+    int
+        Which grid holds the last velocities.
+    """
+    begin_rows(grids[here], shift, used, 0.5 * stepping.time_step)
+    if stepping.surface:
+        rows = grids[0].mass.shape[0]
+        find_near(packets, near, intruder, pose_of(poses[first]), rows, stepping.cell_size)
+    for step in range(first, last):
+        now, then = grids[here], grids[1 - here]
+        to_momenta(now, then, used)
+        # The half step that a phase begins with, then whole ones; the last half is the transfer's.
+        part = laws.half if step == first else laws.whole
+        strain_sweep(packets, now, then, memory, part, laws.whole, lanes)
+        before_x, before_z = impulses[1, 0], impulses[1, 1]
+        if stepping.surface:
+            pose = pose_of(poses[step])
+            at = (now, then, shift, material, intruder, stepping, pose, impulses)
+            press_near(packets, soil, near, *at)
+        update_rows(then, used, intruder, stepping, poses[step], impulses)
+        impulse[bins[step], 0] -= impulses[1, 0] - before_x
+        impulse[bins[step], 1] -= impulses[1, 1] - before_z
+        part_of_step = 0.5 if step + 1 == last else 1.0
+        carry_rows(then, shift, used, stepping.time_step * part_of_step)
+        here = 1 - here
+    return here
