@@ -183,6 +183,23 @@ def test_document_has_verdict_cause_and_source() -> None:
     assert "terraphi study verification --only columns --out DIR" in text
 
 
+def test_misses_are_listed_by_cause() -> None:
+    text = written(
+        check_of(obtained=3.0, cause="too coarse a grid"),
+        check_of(case="rough", obtained=4.0, cause="too coarse a grid"),
+        check_of(case="third", obtained=5.0),
+    )
+    _, listed = text.split("## What misses, and why")
+    assert listed.split("##")[0].split("\n\n")[1] == (
+        "- Cause: too coarse a grid.\n"
+        "  - Column, smooth: K (3, not 2)\n"
+        "  - Column, rough: K (4, not 2)\n"
+        "- Cause: not known.\n"
+        "  - Column, third: K (5, not 2)"
+    )
+    assert "What misses" not in written(check_of())
+
+
 def test_cause_is_silent_while_a_check_passes() -> None:
     assert "too coarse" not in written(check_of(cause="too coarse a grid"))
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import platform
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numba
-import numpy as np
-
+from terraphi.forward import software
+from terraphi.scenario import Scenario
 from terraphi.studies.verification.check import Check, Family, Outcome
 
 HEADER = (
@@ -39,7 +37,7 @@ one family; `--quick` is a coarse version that takes seconds.
 
 **{passed} checks pass, {missed} miss.** A check passes if obtained less expected is within what was
 allowed beforehand, relative to what is expected where that is given in percent. A miss stays in the
-table, with what is known of its cause. Tier: {tier}; {software}."""
+table, with what is known of its cause. Tier: {tier}. Computed with {software}."""
 
 _CLOSING = """\
 Numbers in brackets refer to the list below a table: where the expected value comes from, what else
@@ -76,12 +74,7 @@ def data_of(
     verdicts = [check["passed"] for family in content.values() for check in family["checks"]]
     return {
         "tier": "quick" if quick else "full",
-        "software": {
-            "numpy": np.__version__,
-            "numba": numba.__version__,
-            "python": platform.python_version(),
-            "machine": platform.machine(),
-        },
+        "software": software(Scenario()),
         "passed": sum(verdicts),
         "missed": len(verdicts) - sum(verdicts),
         "families": content,
@@ -123,11 +116,12 @@ def markdown(
     only = f" --only {next(iter(families))}" if len(families) == 1 else ""
     quick = " --quick" if data["tier"] == "quick" else ""
     command = f"terraphi study verification{only}{quick} --out DIR"
-    software = ", ".join(f"{name} {version}" for name, version in data["software"].items())
+    versions = ", ".join(f"{name} {version}" for name, version in data["software"].items())
     parts = [
         "# Verification",
-        _INTRODUCTION.format(**{**data, "command": command, "software": software}),
+        _INTRODUCTION.format(**{**data, "command": command, "software": versions}),
         _overview(families, data),
+        *_misses(families, data),
         _CLOSING,
     ]
     for name, family in families.items():
@@ -144,6 +138,23 @@ def _overview(families: Mapping[str, Family], data: Mapping[str, Any]) -> str:
         missed = len(verdicts) - sum(verdicts)
         rows.append((f"`{name}`", family.title, str(sum(verdicts)), str(missed)))
     return _grid(("`--only`", "family", "pass", "miss"), rows)
+
+
+def _misses(families: Mapping[str, Family], data: Mapping[str, Any]) -> list[str]:
+    """What misses, by cause."""
+    by_cause: dict[str, list[str]] = {}
+    for name in families:
+        for check in map(Check.from_dict, data["families"][name]["checks"]):
+            if not check.passed:
+                where = ", ".join(filter(None, (check.problem, check.case, check.resolution)))
+                found = f"{check.quantity} ({number(check.obtained)}, not {number(check.expected)})"
+                by_cause.setdefault(check.cause or "not known", []).append(f"{where}: {found}")
+    if not by_cause:
+        return []
+    lines = []
+    for cause, places in by_cause.items():
+        lines += [f"- Cause: {cause}.", *(f"  - {place}" for place in places)]
+    return ["## What misses, and why", "\n".join(lines)]
 
 
 def _section(checks: Sequence[Check]) -> str:
