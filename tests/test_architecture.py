@@ -27,6 +27,7 @@ ROOMS = [
     "measurements",
     "forward",
     "workers",
+    "plan",
     "library",
     "build",
     "gaussian_process",

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from pathlib import Path
+from types import MappingProxyType
 
 from pydantic import ValidationError
 
 from terraphi.errors import InputError
 from terraphi.forward import model_version, simulate, software
 from terraphi.history import ForceHistory
-from terraphi.library import Case, Library, Plan, describe
+from terraphi.library import Case, Library
+from terraphi.plan import Plan, describe
 from terraphi.scenario import Scenario
 from terraphi.workers import heartbeat
 
@@ -95,20 +97,62 @@ def build(
         If the file cannot be written, a worker was killed, or no case at all succeeded.
     """
     path = Path(path)
-    wanted = plan.cases()
     folder = cases_folder(path)
-    finished = {**_from_library(path), **_from_folder(folder)}
+    wanted = plan.cases()
+    finished, failures = simulate_cases(
+        plan, folder, known=_from_library(path), executor=executor, progress=progress
+    )
+    if not finished:
+        reason = next(iter(failures.values()))
+        raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
+    cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in wanted]
+    library = Library(plan, tuple(cases), software(plan.scenario))
+    library.save(path)
+    shutil.rmtree(folder, ignore_errors=True)
+    return library
+
+
+def simulate_cases(
+    plan: Plan,
+    folder: Path,
+    *,
+    known: Mapping[str, ForceHistory] = MappingProxyType({}),
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> tuple[dict[str, ForceHistory], dict[str, str]]:
+    """Simulate what a plan asks for and has not been simulated yet, each case to a file of its own.
+
+    Parameters
+    ----------
+    plan
+        What to simulate.
+    folder
+        Finished cases are kept here, named by the hash of their scenario; those that are here
+        already are taken as they are.
+    known
+        Further finished cases, by the hash of their scenario.
+    executor, progress
+        As in :func:`build`.
+
+    Returns
+    -------
+    dict, dict
+        Finished histories, and why the others failed, by the hash of their scenario.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written or a worker was killed.
+    """
+    wanted = plan.cases()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
             f"{folder}: cannot be made ({error.strerror}); choose another place"
         ) from error
-    finished = {
-        key: history
-        for key, history in finished.items()
-        if key in {scenario.hash for scenario in wanted}
-    }
+    there = {**known, **finished_cases(folder)}
+    finished = {s.hash: there[s.hash] for s in wanted if s.hash in there}
     failures: dict[str, str] = {}
     missing = {s.hash: s for s in wanted if s.hash not in finished}
     log.info("%d of %d cases are there already", len(wanted) - len(missing), len(wanted))
@@ -138,15 +182,7 @@ def build(
             _run_on(executor, list(missing.values()), keep, look)
     finally:
         _remove_if_empty(folder)
-
-    if not finished:
-        reason = next(iter(failures.values()))
-        raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
-    cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in wanted]
-    library = Library(plan, tuple(cases), software(plan.scenario))
-    library.save(path)
-    shutil.rmtree(folder, ignore_errors=True)
-    return library
+    return finished, failures
 
 
 def _run_on(
@@ -178,8 +214,8 @@ def _run_on(
             future.cancel()
 
 
-def _from_folder(folder: Path) -> dict[str, ForceHistory]:
-    """Usable histories of an interrupted build, by scenario hash; broken files count as missing."""
+def finished_cases(folder: Path) -> dict[str, ForceHistory]:
+    """Usable histories in a folder, by scenario hash; broken and outdated ones count as missing."""
     found = {}
     for file in sorted(folder.glob("[0-9a-f]*.nc")):
         try:

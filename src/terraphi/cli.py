@@ -199,7 +199,7 @@ def library_build(plan: str, out: Path, workers: int | None, as_json: bool) -> N
     Example: terraphi library build quick-plane-strain --out my.nc --workers 4
     """
     from terraphi.build import build, cases_folder
-    from terraphi.library import Plan
+    from terraphi.plan import Plan
     from terraphi.workers import WorkerPool, available_cores
 
     chosen = Plan.load(plan)
