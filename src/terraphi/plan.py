@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
@@ -164,12 +164,12 @@ def describe(plan: Plan, scenario: Scenario) -> str:
     if not plan.sweep:
         found = (label(v) for v in plan.variants() if v.scenario.hash == scenario.hash)
         return next(found, scenario.name or scenario.hash[:12])  # a preset may have changed since
-    content = scenario.model_dump(mode="json")
-    parts = []
-    for key in plan.sweep:
-        value: JsonValue = content
-        for section in key.split("."):
-            assert isinstance(value, dict)
-            value = value[section]
-        parts.append(f"{key} = {value}")
-    return ", ".join(parts)
+    return ", ".join(f"{key} = {value_of(scenario, key)}" for key in plan.sweep)
+
+
+def value_of(scenario: Scenario, key: str) -> Any:
+    """Value of a dotted key of a scenario; raises KeyError if there is no such key."""
+    value: Any = scenario.model_dump(mode="json")
+    for section in key.split("."):
+        value = value[section]
+    return value
