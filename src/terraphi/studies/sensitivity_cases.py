@@ -37,6 +37,8 @@ class Setting(NamedTuple):
     """Which of its values the others are compared with."""
     rule: Literal["limit", "convergence", "share", "scatter", "effect"]
     """How a conclusion is drawn from it; see :mod:`terraphi.studies.sensitivity_rules`."""
+    remark: str = ""
+    """What to know of it; ends the conclusion."""
 
 
 def _damping(scenario: Scenario) -> str:
@@ -51,12 +53,22 @@ SETTINGS = {
         "speed-up k", lambda s: f"{s.numerics.speed_up:g}", "least", "limit"
     ),
     "numerics.cells": Setting(
-        "cell size Δx", lambda s: f"{1e3 * s.numerics.cell_size:.2f} mm", "most", "convergence"
+        "cell size Δx",
+        lambda s: f"{1e3 * s.numerics.cell_size:.2f} mm",
+        "most",
+        "convergence",
+        "The contact band is counted in cells: a finer grid also thins what the soil meets as leg",
     ),
     "numerics.time_step": Setting(
         "time step Δt", lambda s: f"{1e6 * s.numerics.time_step:g} µs", "least", "convergence"
     ),
-    "numerics.damping_rate": Setting("damping", _damping, "base", "share"),
+    "numerics.damping_rate": Setting(
+        "damping",
+        _damping,
+        "base",
+        "share",
+        "The factor is that at k = 1; at any other k the drag on the soil is the same",
+    ),
     "numerics.contact_band_cells": Setting(
         "contact band", lambda s: f"{s.numerics.contact_band_cells:g} Δx", "base", "effect"
     ),
@@ -132,7 +144,8 @@ class Group:
 
 def setting_of(key: str) -> Setting:
     """The setting of a key; one that the study has no name for is judged by its effect."""
-    plain = Setting(key, lambda scenario: str(value_of(scenario, key)), "base", "effect")
+    name = key.rpartition(".")[2].replace("_", " ")
+    plain = Setting(name, lambda scenario: str(value_of(scenario, key)), "base", "effect")
     return SETTINGS.get(key, plain)
 
 

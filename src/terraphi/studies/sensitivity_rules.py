@@ -94,11 +94,13 @@ def conclude(group: Group, scatter: Scatter) -> Conclusion:
         "share": _share,
         "effect": _effect,
     }
-    found = rules[group.setting.rule](group, tolerance_of(scatter))
-    if group.awaited is None:
-        return found
-    late = f" ({group.awaited}, the reference it should have, is not simulated yet.)"
-    return Conclusion(found.sentence + late, {**found.numbers, "awaited": group.awaited})
+    sentence, numbers = rules[group.setting.rule](group, tolerance_of(scatter))
+    if group.setting.remark:
+        sentence += f" ({group.setting.remark}.)"
+    if group.awaited is not None:
+        sentence += f" ({group.awaited}, the reference it should have, is not simulated yet.)"
+        numbers = {**numbers, "awaited": group.awaited}
+    return Conclusion(sentence, numbers)
 
 
 def conclude_scatter(scatter: Scatter) -> Conclusion:
@@ -236,8 +238,7 @@ def moved(before: Simulated, after: Simulated) -> str:
 
 
 def _sentence(words: str) -> str:
-    # A dotted key keeps its small letter.
-    return words if "." in words.split()[0] else words[:1].upper() + words[1:]
+    return words[:1].upper() + words[1:]
 
 
 def _within(percent: Percent, tolerance: Percent) -> bool:
