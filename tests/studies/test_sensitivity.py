@@ -223,6 +223,8 @@ def test_share_of_the_damping() -> None:
         "against": "0.9985 a step",
     }
     assert "less that of 0.9985 a step" in less.sentence
+    # Nothing says what part goes with the damping if it was only turned up.
+    assert "share_percent" not in conclusion(DAMPING, {1000.0: history(1.2)}).numbers
 
 
 @pytest.mark.parametrize(("factor", "matters"), [(0.7, True), (1.019, False), (1.3, True)])

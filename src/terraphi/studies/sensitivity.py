@@ -15,8 +15,6 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from terraphi.build import Progress, finished_cases, simulate_cases
 from terraphi.documents import shipped_folder
 from terraphi.errors import InputError
@@ -192,7 +190,8 @@ def study_of(plan: Plan, finished: Mapping[str, ForceHistory]) -> Study:
 def missing_from(plan: Plan, finished: Mapping[str, ForceHistory]) -> list[tuple[Variant, float]]:
     """Variants of a plan that are not finished, and the time that each would take [min].
 
-    The time is that of one core, at the median speed of the finished cases.
+    The time is that of one core, at the highest speed of the finished cases: that of the one least
+    disturbed by what else the machine did.
     """
     speeds = [
         history.provenance["particles"]
@@ -201,7 +200,7 @@ def missing_from(plan: Plan, finished: Mapping[str, ForceHistory]) -> list[tuple
         for history in finished.values()
         if {"particles", "steps", "seconds"} <= history.provenance.keys()
     ]
-    speed = float(np.median(speeds)) if speeds else SPEED
+    speed = max(speeds, default=SPEED)
     return [
         (variant, _particle_steps(variant.scenario) / speed / 60.0)
         for variant in plan.variants()

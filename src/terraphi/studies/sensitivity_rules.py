@@ -189,6 +189,8 @@ def _trend(finest_first: tuple[Simulated, ...], force: str) -> str | None:
 
 def _share(group: Group, tolerance: Tolerance) -> Conclusion:
     base, least = group.base, group.cases[0]  # in order of the setting's value
+    if least is base:  # turned up, never down
+        return _effect(group, tolerance)
     off = least.label == "none"
     share = {force: -change(base, least, force) for force in FORCES}
     peaks = ", ".join(
