@@ -168,14 +168,14 @@ def test_a_reference_that_is_not_there_yet_is_named() -> None:
     said = conclusion(K, {2.0: history(), 10.0: shifted(1.0)}, planned=[1.0, 2.0, 10.0])
     assert said.numbers["safe"] == "10"
     assert said.numbers["awaited"] == "1"
-    assert "(1, the reference it should have, is not simulated yet.)" in said.sentence
+    assert "(Preliminary: the reference is to be 1, not simulated yet.)" in said.sentence
 
 
 @pytest.mark.parametrize(
     ("factors", "converged", "trend"),
     [
-        ({64: 1.4, 96: 1.2, 192: 0.8}, False, "falls with every refinement"),
-        ({64: 0.7, 96: 0.9, 192: 1.019}, True, "rises with every refinement"),
+        ({64: 1.4, 96: 1.2, 192: 0.8}, False, "fall"),
+        ({64: 0.7, 96: 0.9, 192: 1.019}, True, "rise"),
         ({64: 1.0, 96: 1.2, 192: 1.03}, False, None),
     ],
 )
@@ -194,6 +194,19 @@ def test_a_base_that_is_the_finest_judges_the_next_coarser() -> None:
     said = conclusion(CELLS, {64: history(1.5), 96: history(1.1)})
     assert said.numbers["from_to"] == ["3.12 mm", "2.34 mm"]
     assert said.numbers["peak_change_percent"]["Fx"] == pytest.approx(100 * (1 / 1.1 - 1))
+
+
+def test_peaks_on_a_line_over_the_cell_size_have_a_limit() -> None:
+    # Peaks of 3 N (1 + 128/192 n) for Δx = 0.3/n, the base's 5 N at n = 128 among them.
+    line = {n: history(3.0 / 5.0 * (1.0 + 2.0 / 3.0 * 128.0 / n)) for n in (64, 96, 192)}
+    said = conclusion(CELLS, line)
+    # A limit has three significant figures at best: the means over 1° take 0.005 %.
+    assert said.numbers["limit_N"] == pytest.approx({"Fz": 3.0, "Fx": 1.5}, rel=1e-3)
+    assert "F_z lie on a straight line to 3.00 N at size 0 (the base: +67 %)" in said.sentence
+    bent = conclusion(CELLS, {**line, 64: history(1.0)})
+    assert set(bent.numbers["limit_N"].values()) == {None}
+    few = conclusion(CELLS, {96: line[96]})
+    assert set(few.numbers["limit_N"].values()) == {None}
 
 
 def test_the_last_refinement_is_told_apart() -> None:

@@ -39,6 +39,8 @@ class Setting(NamedTuple):
     """How a conclusion is drawn from it; see :mod:`terraphi.studies.sensitivity_rules`."""
     remark: str = ""
     """What to know of it; ends the conclusion."""
+    size: Callable[[Scenario], float] | None = None
+    """A step whose limit is zero, where there is one."""
 
 
 def _damping(scenario: Scenario) -> str:
@@ -58,9 +60,14 @@ SETTINGS = {
         "most",
         "convergence",
         "The contact band is counted in cells: a finer grid also thins what the soil meets as leg",
+        lambda s: s.numerics.cell_size,
     ),
     "numerics.time_step": Setting(
-        "time step Δt", lambda s: f"{1e6 * s.numerics.time_step:g} µs", "least", "convergence"
+        "time step Δt",
+        lambda s: f"{1e6 * s.numerics.time_step:g} µs",
+        "least",
+        "convergence",
+        size=lambda s: s.numerics.time_step,
     ),
     "numerics.damping_rate": Setting(
         "damping",

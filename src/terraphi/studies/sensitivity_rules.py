@@ -11,7 +11,8 @@ The rules, by the kind of setting:
 ``convergence``
     Converged if, from the base to the finest value tried, both the peaks and the histories differ
     by no more than the tolerance, in both forces. Where the base itself is the finest, it is the
-    next coarser value that is judged so.
+    next coarser value that is judged so. If three peaks or more lie on a straight line over the
+    step size, to within the tolerance, its end at zero estimates their limit.
 ``share``
     The part of the base's peak that goes when the setting is switched off, or, where that is not
     simulated yet, turned down as far as it was.
@@ -98,7 +99,7 @@ def conclude(group: Group, scatter: Scatter) -> Conclusion:
     if group.setting.remark:
         sentence += f" ({group.setting.remark}.)"
     if group.awaited is not None:
-        sentence += f" ({group.awaited}, the reference it should have, is not simulated yet.)"
+        sentence += f" (Preliminary: the reference is to be {group.awaited}, not simulated yet.)"
         numbers = {**numbers, "awaited": group.awaited}
     return Conclusion(sentence, numbers)
 
@@ -162,8 +163,16 @@ def _convergence(group: Group, tolerance: Tolerance) -> Conclusion:
         more = f"; the last refinement, from {next_finest.label}, moves the peaks by "
         more += moved(next_finest, finest)
     trend = {force: _trend(finest_first, force) for force in FORCES}
-    for force in FORCES:
-        more += f"; {SIGNS[force]} {trend[force]}" if trend[force] else ""
+    if trend["Fz"] and trend["Fz"] == trend["Fx"]:
+        more += f"; both peaks {trend['Fz']} with every refinement"
+    limit = {force: _limit_at_zero(group, force, tolerance.peak[force]) for force in FORCES}
+    for force, value in limit.items():
+        if value is not None:
+            past = 100.0 * (group.base.peak(force) - value) / value
+            more += (
+                f"; the peaks of {SIGNS[force]} lie on a straight line to {value:.2f} N at size 0"
+            )
+            more += f" (the base: {past:+.0f} %)"
     return Conclusion(
         f"{_sentence(group.setting.name)}: the forces {verdict} at {coarse.label}; at "
         f"{finest.label} the peaks differ by {moved(coarse, finest)} and the histories by "
@@ -175,16 +184,31 @@ def _convergence(group: Group, tolerance: Tolerance) -> Conclusion:
             "peak_change_percent": moves,
             "nrmsd_percent": apart,
             "trend": trend,
+            "limit_N": limit,
         },
     )
 
 
 def _trend(finest_first: tuple[Simulated, ...], force: str) -> str | None:
-    """Whether a peak rises or falls with every refinement, of at least two."""
+    """Whether peaks ``rise`` or ``fall`` with every refinement, of at least two."""
     steps = np.diff([case.peak(force) for case in finest_first[::-1]])
     if len(steps) < 2 or not (np.all(steps > 0.0) or np.all(steps < 0.0)):
         return None
-    return "rises with every refinement" if steps[0] > 0.0 else "falls with every refinement"
+    return "rise" if steps[0] > 0.0 else "fall"
+
+
+def _limit_at_zero(group: Group, force: str, tolerance: float) -> float | None:
+    """Where a straight line through the peaks meets a step size of zero [N].
+
+    ``None`` unless there are at least three peaks, all within the tolerance [%] of their line.
+    """
+    if group.setting.size is None or len(group.cases) < 3:
+        return None
+    sizes = np.array([group.setting.size(case.scenario) for case in group.cases])
+    peaks = np.array([case.peak(force) for case in group.cases])
+    slope, limit = np.polyfit(sizes / sizes.max(), peaks, 1)
+    off = np.abs(peaks - limit - slope * sizes / sizes.max()) / peaks
+    return float(limit) if 100.0 * off.max() <= tolerance and limit > 0.0 else None
 
 
 def _share(group: Group, tolerance: Tolerance) -> Conclusion:
