@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -13,7 +14,6 @@ import click
 
 from terraphi.console import (
     as_text,
-    ignore_interrupts,
     print_forces,
     print_inversion,
     print_json,
@@ -21,7 +21,6 @@ from terraphi.console import (
     print_pairs,
     print_table,
     progress_bar,
-    simulating,
     words,
 )
 from terraphi.errors import InputError, SimulationError
@@ -201,10 +200,26 @@ def library_build(plan: str, out: Path, workers: int | None, as_json: bool) -> N
     """
     from terraphi.build import build, cases_folder
     from terraphi.plan import Plan
+    from terraphi.workers import WorkerPool, available_cores
 
     chosen = Plan.load(plan)
-    with simulating(out, cases_folder(out), workers=workers) as (executor, report):
-        made = build(chosen, out, executor=executor, progress=report)
+    try:
+        with progress_bar("simulating") as report, WorkerPool(workers or available_cores()) as pool:
+            made = build(
+                chosen,
+                out,
+                executor=pool.executor,
+                progress=lambda done, total: report(pool.counted(done), total),
+            )
+    except KeyboardInterrupt:
+        ignore_interrupts()
+        kept = cases_folder(out)
+        raise InputError(
+            f"{out}: interrupted before it was whole; finished cases are kept in {kept}, and the "
+            "same command goes on from there"
+            if kept.exists()
+            else f"{out}: interrupted before any case was finished; nothing was written"
+        ) from None
     for case, failure in made.failures.items():
         click.echo(f"failed: {case}: {failure}", err=True)
     print_library(made, as_json=as_json)
@@ -243,46 +258,26 @@ def library_show(name: str, as_json: bool) -> None:
 
 @cli.command()
 @click.argument("name")
-@click.option("--library", "library_name", help="Library to use instead of the study's own.")
+@click.option("--library", help="Library to use instead of the study's own.")
 @click.option(
     "--build",
-    "cases",
     type=click.Path(path_type=Path),
-    help="Folder: simulate the cases that the study lacks, and keep them there.",
+    help="Folder: simulate what the study lacks, and keep it there; for sensitivity.",
 )
-@click.option("--workers", type=click.IntRange(min=1), help="Processes; all cores if not given.")
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="Folder for data.json, a page and figures."
-)
+@click.option("--workers", type=click.IntRange(min=1), help="Processes; 1 if not given.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for data.json and figures.")
 @json_option
-def study(
-    name: str,
-    library_name: str | None,
-    cases: Path | None,
-    workers: int | None,
-    out: Path | None,
-    as_json: bool,
-) -> None:
+def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
     """Run the study NAME: benchmark, recovery or sensitivity.
 
     Example: terraphi study recovery --out recovery
     """
-    from terraphi import plots, studies
-    from terraphi.files import folder, replacing
+    from terraphi import studies
 
-    if cases is not None:
-        click.echo(studies.outlook(name, cases), err=True)
-        with simulating(cases, cases, workers=workers) as (executor, report):
-            studies.simulate(name, cases, executor=executor, progress=report)
-    found = studies.run(name, library=library_name, cases=cases)
+    with progress_bar("computing") as report:
+        found = studies.run(name, out=out, progress=report, **options)
     if out is not None:
-        place = folder(out)
-        with replacing(place / "data.json") as temporary:
-            temporary.write_text(as_text(found.data))
-        with replacing(place / f"{name}.md") as temporary:
-            temporary.write_text(found.markdown(), encoding="utf-8")
-        for title, figure in found.figures.items():
-            plots.save(figure, place / f"{title}.png")
+        found.save(out)
     if as_json:
         print_json(found.data)
         return
@@ -368,6 +363,11 @@ def save_inversion(inversion: Inversion, place: Path) -> None:
             temporary.write_text(as_text(inversion.as_dict()))
         for file in made.iterdir():
             file.replace(place.joinpath(file.name))
+
+
+def ignore_interrupts() -> None:
+    """Once is enough: a second Ctrl-C must not cut off what is said about the first."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def main() -> None:

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-
-from terraphi.errors import InputError
 
 if TYPE_CHECKING:
     from terraphi.inference.inversion import Inversion
@@ -115,46 +110,6 @@ def words(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{key}: {words(v)}" for key, v in value.items())
     return "-" if value is None else str(value)
-
-
-@contextmanager
-def simulating(
-    made: Path, kept: Path, *, workers: int | None
-) -> Iterator[tuple[Executor, Callable[[int, int], None]]]:
-    """Processes to simulate on, and what shows their progress.
-
-    Parameters
-    ----------
-    made
-        File or folder that is being made.
-    kept
-        Folder that keeps what is finished meanwhile.
-    workers
-        How many processes; ``None`` for all cores.
-
-    Raises
-    ------
-    InputError
-        If interrupted; the message says where what was finished is.
-    """
-    from terraphi.workers import WorkerPool, available_cores
-
-    try:
-        with progress_bar("simulating") as report, WorkerPool(workers or available_cores()) as pool:
-            yield pool.executor, lambda done, total: report(pool.counted(done), total)
-    except KeyboardInterrupt:
-        ignore_interrupts()
-        raise InputError(
-            f"{made}: interrupted before it was whole; finished cases are kept in {kept}, and the "
-            "same command goes on from there"
-            if kept.exists()
-            else f"{made}: interrupted before any case was finished; nothing was written"
-        ) from None
-
-
-def ignore_interrupts() -> None:
-    """Once is enough: a second Ctrl-C must not cut off what is said about the first."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager

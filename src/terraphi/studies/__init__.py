@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import importlib
 import inspect
-from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from terraphi.errors import InputError, nearest
+from terraphi.files import folder, replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from terraphi.build import Progress
 
 STUDIES = {
     "benchmark": "three legs: our models beside the forces measured in Yuma sand",
@@ -39,10 +37,10 @@ class Study:
         Everything, JSON-able; its keys are fixed.
     figures
         Name to figure.
+    documents
+        File name to text.
     notes
         Sentences for people: what follows from the table.
-    method
-        How it was found, a paragraph.
     """
 
     title: str
@@ -50,33 +48,40 @@ class Study:
     rows: Sequence[Sequence[str]]
     data: Mapping[str, Any]
     figures: Mapping[str, Figure] = field(default_factory=dict)
+    documents: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()
-    method: str = ""
 
-    def markdown(self) -> str:
-        """All of it as a page in Markdown, with the first figure as a PNG beside it."""
-        table = [self.header, ["---"] * len(self.header), *self.rows]
-        parts = [
-            f"# {self.title}",
-            self.method,
-            "\n".join(f"- {note}" for note in self.notes),
-            "\n".join("| " + " | ".join(row) + " |" for row in table),
-            "".join(f"![{figure}]({figure}.png)" for figure in list(self.figures)[:1]),
-        ]
-        return "\n\n".join(part for part in parts if part) + "\n"
+    def save(self, out: Path) -> None:
+        """Write ``data.json``, documents and figures (PNG) into a folder, made if need be."""
+        from terraphi import plots
+
+        place = folder(out)
+        data = json.dumps(self.data, indent=2, ensure_ascii=False)
+        for name, text in {"data.json": data, **self.documents}.items():
+            with replacing(place / name) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+        for name, figure in self.figures.items():
+            plots.save(figure, place / f"{name}.png")
 
 
-def run(name: str, *, library: str | None = None, cases: Path | None = None) -> Study:
+def run(
+    name: str,
+    *,
+    out: Path | None = None,
+    progress: Callable[[float, float], None] | None = None,
+    **options: Any,
+) -> Study:
     """Run a study.
 
     Parameters
     ----------
     name
         One of :data:`STUDIES`.
-    library
-        Library to use instead of the study's own choice.
-    cases
-        Folder of simulations to use besides those that the package ships.
+    out, progress
+        Folder of the results, where a long study keeps what is finished, and a function to be
+        called with the work done and the work of all. Both are for studies that take them.
+    **options
+        Options of that study; those that are None are left to it.
 
     Returns
     -------
@@ -85,55 +90,17 @@ def run(name: str, *, library: str | None = None, cases: Path | None = None) -> 
     Raises
     ------
     InputError
-        If there is no such study or library, or the study has no use for one of the two.
+        If there is no such study, or the study has no such option.
     """
-    module = _module(name)
-    options = {"library": library, "cases": cases}
-    given = {option: value for option, value in options.items() if value is not None}
-    for option in given:
-        if option not in inspect.signature(module.run).parameters:
-            use = {"library": "makes no use of a library", "cases": "simulates nothing of its own"}
-            raise InputError(f"study '{name}' {use[option]}; leave that option out")
-    study: Study = module.run(**given)
-    return study
-
-
-def outlook(name: str, cases: Path) -> str:
-    """What :func:`simulate` would do, and for how long; arguments and errors as there."""
-    found: str = _simulating(name).outlook(cases)
-    return found
-
-
-def simulate(
-    name: str, cases: Path, *, executor: Executor | None = None, progress: Progress | None = None
-) -> None:
-    """Simulate what a study lacks.
-
-    Parameters
-    ----------
-    name
-        One of :data:`STUDIES`.
-    cases
-        Folder that keeps the simulations, a file each; what is in it is not simulated again.
-    executor, progress
-        As in :func:`terraphi.build.build`.
-
-    Raises
-    ------
-    InputError
-        If there is no such study, it simulates nothing, or the folder cannot be written.
-    """
-    _simulating(name).simulate(cases, executor=executor, progress=progress)
-
-
-def _module(name: str) -> ModuleType:
     if name not in STUDIES:
         raise InputError(f"unknown study '{name}'; {nearest(name, STUDIES)}")
-    return importlib.import_module(f"terraphi.studies.{name}")
-
-
-def _simulating(name: str) -> ModuleType:
-    module = _module(name)
-    if not hasattr(module, "outlook"):
-        raise InputError(f"study '{name}' simulates nothing of its own; leave --build out")
-    return module
+    module = importlib.import_module(f"terraphi.studies.{name}")
+    known = inspect.signature(module.run).parameters
+    given = {option: value for option, value in options.items() if value is not None}
+    for option in given:
+        if option not in known:
+            raise InputError(f"study '{name}' has no option '{option}'; leave it out")
+    services = {"out": out, "progress": progress}
+    given |= {service: value for service, value in services.items() if service in known}
+    study: Study = module.run(**given)
+    return study

@@ -10,12 +10,11 @@ of the conclusions in :mod:`~terraphi.studies.sensitivity_rules`.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
-from concurrent.futures import Executor
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from terraphi.build import Progress, finished_cases, simulate_cases
+from terraphi.build import finished_cases, simulate_cases
 from terraphi.documents import shipped_folder
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory, Peaks
@@ -47,8 +46,11 @@ from terraphi.studies.sensitivity_rules import (
     conclude_scatter,
     tolerance_of,
 )
+from terraphi.workers import WorkerPool
 
 NAME = "sensitivity"
+TITLE = "Sensitivity of the simulated forces to the settings of the simulation"
+HEADER = ("setting", "value", "peak Fz", "peak Fx", "NRMSD Fz", "NRMSD Fx")
 SPEED = 6.5e7
 """Particle-steps a second on one core [1/s], where no finished case says how many."""
 BASE_LOOK = ("black", "-")
@@ -56,13 +58,23 @@ LOOKS = ((BLUE, "--"), (ORANGE, "-."), (GREEN, ":"), (PURPLE, "-"))
 """Colour and line of the other curves of a group, which differ in grey as well."""
 
 
-def run(*, cases: Path | None = None) -> Study:
+def run(
+    *,
+    build: Path | None = None,
+    workers: int | None = None,
+    progress: Callable[[float, float], None] | None = None,
+) -> Study:
     """Measure the finished cases of the shipped plan and draw the conclusions.
 
     Parameters
     ----------
-    cases
-        Folder of finished cases to use besides the shipped ones.
+    build
+        Folder of further finished cases. What is neither shipped nor there is simulated first, and
+        kept there, a file each; without a folder nothing is simulated.
+    workers
+        Processes to simulate on; 1 if not given.
+    progress
+        Called with the number of finished cases, counting parts, and of all.
 
     Returns
     -------
@@ -72,48 +84,42 @@ def run(*, cases: Path | None = None) -> Study:
     Raises
     ------
     InputError
-        If the base, with which all is compared, is not simulated yet.
+        If the base, with which all is compared, is not simulated yet; if the folder cannot be
+        written, a simulation failed or was interrupted: the others are kept.
     """
-    return study_of(shipped_plan(), _finished(cases))
+    plan, finished = shipped_plan(), _finished(build)
+    if workers is not None and build is None:
+        raise InputError(
+            f"study '{NAME}' needs workers for what it simulates: name a --build FOLDER"
+        )
+    if build is not None and missing_from(plan, finished):
+        finished = _simulate(plan, build, workers or 1, progress)
+    return study_of(plan, finished)
 
 
-def outlook(cases: Path) -> str:
-    """What :func:`simulate` would simulate, and how long that would take, in a sentence."""
-    plan, finished = shipped_plan(), _finished(cases)
-    missing = missing_from(plan, finished)
-    if not missing:
-        return f"All {len(plan.variants())} cases are there; nothing is to be simulated."
-    return (
-        f"{len(missing)} of {len(plan.variants())} cases are to be simulated, "
-        f"about {_total(missing):.0f} minutes of one core."
-    )
-
-
-def simulate(
-    cases: Path, *, executor: Executor | None = None, progress: Progress | None = None
-) -> None:
-    """Simulate the cases that are neither shipped nor in a folder, and keep them there.
-
-    Parameters
-    ----------
-    cases
-        The folder.
-    executor, progress
-        As in :func:`terraphi.build.build`.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written, or a case failed; the others are kept.
-    """
-    plan = shipped_plan()
-    _, failures = simulate_cases(
-        plan, cases, known=_finished(None), executor=executor, progress=progress
-    )
+def _simulate(
+    plan: Plan, folder: Path, workers: int, progress: Callable[[float, float], None] | None
+) -> dict[str, ForceHistory]:
+    """Simulate what is missing; returns all finished cases, as :func:`_finished` does."""
+    try:
+        with WorkerPool(workers) as pool:
+            finished, failures = simulate_cases(
+                plan,
+                folder,
+                known=_finished(None),
+                executor=pool.executor,
+                progress=lambda done, total: progress and progress(pool.counted(done), total),
+            )
+    except KeyboardInterrupt:
+        raise InputError(
+            f"{folder}: interrupted; what was finished is kept there, and the same command goes on "
+            "from there"
+        ) from None
     for variant in plan.variants():
         if variant.scenario.hash in failures:
             reason = failures[variant.scenario.hash]
             raise InputError(f"study '{NAME}': {label(variant)} failed: {reason}")
+    return finished
 
 
 def shipped_plan() -> Plan:
@@ -137,7 +143,8 @@ def study_of(plan: Plan, finished: Mapping[str, ForceHistory]) -> Study:
         ``data``: ``plan``; ``base`` (``scenario_hash``, ``peaks``); ``scatter_percent`` and
         ``tolerance_percent`` (``nrmsd`` and ``peak`` for ``Fz`` and ``Fx``); ``groups`` by key
         (``setting``, ``reference``, ``cases``, ``conclusion``); ``missing`` (``case``,
-        ``core_minutes``). A figure of all peaks, and one of the histories in each group.
+        ``core_minutes``). A figure of all peaks, one of the histories in each group, and a page
+        with the first of them.
 
     Raises
     ------
@@ -163,10 +170,11 @@ def study_of(plan: Plan, finished: Mapping[str, ForceHistory]) -> Study:
     ]
     if missing:
         notes.append(_not_yet(plan, missing))
+    rows = [_row(group, case) for group in groups for case in group.cases]
     return Study(
-        title="Sensitivity of the simulated forces to the settings of the simulation",
-        header=("setting", "value", "peak Fz", "peak Fx", "NRMSD Fz", "NRMSD Fx"),
-        rows=[_row(group, case) for group in groups for case in group.cases],
+        title=TITLE,
+        header=HEADER,
+        rows=rows,
         data={
             "plan": plan.name,
             "base": {"scenario_hash": plan.scenario.hash, "peaks": _peaks(base)},
@@ -182,8 +190,8 @@ def study_of(plan: Plan, finished: Mapping[str, ForceHistory]) -> Study:
             ],
         },
         figures=_figures(groups, tolerance),
+        documents={f"{NAME}.md": _page(plan, notes, rows)},
         notes=notes,
-        method=_method(plan),
     )
 
 
@@ -226,6 +234,19 @@ def _finished(cases: Path | None) -> dict[str, ForceHistory]:
 
 
 # -- what people see -------------------------------------------------------------------------------
+
+
+def _page(plan: Plan, notes: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """The study as a page in Markdown; its figure is the PNG that lies beside it."""
+    table = [HEADER, ["---"] * len(HEADER), *rows]
+    parts = [
+        f"# {TITLE}",
+        _method(plan),
+        "\n".join(f"- {note}" for note in notes),
+        "\n".join("| " + " | ".join(row) + " |" for row in table),
+        f"![change of the peak forces with each setting]({NAME}.png)",
+    ]
+    return "\n\n".join(parts) + "\n"
 
 
 def _method(plan: Plan) -> str:
