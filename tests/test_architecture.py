@@ -28,6 +28,7 @@ ROOMS = [
     "measurements",
     "forward",
     "workers",
+    "plan",
     "library",
     "build",
     "gaussian_process",

@@ -21,7 +21,8 @@ from terraphi.build import build, cases_folder
 from terraphi.errors import InputError
 from terraphi.forward import MODEL_VERSIONS, Checkpoint, simulate
 from terraphi.history import ForceHistory
-from terraphi.library import Library, Plan
+from terraphi.library import Library
+from terraphi.plan import Plan
 from terraphi.scenario import Scenario
 from terraphi.workers import WorkerPool
 

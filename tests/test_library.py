@@ -13,7 +13,8 @@ import xarray as xr
 from terraphi.documents import shipped_names
 from terraphi.errors import InputError
 from terraphi.forward import simulate
-from terraphi.library import Case, Library, Plan, describe
+from terraphi.library import Case, Library
+from terraphi.plan import Plan, describe
 from terraphi.scenario import Scenario
 
 RFT: dict[str, Any] = {"model": "rft", "dimensions": 3, "rft": {"panels": 10}}

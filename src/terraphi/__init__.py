@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from terraphi.history import ForceHistory
     from terraphi.inference.inversion import Inversion, invert
     from terraphi.leg import Leg
-    from terraphi.library import Library, Plan
+    from terraphi.library import Library
     from terraphi.motion import Rotation, Translation
+    from terraphi.plan import Plan
     from terraphi.scenario import Scenario
     from terraphi.soil import Soil
 
@@ -26,7 +27,7 @@ _HOMES = {
     "Inversion": "inference.inversion",
     "Leg": "leg",
     "Library": "library",
-    "Plan": "library",
+    "Plan": "plan",
     "Rotation": "motion",
     "Scenario": "scenario",
     "SimulationError": "errors",

@@ -9,9 +9,10 @@ that broke down.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from pathlib import Path
+from types import MappingProxyType
 
 from pydantic import ValidationError
 
@@ -19,7 +20,8 @@ from terraphi.errors import InputError
 from terraphi.forward import Checkpoint, model_version, simulate, software
 from terraphi.forward.watch import EVERY
 from terraphi.history import ForceHistory
-from terraphi.library import Case, Library, Plan, describe
+from terraphi.library import Case, Library
+from terraphi.plan import Plan, describe
 from terraphi.scenario import Scenario
 from terraphi.workers import heartbeat
 
@@ -72,9 +74,14 @@ def cases_folder(path: Path) -> Path:
 def kept_cases(path: Path) -> Path | None:
     """Folder with what is left of a build that has ended; ``None``, and removed, if empty."""
     folder = cases_folder(path)
+    _remove_if_empty(folder)
+    return folder if folder.is_dir() else None
+
+
+def _remove_if_empty(folder: Path) -> None:
+    """Remove a folder in which nothing was kept."""
     if folder.is_dir() and not any(folder.iterdir()):
         folder.rmdir()
-    return folder if folder.is_dir() else None
 
 
 def build(
@@ -112,8 +119,71 @@ def build(
         If the file cannot be written, a worker was killed, or no case at all succeeded.
     """
     path = Path(path)
-    wanted, folder = plan.cases(), cases_folder(path)
-    finished = _finished(path, folder, wanted)
+    folder = cases_folder(path)
+    wanted = plan.cases()
+    finished, failures = simulate_cases(
+        plan,
+        folder,
+        known=_from_library(path),
+        executor=executor,
+        progress=progress,
+        checkpoint_every=checkpoint_every,
+    )
+    if not finished:
+        reason = next(iter(failures.values()))
+        raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
+    cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in wanted]
+    library = Library(plan, tuple(cases), software(plan.scenario))
+    library.save(path)
+    for file in set(folder.iterdir()) if folder.is_dir() else ():
+        if file.stem not in failures:
+            file.unlink()
+    kept_cases(path)
+    return library
+
+
+def simulate_cases(
+    plan: Plan,
+    folder: Path,
+    *,
+    known: Mapping[str, ForceHistory] = MappingProxyType({}),
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+    checkpoint_every: float = EVERY,
+) -> tuple[dict[str, ForceHistory], dict[str, str]]:
+    """Simulate what a plan asks for and has not been simulated yet, each case to a file of its own.
+
+    Parameters
+    ----------
+    plan
+        What to simulate.
+    folder
+        Finished cases are kept here, named by the hash of their scenario, and checkpoints of those
+        that are running; what is here already is taken as it is.
+    known
+        Further finished cases, by the hash of their scenario.
+    executor, progress, checkpoint_every
+        As in :func:`build`.
+
+    Returns
+    -------
+    dict, dict
+        Finished histories, and why the others failed, by the hash of their scenario.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written or a worker was killed.
+    """
+    wanted = plan.cases()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be made ({error.strerror}); choose another place"
+        ) from error
+    there = {**known, **finished_cases(folder)}
+    finished = {s.hash: there[s.hash] for s in wanted if s.hash in there}
     failures: dict[str, str] = {}
     checkpoints = {
         s.hash: Checkpoint(folder / f"{s.hash}.checkpoint", checkpoint_every) for s in wanted
@@ -147,35 +217,10 @@ def build(
             _run_on(executor, list(missing.values()), checkpoints, keep, look)
     except BaseException:
         if executor is None:  # its workers may have something to keep even now
-            kept_cases(path)
+            _remove_if_empty(folder)
         raise
-    if not finished:
-        kept_cases(path)
-        reason = next(iter(failures.values()))
-        raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
-    cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in wanted]
-    library = Library(plan, tuple(cases), software(plan.scenario))
-    library.save(path)
-    for file in set(folder.iterdir()) - {checkpoints[key].path for key in failures}:
-        file.unlink()
-    kept_cases(path)
-    return library
-
-
-def _finished(path: Path, folder: Path, wanted: list[Scenario]) -> dict[str, ForceHistory]:
-    """Histories that there are already, by scenario hash; makes the folder for the others.
-
-    Raises InputError if the library's file is no library, or the folder cannot be made.
-    """
-    there = {**_from_library(path), **_from_folder(folder)}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be made ({error.strerror}); choose another place"
-        ) from error
-    hashes = {scenario.hash for scenario in wanted}
-    return {key: history for key, history in there.items() if key in hashes}
+    _remove_if_empty(folder)
+    return finished, failures
 
 
 def _run_on(
@@ -209,8 +254,8 @@ def _run_on(
             future.cancel()
 
 
-def _from_folder(folder: Path) -> dict[str, ForceHistory]:
-    """Usable histories of an interrupted build, by scenario hash; broken files count as missing."""
+def finished_cases(folder: Path) -> dict[str, ForceHistory]:
+    """Usable histories in a folder, by scenario hash; broken and outdated ones count as missing."""
     found = {}
     for file in sorted(folder.glob("[0-9a-f]*.nc")):
         try:

@@ -177,7 +177,7 @@ def library_build(
     Example: terraphi library build quick-plane-strain --out my.nc --workers 4
     """
     from terraphi.build import build, kept_cases
-    from terraphi.library import Plan
+    from terraphi.plan import Plan
     from terraphi.workers import WorkerPool, available_cores
 
     chosen = Plan.load(plan)
@@ -243,11 +243,16 @@ def library_show(name: str, as_json: bool) -> None:
 @click.option("--library", help="Library to use instead of the study's own.")
 @click.option("--only", help="Family of problems, for verification.")
 @click.option("--quick", is_flag=True, default=None, help="Coarse and fast, for verification.")
+@click.option(
+    "--build",
+    type=click.Path(path_type=Path),
+    help="Folder: simulate what the study lacks, and keep it there; for sensitivity.",
+)
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; 1 if not given.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for data.json and figures.")
 @json_option
 def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
-    """Run the study NAME: benchmark, recovery or verification.
+    """Run the study NAME: benchmark, recovery, sensitivity or verification.
 
     Example: terraphi study recovery --out recovery
     """
@@ -261,6 +266,8 @@ def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
         print_json(found.data)
         return
     print_table(found.header, found.rows, title=found.title)
+    for note in found.notes:
+        click.echo(note)
 
 
 @cli.command()

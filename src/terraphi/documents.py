@@ -49,6 +49,11 @@ def shipped_file(folder: str, name: str, suffix: str) -> Path:
     return Path(str(resources.files("terraphi").joinpath("data", folder, name + suffix)))
 
 
+def shipped_folder(*parts: str) -> Path:
+    """Path of a folder within the package's data, whether it exists or not."""
+    return Path(str(resources.files("terraphi").joinpath("data", *parts)))
+
+
 def strictly(content: dict[str, Any], model: type[Model]) -> Model:
     """Check a document by its types as written: ``true`` and ``"1650"`` are no numbers.
 

@@ -348,7 +348,8 @@ class ForceHistory:
                 "provenance": json.dumps(dict(self.provenance)),
             },
         )
-        write_netcdf(dataset, Path(path))
+        packing = {name: {"zlib": True, "shuffle": True} for name in dataset.variables}
+        write_netcdf(dataset, Path(path), encoding=packing)
 
     @classmethod
     def from_netcdf(cls, path: Path | str) -> ForceHistory:

@@ -1,14 +1,13 @@
 """A library of simulations: a plan in, one self-describing NetCDF out.
 
-A plan is a scenario and the keys to sweep. Finished cases are kept beside the file to be
-(``FILE.nc.cases``, one force history each, named by its scenario's hash) until the library is
-whole, so an interrupted build goes on where it stopped and computes nothing twice.
+Finished cases are kept beside the file to be (``FILE.nc.cases``, one force history each, named by
+its scenario's hash) until the library is whole, so an interrupted build goes on where it stopped
+and computes nothing twice.
 """
 
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import math
 from collections.abc import Mapping
@@ -18,87 +17,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
-from terraphi.documents import parse_toml, shipped_file
-from terraphi.errors import InputError, sentence_from_validation
+from terraphi.documents import shipped_file
+from terraphi.errors import InputError
 from terraphi.files import open_netcdf, positions, write_netcdf
 from terraphi.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
+from terraphi.plan import Plan, describe
 from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 
 SCHEMA = 1
 """Version of the layout of a library file."""
-
-
-class Plan(BaseModel):
-    """What a library is to contain.
-
-    Attributes
-    ----------
-    name, description
-        For people.
-    scenario
-        What all cases share.
-    sweep
-        Dotted scenario key to its values; the cases are all combinations, the first key slowest.
-    vary_seed
-        Whether case number i takes the scenario's seed plus i, so that the particle scatter of
-        neighbouring cases is independent.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    name: str = Field(min_length=1)
-    description: str = ""
-    scenario: Scenario = Field(default_factory=Scenario)
-    sweep: dict[str, list[JsonValue]] = Field(min_length=1)
-    vary_seed: bool = False
-
-    def cases(self) -> list[Scenario]:
-        """Scenarios of all cases.
-
-        Raises
-        ------
-        InputError
-            If a swept key does not exist or a value cannot be.
-        """
-        for key, values in self.sweep.items():
-            if not values:
-                raise InputError(f"plan '{self.name}': sweep key '{key}' has no values")
-            if self.vary_seed and key == "numerics.seed":
-                raise InputError(
-                    f"plan '{self.name}': vary_seed sets numerics.seed, so it cannot be swept as "
-                    "well; drop one of the two"
-                )
-        seed = self.scenario.numerics.seed
-        found = []
-        for i, combination in enumerate(itertools.product(*self.sweep.values())):
-            changes = dict(zip(self.sweep, combination, strict=True))
-            if self.vary_seed:
-                changes["numerics.seed"] = seed + i
-            try:
-                found.append(self.scenario.replace(**changes))
-            except ValidationError as error:
-                sentence = sentence_from_validation(error, f"plan '{self.name}', sweep", Scenario)
-                raise InputError(sentence) from error
-        return found
-
-    @classmethod
-    def load(cls, source: Path | str) -> Plan:
-        """Read a plan from a TOML file, or a shipped one by its name.
-
-        Raises
-        ------
-        InputError
-            If the file is missing, not TOML, has an unknown key or a value that cannot be.
-        """
-        if Path(source).suffix != ".toml" and not Path(source).is_file():
-            source = shipped_file("plans", str(source), ".toml")
-        plan = parse_toml(Path(source), cls)
-        plan.cases()
-        return plan
 
 
 class Case(NamedTuple):
@@ -179,7 +109,7 @@ class Library:
             "cases": len(self.cases),
             "failures": self.failures,
             "density_kg_m3": first.soil.density,
-            "sweep": self.plan.sweep,
+            "sweep": self.plan.sweep or self.plan.one_at_a_time,
             "provenance": dict(self.provenance),
         }
 
@@ -364,15 +294,3 @@ class Library:
 def _alike(one: ForceHistory, other: ForceHistory) -> bool:
     """Whether two histories have the same axes and positions."""
     return one.axes == other.axes and np.array_equal(one.position, other.position)
-
-
-def describe(plan: Plan, scenario: Scenario) -> str:
-    """Swept keys of a case and their values, for people."""
-    content = scenario.model_dump(mode="json")
-    parts = []
-    for key in plan.sweep:
-        value: Any = content
-        for section in key.split("."):
-            value = value[section]
-        parts.append(f"{key} = {value}")
-    return ", ".join(parts)

@@ -6,7 +6,7 @@ readers, and every curve differs in its line as well.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -212,4 +212,50 @@ def recovery_figure(
     right.set_xlabel("true φ [deg]")
     right.set_ylabel("inferred - true φ [deg]")
     right.legend(fontsize="small", frameon=False)
+    return figure
+
+
+def sensitivity_figure(
+    changes: Mapping[str, Sequence[tuple[str, Mapping[str, float]]]],
+    tolerance: Mapping[str, float],
+) -> Figure:
+    """Change of the peak forces with each setting, a panel each.
+
+    Parameters
+    ----------
+    changes
+        Setting to its values in order, each with the change of the peaks from the base's [%] under
+        ``Fz`` and ``Fx``.
+    tolerance
+        Changes that count as none [%], likewise.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    columns = min(3, len(changes)) or 1
+    rows = -(-len(changes) // columns) or 1
+    figure = Figure(figsize=(3.6 * columns + 0.4, 2.5 * rows + 0.5), layout="constrained")
+    # One scale for all: the eye compares settings with each other.
+    panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    for axes in panels.ravel()[len(changes) :]:
+        axes.remove()
+    looks = {"Fz": (BLUE, "o-", "peak $F_z$"), "Fx": (ORANGE, "s--", "peak $F_x$")}
+    for axes, (setting, values) in zip(panels.ravel(), changes.items(), strict=False):
+        for force, (colour, style, name) in looks.items():
+            band = tolerance[force]
+            axes.axhspan(-band, band, color=colour, alpha=0.10, lw=0)
+            axes.plot(
+                [change[force] for _, change in values], style, ms=4, color=colour, label=name
+            )
+        axes.set_xticks(range(len(values)), [label for label, _ in values])
+        axes.set_xlim(-0.4, len(values) - 0.6)
+        axes.set_title(setting, fontsize=10)
+        axes.grid(axis="y", lw=0.4)
+    for axes in panels[:, 0]:
+        axes.set_ylabel("change from the base [%]")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
     return figure

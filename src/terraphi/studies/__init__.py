@@ -20,6 +20,7 @@ STUDIES = {
     "benchmark": "three legs: our models beside the forces measured in Yuma sand",
     "recovery": "friction angles of fresh simulations, inferred with a library",
     "verification": "problems with known answers, by the code that the leg uses",
+    "sensitivity": "what moves the simulated forces: one setting changed at a time",
 }
 
 
@@ -39,6 +40,8 @@ class Study:
         Name to figure.
     documents
         File name to text.
+    notes
+        Sentences for people: what follows from the table.
     """
 
     title: str
@@ -47,6 +50,7 @@ class Study:
     data: Mapping[str, Any]
     figures: Mapping[str, Figure] = field(default_factory=dict)
     documents: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
 
     def save(self, out: Path) -> None:
         """Write ``data.json``, documents and figures (PNG) into a folder, made if need be."""

@@ -1,0 +1,126 @@
+"""Plans that change one key at a time; tests of sweeps stand with the library's."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from terraphi.build import build, finished_cases, simulate_cases
+from terraphi.errors import InputError
+from terraphi.library import Library
+from terraphi.plan import Plan, describe, value_of
+from terraphi.scenario import Scenario
+
+RFT: dict[str, Any] = {"model": "rft", "dimensions": 3, "rft": {"panels": 10}}
+PHI = "soil.friction_angle_deg"
+
+
+def plan_of(keys: dict[str, list[Any]], **changes: Any) -> Plan:
+    return Plan.model_validate({"name": "mine", "scenario": RFT, "one_at_a_time": keys, **changes})
+
+
+def leaves(scenario: Scenario) -> dict[str, Any]:
+    """Every dotted key of a scenario and its value."""
+
+    def flat(content: dict[str, Any], before: str) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for key, value in content.items():
+            inner = flat(value, f"{before}{key}.") if isinstance(value, dict) else None
+            found |= inner if inner is not None else {before + key: value}
+        return found
+
+    return flat(scenario.model_dump(mode="json"), "")
+
+
+def test_each_case_differs_from_the_base_in_one_key() -> None:
+    plan = plan_of({PHI: [25.0, 45.0], "leg.shape": ["c"], "rft.panels": [20]})
+    base, *others = plan.cases()
+    assert base == plan.scenario
+    assert [describe(plan, case) for case in plan.cases()] == [
+        "base",
+        f"{PHI} = 25.0",
+        f"{PHI} = 45.0",
+        "leg.shape = c",
+        "rft.panels = 20",
+    ]
+    before = leaves(base)
+    for variant, case in zip(plan.variants()[1:], others, strict=True):
+        after = leaves(case)
+        changed = {key for key in before.keys() | after.keys() if before.get(key) != after.get(key)}
+        assert changed == {variant.key}
+        assert value_of(case, variant.key) == variant.value
+
+
+def test_presets_stand_beside_the_base_as_they_are() -> None:
+    plan = plan_of({PHI: [25.0]}, presets=["quick", "paper-0"])
+    assert [variant.key for variant in plan.variants()] == ["base", PHI, "preset", "preset"]
+    assert plan.cases()[-1] == Scenario.load("paper-0")
+    assert describe(plan, plan.cases()[-2]) == "preset = quick"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"one_at_a_time": {}}, ["'sweep' is missing", "'one_at_a_time'"]),
+        ({"sweep": {PHI: [25.0]}}, ["make two plans"]),
+        ({"vary_seed": True}, ["vary_seed", "sweep"]),
+        ({"one_at_a_time": {PHI: []}}, [f"'{PHI}' has no values"]),
+        ({"one_at_a_time": {"soil.phi": [3]}}, ["one_at_a_time", "'soil.phi'"]),
+        ({"one_at_a_time": {PHI: [95]}}, [f"{PHI} = 95", "less than 90"]),
+        ({"one_at_a_time": {PHI: [25, 35]}}, [f"{PHI} = 35", "same case as base"]),
+        ({"one_at_a_time": {PHI: [25, 25.0]}}, [f"{PHI} = 25.0", f"same case as {PHI} = 25"]),
+        ({"presets": ["quik"]}, ["'quik'", "did you mean 'quick'"]),
+    ],
+)
+def test_plans_that_cannot_be(tmp_path: Path, changes: dict[str, Any], said: list[str]) -> None:
+    # JSON's tables are TOML's inline tables but for the colons; strings and numbers are the same.
+    content = {"name": "mine", "one_at_a_time": {PHI: [25.0]}, **changes}
+    lines = [f"{key} = {inline(value)}" for key, value in content.items()]
+    (tmp_path / "plan.toml").write_text("\n".join(lines))
+    with pytest.raises(InputError) as caught:
+        Plan.load(tmp_path / "plan.toml")
+    assert "\n" not in str(caught.value)
+    for part in said:
+        assert part in str(caught.value)
+
+
+def inline(value: Any) -> str:
+    """A value in TOML."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"'{key}' = {inline(v)}" for key, v in value.items()) + "}"
+    return json.dumps(value)
+
+
+def test_a_library_of_single_changes(tmp_path: Path) -> None:
+    plan = plan_of({PHI: [25.0, 45.0], "leg.shape": ["c"]})
+    build(plan, tmp_path / "x.nc")
+    library = Library.load(tmp_path / "x.nc")
+    assert [case.scenario for case in library.cases] == plan.cases()
+    assert library.summary()["sweep"] == plan.one_at_a_time
+    assert library.curves("straight").phi_deg.tolist() == [25.0, 35.0, 45.0]
+
+
+def test_cases_in_a_folder_are_simulated_once(tmp_path: Path) -> None:
+    plan, folder = plan_of({PHI: [25.0, 95.0 / 2], "soil.cohesion": [100.0]}), tmp_path / "cases"
+    finished, failures = simulate_cases(plan, folder)
+    cohesive = plan.cases()[-1].hash
+    assert set(finished) == {case.hash for case in plan.cases()} - {cohesive}
+    assert "cohesion" in failures[cohesive]
+    assert {path.stem for path in folder.iterdir()} == set(finished)
+    written = {path: path.stat().st_mtime_ns for path in folder.iterdir()}
+    again, _ = simulate_cases(plan, folder)
+    assert {path: path.stat().st_mtime_ns for path in folder.iterdir()} == written
+    for key, history in finished_cases(folder).items():
+        assert (history.force == finished[key].force).all()
+        assert (history.force == again[key].force).all()
+
+
+def test_cases_known_from_elsewhere_are_not_copied(tmp_path: Path) -> None:
+    plan = plan_of({PHI: [25.0]})
+    known, _ = simulate_cases(plan, tmp_path / "one")
+    found, _ = simulate_cases(plan, tmp_path / "two", known=known)
+    assert set(found) == set(known)
+    assert not (tmp_path / "two").exists()
