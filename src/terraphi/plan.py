@@ -1,14 +1,15 @@
 """A plan: which simulations to make, written in TOML.
 
-A plan is a scenario and what to change in it: keys to sweep, all combinations of their values; or
-keys to change one at a time, each by itself, as a study of sensitivity does.
+A plan is a scenario and what to change in it: keys to sweep, all combinations of their values; keys
+to change one at a time, each by itself, as a study of sensitivity does; or named steps, each of
+which changes some keys of the scenario before it or of the base.
 """
 
 from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
@@ -24,11 +25,32 @@ class Variant(NamedTuple):
     """The plan's scenario with one thing changed."""
 
     key: str
-    """Dotted scenario key that was changed; ``base`` for none, ``preset`` for another preset."""
+    """Dotted scenario key that was changed, or the name of a step; ``base`` for none, ``preset``
+    for another preset."""
     value: JsonValue
-    """Its value; the name of the preset; ``None`` for the base."""
+    """Its value; the name of the preset; ``None`` for the base and for a step."""
     scenario: Scenario
     """The whole."""
+
+
+class Step(BaseModel):
+    """A change of some keys at once.
+
+    Attributes
+    ----------
+    name
+        For people.
+    changes
+        Dotted scenario key to its value.
+    after
+        What is changed: the ``previous`` step's scenario, or the ``base``.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(min_length=1)
+    changes: dict[str, JsonValue] = Field(min_length=1)
+    after: Literal["previous", "base"] = "previous"
 
 
 class Plan(BaseModel):
@@ -45,6 +67,9 @@ class Plan(BaseModel):
     one_at_a_time
         Instead of a sweep: dotted scenario key to its values; the cases are the scenario itself,
         the base, and then one for each value of each key, all other keys as in the base.
+    steps
+        Instead of a sweep: changes with names, one after another; the cases are the base and one
+        for each step.
     presets
         Names of shipped scenarios to set beside the base, each a case as it stands.
     vary_seed
@@ -59,17 +84,19 @@ class Plan(BaseModel):
     scenario: Scenario = Field(default_factory=Scenario)
     sweep: dict[str, list[JsonValue]] = Field(default_factory=dict)
     one_at_a_time: dict[str, list[JsonValue]] = Field(default_factory=dict)
+    steps: list[Step] = Field(default_factory=list)
     presets: list[str] = Field(default_factory=list)
     vary_seed: bool = False
 
     @model_validator(mode="after")
     def _is_one_of_two_kinds(self) -> Self:
-        apart = self.one_at_a_time or self.presets
+        apart = self.one_at_a_time or self.steps or self.presets
         if not self.sweep and not apart:
             raise ValueError("'sweep' is missing or empty; name a key in it, or in 'one_at_a_time'")
         if self.sweep and apart:
             raise ValueError(
-                "'sweep' combines its keys, 'one_at_a_time' and 'presets' do not; make two plans"
+                "'sweep' combines its keys, 'one_at_a_time', 'steps' and 'presets' do not; make two "
+                "plans"
             )
         if self.vary_seed and apart:
             raise ValueError("vary_seed changes the seed in every case; it is for a sweep only")
@@ -103,7 +130,7 @@ class Plan(BaseModel):
         return found
 
     def variants(self) -> list[Variant]:
-        """The base, then every change of one key, then the presets; of a sweep, the base alone.
+        """The base, every change of one key, the steps, the presets; of a sweep, the base alone.
 
         Raises
         ------
@@ -118,6 +145,10 @@ class Plan(BaseModel):
             for value in values:
                 scenario = self._changed("one_at_a_time", {key: value})
                 found.append(Variant(key, value, scenario))
+        for step in self.steps:
+            start = found[-1].scenario if step.after == "previous" else self.scenario
+            scenario = self._changed(f"step '{step.name}'", step.changes, start)
+            found.append(Variant(step.name, None, scenario))
         found += [Variant(PRESET, name, Scenario.load(name)) for name in self.presets]
         seen: dict[str, str] = {}
         for variant in found:
@@ -130,10 +161,12 @@ class Plan(BaseModel):
             seen[variant.scenario.hash] = label(variant)
         return found
 
-    def _changed(self, table: str, changes: dict[str, JsonValue]) -> Scenario:
-        """The plan's scenario with some keys replaced."""
+    def _changed(
+        self, table: str, changes: dict[str, JsonValue], start: Scenario | None = None
+    ) -> Scenario:
+        """The plan's scenario, or another, with some keys replaced."""
         try:
-            return self.scenario.replace(**changes)
+            return (start or self.scenario).replace(**changes)
         except ValidationError as error:
             sentence = sentence_from_validation(error, f"plan '{self.name}', {table}", Scenario)
             raise InputError(sentence) from error
@@ -156,7 +189,7 @@ class Plan(BaseModel):
 
 def label(variant: Variant) -> str:
     """A variant in words, such as ``numerics.cells = 64``."""
-    return BASE if variant.key == BASE else f"{variant.key} = {variant.value}"
+    return variant.key if variant.value is None else f"{variant.key} = {variant.value}"
 
 
 def describe(plan: Plan, scenario: Scenario) -> str:

@@ -87,26 +87,30 @@ def run(
         If the base, with which all is compared, is not simulated yet; if the folder cannot be
         written, a simulation failed or was interrupted: the others are kept.
     """
-    plan, finished = shipped_plan(), _finished(build)
+    plan, finished = shipped_plan(), finished_for(NAME, build)
     if workers is not None and build is None:
         raise InputError(
             f"study '{NAME}' needs workers for what it simulates: name a --build FOLDER"
         )
     if build is not None and missing_from(plan, finished):
-        finished = _simulate(plan, build, workers or 1, progress)
+        finished = simulate_missing(plan, build, workers or 1, progress)
     return study_of(plan, finished)
 
 
-def _simulate(
+def simulate_missing(
     plan: Plan, folder: Path, workers: int, progress: Callable[[float, float], None] | None
 ) -> dict[str, ForceHistory]:
-    """Simulate what is missing; returns all finished cases, as :func:`_finished` does."""
+    """Simulate what is missing of a shipped plan; all finished cases, as :func:`finished_for`.
+
+    Raises InputError if the folder cannot be written, a simulation failed or was interrupted: the
+    others are kept.
+    """
     try:
         with WorkerPool(workers) as pool:
             finished, failures = simulate_cases(
                 plan,
                 folder,
-                known=_finished(None),
+                known=finished_for(plan.name, None),
                 executor=pool.executor,
                 progress=lambda done, total: progress and progress(pool.counted(done), total),
             )
@@ -118,7 +122,7 @@ def _simulate(
     for variant in plan.variants():
         if variant.scenario.hash in failures:
             reason = failures[variant.scenario.hash]
-            raise InputError(f"study '{NAME}': {label(variant)} failed: {reason}")
+            raise InputError(f"plan '{plan.name}': {label(variant)} failed: {reason}")
     return finished
 
 
@@ -227,9 +231,9 @@ def _particle_steps(scenario: Scenario) -> float:
     return cells * numerics.particles_per_cell_side**2 * steps
 
 
-def _finished(cases: Path | None) -> dict[str, ForceHistory]:
-    """Usable histories, shipped and in a folder, by the hash of their scenario."""
-    folders = [shipped_folder("studies", NAME), *([cases] if cases else [])]
+def finished_for(name: str, cases: Path | None) -> dict[str, ForceHistory]:
+    """Usable histories, shipped for a plan and in a folder, by the hash of their scenario."""
+    folders = [shipped_folder("studies", name), *([cases] if cases else [])]
     return {key: history for f in folders for key, history in finished_cases(f).items()}
 
 
