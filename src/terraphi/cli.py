@@ -246,13 +246,13 @@ def library_show(name: str, as_json: bool) -> None:
 @click.option(
     "--build",
     type=click.Path(path_type=Path),
-    help="Folder: simulate what the study lacks, and keep it there; for sensitivity.",
+    help="Folder: simulate what the study lacks, and keep it there; for sensitivity, resolution.",
 )
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; 1 if not given.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for data.json and figures.")
 @json_option
 def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
-    """Run the study NAME: benchmark, recovery, sensitivity or verification.
+    """Run the study NAME: benchmark, recovery, resolution, sensitivity or verification.
 
     Example: terraphi study recovery --out recovery
     """

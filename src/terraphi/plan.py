@@ -95,8 +95,8 @@ class Plan(BaseModel):
             raise ValueError("'sweep' is missing or empty; name a key in it, or in 'one_at_a_time'")
         if self.sweep and apart:
             raise ValueError(
-                "'sweep' combines its keys, 'one_at_a_time', 'steps' and 'presets' do not; make two "
-                "plans"
+                "'sweep' combines its keys, 'one_at_a_time', 'steps' and 'presets' do not; "
+                "make two plans"
             )
         if self.vary_seed and apart:
             raise ValueError("vary_seed changes the seed in every case; it is for a sweep only")

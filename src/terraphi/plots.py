@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -258,4 +258,63 @@ def sensitivity_figure(
         axes.set_ylabel("change from the base [%]")
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+def waterfall_figure(
+    steps: Sequence[Mapping[str, Any]], changes: Mapping[str, Any], tolerance: float
+) -> Figure:
+    """Peak forces along a way of changes, and what single changes do at its end.
+
+    Parameters
+    ----------
+    steps
+        In order: ``step`` (its name), ``peaks_N`` and ``change_N``, both by force [N].
+    changes
+        Name to ``change_percent`` by force [%].
+    tolerance
+        Change that is allowed [%].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 5.2), layout="constrained")
+    way, end = figure.subplots(1, 2, width_ratios=(max(len(steps), 1), max(len(changes), 1) + 1))
+    looks = {"Fz": (BLUE, -0.2, "$F_z$"), "Fx": (ORANGE, 0.2, "$F_x$")}
+    for force, (colour, shift, name) in looks.items():
+        for i, step in enumerate(steps):
+            peak, change = step["peaks_N"][force], step["change_N"][force]
+            first = i == 0
+            way.bar(
+                i + shift,
+                peak if first else change,
+                0.36,
+                bottom=0.0 if first else peak - change,
+                color=colour,
+                alpha=1.0 if first else 0.45,
+                label=f"peak {name}" if first else None,
+            )
+            way.plot([i + shift - 0.18, i + shift + 0.18], [peak, peak], color=colour, lw=2.0)
+            way.annotate(
+                f"{peak:.1f}",
+                (i + shift, max(peak, peak - change)),
+                (0, 2),
+                textcoords="offset points",
+                ha="center",
+                fontsize=8,
+            )
+        values = [change["change_percent"][force] for change in changes.values()]
+        end.bar(np.arange(len(values)) + shift, values, 0.36, color=colour)
+    way.set_xticks(range(len(steps)), [s["step"] for s in steps], rotation=35, ha="right")
+    way.set_ylabel("peak force [N]")
+    way.set_title("one remedy after another", fontsize=10)
+    way.legend(frameon=False)
+    end.axhspan(-tolerance, tolerance, color=GREY, alpha=0.2, lw=0)
+    end.axhline(0.0, color="black", lw=0.8)
+    end.set_xticks(range(len(changes)), list(changes), rotation=35, ha="right")
+    end.set_ylabel("change of the peak [%]")
+    end.set_title("preset resolved, changed by itself", fontsize=10)
     return figure

@@ -441,7 +441,8 @@ def test_shipped_cases_are_of_the_plan_current_and_small() -> None:
         # Every force is accounted for in the soil's momentum balance.
         assert inside["momentum_mismatch"] < 1e-9
     lacking = {
-        variant.scenario.hash for variant, _ in missing_from(plan, sensitivity._finished(None))
+        variant.scenario.hash
+        for variant, _ in missing_from(plan, sensitivity.finished_for(sensitivity.NAME, None))
     }
     assert lacking == set(by_hash) - {file.stem for file in folder.iterdir()}
 

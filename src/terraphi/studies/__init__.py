@@ -20,6 +20,7 @@ STUDIES = {
     "benchmark": "three legs: our models beside the forces measured in Yuma sand",
     "recovery": "friction angles of fresh simulations, inferred with a library",
     "verification": "problems with known answers, by the code that the leg uses",
+    "resolution": "from preset paper-0 to resolved, and whether that has arrived",
     "sensitivity": "what moves the simulated forces: one setting changed at a time",
 }
 
