@@ -124,3 +124,38 @@ def test_cases_known_from_elsewhere_are_not_copied(tmp_path: Path) -> None:
     found, _ = simulate_cases(plan, tmp_path / "two", known=known)
     assert set(found) == set(known)
     assert not (tmp_path / "two").exists()
+
+
+def stepped(*steps: dict[str, Any], **changes: Any) -> Plan:
+    return Plan.model_validate({"name": "mine", "scenario": RFT, "steps": list(steps), **changes})
+
+
+def test_steps_follow_one_another_or_the_base() -> None:
+    plan = stepped(
+        {"name": "weaker", "changes": {PHI: 25.0}},
+        {"name": "then curved", "changes": {"leg.shape": "c", "rft.panels": 20}},
+        {"name": "only rough", "after": "base", "changes": {"leg.friction": 0.9}},
+    )
+    base, weaker, curved, rough = (leaves(scenario) for scenario in plan.cases())
+    assert {k for k in base if base[k] != weaker[k]} == {PHI}
+    assert {k for k in weaker if weaker[k] != curved[k]} == {"leg.shape", "rft.panels"}
+    assert {k for k in base if base[k] != rough[k]} == {"leg.friction"}
+    assert [v.key for v in plan.variants()] == ["base", "weaker", "then curved", "only rough"]
+    assert describe(plan, plan.cases()[2]) == "then curved"
+
+
+def test_a_step_that_cannot_be_is_named() -> None:
+    plan = stepped({"name": "wrong", "changes": {"soil.frictoin_angle_deg": 25.0}})
+    with pytest.raises(InputError, match=r"plan 'mine', step 'wrong'.*friction_angle_deg"):
+        plan.cases()
+
+
+def test_a_step_that_changes_nothing_is_refused() -> None:
+    plan = stepped({"name": "idle", "changes": {PHI: Scenario().soil.friction_angle_deg}})
+    with pytest.raises(InputError, match="idle is the same case as base"):
+        plan.cases()
+
+
+def test_steps_and_a_sweep_are_two_plans() -> None:
+    with pytest.raises(ValueError, match="make two plans"):
+        stepped({"name": "one", "changes": {PHI: 25.0}}, sweep={PHI: [25.0]})

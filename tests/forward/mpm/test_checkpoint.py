@@ -136,7 +136,7 @@ def test_a_run_stopped_in_the_middle_of_a_block_keeps_its_start(
     scenario, whole, tmp_path, monkeypatch
 ) -> None:
     """Ctrl-C may come while the kernel has changed half of the particles."""
-    kept, fine = Checkpoint(tmp_path / "c"), solver.KERNELS["packets"]
+    kept, (fine, phased) = Checkpoint(tmp_path / "c"), solver.KERNELS["packets"]
     calls = 0
 
     def interrupted(soil, *rest) -> int:
@@ -149,12 +149,38 @@ def test_a_run_stopped_in_the_middle_of_a_block_keeps_its_start(
         return lost
 
     with monkeypatch.context() as patch:
-        patch.setitem(solver.KERNELS, "packets", interrupted)
+        patch.setitem(solver.KERNELS, "packets", (interrupted, phased))
         with pytest.raises(KeyboardInterrupt):
             simulate(scenario, checkpoint=kept)
     again = simulate(scenario, checkpoint=kept)
     assert again.provenance["resumed_at_step"] == [4000]
     assert bits_of(again) == bits_of(whole)
+
+
+def test_phases_end_in_the_same_bits_wherever_they_were_stopped(coarse, tmp_path) -> None:
+    """Blocks are whole phases, and the elastic slip along the leg is kept."""
+    options = {
+        "numerics.remap_interval": 7 * 5e-5,
+        "numerics.contact": "surface",
+        "numerics.dilatation": "cell",
+        "motion.stop_deg": -20.0,
+    }
+    scenario = coarse(**options)
+    uninterrupted = simulate(scenario)
+    kept, times = Checkpoint(tmp_path / "c", 0.0), 0
+
+    def stop(snapshot) -> None:
+        nonlocal times
+        times += 1
+        if times == 2:
+            assert np.abs(snapshot.soil.slip).max() > 0
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate(scenario, checkpoint=kept, observe=stop)
+    again = simulate(scenario, checkpoint=kept)
+    assert again.provenance["resumed_at_step"] == [solver.block_length(scenario)] == [1995]
+    assert bits_of(again) == bits_of(uninterrupted)
 
 
 def test_looking_on_changes_nothing_and_cannot(scenario, whole) -> None:
