@@ -147,7 +147,8 @@ class Numerics(Section):
     dilatation
         Volumetric strain rate that the stress follows: ``particle``, that at each particle;
         ``cell``: their mean over a cell (B-bar; Hughes, 1980, doi 10.1002/nme.1620150914), without
-        which plastic flow at constant volume locks.
+        which plastic flow at constant volume locks. Not for soil that dilates: what one particle of
+        a cell dilates, its neighbours would have to give back, and the soil gets stiffer instead.
     particle_volume
         ``fixed``: V₀; ``updated``: J V₀.
     """
