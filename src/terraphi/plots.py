@@ -309,7 +309,8 @@ def waterfall_figure(
         values = [change["change_percent"][force] for change in changes.values()]
         end.bar(np.arange(len(values)) + shift, values, 0.36, color=colour)
     way.set_xticks(range(len(steps)), [s["step"] for s in steps], rotation=35, ha="right")
-    way.set_ylabel("peak force [N]")
+    way.set_ylim(0.0, 1.12 * max((max(s["peaks_N"].values()) for s in steps), default=1.0))
+    way.set_ylabel("peak force [N], with what each step took or added")
     way.set_title("one remedy after another", fontsize=10)
     way.legend(frameon=False)
     end.axhspan(-tolerance, tolerance, color=GREY, alpha=0.2, lw=0)
