@@ -14,7 +14,7 @@ from terraphi import studies
 from terraphi.forward.mpm import plasticity
 from terraphi.soil import Soil
 from terraphi.studies import verification
-from terraphi.studies.verification import element
+from terraphi.studies.verification import element, limit_loads
 from terraphi.studies.verification.check import Check
 from terraphi.studies.verification.conservation import spin_of
 from terraphi.studies.verification.driver import (
@@ -46,6 +46,7 @@ def checks_of(found: studies.Study, family: str) -> list[Check]:
 
 
 KNOWN_MISSES = {
+    ("Passive wall", "K_p, mean over 0.02 to 0.1 h"): 4.225,
     ("Bed at rest under its own weight", "dσ_v/d(depth)/ρg, whole bed"): 1.018,
     ("Elastic soil loaded by its own weight", "settlement of the surface [µm]"): 7.778,
     ("Bed between walls", "order of the displacement"): 1.05,
@@ -264,3 +265,21 @@ def test_loss_of_a_step_from_the_moments_of_the_splines() -> None:
 def test_domain_of_the_smooth_solutions_halves_evenly() -> None:
     for cells in (16, 32, 64, 128, 256):
         assert (0.08 / (DOMAIN / cells)) % 1.0 == 0.0
+
+
+def test_exact_limit_loads_are_those_of_the_tables() -> None:
+    """Rankine, Prandtl and Davis by their formulas, against printed values."""
+    walls = [limit_loads.passive_pressure(phi, 0.0) for phi in (25.0, 35.0, 45.0)]
+    np.testing.assert_allclose(walls, [2.464, 3.690, 5.828], rtol=2e-4)
+    bearing = [limit_loads.surcharge_factor(phi) for phi in (25.0, 30.0, 35.0, 40.0, 45.0)]
+    np.testing.assert_allclose(bearing, [10.66, 18.40, 33.30, 64.20, 134.9], rtol=5e-4)
+    assert limit_loads.passive_pressure(limit_loads.davis(35.0), 0.0) == pytest.approx(
+        2.98, abs=0.01
+    )
+
+
+def test_weaker_soil_pushes_a_wall_with_less() -> None:
+    strong, weak = (
+        limit_loads.push_wall(phi, 0.0, 10, speed=0.08).checks[0].obtained for phi in (35.0, 25.0)
+    )
+    assert weak / strong == pytest.approx(2.464 / 3.690, rel=0.1)

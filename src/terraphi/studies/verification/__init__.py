@@ -18,7 +18,16 @@ from terraphi.studies.verification.check import Family
 from terraphi.studies.verification.document import SHORT_HEADER, data_of, markdown, table
 from terraphi.studies.verification.running import forget, run_tasks
 
-FAMILIES = ("elements", "rest", "waves", "sliding", "conservation", "order", "kernels")
+FAMILIES = (
+    "elements",
+    "rest",
+    "waves",
+    "sliding",
+    "limit_loads",
+    "conservation",
+    "order",
+    "kernels",
+)
 """Modules of problems, in the order of the document."""
 
 
