@@ -4,6 +4,12 @@ The wall pushes a bed that lies on one side of it only. Of the footing one half 
 middle stands at the left wall, which is smooth. N_q is that of a weightless soil, by Caquot's
 correspondence: a cohesion c = p tan φ in place of a pressure p all around, so that
 N_q = 1 + load / p.
+
+To come (tried by hand, not yet checks): read the load before the geometry changes, that is with E
+of 1e5 limit pressures and a path of 15 limit pressures over E. Walls with contact of nodes then
+come to 1.01 to 1.04 of the exact force at 40 cells, and N_γ, in Lagrangian phases with contact of
+nodes, to 1.08 to 1.14. Contact on the surface and a rough floor work against each other at a wall's
+toe: the plate pushes particles that the floor's nodes hold.
 """
 
 from __future__ import annotations
@@ -113,8 +119,9 @@ def push_wall(
 
 
 WALL_CAUSE = (
-    "the force falls with the width of the cells, over which slip is spread; and the soil that the "
-    "wall has lifted weighs on the wedge, which the exact value for the first geometry leaves out"
+    "the exact value is that of the first geometry; the soil that the moving toe takes in adds "
+    "2 d/(h tan(45° + φ/2)), 6 to 8 % on average here. The rest falls with the width of the cells, "
+    "over which slip is spread"
 )
 
 
@@ -159,9 +166,9 @@ def _footing_cause(load: str, scheme: str) -> str:
     if load == "surcharge":
         return "at so coarse a grid the load is not all there yet at this settlement"
     return (
-        "the load of a soil with weight alone falls with the width of the cells and with the speed "
-        "of the footing, and has come to its end with neither; the band of contact makes the "
-        "footing wider by up to a cell, and N_γ goes with the square of the width"
+        "the exact value is that of the first geometry, and the soil has heaved by then; besides, "
+        "the load grows with the width of the cells and of the contact band, and with the speed "
+        "where velocities are transferred at every step"
     )
 
 
