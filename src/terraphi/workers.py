@@ -136,4 +136,4 @@ class WorkerPool:
             self._stop.set()
         # A second Ctrl-C in the middle of this would leave both sides waiting for each other.
         with _without_interrupts():
-            self.executor.shutdown(wait=True, cancel_futures=True)
+            self.executor.shutdown(wait=True, cancel_futures=kind is not None)
