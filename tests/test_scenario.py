@@ -225,6 +225,7 @@ OTHER: dict[str, Any] = {
     "numerics.particle_volume": "updated",
     "numerics.contact": "surface",
     "numerics.dilatation": "cell",
+    "numerics.gradient": "spline",
     "rft.medium": "poppy_loose",
 }
 

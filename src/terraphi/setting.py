@@ -21,6 +21,7 @@ ADDED_LATER: dict[str, Any] = {
     "numerics.contact": "nodes",
     "numerics.remap_interval": 0.0,
     "numerics.dilatation": "particle",
+    "numerics.gradient": "mls",
 }
 """Dotted key to the value that leaves a scenario as it was before the option existed."""
 PAPER_DAMPING_RATE = -math.log(0.997) / 8e-6
@@ -149,6 +150,10 @@ class Numerics(Section):
         ``cell``: their mean over a cell (B-bar; Hughes, 1980, doi 10.1002/nme.1620150914), without
         which plastic flow at constant volume locks. Not for soil that dilates: what one particle of
         a cell dilates, its neighbours would have to give back, and the soil gets stiffer instead.
+    gradient
+        Velocity gradient that the stress follows: ``mls``, by moving least squares, as the transfer
+        has it; ``spline``, that of the interpolated velocity itself. They differ where the velocity
+        is curved: next to the edge of a plate ``mls`` is the stiffer.
     particle_volume
         ``fixed``: V₀; ``updated``: J V₀.
     """
@@ -165,6 +170,7 @@ class Numerics(Section):
     contact_band_cells: float = Field(2.0, ge=0)
     remap_interval: float = Field(0.0, ge=0)
     dilatation: Literal["particle", "cell"] = "particle"
+    gradient: Literal["mls", "spline"] = "mls"
     particle_volume: Literal["fixed", "updated"] = "fixed"
 
     @model_validator(mode="after")
@@ -172,6 +178,7 @@ class Numerics(Section):
         for name, value, usual in (
             ("contact", self.contact, "nodes"),
             ("dilatation", self.dilatation, "particle"),
+            ("gradient", self.gradient, "mls"),
         ):
             if value != usual and self.remap_interval == 0.0:
                 raise ValueError(

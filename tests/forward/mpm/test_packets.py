@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from terraphi.errors import InputError, SimulationError
-from terraphi.forward.mpm import lanes, packets, packing, scalar, strain_lanes
+from terraphi.forward.mpm import lanes, packets, packing, scalar, spline_gradient, strain_lanes
 from terraphi.forward.mpm.bed import geostatic_bed
 from terraphi.forward.mpm.compiled import register_use
 from terraphi.forward.mpm.packing import LANES, pack, unpack
@@ -240,6 +240,15 @@ def lane_calls(scenario):
         ),
         "strain": (strain_lanes.strain, packed.state, motion, work, *block, laws),
         "push": (strain_lanes.push, packed.state, work, *block, laws),
+        "follow_splines": (
+            spline_gradient.follow_splines,
+            packed.state,
+            motion,
+            work,
+            *block,
+            laws,
+        ),
+        "push_splines": (spline_gradient.push_splines, packed.state, work, *block, laws),
         "follow_shift": (strain_lanes.follow_shift, packed.state, work, *block, 100.0),
         "fade": (
             lanes.fade,
@@ -258,7 +267,10 @@ def lane_calls(scenario):
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="knows x86 registers")
 @pytest.mark.parametrize(
     "name",
-    ["follow_grid", "scatter", "fade", "follow_velocity", "strain", "push", "follow_shift"],
+    [
+        *("follow_grid", "scatter", "fade", "follow_velocity", "strain", "push", "follow_shift"),
+        *("follow_splines", "push_splines"),
+    ],
 )
 def test_lanes_become_vectors(coarse, name):
     """Besides the loop in vectors there is one in single steps, for what is left over: nothing."""

@@ -217,7 +217,18 @@ def march(
         now, then = grids[here], grids[1 - here]
         clear_rows(then, used)
         lost, swept = transfer_sweep(
-            packets, soil, now, then, shift, memory, laws, fading, turn, impulses, lanes
+            packets,
+            soil,
+            now,
+            then,
+            shift,
+            memory,
+            laws,
+            fading,
+            turn,
+            impulses,
+            stepping.spline_gradient,
+            lanes,
         )
         if lost >= 0:
             return step, here, turn, momentum, lost
@@ -279,7 +290,7 @@ def take_steps(
         to_momenta(now, then, used)
         # The half step that a phase begins with, then whole ones; the last half is the transfer's.
         part = laws.half if step == first else laws.whole
-        strain_sweep(packets, now, then, memory, part, laws.whole, lanes)
+        strain_sweep(packets, now, then, memory, part, laws.whole, stepping.spline_gradient, lanes)
         before_x, before_z = impulses[1, 0], impulses[1, 1]
         if stepping.surface:
             pose = pose_of(poses[step])

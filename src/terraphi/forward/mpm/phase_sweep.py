@@ -23,6 +23,7 @@ from terraphi.forward.mpm.plasticity import Material
 from terraphi.forward.mpm.relief import Fading
 from terraphi.forward.mpm.rows import flat
 from terraphi.forward.mpm.scalar import Stepping
+from terraphi.forward.mpm.spline_gradient import follow_splines, push_splines
 from terraphi.forward.mpm.strain_lanes import follow_shift, follow_velocity, push, strain
 from terraphi.forward.mpm.sweep import (
     Memory,
@@ -58,7 +59,14 @@ def laws_of_phase(material: Material, stepping: Stepping) -> PhaseLaws:
 
 @kernel
 def strain_sweep(
-    packets: Packets, now: Grid, then: Grid, memory: Memory, part: Laws, whole: Laws, lanes: Index
+    packets: Packets,
+    now: Grid,
+    then: Grid,
+    memory: Memory,
+    part: Laws,
+    whole: Laws,
+    splines: bool,
+    lanes: Index,
 ) -> None:
     """Update the stresses and add their impulses to the momenta.
 
@@ -72,6 +80,8 @@ def strain_sweep(
         Working memory.
     part, whole
         Constants of the strain step and of the impulses.
+    splines
+        Whether strain rates and impulses go by the gradient of the splines.
     lanes
         :data:`~terraphi.forward.mpm.packing.LANES`.
     """
@@ -86,9 +96,14 @@ def strain_sweep(
             first, layers = packets.first[block], packets.layers[block]
             if layers > ZERO:
                 load_window(work, velocity_x, velocity_z, j * stride + k * LANES, stride, lanes)
-                follow_velocity(state, motion, work, first, layers, lanes, part)
-                strain(state, motion, work, first, layers, lanes, part)
-                push(state, work, first, layers, lanes, whole)
+                if splines:
+                    follow_splines(state, motion, work, first, layers, lanes, part)
+                    strain(state, motion, work, first, layers, lanes, part)
+                    push_splines(state, work, first, layers, lanes, whole)
+                else:
+                    follow_velocity(state, motion, work, first, layers, lanes, part)
+                    strain(state, motion, work, first, layers, lanes, part)
+                    push(state, work, first, layers, lanes, whole)
             lay_down(work, memory.strips, k, strip_length(packets), lanes)
         add_strips(memory.strips, strip_length(packets), then, j)
 
@@ -105,6 +120,7 @@ def transfer_sweep(
     fading: Fading,
     turned: float,
     impulses: FloatArray,
+    splines: bool,
     lanes: Index,
 ) -> tuple[int, tuple[float, float]]:
     """End a phase: the last half strain step, motion, relief, and the momenta of the next phase.
@@ -121,6 +137,8 @@ def transfer_sweep(
         Constants.
     turned
         |Δθ| of the phase once θ > 0 [rad].
+    splines
+        As in :func:`strain_sweep`.
 
     Returns
     -------
@@ -144,8 +162,14 @@ def transfer_sweep(
             first, layers = packets.first[block], packets.layers[block]
             if layers > ZERO:
                 load_window(work, velocity_x, velocity_z, corner, stride, lanes)
-                follow_velocity(state, motion, work, first, layers, lanes, laws.half)
-                strain(state, motion, work, first, layers, lanes, laws.half)
+                if splines:
+                    follow_splines(state, motion, work, first, layers, lanes, laws.half)
+                    strain(state, motion, work, first, layers, lanes, laws.half)
+                    # The momenta are scattered with the affine part of the transfer's own.
+                    follow_velocity(state, motion, work, first, layers, lanes, laws.half)
+                else:
+                    follow_velocity(state, motion, work, first, layers, lanes, laws.half)
+                    strain(state, motion, work, first, layers, lanes, laws.half)
                 load_window(work, shift_x, shift_z, corner, stride, lanes)
                 inside = follow_shift(state, work, first, layers, lanes, 1.0 / cell_size)
                 if fades:

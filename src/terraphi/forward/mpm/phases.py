@@ -29,6 +29,7 @@ from terraphi.forward.mpm.contact import Intruder, Pose, pose_of
 from terraphi.forward.mpm.plasticity import Material, jaumann_predictor, return_mapping
 from terraphi.forward.mpm.relief import Fading, faded
 from terraphi.forward.mpm.scalar import Audit, Stepping, close_books, update_grid, write_books
+from terraphi.forward.mpm.spline_gradient import spline_gradient, spline_stress_to_grid
 from terraphi.forward.mpm.surface_contact import push_particle, radius_of, touch
 from terraphi.forward.mpm.transfer import (
     gather_values,
@@ -181,7 +182,7 @@ def strain(
     time_step
         Whole or half [s].
     """
-    follow_grid(soil, grid, cells, stepping.cell_size)
+    follow_grid(soil, grid, cells, stepping)
     per_cell = 1.0 / stepping.cell_size
     for p in range(soil.mass.size):
         dxx, dxz = soil.gradient[p, 0], soil.gradient[p, 1]
@@ -206,7 +207,7 @@ def strain(
 
 
 @kernel
-def follow_grid(soil: Particles, grid: Grid, cells: Cells, cell_size: float) -> None:
+def follow_grid(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -> None:
     """Take velocities and gradients from the grid, and their traces' sums over the cells.
 
     A cell is here the set of places whose splines start from the same node: the piece over which
@@ -215,9 +216,11 @@ def follow_grid(soil: Particles, grid: Grid, cells: Cells, cell_size: float) -> 
     cells.rate[:] = 0.0
     cells.volume[:] = 0.0
     cells.pressed[:] = 0.0
-    per_cell = 1.0 / cell_size
+    per_cell = 1.0 / stepping.cell_size
     for p in range(soil.mass.size):
-        vx, vz, gradient = grid_to_particle(soil, grid, p, cell_size)
+        vx, vz, gradient = grid_to_particle(soil, grid, p, stepping.cell_size)
+        if stepping.spline_gradient:
+            gradient = spline_gradient(soil, grid, p, stepping.cell_size)
         soil.velocity[p, 0] = vx
         soil.velocity[p, 1] = vz
         for c in range(4):
@@ -254,7 +257,10 @@ def push(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -> None:
             excess = cells.pressed[j, i] / cells.volume[j, i] - 0.5 * (sxx + szz)
             sxx, szz = sxx + excess, szz + excess
         stress = (sxx, szz, sxz)
-        stress_to_grid(soil, grid, p, stress, stepping.cell_size, stepping.time_step)
+        if stepping.spline_gradient:
+            spline_stress_to_grid(soil, grid, p, stress, stepping.cell_size, stepping.time_step)
+        else:
+            stress_to_grid(soil, grid, p, stress, stepping.cell_size, stepping.time_step)
 
 
 @kernel
@@ -321,10 +327,14 @@ def move(
 ) -> int:
     """Move the particles with the nodes, and let them fade.
 
+    Their gradients are left as the transfer's, whatever their strain went by.
+
     Parameters
     ----------
-    soil, grid, fading, stepping
+    soil, fading, stepping
         As in :func:`advance`.
+    grid
+        Holds velocities.
     shift
         How far the nodes have moved in the phase.
     turned
@@ -341,6 +351,10 @@ def move(
     high = (grid.mass.shape[0] - 2.5) * stepping.cell_size
     for p in range(soil.mass.size):
         x, z = soil.position[p, 0], soil.position[p, 1]
+        if stepping.spline_gradient:
+            _, _, affine = grid_to_particle(soil, grid, p, stepping.cell_size)
+            for c in range(4):
+                soil.gradient[p, c] = affine[c]
         dx, dz = gather_values(shift.x, shift.z, x, z, stepping.cell_size)
         x += dx
         z += dz

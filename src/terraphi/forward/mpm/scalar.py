@@ -54,6 +54,8 @@ class Stepping(NamedTuple):
     """Whether particles press on the leg's surface, rather than nodes near it."""
     mean_dilatation: bool
     """Whether stresses follow the mean volumetric strain rate of a cell."""
+    spline_gradient: bool
+    """Whether stresses follow the gradient of the splines, rather than that of the transfer."""
 
 
 def stepping_of(scenario: Scenario) -> Stepping:
@@ -73,6 +75,7 @@ def stepping_of(scenario: Scenario) -> Stepping:
         phase=numerics.steps_per_phase,
         surface=numerics.contact == "surface",
         mean_dilatation=numerics.dilatation == "cell",
+        spline_gradient=numerics.gradient == "spline",
     )
 
 
