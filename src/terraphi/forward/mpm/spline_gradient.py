@@ -125,7 +125,8 @@ def spline_stress_to_grid(
 @kernel
 def row_sum(work: FloatArray, at: Index, by: Three) -> float:
     """Sum of a row of three nodes, weighed."""
-    return by[0] * work[at] + by[1] * work[at + LANES] + by[2] * work[at + TWO * LANES]
+    total: float = by[0] * work[at] + by[1] * work[at + LANES] + by[2] * work[at + TWO * LANES]
+    return total
 
 
 @kernel

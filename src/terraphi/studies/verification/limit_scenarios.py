@@ -1,34 +1,99 @@
-"""Scenarios of the limit loads: a plate that pushes a bed, and half of a strip footing."""
+"""Scenarios of the limit loads: a plate that pushes a bed, and half of a strip footing.
+
+The exact limit load is that of the first geometry. It is read there: the soil is so stiff that the
+plate has reached it long before anything has visibly moved.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 from terraphi.scenario import Scenario
 from terraphi.setting import GRAVITY
+from terraphi.studies.verification.limit_values import N_GAMMA, passive_pressure, surcharge_factor
 
-DENSITY, STIFFNESS = 1650.0, 5e6
+DENSITY = 1650.0
+MODULUS_RATIO = 0.7 / (1.3 * 0.4)
+"""M/E at ν = 0.3."""
 WALL_HEIGHT, FOOTING_WIDTH = 0.1, 0.1
 """h and B [m]."""
 PLATEAU = (0.02, 0.10)
-"""Displacements over which a force is averaged, over h."""
-LAST_PART = (0.008, 0.010)
-"""Settlements over which a footing's load is averaged, over B."""
+"""Displacements over which the force on a wall that moves far is averaged, over h."""
 CONFINEMENT = 1000.0
-"""p of the weightless soil [Pa]."""
+"""p of a weightless soil, and pressure of a dead weight [Pa]."""
+PACE, PACE_OF_DEAD_WEIGHT = 0.05, 0.01
+"""ρ c v of a plate over its limit pressure. Dead weight is heavy, and swings for long if pushed."""
+HEAVY = 20.0
+"""Dead weight over γ B: N_γ then gives 1.5 to 2.6 % of the load."""
 SCHEMES: dict[str, dict[str, Any]] = {
     "nodes": {"contact_band_cells": 0.5},
+    "nodes, phases": {"contact_band_cells": 0.5, "phase": 20},
+    "nodes, phases, splines": {"contact_band_cells": 0.5, "phase": 20, "gradient": "spline"},
     "surface": {"contact": "surface", "phase": 20},
-    "surface, mean dilatation": {"contact": "surface", "phase": 20, "dilatation": "cell"},
 }
-"""Contact with nodes within half a cell and a transfer at every step; and that of ``resolved``."""
+"""Contact with the nodes within half a cell, or on the true surface; a transfer at every step, or
+every 20 steps, with strain by least squares or by the gradient of the splines."""
 
 
-def _numerics(scheme: str, cell: float, cells: int, seed: int) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Drive:
+    """How stiff the soil is and how the plate is moved.
+
+    Attributes
+    ----------
+    stiffness
+        E [Pa].
+    speed
+        Of the plate [m/s].
+    path
+        Of the plate [m].
+    courant
+        Δt over Δx / c.
+    jitter
+        Of the particles.
+    """
+
+    stiffness: float
+    speed: float
+    path: float
+    courant: float
+    jitter: float
+
+
+MOVED = Drive(5e6, 0.02, PLATEAU[1] * WALL_HEIGHT, 0.4, 0.5)
+"""As far as the plateau of a force history, in soil as soft as that of the leg."""
+
+
+def drive_at_first(pressure: float, length: float, pace: float = PACE) -> Drive:
+    """Drive to a limit pressure without moving what is there.
+
+    E = 10⁵ q_u, and the plate goes 15 times as far as q_u/E of its length, 1.5·10⁻⁴ of it.
+
+    Parameters
+    ----------
+    pressure
+        q_u [Pa].
+    length
+        Of the plate [m].
+    pace
+        ρ c v of the plate over q_u [-].
+    """
+    stiffness = 1e5 * pressure
+    wave = math.sqrt(stiffness * MODULUS_RATIO / DENSITY)
+    return Drive(
+        stiffness,
+        pace * pressure / (DENSITY * wave),
+        15.0 * length * pressure / stiffness,
+        0.6,
+        0.0,
+    )
+
+
+def _numerics(scheme: str, cell: float, cells: int, drive: Drive) -> dict[str, Any]:
     options = dict(SCHEMES[scheme])
-    stiff = STIFFNESS * 0.7 / (1.3 * 0.4)
-    time_step = 0.4 * cell / math.sqrt(stiff / DENSITY)
+    time_step = drive.courant * cell / math.sqrt(drive.stiffness * MODULUS_RATIO / DENSITY)
     if "phase" in options:
         options["remap_interval"] = options.pop("phase") * time_step
     return {
@@ -36,16 +101,15 @@ def _numerics(scheme: str, cell: float, cells: int, seed: int) -> dict[str, Any]
         "cells": cells,
         "time_step": time_step,
         "damping_rate": 0.0,
-        "particle_jitter": 0.5,
-        "seed": seed,
+        "particle_jitter": drive.jitter,
         **options,
     }
 
 
-def _soil(phi_deg: float, flow: str, cohesion: float = 0.0) -> dict[str, Any]:
+def _soil(phi_deg: float, flow: str, drive: Drive, cohesion: float = 0.0) -> dict[str, Any]:
     return {
         "density": DENSITY,
-        "youngs_modulus": STIFFNESS,
+        "youngs_modulus": drive.stiffness,
         "friction_angle_deg": phi_deg,
         "yield_criterion": "plane_strain",
         "flow": flow,
@@ -59,8 +123,9 @@ def wall_scenario(
     across: int,
     *,
     flow: str = "associated",
-    scheme: str = "surface",
-    speed: float = 0.02,
+    scheme: str = "nodes",
+    floor: str = "rough",
+    drive: Drive | None = None,
 ) -> Scenario:
     """A plate that pushes a bed in front of it.
 
@@ -74,57 +139,69 @@ def wall_scenario(
         ``associated``, or ``dilation`` for ψ = 0.
     scheme
         One of :data:`SCHEMES`.
-    speed
-        Of the plate [m/s].
+    floor
+        ``rough`` or ``smooth``.
+    drive
+        Soil's stiffness and plate's path; ``None``: to the limit in the first geometry.
 
     Returns
     -------
     Scenario
     """
+    if drive is None:
+        at_toe = passive_pressure(phi_deg, friction) * DENSITY * GRAVITY * WALL_HEIGHT
+        drive = drive_at_first(at_toe, WALL_HEIGHT)
     cell = WALL_HEIGHT / across
     # A hair beyond the nodes, which then hold the soil behind them.
-    thick, left, floor = 4 * cell, (3 + 1e-6) * cell, (3 + 1e-6) * cell
+    thick, left, bottom = 4 * cell, (3 + 1e-6) * cell, (3 + 1e-6) * cell
     front = left + 2 * thick + 2 * cell
     cells = math.ceil((front + (4.0 if friction == 0.0 else 5.0) * WALL_HEIGHT) / cell) + 3
-    motion: dict[str, Any] = {
-        "kind": "translation",
-        "start": [front - thick, floor + 2 * WALL_HEIGHT],
-    }
-    path = PLATEAU[1] * WALL_HEIGHT
-    motion |= {"velocity": [speed, 0.0], "distance": path, "bin_width": path / 200}
     return Scenario.model_validate(
         {
-            "soil": _soil(phi_deg, flow),
+            "soil": _soil(phi_deg, flow, drive),
             "leg": {
                 "shape": "plate",
-                "chord": 2 * WALL_HEIGHT + floor,
+                "chord": 2 * WALL_HEIGHT + bottom,
                 "half_thickness": thick,
                 "width": 1.0,
                 "friction": friction,
             },
-            "motion": motion,
+            "motion": {
+                "kind": "translation",
+                "start": [front - thick, bottom + 2 * WALL_HEIGHT],
+                "velocity": [drive.speed, 0.0],
+                "distance": drive.path,
+                "bin_width": drive.path / 200,
+            },
             "bed": {
                 "left": left,
-                "floor": floor,
+                "floor": bottom,
                 "width": (cells - 3) * cell - left,
                 "height": WALL_HEIGHT,
                 "soil_left": front,
+                "floor_friction": floor,
             },
-            "numerics": _numerics(scheme, cell, cells, 0),
+            "numerics": _numerics(scheme, cell, cells, drive),
         }
     )
 
 
+def _loading(phi_deg: float, base: str, load: str) -> tuple[float, dict[str, float], float]:
+    """Limit pressure [Pa], entries of the bed and cohesion [Pa] of a footing's load."""
+    if load == "weight":
+        pressure = 0.5 * DENSITY * GRAVITY * FOOTING_WIDTH * N_GAMMA[phi_deg, base]
+        return pressure, {"gravity": GRAVITY}, 0.0
+    pressure = CONFINEMENT * surcharge_factor(phi_deg)
+    if load == "cohesion":
+        return pressure, {"gravity": 0.0}, CONFINEMENT * math.tan(math.radians(phi_deg))
+    light = CONFINEMENT / (HEAVY * DENSITY * FOOTING_WIDTH)
+    return pressure, {"gravity": light, "surcharge": CONFINEMENT}, 0.0
+
+
 def footing_scenario(
-    phi_deg: float,
-    base: str,
-    across: int,
-    *,
-    load: str,
-    scheme: str = "nodes",
-    speed: float = 0.004,
+    phi_deg: float, base: str, across: int, *, load: str, scheme: str = "nodes"
 ) -> Scenario:
-    """Half a strip footing that is pressed into a bed.
+    """Half a strip footing that is pressed into a bed, as far as to its limit load.
 
     Parameters
     ----------
@@ -135,11 +212,9 @@ def footing_scenario(
     across
         B/Δx.
     load
-        ``weight`` for N_γ, ``surcharge`` for N_q.
+        ``weight`` of the soil for N_γ; for N_q its ``cohesion``, or a ``dead weight`` on it.
     scheme
         One of :data:`SCHEMES`.
-    speed
-        Of the footing [m/s].
 
     Returns
     -------
@@ -150,22 +225,17 @@ def footing_scenario(
         wide, deep = (4.0, 1.5) if gentle else (6.0, 2.0)
     else:
         wide, deep = (5.0, 1.75) if gentle else (8.0, 2.5)
-    thick, left, floor = 4 * cell, (4 + 1e-6) * cell, (3 + 1e-6) * cell
+    thick, left, bottom = 4 * cell, (4 + 1e-6) * cell, (3 + 1e-6) * cell
     height, width = round(deep * across) * cell, wide * FOOTING_WIDTH
     cells = max(
-        math.ceil((left + width) / cell) + 3, math.ceil((floor + height + thick) / cell) + 8
+        math.ceil((left + width) / cell) + 3, math.ceil((bottom + height + thick) / cell) + 8
     )
-    cohesion = 0.0 if load == "weight" else CONFINEMENT * math.tan(math.radians(phi_deg))
-    path = LAST_PART[1] * FOOTING_WIDTH * (2.0 if phi_deg > 30.0 else 1.0)
-    motion: dict[str, Any] = {
-        "kind": "translation",
-        "start": [left + FOOTING_WIDTH / 2, floor + height + thick],
-        "orientation_deg": 90.0,
-        "velocity": [0.0, -speed],
-    }
+    pressure, weights, cohesion = _loading(phi_deg, base, load)
+    pace = PACE_OF_DEAD_WEIGHT if load == "dead weight" else PACE
+    drive = drive_at_first(pressure, FOOTING_WIDTH, pace)
     return Scenario.model_validate(
         {
-            "soil": _soil(phi_deg, "associated", cohesion),
+            "soil": _soil(phi_deg, "associated", drive, cohesion),
             "leg": {
                 "shape": "plate",
                 "chord": FOOTING_WIDTH / 2 + 3 * cell,
@@ -173,14 +243,21 @@ def footing_scenario(
                 "width": 1.0,
                 "friction": 100.0 if base == "rough" else 0.0,
             },
-            "motion": {**motion, "distance": path, "bin_width": path / 200},
+            "motion": {
+                "kind": "translation",
+                "start": [left + FOOTING_WIDTH / 2, bottom + height + thick],
+                "orientation_deg": 90.0,
+                "velocity": [0.0, -drive.speed],
+                "distance": drive.path,
+                "bin_width": drive.path / 200,
+            },
             "bed": {
                 "left": left,
-                "floor": floor,
+                "floor": bottom,
                 "width": width - 2e-6 * cell,
                 "height": height,
-                "gravity": GRAVITY if load == "weight" else 0.0,
+                **weights,
             },
-            "numerics": _numerics(scheme, cell, cells, 0),
+            "numerics": _numerics(scheme, cell, cells, drive),
         }
     )
