@@ -216,20 +216,9 @@ def march(
             return step, here, turn, momentum, -1
         now, then = grids[here], grids[1 - here]
         clear_rows(then, used)
-        lost, swept = transfer_sweep(
-            packets,
-            soil,
-            now,
-            then,
-            shift,
-            memory,
-            laws,
-            fading,
-            turn,
-            impulses,
-            stepping.spline_gradient,
-            lanes,
-        )
+        sweep = (packets, soil, now, then, shift, memory, laws, fading, turn)
+        how = (impulses, stepping.spline_gradient, lanes)
+        lost, swept = transfer_sweep(*(sweep + how))
         if lost >= 0:
             return step, here, turn, momentum, lost
         write_books(audit, impulses, momentum)
