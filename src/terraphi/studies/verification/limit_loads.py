@@ -9,6 +9,10 @@ N_q = 1 + load / p.
 
 Loads are read in the first geometry, for which the exact ones hold. Some walls go on to where a
 force history of a leg has its plateau; there the soil taken in by the toe counts.
+
+N_γ by the gradient of the splines comes within 7 % at 20 and 40 cells, but from below: at 40 it has
+not settled. By least squares it falls towards the same from above (φ = 25°, smooth: 1.17, 1.13 and
+1.10 of the exact one at 20, 40 and 80 cells), so a few percent may be left on any grid.
 """
 
 from __future__ import annotations
@@ -158,6 +162,8 @@ def press_footing(
         exact, name = N_GAMMA[phi_deg, base], "N_γ"
         factor = pressure / (0.5 * DENSITY * GRAVITY * FOOTING_WIDTH)
         source = "method of characteristics"
+        if scheme == SPLINES:
+            note = "by splines N_γ rises with the number of cells, and at 40 it has not settled"
     else:
         exact, name = surcharge_factor(phi_deg), "N_q"
         own = 0.0
@@ -317,7 +323,7 @@ def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
             axes.plot(place, ratio, lw=1.2, label=_short(run["case"]), **look)
         _dress(axes, f"{title}, {most} cells", label)
         axes.set_ylim(0.0, 1.8)
-    _over_cells(panels[3], runs)
+    _over_cells(panels[3], [run for run in runs if run["kind"] != "moved"])
     for axes in panels[::2]:
         axes.set_ylabel("force / exact limit load")
     return {"verification-limit-loads": figure}
@@ -340,7 +346,8 @@ def _over_cells(axes: Axes, runs: list[Mapping[str, Any]]) -> None:
 
 def _looks() -> itertools.cycle[dict[str, Any]]:
     """Line styles and colours."""
-    styles = itertools.product(("-", "--", ":", "-."), (BLUE, ORANGE, GREEN, PURPLE))
+    lines = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
+    styles = itertools.product(lines, (BLUE, ORANGE, GREEN, PURPLE))
     return itertools.cycle([{"ls": style, "color": colour} for style, colour in styles])
 
 
