@@ -66,7 +66,8 @@ def test_arc_distance(
     expected = nearest_distance(point, arc_points(chord, curvature)) - thickness
     # Neighbouring points lie πR/20000 apart; half of that is the most that a foot can be missed by.
     assert distance == pytest.approx(expected, abs=1e-4 * chord)
-    assert distance <= expected + 1e-12
+    # Where the ends of a near semicircle lie is a square root of what rounding leaves of 1 - bend.
+    assert distance <= expected + 2e-8 * chord
 
 
 @settings(max_examples=60, deadline=None)

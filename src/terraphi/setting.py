@@ -18,6 +18,8 @@ ADDED_LATER: dict[str, Any] = {
     "bed.soil_width": None,
     "bed.surcharge": 0.0,
     "bed.gravity": GRAVITY,
+    "numerics.transfer": "apic",
+    "numerics.damping_order": "after_contact",
     "numerics.contact": "nodes",
     "numerics.remap_interval": 0.0,
     "numerics.dilatation": "particle",
@@ -137,6 +139,11 @@ class Numerics(Section):
         drag on the soil stays the same.
     damping_rate
         Decay rate of grid velocities [1/s]; 0 for none.
+    damping_order
+        Whether grid velocities decay ``after_contact`` with leg and walls or ``before_contact``.
+    transfer
+        What particles keep of the grid's velocities: ``apic``, value and gradient; ``pic``, the
+        value alone, whose smoothing at every step acts like a viscosity.
     contact
         ``nodes``: the nodes of the grid near the leg take its velocity; ``surface``: the material
         points press on its true surface.
@@ -166,6 +173,8 @@ class Numerics(Section):
     time_step: float = Field(8e-6, gt=0)
     speed_up: float = Field(1.0, gt=0)
     damping_rate: float = Field(PAPER_DAMPING_RATE, ge=0)
+    damping_order: Literal["after_contact", "before_contact"] = "after_contact"
+    transfer: Literal["apic", "pic"] = "apic"
     contact: Literal["nodes", "surface"] = "nodes"
     contact_band_cells: float = Field(2.0, ge=0)
     remap_interval: float = Field(0.0, ge=0)
@@ -185,6 +194,11 @@ class Numerics(Section):
                     f"{name} = '{value}' needs a grid that keeps its velocities for a while; "
                     "set remap_interval above 0, as to 20 time steps"
                 )
+        if self.transfer == "pic" and self.remap_interval > 0.0:
+            raise ValueError(
+                "transfer = 'pic' is one of every step; set remap_interval = 0, or transfer = "
+                "'apic'"
+            )
         return self
 
     @property

@@ -104,6 +104,8 @@ def test_relief(compare, coarse, shape):
         {"soil.cohesion": 500.0, "soil.tension_cutoff": 50.0, "soil.yield_criterion": "triaxial"},
         {"bed.floor_friction": "smooth"},
         {"numerics.damping_rate": 0.0},
+        {"numerics.damping_order": "before_contact"},
+        {"numerics.transfer": "pic"},
         {"numerics.contact_band_cells": 2.0},
         {"numerics.particle_jitter": 0.0},
         {"numerics.cells": 45, "numerics.time_step": 4e-5, "numerics.particles_per_cell_side": 3},

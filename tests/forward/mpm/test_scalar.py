@@ -52,6 +52,52 @@ def test_damping_alone_is_a_decay_of_its_rate(coarse, steps, far_away):
     np.testing.assert_allclose(soil.velocity, np.tile([0.01, 0.02], (len(soil.mass), 1)) * factor)
 
 
+@pytest.mark.parametrize(("order", "kept"), [("before_contact", 1.0), ("after_contact", 0.997)])
+def test_damping_before_contact_spares_what_the_leg_moves(coarse, steps, order, kept):
+    """Nodes that take the leg's velocity have it whole, or once damped; the books close either way.
+
+    The factor is that of one step of 8 µs at k = 1.
+    """
+    scenario = coarse(
+        **{"motion.start_deg": -0.001, "motion.stop_deg": 10.0, "motion.rate": 1.0},
+        **{"numerics.time_step": 8e-6, "numerics.speed_up": 1.0, "leg.friction": 0.0},
+        **{"numerics.damping_order": order},
+    )
+    pushed = steps(scenario, 2)
+    # A vertical leg moves backward by ω r; the row of nodes at half its length, beside its back.
+    j = round((0.190 - 0.040) / scenario.numerics.cell_size)
+    speed = 0.190 - j * scenario.numerics.cell_size
+    assert pushed.grid.vx[j].min() == pytest.approx(-kept * speed, rel=1e-4)
+    assert pushed.audit.worst[0] < 1e-12
+
+
+def test_pic_loses_the_spin_that_apic_keeps(coarse, steps, far_away):
+    """After one transfer the particles of both have the same velocity and gradient of the grid; of
+    its angular momentum PIC has then lost what the gradient holds, Σ m Δx²/4 (∂vz/∂x - ∂vx/∂z)."""
+    spun = {}
+    for transfer in ("apic", "pic"):
+        scenario = coarse(
+            **far_away, **{"numerics.damping_rate": 0.0, "numerics.transfer": transfer}
+        )
+        soil = geostatic_bed(scenario)
+        soil.stress[:] = 0.0
+        arm = soil.position - [0.15, 0.09]
+        soil.velocity[:] = 0.5 * arm @ [[0.0, 1.0], [-1.0, 0.0]]
+        before = soil.mass @ (arm[:, 0] * soil.velocity[:, 1] - arm[:, 1] * soil.velocity[:, 0])
+        nowhere = stepping_of(scenario)._replace(left=-9.0, right=9.0, floor=-9.0, gravity=0.0)
+        steps(scenario, 1, soil=soil, stepping=nowhere)
+        arm = soil.position - [0.15, 0.09]
+        after = soil.mass @ (arm[:, 0] * soil.velocity[:, 1] - arm[:, 1] * soil.velocity[:, 0])
+        spin = soil.mass @ (soil.gradient[:, 2] - soil.gradient[:, 1])
+        spin *= scenario.numerics.cell_size**2 / 4
+        spun[transfer] = (soil.velocity.copy(), before, after, spin)
+    velocity, before, after, spin = spun["apic"]
+    assert after + spin == pytest.approx(before, rel=1e-12)
+    assert 0.003 * before < spin
+    np.testing.assert_array_equal(spun["pic"][0], velocity)
+    assert spun["pic"][2:] == (after, 0.0)
+
+
 @pytest.mark.parametrize("speed_up", [1.0, 5.0, 20.0])
 def test_damping_factor_of_the_paper(speed_up):
     factor = Numerics(speed_up=speed_up).damping_factor
@@ -233,7 +279,7 @@ def test_updated_volume_follows_the_deformation(coarse, steps, far_away):
     soil.velocity[:] = soil.position * [2.0, 3.0]
     soil.gradient[:] = [2.0, 0.0, 0.0, 3.0]
     nowhere = stepping_of(scenario)._replace(
-        left=-9.0, right=9.0, floor=-9.0, gravity=0.0, damping_factor=1.0
+        left=-9.0, right=9.0, floor=-9.0, gravity=0.0, damping_before=1.0, damping_after=1.0
     )
     steps(scenario, 10, soil=soil, stepping=nowhere)
     # Ten steps of a free expansion dx/dt = 2 x: the gradient itself falls as 2/(1 + 2 t).

@@ -78,6 +78,8 @@ class Laws(NamedTuple):
     """G [Pa]."""
     cone: Cone
     """The yield surface."""
+    affine: float
+    """1 if particles keep the gradient of the grid's velocity, else 0."""
     stretching: float
     """1 if volumes follow the deformation, else 0."""
     averaging: float
@@ -185,8 +187,10 @@ def follow_grid(
             state[at + SXX], state[at + SZZ], state[at + SXZ], state[at + SYY] = stress
             state[at + VOLUME] += state[at + VOLUME] * growth
             motion[out + VX], motion[out + VZ] = vx, vz
-            motion[out + CXX], motion[out + CXZ] = gradient[0], gradient[1]
-            motion[out + CZX], motion[out + CZZ] = gradient[2], gradient[3]
+            motion[out + CXX] = laws.affine * gradient[0]
+            motion[out + CXZ] = laws.affine * gradient[1]
+            motion[out + CZX] = laws.affine * gradient[2]
+            motion[out + CZZ] = laws.affine * gradient[3]
     return inside
 
 

@@ -96,17 +96,26 @@ def accelerate(
     stepping: Stepping,
     impulses: FloatArray,
 ) -> None:
-    """Momentum to velocity, and gravity, in a row of nodes that starts at ``row``."""
+    """Momentum to velocity, gravity, and damping if it comes before contact, in a row of nodes.
+
+    The row starts at ``row``.
+    """
     wide_vectors()
     gain = -stepping.gravity * stepping.time_step
-    total = 0.0
+    factor = stepping.damping_before
+    total, left_x, left_z = 0.0, 0.0, 0.0
     for i in range(row, row + columns):
         weighs = mass[i] > 0.0
         per_mass = 1.0 / mass[i] if weighs else 0.0
-        vx[i] = vx[i] * per_mass
-        vz[i] = vz[i] * per_mass + (gain if weighs else 0.0)
+        px = vx[i] * per_mass
+        pz = vz[i] * per_mass + (gain if weighs else 0.0)
         total += mass[i]
+        left_x += mass[i] * px
+        left_z += mass[i] * pz
+        vx[i], vz[i] = px * factor, pz * factor
     impulses[0, 1] += total * gain
+    impulses[3, 0] += left_x * (factor - 1.0)
+    impulses[3, 1] += left_z * (factor - 1.0)
 
 
 @kernel
@@ -167,8 +176,8 @@ def hold_back(
         wall_z += mass[at] * (nz - pz)
         left_x += mass[at] * nx
         left_z += mass[at] * nz
-        vx[at], vz[at] = nx * stepping.damping_factor, nz * stepping.damping_factor
-    loss = stepping.damping_factor - 1.0
+        vx[at], vz[at] = nx * stepping.damping_after, nz * stepping.damping_after
+    loss = stepping.damping_after - 1.0
     impulses[2, 0] += wall_x
     impulses[2, 1] += wall_z
     impulses[3, 0] += left_x * loss

@@ -34,8 +34,12 @@ class Stepping(NamedTuple):
     """Δx [m]."""
     gravity: float
     """g [m/s²]."""
-    damping_factor: float
-    """Factor on grid velocities [-]."""
+    damping_before: float
+    """Factor on grid velocities before contact with leg and walls [-]."""
+    damping_after: float
+    """Factor on grid velocities after it [-]."""
+    affine: float
+    """1 if particles keep the gradient of the grid's velocity, else 0."""
     band: float
     """Distance from the leg within which nodes are in contact [m]."""
     left: float
@@ -61,11 +65,14 @@ class Stepping(NamedTuple):
 def stepping_of(scenario: Scenario) -> Stepping:
     """Constants of a scenario."""
     numerics, bed = scenario.numerics, scenario.bed
+    factor = numerics.damping_factor
     return Stepping(
         time_step=numerics.time_step,
         cell_size=numerics.cell_size,
         gravity=bed.gravity,
-        damping_factor=numerics.damping_factor,
+        damping_before=1.0 if numerics.damping_order == "after_contact" else factor,
+        damping_after=factor if numerics.damping_order == "after_contact" else 1.0,
+        affine=1.0 if numerics.transfer == "apic" else 0.0,
         band=_band(scenario),
         left=bed.left,
         right=bed.left + bed.width,
@@ -187,6 +194,8 @@ def update_grid(
 ) -> None:
     """Turn momenta into velocities and apply gravity, leg, walls and damping, in that order.
 
+    Damping comes before the leg instead where :class:`Stepping` says so.
+
     Parameters
     ----------
     grid
@@ -207,6 +216,7 @@ def update_grid(
             vx, vz = grid.vx[j, i] / mass, grid.vz[j, i] / mass
             vz -= stepping.gravity * stepping.time_step
             impulses[0, 1] -= mass * stepping.gravity * stepping.time_step
+            vx, vz = damped(vx, vz, mass, stepping.damping_before, impulses)
 
             x, z = i * stepping.cell_size, j * stepping.cell_size
             px, pz = vx, vz
@@ -221,11 +231,20 @@ def update_grid(
             impulses[2, 0] += mass * (vx - px)
             impulses[2, 1] += mass * (vz - pz)
 
-            loss = stepping.damping_factor - 1.0
-            impulses[3, 0] += mass * vx * loss
-            impulses[3, 1] += mass * vz * loss
-            grid.vx[j, i] = vx * stepping.damping_factor
-            grid.vz[j, i] = vz * stepping.damping_factor
+            vx, vz = damped(vx, vz, mass, stepping.damping_after, impulses)
+            grid.vx[j, i] = vx
+            grid.vz[j, i] = vz
+
+
+@kernel
+def damped(
+    vx: float, vz: float, mass: float, factor: float, impulses: FloatArray
+) -> tuple[float, float]:
+    """A node's velocity times a factor; what that gives to the soil is added to the impulses."""
+    loss = factor - 1.0
+    impulses[3, 0] += mass * vx * loss
+    impulses[3, 1] += mass * vz * loss
+    return vx * factor, vz * factor
 
 
 @kernel
@@ -265,7 +284,7 @@ def update_particles(
         )
         stress = return_mapping(trial, material)
         for c in range(4):
-            soil.gradient[p, c] = gradient[c]
+            soil.gradient[p, c] = stepping.affine * gradient[c]
             soil.stress[p, c] = stress[c]
         soil.velocity[p, 0] = vx
         soil.velocity[p, 1] = vz

@@ -121,6 +121,7 @@ def laws_of(material: Material, stepping: Stepping) -> Laws:
         material.lame_lambda,
         material.shear_modulus,
         cone_of(material),
+        stepping.affine,
         1.0 if stepping.update_volume else 0.0,
         1.0 if stepping.mean_dilatation else 0.0,
     )

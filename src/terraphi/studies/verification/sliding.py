@@ -78,7 +78,7 @@ def slide(cells: int, slope_deg: float, friction: float, kernel: Kernel = "packe
     )
     rig = rig_of(scenario).open_box()._replace(intruder=intruder_of(plate))
     advance(soil, rig, round(SETTLING / time_step), pose=pose, kernel=kernel)
-    rig = rig.changed(damping_factor=1.0)
+    rig = rig.changed(damping_before=1.0, damping_after=1.0)
     between = round(SLIDING / LOOKS / time_step)
     speed = []
     for _ in range(LOOKS):
