@@ -6,6 +6,7 @@ readers, and every curve differs in its line as well.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -318,4 +319,43 @@ def waterfall_figure(
     end.set_xticks(range(len(changes)), list(changes), rotation=35, ha="right")
     end.set_ylabel("change of the peak [%]")
     end.set_title("preset resolved, changed by itself", fontsize=10)
+    return figure
+
+
+def readings_figure(
+    readings: Sequence[Mapping[str, Any]], paper: Mapping[float, Mapping[str, float]]
+) -> Figure:
+    """Peak thrust over peak lift of each reading, from one friction angle to the other.
+
+    Parameters
+    ----------
+    readings
+        ``reading`` (its name) and ``peaks_N`` by φ [deg] and force [N]; the closest first.
+    paper
+        The paper's peaks, likewise.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.6, 5.2), layout="constrained")
+    axes = figure.subplots()
+    looks = itertools.cycle(
+        itertools.product(("o-", "s--", "^:"), (BLUE, ORANGE, GREEN, PURPLE, GREY))
+    )
+    lines: list[tuple[Any, ...]] = [("the paper", paper, "*-", "black", 2.5)]
+    for reading in readings:
+        style, colour = next(looks)
+        lines.append((reading["reading"], reading["peaks_N"], style, colour, 1.2))
+    for name, peaks, style, colour, width in lines:
+        values = np.array([[p["Fz"], p["Fx"]] for p in peaks.values()])
+        axes.plot(*values.T, style, color=colour, lw=width, ms=6, label=name)
+    low, high = (f"{phi:g}°" for phi in paper)
+    axes.set_xlabel("peak $F_z$ [N]")
+    axes.set_ylabel("peak $F_x$ [N]")
+    axes.set_title(f"from φ = {low} (lower left) to {high}", fontsize=10)
+    axes.grid(lw=0.4)
+    axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure

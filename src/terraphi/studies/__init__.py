@@ -20,6 +20,7 @@ STUDIES = {
     "benchmark": "three legs: our models beside the forces measured in Yuma sand",
     "recovery": "friction angles of fresh simulations, inferred with a library",
     "verification": "problems with known answers, by the code that the leg uses",
+    "reading": "what the paper's text leaves open, against the forces that it prints",
     "resolution": "from preset paper-0 to resolved, and whether that has arrived",
     "sensitivity": "what moves the simulated forces: one setting changed at a time",
 }
@@ -64,6 +65,39 @@ class Study:
                 temporary.write_text(text, encoding="utf-8")
         for name, figure in self.figures.items():
             plots.save(figure, place / f"{name}.png")
+
+
+def page(
+    title: str,
+    method: str,
+    notes: Sequence[str],
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    figure: str,
+    picture: str,
+) -> str:
+    """A study as a page in Markdown.
+
+    Parameters
+    ----------
+    title, method, notes, header, rows
+        Heading, a paragraph, sentences and a table.
+    figure, picture
+        File of the figure that lies beside the page, and what it shows in words.
+
+    Returns
+    -------
+    str
+    """
+    table = [header, ["---"] * len(header), *rows]
+    parts = [
+        f"# {title}",
+        method,
+        "\n".join(f"- {note}" for note in notes),
+        "\n".join("| " + " | ".join(row) + " |" for row in table),
+        f"![{picture}]({figure})",
+    ]
+    return "\n\n".join(parts) + "\n"
 
 
 def run(

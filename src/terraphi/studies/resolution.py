@@ -19,7 +19,7 @@ from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.plan import BASE, Plan, Variant
 from terraphi.plots import waterfall_figure
-from terraphi.studies import Study
+from terraphi.studies import Study, page
 from terraphi.studies.sensitivity import finished_for, missing_from, simulate_missing
 
 PLANS = ("waterfall", "resolution")
@@ -126,13 +126,14 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
     }
     rows = _rows(steps, resolved, changes)
     notes = _notes(data)
+    written = page(TITLE, METHOD, notes, HEADER, rows, "resolution.png", PICTURE)
     return Study(
         title=TITLE,
         header=HEADER,
         rows=rows,
         data=data,
         figures={"resolution": waterfall_figure(steps, changes, TOLERANCE_PERCENT)},
-        documents={"resolution.md": _page(rows, notes)},
+        documents={"resolution.md": written},
         notes=notes,
     )
 
@@ -223,19 +224,9 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
     return notes
 
 
-def _page(rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
-    """The study as a page in Markdown; its figure is the PNG that lies beside it."""
-    table = [HEADER, ["---"] * len(HEADER), *rows]
-    method = (
-        "Straight leg, φ = 35°, speed-up 10, peaks of 1° means. Each row of the first part adds a "
-        "change to all before it; each of the second changes preset `resolved` by itself. Plans: "
-        "`waterfall` and `resolution`. Run again: `terraphi study resolution`."
-    )
-    parts = [
-        f"# {TITLE}",
-        method,
-        "\n".join(f"- {note}" for note in notes),
-        "\n".join("| " + " | ".join(row) + " |" for row in table),
-        "![peaks along the way, and what is left of them when things are halved](resolution.png)",
-    ]
-    return "\n\n".join(parts) + "\n"
+METHOD = (
+    "Straight leg, φ = 35°, speed-up 10, peaks of 1° means. Each row of the first part adds a "
+    "change to all before it; each of the second changes preset `resolved` by itself. Plans: "
+    "`waterfall` and `resolution`. Run again: `terraphi study resolution`."
+)
+PICTURE = "peaks along the way, and what is left of them when things are halved"

@@ -10,7 +10,7 @@ of the conclusions in :mod:`~terraphi.studies.sensitivity_rules`.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from terraphi.plots import (
     sensitivity_figure,
 )
 from terraphi.scenario import Scenario
-from terraphi.studies import Study
+from terraphi.studies import Study, page
 from terraphi.studies.sensitivity_cases import (
     FORCES,
     Group,
@@ -175,6 +175,8 @@ def study_of(plan: Plan, finished: Mapping[str, ForceHistory]) -> Study:
     if missing:
         notes.append(_not_yet(plan, missing))
     rows = [_row(group, case) for group in groups for case in group.cases]
+    picture = "change of the peak forces with each setting"
+    written = page(TITLE, _method(plan), notes, HEADER, rows, f"{NAME}.png", picture)
     return Study(
         title=TITLE,
         header=HEADER,
@@ -194,7 +196,7 @@ def study_of(plan: Plan, finished: Mapping[str, ForceHistory]) -> Study:
             ],
         },
         figures=_figures(groups, tolerance),
-        documents={f"{NAME}.md": _page(plan, notes, rows)},
+        documents={f"{NAME}.md": written},
         notes=notes,
     )
 
@@ -238,19 +240,6 @@ def finished_for(name: str, cases: Path | None) -> dict[str, ForceHistory]:
 
 
 # -- what people see -------------------------------------------------------------------------------
-
-
-def _page(plan: Plan, notes: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """The study as a page in Markdown; its figure is the PNG that lies beside it."""
-    table = [HEADER, ["---"] * len(HEADER), *rows]
-    parts = [
-        f"# {TITLE}",
-        _method(plan),
-        "\n".join(f"- {note}" for note in notes),
-        "\n".join("| " + " | ".join(row) + " |" for row in table),
-        f"![change of the peak forces with each setting]({NAME}.png)",
-    ]
-    return "\n\n".join(parts) + "\n"
 
 
 def _method(plan: Plan) -> str:
