@@ -46,6 +46,7 @@ def checks_of(found: studies.Study, family: str) -> list[Check]:
 
 
 KNOWN_MISSES = {
+    ("Column collapse", "run-out (d − d0)/d0"): 1.1,
     ("Bed at rest under its own weight", "dσ_v/d(depth)/ρg, whole bed"): 1.018,
     ("Elastic soil loaded by its own weight", "settlement of the surface [µm]"): 7.778,
     ("Bed between walls", "order of the displacement"): 1.05,

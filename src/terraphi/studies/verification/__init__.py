@@ -24,6 +24,8 @@ FAMILIES = (
     "waves",
     "sliding",
     "limit_loads",
+    "plate",
+    "collapse",
     "conservation",
     "order",
     "kernels",

@@ -1,0 +1,52 @@
+"""A plate with the leg's contact against soil: what is exact, and what the scenario shares."""
+
+from __future__ import annotations
+
+import pytest
+
+from terraphi.scenario import Scenario
+from terraphi.studies.verification import plate
+from terraphi.studies.verification.plate_scenario import DEPTH, TIP_SPEED, plate_scenario
+
+
+@pytest.mark.parametrize(("phi_deg", "exact"), [(25.0, 2.464), (35.0, 3.690), (45.0, 5.828)])
+def test_smooth_plate_meets_rankine(phi_deg: float, exact: float) -> None:
+    assert plate.exact_pressure(phi_deg, 0.0) == pytest.approx(exact, abs=1e-3)
+
+
+def test_rough_plate_has_slip_lines_or_none() -> None:
+    assert plate.exact_pressure(35.0, 0.35) == 6.502
+    with pytest.raises(KeyError):
+        plate.exact_pressure(30.0, 0.35)
+
+
+def test_numerics_are_those_of_the_leg() -> None:
+    leg, wall = Scenario.load("resolved"), plate_scenario(35.0, 0.35, beneath=12)
+    assert wall.numerics.cell_size == pytest.approx(leg.numerics.cell_size)
+    for name in ("time_step", "remap_interval", "contact", "particle_jitter", "damping_rate"):
+        assert getattr(wall.numerics, name) == getattr(leg.numerics, name), name
+    assert wall.soil.model_copy(update={"flow": "dilation"}) == leg.soil
+    assert wall.motion.velocity[0] == pytest.approx(TIP_SPEED)
+
+
+@pytest.mark.parametrize("beneath", [0, 12])
+def test_toe_is_at_its_depth(beneath: int) -> None:
+    scenario = plate_scenario(25.0, 0.0, beneath=beneath)
+    toe = max(scenario.motion.start[1] - scenario.leg.chord, scenario.bed.floor)
+    assert scenario.bed.surface - toe == pytest.approx(DEPTH)
+    front = scenario.motion.start[0] + scenario.leg.half_thickness
+    assert front == pytest.approx(scenario.bed.soil_span[0])
+
+
+def test_straight_line_through_the_grids(monkeypatch) -> None:
+    def known(phi_deg: float, friction: float, cells: int, **_: object) -> plate.Outcome:
+        check = plate.Check(
+            problem="", case="", quantity="", expected=2.0, obtained=2.0 + 30.0 / cells,
+            tolerance=0.05,
+        )  # fmt: skip
+        return plate.Outcome([check], {"runs": [{"case": "", "x": [], "y": []}]})
+
+    monkeypatch.setattr(plate, "push_plate", known)
+    found = plate.refine_plate(35.0, 0.0)
+    assert len(found.checks) == len(plate.GRIDS) + 1
+    assert found.checks[-1].obtained == pytest.approx(2.0)
