@@ -6,10 +6,10 @@ at the speed of the leg's tip. Soil, contact, cell size, time step and remap int
 therefore that of each particle (mean dilatation is for flow at constant volume).
 
 Under the toe lies the floor, or some cells of soil as under the leg, which in its deep bed never
-meets the floor. A smooth plate needs no soil there: Rankine's wedge rises from the toe. From that of
-a rough one the exact slip lines first go down and forward, so that a floor at the toe makes another
-problem of it. Soil beneath has a smooth wall behind it, in line with the plate, where the leg has
-soil. The force is read once the limit is mobilised and before the geometry has changed.
+meets the floor. A smooth plate needs no soil there: Rankine's wedge rises from the toe. From that
+of a rough one the exact slip lines first go down and forward, so that a floor at the toe makes
+another problem of it. Soil beneath has a smooth wall behind it, in line with the plate, where the
+leg has soil. The force is read once the limit is mobilised and before the geometry has changed.
 """
 
 from __future__ import annotations
