@@ -275,3 +275,20 @@ def test_rft_in_three_dimensions_needs_no_grid() -> None:
     Scenario.model_validate(
         {"model": "rft", "dimensions": 3, "motion": {"hip": [0.0, 0.5]}, "bed": {"width": 3.0}}
     )
+
+
+@pytest.mark.parametrize(
+    ("numerics", "words"),
+    [
+        ({"contact": "surface"}, "set remap_interval above 0"),
+        ({"gradient": "spline"}, "set remap_interval above 0"),
+        (
+            {"contact": "surface", "remap_interval": 1.6e-4, "particles_per_cell_side": 4},
+            "at most 3 are stable",
+        ),
+        ({"transfer": "pic", "remap_interval": 1.6e-4}, "set remap_interval = 0"),
+    ],
+)
+def test_numerics_that_do_not_go_together(numerics: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        Scenario.model_validate({"numerics": numerics})

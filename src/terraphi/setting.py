@@ -194,6 +194,11 @@ class Numerics(Section):
                     f"{name} = '{value}' needs a grid that keeps its velocities for a while; "
                     "set remap_interval above 0, as to 20 time steps"
                 )
+        if self.contact == "surface" and self.particles_per_cell_side > 3:
+            raise ValueError(
+                f"particles_per_cell_side = {self.particles_per_cell_side} makes the penalty of "
+                "contact = 'surface' too stiff for a particle's mass; at most 3 are stable"
+            )
         if self.transfer == "pic" and self.remap_interval > 0.0:
             raise ValueError(
                 "transfer = 'pic' is one of every step; set remap_interval = 0, or transfer = "

@@ -23,7 +23,8 @@ from terraphi.forward.mpm.transfer import weights
 STIFFNESS = 0.25
 """Force per overlap of a particle, and per metre of width, over the soil's M = λ + 2 G [-].
 
-Stable even for a lone particle up to the Courant limit; results do not depend on it."""
+Stable even for a lone particle up to the Courant limit with three particles along the side of a
+cell or fewer (more are refused); results do not depend on it."""
 DAMPING = 0.3
 """Share of critical damping of a lone particle on that spring [-]."""
 

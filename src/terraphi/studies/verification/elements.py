@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from terraphi.soil import Soil, YieldCriterion, cone_slope, friction_angle_from_plane_strain_deg
+from terraphi.soil import Soil, YieldCriterion, friction_angle_from_plane_strain_deg
 from terraphi.studies.verification import element
 from terraphi.studies.verification.check import Check, Family, Outcome, Task
 from terraphi.studies.verification.element import (
@@ -241,9 +241,13 @@ def equivalent(soil: Soil) -> tuple[float, float]:
     tuple
         sin φ', sin ψ' [-].
     """
-    alpha = cone_slope(soil.friction_angle_deg, soil.yield_criterion)
-    beta = cone_slope(soil.potential_angle_deg, soil.yield_criterion)
-    if soil.yield_criterion != "triaxial":
+    friction = math.sin(math.radians(soil.friction_angle_deg))
+    dilation = math.sin(math.radians(soil.potential_angle_deg))
+    if soil.yield_criterion == "plane_strain":
+        return friction, dilation
+    # Written out here, so that they do not rest on what is tested.
+    alpha, beta = (2.0 * sine / (math.sqrt(3.0) * (3.0 - sine)) for sine in (friction, dilation))
+    if soil.yield_criterion == "paper":
         return alpha, beta
     room = math.sqrt(1.0 - 3.0 * beta**2)
     return 3.0 * alpha * room / (1.0 - 3.0 * alpha * beta), 3.0 * beta / room

@@ -29,7 +29,7 @@ Key = tuple[str, str]
 _PACKAGE = Path(__file__).parents[2]
 _SOURCES = (
     *("soil.py", "leg.py", "motion.py", "setting.py", "scenario.py", "history.py"),
-    *("forward/mpm/*.py", "studies/verification/*.py"),
+    *("forward/mpm/*.py", "studies/verification/*.py", "data/scenarios/*.toml"),
 )
 _NO_NUMBERS = {"__init__.py", "document.py", "running.py"}
 """Those of the verification that only arrange what the others have found."""
