@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from types import MappingProxyType
 
@@ -102,7 +103,8 @@ def build(
         The library's file; cases of the same scenario and model version that it, or an
         interrupted build of it, already holds are taken from there.
     executor
-        Runs the cases; ``None`` runs them here, one after another.
+        Runs the cases, such as that of a :class:`~terraphi.workers.WorkerPool` or a
+        :class:`~terraphi.cluster.Cluster`; ``None`` runs them here, one after another.
     progress
         Called whenever something may have changed.
     checkpoint_every
@@ -185,8 +187,10 @@ def simulate_cases(
     there = {**known, **finished_cases(folder)}
     finished = {s.hash: there[s.hash] for s in wanted if s.hash in there}
     failures: dict[str, str] = {}
+    # A worker may stand in another folder, or on another machine with the same files.
+    place = folder.absolute()
     checkpoints = {
-        s.hash: Checkpoint(folder / f"{s.hash}.checkpoint", checkpoint_every) for s in wanted
+        s.hash: Checkpoint(place / f"{s.hash}.checkpoint", checkpoint_every) for s in wanted
     }
     missing = {s.hash: s for s in wanted if s.hash not in finished}
     log.info("%d of %d cases are there already", len(wanted) - len(missing), len(wanted))
@@ -239,19 +243,31 @@ def _run_on(
         while waiting:
             ended, _ = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED)
             # Results before failures: a broken pool ends the build.
-            for future in sorted(ended, key=lambda future: future.exception() is not None):
+            for future in sorted(ended, key=lambda future: _trouble(future) is not None):
                 scenario = waiting.pop(future)
-                error = future.exception()
-                if isinstance(error, BrokenExecutor):
+                error = _trouble(future)
+                if isinstance(error, BrokenProcessPool):
                     raise InputError(
                         "a worker was killed, for want of memory perhaps; finished cases are "
                         "kept, and the same command with fewer workers goes on from there"
                     ) from error
+                if isinstance(error, BrokenExecutor):
+                    raise InputError(str(error)) from error
                 keep(scenario, f"{type(error).__name__}: {error}" if error else future.result())
             look()
     finally:
         for future in waiting:
             future.cancel()
+
+
+def _trouble(future: Future[ForceHistory | str]) -> BaseException | None:
+    """What a task that has ended died of; that it was dropped, which we did not do, counts too."""
+    if future.cancelled():
+        return BrokenExecutor(
+            "the executor dropped a case; finished cases are kept, and the same command goes on "
+            "from there"
+        )
+    return future.exception()
 
 
 def finished_cases(folder: Path) -> dict[str, ForceHistory]:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from terraphi.commands import checkpoint_every_option, json_option
+from terraphi.commands import cluster_option, json_option
+from terraphi.commands.library import library
 from terraphi.commands.simulate import simulate
 from terraphi.console import (
     as_text,
@@ -19,10 +20,8 @@ from terraphi.console import (
     print_forces,
     print_inversion,
     print_json,
-    print_library,
     print_table,
     progress_bar,
-    words,
 )
 from terraphi.errors import InputError, SimulationError
 
@@ -154,88 +153,7 @@ def invert(
 
 
 cli.add_command(simulate)
-
-
-@cli.group()
-def library() -> None:
-    """Build, list and show libraries of simulations."""
-
-
-@library.command("build")
-@click.argument("plan")
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file to make.")
-@click.option("--workers", type=click.IntRange(min=1), help="Processes; all cores if not given.")
-@checkpoint_every_option
-@json_option
-def library_build(
-    plan: str, out: Path, workers: int | None, checkpoint_every: float, as_json: bool
-) -> None:
-    """Simulate all cases of PLAN, a TOML file or the name of a shipped plan.
-
-    An interrupted or killed build is resumed by the same command, cases that were running included.
-
-    Example: terraphi library build quick-plane-strain --out my.nc --workers 4
-    """
-    from terraphi.build import build, kept_cases
-    from terraphi.plan import Plan
-    from terraphi.workers import WorkerPool, available_cores
-
-    chosen = Plan.load(plan)
-    try:
-        with progress_bar("simulating") as report, WorkerPool(workers or available_cores()) as pool:
-            made = build(
-                chosen,
-                out,
-                executor=pool.executor,
-                progress=lambda done, total: report(pool.counted(done), total),
-                checkpoint_every=checkpoint_every,
-            )
-    except KeyboardInterrupt:
-        ignore_interrupts()
-        kept = kept_cases(out)
-        raise InputError(
-            f"{out}: interrupted before it was whole; what was done is kept in {kept}, and the "
-            "same command goes on from there"
-            if kept
-            else f"{out}: interrupted before there was anything to keep; nothing was written"
-        ) from None
-    except InputError:
-        kept_cases(out)
-        raise
-    for case, failure in made.failures.items():
-        click.echo(f"failed: {case}: {failure}", err=True)
-    print_library(made, as_json=as_json)
-
-
-@library.command("list")
-@json_option
-def library_list(as_json: bool) -> None:
-    """List the shipped libraries.
-
-    Example: terraphi library list
-    """
-    from terraphi.documents import shipped_names
-    from terraphi.library import Library
-
-    found = [Library.load(name).summary() for name in shipped_names("libraries", ".nc")]
-    if as_json:
-        print_json({"libraries": found})
-        return
-    columns = ("name", "convention", "phi_deg", "legs", "cases", "density_kg_m3")
-    print_table(columns, [[words(entry[column]) for column in columns] for entry in found])
-
-
-@library.command("show")
-@click.argument("name")
-@json_option
-def library_show(name: str, as_json: bool) -> None:
-    """Show what the library NAME (or a .nc file) holds and where it comes from.
-
-    Example: terraphi library show quick-paper
-    """
-    from terraphi.library import Library
-
-    print_library(Library.load(name), as_json=as_json)
+cli.add_command(library)
 
 
 @cli.command()
@@ -249,6 +167,7 @@ def library_show(name: str, as_json: bool) -> None:
     help="Folder: simulate what the study lacks, and keep it there; for sensitivity, resolution.",
 )
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; 1 if not given.")
+@cluster_option
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for data.json and figures.")
 @json_option
 def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:

@@ -1,7 +1,7 @@
 """A pool of processes that reports progress within a task and stops when asked.
 
-Anything that is a ``concurrent.futures.Executor`` can build a library (a Dask cluster's
-``client.get_executor()``, say). This one adds, for the cores of one machine, what an executor
+Anything that is a ``concurrent.futures.Executor`` can build a library; :mod:`terraphi.cluster` has
+that of a Dask cluster. This one adds, for the cores of one machine, what an executor
 lacks: a pulse. Tasks call :func:`heartbeat` now and then; it tells the parent how far they are and
 raises :class:`StoppedError` once the parent wants no more.
 """
@@ -12,9 +12,10 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
+from contextvars import ContextVar
 from multiprocessing.sharedctypes import Synchronized
 from multiprocessing.synchronize import Event
 from types import TracebackType
@@ -26,6 +27,7 @@ class StoppedError(RuntimeError):
 
 
 _pulse: tuple[Event, Synchronized[float]] | None = None
+_unwanted: ContextVar[Callable[[], bool] | None] = ContextVar("unwanted", default=None)
 
 
 def _join(stop: Event, done: Synchronized[float]) -> None:
@@ -45,7 +47,7 @@ def _leave_with_parent() -> None:
 
 
 @contextmanager
-def _without_interrupts() -> Iterator[None]:
+def without_interrupts() -> Iterator[None]:
     """Hold Ctrl-C back for a moment; what is started meanwhile holds it back for good."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -71,6 +73,9 @@ def heartbeat(advance: float) -> None:
     StoppedError
         If the parent has asked the workers to stop.
     """
+    unwanted = _unwanted.get()
+    if unwanted is not None and unwanted():
+        raise StoppedError("nobody wants the result any more")
     if _pulse is None:
         return
     stop, done = _pulse
@@ -78,6 +83,22 @@ def heartbeat(advance: float) -> None:
         raise StoppedError("stopped by the parent process")
     with done.get_lock():
         done.value += advance
+
+
+@contextmanager
+def stopping_when(unwanted: Callable[[], bool]) -> Iterator[None]:
+    """Let :func:`heartbeat` stop what runs in this context, and this thread, when told so.
+
+    Parameters
+    ----------
+    unwanted
+        Says whether nobody wants the result any more.
+    """
+    token = _unwanted.set(unwanted)
+    try:
+        yield
+    finally:
+        _unwanted.reset(token)
 
 
 def available_cores() -> int:
@@ -97,6 +118,7 @@ class WorkerPool:
     """
 
     def __init__(self, workers: int) -> None:
+        self.workers = workers
         context = multiprocessing.get_context("spawn")
         self._stop = context.Event()
         self._done = context.Value("d", 0.0)
@@ -106,7 +128,7 @@ class WorkerPool:
         )
         # Workers start now, deaf to Ctrl-C from the first instant and not only once they have
         # imported this module.
-        with _without_interrupts():
+        with without_interrupts():
             for _ in range(workers):
                 self.executor.submit(_nothing)
 
@@ -135,5 +157,5 @@ class WorkerPool:
         if kind is not None:
             self._stop.set()
         # A second Ctrl-C in the middle of this would leave both sides waiting for each other.
-        with _without_interrupts():
+        with without_interrupts():
             self.executor.shutdown(wait=True, cancel_futures=kind is not None)

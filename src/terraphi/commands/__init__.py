@@ -16,3 +16,8 @@ checkpoint_every_option = click.option(
     metavar="SECONDS",
     help="Least time between two checkpoints; longer where they would take over 1 % of the time.",
 )
+cluster_option = click.option(
+    "--cluster",
+    metavar="ADDRESS",
+    help="Simulate on the Dask cluster whose scheduler answers there, as at tcp://127.0.0.1:8786.",
+)

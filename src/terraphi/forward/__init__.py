@@ -27,6 +27,7 @@ __all__ = [
     "Observer",
     "Snapshot",
     "model_version",
+    "package_version",
     "simulate",
     "software",
 ]
@@ -133,7 +134,7 @@ def software(scenario: Scenario) -> dict[str, Any]:
     """
     return {
         "model_version": model_version(scenario),
-        **{name: _version(name) for name in _PACKAGES[scenario.model]},
+        **{name: package_version(name) for name in _PACKAGES[scenario.model]},
         "python": platform.python_version(),
         "machine": platform.machine(),
     }
@@ -152,7 +153,8 @@ def _model(
     return rft.simulate
 
 
-def _version(package: str) -> str:
+def package_version(package: str) -> str:
+    """Version of an installed package, or ``"unknown"``, without loading it."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:

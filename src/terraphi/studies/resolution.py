@@ -36,6 +36,7 @@ def run(
     *,
     build: Path | None = None,
     workers: int | None = None,
+    cluster: str | None = None,
     progress: Callable[[float, float], None] | None = None,
 ) -> Study:
     """Measure the finished cases of both plans.
@@ -47,6 +48,8 @@ def run(
         kept there; without a folder nothing is simulated.
     workers
         Processes to simulate on; 1 if not given.
+    cluster
+        Address of a Dask cluster to simulate on instead.
     progress
         Called with the number of finished cases of a plan, counting parts, and of all.
 
@@ -65,7 +68,7 @@ def run(
     for plan in (way, halved):
         found = finished_for(plan.name, build)
         if build is not None and missing_from(plan, found):
-            found = simulate_missing(plan, build, workers or 1, progress)
+            found = simulate_missing(plan, build, workers, cluster, progress)
         finished |= found
     return study_of(way, halved, finished)
 

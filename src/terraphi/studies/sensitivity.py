@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from terraphi.build import finished_cases, simulate_cases
+from terraphi.cluster import pool
 from terraphi.documents import shipped_folder
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory, Peaks
@@ -46,7 +47,6 @@ from terraphi.studies.sensitivity_rules import (
     conclude_scatter,
     tolerance_of,
 )
-from terraphi.workers import WorkerPool
 
 NAME = "sensitivity"
 TITLE = "Sensitivity of the simulated forces to the settings of the simulation"
@@ -62,6 +62,7 @@ def run(
     *,
     build: Path | None = None,
     workers: int | None = None,
+    cluster: str | None = None,
     progress: Callable[[float, float], None] | None = None,
 ) -> Study:
     """Measure the finished cases of the shipped plan and draw the conclusions.
@@ -73,6 +74,8 @@ def run(
         kept there, a file each; without a folder nothing is simulated.
     workers
         Processes to simulate on; 1 if not given.
+    cluster
+        Address of a Dask cluster to simulate on instead.
     progress
         Called with the number of finished cases, counting parts, and of all.
 
@@ -88,31 +91,36 @@ def run(
         written, a simulation failed or was interrupted: the others are kept.
     """
     plan, finished = shipped_plan(), finished_for(NAME, build)
-    if workers is not None and build is None:
+    if (workers or cluster) and build is None:
         raise InputError(
             f"study '{NAME}' needs workers for what it simulates: name a --build FOLDER"
         )
     if build is not None and missing_from(plan, finished):
-        finished = simulate_missing(plan, build, workers or 1, progress)
+        finished = simulate_missing(plan, build, workers, cluster, progress)
     return study_of(plan, finished)
 
 
 def simulate_missing(
-    plan: Plan, folder: Path, workers: int, progress: Callable[[float, float], None] | None
+    plan: Plan,
+    folder: Path,
+    workers: int | None,
+    cluster: str | None,
+    progress: Callable[[float, float], None] | None,
 ) -> dict[str, ForceHistory]:
     """Simulate what is missing of a shipped plan; all finished cases, as :func:`finished_for`.
 
-    Raises InputError if the folder cannot be written, a simulation failed or was interrupted: the
-    others are kept.
+    Workers are processes here, 1 if not given, or those of the cluster at an address. Raises
+    InputError if they cannot be had or the folder not be written, and if a simulation failed or was
+    interrupted: the others are kept.
     """
     try:
-        with WorkerPool(workers) as pool:
+        with pool(workers, cluster, default=1) as running:
             finished, failures = simulate_cases(
                 plan,
                 folder,
                 known=finished_for(plan.name, None),
-                executor=pool.executor,
-                progress=lambda done, total: progress and progress(pool.counted(done), total),
+                executor=running.executor,
+                progress=lambda done, total: progress and progress(running.counted(done), total),
             )
     except KeyboardInterrupt:
         raise InputError(

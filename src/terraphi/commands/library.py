@@ -1,0 +1,108 @@
+"""``terraphi library``: build libraries of simulations, list and show them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from terraphi.commands import checkpoint_every_option, cluster_option, json_option
+from terraphi.console import (
+    ignore_interrupts,
+    print_json,
+    print_library,
+    print_table,
+    progress_bar,
+    words,
+)
+from terraphi.errors import InputError
+
+
+@click.group()
+def library() -> None:
+    """Build, list and show libraries of simulations."""
+
+
+@library.command("build")
+@click.argument("plan")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file to make.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes; all cores if not given.")
+@cluster_option
+@checkpoint_every_option
+@json_option
+def library_build(
+    plan: str,
+    out: Path,
+    workers: int | None,
+    cluster: str | None,
+    checkpoint_every: float,
+    as_json: bool,
+) -> None:
+    """Simulate all cases of PLAN, a TOML file or the name of a shipped plan.
+
+    An interrupted or killed build is resumed by the same command, cases that were running included.
+
+    Example: terraphi library build quick-plane-strain --out my.nc --workers 4
+    """
+    from terraphi.build import build, kept_cases
+    from terraphi.cluster import pool
+    from terraphi.plan import Plan
+
+    chosen = Plan.load(plan)
+    try:
+        with pool(workers, cluster) as running, progress_bar("simulating") as report:
+            if running.workers == 0:
+                click.echo(f"terraphi: {cluster} has no workers yet; the build waits", err=True)
+            made = build(
+                chosen,
+                out,
+                executor=running.executor,
+                progress=lambda done, total: report(running.counted(done), total),
+                checkpoint_every=checkpoint_every,
+            )
+    except KeyboardInterrupt:
+        ignore_interrupts()
+        kept = kept_cases(out)
+        raise InputError(
+            f"{out}: interrupted before it was whole; what was done is kept in {kept}, and the "
+            "same command goes on from there"
+            if kept
+            else f"{out}: interrupted before there was anything to keep; nothing was written"
+        ) from None
+    except InputError:
+        kept_cases(out)
+        raise
+    for case, failure in made.failures.items():
+        click.echo(f"failed: {case}: {failure}", err=True)
+    print_library(made, as_json=as_json)
+
+
+@library.command("list")
+@json_option
+def library_list(as_json: bool) -> None:
+    """List the shipped libraries.
+
+    Example: terraphi library list
+    """
+    from terraphi.documents import shipped_names
+    from terraphi.library import Library
+
+    found = [Library.load(name).summary() for name in shipped_names("libraries", ".nc")]
+    if as_json:
+        print_json({"libraries": found})
+        return
+    columns = ("name", "convention", "phi_deg", "legs", "cases", "density_kg_m3")
+    print_table(columns, [[words(entry[column]) for column in columns] for entry in found])
+
+
+@library.command("show")
+@click.argument("name")
+@json_option
+def library_show(name: str, as_json: bool) -> None:
+    """Show what the library NAME (or a .nc file) holds and where it comes from.
+
+    Example: terraphi library show quick-paper
+    """
+    from terraphi.library import Library
+
+    print_library(Library.load(name), as_json=as_json)
