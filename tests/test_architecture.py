@@ -31,6 +31,7 @@ ROOMS = [
     "cluster",
     "plan",
     "library",
+    "reproduction",
     "build",
     "gaussian_process",
     "surrogate",

@@ -41,6 +41,16 @@ class Case(NamedTuple):
     failure: str
     """Why it failed; empty if it did not."""
 
+    @property
+    def digest(self) -> str:
+        """SHA-256 of positions and forces, to the last bit, hexadecimal; empty if it failed."""
+        if self.history is None:
+            return ""
+        parts = (
+            np.ascontiguousarray(a, "<f8") for a in (self.history.position, self.history.force)
+        )
+        return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
+
 
 class Curves(NamedTuple):
     """What an inversion takes from a library: observation vectors over the friction angle."""
@@ -222,6 +232,7 @@ class Library:
                 "scenario": text([c.scenario.model_dump_json() for c in self.cases]),
                 "scenario_hash": text([c.scenario.hash for c in self.cases]),
                 "failure": text([c.failure for c in self.cases]),
+                "digest": text([c.digest for c in self.cases]),
                 "provenance": text(
                     [
                         json.dumps(dict(c.history.provenance) if c.history else {})
@@ -287,6 +298,8 @@ class Library:
                 None if failure else ForceHistory(position, force[i], coordinate, axes, provenance)
             )
             cases.append(Case(scenario, history, str(failure)))
+            if "digest" in data and str(data["digest"].values[i]) != cases[-1].digest:
+                raise ValueError(f"the forces of case {i + 1} are not those that were written")
         plan = Plan.model_validate_json(str(data.attrs["plan"]))
         return cls(plan, tuple(cases), json.loads(data.attrs["provenance"]))
 

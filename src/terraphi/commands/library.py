@@ -11,6 +11,7 @@ from terraphi.console import (
     ignore_interrupts,
     print_json,
     print_library,
+    print_pairs,
     print_table,
     progress_bar,
     words,
@@ -97,12 +98,38 @@ def library_list(as_json: bool) -> None:
 
 @library.command("show")
 @click.argument("name")
+@click.option("--check", is_flag=True, help="Simulate a case again and compare all bits.")
+@click.option(
+    "--case",
+    "number",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Which case to check, in the plan's order.",
+)
 @json_option
-def library_show(name: str, as_json: bool) -> None:
+def library_show(name: str, check: bool, number: int, as_json: bool) -> None:
     """Show what the library NAME (or a .nc file) holds and where it comes from.
 
-    Example: terraphi library show quick-paper
+    It says too whether a build here would give the same forces to the last bit.
+
+    Example: terraphi library show quick-paper --check
     """
     from terraphi.library import Library
+    from terraphi.reproduction import account, rebuild
 
-    print_library(Library.load(name), as_json=as_json)
+    found = Library.load(name)
+    bits = account(found)
+    again = None
+    if check:
+        with progress_bar("simulating") as report:
+            again = rebuild(found, number, progress=lambda fraction: report(fraction, 1.0))
+    if as_json:
+        checked = {"checked": again.as_dict()} if again else {}
+        print_json({**found.summary(), "bits": {**bits, **checked}})
+        return
+    print_library(found, as_json=False)
+    print_pairs({"bits rest on": bits["rests_on"], "digest": bits["digest"]})
+    click.echo(f"Bits: {bits['sentence']}.")
+    if again is not None:
+        click.echo(again.sentence)

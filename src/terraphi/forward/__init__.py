@@ -28,6 +28,7 @@ __all__ = [
     "Snapshot",
     "model_version",
     "package_version",
+    "rests_on",
     "simulate",
     "software",
 ]
@@ -109,6 +110,8 @@ def simulate(
         "seed": scenario.numerics.seed,
         **software(scenario),
     }
+    if "rests_on" not in history.provenance:
+        common["rests_on"] = rests_on(scenario)
     return replace(history, provenance={**common, **history.provenance})
 
 
@@ -137,6 +140,32 @@ def software(scenario: Scenario) -> dict[str, Any]:
         **{name: package_version(name) for name in _PACKAGES[scenario.model]},
         "python": platform.python_version(),
         "machine": platform.machine(),
+    }
+
+
+def rests_on(scenario: Scenario) -> dict[str, Any]:
+    """What the last bit of a result depends on here, besides the scenario and the model's version.
+
+    Parameters
+    ----------
+    scenario
+        Names the model, which is loaded.
+
+    Returns
+    -------
+    dict
+        For the material point method the kernel and its source, the packages, the C library, the
+        processor and the width of its vectors; for resistive force theory NumPy, the C library and
+        the type of the processor. JSON-able.
+    """
+    if scenario.model == "mpm":
+        from terraphi.forward.mpm import checkpoint
+
+        return checkpoint.rests_on("packets")
+    return {
+        "numpy": package_version("numpy"),
+        "libc": " ".join(platform.libc_ver()),
+        "processor": platform.machine(),
     }
 
 

@@ -211,12 +211,25 @@ def fitting(scenario: Scenario, kernel: str) -> dict[str, Any]:
     dict
         What the result depends on to the last bit; JSON-able.
     """
+    return {
+        "scenario_hash": scenario.hash,
+        "model_version": model_version(scenario),
+        **rests_on(kernel),
+    }
+
+
+def rests_on(kernel: str) -> dict[str, Any]:
+    """What the last bit of a result depends on, besides the scenario; JSON-able.
+
+    Parameters
+    ----------
+    kernel
+        Name of the kernel.
+    """
     features = getattr(numba.config, "CPU_FEATURES", None)
     if features is None:
         features = llvmlite.binding.get_host_cpu_features().flatten()
     return {
-        "scenario_hash": scenario.hash,
-        "model_version": model_version(scenario),
         "kernel": kernel,
         "kernel_source": SOURCE_DIGEST,
         **{name: importlib.metadata.version(name) for name in ("numpy", "numba", "llvmlite")},

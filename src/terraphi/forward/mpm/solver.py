@@ -15,7 +15,7 @@ from terraphi.errors import InputError, SimulationError
 from terraphi.forward.mpm import packet_phases, packets, phases, scalar
 from terraphi.forward.mpm.bed import empty_grid
 from terraphi.forward.mpm.breakdown import find_breakdown, is_whole
-from terraphi.forward.mpm.checkpoint import Keeper
+from terraphi.forward.mpm.checkpoint import Keeper, rests_on
 from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.relief import fading_of
@@ -124,7 +124,12 @@ def simulate(
         "checkpoints": keeper.cost,
     }
     log.info("%d steps of %d particles in %.1f s", steps, len(state.soil.mass), seconds["all"])
-    provenance = {"kernel": kernel, **_books(scenario, state), "seconds": seconds}
+    provenance = {
+        "kernel": kernel,
+        "rests_on": rests_on(kernel),
+        **_books(scenario, state),
+        "seconds": seconds,
+    }
     if keeper.resumed_at:
         provenance["resumed_at_step"] = keeper.resumed_at
     return ForceHistory(
