@@ -164,14 +164,17 @@ cli.add_command(library)
 @click.option(
     "--build",
     type=click.Path(path_type=Path),
-    help="Folder: simulate what the study lacks, and keep it there; for sensitivity, resolution.",
+    help="Folder: simulate what the study lacks, and keep it there; not for all.",
 )
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; 1 if not given.")
 @cluster_option
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for data.json and figures.")
 @json_option
 def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
-    """Run the study NAME: benchmark, recovery, resolution, sensitivity or verification.
+    """Run the study NAME, one of those below.
+
+    The paper's own: benchmark, phi_sensitivity, k0, surrogate, recovery, and figures, which draws
+    all of them. Of the model: sensitivity, resolution, verification.
 
     Example: terraphi study recovery --out recovery
     """
@@ -182,9 +185,11 @@ def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
     if out is not None:
         found.save(out)
     if as_json:
-        print_json(found.data)
+        print_json(found.everything())
         return
     print_table(found.header, found.rows, title=found.title)
+    if found.beside_paper:
+        print_table(("", "ours", "Xu & Wang"), found.beside_paper)
     for note in found.notes:
         click.echo(note)
 

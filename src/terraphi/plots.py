@@ -43,7 +43,7 @@ class Curve(NamedTuple):
     style: str = "-"
 
 
-def save(figure: Figure, path: Path | str) -> None:
+def save(figure: Figure, path: Path | str, *, dpi: int = 150) -> None:
     """Write a figure in the format of its suffix.
 
     Parameters
@@ -52,6 +52,8 @@ def save(figure: Figure, path: Path | str) -> None:
         The figure.
     path
         The file.
+    dpi
+        Resolution of a picture of dots [1/in].
 
     Raises
     ------
@@ -59,7 +61,7 @@ def save(figure: Figure, path: Path | str) -> None:
         If the place cannot be written.
     """
     with replacing(Path(path)) as temporary:
-        figure.savefig(temporary, dpi=150)
+        figure.savefig(temporary, dpi=dpi)
 
 
 def inversions_figure(inversions: Sequence[Inversion]) -> Figure:

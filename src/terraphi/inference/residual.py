@@ -13,7 +13,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Likelihood", "PaperLikelihood", "peak_to_peak", "residual_correlation_length_deg"]
+__all__ = [
+    "Likelihood",
+    "PaperLikelihood",
+    "peak_to_peak",
+    "residual_autocorrelation",
+    "residual_correlation_length_deg",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -173,6 +179,48 @@ def peak_to_peak(data: ArrayLike) -> dict[str, float]:
     return spans
 
 
+def residual_autocorrelation(
+    theta_deg: ArrayLike, residuals: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Autocorrelation of the residuals of a library, averaged over all curves.
+
+    Parameters
+    ----------
+    theta_deg, residuals
+        As in `residual_correlation_length_deg`.
+
+    Returns
+    -------
+    tuple
+        Lags up to half the range [deg] and the autocorrelation there [-], shapes [lag].
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, angles are not evenly spaced or all residuals are zero.
+    """
+    theta = np.asarray(theta_deg, dtype=np.float64)
+    curves = np.atleast_2d(np.asarray(residuals, dtype=np.float64))
+    if theta.ndim != 1 or theta.size < 4 or curves.shape[1:] != theta.shape:
+        raise ValueError(
+            f"theta_deg and residuals have shapes {theta.shape} and {curves.shape}; "
+            "expected [theta] and [curve, theta], theta at least 4"
+        )
+    spacings = np.diff(theta)
+    if not (spacings[0] > 0.0 and np.allclose(spacings, spacings[0], rtol=1e-6)):
+        raise ValueError(
+            f"theta_deg is spaced by {spacings.min():g} to {spacings.max():g} deg; "
+            "it must increase evenly"
+        )
+    if not (np.isfinite(curves).all() and curves.any()):
+        raise ValueError("residuals must be finite and not all zero")
+    m = theta.size
+    lags = np.arange(m // 2 + 1)
+    # The mean over pairs, not their sum: a lag of k steps has k fewer of them.
+    rho = np.array([np.mean(curves[:, : m - lag] * curves[:, lag:]) for lag in lags])
+    return lags * spacings[0], rho / rho[0]
+
+
 def residual_correlation_length_deg(theta_deg: ArrayLike, residuals: ArrayLike) -> float:
     """Correlation length of the residuals of a library, from their pooled autocorrelation.
 
@@ -201,35 +249,16 @@ def residual_correlation_length_deg(theta_deg: ArrayLike, residuals: ArrayLike) 
         If shapes disagree, angles are not evenly spaced, all residuals are zero, or the
         autocorrelation stays above 1/e over half the range.
     """
-    theta = np.asarray(theta_deg, dtype=np.float64)
-    curves = np.atleast_2d(np.asarray(residuals, dtype=np.float64))
-    if theta.ndim != 1 or theta.size < 4 or curves.shape[1:] != theta.shape:
-        raise ValueError(
-            f"theta_deg and residuals have shapes {theta.shape} and {curves.shape}; "
-            "expected [theta] and [curve, theta], theta at least 4"
-        )
-    spacings = np.diff(theta)
-    if not (spacings[0] > 0.0 and np.allclose(spacings, spacings[0], rtol=1e-6)):
-        raise ValueError(
-            f"theta_deg is spaced by {spacings.min():g} to {spacings.max():g} deg; "
-            "it must increase evenly"
-        )
-    if not (np.isfinite(curves).all() and curves.any()):
-        raise ValueError("residuals must be finite and not all zero")
-    m = theta.size
-    lags = np.arange(m // 2 + 1)
-    # The mean over pairs, not their sum: a lag of k steps has k fewer of them.
-    rho = np.array([np.mean(curves[:, : m - lag] * curves[:, lag:]) for lag in lags])
-    rho /= rho[0]
+    lags, rho = residual_autocorrelation(theta_deg, residuals)
     below = np.flatnonzero(rho < np.exp(-1.0))
     if below.size == 0:
         raise ValueError(
             f"the residual autocorrelation is still {rho.min():.2f} or more up to a lag of "
-            f"{lags[-1] * spacings[0]:g} deg; no correlation length below that describes it"
+            f"{lags[-1]:g} deg; no correlation length below that describes it"
         )
     after = int(below[0])
     # A correlation of 0 or less has no logarithm; 0.01 keeps the crossing inside the interval.
     log_rho = np.log(rho[[after - 1, after]].clip(min=0.01))
     fraction = (log_rho[0] + 1.0) / (log_rho[0] - log_rho[1])
     crossing2 = (after - 1) ** 2 + fraction * (after**2 - (after - 1) ** 2)
-    return float(spacings[0] * np.sqrt(crossing2 / 2.0))
+    return float(lags[1] * np.sqrt(crossing2 / 2.0))

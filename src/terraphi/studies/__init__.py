@@ -19,11 +19,21 @@ if TYPE_CHECKING:
 STUDIES = {
     "benchmark": "three legs: our models beside the forces measured in Yuma sand",
     "recovery": "friction angles of fresh simulations, inferred with a library",
+    "phi_sensitivity": "forces and their peaks against the friction angle",
+    "k0": "what the stress at rest does to a history",
+    "surrogate": "the surrogate between the library's angles, and its residuals",
+    "figures": "the figures of the paper's simulations and inversions, ready to print",
     "verification": "problems with known answers, by the code that the leg uses",
     "reading": "what the paper's text leaves open, against the forces that it prints",
     "resolution": "from preset paper-0 to resolved, and whether that has arrived",
     "sensitivity": "what moves the simulated forces: one setting changed at a time",
 }
+
+PAPER_LIBRARY = "quick-paper"
+"""Library, shipped with its truths, by which the paper's own studies are repeated."""
+
+Beside = tuple[str, str, str]
+"""A line of a table ``ours | paper``: what, ours, the paper's."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +54,11 @@ class Study:
         File name to text.
     notes
         Sentences for people: what follows from the table.
+    beside_paper
+        A second table, ours beside the numbers that Xu & Wang print; ``data`` has it too, under
+        the same name.
+    dpi
+        Resolution of the figures [1/in].
     """
 
     title: str
@@ -53,18 +68,26 @@ class Study:
     figures: Mapping[str, Figure] = field(default_factory=dict)
     documents: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()
+    beside_paper: Sequence[Beside] = ()
+    dpi: int = 150
+
+    def everything(self) -> dict[str, Any]:
+        """The data with the table beside the paper, JSON-able."""
+        names = ("what", "ours", "paper")
+        table = [dict(zip(names, line, strict=True)) for line in self.beside_paper]
+        return {**self.data, **({"beside_paper": table} if table else {})}
 
     def save(self, out: Path) -> None:
         """Write ``data.json``, documents and figures (PNG) into a folder, made if need be."""
         from terraphi import plots
 
         place = folder(out)
-        data = json.dumps(self.data, indent=2, ensure_ascii=False)
+        data = json.dumps(self.everything(), indent=2, ensure_ascii=False)
         for name, text in {"data.json": data, **self.documents}.items():
             with replacing(place / name) as temporary:
                 temporary.write_text(text, encoding="utf-8")
         for name, figure in self.figures.items():
-            plots.save(figure, place / f"{name}.png")
+            plots.save(figure, place / f"{name}.png", dpi=self.dpi)
 
 
 def page(

@@ -1,0 +1,138 @@
+"""Forces against the friction angle: the histories of a library and their peaks.
+
+An inversion needs forces that tell one friction angle from the next: peaks that rise with it, and
+at every leg angle a force that moves one way.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.errors import InputError
+from terraphi.history import ForceHistory
+from terraphi.library import Library
+from terraphi.studies import PAPER_LIBRARY, Beside, Study
+from terraphi.studies.pictures import histories_figure, peaks_figure
+
+FloatArray = NDArray[np.float64]
+
+LEG = "straight"
+PAPER_PEAKS = {25.0: (8.6, 10.2), 45.0: (14.0, 15.5)}
+"""Friction angle [deg] to the peaks of F_z and F_x that Xu & Wang print [N]."""
+PAPER_ANGLES = (-50.0, 0.0)
+"""Leg angles of the peaks of F_z and F_x that they print, about [deg]."""
+
+
+def run(*, library: str = PAPER_LIBRARY) -> Study:
+    """Peaks of the straight leg's histories over the friction angle.
+
+    Parameters
+    ----------
+    library
+        Name or file of a library with the straight leg.
+
+    Returns
+    -------
+    Study
+        ``data``: ``library``, ``yield``, ``phi_deg``; ``peak_Fz_N``, ``peak_Fx_N``,
+        ``theta_peak_Fz_deg``, ``theta_peak_Fx_deg``, a value for each; ``peaks_increase`` by
+        force; ``share_of_angles_monotone`` by force: of the 40 leg angles, how many have a force
+        that moves one way as the friction angle grows. Two figures.
+
+    Raises
+    ------
+    InputError
+        If the library has no straight leg.
+    """
+    found = Library.load(library)
+    histories = histories_of(found)
+    phi = np.array(list(histories))
+    peaks = [history.peaks() for history in histories.values()]
+    data = {
+        "library": library,
+        "yield": found.cases[0].scenario.convention,
+        "phi_deg": phi.tolist(),
+        "peak_Fz_N": [peak.Fz for peak in peaks],
+        "peak_Fx_N": [peak.Fx for peak in peaks],
+        "theta_peak_Fz_deg": [peak.theta_Fz_deg for peak in peaks],
+        "theta_peak_Fx_deg": [peak.theta_Fx_deg for peak in peaks],
+    }
+    data["peaks_increase"] = {
+        force: bool(np.all(np.diff(data[f"peak_{force}_N"]) > 0.0)) for force in ("Fz", "Fx")
+    }
+    data["share_of_angles_monotone"] = {
+        force: _share_monotone(list(histories.values()), force) for force in ("Fz", "Fx")
+    }
+    return Study(
+        title=f"Peak forces against φ ({data['yield']}), leg {LEG}, library '{library}'",
+        header=("φ", "peak Fz", "peak Fx"),
+        rows=[
+            (
+                f"{angle:g}°",
+                f"{peak.Fz:.2f} N at {peak.theta_Fz_deg:.0f}°",
+                f"{peak.Fx:.2f} N at {peak.theta_Fx_deg:.0f}°",
+            )
+            for angle, peak in zip(phi, peaks, strict=True)
+        ],
+        data=data,
+        figures={
+            "forces": histories_figure(histories, data["yield"]),
+            "peaks": peaks_figure(data, PAPER_PEAKS),
+        },
+        notes=[_monotone(data)],
+        beside_paper=_beside_paper(data),
+    )
+
+
+def histories_of(library: Library) -> dict[float, ForceHistory]:
+    """Friction angle [deg] to the straight leg's history, in increasing order.
+
+    Raises InputError if there is none.
+    """
+    found = {
+        case.scenario.soil.friction_angle_deg: case.history
+        for case in library.cases
+        if case.history is not None and case.scenario.leg.shape == LEG
+    }
+    if not found:
+        raise InputError(f"library '{library.name}' has no leg '{LEG}'; it has {library.legs}")
+    return {phi: found[phi] for phi in sorted(found)}
+
+
+def _share_monotone(histories: list[ForceHistory], force: str) -> float:
+    """Share of the 40 leg angles at which a force moves one way with the friction angle [-]."""
+    seen = [history.observation() for history in histories]
+    steps = np.diff(np.stack([o.Fx if force == "Fx" else o.Fz for o in seen]), axis=0)
+    return float(np.mean(np.all(steps > 0.0, axis=0) | np.all(steps < 0.0, axis=0)))
+
+
+def _monotone(data: dict[str, object]) -> str:
+    rises, shares = data["peaks_increase"], data["share_of_angles_monotone"]
+    assert isinstance(rises, dict)
+    assert isinstance(shares, dict)
+    words = [
+        f"the peak of {force} {'rises' if rises[force] else 'does not rise'} with φ throughout, "
+        f"and {force} itself moves one way at {shares[force]:.0%} of the leg angles"
+        for force in ("Fz", "Fx")
+    ]
+    return f"{words[0][0].upper()}{words[0][1:]}; {words[1]}."
+
+
+def _beside_paper(data: dict[str, list[float]]) -> list[Beside]:
+    lines: list[Beside] = []
+    for phi, printed in PAPER_PEAKS.items():
+        if phi not in data["phi_deg"]:
+            continue
+        i = data["phi_deg"].index(phi)
+        ours = f"{data['peak_Fz_N'][i]:.1f} / {data['peak_Fx_N'][i]:.1f} N"
+        lines.append((f"peaks Fz / Fx at {phi:g}°", ours, f"{printed[0]:.1f} / {printed[1]:.1f} N"))
+    angles = [np.median(data[f"theta_peak_{force}_deg"]) for force in ("Fz", "Fx")]
+    lines.append(
+        (
+            "leg angle of the peaks Fz / Fx (ours: median)",
+            f"{angles[0]:.0f} / {angles[1]:.0f}°",
+            f"about {PAPER_ANGLES[0]:.0f} / {PAPER_ANGLES[1]:.0f}°",
+        )
+    )
+    return lines

@@ -1,0 +1,306 @@
+"""Pictures of the paper's studies: forces and peaks over φ, surrogate, residuals, walkers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.history import WINDOW_DEG, ForceHistory
+from terraphi.inference.posterior import Posterior
+from terraphi.plots import AXIS_LABEL, BLUE, GREY, ORANGE, PHI_LABEL, Curve
+from terraphi.surrogate import LegSurrogate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FloatArray = NDArray[np.float64]
+
+COLOURS = "viridis"
+"""Evenly stepped in lightness, told apart by colour-blind readers."""
+LEG_NAMES = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C leg"}
+
+
+class Walkers(NamedTuple):
+    """An ensemble from its first step, and what it should find."""
+
+    steps_deg: FloatArray
+    """Friction angle [deg], shape [walker, step]."""
+    burn_in: int
+    """Steps that are left out."""
+    exact: Posterior
+    """By quadrature."""
+    truth_deg: float
+    """[deg]"""
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _angle_axis(axes: Axes) -> None:
+    axes.axhline(0.0, color=GREY, lw=0.6)
+    axes.set_xlim(-WINDOW_DEG, WINDOW_DEG)
+    axes.set_xticks(np.arange(-80, 81, 40))
+    axes.set_xlabel("leg angle θ [deg]")
+
+
+def histories_figure(histories: Mapping[float, ForceHistory], convention: str) -> Figure:
+    """Both forces over the leg angle, a curve for each friction angle.
+
+    Parameters
+    ----------
+    histories
+        Friction angle [deg] to history, drawn as 1° means.
+    convention
+        What the friction angle means.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    figure = _figure(8.4, 3.6)
+    panels = figure.subplots(1, 2)
+    scale = Normalize(min(histories), max(histories))
+    for axes, force in zip(panels, ("Fx", "Fz"), strict=True):
+        for phi, history in histories.items():
+            seen = history.observation(angles=171)
+            values = seen.Fx if force == "Fx" else seen.Fz
+            axes.plot(seen.theta_deg, values, color=colormaps[COLOURS](scale(phi)), lw=1.1)
+        _angle_axis(axes)
+        axes.set_ylabel(AXIS_LABEL[force])
+    bar = figure.colorbar(ScalarMappable(scale, COLOURS), ax=panels, pad=0.02)
+    bar.set_label(PHI_LABEL[convention])
+    return figure
+
+
+def peaks_figure(data: Mapping[str, Any], printed: Mapping[float, tuple[float, float]]) -> Figure:
+    """Peak forces, and the leg angles at which they occur, over the friction angle.
+
+    Parameters
+    ----------
+    data
+        As study ``phi_sensitivity`` returns it.
+    printed
+        Friction angle [deg] to the paper's peaks of F_z and F_x [N].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = _figure(8.4, 3.4)
+    left, right = figure.subplots(1, 2)
+    looks = {"Fz": (BLUE, "o", 0), "Fx": (ORANGE, "s", 1)}
+    for force, (colour, marker, column) in looks.items():
+        name = f"${force[0]}_{force[1]}$"
+        left.plot(
+            data["phi_deg"], data[f"peak_{force}_N"], f"{marker}-", color=colour, ms=4,
+            label=f"peak {name}",
+        )  # fmt: skip
+        left.plot(
+            list(printed), [both[column] for both in printed.values()], marker, color="none",
+            mec=colour, ms=7, label=f"peak {name}, Xu & Wang",
+        )  # fmt: skip
+        right.plot(
+            data["phi_deg"], data[f"theta_peak_{force}_deg"], f"{marker}-", color=colour, ms=4
+        )
+    left.set_ylim(bottom=0.0)
+    left.set_ylabel("peak force [N]")
+    right.set_ylabel("leg angle of the peak [deg]")
+    for axes in (left, right):
+        axes.set_xlabel(PHI_LABEL[data["yield"]])
+        axes.grid(color=GREY, alpha=0.2, lw=0.6)
+    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize="small")
+    return figure
+
+
+def legs_figure(legs: Mapping[str, Sequence[Curve]]) -> Figure:
+    """Histories of several legs beside each other: a column a leg, a row a force.
+
+    Parameters
+    ----------
+    legs
+        Shape of the leg to its curves; those with an empty line style are drawn as points.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = _figure(9.6, 5.4)
+    panels = figure.subplots(2, len(legs), sharex=True, squeeze=False)
+    for column, (leg, curves) in enumerate(legs.items()):
+        for axes, force in zip(panels[:, column], ("Fx", "Fz"), strict=True):
+            for curve in curves:
+                seen = curve.history.observation(angles=171)
+                values = seen.Fx if force == "Fx" else seen.Fz
+                style = {"ls": curve.style} if curve.style else {"ls": "", "marker": ".", "ms": 3}
+                axes.plot(seen.theta_deg, values, color=curve.colour, label=curve.label, **style)
+            _angle_axis(axes)
+            axes.label_outer()
+        panels[0, column].set_title(LEG_NAMES.get(leg, leg), fontsize=10)
+    for row, force in zip(panels, ("Fx", "Fz"), strict=True):
+        row[0].set_ylabel(AXIS_LABEL[force])
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+def surfaces_figure(surrogate: LegSurrogate, held_out_deg: FloatArray, convention: str) -> Figure:
+    """Mean forces of a surrogate over both angles, with the angles it has seen and not seen.
+
+    Parameters
+    ----------
+    surrogate
+        The surrogate.
+    held_out_deg
+        Friction angles of cases that it has not seen [deg].
+    convention
+        What the friction angle means.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = _figure(8.8, 3.9)
+    phi = np.linspace(*surrogate.phi_bounds_deg, 201)
+    surfaces = np.hsplit(surrogate.predict(phi), 2)
+    for axes, force, values in zip(figure.subplots(1, 2), ("Fx", "Fz"), surfaces, strict=True):
+        shown = axes.contourf(surrogate.theta_deg, phi, values, 24, cmap=COLOURS)
+        axes.contour(surrogate.theta_deg, phi, values, [0.0], colors="white", linewidths=1.2)
+        axes.hlines(held_out_deg, -WINDOW_DEG, WINDOW_DEG, color=ORANGE, lw=1.0, ls="--",
+                    label="held out")  # fmt: skip
+        axes.plot(np.full(surrogate.Fx.phi_deg.size, -WINDOW_DEG), surrogate.Fx.phi_deg, ">",
+                  color="black", ms=4, clip_on=False, label="library")  # fmt: skip
+        axes.set_xticks(np.arange(-80, 81, 40))
+        axes.set_xlabel("leg angle θ [deg]")
+        axes.set_ylabel(PHI_LABEL[convention])
+        figure.colorbar(shown, ax=axes, format="%.1f").set_label(AXIS_LABEL[force])
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+def slices_figure(
+    surrogate: LegSurrogate,
+    points: Mapping[str, tuple[FloatArray, FloatArray]],
+    indices: Sequence[int],
+    convention: str,
+) -> Figure:
+    """Forces at some leg angles over the friction angle: the surrogate and simulations.
+
+    Parameters
+    ----------
+    surrogate
+        The surrogate.
+    points
+        Name to friction angles [deg], shape [case], and observation vectors [N], [case, 2 theta].
+    indices
+        Which of the leg angles.
+    convention
+        What the friction angle means.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = _figure(9.6, 5.2)
+    phi = np.linspace(*surrogate.phi_bounds_deg, 201)
+    mean, spread = surrogate.predict(phi), np.sqrt(surrogate.predict_variance(phi))
+    panels = figure.subplots(2, len(indices), sharex=True, squeeze=False)
+    looks = {"library": ("o", BLUE), "held out": ("D", ORANGE)}
+    for row, (axes_row, force) in enumerate(zip(panels, ("Fx", "Fz"), strict=True)):
+        for axes, index in zip(axes_row, indices, strict=True):
+            i = index + row * surrogate.theta_deg.size
+            axes.fill_between(
+                phi, mean[:, i] - 2.0 * spread[:, i], mean[:, i] + 2.0 * spread[:, i], color=GREY,
+                alpha=0.35, lw=0, label="± 2 standard deviations",
+            )  # fmt: skip
+            axes.plot(phi, mean[:, i], color="black", lw=1.0, label="surrogate")
+            for name, (angles, values) in points.items():
+                marker, colour = looks[name]
+                axes.plot(angles, values[:, i], marker, color=colour, ms=4, label=name)
+            if row == 0:
+                axes.set_title(f"θ = {surrogate.theta_deg[index]:.0f}°", fontsize=10)
+        axes_row[0].set_ylabel(AXIS_LABEL[force])
+    figure.supxlabel(PHI_LABEL[convention], fontsize=10)
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)
+    return figure
+
+
+def autocorrelation_figure(
+    lags_deg: FloatArray, rho: FloatArray, length_deg: float, printed_deg: float
+) -> Figure:
+    """Autocorrelation of residuals over the lag, and the kernels of two correlation lengths.
+
+    Parameters
+    ----------
+    lags_deg, rho
+        Lag [deg] and autocorrelation [-], shapes [lag].
+    length_deg, printed_deg
+        Correlation length found, and the paper's [deg].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = _figure(5.0, 3.4)
+    axes = figure.subplots()
+    fine = np.linspace(0.0, lags_deg[-1], 400)
+    axes.axhline(0.0, color=GREY, lw=0.6)
+    for length, colour, style, name in (
+        (length_deg, BLUE, "-", "fitted"),
+        (printed_deg, ORANGE, "--", "Xu & Wang, about"),
+    ):
+        kernel = np.exp(-0.5 * (fine / length) ** 2)
+        axes.plot(fine, kernel, style, color=colour, label=f"{name} ℓ = {length:.1f}°")
+    axes.plot(lags_deg, rho, "o:", color="black", ms=4, lw=0.8, label="held-out residuals")
+    axes.set_xlim(0.0, lags_deg[-1])
+    axes.set_xlabel("lag in leg angle [deg]")
+    axes.set_ylabel("autocorrelation of the residuals")
+    axes.legend(frameon=False, fontsize="small")
+    return figure
+
+
+def walkers_figure(found: Walkers, convention: str) -> Figure:
+    """Traces of an ensemble's walkers from their start, and their posterior beside the exact one.
+
+    Parameters
+    ----------
+    found
+        Traces and exact posterior.
+    convention
+        What the friction angle means.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = _figure(9.6, 3.6)
+    left, right = figure.subplots(1, 2, width_ratios=(1.6, 1.0))
+    steps = found.steps_deg.shape[1]
+    left.plot(np.arange(steps), found.steps_deg.T, color=BLUE, lw=0.3, alpha=0.35)
+    left.axvspan(0, found.burn_in, color=GREY, alpha=0.25, lw=0)
+    left.axhline(found.truth_deg, color=ORANGE, lw=1.2, ls="--")
+    left.set(xlim=(0, steps), xlabel="step (grey: burn-in)", ylabel=PHI_LABEL[convention])
+    kept, exact = found.steps_deg[:, found.burn_in :], found.exact
+    right.hist(kept.ravel(), 80, density=True, color=BLUE, alpha=0.4, label="emcee")
+    if exact.density is not None:
+        right.plot(exact.phi_deg, exact.density, color="black", lw=1.2, label="quadrature")
+    right.axvline(found.truth_deg, color=ORANGE, lw=1.2, ls="--", label="truth")
+    right.axvspan(*exact.interval(0.68), color=GREY, alpha=0.25, lw=0, label="68 % interval")
+    middle, half = exact.median, 1.6 * (exact.quantile(0.975) - exact.quantile(0.025)) / 2.0
+    right.set(xlim=(middle - half, middle + half), yticks=[], ylabel="posterior density")
+    right.set_xlabel(PHI_LABEL[convention])
+    right.set_ylim(0.0, 1.25 * right.get_ylim()[1])  # room for the legend
+    right.legend(frameon=False, fontsize="small", ncols=2, loc="upper center")
+    return figure

@@ -1,0 +1,119 @@
+"""The paper's own studies on the shipped libraries: their keys, and what follows from them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from terraphi import studies
+from terraphi.errors import InputError
+from terraphi.history import ForceHistory
+from terraphi.inference.residual import residual_autocorrelation, residual_correlation_length_deg
+from terraphi.library import Library
+from terraphi.scenario import Scenario
+from terraphi.studies import k0, phi_sensitivity, snapshots, surrogate
+
+
+def test_phi_sensitivity_tells_peaks_over_phi() -> None:
+    found = studies.run("phi_sensitivity")
+    data = found.everything()
+    json.dumps(data, allow_nan=False)
+    phi = data["phi_deg"]
+    assert phi == sorted(phi)
+    assert {25.0, 45.0} <= set(phi)
+    for force in ("Fz", "Fx"):
+        assert len(data[f"peak_{force}_N"]) == len(data[f"theta_peak_{force}_deg"]) == len(phi)
+        rises = all(np.diff(data[f"peak_{force}_N"]) > 0.0)
+        assert data["peaks_increase"][force] is rises
+        assert 0.0 <= data["share_of_angles_monotone"][force] <= 1.0
+    printed = {line["what"]: line["paper"] for line in data["beside_paper"]}
+    assert printed["peaks Fz / Fx at 25°"] == "8.6 / 10.2 N"
+    assert set(found.figures) == {"forces", "peaks"}
+
+
+def test_phi_sensitivity_needs_its_leg() -> None:
+    library = Library.load("rft3d")
+    curved = tuple(case for case in library.cases if case.scenario.leg.shape == "c")
+    with pytest.raises(InputError, match="has no leg 'straight'"):
+        phi_sensitivity.histories_of(replace(library, cases=curved))
+
+
+def ramp(factor: float, bump: float = 0.0) -> ForceHistory:
+    theta = np.radians(np.arange(-90.0, 90.1, 0.1))
+    force = np.stack([np.cos(theta), 2.0 * np.cos(theta)], axis=1) * factor
+    force[np.abs(theta) < np.radians(5.0), 1] += bump
+    return ForceHistory(theta, force)
+
+
+def test_relative_change_of_a_history() -> None:
+    assert k0.relative_change(ramp(1.0), ramp(1.02)) == pytest.approx({"Fz": 0.02, "Fx": 0.02})
+    found = k0.relative_change(ramp(1.0), ramp(1.0, bump=-0.1))
+    assert found["Fx"] == 0.0
+    assert found["Fz"] == pytest.approx(0.05, rel=1e-3)
+
+
+def test_k0_compares_two_libraries_that_differ_in_it_alone() -> None:
+    found = studies.run("k0")
+    data = found.everything()
+    json.dumps(data, allow_nan=False)
+    changes = [max(case["relative_change"].values()) for case in data["cases"]]
+    assert data["max_relative_change"] == max(changes) > 0.0
+    assert data["cases"][0]["k0_jaky"] == pytest.approx(1.0 - np.sin(np.radians(25.0)))
+    (line,) = found.beside_paper
+    assert line[2] == "below 0.5 %"
+    jaky = Library.load("quick-k0-jaky")
+    with pytest.raises(InputError, match="differ in more than K0"):
+        k0._pair(jaky.cases[0], jaky.cases[1])
+
+
+def test_surrogate_predicts_what_it_has_not_seen() -> None:
+    found = studies.run("surrogate")
+    data = found.everything()
+    json.dumps(data, allow_nan=False)
+    assert len(data["held_out"]["angles"]) == 6
+    assert 33.97 in data["held_out"]["phi_deg"]
+    for error in data["held_out"]["angles"]:
+        told = error["relative_error_percent"]
+        assert 0.0 < told["median"] <= told["max"] < 10.0
+    assert max(data["nrmsd_percent"].values()) < 2.0
+    assert set(found.figures) == {"surfaces", "slices", "residuals"}
+
+
+def test_surrogate_says_where_no_length_can_be_seen() -> None:
+    theta = np.linspace(-85.0, 85.0, 40)
+    rough = np.random.default_rng(0).normal(size=(30, 40))
+    length = residual_correlation_length_deg(theta, rough)
+    assert "not a length that was measured" in surrogate._unresolved(theta, rough, length)[0]
+    kernel = np.exp(-0.5 * ((theta[:, None] - theta) / 6.0) ** 2) + 1e-9 * np.eye(40)
+    smooth = rough @ np.linalg.cholesky(kernel).T
+    length = residual_correlation_length_deg(theta, smooth)
+    assert length == pytest.approx(6.0, abs=1.0)
+    assert surrogate._unresolved(theta, smooth, length) == []
+    lags, rho = residual_autocorrelation(theta, smooth)
+    assert (lags[0], rho[0]) == (0.0, 1.0)
+
+
+COARSE = {
+    "numerics": {"cells": 32, "speed_up": 20.0, "time_step": 5e-5, "contact_band_cells": 0.5},
+    "bed": {"left": 0.010, "floor": 0.010, "width": 0.280, "height": 0.160},
+    "motion": {"start_deg": -100.0, "stop_deg": -40.0},
+}
+
+
+def test_moments_are_taken_once_and_kept(tmp_path, monkeypatch) -> None:
+    scenario = Scenario.model_validate(COARSE)
+    taken = snapshots.moments(scenario, (-90.0, -60.0), tmp_path)
+    assert [np.degrees(m.theta) for m in taken] == pytest.approx([-90.0, -60.0], abs=25.0)
+    assert all(np.degrees(m.theta) >= wanted for m, wanted in zip(taken, (-90, -60), strict=True))
+    assert taken[1].points.shape == (len(taken[1].speed), 2)
+    assert np.abs(taken[1].points - taken[0].points).max() > 1e-3
+    monkeypatch.setattr(snapshots, "simulate", None)
+    again = snapshots.moments(scenario, (-90.0, -60.0), tmp_path)
+    for one, other in zip(taken, again, strict=True):
+        for a, b in zip(one, other, strict=True):
+            assert np.array_equal(a, b)
+    figure = snapshots.snapshots_figure({"straight": (scenario, taken)})
+    assert len(figure.axes) == 3
