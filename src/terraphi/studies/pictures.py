@@ -145,7 +145,7 @@ def legs_figure(legs: Mapping[str, Sequence[Curve]]) -> Figure:
                 style = {"ls": curve.style} if curve.style else {"ls": "", "marker": ".", "ms": 3}
                 axes.plot(seen.theta_deg, values, color=curve.colour, label=curve.label, **style)
             _angle_axis(axes)
-            axes.label_outer()
+        panels[0, column].set_xlabel("")  # the forces' scales differ, the angles are the same
         panels[0, column].set_title(LEG_NAMES.get(leg, leg), fontsize=10)
     for row, force in zip(panels, ("Fx", "Fz"), strict=True):
         row[0].set_ylabel(AXIS_LABEL[force])

@@ -1,0 +1,120 @@
+"""The figures of the paper's simulations and inversions from our own, in one command.
+
+Each comes from the study that measures what it shows. The paper's two pictures of foot forces are
+those of ``terraphi forces``; its photograph is left out.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from terraphi.errors import InputError
+from terraphi.library import Library
+from terraphi.scenario import Scenario
+from terraphi.studies import PAPER_LIBRARY, Study, benchmark, phi_sensitivity, recovery, surrogate
+from terraphi.studies.pictures import legs_figure
+from terraphi.studies.snapshots import Moment, moments, snapshots_figure
+
+LEGS = ("straight", "c", "reversed_c")
+SNAPSHOTS_DEG = (-60.0, -30.0, 0.0, 40.0)
+"""Leg angles of the snapshots [deg]: going in, at the peaks, coming out."""
+DOTS_PER_INCH = 300
+WHAT = {
+    "forces-phi": "forces against the leg angle at every friction angle",
+    "peaks-phi": "peak forces against the friction angle",
+    "legs": "three legs at 35° beside the measured forces and resistive force theory",
+    "surrogate-surfaces": "mean forces of the surrogate, with what it has and has not seen",
+    "surrogate-slices": "surrogate and simulations at three leg angles",
+    "residuals": "correlation of the residuals",
+    "walkers": "walkers and posterior at 33.97°",
+    "recovery": "inferred against true friction angles",
+    "snapshots": "the soil around the three legs",
+}
+
+
+def run(
+    *,
+    library: str = PAPER_LIBRARY,
+    build: Path | None = None,
+    progress: Callable[[float, float], None] | None = None,
+) -> Study:
+    """Draw all figures.
+
+    Parameters
+    ----------
+    library
+        Name of a shipped library of three legs that has truths.
+    build
+        Folder that keeps the particles of the three simulations that the snapshots are taken from;
+        without, they are simulated anew each time.
+    progress
+        Called with the number of figures drawn, counting parts, and of all.
+
+    Returns
+    -------
+    Study
+        ``data``: ``library`` and the data of each study by its name. Nine figures at 300 dots an
+        inch.
+
+    Raises
+    ------
+    InputError
+        As the studies; and if the folder cannot be written.
+    """
+    parts = {
+        module.__name__.rpartition(".")[2]: module.run(library=library)
+        for module in (phi_sensitivity, benchmark, surrogate, recovery)
+    }
+    legs = {leg: benchmark.curves_of(Library.load(library), leg) for leg in LEGS}
+    figures = {
+        "forces-phi": parts["phi_sensitivity"].figures["forces"],
+        "peaks-phi": parts["phi_sensitivity"].figures["peaks"],
+        "legs": legs_figure(legs),
+        "surrogate-surfaces": parts["surrogate"].figures["surfaces"],
+        "surrogate-slices": parts["surrogate"].figures["slices"],
+        "residuals": parts["surrogate"].figures["residuals"],
+        "walkers": parts["recovery"].figures["walkers"],
+        "recovery": parts["recovery"].figures["recovery"],
+        "snapshots": snapshots_figure(_particles(library, build, len(WHAT), progress)),
+    }
+    return Study(
+        title=f"Figures from library '{library}'",
+        header=("figure", "what it shows"),
+        rows=[(f"{name}.png", what) for name, what in WHAT.items()],
+        data={"library": library, **{name: part.everything() for name, part in parts.items()}},
+        figures=figures,
+        beside_paper=[line for part in parts.values() for line in part.beside_paper],
+        dpi=DOTS_PER_INCH,
+    )
+
+
+def _particles(
+    library: str,
+    place: Path | None,
+    figures: int,
+    progress: Callable[[float, float], None] | None,
+) -> dict[str, tuple[Scenario, list[Moment]]]:
+    """Scenario and moments of each leg at 35°."""
+    cases = {leg: _scenario(Library.load(library), leg) for leg in LEGS}
+    found = {}
+    with tempfile.TemporaryDirectory() as passing:
+        for number, (leg, scenario) in enumerate(cases.items()):
+
+            def tell(fraction: float, number: int = number) -> None:
+                if progress is not None:
+                    progress(figures - 1 + (number + fraction) / len(LEGS), figures)
+
+            kept = place or Path(passing)
+            found[leg] = scenario, moments(scenario, SNAPSHOTS_DEG, kept, progress=tell)
+    return found
+
+
+def _scenario(library: Library, leg: str) -> Scenario:
+    """Scenario of a leg at the benchmark's friction angle."""
+    for case in library.cases:
+        soil = case.scenario.soil
+        if (case.scenario.leg.shape, soil.friction_angle_deg) == (leg, benchmark.PHI_DEG):
+            return case.scenario
+    raise InputError(f"library '{library.name}' has no leg '{leg}' at {benchmark.PHI_DEG:g} deg")

@@ -1,0 +1,49 @@
+"""The figures of the paper in one command; the simulations behind them are tried elsewhere."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from matplotlib.figure import Figure
+
+from terraphi.errors import InputError
+from terraphi.library import Library
+from terraphi.studies import Study, figures
+
+
+def test_every_figure_has_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = {
+        "phi_sensitivity": ("forces", "peaks"),
+        "benchmark": (),
+        "surrogate": ("surfaces", "slices", "residuals"),
+        "recovery": ("recovery", "walkers"),
+    }
+
+    class Part:
+        def __init__(self, name: str) -> None:
+            self.__name__ = f"terraphi.studies.{name}"
+            self.name = name
+
+        def __getattr__(self, other: str) -> Any:
+            return getattr(benchmark, other)
+
+        def run(self, *, library: str) -> Study:
+            drawn = {each: Figure() for each in names[self.name]}
+            return Study("", (), (), {"library": library}, drawn, beside_paper=[("a", "b", "c")])
+
+    benchmark = figures.benchmark
+    for name in names:
+        monkeypatch.setattr(figures, name, Part(name))
+    monkeypatch.setattr(figures, "moments", lambda *_, **__: [])
+    monkeypatch.setattr(figures, "snapshots_figure", lambda legs: Figure())
+    found = figures.run()
+    assert set(found.figures) == set(figures.WHAT)
+    assert found.dpi == 300
+    assert len(found.beside_paper) == 4
+    assert set(found.data) == {"library", *names}
+
+
+def test_snapshots_need_the_benchmark_s_angle() -> None:
+    with pytest.raises(InputError, match="has no leg 'plate' at 35 deg"):
+        figures._scenario(Library.load("quick-k0-half"), "plate")
