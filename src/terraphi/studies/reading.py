@@ -53,6 +53,7 @@ def run(
     *,
     build: Path | None = None,
     workers: int | None = None,
+    cluster: str | None = None,
     progress: Callable[[float, float], None] | None = None,
 ) -> Study:
     """Compare the finished readings with the paper.
@@ -64,6 +65,8 @@ def run(
         kept there; without a folder nothing is simulated.
     workers
         Processes to simulate on; 1 if not given.
+    cluster
+        Address of a Dask cluster to simulate on instead.
     progress
         Called with the number of finished cases of a plan, counting parts, and of all.
 
@@ -82,7 +85,7 @@ def run(
     if build is not None:
         for plan in plans.values():
             if missing_from(plan, finished):
-                finished |= simulate_missing(plan, build, workers or 1, progress)
+                finished |= simulate_missing(plan, build, workers, cluster, progress)
     return study_of(plans, finished)
 
 
