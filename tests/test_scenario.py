@@ -67,6 +67,8 @@ def refusal(tmp_path: Path, text: str) -> str:
         ("[motion]\nkind = 'translation'", ["'motion.start' is missing"]),
         ("[motion]\nstart_deg = 20\nstop_deg = 10", ["start_deg = 20 must be below stop_deg = 10"]),
         ("dimensions = 3", ["dimensions = 3", "model = 'rft'"]),
+        ("model = 'rft'\n[bed]\nsoil_left = 0.02", ["bed.soil_left = 0.02 m", "without an edge"]),
+        ("model = 'rft'\n[bed]\nsoil_width = 0.1", ["bed.soil_width = 0.1 m", "model = 'mpm'"]),
         ("dimensions = 4", ["dimensions = 4", "2 or 3"]),
         ("[motion]\nhip = [0.05, 0.19]", ["the leg leaves the domain", "x = -0.0", "motion.hip"]),
         ("[motion]\nhip = [0.15, 0.06]", ["the leg leaves the domain", "z = -0.0"]),

@@ -75,12 +75,22 @@ class Scenario(Section):
             self._check_phases()
             self._check_every_bin_is_visited()
             self._check_leg_stays_inside()
-        elif self.bed.surcharge > 0.0:
+        else:
+            self._check_resistive_bed()
+        return self
+
+    def _check_resistive_bed(self) -> None:
+        if self.bed.surcharge > 0.0:
             raise ValueError(
                 f"bed.surcharge = {self.bed.surcharge:g} Pa: resistive force theory knows the "
                 "soil's own weight only; set it to 0, or model = 'mpm'"
             )
-        return self
+        for name in ("soil_left", "soil_width"):
+            if getattr(self.bed, name) is not None:
+                raise ValueError(
+                    f"bed.{name} = {getattr(self.bed, name):g} m: resistive force theory knows "
+                    "soil without an edge only; leave it out, or set model = 'mpm'"
+                )
 
     def _check_domain(self) -> None:
         # Two rows of nodes outside the soil hold it: with one, particles creep through the wall.

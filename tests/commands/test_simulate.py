@@ -112,6 +112,32 @@ def test_a_killed_simulation_is_taken_up_by_the_same_command(terraphi, tmp_path)
     assert all((tmp_path / "f" / frame.attrib["file"]).is_file() for frame in frames)
 
 
+@pytest.mark.parametrize(
+    ("made", "kept"),
+    [
+        (["--out", "h.nc", "--animate", "a.gif"], "h.nc.checkpoint"),
+        (["--animate", "a.gif", "--fields", "f"], "a.gif.checkpoint"),
+        (["--fields", "f"], "f.checkpoint"),
+        (["--fields", "f", "--checkpoint", "mine"], "mine"),
+    ],
+)
+def test_the_state_is_kept_beside_whatever_is_made(
+    terraphi, tmp_path, monkeypatch, made, kept
+) -> None:
+    (tmp_path / "s.toml").write_text(COARSE.format(stop=-70.0))
+
+    def interrupted(scenario, *, checkpoint, **_) -> None:
+        checkpoint.path.write_bytes(b"state")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("terraphi.forward.simulate", interrupted)
+    # This process has more tests to run, and its children would inherit it.
+    monkeypatch.setattr("terraphi.commands.simulate.ignore_interrupts", lambda: None)
+    ran = terraphi("simulate", "s.toml", *made)
+    assert ran.status == 2
+    assert f"kept in {kept}, and the same command" in ran.err
+
+
 def test_ctrl_c_leaves_the_checkpoint_and_says_so(terraphi, tmp_path) -> None:
     started = started_and_kept(tmp_path)
     os.killpg(started.pid, signal.SIGINT)

@@ -42,7 +42,7 @@ file_type = click.Path(path_type=Path)
 @click.option(
     "--checkpoint",
     type=file_type,
-    help="File that keeps the state until all is written; OUT.checkpoint if not given.",
+    help="File that keeps the state until all is written; if not given, beside what is written.",
 )
 @checkpoint_every_option
 @json_option
@@ -74,7 +74,7 @@ def simulate(
         from terraphi.animation import check_animation
 
         check_animation(animate)
-    kept = kept_state(out, checkpoint, checkpoint_every)
+    kept = kept_state(checkpoint, out or animate or fields, checkpoint_every)
     series = field_series(chosen, fields, animate, frames)
     history = run(chosen, kept, series)
     if out is not None:
@@ -96,13 +96,13 @@ def simulate(
     print_pairs(summary)
 
 
-def kept_state(out: Path | None, named: Path | None, every: float) -> Checkpoint | None:
-    """Where the state is kept: in the file that was named, or else beside the history."""
+def kept_state(named: Path | None, made: Path | None, every: float) -> Checkpoint | None:
+    """Where the state is kept: in the file that was named, or else beside what is made."""
     from terraphi.forward import Checkpoint
 
     if named is not None:
         return Checkpoint(named, every, named=True)
-    return None if out is None else Checkpoint(out.with_name(out.name + ".checkpoint"), every)
+    return None if made is None else Checkpoint(made.with_name(made.name + ".checkpoint"), every)
 
 
 def field_series(
@@ -163,5 +163,5 @@ def draw(path: Path, history: ForceHistory, scenario: Scenario, series: FieldSer
         ignore_interrupts()
         raise InputError(
             f"{path}: interrupted before it was drawn; its frames are kept in "
-            f"{series.particles.parent}, and the same command draws it"
+            f"{series.particles.parent}, and the same command goes on from there"
         ) from None
