@@ -224,6 +224,9 @@ def sensitivity_figure(
 ) -> Figure:
     """Change of the peak forces with each setting, a panel each.
 
+    The panels share one scale, so that the eye compares settings with each other; one that would
+    flatten all others has its own.
+
     Parameters
     ----------
     changes
@@ -241,8 +244,13 @@ def sensitivity_figure(
     columns = min(3, len(changes)) or 1
     rows = -(-len(changes) // columns) or 1
     figure = Figure(figsize=(3.6 * columns + 0.4, 2.5 * rows + 0.5), layout="constrained")
-    # One scale for all: the eye compares settings with each other.
-    panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    panels = figure.subplots(rows, columns, squeeze=False)
+    reach = {
+        setting: max(abs(change[force]) for _, change in values for force in change)
+        for setting, values in changes.items()
+    }
+    largest, second, *_ = sorted((*reach.values(), 0.0, 0.0), reverse=True)
+    shared = second if largest > 2.0 * second > 0.0 else largest
     for axes in panels.ravel()[len(changes) :]:
         axes.remove()
     looks = {"Fz": (BLUE, "o-", "peak $F_z$"), "Fx": (ORANGE, "s--", "peak $F_x$")}
@@ -255,8 +263,11 @@ def sensitivity_figure(
             )
         axes.set_xticks(range(len(values)), [label for label, _ in values])
         axes.set_xlim(-0.4, len(values) - 0.6)
-        axes.set_title(setting, fontsize=10)
+        own = reach[setting] > shared
+        axes.set_title(f"{setting} (scale of its own)" if own else setting, fontsize=10)
         axes.grid(axis="y", lw=0.4)
+        if shared and not own:
+            axes.set_ylim(-1.15 * shared, 1.15 * shared)
     for axes in panels[:, 0]:
         axes.set_ylabel("change from the base [%]")
     handles, labels = panels[0, 0].get_legend_handles_labels()

@@ -50,6 +50,11 @@ def _damping(scenario: Scenario) -> str:
     return f"{math.exp(-numerics.damping_rate * numerics.time_step):.4g} a step"
 
 
+def _remap(scenario: Scenario) -> str:
+    interval = scenario.numerics.remap_interval
+    return f"each {1e3 * interval:g} ms" if interval else "each step"
+
+
 SETTINGS = {
     "numerics.speed_up": Setting(
         "speed-up k", lambda s: f"{s.numerics.speed_up:g}", "least", "limit"
@@ -88,6 +93,10 @@ SETTINGS = {
         "most",
         "convergence",
     ),
+    "numerics.transfer": Setting(
+        "transfer", lambda s: s.numerics.transfer.upper(), "base", "effect"
+    ),
+    "numerics.remap_interval": Setting("transfer takes place", _remap, "base", "effect"),
     SEED: Setting("seed", lambda s: f"{s.numerics.seed:d}", "base", "scatter"),
     PRESET: Setting("preset", lambda s: s.name, "base", "effect"),
 }
