@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from terraphi.errors import InputError
 from terraphi.history import ForceHistory
+from terraphi.library import Library
 from terraphi.measurements import measurement, reference_rft
-from terraphi.studies.benchmark import nrmsd_percent
+from terraphi.studies import benchmark
+from terraphi.studies.benchmark import case_at, nrmsd_percent
 
 
 def test_deviation_of_a_constant_offset() -> None:
@@ -30,3 +33,19 @@ def test_published_deviations_of_the_authors_own_theory(leg: str, fz: float, fx:
     found = nrmsd_percent(measurement(name).history, reference_rft(name))
     assert found["Fz"] == pytest.approx(fz, abs=1.5)
     assert found["Fx"] == pytest.approx(fx, abs=1.5)
+
+
+def test_a_leg_comes_from_the_library_or_else_from_its_companion(monkeypatch) -> None:
+    here, legs = Library.load("quick-paper"), Library.load("quick-plane-strain")
+    straight = Library(
+        here.plan, tuple(c for c in here.cases if c.scenario.leg.shape == "straight")
+    )
+    monkeypatch.setattr(benchmark, "shipped_names", lambda *_: ["mine", "mine-legs"])
+    shipped = {"mine": straight, "mine-legs": legs}
+    monkeypatch.setattr(Library, "load", staticmethod(shipped.__getitem__))
+    assert case_at("mine", "straight").scenario.convention == "paper"
+    found = case_at("mine", "c")
+    assert (found.scenario.convention, found.scenario.leg.shape) == ("plane_strain", "c")
+    assert found.scenario.soil.friction_angle_deg == 35.0
+    with pytest.raises(InputError, match="no case of leg 'plate' at 35 deg"):
+        case_at("mine", "plate")

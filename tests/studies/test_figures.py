@@ -7,8 +7,6 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from terraphi.errors import InputError
-from terraphi.library import Library
 from terraphi.studies import Study, figures
 
 
@@ -42,8 +40,3 @@ def test_every_figure_has_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.dpi == 300
     assert len(found.beside_paper) == 4
     assert set(found.data) == {"library", *names}
-
-
-def test_snapshots_need_the_benchmark_s_angle() -> None:
-    with pytest.raises(InputError, match="has no leg 'plate' at 35 deg"):
-        figures._scenario(Library.load("quick-k0-half"), "plate")

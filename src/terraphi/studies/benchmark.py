@@ -9,10 +9,12 @@ et al. (2023) at the same φ and density.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.documents import shipped_names
 from terraphi.errors import InputError
 from terraphi.forward import simulate
 from terraphi.history import WINDOW_DEG, ForceHistory
@@ -34,13 +36,21 @@ YUMA_SCALE = 0.597
 """ζ that makes the generic coefficients reproduce the dashed curves of Li et al. for Yuma sand."""
 
 
+class FinishedCase(NamedTuple):
+    """A scenario and the forces that came of it."""
+
+    scenario: Scenario
+    history: ForceHistory
+
+
 def run(*, library: str = PAPER_LIBRARY) -> Study:
     """Compare the library's cases at 35° and both resistive force theories with Yuma sand.
 
     Parameters
     ----------
     library
-        Name or file of a library of straight, C and reversed C legs with a case at 35°.
+        Name or file of a library with a case at 35° of the straight leg, the C and the reversed C;
+        what it lacks of them may be in a shipped ``NAME-legs``.
 
     Returns
     -------
@@ -63,7 +73,7 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
     for leg in LEGS:
         measured = measurement(f"li2013:yuma/{leg}").history
         models = {
-            "mpm": _from_library(simulated, leg),
+            "mpm": case_at(library, leg).history,
             "rft2d": simulate(_rft(leg, dimensions=2)),
             "rft3d": simulate(_rft(leg, dimensions=3)),
         }
@@ -72,7 +82,7 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
         peaks[leg] = {name: _peaks(history) for name, history in everything.items()}
         figures[f"benchmark-{leg}"] = comparison_figure(
             f"Leg {leg} in Yuma sand; MPM at φ = {PHI_DEG:g}° ({convention})",
-            curves_of(simulated, leg),
+            curves_of(library, leg),
         )
         rows += [
             _row(leg, name, deviations[leg].get(name), peaks[leg][name]) for name in peaks[leg]
@@ -106,14 +116,14 @@ def _beside_paper(deviations: dict[str, dict[str, dict[str, float]]]) -> list[Be
     ]
 
 
-def curves_of(library: Library, leg: str) -> list[Curve]:
+def curves_of(library: str, leg: str) -> list[Curve]:
     """A leg's measured forces in Yuma sand and those of the models, as the study draws them.
 
     Raises InputError if the library lacks the leg at 35°.
     """
     return [
         Curve("measured, Li et al. 2013", measurement(f"li2013:yuma/{leg}").history, ORANGE, ""),
-        Curve(f"MPM, {library.name}", _from_library(library, leg), BLUE),
+        Curve(f"MPM, {Library.load(library).name}", case_at(library, leg).history, BLUE),
         # RFT 3-D stays in the table: at 35° it is five times the measured force, and would leave
         # the others no room.
         Curve(
@@ -142,14 +152,33 @@ def nrmsd_percent(measured: ForceHistory, model: ForceHistory) -> dict[str, floa
     return {"Fx": fx, "Fz": fz}
 
 
-def _from_library(library: Library, leg: str) -> ForceHistory:
-    """The library's history of a leg at 35°."""
-    for case in library.cases:
-        wanted = (leg, PHI_DEG)
+def case_at(library: str, leg: str) -> FinishedCase:
+    """The case of a leg at the benchmark's friction angle.
+
+    Parameters
+    ----------
+    library
+        Name or file of a library; what it lacks is looked for in a shipped ``NAME-legs``.
+    leg
+        ``straight``, ``c`` or ``reversed_c``.
+
+    Returns
+    -------
+    FinishedCase
+
+    Raises
+    ------
+    InputError
+        If neither has it.
+    """
+    names = [library]
+    if f"{library}-legs" in shipped_names("libraries", ".nc"):
+        names.append(f"{library}-legs")
+    for case in (case for name in names for case in Library.load(name).cases):
         found = (case.scenario.leg.shape, case.scenario.soil.friction_angle_deg)
-        if found == wanted and case.history is not None:
-            return case.history
-    raise InputError(f"library '{library.name}' has no case of leg '{leg}' at {PHI_DEG:g} deg")
+        if found == (leg, PHI_DEG) and case.history is not None:
+            return FinishedCase(case.scenario, case.history)
+    raise InputError(f"library '{library}' has no case of leg '{leg}' at {PHI_DEG:g} deg")
 
 
 def _rft(leg: str, *, dimensions: int) -> Scenario:

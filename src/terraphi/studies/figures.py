@@ -10,8 +10,6 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from terraphi.errors import InputError
-from terraphi.library import Library
 from terraphi.scenario import Scenario
 from terraphi.studies import PAPER_LIBRARY, Study, benchmark, phi_sensitivity, recovery, surrogate
 from terraphi.studies.pictures import legs_figure
@@ -67,7 +65,7 @@ def run(
         module.__name__.rpartition(".")[2]: module.run(library=library)
         for module in (phi_sensitivity, benchmark, surrogate, recovery)
     }
-    legs = {leg: benchmark.curves_of(Library.load(library), leg) for leg in LEGS}
+    legs = {leg: benchmark.curves_of(library, leg) for leg in LEGS}
     figures = {
         "forces-phi": parts["phi_sensitivity"].figures["forces"],
         "peaks-phi": parts["phi_sensitivity"].figures["peaks"],
@@ -97,7 +95,7 @@ def _particles(
     progress: Callable[[float, float], None] | None,
 ) -> dict[str, tuple[Scenario, list[Moment]]]:
     """Scenario and moments of each leg at 35°."""
-    cases = {leg: _scenario(Library.load(library), leg) for leg in LEGS}
+    cases = {leg: benchmark.case_at(library, leg).scenario for leg in LEGS}
     found = {}
     with tempfile.TemporaryDirectory() as passing:
         for number, (leg, scenario) in enumerate(cases.items()):
@@ -109,12 +107,3 @@ def _particles(
             kept = place or Path(passing)
             found[leg] = scenario, moments(scenario, SNAPSHOTS_DEG, kept, progress=tell)
     return found
-
-
-def _scenario(library: Library, leg: str) -> Scenario:
-    """Scenario of a leg at the benchmark's friction angle."""
-    for case in library.cases:
-        soil = case.scenario.soil
-        if (case.scenario.leg.shape, soil.friction_angle_deg) == (leg, benchmark.PHI_DEG):
-            return case.scenario
-    raise InputError(f"library '{library.name}' has no leg '{leg}' at {benchmark.PHI_DEG:g} deg")
