@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from PIL import Image
 
 from terraphi import forward
@@ -17,6 +18,7 @@ from terraphi.animation import Scene, animate, check_animation
 from terraphi.errors import InputError
 from terraphi.forward.mpm.fields import FieldSeries
 from terraphi.history import ForceHistory
+from terraphi.plots import ORANGE
 from terraphi.scenario import Scenario
 from terraphi.vtk import read_points, read_series
 
@@ -70,12 +72,28 @@ def test_a_gif_has_a_picture_a_frame_and_the_pictures_differ(made: Made, tmp_pat
     assert told == pytest.approx(np.arange(1, 8) / 7)
     with Image.open(tmp_path / "a.gif") as film:
         assert film.n_frames == 7
-        pictures = []
+        pictures, lasts = [], []
         for number in range(film.n_frames):
             film.seek(number)
-            assert film.info["duration"] == pytest.approx(1000 / 12, abs=10)
+            lasts.append(film.info["duration"])
             pictures.append(np.asarray(film.convert("RGB")))
     assert all((a != b).any() for a, b in itertools.pairwise(pictures))
+    # As long as the simulation took from each to the next, in hundredths of a second.
+    times = np.array([time for time, _ in read_series(made.series)[0]])
+    wanted = 1000 / 12 * np.diff(times) / np.diff(times).mean()
+    assert lasts[:-1] == pytest.approx(np.maximum(wanted, 20.0), abs=5.1)
+
+
+def test_colours_stay_the_same_from_frame_to_frame(made: Made, tmp_path) -> None:
+    animate(tmp_path / "a.gif", made.history, made.scenario, made.series)
+    seen = set()
+    with Image.open(tmp_path / "a.gif") as film:
+        for number in range(film.n_frames):
+            film.seek(number)
+            seen |= set(map(tuple, np.asarray(film.convert("RGB")).reshape(-1, 3)))
+    assert len(seen) <= 256
+    # The arrow's and the markers' own colour is among them, not the nearest of a frame's.
+    assert tuple(round(255 * part) for part in to_rgb(ORANGE)) in seen
 
 
 def test_each_frame_shows_its_moment(made: Made) -> None:

@@ -24,6 +24,7 @@ ROOMS = [
     "motion",
     "setting",
     "scenario",
+    "plausibility",
     "history",
     "measurements",
     "forward",

@@ -30,8 +30,11 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 FRAMES_PER_SECOND = 12
+DOTS_PER_INCH = 100
 SOIL_INCHES = 5.0
 """Width of the soil in the picture [in]."""
+SPLASH = 0.06
+"""Room above the leg's highest place, for soil that it throws up [m]."""
 SMOOTHING_BINS = 10
 """Bins of the history over which forces are averaged: 1° of a rotation."""
 ARROW = "simple,head_width=9,head_length=9,tail_width=3"
@@ -97,7 +100,8 @@ def animate(
     check_animation(path)
     frames, _ = read_series(series)
     scene = Scene(history, scenario)
-    with replacing(path) as temporary, _recording(scene.figure, temporary) as grab:
+    lasts = _durations(np.array([time for time, _ in frames]))
+    with replacing(path) as temporary, _recording(scene.figure, temporary, lasts) as grab:
         for done, (time, name) in enumerate(frames, start=1):
             scene.show(time, read_points(series.parent / name))
             grab()
@@ -105,15 +109,83 @@ def animate(
                 progress(done / len(frames))
 
 
-@contextmanager
-def _recording(figure: Figure, path: Path) -> Iterator[Callable[[], None]]:
-    """A function that adds the figure as it stands to an animation."""
-    from matplotlib.animation import FFMpegWriter, PillowWriter
+def _durations(times: FloatArray) -> list[int]:
+    """How long each frame is shown [ms], so that a leg at a constant rate turns at one.
 
-    kind: Any = PillowWriter if path.suffix == ".gif" else FFMpegWriter
-    writer = kind(fps=FRAMES_PER_SECOND)
-    with writer.saving(figure, path, dpi=100):
+    Frames are taken between blocks of steps, and so not evenly in time.
+    """
+    if len(times) < 2:
+        return [round(1e3 / FRAMES_PER_SECOND)] * len(times)
+    gaps = np.diff(times)
+    # A GIF counts in hundredths of a second.
+    shown = 10.0 * np.round(100.0 / FRAMES_PER_SECOND * gaps / gaps.mean())
+    return [int(max(20.0, ms)) for ms in (*shown, shown[-1])]
+
+
+@contextmanager
+def _recording(figure: Figure, path: Path, lasts: list[int]) -> Iterator[Callable[[], None]]:
+    """A function that adds the figure as it stands to an animation."""
+    if path.suffix == ".gif":
+        with _recording_gif(figure, path, lasts) as grab:
+            yield grab
+        return
+    from matplotlib.animation import FFMpegWriter
+
+    writer = FFMpegWriter(fps=FRAMES_PER_SECOND)
+    with writer.saving(figure, path, dpi=DOTS_PER_INCH):
         yield writer.grab_frame
+
+
+@contextmanager
+def _recording_gif(figure: Figure, path: Path, lasts: list[int]) -> Iterator[Callable[[], None]]:
+    """As :func:`_recording`; all frames share one set of colours, so that none changes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    figure.set_dpi(DOTS_PER_INCH)
+    canvas: Any = FigureCanvasAgg(figure)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(_palette().ravel().tolist())
+    frames: list[Image.Image] = []
+
+    def grab() -> None:
+        canvas.draw()
+        drawn = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+        frames.append(drawn.quantize(palette=palette, dither=Image.Dither.NONE))
+
+    yield grab
+    frames[0].save(
+        path, "GIF", save_all=True, append_images=frames[1:], duration=lasts[: len(frames)], loop=0
+    )
+
+
+def _palette() -> NDArray[np.uint8]:
+    """The 256 colours of a GIF: speeds, also paled, greys, and tints of the two colours of forces.
+
+    Returns
+    -------
+    numpy.ndarray
+        Red, green and blue, shape [256, 3].
+    """
+    from matplotlib import colormaps
+    from matplotlib.colors import to_rgb
+
+    def tints(colours: FloatArray, share: float) -> FloatArray:
+        return share * colours + (1.0 - share)
+
+    speeds = np.asarray(colormaps[COLOURS](np.linspace(0.0, 1.0, 96)))[:, :3]
+    pale = [tints(speeds[::4], share) for share in (0.8, 0.6, 0.4, PALEST)]
+    greys = np.repeat(np.linspace(0.0, 1.0, 40)[:, None], 3, axis=1)
+    accents = [
+        ramp
+        for name in (ORANGE, BLUE)
+        for ramp in (
+            np.array([tints(np.array(to_rgb(name)), share) for share in np.linspace(0.1, 1.0, 8)]),
+            np.linspace(0.2, 0.8, 4)[:, None] * np.array(to_rgb(name)),
+        )
+    ]
+    colours = np.concatenate([speeds, *pale, greys, *accents])
+    return np.round(255.0 * colours).astype(np.uint8)
 
 
 class Scene:
@@ -305,7 +377,7 @@ def _ceiling(scenario: Scenario) -> float:
     along, motion = frame_axes(poses.theta)
     s, m = scenario.leg.outline().T
     height = poses.hip[:, None, 1] + s * along[:, 1:] + m * motion[:, 1:]
-    return min(float(height.max()) + 0.02, scenario.numerics.domain)
+    return min(float(height.max()) + SPLASH, scenario.numerics.domain)
 
 
 def _round_down(value: float) -> float:

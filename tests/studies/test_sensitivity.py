@@ -143,7 +143,9 @@ def test_tolerance_without_seeds_is_two_percent() -> None:
 @pytest.mark.parametrize(
     ("deviations", "safe", "beyond"),
     [
-        ({2.0: 0.5, 5.0: 1.9, 10.0: 1.2}, "10", None),
+        ({2.0: 0.5, 5.0: 0.9, 10.0: 0.6}, "10", None),
+        # A peak is half the peak-to-peak here, so that a shift moves it by twice its own share.
+        ({2.0: 0.5, 5.0: 1.5, 10.0: 0.6}, "4", "5"),
         ({2.0: 0.5, 5.0: 2.1, 10.0: 6.0}, "4", "5"),
         ({2.0: 0.5, 5.0: 2.1, 10.0: 0.0}, "4", "5"),  # by chance: what lies beyond is not safe
         ({2.0: 2.1, 5.0: 2.2, 10.0: 2.3}, "1", "2"),

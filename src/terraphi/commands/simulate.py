@@ -56,7 +56,9 @@ def simulate(
     checkpoint_every: float,
     as_json: bool,
 ) -> None:
-    """Simulate SCENARIO, a TOML file or the name of a shipped preset (quick, paper-0).
+    """Simulate SCENARIO, a TOML file or the name of a shipped preset.
+
+    Presets: quick, paper-0, resolved.
 
     A simulation that was interrupted or killed is taken up again by the same command, and ends in
     the same bits.
@@ -64,9 +66,12 @@ def simulate(
     Example: terraphi simulate quick --out quick.nc
     """
     from terraphi.files import writable
+    from terraphi.plausibility import doubts
     from terraphi.scenario import Scenario
 
     chosen = Scenario.load(scenario)
+    if out is not None and out.suffix != ".nc":
+        raise InputError(f"{out}: a history is written as NetCDF; name it {out.stem}.nc")
     for file in (out, animate, checkpoint):
         if file is not None:
             writable(file)
@@ -76,6 +81,8 @@ def simulate(
         check_animation(animate)
     kept = kept_state(checkpoint, out or animate or fields, checkpoint_every)
     series = field_series(chosen, fields, animate, frames)
+    for doubt in doubts(chosen):
+        click.echo(f"terraphi: {doubt}", err=True)
     history = run(chosen, kept, series)
     if out is not None:
         history.to_netcdf(out)

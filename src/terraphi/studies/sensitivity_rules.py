@@ -126,7 +126,9 @@ def _limit(group: Group, tolerance: Tolerance) -> Conclusion:
     for case in group.cases:
         if case is reference:
             continue
-        if not _within(group.deviation(case), tolerance.nrmsd):
+        moves = {force: change(reference, case, force) for force in FORCES}
+        calm = _within(group.deviation(case), tolerance.nrmsd) and _within(moves, tolerance.peak)
+        if not calm:
             beyond = case
             break
         safe = case
@@ -137,7 +139,12 @@ def _limit(group: Group, tolerance: Tolerance) -> Conclusion:
             f"{both(group.deviation(beyond))} already, its peaks by {moved(reference, beyond)}"
         )
     else:
-        far = f"; {beyond.label} deviates by {both(group.deviation(beyond))}" if beyond else ""
+        far = (
+            f"; {beyond.label} deviates by {both(group.deviation(beyond))}, its peaks by "
+            f"{moved(reference, beyond)}"
+            if beyond
+            else ""
+        )
         bound = "safe up to" if beyond else "safe as far as it was tried, up to"
         said = (
             f"{bound} {safe.label}, which deviates from {reference.label} by "

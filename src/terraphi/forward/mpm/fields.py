@@ -102,6 +102,7 @@ class FieldSeries:
         there = {name: time for time, name in frames} if note == self._note else {}
         names = {k: self._frame(PARTICLES, k).name for k in wanted}
         known = {k: there[name] for k, name in names.items() if name in there}
+        self._clear({self._frame(name, k).name for name in (PARTICLES, LEG) for k in known})
         if len(known) < len(wanted):
             log.warning(
                 "%s: %d frames before step %d are missing, as the simulation goes on from a "
@@ -111,6 +112,13 @@ class FieldSeries:
                 step,
             )
         return known
+
+    def _clear(self, kept: set[str]) -> None:
+        """Remove the frames of another run, which the new series would not list."""
+        for name in (PARTICLES, LEG):
+            for file in self._folder.glob(f"{name}_[0-9][0-9][0-9][0-9].vtu"):
+                if file.name not in kept:
+                    file.unlink(missing_ok=True)
 
 
 def frame_steps(steps: int, frames: int, *, block: int = BLOCK) -> list[int]:

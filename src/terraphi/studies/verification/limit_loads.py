@@ -20,15 +20,15 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from terraphi.forward.mpm.solver import simulate
-from terraphi.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 from terraphi.scenario import Scenario
 from terraphi.setting import GRAVITY
 from terraphi.studies.verification.check import Check, Family, Outcome, Task
+from terraphi.studies.verification.limit_figures import figures
 from terraphi.studies.verification.limit_scenarios import (
     CONFINEMENT,
     DENSITY,
@@ -48,10 +48,6 @@ from terraphi.studies.verification.limit_values import (
     surcharge_factor,
 )
 from terraphi.workers import heartbeat
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 SPLINES = "nodes, phases, splines"
 FIRST_UNIT = 1e-5
@@ -313,72 +309,6 @@ def _feet() -> list[dict[str, Any]]:
         {"phi_deg": 25.0, "across": 40, "load": "weight", "scheme": scheme, **smooth}
         for scheme in ("nodes", "nodes, phases", "surface")
     ]
-
-
-def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
-    """Force over displacement on the finest grids, and limit loads over cells; over the exact."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, 11.0), layout="constrained")
-    panels = figure.subplots(2, 2).ravel()
-    runs = [outcome.curves for outcome in outcomes.values()]
-    most = max((run["across"] for run in runs), default=0)
-    titles = (
-        (("wall",), "passive wall", "displacement / (h q_u/E)"),
-        (("N_q", "N_γ"), "strip footing", "settlement / (B q_u/E)"),
-        (("moved",), "passive wall that moves", "displacement / h"),
-    )
-    for axes, (kinds, title, label) in zip(panels, titles, strict=False):
-        shown = [run for run in runs if run["kind"] in kinds and run["across"] == most]
-        for run, look in zip(shown, _looks(), strict=False):
-            # Means over 2.5 % of the path: contact is noisy where a plate moves far.
-            place, ratio = (
-                np.array(run[key])[: len(run[key]) // 5 * 5].reshape(-1, 5).mean(axis=1)
-                for key in ("x", "y")
-            )
-            axes.plot(place, ratio, lw=1.2, label=_short(run["case"]), **look)
-        _dress(axes, f"{title}, {most} cells", label)
-        axes.set_ylim(0.0, 1.8)
-    _over_cells(panels[3], [run for run in runs if run["kind"] != "moved"])
-    for axes in panels[::2]:
-        axes.set_ylabel("force / exact limit load")
-    return {"verification-limit-loads": figure}
-
-
-def _over_cells(axes: Axes, runs: list[Mapping[str, Any]]) -> None:
-    """Limit loads over the number of cells, of what was computed on more than one grid."""
-    found: dict[str, list[tuple[int, float]]] = {}
-    for run in runs:
-        found.setdefault(_short(run["case"]), []).append((run["across"], run["last"]))
-    several = {case: sorted(points) for case, points in found.items() if len(points) > 1}
-    for (case, points), look in zip(several.items(), _looks(), strict=False):
-        cells, ratios = zip(*points, strict=True)
-        axes.plot(cells, ratios, marker="o", ms=3, lw=1.0, label=case, **look)
-    _dress(axes, "convergence", "cells along h or B")
-    if several:
-        axes.set_xscale("log", base=2)
-        axes.set_xticks([10, 20, 40], ["10", "20", "40"])
-
-
-def _looks() -> itertools.cycle[dict[str, Any]]:
-    """Line styles and colours."""
-    lines = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
-    styles = itertools.product(lines, (BLUE, ORANGE, GREEN, PURPLE))
-    return itertools.cycle([{"ls": style, "color": colour} for style, colour in styles])
-
-
-def _short(case: str) -> str:
-    return case.replace("associated, ", "").replace("rough floor, ", "").replace("contact: ", "")
-
-
-def _dress(axes: Axes, title: str, label: str) -> None:
-    axes.axhline(1.0, color=GREY, lw=1.0)
-    axes.set_title(title, fontsize=10)
-    axes.set_xlabel(label)
-    axes.grid(lw=0.4)
-    if axes.get_legend_handles_labels()[0]:
-        below = (0.0, -0.12)
-        axes.legend(fontsize=6, frameon=False, loc="upper left", bbox_to_anchor=below, ncols=2)
 
 
 FAMILY = Family(

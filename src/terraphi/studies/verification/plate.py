@@ -305,15 +305,18 @@ def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
     """Force over the exact one against displacement: smooth, rough with soil beneath, floors."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11.0, 5.6), layout="constrained")
-    panels = figure.subplots(1, 3, sharey=True)
     curves = [run for outcome in outcomes.values() for run in outcome.curves["runs"]]
     beneath = [run for run in curves if "beneath" in run["case"] and "μ = 0.35" in run["case"]]
     smooth = [run for run in curves if run["case"].endswith("μ = 0, smooth floor at the toe")]
     rest = [run for run in curves if run not in beneath + smooth and "far" not in run]
     looks = list(itertools.product(("-", "--", ":"), (BLUE, ORANGE, GREEN, PURPLE)))
     titles = ("μ = 0, smooth floor at the toe", "μ = 0.35, soil beneath the toe", "other floors")
-    for axes, title, runs in zip(panels, titles, (smooth, beneath, rest), strict=True):
+    shown = [(t, runs) for t, runs in zip(titles, (smooth, beneath, rest), strict=True) if runs]
+    if not shown:
+        return {}
+    figure = Figure(figsize=(3.0 + 2.7 * len(shown), 5.6), layout="constrained")
+    panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    for axes, (title, runs) in zip(panels, shown, strict=True):
         axes.axhspan(1.0 - TOLERANCE, 1.0 + TOLERANCE, color=GREY, alpha=0.25, lw=0)
         for run, (style, colour) in zip(runs, looks, strict=False):
             # Means of five bins: contact and waves are noisy.
@@ -325,8 +328,7 @@ def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
         axes.set_xlabel("displacement [mm]")
         axes.set_ylim(0.0, 2.0)
         axes.grid(lw=0.4)
-        if runs:
-            axes.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.15))
+        axes.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.15))
     panels[0].set_ylabel("force / exact passive force")
     return {"verification-plate": figure}
 
