@@ -174,6 +174,40 @@ def test_a_failed_case_is_recorded_and_tried_again(
     assert whole.failures == {}
 
 
+def test_a_failure_that_is_a_result_is_kept_and_not_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    why = "went wrong at step 7; the last good state, before step 6, is in /some/where"
+    seen: Calls = []
+
+    def fails(scenario: Scenario, **options: Any) -> ForceHistory:
+        seen.append(scenario.soil.friction_angle_deg)
+        return failing_at(30.0, RuntimeError(why))(scenario, **options)
+
+    monkeypatch.setattr(building, "simulate", fails)
+    for tried in (ANGLES, []):
+        seen.clear()
+        finished, failures = building.simulate_cases(plan_of(), tmp_path, keep_failures=True)
+        assert seen == tried
+        assert len(finished) == 4
+        reasons = {reason.partition(";")[0] for reason in failures.values()}
+        assert reasons == {"RuntimeError: went wrong at step 7"}
+    # Where the state was kept is of one machine and one day.
+    assert building.failed_cases(tmp_path) == failures
+    assert "/some/where" not in next(iter(failures.values()))
+    # Another model may do better.
+    monkeypatch.setitem(MODEL_VERSIONS, "rft", MODEL_VERSIONS["rft"] + 1)
+    assert building.failed_cases(tmp_path) == {}
+
+
+def test_a_record_of_a_failure_that_cannot_be_read_is_tried_again(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / f"0abc{building.FAILURE}").write_text('{"reason": ')
+    assert building.failed_cases(tmp_path) == {}
+    assert "it will be tried again" in caplog.text
+
+
 def test_a_case_that_the_model_refuses(tmp_path: Path) -> None:
     """Resistive force theory knows no cohesion, and says so."""
     plan = plan_of([25.0], **{"soil.cohesion": [0.0, 100.0]})

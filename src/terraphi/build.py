@@ -8,6 +8,7 @@ that broke down.
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
@@ -18,6 +19,8 @@ from types import MappingProxyType
 from pydantic import ValidationError
 
 from terraphi.errors import InputError
+from terraphi.files import folder as made_folder
+from terraphi.files import replacing
 from terraphi.forward import Checkpoint, model_version, simulate, software
 from terraphi.forward.watch import EVERY
 from terraphi.history import ForceHistory
@@ -31,6 +34,8 @@ log = logging.getLogger(__name__)
 Progress = Callable[[int, int], None]
 """Called with the number of finished cases and of all cases."""
 
+FAILURE = ".failure.json"
+"""How the name of a file ends that says why a case failed."""
 _POLL = 0.25
 """Seconds between two looks at the executor; the progress display moves that often."""
 
@@ -152,6 +157,7 @@ def simulate_cases(
     executor: Executor | None = None,
     progress: Progress | None = None,
     checkpoint_every: float = EVERY,
+    keep_failures: bool = False,
 ) -> tuple[dict[str, ForceHistory], dict[str, str]]:
     """Simulate what a plan asks for and has not been simulated yet, each case to a file of its own.
 
@@ -166,6 +172,9 @@ def simulate_cases(
         Further finished cases, by the hash of their scenario.
     executor, progress, checkpoint_every
         As in :func:`build`.
+    keep_failures
+        Whether that a case fails is a result too: the reason is then kept in a file beside the
+        histories, and the case not tried again.
 
     Returns
     -------
@@ -178,26 +187,24 @@ def simulate_cases(
         If the folder cannot be written or a worker was killed.
     """
     wanted = plan.cases()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be made ({error.strerror}); choose another place"
-        ) from error
+    made_folder(folder)
     there = {**known, **finished_cases(folder)}
     finished = {s.hash: there[s.hash] for s in wanted if s.hash in there}
-    failures: dict[str, str] = {}
+    hopeless = failed_cases(folder) if keep_failures else {}
+    failures = {s.hash: hopeless[s.hash] for s in wanted if s.hash in hopeless}
     # A worker may stand in another folder, or on another machine with the same files.
     place = folder.absolute()
     checkpoints = {
         s.hash: Checkpoint(place / f"{s.hash}.checkpoint", checkpoint_every) for s in wanted
     }
-    missing = {s.hash: s for s in wanted if s.hash not in finished}
+    missing = {s.hash: s for s in wanted if s.hash not in finished and s.hash not in failures}
     log.info("%d of %d cases are there already", len(wanted) - len(missing), len(wanted))
 
     def keep(scenario: Scenario, outcome: ForceHistory | str) -> None:
         if isinstance(outcome, str):
             failures[scenario.hash] = outcome
+            if keep_failures:
+                _keep_failure(folder, scenario, outcome)
             log.warning("%s failed: %s", describe(plan, scenario), outcome)
         else:
             outcome.to_netcdf(folder / f"{scenario.hash}.nc")
@@ -282,6 +289,31 @@ def finished_cases(folder: Path) -> dict[str, ForceHistory]:
         if _is_current(history):
             found[file.stem] = history
     return found
+
+
+def failed_cases(folder: Path) -> dict[str, str]:
+    """Why cases failed, as kept in a folder, by scenario hash; those of other models left out."""
+    found = {}
+    for file in sorted(folder.glob("[0-9a-f]*" + FAILURE)):
+        try:
+            kept = json.loads(file.read_text(encoding="utf-8"))
+            scenario = Scenario.model_validate(kept["scenario"])
+            if kept["model_version"] == model_version(scenario):
+                found[scenario.hash] = str(kept["reason"])
+        except (KeyError, TypeError, ValueError) as error:
+            log.warning("%s: not a record of a failure (%s); it will be tried again", file, error)
+    return found
+
+
+def _keep_failure(folder: Path, scenario: Scenario, reason: str) -> None:
+    # Where the last good state lies is of this machine and this day.
+    record = {
+        "scenario": scenario.model_dump(mode="json"),
+        "model_version": model_version(scenario),
+        "reason": reason.partition("; the last good state")[0],
+    }
+    with replacing(folder / (scenario.hash + FAILURE)) as temporary:
+        temporary.write_text(json.dumps(record, indent=1, ensure_ascii=False), encoding="utf-8")
 
 
 def _from_library(path: Path) -> dict[str, ForceHistory]:

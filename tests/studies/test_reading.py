@@ -97,3 +97,15 @@ def test_a_spike_is_no_engagement() -> None:
     force[300] = 4.0
     found = reading.engagement_deg(ForceHistory(THETA, force))
     assert found == pytest.approx(-85.0, abs=0.15)
+
+
+def test_a_reading_that_breaks_down_is_a_result(plans: dict[float, Plan]) -> None:
+    done = finished(plans, {"base": PAPER, "thin": PAPER, "thick": PAPER})
+    at_45 = plans[45.0].variants()[1].scenario.hash
+    del done[at_45]
+    study = reading.study_of(plans, done, {at_45: "the soil flew away"})
+    assert study.data["failed"] == {"thin at 45°": "the soil flew away"}
+    assert study.data["missing"] == []
+    row = next(row for row in study.rows if row[0] == "thin")
+    assert row[1:5] == ("8.6 N", "10.2 N", "breaks down", "breaks down")
+    assert "thin at 45°: the soil flew away." in study.documents["reading.md"]

@@ -13,10 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from terraphi.build import failed_cases
+from terraphi.documents import shipped_folder
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.plan import BASE, Plan
@@ -81,12 +84,21 @@ def run(
         If the base is not simulated yet, the folder cannot be written, or a simulation failed.
     """
     plans = plans_at_both_ends(Plan.load(NAME))
-    finished = finished_for(NAME, build)
+    finished, failed = finished_for(NAME, build), _failed(build)
     if build is not None:
         for plan in plans.values():
-            if missing_from(plan, finished):
-                finished |= simulate_missing(plan, build, workers, cluster, progress)
-    return study_of(plans, finished)
+            if any(v.scenario.hash not in failed for v, _ in missing_from(plan, finished)):
+                finished |= simulate_missing(
+                    plan, build, workers, cluster, progress, keep_failures=True
+                )
+        failed = _failed(build)
+    return study_of(plans, finished, failed)
+
+
+def _failed(build: Path | None) -> dict[str, str]:
+    """Why cases failed, of the shipped ones and those in a folder, by scenario hash."""
+    folders = [shipped_folder("studies", NAME), *([build] if build else [])]
+    return {key: why for folder in folders for key, why in failed_cases(folder).items()}
 
 
 def plans_at_both_ends(plan: Plan) -> dict[float, Plan]:
@@ -97,7 +109,11 @@ def plans_at_both_ends(plan: Plan) -> dict[float, Plan]:
     }
 
 
-def study_of(plans: Mapping[float, Plan], finished: Mapping[str, ForceHistory]) -> Study:
+def study_of(
+    plans: Mapping[float, Plan],
+    finished: Mapping[str, ForceHistory],
+    failed: Mapping[str, str] = MappingProxyType({}),
+) -> Study:
     """The study on what is finished.
 
     Parameters
@@ -106,13 +122,16 @@ def study_of(plans: Mapping[float, Plan], finished: Mapping[str, ForceHistory]) 
         Of steps that each change the base, by φ [deg].
     finished
         Histories by the hash of their scenario.
+    failed
+        Why others could not be simulated, likewise.
 
     Returns
     -------
     Study
         ``data``: ``paper`` (``peaks_N`` by φ, ``angles_deg``, ``engagement_deg``), ``readings``
         (list of ``reading``, ``peaks_N`` and ``angles_deg`` by φ, ``engagement_deg``,
-        ``off_by_percent``, least first), ``closest`` and ``missing``.
+        ``off_by_percent``, least first), ``closest``, ``failed`` (why, by reading and φ) and
+        ``missing``.
 
     Raises
     ------
@@ -133,9 +152,13 @@ def study_of(plans: Mapping[float, Plan], finished: Mapping[str, ForceHistory]) 
     name = next(iter(plans.values())).scenario.name
     for reading in readings:
         reading["reading"] = name if reading["reading"] == BASE else reading["reading"]
-    missing = [
-        f"{v.key} at {phi:g}°" for phi, p in plans.items() for v, _ in missing_from(p, finished)
-    ]
+    waiting = [(phi, v) for phi, p in plans.items() for v, _ in missing_from(p, finished)]
+    missing = [f"{v.key} at {phi:g}°" for phi, v in waiting if v.scenario.hash not in failed]
+    broken = {
+        f"{v.key} at {phi:g}°": failed[v.scenario.hash]
+        for phi, v in waiting
+        if v.scenario.hash in failed
+    }
     data = {
         "paper": {
             "peaks_N": PAPER_PEAKS_N,
@@ -144,9 +167,11 @@ def study_of(plans: Mapping[float, Plan], finished: Mapping[str, ForceHistory]) 
         },
         "readings": readings,
         "closest": readings[0]["reading"],
+        "failed": broken,
         "missing": missing,
     }
     rows = [_paper_row(), *(_row(reading) for reading in readings)]
+    rows += _broken_rows(plans, finished, failed)
     notes = _notes(data)
     picture = "peaks of each reading at both ends of the library, and the paper's"
     return Study(
@@ -248,6 +273,23 @@ def _row(reading: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
+def _broken_rows(
+    plans: Mapping[float, Plan], finished: Mapping[str, ForceHistory], failed: Mapping[str, str]
+) -> list[tuple[str, ...]]:
+    """Readings that break down at one end or both, with the peaks of the other."""
+    cells: dict[str, list[str]] = {}
+    broken = set()
+    for plan in plans.values():
+        for variant in plan.variants():
+            key = variant.scenario.hash
+            if key in failed:
+                broken.add(variant.key)
+            peaks = finished[key].peaks() if key in finished else None
+            shown = [f"{p:.1f} N" for p in (peaks.Fz, peaks.Fx)] if peaks else ["breaks down"] * 2
+            cells.setdefault(variant.key, []).extend(shown)
+    return [(name, *shown, "", "", "") for name, shown in cells.items() if name in broken]
+
+
 def _notes(data: Mapping[str, Any]) -> Sequence[str]:
     first = data["readings"][0]
     notes = [
@@ -260,6 +302,9 @@ def _notes(data: Mapping[str, Any]) -> Sequence[str]:
     ]
     which = ", ".join(wider) if wider else "no reading here"
     notes.append(f"The paper's F_x exceeds its F_z at both ends; so does that of: {which}.")
+    notes += [
+        f"Cannot be simulated to the end: {name}: {why}." for name, why in data["failed"].items()
+    ]
     if data["missing"]:
         notes.append(
             f"Not simulated yet: {', '.join(data['missing'])}; `terraphi study {NAME} --build "

@@ -106,12 +106,14 @@ def simulate_missing(
     workers: int | None,
     cluster: str | None,
     progress: Callable[[float, float], None] | None,
+    *,
+    keep_failures: bool = False,
 ) -> dict[str, ForceHistory]:
     """Simulate what is missing of a shipped plan; all finished cases, as :func:`finished_for`.
 
     Workers are processes here, 1 if not given, or those of the cluster at an address. Raises
     InputError if they cannot be had or the folder not be written, and if a simulation failed or was
-    interrupted: the others are kept.
+    interrupted: the others are kept. Where failures are kept, one that fails is no error.
     """
     try:
         with pool(workers, cluster, default=1) as running:
@@ -121,6 +123,7 @@ def simulate_missing(
                 known=finished_for(plan.name, None),
                 executor=running.executor,
                 progress=lambda done, total: progress and progress(running.counted(done), total),
+                keep_failures=keep_failures,
             )
     except KeyboardInterrupt:
         raise InputError(
@@ -128,7 +131,7 @@ def simulate_missing(
             "from there"
         ) from None
     for variant in plan.variants():
-        if variant.scenario.hash in failures:
+        if variant.scenario.hash in failures and not keep_failures:
             reason = failures[variant.scenario.hash]
             raise InputError(f"plan '{plan.name}': {label(variant)} failed: {reason}")
     return finished
