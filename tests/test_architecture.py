@@ -36,6 +36,8 @@ ROOMS = [
     "build",
     "gaussian_process",
     "surrogate",
+    "scatter",
+    "joint_surrogate",
     "inference",
     "robot",
     "plots",
@@ -47,7 +49,12 @@ ROOMS = [
     "cli",
 ]
 # Neighbours that stay strangers although the order of the list would let them meet.
-STRANGERS = {"robot": {"forward", "library", "gaussian_process", "surrogate", "inference"}}
+STRANGERS = {
+    "robot": {
+        *("forward", "library", "scatter", "joint_surrogate", "gaussian_process", "surrogate"),
+        "inference",
+    }
+}
 # The public face and `python -m terraphi` may open every door; nobody may come in through them.
 FACES = {"__init__", "__main__"}
 

@@ -79,11 +79,15 @@ class Library:
         What came of it, in the plan's order.
     provenance
         Versions; JSON-able.
+    calibration
+        What inversions have learnt of it: particle scatter and hyperparameters by leg, and the
+        certificate of its coverage; JSON-able, empty if nobody looked.
     """
 
     plan: Plan
     cases: tuple[Case, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    calibration: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -120,6 +124,7 @@ class Library:
             "failures": self.failures,
             "density_kg_m3": first.soil.density,
             "sweep": self.plan.sweep or self.plan.one_at_a_time,
+            "certificate": self.calibration.get("certificate"),
             "provenance": dict(self.provenance),
         }
 
@@ -248,6 +253,7 @@ class Library:
                 "plan": self.plan.model_dump_json(),
                 "coordinate": whole.coordinate,
                 "provenance": json.dumps(dict(self.provenance)),
+                "calibration": json.dumps(dict(self.calibration)),
             },
         )
         packing = {f"F{axis}": {"zlib": True, "shuffle": True} for axis in whole.axes}
@@ -301,7 +307,10 @@ class Library:
             if "digest" in data and str(data["digest"].values[i]) != cases[-1].digest:
                 raise ValueError(f"the forces of case {i + 1} are not those that were written")
         plan = Plan.model_validate_json(str(data.attrs["plan"]))
-        return cls(plan, tuple(cases), json.loads(data.attrs["provenance"]))
+        provenance, calibration = (
+            json.loads(data.attrs.get(name, "{}")) for name in ("provenance", "calibration")
+        )
+        return cls(plan, tuple(cases), provenance, calibration)
 
 
 def _alike(one: ForceHistory, other: ForceHistory) -> bool:

@@ -2,202 +2,66 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
-import json
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.errors import InputError, nearest
-from terraphi.files import write_netcdf
 from terraphi.history import ForceHistory, Observation
-from terraphi.inference.posterior import Posterior, ensemble, quadrature
+from terraphi.inference.answer import AngleSummary, Inversion, plane_strain_summary
+from terraphi.inference.calibrated import CalibratedLikelihood, Problem
+from terraphi.inference.checks import check_magnitudes, check_same_setup
+from terraphi.inference.covariance import Budget, budget_of
+from terraphi.inference.fit import Fit, fit_without_discrepancy
+from terraphi.inference.judgement import judge_calibrated
+from terraphi.inference.library import prepare
+from terraphi.inference.noise import Noise, shape_of, window_covariance
+from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature
 from terraphi.inference.residual import PaperLikelihood
 from terraphi.inference.verdict import Verdict, judge, nrmsd
 from terraphi.library import Library
 from terraphi.scenario import Scenario
-from terraphi.soil import plane_strain_friction_angle_deg
 from terraphi.surrogate import LegSurrogate
 
-__all__ = ["LIKELIHOODS", "SAMPLERS", "AngleSummary", "Inversion", "invert"]
+__all__ = [
+    "DISCREPANCIES",
+    "LIKELIHOODS",
+    "SAMPLERS",
+    "AngleSummary",
+    "Inversion",
+    "invert",
+    "plane_strain_summary",
+]
 
 FloatArray = NDArray[np.float64]
-Likelihood = Literal["paper"]
+Likelihood = Literal["calibrated", "paper"]
 Sampler = Literal["quadrature", "emcee"]
-LIKELIHOODS: tuple[Likelihood, ...] = ("paper",)
+LIKELIHOODS: tuple[Likelihood, ...] = ("calibrated", "paper")
 SAMPLERS: tuple[Sampler, ...] = ("quadrature", "emcee")
+DISCREPANCIES = ("none", "gp")
+NODES = 401
+"""Nodes of the quadrature to begin with, where the likelihood is smooth."""
 
-DENSITIES = (100.0, 10000.0)
-"""Bulk densities that are accepted [kg/m³]; 1.6 is one in g/cm³."""
-FORCES = (1e-4, 1e5)
-"""Peak forces that are accepted [N]."""
 _SOFTWARE = ("terraphi", "numpy", "scipy", "emcee")
 
-QUADRATURE_DRAWS = (4, 1000)
-"""Chains and draws that stand for a posterior by quadrature in a file."""
 
+class _Found(NamedTuple):
+    """What both likelihoods come to."""
 
-@dataclass(frozen=True)
-class AngleSummary:
-    """Median and equal-tailed intervals of a friction angle [deg]."""
-
-    median: float
-    ci68: tuple[float, float]
-    ci95: tuple[float, float]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists."""
-        return {"median": self.median, "ci68": list(self.ci68), "ci95": list(self.ci95)}
-
-
-@dataclass(frozen=True)
-class Inversion:
-    """What an inversion found.
-
-    Attributes
-    ----------
-    source
-        Where the forces come from.
-    observation
-        The data d.
-    leg
-        Shape of the leg.
-    library
-        Name of the library.
-    convention
-        What φ means: a yield criterion, or ``rft3d``.
-    posterior
-        Of φ in that convention.
-    phi, phi_plane_strain
-        Summaries [deg]; the latter ``None`` where there is no equivalent.
-    plane_strain_reason
-        Why there is no equivalent; empty if there is one.
-    density
-        Bulk density that the curves were scaled to [kg/m³].
-    density_assumed
-        Whether it was taken from the library for want of a better one.
-    best, band
-        Curve at the median [N], shape [2M], and the smallest and largest force over the 95 %
-        interval [N], shape [2, 2M].
-    nrmsd
-        Misfit of the best curve by force, fractions of peak-to-peak.
-    verdict
-        Whether to believe it.
-    likelihood
-        Name of the likelihood.
-    provenance
-        Versions of the software, hash and versions of the library, time taken [s]; JSON-able.
-    """
-
-    source: str
-    observation: Observation
-    leg: str
-    library: str
-    convention: str
     posterior: Posterior
     phi: AngleSummary
-    phi_plane_strain: AngleSummary | None
-    plane_strain_reason: str
-    density: float
-    density_assumed: bool
     best: FloatArray
     band: FloatArray
-    nrmsd: Mapping[str, float]
+    nrmsd: dict[str, float]
     verdict: Verdict
-    likelihood: str
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Answer as the command line prints it with ``--json``."""
-        equivalent = self.phi_plane_strain
-        return {
-            "phi_deg": {**self.phi.as_dict(), "yield": self.convention},
-            "phi_plane_strain_deg": equivalent.as_dict() if equivalent else None,
-            "phi_plane_strain_reason": self.plane_strain_reason,
-            "verdict": self.verdict.verdict,
-            "reason": self.verdict.reason,
-            "edge": self.verdict.edge,
-            "nrmsd": dict(self.nrmsd),
-            "density_kg_m3": self.density,
-            "density_assumed": self.density_assumed,
-            "n_angles": len(self.observation.theta_deg),
-            "source": self.source,
-            "leg": self.leg,
-            "library": self.library,
-            "likelihood": self.likelihood,
-            "sampler": self.posterior.sampler,
-            "seed": self.posterior.seed,
-            "convergence": self.posterior.convergence,
-            "provenance": dict(self.provenance),
-        }
-
-    def to_netcdf(self, path: Path | str) -> None:
-        """Write the posterior in the layout of ArviZ, which can open it.
-
-        Groups ``posterior`` (``phi_deg`` over chain and draw), ``observed_data`` (the window
-        means) and ``posterior_predictive_mean`` (the best curve); the answer stands in the
-        attributes. A posterior by quadrature is written as quantiles of equal probability in a
-        random order, which are as good as independent draws.
-
-        Parameters
-        ----------
-        path
-            The file.
-
-        Raises
-        ------
-        InputError
-            If the place cannot be written.
-        """
-        import xarray as xr
-
-        angle = ("theta_deg", self.observation.theta_deg, {"units": "degree"})
-        draws = self._chains()
-        half = len(self.observation.theta_deg)
-        tree = xr.DataTree.from_dict(
-            {
-                "/": xr.Dataset(
-                    attrs={
-                        "terraphi_file": "inversion",
-                        "terraphi_schema": 1,
-                        "answer": json.dumps(self.as_dict()),
-                    }
-                ),
-                "/posterior": xr.Dataset(
-                    {"phi_deg": (("chain", "draw"), draws, {"units": "degree"})},
-                    coords={"chain": np.arange(draws.shape[0]), "draw": np.arange(draws.shape[1])},
-                    attrs={"yield": self.convention, "sampler": self.posterior.sampler},
-                ),
-                "/observed_data": xr.Dataset(
-                    {
-                        "Fx": ("theta_deg", self.observation.Fx, {"units": "N"}),
-                        "Fz": ("theta_deg", self.observation.Fz, {"units": "N"}),
-                    },
-                    coords={"theta_deg": angle},
-                ),
-                "/posterior_predictive_mean": xr.Dataset(
-                    {
-                        "Fx": ("theta_deg", self.best[:half], {"units": "N"}),
-                        "Fz": ("theta_deg", self.best[half:], {"units": "N"}),
-                    },
-                    coords={"theta_deg": angle},
-                ),
-            }
-        )
-        write_netcdf(tree, Path(path))
-
-    def _chains(self) -> FloatArray:
-        """Draws of φ [deg], shape [chain, draw]."""
-        if self.posterior.draws_deg is not None:
-            return self.posterior.chains()
-        count = QUADRATURE_DRAWS[0] * QUADRATURE_DRAWS[1]
-        draws = np.array([self.posterior.quantile((i + 0.5) / count) for i in range(count)])
-        return np.random.default_rng(0).permutation(draws).reshape(QUADRATURE_DRAWS)
+    budget: Budget | None
+    scenario: Scenario
+    core_seconds: float
 
 
 def invert(
@@ -207,7 +71,9 @@ def invert(
     leg: str = "straight",
     density: float | None = None,
     density_assumed: bool = False,
-    likelihood: str = "paper",
+    likelihood: str = "calibrated",
+    noise: float | str | Path | None = None,
+    discrepancy: str | None = None,
     sampler: str = "quadrature",
     seed: int = 0,
     source: str = "",
@@ -230,7 +96,13 @@ def invert(
     density_assumed
         Whether a density given is itself a guess.
     likelihood
-        ``paper``: as printed by Xu & Wang.
+        ``calibrated``, or ``paper``: as printed by Xu & Wang.
+    noise
+        Standard deviation of a force reading [N], or a TOML file with ``sigma_Fx_N`` and
+        ``sigma_Fz_N``; ``None`` or ``inferred`` infers it. Of the calibrated likelihood only.
+    discrepancy
+        ``gp``: the model may be wrong by a Gaussian process over θ; ``none``: it is right.
+        ``None`` takes ``none`` for a simulated history and ``gp`` for any other. Likewise.
     sampler
         ``quadrature`` (exact, one parameter) or ``emcee`` (the paper's settings).
     seed
@@ -251,149 +123,158 @@ def invert(
         raise InputError(f"unknown likelihood '{likelihood}'; {nearest(likelihood, LIKELIHOODS)}")
     if sampler not in SAMPLERS:
         raise InputError(f"unknown sampler '{sampler}'; {nearest(sampler, SAMPLERS)}")
+    if discrepancy is not None and discrepancy not in DISCREPANCIES:
+        raise InputError(
+            f"unknown discrepancy '{discrepancy}'; {nearest(discrepancy, DISCREPANCIES)}"
+        )
+    if likelihood == "paper" and (noise is not None or discrepancy is not None):
+        raise InputError("the paper's likelihood has neither noise nor discrepancy; drop them")
     began = time.perf_counter()
     observation = history.observation()
-    curves = library.curves(leg, within=(history.position[0], history.position[-1]))
-    scenario = curves.scenario
-    _check_magnitudes(density, observation, scenario)
-    _check_same_setup(history, scenario)
-    surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
-    used = scenario.soil.density if density is None else density
-    scale = used / scenario.soil.density
-    posterior = _sample(observation, surrogate, scale=scale, sampler=sampler, seed=seed)
-    phi = AngleSummary(posterior.median, posterior.interval(0.68), posterior.interval(0.95))
-    equivalent, why_not = plane_strain_summary(phi, scenario)
-    best = surrogate.predict(np.array([phi.median]), scale=scale)[0]
-    inside = surrogate.predict(np.linspace(*phi.ci95, 101), scale=scale)
-    deviation = nrmsd(observation.vector, best)
+    how = {"sampler": sampler, "seed": seed}
+    if likelihood == "paper":
+        found = _by_paper(history, observation, library, leg, density, how)
+    else:
+        errors = (Noise.parse(noise), discrepancy or _default_discrepancy(history))
+        found = _calibrated(history, observation, library, leg, density, errors, how)
+    equivalent, why_not = plane_strain_summary(found.phi, found.scenario)
     return Inversion(
         source=source or str(history.provenance.get("file", "")),
         observation=observation,
         leg=leg,
         library=library.name,
-        convention=scenario.convention,
-        posterior=posterior,
-        phi=phi,
+        convention=found.scenario.convention,
+        posterior=found.posterior,
+        phi=found.phi,
         phi_plane_strain=equivalent,
         plane_strain_reason=why_not,
-        density=used,
+        density=found.scenario.soil.density if density is None else density,
         density_assumed=density is None or density_assumed,
-        best=best,
-        band=np.stack([inside.min(axis=0), inside.max(axis=0)]),
-        nrmsd=deviation,
-        verdict=judge(
-            posterior,
-            bounds_deg=surrogate.phi_bounds_deg,
-            step_deg=surrogate.phi_step_deg,
-            residual_nrmsd=deviation,
-            convention=scenario.convention,
-        ),
+        best=found.best,
+        band=found.band,
+        nrmsd=found.nrmsd,
+        verdict=found.verdict,
         likelihood=likelihood,
-        provenance={**_provenance(library), "seconds": time.perf_counter() - began},
+        budget=found.budget,
+        provenance={
+            **_provenance(library),
+            "seconds": time.perf_counter() - began,
+            "core_seconds": found.core_seconds,
+        },
     )
 
 
-def _provenance(library: Library) -> dict[str, Any]:
-    """Versions of the software at work here, and what the library says of itself."""
-    return {
-        **{name: importlib.metadata.version(name) for name in _SOFTWARE},
-        "library": dict(library.provenance),
-        "library_hash": library.hash,
-    }
+def _default_discrepancy(history: ForceHistory) -> str:
+    """None for what a model of ours made, for then it is true."""
+    return "none" if "scenario" in history.provenance else "gp"
 
 
-def _check_magnitudes(density: float | None, observation: Observation, scenario: Scenario) -> None:
-    """Refuse numbers that can only be in another unit, and scaling where it does not hold."""
-    low, high = DENSITIES
-    if density is not None and not low <= density <= high:
-        raise InputError(
-            f"density = {density:g} kg/m³ is not that of a soil; {low:g} to {high:g} kg/m³ is "
-            "accepted"
+def _by_paper(
+    history: ForceHistory,
+    observation: Observation,
+    library: Library,
+    leg: str,
+    density: float | None,
+    how: dict[str, Any],
+) -> _Found:
+    """As printed by Xu & Wang."""
+    curves = library.curves(leg, within=(history.position[0], history.position[-1]))
+    scenario = curves.scenario
+    check_magnitudes(density, observation, scenario)
+    check_same_setup(history, scenario)
+    surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
+    scale = 1.0 if density is None else density / scenario.soil.density
+    likelihood = PaperLikelihood(observation.vector, observation.theta_deg)
+
+    def log_p(phi_deg: FloatArray) -> FloatArray:
+        return likelihood(surrogate.predict(phi_deg, scale=scale))
+
+    began = time.perf_counter()
+    posterior = _sample(log_p, surrogate.phi_bounds_deg, **how)
+    core = time.perf_counter() - began
+    phi, best, band, deviation = _curves(posterior, surrogate, observation, scale)
+    verdict = judge(
+        posterior,
+        bounds_deg=surrogate.phi_bounds_deg,
+        step_deg=surrogate.phi_step_deg,
+        residual_nrmsd=deviation,
+        convention=scenario.convention,
+    )
+    return _Found(posterior, phi, best, band, deviation, verdict, None, scenario, core)
+
+
+def _calibrated(
+    history: ForceHistory,
+    observation: Observation,
+    library: Library,
+    leg: str,
+    density: float | None,
+    errors: tuple[Noise, str],
+    how: dict[str, Any],
+) -> _Found:
+    """Every part of the residual with its own covariance."""
+    prepared = prepare(library, leg, within=(history.position[0], history.position[-1]))
+    scenario, surrogate = prepared.curves.scenario, prepared.surrogate
+    check_magnitudes(density, observation, scenario)
+    check_same_setup(history, scenario)
+    scale = 1.0 if density is None else density / scenario.soil.density
+    noise, discrepancy = errors
+    shape, sigma = shape_of(noise, window_covariance(history.position, observation.theta_deg))
+    began = time.perf_counter()
+    likelihood = CalibratedLikelihood(
+        Problem(
+            leg=prepared,
+            data=observation.vector / scale,
+            noise_shape=shape,
+            noise_sigma=None if sigma is None else sigma / scale,
+            discrepancy=discrepancy == "gp",
         )
-    if density not in (None, scenario.soil.density) and scenario.soil.cohesion > 0.0:
-        raise InputError(
-            f"density = {density:g} kg/m³: the library's soil has cohesion and a density of "
-            f"{scenario.soil.density:g} kg/m³, and its forces are not proportional to the density"
-        )
-    for name, force in (("Fx", observation.Fx), ("Fz", observation.Fz)):
-        # Exact equality would be lost to the rounding of the window means.
-        if np.ptp(force) <= 1e-9 * np.abs(force).max():
-            raise InputError(f"{name} is {force[0]:g} N at every angle; is the sensor connected?")
-    low, high = FORCES
-    peak = float(np.abs(observation.vector).max())
-    if not low <= peak <= high:
-        raise InputError(
-            f"the largest mean force is {peak:g} N; {low:g} to {high:g} N is accepted: are the "
-            "forces in newtons?"
-        )
-
-
-def _check_same_setup(history: ForceHistory, scenario: Scenario) -> None:
-    """Refuse a simulated history of a leg or hip unlike the library's."""
-    if "scenario" not in history.provenance:
-        return
-    made_by = Scenario.model_validate(history.provenance["scenario"])
-    for name, found, expected in (
-        ("leg.chord", made_by.leg.chord, scenario.leg.chord),
-        ("leg.width", made_by.leg.width, scenario.leg.width),
-        ("leg.half_thickness", made_by.leg.half_thickness, scenario.leg.half_thickness),
-        ("hip above the surface", made_by.hip_height, scenario.hip_height),
-    ):
-        if abs(found - expected) > 1e-6:
-            raise InputError(
-                f"the history was simulated with {name} = {found:g} m, the library with "
-                f"{expected:g} m; build a library for this setup"
-            )
+    )
+    posterior = _sample(likelihood, surrogate.phi_bounds_deg, nodes=NODES, **how)
+    core = time.perf_counter() - began
+    phi, best, band, deviation = _curves(posterior, surrogate, observation, scale)
+    fit: Fit = fit_without_discrepancy(likelihood.problem, likelihood.without, scale=scale)
+    budget = budget_of(likelihood, phi.median, fit, scale=scale)
+    verdict = judge_calibrated(
+        posterior, fit, residual_nrmsd=deviation, convention=scenario.convention
+    )
+    return _Found(posterior, phi, best, band, deviation, verdict, budget, scenario, core)
 
 
 def _sample(
-    observation: Observation, surrogate: LegSurrogate, *, scale: float, sampler: str, seed: int
+    log_p: LogLikelihood,
+    bounds_deg: tuple[float, float],
+    *,
+    sampler: str,
+    seed: int,
+    nodes: int = 4001,
 ) -> Posterior:
-    """Posterior of φ under the paper's likelihood."""
-    log_likelihood = PaperLikelihood(observation.vector, observation.theta_deg)
-
-    def log_p(phi_deg: FloatArray) -> FloatArray:
-        return log_likelihood(surrogate.predict(phi_deg, scale=scale))
-
     if sampler == "emcee":
-        return ensemble(log_p, surrogate.phi_bounds_deg, seed=seed)
-    return quadrature(log_p, surrogate.phi_bounds_deg)
+        return ensemble(log_p, bounds_deg, seed=seed)
+    return quadrature(log_p, bounds_deg, nodes=nodes)
 
 
-def plane_strain_summary(phi: AngleSummary, scenario: Scenario) -> tuple[AngleSummary | None, str]:
-    """The same strength as plane-strain Mohr-Coulomb angles; quantiles map one to one.
+def _curves(
+    posterior: Posterior, surrogate: Any, observation: Observation, scale: float
+) -> tuple[AngleSummary, FloatArray, FloatArray, dict[str, float]]:
+    """Summary of the posterior, the curve at its median, the band of the 95 %, and the misfit."""
+    phi = AngleSummary(posterior.median, posterior.interval(0.68), posterior.interval(0.95))
+    best = surrogate.predict(np.array([phi.median]), scale=scale)[0]
+    inside = surrogate.predict(np.linspace(*phi.ci95, 101), scale=scale)
+    band = np.stack([inside.min(axis=0), inside.max(axis=0)])
+    return phi, best, band, nrmsd(observation.vector, best)
 
-    Parameters
-    ----------
-    phi
-        Summary in the scenario's convention [deg].
-    scenario
-        Its convention and flow rule.
 
-    Returns
-    -------
-    tuple
-        The summary, or ``None`` and the reason why there is none.
-    """
-    if scenario.convention == "rft3d":
-        return None, (
-            "the angle of resistive force theory is the parameter of an empirical law, "
-            "not of a yield criterion"
-        )
-    soil = scenario.soil
+@functools.cache
+def _versions() -> dict[str, str]:
+    """Versions of the software at work here."""
+    return {name: importlib.metadata.version(name) for name in _SOFTWARE}
 
-    def convert(angle_deg: float) -> float:
-        return plane_strain_friction_angle_deg(
-            angle_deg,
-            soil.yield_criterion,
-            dilation_angle_deg=angle_deg if soil.flow == "associated" else soil.dilation_angle_deg,
-        )
 
-    try:
-        return AngleSummary(
-            convert(phi.median),
-            (convert(phi.ci68[0]), convert(phi.ci68[1])),
-            (convert(phi.ci95[0]), convert(phi.ci95[1])),
-        ), ""
-    except InputError as error:
-        return None, str(error)
+def _provenance(library: Library) -> dict[str, Any]:
+    """Versions of the software, and what the library says of itself."""
+    return {
+        **_versions(),
+        "library": dict(library.provenance),
+        "library_hash": library.hash,
+    }

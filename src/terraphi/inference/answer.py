@@ -1,0 +1,229 @@
+"""The answer of an inversion: the friction angle, its interval, the verdict, and a file of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.errors import InputError
+from terraphi.files import write_netcdf
+from terraphi.history import Observation
+from terraphi.inference.covariance import Budget
+from terraphi.inference.posterior import Posterior
+from terraphi.inference.verdict import Verdict
+from terraphi.scenario import Scenario
+from terraphi.soil import plane_strain_friction_angle_deg
+
+__all__ = ["AngleSummary", "Inversion", "plane_strain_summary"]
+
+FloatArray = NDArray[np.float64]
+
+QUADRATURE_DRAWS = (4, 1000)
+"""Chains and draws that stand for a posterior by quadrature in a file."""
+
+
+@dataclass(frozen=True)
+class AngleSummary:
+    """Median and equal-tailed intervals of a friction angle [deg]."""
+
+    median: float
+    ci68: tuple[float, float]
+    ci95: tuple[float, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists."""
+        return {"median": self.median, "ci68": list(self.ci68), "ci95": list(self.ci95)}
+
+
+@dataclass(frozen=True)
+class Inversion:
+    """What an inversion found.
+
+    Attributes
+    ----------
+    source
+        Where the forces come from.
+    observation
+        The data d.
+    leg
+        Shape of the leg.
+    library
+        Name of the library.
+    convention
+        What φ means: a yield criterion, or ``rft3d``.
+    posterior
+        Of φ in that convention.
+    phi, phi_plane_strain
+        Summaries [deg]; the latter ``None`` where there is no equivalent.
+    plane_strain_reason
+        Why there is no equivalent; empty if there is one.
+    density
+        Bulk density that the curves were scaled to [kg/m³].
+    density_assumed
+        Whether it was taken from the library for want of a better one.
+    best, band
+        Curve at the median [N], shape [2M], and the smallest and largest force over the 95 %
+        interval [N], shape [2, 2M].
+    nrmsd
+        Misfit of the best curve by force, fractions of peak-to-peak.
+    verdict
+        Whether to believe it.
+    likelihood
+        Name of the likelihood.
+    budget
+        Where the interval comes from; ``None`` under the paper's likelihood.
+    provenance
+        Versions of the software, hash and versions of the library, time taken [s]; JSON-able.
+    """
+
+    source: str
+    observation: Observation
+    leg: str
+    library: str
+    convention: str
+    posterior: Posterior
+    phi: AngleSummary
+    phi_plane_strain: AngleSummary | None
+    plane_strain_reason: str
+    density: float
+    density_assumed: bool
+    best: FloatArray
+    band: FloatArray
+    nrmsd: Mapping[str, float]
+    verdict: Verdict
+    likelihood: str
+    budget: Budget | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Answer as the command line prints it with ``--json``."""
+        equivalent = self.phi_plane_strain
+        return {
+            "phi_deg": {**self.phi.as_dict(), "yield": self.convention},
+            "phi_plane_strain_deg": equivalent.as_dict() if equivalent else None,
+            "phi_plane_strain_reason": self.plane_strain_reason,
+            "verdict": self.verdict.verdict,
+            "reason": self.verdict.reason,
+            "edge": self.verdict.edge,
+            "nrmsd": dict(self.nrmsd),
+            "density_kg_m3": self.density,
+            "density_assumed": self.density_assumed,
+            "n_angles": len(self.observation.theta_deg),
+            "source": self.source,
+            "leg": self.leg,
+            "library": self.library,
+            "likelihood": self.likelihood,
+            "sampler": self.posterior.sampler,
+            "seed": self.posterior.seed,
+            "convergence": self.posterior.convergence,
+            "error_budget": self.budget.as_dict() if self.budget else None,
+            "provenance": dict(self.provenance),
+        }
+
+    def to_netcdf(self, path: Path | str) -> None:
+        """Write the posterior in the layout of ArviZ, which can open it.
+
+        Groups ``posterior`` (``phi_deg`` over chain and draw), ``observed_data`` (the window
+        means) and ``posterior_predictive_mean`` (the best curve); the answer stands in the
+        attributes. A posterior by quadrature is written as quantiles of equal probability in a
+        random order, which are as good as independent draws.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Raises
+        ------
+        InputError
+            If the place cannot be written.
+        """
+        import xarray as xr
+
+        angle = ("theta_deg", self.observation.theta_deg, {"units": "degree"})
+        draws = self._chains()
+        half = len(self.observation.theta_deg)
+        tree = xr.DataTree.from_dict(
+            {
+                "/": xr.Dataset(
+                    attrs={
+                        "terraphi_file": "inversion",
+                        "terraphi_schema": 1,
+                        "answer": json.dumps(self.as_dict()),
+                    }
+                ),
+                "/posterior": xr.Dataset(
+                    {"phi_deg": (("chain", "draw"), draws, {"units": "degree"})},
+                    coords={"chain": np.arange(draws.shape[0]), "draw": np.arange(draws.shape[1])},
+                    attrs={"yield": self.convention, "sampler": self.posterior.sampler},
+                ),
+                "/observed_data": xr.Dataset(
+                    {
+                        "Fx": ("theta_deg", self.observation.Fx, {"units": "N"}),
+                        "Fz": ("theta_deg", self.observation.Fz, {"units": "N"}),
+                    },
+                    coords={"theta_deg": angle},
+                ),
+                "/posterior_predictive_mean": xr.Dataset(
+                    {
+                        "Fx": ("theta_deg", self.best[:half], {"units": "N"}),
+                        "Fz": ("theta_deg", self.best[half:], {"units": "N"}),
+                    },
+                    coords={"theta_deg": angle},
+                ),
+            }
+        )
+        write_netcdf(tree, Path(path))
+
+    def _chains(self) -> FloatArray:
+        """Draws of φ [deg], shape [chain, draw]."""
+        if self.posterior.draws_deg is not None:
+            return self.posterior.chains()
+        count = QUADRATURE_DRAWS[0] * QUADRATURE_DRAWS[1]
+        draws = np.array([self.posterior.quantile((i + 0.5) / count) for i in range(count)])
+        return np.random.default_rng(0).permutation(draws).reshape(QUADRATURE_DRAWS)
+
+
+def plane_strain_summary(phi: AngleSummary, scenario: Scenario) -> tuple[AngleSummary | None, str]:
+    """The same strength as plane-strain Mohr-Coulomb angles; quantiles map one to one.
+
+    Parameters
+    ----------
+    phi
+        Summary in the scenario's convention [deg].
+    scenario
+        Its convention and flow rule.
+
+    Returns
+    -------
+    tuple
+        The summary, or ``None`` and the reason why there is none.
+    """
+    if scenario.convention == "rft3d":
+        return None, (
+            "the angle of resistive force theory is the parameter of an empirical law, "
+            "not of a yield criterion"
+        )
+    soil = scenario.soil
+
+    def convert(angle_deg: float) -> float:
+        return plane_strain_friction_angle_deg(
+            angle_deg,
+            soil.yield_criterion,
+            dilation_angle_deg=angle_deg if soil.flow == "associated" else soil.dilation_angle_deg,
+        )
+
+    try:
+        return AngleSummary(
+            convert(phi.median),
+            (convert(phi.ci68[0]), convert(phi.ci68[1])),
+            (convert(phi.ci95[0]), convert(phi.ci95[1])),
+        ), ""
+    except InputError as error:
+        return None, str(error)

@@ -1,0 +1,145 @@
+"""The terms of the residual's covariance, one by one, and what each adds to the interval."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.inference.calibrated import CalibratedLikelihood, Problem
+from terraphi.inference.fit import STEP_DEG, Fit
+
+FloatArray = NDArray[np.float64]
+
+TERMS = {
+    "interpolation": "surrogate between the library's angles",
+    "library_scatter": "particle scatter of the library",
+    "particle_scatter": "particle scatter of the observed bed",
+    "noise": "sensor noise",
+    "discrepancy": "model discrepancy",
+}
+"""Names of the terms, and what they are for people."""
+
+
+def covariance_terms(
+    problem: Problem, phi_deg: float, *, noise_variance: float, discrepancy: FloatArray
+) -> dict[str, FloatArray]:
+    """Covariance of each term at a friction angle.
+
+    Parameters
+    ----------
+    problem
+        The data.
+    phi_deg
+        Friction angle [deg].
+    noise_variance
+        Variance of the noise of a window mean [N^2].
+    discrepancy
+        Covariance of the discrepancy [N^2], shape [2 theta, 2 theta].
+
+    Returns
+    -------
+    dict
+        By the names of :data:`TERMS` [N^2], each of shape [2 theta, 2 theta]; their sum is the
+        covariance of the residual.
+    """
+    surrogate = problem.leg.surrogate
+    phi = np.array([phi_deg])
+    left = surrogate.scatter.sigma(phi)[0][:, None] * surrogate.basis
+    interpolation, library = (part[0] for part in surrogate.standard_terms(phi))
+    return {
+        "interpolation": (left * interpolation) @ left.T,
+        "library_scatter": (left * library) @ left.T,
+        "particle_scatter": left @ left.T,
+        "noise": noise_variance * problem.noise_shape,
+        "discrepancy": discrepancy,
+    }
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Where the interval comes from, in the data's force unit.
+
+    Attributes
+    ----------
+    shares
+        Share of each term in the variance of the friction angle that fits best, if forces were
+        linear in it [-]; they add up to 1.
+    sigma_N
+        Standard deviation of each term at each window [N], shape [2 theta].
+    noise_N
+        Noise of a window mean [N], root mean square of what was given or inferred.
+    discrepancy_of_peak
+        Standard deviation of the discrepancy over the peak-to-peak of the data [-], likewise.
+    fit
+        The best fit without a discrepancy.
+    noise, discrepancy
+        How these were treated: ``given`` or ``inferred``; ``none`` or ``gp``.
+    """
+
+    shares: Mapping[str, float]
+    sigma_N: Mapping[str, FloatArray]
+    noise_N: float
+    discrepancy_of_peak: float
+    fit: Fit
+    noise: str
+    discrepancy: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, without those of each window."""
+        return {
+            "shares": dict(self.shares),
+            "noise": self.noise,
+            "noise_N": self.noise_N,
+            "discrepancy": self.discrepancy,
+            "discrepancy_of_peak": self.discrepancy_of_peak,
+            "fit_without_discrepancy": self.fit.as_dict(),
+        }
+
+
+def budget_of(
+    likelihood: CalibratedLikelihood, phi_deg: float, fit: Fit, *, scale: float
+) -> Budget:
+    """Take the residual's covariance apart at a friction angle.
+
+    Parameters
+    ----------
+    likelihood
+        Of the data.
+    phi_deg
+        The median of the posterior [deg].
+    fit
+        The best fit without a discrepancy.
+    scale
+        Factor from the library's force unit to the data's [-].
+    """
+    problem, used = likelihood.problem, likelihood.used
+    weights = likelihood.weights(phi_deg)
+    noise_variance = float(weights @ np.square(used.noise))
+    amplitude2 = weights * np.square(used.amplitude)
+    discrepancy = np.zeros_like(problem.noise_shape)
+    for length in set(used.length_deg[amplitude2 > 0.0].tolist()):
+        total = float(amplitude2[used.length_deg == length].sum())
+        discrepancy += total * problem.discrepancy_shape(length)
+    terms = covariance_terms(
+        problem, phi_deg, noise_variance=noise_variance, discrepancy=discrepancy
+    )
+    surrogate = problem.leg.surrogate
+    low, high = surrogate.phi_bounds_deg
+    ends = np.array([max(phi_deg - STEP_DEG, low), min(phi_deg + STEP_DEG, high)])
+    slope = np.diff(surrogate.predict(ends), axis=0)[0]
+    direction = np.linalg.solve(sum(terms.values(), np.zeros_like(discrepancy)), slope)
+    parts = {name: float(direction @ term @ direction) for name, term in terms.items()}
+    whole = sum(parts.values())
+    return Budget(
+        shares={name: part / whole for name, part in parts.items()},
+        sigma_N={name: scale * np.sqrt(np.diag(term)) for name, term in terms.items()},
+        noise_N=scale * float(np.sqrt(noise_variance)),
+        discrepancy_of_peak=float(np.sqrt(amplitude2.sum())),
+        fit=fit,
+        noise="inferred" if problem.noise_sigma is None else "given",
+        discrepancy="gp" if problem.discrepancy else "none",
+    )

@@ -1,0 +1,110 @@
+"""The verdict of the calibrated likelihood, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from terraphi.inference.fit import LARGEST_ODDS, SMALLEST_PROBABILITY, Fit
+from terraphi.inference.posterior import Posterior
+from terraphi.inference.verdict import Verdict
+
+EDGE_DENSITY = float(np.exp(-2.0))
+"""Density at an edge, over the largest, above which the posterior is cut off: that of a normal
+distribution two standard deviations from its mean [-]."""
+EDGE_WIDTH = 1e-3
+"""Width over which it is taken, of the library's span [-]."""
+
+
+def judge_calibrated(
+    posterior: Posterior, fit: Fit, *, residual_nrmsd: Mapping[str, float], convention: str
+) -> Verdict:
+    """Judge an inversion: by whether an edge cuts the posterior off, and by the fit.
+
+    Out of range if the density at an edge of the library is not small; else a misfit if the best
+    fit without a discrepancy is not one that scatter and noise explain; else consistent.
+
+    Parameters
+    ----------
+    posterior
+        Posterior of the friction angle.
+    fit
+        The best fit without a discrepancy.
+    residual_nrmsd
+        Deviation of the model at the median from the data, by force, fractions [-].
+    convention
+        What the friction angle means.
+    """
+    low, high = posterior.bounds_deg
+    densities = edge_densities(posterior)
+    clause = _misfit(fit, residual_nrmsd) if fit.misfit else ""
+    if max(densities) > EDGE_DENSITY:
+        at_low = densities[0] >= densities[1]
+        edge = low if at_low else high
+        reason = (
+            f"The posterior is cut off by the {'lower' if at_low else 'upper'} edge of the "
+            f"library at {edge:g}° ({convention}), where its density is "
+            f"{max(densities):.0%} of its largest (limit {EDGE_DENSITY:.0%}), so the friction "
+            f"angle may lie {'below' if at_low else 'above'} it"
+        )
+        reason += f"; moreover, {clause}." if clause else "."
+        return Verdict("out_of_range", "low" if at_low else "high", reason)
+    if clause:
+        return Verdict("misfit", None, f"No friction angle fits: {clause}.")
+    return Verdict(
+        "consistent",
+        None,
+        f"Scatter and noise explain the residual: its chi-square is {fit.chi2:.0f} with "
+        f"{fit.freedom} degrees of freedom (probability {fit.probability:.2f}, limit "
+        f"{SMALLEST_PROBABILITY:g}), and the odds of a model discrepancy are "
+        f"{_odds(fit.log10_odds)} (limit {LARGEST_ODDS:.0f}:1).",
+    )
+
+
+def edge_densities(posterior: Posterior) -> tuple[float, float]:
+    """Density next to the lower and the upper edge, over the largest [-]."""
+    low, high = posterior.bounds_deg
+    if posterior.density is not None:
+        top = float(posterior.density.max())
+        return float(posterior.density[0]) / top, float(posterior.density[-1]) / top
+    # Of draws, in bins a fifth of the 68 % interval wide.
+    first, last = posterior.interval(0.68)
+    width = max((last - first) / 5.0, EDGE_WIDTH * (high - low))
+    counts, _ = np.histogram(posterior.phi_deg, bins=np.arange(low, high + width, width))
+    below, above = posterior.mass(low, low + width), posterior.mass(high - width, high)
+    top = float(counts.max()) / posterior.phi_deg.size
+    return min(below / top, 1.0), min(above / top, 1.0)
+
+
+def _misfit(fit: Fit, residual_nrmsd: Mapping[str, float]) -> str:
+    """A clause on the misfit, with the numbers."""
+    clauses = []
+    if fit.probability < SMALLEST_PROBABILITY:
+        clauses.append(
+            f"the residual of the best fit, at {fit.phi_deg:.1f}°, is "
+            f"{np.sqrt(fit.chi2 / fit.freedom):.1f} times what scatter and noise allow "
+            f"(chi-square {fit.chi2:.0f} with {fit.freedom} degrees of freedom)"
+        )
+    if fit.log10_odds > np.log10(LARGEST_ODDS):
+        clauses.append(
+            f"the residual follows the leg angle as noise does not: the odds of a model "
+            f"discrepancy of about {fit.amplitude:.0%} of the peak-to-peak are "
+            f"{_odds(fit.log10_odds)} (limit {LARGEST_ODDS:.0f}:1)"
+        )
+    deviations = " and ".join(
+        f"{100 * residual_nrmsd[name]:.1f} % ({name})" for name in ("Fx", "Fz")
+    )
+    clauses.append(
+        f"at the median the model deviates from the forces by {deviations} of their peak-to-peak"
+    )
+    return ", and ".join(clauses)
+
+
+def _odds(log10_odds: float) -> str:
+    """Odds in words."""
+    if log10_odds > 4.0:
+        return f"1e{log10_odds:.0f}:1"
+    if log10_odds >= 0.0:
+        return f"{10.0**log10_odds:.0f}:1"
+    return f"1:{10.0 ** min(-log10_odds, 6.0):.0f}"

@@ -1,0 +1,239 @@
+"""The scatter of a library's forces, estimated from replicates and from its curves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from terraphi.scatter.model import FLOOR, TAILS, Scatter, correlation_matrix
+
+FloatArray = NDArray[np.float64]
+
+SMOOTHING_WINDOWS = 1.0
+"""Standard deviation of the smoothing of variances along the leg angle [window]."""
+SLOPE_WINDOWS = 3.0
+"""The same for the growth rate of the scatter, of which much less is known [window]."""
+FLOOR_OF_PEAK = 5e-4
+"""Least scatter over the peak force at the same phi [-]: no simulation is known better."""
+LEAST_WHITE = 0.05
+"""Least white part of the correlation [-]."""
+CASES_FOR_GROWTH = 8
+"""Fewest curves over phi that may correct the growth of the scatter."""
+DIFFERENCE_ORDER = 4
+"""Order of the differences over phi that stand for replicates."""
+
+
+def estimate(
+    theta_deg: ArrayLike,
+    phi_deg: ArrayLike,
+    curves: ArrayLike,
+    replicates: Sequence[tuple[float, ArrayLike]] = (),
+) -> Scatter:
+    """Estimate the scatter of a library's curves.
+
+    Replicates differ by scatter alone, but there are few of them. The curves themselves add to
+    them: each five neighbouring ones give the combination that vanishes for every cubic in phi, of
+    unit sum of squares, so that it has the covariance of one curve's scatter. What the forces vary
+    beyond a cubic counts as scatter: too much rather than too little.
+
+    Parameters
+    ----------
+    theta_deg
+        Leg angles, evenly spaced [deg], shape [theta].
+    phi_deg
+        Friction angles of the curves, at least three, increasing [deg], shape [case].
+    curves
+        Observation vectors [N], shape [case, 2 theta].
+    replicates
+        Friction angle [deg] and observation vectors [N] of each group of replicates, shape
+        [replicate, 2 theta], at least two of them.
+
+    Returns
+    -------
+    Scatter
+
+    Raises
+    ------
+    ValueError
+        If a group has a single replicate, shapes disagree, or nothing varies.
+    """
+    contrasts, angles = _differences(
+        np.asarray(phi_deg, dtype=np.float64), np.asarray(curves, dtype=np.float64)
+    )
+    for phi, group in replicates:
+        vectors = np.asarray(group, dtype=np.float64)
+        if vectors.ndim != 2 or len(vectors) < 2:
+            raise ValueError(
+                f"the group at phi = {phi:g} deg has shape {vectors.shape}; two replicates or "
+                "more are needed"
+            )
+        contrasts.append(_helmert(len(vectors)) @ vectors)
+        angles += [phi] * (len(vectors) - 1)
+    found = _estimate(theta_deg, np.array(angles), np.vstack(contrasts))
+    x = (np.asarray(phi_deg, dtype=np.float64) - found.centre_deg) / 10.0
+    peaks = np.abs(np.asarray(curves, dtype=np.float64)).reshape(len(x), 2, -1).max(axis=2)
+    floor = np.polynomial.polynomial.polyfit(x, np.log(np.maximum(peaks, 1e-12)), 2)
+    floor[0] += np.log(FLOOR_OF_PEAK)
+    return replace(found, log_floor=floor, origin="replicates" if replicates else "curves")
+
+
+def corrected(scatter: Scatter, phi_deg: FloatArray, squares: FloatArray) -> Scatter:
+    """Change the growth over phi so that Mahalanobis squares become what they should be.
+
+    Parameters
+    ----------
+    scatter
+        The scatter.
+    phi_deg
+        Friction angles of some curves [deg], shape [case].
+    squares
+        Square of each under this scatter [-], which is to be 2 theta on average, shape [case].
+    """
+    degree = 2 if len(phi_deg) >= CASES_FOR_GROWTH else 0
+    x = (phi_deg - scatter.centre_deg) / 10.0
+    log_ratio = 0.5 * np.log(np.maximum(squares / (2 * scatter.theta_deg.size), 1e-6))
+    fit = np.zeros(3)
+    fit[: degree + 1] = np.polynomial.polynomial.polyfit(x, log_ratio, degree)
+    return replace(scatter, log_sigma=scatter.log_sigma + fit[:, None])
+
+
+def with_tail(scatter: Scatter, squares: FloatArray) -> Scatter:
+    """Give the tail that makes Mahalanobis squares [-] most likely, shape [case]."""
+    return replace(scatter, tail=_fit_tail(squares, 2 * scatter.theta_deg.size))
+
+
+def _differences(phi: FloatArray, curves: FloatArray) -> tuple[list[FloatArray], list[float]]:
+    """Combinations of neighbouring curves free of low powers of phi, and where they are."""
+    order = min(DIFFERENCE_ORDER, len(phi) - 1)
+    found, angles = [], []
+    for i in range(len(phi) - order):
+        near = phi[i : i + order + 1]
+        x = (near - near.mean()) / np.ptp(near)
+        # The last left singular vector is orthogonal to all polynomials below the order.
+        weights = np.linalg.svd(np.vander(x, order, increasing=True))[0][:, -1]
+        found.append(weights @ curves[i : i + order + 1])
+        angles.append(float(np.average(near, weights=np.square(weights))))
+    return found, angles
+
+
+def _estimate(theta_deg: ArrayLike, phi: FloatArray, contrasts: FloatArray) -> Scatter:
+    """Fit the model to contrasts [N], each with the covariance at its phi; shape [k, 2 theta]."""
+    theta = np.array(theta_deg, dtype=np.float64)
+    if contrasts.shape[1:] != (2 * theta.size,):
+        raise ValueError(
+            f"the vectors have {contrasts.shape[1]} values; expected two forces at "
+            f"{theta.size} angles"
+        )
+    scale = np.sqrt(np.mean(np.square(contrasts)))
+    if not (np.isfinite(contrasts).all() and scale > 0.0):
+        raise ValueError("replicates must be finite, and must not all be equal")
+    centre = float(np.mean([phi.min(), phi.max()]))
+    log_sigma = _amplitudes((phi - centre) / 10.0, contrasts)
+    amplitudes = Scatter(theta, log_sigma, centre, 6.0, (0.0, 0.0), (0.0, 0.0))
+    standardised = contrasts / amplitudes.sigma(phi)
+    length, shared, cross, variance = _fit_correlation(theta, standardised)
+    log_sigma[0] += 0.5 * np.log(variance)
+    fitted = Scatter(theta, log_sigma, centre, length, shared, cross)
+    return replace(fitted, contrasts=len(contrasts))
+
+
+def _fit_tail(squares: FloatArray, size: int) -> float:
+    """Degrees of freedom of most likelihood of a multivariate t, from Mahalanobis squares."""
+    from scipy.optimize import minimize_scalar
+    from scipy.special import gammaln
+
+    def objective(logarithm: float) -> float:
+        tail = np.exp(logarithm)
+        density = gammaln((tail + size) / 2.0) - gammaln(tail / 2.0) - 0.5 * size * np.log(tail)
+        return -float(np.sum(density - 0.5 * (tail + size) * np.log1p(squares / tail)))
+
+    found = minimize_scalar(objective, bounds=np.log(TAILS), method="bounded")
+    return float(np.exp(found.x))
+
+
+def _amplitudes(x: FloatArray, contrasts: FloatArray) -> FloatArray:
+    """Coefficients of log sigma, shape [3, 2 theta]: a common growth first, then its slope."""
+    m = contrasts.shape[1] // 2
+    near, wide = _smoother(m, SMOOTHING_WINDOWS), _smoother(m, SLOPE_WINDOWS)
+    levels = np.unique(x)
+    variance = np.stack([np.square(contrasts[x == level]).mean(axis=0) for level in levels])
+    weights = np.array([np.count_nonzero(x == level) for level in levels], dtype=np.float64)
+    tiny = 1e-12 * variance.max()
+    growth = np.ones(len(levels))
+    for _ in range(20):
+        shape = near @ np.average(variance / growth[:, None], axis=0, weights=weights)
+        shape = np.maximum(shape, _floor(shape) + tiny)
+        growth = np.maximum((variance / shape).mean(axis=1), 1e-12)
+    degree = min(2, len(levels) - 1)
+    fit = np.zeros(3)
+    fit[: degree + 1] = np.polynomial.polynomial.polyfit(
+        levels, 0.5 * np.log(growth), degree, w=np.sqrt(weights)
+    )
+    common = np.exp(2.0 * np.polynomial.polynomial.polyval(levels, fit))
+    shape = near @ np.average(variance / common[:, None], axis=0, weights=weights)
+    shape = np.maximum(shape, _floor(shape) + tiny)
+    slope = np.zeros(2 * m)
+    if degree:
+        ratio = np.log(np.maximum((variance / common[:, None] / shape) @ wide.T, 1e-2))
+        middle = np.average(levels, weights=weights)
+        lever = weights * (levels - middle)
+        slope = 0.5 * lever @ ratio / (lever @ (levels - middle))
+    return np.stack([fit[0] + 0.5 * np.log(shape), fit[1] + slope, np.full(2 * m, fit[2])])
+
+
+def _floor(variance: FloatArray) -> FloatArray:
+    """Least variance of each force, shape [2 theta]."""
+    halves = variance.reshape(2, -1)
+    return np.repeat(FLOOR**2 * halves.max(axis=1), halves.shape[1])
+
+
+def _fit_correlation(
+    theta: FloatArray, standardised: FloatArray
+) -> tuple[float, tuple[float, float], tuple[float, float], float]:
+    """Length, shared fractions, cross correlations, variance of maximum likelihood."""
+    from scipy.optimize import minimize
+
+    moments = standardised.T @ standardised / len(standardised)
+    spacing = float(np.diff(theta).min())
+    size = moments.shape[0]
+
+    def unpack(p: FloatArray) -> tuple[float, tuple[float, float], tuple[float, float]]:
+        return float(np.exp(p[0])), (float(p[1]), float(p[2])), (float(p[3]), float(p[4]))
+
+    def objective(p: FloatArray) -> float:
+        matrix = correlation_matrix(theta, *unpack(p))
+        factor = np.linalg.cholesky(matrix)
+        quadratic = float(np.trace(np.linalg.solve(matrix, moments)))
+        # The common variance is profiled out.
+        return float(size * np.log(quadratic) + 2.0 * np.log(np.diag(factor)).sum())
+
+    most = 1.0 - LEAST_WHITE
+    bounds = [(np.log(0.5 * spacing), np.log(0.25 * np.ptp(theta))), (0.0, most), (0.0, most),
+              (-0.95, 0.95), (-0.95, 0.95)]  # fmt: skip
+    start = np.array([np.log(2.0 * spacing), 0.4, 0.4, 0.3, 0.3])
+    found = minimize(objective, start, bounds=bounds, method="L-BFGS-B")
+    length, shared, cross = unpack(found.x)
+    matrix = correlation_matrix(theta, length, shared, cross)
+    variance = float(np.trace(np.linalg.solve(matrix, moments))) / size
+    return length, shared, cross, variance
+
+
+def _helmert(n: int) -> FloatArray:
+    """Orthonormal contrasts of n values, shape [n - 1, n]: rows sum to 0, squares to 1."""
+    rows = np.zeros((n - 1, n))
+    for i in range(1, n):
+        rows[i - 1, :i] = 1.0
+        rows[i - 1, i] = -i
+        rows[i - 1] /= np.sqrt(i * (i + 1))
+    return rows
+
+
+def _smoother(m: int, width: float) -> FloatArray:
+    """Gaussian smoothing along the leg angle, each force by itself, shape [2 m, 2 m]."""
+    index = np.arange(m)
+    kernel: FloatArray = np.exp(-0.5 * np.square((index[:, None] - index) / width))
+    result: FloatArray = np.kron(np.eye(2), kernel / kernel.sum(axis=1, keepdims=True))
+    return result
