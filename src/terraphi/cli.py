@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from terraphi.commands import cluster_option, json_option
+from terraphi.commands.calibrate import library_calibrate
 from terraphi.commands.library import library
 from terraphi.commands.simulate import simulate
 from terraphi.console import (
@@ -93,7 +94,18 @@ def demo(out: Path, as_json: bool) -> None:
 @click.option("--leg", help="Shape of the leg: straight, c, reversed_c or plate.")
 @click.option("--density", type=float, help="Bulk density of the soil [kg/m³].")
 @click.option("--library", default=DEFAULT_LIBRARY, show_default=True, help="Name, or a .nc file.")
-@click.option("--likelihood", default="paper", show_default=True, help="Error model: paper.")
+@click.option(
+    "--likelihood",
+    default="calibrated",
+    show_default=True,
+    help="Error model: calibrated or paper.",
+)
+@click.option(
+    "--noise", help="Noise of a force reading [N], or a TOML file on the sensor; else inferred."
+)
+@click.option(
+    "--discrepancy", help="none or gp; not given: gp, but none for a history that we simulated."
+)
 @click.option(
     "--sampler", default="quadrature", show_default=True, help="quadrature (exact) or emcee."
 )
@@ -112,6 +124,8 @@ def invert(
     density: float | None,
     library: str,
     likelihood: str,
+    noise: str | None,
+    discrepancy: str | None,
     sampler: str,
     seed: int,
     out: Path | None,
@@ -138,6 +152,8 @@ def invert(
         density=measured.density_kg_m3 if density is None else density,
         density_assumed=density is None and measured.density_assumed,
         likelihood=likelihood,
+        noise=noise,
+        discrepancy=discrepancy,
         sampler=sampler,
         seed=seed,
         source=forces,
@@ -154,6 +170,9 @@ def invert(
 
 cli.add_command(simulate)
 cli.add_command(library)
+
+
+library.add_command(library_calibrate)
 
 
 @cli.command()
@@ -174,7 +193,7 @@ def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
     """Run the study NAME, one of those below.
 
     The paper's own: benchmark, phi_sensitivity, k0, surrogate, recovery, and figures, which draws
-    all of them. Of the model: sensitivity, resolution, verification.
+    all of them. Of the model: calibration, sensitivity, resolution, verification.
 
     Example: terraphi study recovery --out recovery
     """

@@ -9,7 +9,13 @@ observed simulation or bed itself, s^2 W the sensor's noise, D the model discrep
 the particle scatter varies between simulations, so the density is a multivariate t with the
 scatter's tail nu (Kotz & Nadarajah, *Multivariate t Distributions*, 2004),
 
-    log p(d | phi) = -(nu + 2 m) / 2 log(1 + r^T C^-1 r / nu) - log |C| / 2 + const.
+    log p(d | phi) = -(nu + 2 m) / 2 log(1 + r^T C^-1 r / (nu - 2)) - log |C| / 2 + const.
+
+The library's curves are themselves observed with errors, and where they err upwards, their slope
+does as well: D = cov(g', g - f) grows with the scatter. The score of the density above is then
+-tr(C^-1 D) on average at the true angle, not zero. As in other models with errors in variables that
+is taken off (corrected score: Nakamura, Biometrika 77:127, 1990): the integral of tr(C^-1 D) over
+phi is added. Beside a discrepancy, which makes C large, it is left out.
 
 Noise that is to be inferred is absent with probability 1/2, or has a log-uniform size. A
 discrepancy is a Gaussian process over the leg angle (Kennedy & O'Hagan, J. R. Stat. Soc. B 63:425,
@@ -106,7 +112,7 @@ class Hypotheses:
     log_prior
         Shape [h].
     chi2, log_determinant
-        r^T C^-1 r and log |C| at the nodes, shape [h, node].
+        r^T C^-1 r, and log |C| less the correction, at the nodes, shape [h, node].
     """
 
     noise: FloatArray
@@ -131,8 +137,10 @@ class Hypotheses:
 
 
 def log_t(chi2: FloatArray, log_determinant: FloatArray, tail: float, size: int) -> FloatArray:
-    """Log density of a multivariate t up to a constant."""
-    density: FloatArray = -0.5 * (tail + size) * np.log1p(chi2 / tail) - 0.5 * log_determinant
+    """Log density of a multivariate t of given covariance, up to a constant."""
+    density: FloatArray = (
+        -0.5 * (tail + size) * np.log1p(chi2 / (tail - 2.0)) - 0.5 * log_determinant
+    )
     return density
 
 
@@ -199,6 +207,7 @@ class CalibratedLikelihood:
         for size in sizes:
             total = spectrum.roots + size**2
             log_determinant = np.log(total).sum(axis=1) + spectrum.log_determinant
+            log_determinant -= 2.0 * leg.correction((spectrum.drift / total).sum(axis=1))
             found.append(((squares / total).sum(axis=1), log_determinant))
         none = np.zeros(len(sizes))
         chi2, log_determinants = (np.array(part) for part in zip(*found, strict=True))

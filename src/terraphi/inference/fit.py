@@ -101,7 +101,7 @@ def fit_without_discrepancy(problem: Problem, without: Hypotheses, *, scale: flo
         noise_N=noise * scale,
         chi2=chi2,
         freedom=freedom,
-        probability=float(fdtrc(freedom, tail, chi2 / freedom)),
+        probability=float(fdtrc(freedom, tail, chi2 / freedom * tail / (tail - 2.0))),
         log10_odds=float(odds / np.log(10.0)),
         amplitude=amplitude,
         length_deg=length,

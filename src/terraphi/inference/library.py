@@ -24,8 +24,11 @@ from terraphi.scatter import Scatter, estimate
 
 FloatArray = NDArray[np.float64]
 
-NODES = 71
-"""Nodes over phi; chi-square and log-determinant vary smoothly between them."""
+NODES = (71, 281)
+"""Nodes over phi, between which chi-square and log-determinant are splines; the larger number where
+the forces fix phi to a small fraction of the distance of the fewer nodes."""
+FRACTION = 0.04
+DRIFT_STEP_DEG = 0.05
 REMEMBERED = 8
 """Prepared legs that are kept, and decompositions of each."""
 
@@ -45,6 +48,8 @@ class Spectrum(NamedTuple):
     """Shape [node, 2 theta]."""
     log_determinant: float
     """Of W."""
+    drift: FloatArray
+    """Diagonal of Q D Q^T, D the drift [1/deg], same shape."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +68,8 @@ class PreparedLeg:
         Forces there [N], shape [node, 2 theta].
     covariance
         Of surrogate and particle scatter [N^2], shape [node, 2 theta, 2 theta].
+    drift
+        D = cov(g', g - f), of the slope of the curves with their error [N^2/deg], same shape.
     """
 
     surrogate: JointSurrogate
@@ -70,16 +77,26 @@ class PreparedLeg:
     phi_deg: FloatArray = field(repr=False)
     mean: FloatArray = field(repr=False)
     covariance: FloatArray = field(repr=False)
+    drift: FloatArray = field(repr=False)
     _spectra: OrderedDict[bytes, Spectrum] = field(default_factory=OrderedDict, repr=False)
 
     @classmethod
     def of(cls, surrogate: JointSurrogate, curves: Curves) -> PreparedLeg:
         """Evaluate a surrogate at the nodes."""
-        phi = np.linspace(*surrogate.phi_bounds_deg, NODES)
+        phi = np.linspace(*surrogate.phi_bounds_deg, NODES[0])
+        if _sharpest_deg(surrogate, phi) < FRACTION * (phi[1] - phi[0]):
+            phi = np.linspace(*surrogate.phi_bounds_deg, NODES[1])
         variance = surrogate.standard_variance(phi) + 1.0
         left = surrogate.scatter.sigma(phi)[:, :, None] * surrogate.basis
         covariance = (left * variance[:, None, :]) @ left.transpose(0, 2, 1)
-        return cls(surrogate, curves, phi, surrogate.predict(phi), covariance)
+        return cls(
+            surrogate, curves, phi, surrogate.predict(phi), covariance, _drift(surrogate, phi)
+        )
+
+    def correction(self, density: FloatArray) -> FloatArray:
+        """Integral over phi of tr(C^-1 D) from its density at the nodes, shape [..., node]."""
+        steps = 0.5 * np.diff(self.phi_deg) * (density[..., 1:] + density[..., :-1])
+        return np.concatenate([np.zeros_like(density[..., :1]), np.cumsum(steps, axis=-1)], axis=-1)
 
     def spectrum(self, shape: FloatArray) -> Spectrum:
         """Covariance and noise in a common basis.
@@ -96,10 +113,32 @@ class PreparedLeg:
                 inverse = np.linalg.inv(factor)
                 roots, basis = np.linalg.eigh(inverse @ self.covariance @ inverse.T)
                 rotation = basis.transpose(0, 2, 1) @ inverse
+                drift = np.sum((rotation @ self.drift) * rotation, axis=2)
             log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
-            self._spectra[key] = Spectrum(rotation, roots, log_determinant)
+            self._spectra[key] = Spectrum(rotation, roots, log_determinant, drift)
         _forget_oldest(self._spectra)
         return self._spectra[key]
+
+
+def _sharpest_deg(surrogate: JointSurrogate, phi: FloatArray) -> float:
+    """Least standard deviation of phi [deg] that forces without noise leave, anywhere."""
+    slope = np.gradient(surrogate.predict(phi), phi, axis=0) / surrogate.scatter.sigma(phi)
+    squares = np.square(slope @ surrogate.whitener.T) / (surrogate.standard_variance(phi) + 1.0)
+    return float(1.0 / np.sqrt(squares.sum(axis=1).max()))
+
+
+def _drift(surrogate: JointSurrogate, phi: FloatArray) -> FloatArray:
+    """cov(g', g - f) at the nodes [N^2/deg], by central differences of the first argument."""
+    sides = []
+    for shifted in (phi - DRIFT_STEP_DEG, phi + DRIFT_STEP_DEG):
+        first, second = (
+            surrogate.scatter.sigma(angles)[:, :, None] * surrogate.basis
+            for angles in (shifted, phi)
+        )
+        middle = surrogate.standard_drift(shifted, phi)
+        sides.append((first * middle[:, None, :]) @ second.transpose(0, 2, 1))
+    slope: FloatArray = (sides[1] - sides[0]) / (2.0 * DRIFT_STEP_DEG)
+    return slope
 
 
 def single_threaded() -> AbstractContextManager[Any]:

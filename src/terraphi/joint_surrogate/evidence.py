@@ -19,6 +19,8 @@ from terraphi.scatter import Scatter
 
 FloatArray = NDArray[np.float64]
 
+TREND = 30.0
+"""Prior standard deviation of the cubic's coefficients over that of the Matern process [-]."""
 NOISE_BOUNDS = (0.3, 3.0)
 """Least and largest factor on the scatter that curves may ask for [-]."""
 PROFILE_DEG = 8.0
@@ -87,13 +89,15 @@ class Standardised:
         self.inverse_factor = np.linalg.inv(self.factor)
         self.white = self.values @ self.inverse_factor.T
         self.theta_distance2 = np.square(theta[:, None] - theta)
+        self.growth = scatter.growth(phi)
         self.profile = self._profile()
 
     def _profile(self) -> FloatArray:
-        """Root mean square of the standardised curves over phi, smoothed, shape [2 theta]."""
+        """Root mean square of the curves over sigma and growth, smoothed, shape [2 theta]."""
         kernel = np.exp(-0.5 * self.theta_distance2 / PROFILE_DEG**2)
         kernel /= kernel.sum(axis=1, keepdims=True)
-        squares = np.mean(np.square(self.values), axis=0).reshape(2, -1) @ kernel.T
+        even = self.values / self.growth[:, None]
+        squares = np.mean(np.square(even), axis=0).reshape(2, -1) @ kernel.T
         root = np.sqrt(squares)
         profile: FloatArray = np.maximum(root, PROFILE_FLOOR * root.max(axis=1, keepdims=True))
         return profile.ravel()
@@ -105,7 +109,10 @@ class Spectrum:
     def __init__(self, data: Standardised, kernel: JointKernel, noise: float = 1.0) -> None:
         self.data, self.kernel, self.noise = data, kernel, noise
         m = data.theta.size
-        self.phi_factor = phi_correlation(data.phi, data.phi, kernel.phi_length_deg)
+        self.growth2 = np.outer(data.growth, data.growth)
+        self.phi_factor = self.growth2 * sum(
+            phi_covariance(data.phi, data.phi, kernel.phi_length_deg, (data.phi[0], data.phi[-1]))
+        )
         self.smooth = []
         prior = np.zeros((2 * m, 2 * m))
         for part, length, amplitude, fine in zip(
@@ -136,7 +143,7 @@ class Spectrum:
         data, kernel = self.data, self.kernel
         inverse = 1.0 / self.eigenvalues
         lag = np.sqrt(5.0) * np.abs(data.phi[:, None] - data.phi) / kernel.phi_length_deg
-        slope = np.square(lag) * (1.0 + lag) / 3.0 * np.exp(-lag)
+        slope = self.growth2 * np.square(lag) * (1.0 + lag) / 3.0 * np.exp(-lag)
         rotated = self.phi_basis.T @ slope @ self.phi_basis
         w = self.weights
         quadratic = np.sum((rotated @ w) * w * self.roots)
@@ -170,15 +177,36 @@ class Spectrum:
         return total
 
 
-def phi_correlation(one_deg: FloatArray, other_deg: FloatArray, length_deg: float) -> FloatArray:
-    """Matern correlation of order 5/2 [-], shape [one, other] (R & W eq. 4.17).
+def phi_covariance(
+    one_deg: FloatArray, other_deg: FloatArray, length_deg: float, ends_deg: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Two parts of K_phi over the growth [-]: a free cubic in phi, and a Matern process.
 
-    Forces vary smoothly with phi, but not infinitely so: where bands of shear jump, they bend. A
-    squared exponential, which cannot, has far less evidence on all our libraries.
+    Without the cubic the process pulls the curves towards zero and levels their bend. The Matern
+    correlation (of order 5/2, R & W eq. 4.17) is smooth, but not infinitely so: where bands of
+    shear jump, forces bend. A squared exponential, which cannot, has far less evidence on all our
+    libraries.
+
+    Parameters
+    ----------
+    one_deg, other_deg
+        Friction angles [deg], shapes [..., one] and [..., other].
+    length_deg
+        Correlation length of the Matern process [deg].
+    ends_deg
+        Ends of the library [deg], which scale the cubic.
+
+    Returns
+    -------
+    tuple
+        Each of shape [..., one, other].
     """
-    lag = np.sqrt(5.0) * np.abs(one_deg[:, None] - other_deg) / length_deg
-    result: FloatArray = (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
-    return result
+    lag = np.sqrt(5.0) * np.abs(one_deg[..., :, None] - other_deg[..., None, :]) / length_deg
+    matern = (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
+    centre, half = 0.5 * (ends_deg[0] + ends_deg[1]), 0.5 * (ends_deg[1] - ends_deg[0])
+    x, y = ((angle - centre) / half for angle in (one_deg, other_deg))
+    product = x[..., :, None] * y[..., None, :]
+    return TREND**2 * (1.0 + product + product**2 + product**3), matern
 
 
 def _pack(kernel: JointKernel, noise: float) -> FloatArray:

@@ -5,13 +5,14 @@ two forces f is a Gaussian process; divided by the scatter's standard deviation 
 
     y / sigma ~ N(0, K_phi (x) B + I (x) R),      (x) the Kronecker product,
 
-where R is the scatter's correlation, K_phi a Matern correlation in phi, and B the covariance over
-leg angles and forces: for each force a squared exponential in theta and a white part, for what the
-grid leaves in every curve. B and R are diagonal in a common basis, B = A diag(lambda) A^T and
-R = A A^T, so evidence, prediction and the whole covariance of the 2 m forces at any phi are in
-closed form (Rakitsch et al., *It is all in the noise*, NIPS 2013): in that basis the predictive
-covariance is diagonal. It holds what interpolation leaves open and what the library's own scatter
-does to the curve, which is the same for every history inverted with that library.
+where R is the scatter's correlation, K_phi the covariance over phi of a free cubic and a Matern
+process, both times the growth of forces over scatter, and B the covariance over leg angles and
+forces: for each force a squared exponential in theta and a white part, for what the grid leaves in
+every curve. B and R are diagonal in a common basis, B = A diag(lambda) A^T and R = A A^T, so
+evidence, prediction and the whole covariance of the 2 m forces at any phi are in closed form
+(Rakitsch et al., *It is all in the noise*, NIPS 2013): in that basis the predictive covariance is
+diagonal. It holds what interpolation leaves open and what the library's own scatter does to the
+curve, which is the same for every history inverted with that library.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from terraphi.joint_surrogate.evidence import (
     Spectrum,
     Standardised,
     maximise_evidence,
-    phi_correlation,
+    phi_covariance,
 )
 from terraphi.scatter import Scatter, corrected, with_tail
 
@@ -171,7 +172,8 @@ class JointSurrogate:
         squares = np.square(self._correlations(phi_deg))
         products = np.outer(self._phi_roots, self._roots) + 1.0
         explained = squares @ (np.square(self._roots) / products)
-        return np.maximum(self._roots - explained, 0.0)
+        alone = np.array([np.add(*self.phi_covariance(phi, phi))[0, 0] for phi in phi_deg[:, None]])
+        return np.maximum(np.outer(alone, self._roots) - explained, 0.0)
 
     def standard_terms(self, phi_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The two parts of :meth:`standard_variance`: interpolation, and the library's scatter.
@@ -184,6 +186,54 @@ class JointSurrogate:
         total = self.standard_variance(phi_deg)
         return np.maximum(total - scatter, 0.0), np.minimum(scatter, total)
 
+    @property
+    def prior_variance(self) -> FloatArray:
+        """Prior variance of f in the common basis, over sigma^2 [-], shape [2 theta]."""
+        return self._roots
+
+    @property
+    def standard_curves(self) -> FloatArray:
+        """The library's curves in the common basis, over sigma [-], shape [case, 2 theta]."""
+        curves: FloatArray = self._phi_basis @ self._projected
+        return curves
+
+    def regress(self, correlation: FloatArray, curves: FloatArray) -> FloatArray:
+        """Prediction from other curves, in the common basis.
+
+        Parameters
+        ----------
+        correlation
+            K_phi between angles and training angles [-], shape [..., k, case].
+        curves
+            Over sigma, in the basis [-], shape [..., case, 2 theta].
+        """
+        weights = self._roots / (np.outer(self._phi_roots, self._roots) + 1.0)
+        inside = weights * (self._phi_basis.T @ curves)
+        prediction: FloatArray = (correlation @ self._phi_basis) @ inside
+        return prediction
+
+    def standard_drift(self, phi_deg: FloatArray, other_deg: FloatArray) -> FloatArray:
+        """Covariance of a prediction with the error of another [-], in the basis, over sigma^2.
+
+        Predictions W y of a process with known mean are independent of their errors. Ours has a
+        cubic with free coefficients, of which only y knows: cov(W y, W y - f) of the rest, with
+        covariance K of its Matern part u, is W ((K + 1) W'^T - k').
+
+        Parameters
+        ----------
+        phi_deg, other_deg
+            Angles of the predictions and of the errors [deg], shape [k] each; the result has shape
+            [k, 2 theta].
+        """
+        shrink = self._roots / (np.outer(self._phi_roots, self._roots) + 1.0)
+        one, other = (self._correlations(phi)[:, :, None] * shrink for phi in (phi_deg, other_deg))
+        local = self.phi_covariance(self.phi_deg, self.phi_deg)[1]
+        inside = self._phi_basis.T @ local @ self._phi_basis
+        alone = self.phi_covariance(other_deg, self.phi_deg)[1] @ self._phi_basis
+        missing = other + self._roots * (inside @ other - alone[:, :, None])
+        drift: FloatArray = np.sum(one * missing, axis=1)
+        return drift
+
     def covariance(self, phi_deg: float, *, scale: float = 1.0) -> FloatArray:
         """Predictive covariance of the forces f [N^2], shape [2 theta, 2 theta]."""
         phi = np.array([phi_deg], dtype=np.float64)
@@ -191,9 +241,23 @@ class JointSurrogate:
         result: FloatArray = (left * self.standard_variance(phi)[0]) @ left.T
         return result
 
+    def phi_covariance(
+        self, one_deg: FloatArray, other_deg: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Cubic and Matern part of K_phi [-], [..., one] and [..., other] -> [..., one, other]."""
+        cubic, matern = phi_covariance(
+            one_deg, other_deg, self.kernel.phi_length_deg, self.phi_bounds_deg
+        )
+        one, other = self.scatter.growth(one_deg), self.scatter.growth(other_deg)
+        growth = one[..., :, None] * other[..., None, :]
+        return growth * cubic, growth * matern
+
     def _correlations(self, phi_deg: FloatArray) -> FloatArray:
         """K_phi between angles and training angles, in the latter's eigenbasis, [k, case]."""
-        return phi_correlation(phi_deg, self.phi_deg, self.kernel.phi_length_deg) @ self._phi_basis
+        correlations: FloatArray = (
+            np.add(*self.phi_covariance(phi_deg, self.phi_deg)) @ self._phi_basis
+        )
+        return correlations
 
 
 def _learn(

@@ -147,8 +147,9 @@ def _fit_tail(squares: FloatArray, size: int) -> float:
 
     def objective(logarithm: float) -> float:
         tail = np.exp(logarithm)
-        density = gammaln((tail + size) / 2.0) - gammaln(tail / 2.0) - 0.5 * size * np.log(tail)
-        return -float(np.sum(density - 0.5 * (tail + size) * np.log1p(squares / tail)))
+        density = gammaln((tail + size) / 2.0) - gammaln(tail / 2.0)
+        density -= 0.5 * size * np.log(tail - 2.0)
+        return -float(np.sum(density - 0.5 * (tail + size) * np.log1p(squares / (tail - 2.0))))
 
     found = minimize_scalar(objective, bounds=np.log(TAILS), method="bounded")
     return float(np.exp(found.x))

@@ -57,7 +57,7 @@ class Scatter:
         Coefficients of the logarithm of the least scatter of Fx and Fz [-], shape [3, 2].
     tail
         Degrees of freedom of the size of the scatter, which varies from one simulation to the
-        next: the standard deviation is sigma / sqrt(chi2_tail / tail).
+        next: the variance is sigma^2 (tail - 2) / chi2_tail, of mean sigma^2.
     origin
         ``"replicates"``, ``"curves"`` if there were none, or ``"given"``.
     """
@@ -108,6 +108,16 @@ class Scatter:
         result: FloatArray = np.maximum(halves, floor).reshape(len(x), -1)
         return result
 
+    def growth(self, phi_deg: ArrayLike) -> FloatArray:
+        """How peak forces over their scatter vary with phi, 1 at phi_0 [-]; any shape."""
+        phi = np.asarray(phi_deg, dtype=np.float64)
+        every = np.append(phi.ravel(), self.centre_deg)
+        x = (every - self.centre_deg) / 10.0
+        a, b, c = self.log_floor.mean(axis=1)
+        log_growth = a + b * x + c * np.square(x) - np.log(self.sigma(every)).mean(axis=1)
+        growth: FloatArray = np.exp(log_growth[:-1] - log_growth[-1])
+        return growth.reshape(phi.shape)
+
     def covariance(self, phi_deg: float) -> FloatArray:
         """Covariance at a friction angle [N^2], shape [2 theta, 2 theta]."""
         sigma = self.sigma([phi_deg])[0]
@@ -118,7 +128,7 @@ class Scatter:
         """Draw scatter at friction angles [N], shape [k] -> [k, 2 theta]."""
         sigma = self.sigma(phi_deg)
         white = rng.standard_normal(sigma.shape)
-        size = np.sqrt(self.tail / rng.chisquare(self.tail, size=(len(sigma), 1)))
+        size = np.sqrt((self.tail - 2.0) / rng.chisquare(self.tail, size=(len(sigma), 1)))
         drawn: FloatArray = size * sigma * (white @ np.linalg.cholesky(self._correlation).T)
         return drawn
 

@@ -1,0 +1,126 @@
+"""What a library is to carry in its file: particle scatter, hyperparameters, and a certificate."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.errors import InputError
+from terraphi.inference.coverage import calibrate
+from terraphi.inference.library import PreparedLeg, learn
+from terraphi.library import Library
+from terraphi.scenario import Scenario
+
+FloatArray = NDArray[np.float64]
+
+REPLICATES = 5000
+EVERYWHERE = (-math.inf, math.inf)
+
+
+def certified(
+    library: Library,
+    replicates: Library | None = None,
+    *,
+    worlds: int = REPLICATES,
+    seed: int = 0,
+    progress: Callable[[float, float], None] | None = None,
+) -> Library:
+    """Learn the scatter of a library, check the coverage of its intervals, and note both in it.
+
+    Parameters
+    ----------
+    library
+        Simulations over the friction angle.
+    replicates
+        Some of them again, under other particle seeds; ``None`` learns the scatter from the curves
+        alone.
+    worlds, seed
+        Number of replicates of the check, and their seed.
+    progress
+        Called with the legs done and the number of legs.
+
+    Returns
+    -------
+    Library
+        The same with its calibration.
+
+    Raises
+    ------
+    InputError
+        If the replicates are not of this library, or it has no leg to infer with.
+    """
+    legs: dict[str, Any] = {}
+    certificates: dict[str, Any] = {}
+    groups = replicate_groups(library, replicates) if replicates else {}
+    for leg in library.legs:
+        curves = library.curves(leg, within=EVERYWHERE)
+        surrogate = learn(curves, groups.get(leg, []))
+        legs[leg] = {"scatter": surrogate.scatter.as_dict(), "kernel": surrogate.kernel.as_dict()}
+        found = calibrate(PreparedLeg.of(surrogate, curves), replicates=worlds, seed=seed)
+        certificates[leg] = found.as_dict()
+        if progress is not None:
+            progress(len(legs), len(library.legs))
+    calibration = {
+        "library_hash": library.hash,
+        "replicates": replicates.name if replicates else None,
+        "replicates_hash": replicates.hash if replicates else None,
+        "legs": legs,
+        "certificate": {"seed": seed, "legs": certificates},
+    }
+    return replace(library, calibration=calibration)
+
+
+def replicate_groups(
+    library: Library, replicates: Library
+) -> dict[str, list[tuple[float, FloatArray]]]:
+    """Groups of simulations that differ by their seed alone, the library's own among them, by leg.
+
+    Parameters
+    ----------
+    library, replicates
+        As in :func:`certified`.
+
+    Returns
+    -------
+    dict
+        Friction angle [deg] and observation vectors [N], shape [replicate, 2 theta], of each group.
+
+    Raises
+    ------
+    InputError
+        If a replicate is not a case of the library but for its seed.
+    """
+    own = {_unseeded(c.scenario): c.history for c in library.cases if c.history}
+    groups: dict[str, list[FloatArray]] = defaultdict(list)
+    scenarios: dict[str, Scenario] = {}
+    for case in replicates.cases:
+        key = _unseeded(case.scenario)
+        history = own.get(key)
+        if history is None:
+            raise InputError(
+                f"'{replicates.name}' is not of replicates of library '{library.name}': its case "
+                f"at {case.scenario.soil.friction_angle_deg:g} deg, leg "
+                f"{case.scenario.leg.shape}, is no case of the library under another seed"
+            )
+        if key not in groups:
+            groups[key].append(history.observation().vector)
+            scenarios[key] = case.scenario
+        if case.history is not None:
+            groups[key].append(case.history.observation().vector)
+    found: dict[str, list[tuple[float, FloatArray]]] = defaultdict(list)
+    for key, vectors in groups.items():
+        if len(vectors) > 1:
+            scenario = scenarios[key]
+            found[scenario.leg.shape].append((scenario.soil.friction_angle_deg, np.stack(vectors)))
+    return dict(found)
+
+
+def _unseeded(scenario: Scenario) -> str:
+    """Hash of a scenario but for its seed."""
+    return scenario.replace(**{"numerics.seed": 0}).hash

@@ -1,0 +1,249 @@
+"""Is an interval right as often as it says? Simulation-based calibration of one leg of a library.
+
+A replicate is a world: a true angle from the prior; true forces f(phi), the cubic that the joint
+surrogate fitted and new deviations from it; a library simulated anew, its own particle scatter
+included; and an observed simulation. The surrogate is conditioned on that library and the angle
+inferred. If the posterior is right, its mass below the true angle is uniform (Talts et al.,
+arXiv:1804.06788). Hyperparameters are those of the shipped library.
+
+In the joint surrogate's basis all directions are independent, so worlds are drawn by the thousand.
+Worlds that the one library may be of are draws of the process given its curves, by Matheron's rule
+(Wilson et al., ICML 2020): f = u + K (K + 1)^-1 (y - u - e), u and e draws of prior and scatter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.inference.calibrated import log_t
+from terraphi.inference.library import PreparedLeg, single_threaded
+from terraphi.joint_surrogate import JointSurrogate
+
+FloatArray = NDArray[np.float64]
+
+CHUNK = 200
+"""Replicates at once."""
+COARSE_NODES = 701
+FINE_NODES = 401
+"""Nodes over phi at which posteriors are looked for, and then integrated."""
+NOTHING = 1e-9
+"""Density over the largest that is not looked at more closely [-]."""
+BINS = 20
+"""Bins of the rank histogram."""
+JITTER = 1e-9
+"""Added to the variance of equal angles, so that they have a factor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Ranks of true angles in their posteriors.
+
+    Attributes
+    ----------
+    truth_deg
+        True angles [deg], shape [replicate].
+    rank
+        Mass of the posterior below the true angle [-], same shape.
+    median_deg, half_width_deg
+        Median, and half the width of the 68 % interval [deg], same shape.
+    """
+
+    truth_deg: FloatArray
+    rank: FloatArray
+    median_deg: FloatArray
+    half_width_deg: FloatArray
+
+    def within(self, probability: float) -> float:
+        """Fraction of equal-tailed intervals of that mass that hold the truth [-]."""
+        return float(np.mean(np.abs(self.rank - 0.5) <= 0.5 * probability))
+
+    @property
+    def histogram(self) -> NDArray[np.int64]:
+        """Number of ranks in each of :data:`BINS` bins."""
+        return np.histogram(self.rank, bins=BINS, range=(0.0, 1.0))[0].astype(np.int64)
+
+    @property
+    def chi2_probability(self) -> float:
+        """Probability of a histogram as uneven, if ranks are uniform [-]."""
+        from scipy.special import chdtrc
+
+        expected = self.rank.size / BINS
+        chi2 = float(np.sum(np.square(self.histogram - expected)) / expected)
+        return float(chdtrc(BINS - 1, chi2))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return {
+            "replicates": int(self.rank.size),
+            "coverage68": self.within(0.68),
+            "coverage95": self.within(0.95),
+            "rank_chi2_p": self.chi2_probability,
+            "ci68_half_width_deg": float(np.median(self.half_width_deg)),
+            "abs_error_deg": float(np.median(np.abs(self.median_deg - self.truth_deg))),
+        }
+
+
+def calibrate(leg: PreparedLeg, *, replicates: int, seed: int) -> Coverage:
+    """Coverage over worlds that each have a truth, a library and an observation of their own.
+
+    Parameters
+    ----------
+    leg
+        Whose surrogate and scatter make the worlds.
+    replicates
+        Number of worlds.
+    seed
+        Of all draws.
+    """
+    rng = np.random.default_rng(seed)
+    surrogate, found = leg.surrogate, []
+    with single_threaded():
+        for start in range(0, replicates, CHUNK):
+            truth = rng.uniform(*surrogate.phi_bounds_deg, size=min(CHUNK, replicates - start))
+            forces, library = _worlds(surrogate, truth, rng)
+            data = forces + surrogate.scatter.draw(truth, rng)
+            means = surrogate.standard_mean(leg.phi_deg, surrogate.project(library))
+            found.append(_posteriors(leg, truth, data, means))
+    return _joined(found)
+
+
+def through_one_library(
+    leg: PreparedLeg, *, worlds: int, truths: int, seed: int
+) -> tuple[FloatArray, FloatArray]:
+    """Coverage of the 68 and 95 % intervals through the one library, in worlds that it may be of.
+
+    The library's scatter errs the same way in all inversions of a world, so that coverage differs
+    between worlds.
+
+    Parameters
+    ----------
+    leg
+        The library's leg.
+    worlds, truths
+        Number of worlds, and of true angles in each.
+    seed
+        Of all draws.
+
+    Returns
+    -------
+    tuple
+        Fractions of intervals that hold the truth [-], shapes [world].
+    """
+    rng = np.random.default_rng(seed)
+    surrogate, within = leg.surrogate, []
+    mean = surrogate.standard_mean(leg.phi_deg)[None]
+    with single_threaded():
+        for _ in range(worlds):
+            truth = np.sort(rng.uniform(*surrogate.phi_bounds_deg, size=truths))
+            forces = _one_world(surrogate, truth, rng)
+            data = forces + surrogate.scatter.draw(truth, rng)
+            found = _posteriors(leg, truth, data, mean)
+            within.append((found.within(0.68), found.within(0.95)))
+    one, two = np.array(within).T
+    return one, two
+
+
+def _worlds(
+    surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """True forces at the truths [r, 2 theta], and a new library for each [r, case, 2 theta]."""
+    cases, size = len(surrogate.phi_deg), surrogate.basis.shape[0]
+    angles = np.column_stack([np.tile(surrogate.phi_deg, (len(truth), 1)), truth])
+    cubic = surrogate.phi_covariance(angles, surrogate.phi_deg)[0]
+    local = surrogate.phi_covariance(angles, angles)[1] + JITTER * np.eye(cases + 1)
+    white = rng.standard_normal((len(truth), cases + 1, size))
+    standard = surrogate.regress(cubic, surrogate.standard_curves)
+    standard += np.linalg.cholesky(local) @ white * np.sqrt(surrogate.prior_variance)
+    sigma = surrogate.scatter.sigma(surrogate.phi_deg)
+    forces = surrogate.scatter.sigma(truth) * (standard[:, -1] @ surrogate.basis.T)
+    library = sigma * (standard[:, :-1] @ surrogate.basis.T)
+    scatter = surrogate.scatter.draw(np.tile(surrogate.phi_deg, len(truth)), rng)
+    return forces, library + scatter.reshape(library.shape)
+
+
+def _one_world(
+    surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Forces at all truths in one world that the library may be of [N], shape [r, 2 theta]."""
+    cases, size = len(surrogate.phi_deg), surrogate.basis.shape[0]
+    angles = np.concatenate([surrogate.phi_deg, truth])
+    covariance = sum(surrogate.phi_covariance(angles, angles), JITTER * np.eye(len(angles)))
+    white = rng.standard_normal((len(angles), size))
+    prior = np.linalg.cholesky(covariance) @ white * np.sqrt(surrogate.prior_variance)
+    missing = surrogate.standard_curves - prior[:cases] - rng.standard_normal((cases, size))
+    standard = prior + surrogate.regress(covariance[:, :cases], missing)
+    forces: FloatArray = surrogate.scatter.sigma(truth) * (standard[cases:] @ surrogate.basis.T)
+    return forces
+
+
+def _posteriors(
+    leg: PreparedLeg, truth: FloatArray, data: FloatArray, means: FloatArray
+) -> Coverage:
+    """Ranks of the truths; noise and discrepancy are known to be absent.
+
+    Parameters
+    ----------
+    leg
+        The prepared leg, for nodes and covariance.
+    truth, data
+        True angles [deg], shape [r], and forces [N], shape [r, 2 theta].
+    means
+        Means of the surrogates over sigma in the basis [-], shape [r or 1, node, 2 theta].
+    """
+    from scipy.interpolate import CubicSpline
+
+    surrogate = leg.surrogate
+    total = surrogate.standard_variance(leg.phi_deg) + 1.0
+    sigma = surrogate.scatter.sigma(leg.phi_deg)
+    standard = (data[:, None, :] / sigma) @ surrogate.whitener.T
+    chi2 = np.sum(np.square(standard - means) / total, axis=2)
+    log_determinant = np.log(total).sum(axis=1) + 2.0 * np.log(sigma).sum(axis=1)
+    inverse = np.linalg.inv(leg.covariance)
+    log_determinant -= 2.0 * leg.correction(np.einsum("kij,kji->k", inverse, leg.drift))
+    splines = [
+        CubicSpline(leg.phi_deg, values.T).c
+        for values in (chi2, np.broadcast_to(log_determinant, chi2.shape))
+    ]
+    fine = density = np.empty(0)
+    ends = np.tile(leg.phi_deg[[0, -1]], (len(truth), 1))
+    tail, size = surrogate.scatter.tail, data.shape[1]
+    for nodes in (COARSE_NODES, FINE_NODES):
+        fine = np.linspace(ends[:, 0], ends[:, 1], nodes, axis=1)
+        values = [_evaluate(spline, leg.phi_deg, fine) for spline in splines]
+        log_p = log_t(np.maximum(values[0], 0.0), values[1], tail, size)
+        density = np.exp(log_p - log_p.max(axis=1, keepdims=True))
+        # The second round looks closely at where the first found anything.
+        some = density > NOTHING
+        first, last = some.argmax(axis=1), nodes - 1 - some[:, ::-1].argmax(axis=1)
+        places = np.column_stack([np.maximum(first - 1, 0), np.minimum(last + 1, nodes - 1)])
+        ends = np.take_along_axis(fine, places, axis=1)
+    mass = np.zeros_like(density)
+    np.cumsum(0.5 * (density[:, 1:] + density[:, :-1]), axis=1, out=mass[:, 1:])
+    mass /= mass[:, -1:]
+    rank = np.array([np.interp(t, x, m) for t, x, m in zip(truth, fine, mass, strict=True)])
+    quantiles = np.array(
+        [np.interp((0.16, 0.5, 0.84), m, x) for x, m in zip(fine, mass, strict=True)]
+    )
+    half_width = 0.5 * (quantiles[:, 2] - quantiles[:, 0])
+    return Coverage(truth, rank, quantiles[:, 1], half_width)
+
+
+def _evaluate(coefficients: FloatArray, nodes: FloatArray, at: FloatArray) -> FloatArray:
+    """Splines, one a row, on even nodes, each at places of its own, shape [r, k]."""
+    step = nodes[1] - nodes[0]
+    cell = np.clip(((at - nodes[0]) / step).astype(int), 0, len(nodes) - 2)
+    row = np.arange(len(at))[:, None]
+    offset = at - nodes[cell]
+    value = np.zeros_like(at)
+    for power in coefficients:
+        value = value * offset + power[cell, row]
+    return value
+
+
+def _joined(parts: list[Coverage]) -> Coverage:
+    columns = zip(*(vars(part).values() for part in parts), strict=True)
+    return Coverage(*(np.concatenate(column) for column in columns))
