@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference.calibrated import log_t
+from terraphi.inference.calibrated import log_sum
 from terraphi.inference.library import PreparedLeg, single_threaded
 from terraphi.joint_surrogate import JointSurrogate
 
@@ -197,24 +197,26 @@ def _posteriors(
     from scipy.interpolate import CubicSpline
 
     surrogate = leg.surrogate
-    total = surrogate.standard_variance(leg.phi_deg) + 1.0
+    variance = surrogate.standard_variance(leg.phi_deg)
     sigma = surrogate.scatter.sigma(leg.phi_deg)
     standard = (data[:, None, :] / sigma) @ surrogate.whitener.T
-    chi2 = np.sum(np.square(standard - means) / total, axis=2)
-    log_determinant = np.log(total).sum(axis=1) + 2.0 * np.log(sigma).sum(axis=1)
-    inverse = np.linalg.inv(leg.covariance)
-    log_determinant -= 2.0 * leg.correction(np.einsum("kij,kji->k", inverse, leg.drift))
+    squares, parts = np.square(standard - means), []
+    for size, log_prior in zip(*surrogate.scatter.sizes, strict=True):
+        total = variance + size
+        volume = np.log(total).sum(axis=1) + 2.0 * np.log(sigma).sum(axis=1)
+        inverse = np.linalg.inv(leg.covariance + size * leg.scatter)
+        drift = leg.correction(np.einsum("kij,kji->k", inverse, leg.drift), 0)
+        parts.append((0.5 * (np.sum(squares / total, axis=2) + volume) - log_prior, drift))
+    anchor = np.min([part[0] for part in parts], axis=0).argmin(axis=1)
     splines = [
-        CubicSpline(leg.phi_deg, values.T).c
-        for values in (chi2, np.broadcast_to(log_determinant, chi2.shape))
+        CubicSpline(leg.phi_deg, (exponent - drift + drift[anchor, None]).T).c
+        for exponent, drift in parts
     ]
     fine = density = np.empty(0)
     ends = np.tile(leg.phi_deg[[0, -1]], (len(truth), 1))
-    tail, size = surrogate.scatter.tail, data.shape[1]
     for nodes in (COARSE_NODES, FINE_NODES):
         fine = np.linspace(ends[:, 0], ends[:, 1], nodes, axis=1)
-        values = [_evaluate(spline, leg.phi_deg, fine) for spline in splines]
-        log_p = log_t(np.maximum(values[0], 0.0), values[1], tail, size)
+        log_p = log_sum(np.array([-_evaluate(spline, leg.phi_deg, fine) for spline in splines]))
         density = np.exp(log_p - log_p.max(axis=1, keepdims=True))
         # The second round looks closely at where the first found anything.
         some = density > NOTHING

@@ -21,7 +21,6 @@ from terraphi.inference.calibrated import (
     Problem,
     gaussian_parts,
     log_sum,
-    log_t,
 )
 from terraphi.inference.library import single_threaded
 
@@ -33,6 +32,8 @@ LARGEST_ODDS = 50.0
 """Odds for a discrepancy that count as a misfit; 2 % of good fits reach them at most."""
 FREEDOM = 0.3
 """Standard deviation of phi about the best fit for the odds, of the library's span [-]."""
+SIZES = [1, 3, 5]
+"""Sizes of the scatter beside which a discrepancy is looked for, of seven."""
 STEP_DEG = 0.05
 
 
@@ -88,39 +89,40 @@ def fit_without_discrepancy(problem: Problem, without: Hypotheses, *, scale: flo
     scale
         Of the library's forces to the data's [-], for the noise that is returned.
     """
-    from scipy.special import fdtrc
-
-    tail, size = problem.leg.surrogate.scatter.tail, problem.data.size
-    phi, best, chi2 = _best(problem, without, tail)
+    phi, best, chi2, probability = _best(problem, without)
     noise = float(without.noise[best])
-    freedom = size - 1
     with single_threaded():
         odds, amplitude, length = _odds(problem, without, phi, noise)
     return Fit(
         phi_deg=phi,
         noise_N=noise * scale,
         chi2=chi2,
-        freedom=freedom,
-        probability=float(fdtrc(freedom, tail, chi2 / freedom * tail / (tail - 2.0))),
+        freedom=problem.data.size - 1,
+        probability=probability,
         log10_odds=float(odds / np.log(10.0)),
         amplitude=amplitude,
         length_deg=length,
     )
 
 
-def _best(problem: Problem, without: Hypotheses, tail: float) -> tuple[float, int, float]:
-    """Friction angle, combination and chi-square of most likelihood."""
+def _best(problem: Problem, without: Hypotheses) -> tuple[float, int, float, float]:
+    """Angle and combination of most likelihood, its chi-square, and how probable that is."""
     from scipy.interpolate import CubicSpline
+    from scipy.special import chdtrc
 
-    nodes = problem.leg.phi_deg
-    density = without.log_density(tail, problem.data.size)
-    best = int(np.argmax(density.max(axis=1)))
-    columns = np.stack([without.chi2[best], without.log_determinant[best]], axis=1)
+    nodes, surrogate = problem.leg.phi_deg, problem.leg.surrogate
+    best = int(np.argmax(without.log_density.max(axis=1)))
     fine = np.linspace(nodes[0], nodes[-1], 20 * (len(nodes) - 1) + 1)
-    chi2, log_determinant = CubicSpline(nodes, columns)(fine).T
-    chi2 = np.maximum(chi2, 0.0)
-    i = int(np.argmax(log_t(chi2, log_determinant, tail, problem.data.size)))
-    return float(fine[i]), best, float(chi2[i])
+    exponent = CubicSpline(nodes, without.chi2[best] + without.volume[best])(fine)
+    phi = float(fine[int(np.argmin(exponent))])
+    # The size of the scatter is not known: the probability is its average over all sizes.
+    residual = problem.data - surrogate.predict([phi])[0]
+    base = surrogate.covariance(phi) + without.noise[best] ** 2 * problem.noise_shape
+    sizes, log_p = surrogate.scatter.sizes
+    total = base + sizes[:, None, None] * surrogate.scatter.covariance(phi)
+    chi2, _ = gaussian_parts(total, np.broadcast_to(residual, (len(sizes), residual.size)))
+    probability = float(np.exp(log_p) @ chdtrc(residual.size - 1, chi2))
+    return phi, best, float(chi2[len(sizes) // 2]), probability
 
 
 def _odds(
@@ -137,25 +139,27 @@ def _odds(
     below, above, mean = surrogate.predict(around)
     slope = (above - below) / (around[1] - around[0])
     free = FREEDOM * (high - low)
-    sigma = surrogate.scatter.sigma([phi])[0]
-    base = surrogate.covariance(phi) + sigma[:, None] * surrogate.scatter.correlation * sigma
-    base += free**2 * np.outer(slope, slope)
+    base = surrogate.covariance(phi) + free**2 * np.outer(slope, slope)
+    scatter = surrogate.scatter.covariance(phi)
     residual = problem.data - mean
 
     def log_p(extra: FloatArray) -> FloatArray:
         parts = gaussian_parts(base + extra, np.broadcast_to(residual, (len(extra), len(residual))))
-        return log_t(*parts, surrogate.scatter.tail, problem.data.size)
+        density: FloatArray = -0.5 * (parts[0] + parts[1])
+        return density
 
-    null = log_p(np.square(without.noise)[:, None, None] * problem.noise_shape)
+    factors = surrogate.scatter.sizes[0][without.size][:, None, None]
+    null = log_p(np.square(without.noise)[:, None, None] * problem.noise_shape + factors * scatter)
     sizes = np.array([noise]) if problem.noise_sigma is not None else np.unique([0.0, noise])
     shapes = np.stack([problem.discrepancy_shape(length) for length in LENGTHS_DEG])
     extra = (
-        np.square(sizes)[:, None, None, None, None] * problem.noise_shape
+        np.square(sizes)[None, :, None, None, None, None] * problem.noise_shape
         + np.square(AMPLITUDES)[:, None, None, None] * shapes
+        + surrogate.scatter.sizes[0][SIZES, None, None, None, None, None] * scatter
     )
     alternative = log_p(extra.reshape(-1, *problem.noise_shape.shape))
     odds = float(log_sum(alternative)) - np.log(len(alternative))
     odds -= float(log_sum(without.log_prior + null) - log_sum(without.log_prior))
-    grid = alternative.reshape(len(sizes), len(AMPLITUDES), len(LENGTHS_DEG)).max(axis=0)
+    grid = alternative.reshape(-1, len(AMPLITUDES), len(LENGTHS_DEG)).max(axis=0)
     i, j = np.unravel_index(int(np.argmax(grid)), grid.shape)
     return odds, float(AMPLITUDES[i]), float(LENGTHS_DEG[j])

@@ -38,8 +38,8 @@ _THREADS = ThreadpoolController()
 class Spectrum(NamedTuple):
     """Covariance and noise at the nodes in a common basis, where both are diagonal.
 
-    With C the covariance and W the shape of the noise, ``rotation`` Q makes Q C Q^T diagonal and
-    Q W Q^T the identity: C + s^2 W has ``roots`` + s^2 there.
+    With C the covariance at one size of the scatter and W the shape of the noise, ``rotation`` Q
+    makes Q C Q^T diagonal and Q W Q^T the identity: C + s^2 W has ``roots`` + s^2 there.
     """
 
     rotation: FloatArray
@@ -49,7 +49,7 @@ class Spectrum(NamedTuple):
     log_determinant: float
     """Of W."""
     drift: FloatArray
-    """Diagonal of Q D Q^T, D the drift [1/deg], same shape."""
+    """Diagonal of Q B Q^T, B the drift [1/deg], same shape."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +66,10 @@ class PreparedLeg:
         Nodes [deg], shape [node].
     mean
         Forces there [N], shape [node, 2 theta].
-    covariance
-        Of surrogate and particle scatter [N^2], shape [node, 2 theta, 2 theta].
+    covariance, scatter
+        Of the surrogate, and of the particle scatter [N^2], shape [node, 2 theta, 2 theta].
     drift
-        D = cov(g', g - f), of the slope of the curves with their error [N^2/deg], same shape.
+        B = cov(g', g - f), of the slope of the curves with their error [N^2/deg], same shape.
     """
 
     surrogate: JointSurrogate
@@ -77,8 +77,9 @@ class PreparedLeg:
     phi_deg: FloatArray = field(repr=False)
     mean: FloatArray = field(repr=False)
     covariance: FloatArray = field(repr=False)
+    scatter: FloatArray = field(repr=False)
     drift: FloatArray = field(repr=False)
-    _spectra: OrderedDict[bytes, Spectrum] = field(default_factory=OrderedDict, repr=False)
+    _spectra: OrderedDict[bytes, list[Spectrum]] = field(default_factory=OrderedDict, repr=False)
 
     @classmethod
     def of(cls, surrogate: JointSurrogate, curves: Curves) -> PreparedLeg:
@@ -86,20 +87,32 @@ class PreparedLeg:
         phi = np.linspace(*surrogate.phi_bounds_deg, NODES[0])
         if _sharpest_deg(surrogate, phi) < FRACTION * (phi[1] - phi[0]):
             phi = np.linspace(*surrogate.phi_bounds_deg, NODES[1])
-        variance = surrogate.standard_variance(phi) + 1.0
+        variance = surrogate.standard_variance(phi)
         left = surrogate.scatter.sigma(phi)[:, :, None] * surrogate.basis
-        covariance = (left * variance[:, None, :]) @ left.transpose(0, 2, 1)
-        return cls(
-            surrogate, curves, phi, surrogate.predict(phi), covariance, _drift(surrogate, phi)
-        )
+        right = left.transpose(0, 2, 1)
+        covariance = (left * variance[:, None, :]) @ right
+        mean, drift = surrogate.predict(phi), _drift(surrogate, phi)
+        return cls(surrogate, curves, phi, mean, covariance, left @ right, drift)
 
-    def correction(self, density: FloatArray) -> FloatArray:
-        """Integral over phi of tr(C^-1 D) from its density at the nodes, shape [..., node]."""
+    def correction(self, density: FloatArray, anchor: int) -> FloatArray:
+        """Integral over phi of tr(C^-1 B) from its density at the nodes, shape [..., node].
+
+        Parameters
+        ----------
+        density
+            tr(C^-1 B) at the nodes [1/deg], shape [..., node].
+        anchor
+            Node where it is to vanish: the best angle, lest it should weigh one C against another.
+        """
         steps = 0.5 * np.diff(self.phi_deg) * (density[..., 1:] + density[..., :-1])
-        return np.concatenate([np.zeros_like(density[..., :1]), np.cumsum(steps, axis=-1)], axis=-1)
+        total = np.concatenate(
+            [np.zeros_like(density[..., :1]), np.cumsum(steps, axis=-1)], axis=-1
+        )
+        result: FloatArray = total - total[..., anchor, None]
+        return result
 
-    def spectrum(self, shape: FloatArray) -> Spectrum:
-        """Covariance and noise in a common basis.
+    def spectra(self, shape: FloatArray) -> list[Spectrum]:
+        """Covariance and noise in a common basis, for each size of the scatter.
 
         Parameters
         ----------
@@ -111,11 +124,15 @@ class PreparedLeg:
             with single_threaded():
                 factor = np.linalg.cholesky(shape)
                 inverse = np.linalg.inv(factor)
-                roots, basis = np.linalg.eigh(inverse @ self.covariance @ inverse.T)
-                rotation = basis.transpose(0, 2, 1) @ inverse
-                drift = np.sum((rotation @ self.drift) * rotation, axis=2)
-            log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
-            self._spectra[key] = Spectrum(rotation, roots, log_determinant, drift)
+                log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
+                found = []
+                for size in self.surrogate.scatter.sizes[0]:
+                    total = self.covariance + size * self.scatter
+                    roots, basis = np.linalg.eigh(inverse @ total @ inverse.T)
+                    rotation = basis.transpose(0, 2, 1) @ inverse
+                    drift = np.sum((rotation @ self.drift) * rotation, axis=2)
+                    found.append(Spectrum(rotation, roots, log_determinant, drift))
+            self._spectra[key] = found
         _forget_oldest(self._spectra)
         return self._spectra[key]
 

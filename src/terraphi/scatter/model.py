@@ -30,6 +30,8 @@ replicates agree to a milli-newton, and nothing is to rest on that."""
 TAILS = (10.0, 30.0)
 """Least and largest degrees of freedom of the size of the scatter; a few dozen curves cannot show
 that it never varies."""
+SIZE_ENDS = 0.004
+"""Probability beyond either end of the sizes of the scatter that are considered."""
 NO_FLOOR = np.array([[-700.0], [0.0], [0.0]])
 
 
@@ -107,6 +109,19 @@ class Scatter:
         floor = np.maximum(FLOOR * halves.max(axis=2), of_peak)[:, :, None]
         result: FloatArray = np.maximum(halves, floor).reshape(len(x), -1)
         return result
+
+    @property
+    def sizes(self) -> tuple[FloatArray, FloatArray]:
+        """Sizes of the scatter, factors on its variance [-], and log probabilities; shapes [7]."""
+        from scipy.special import chdtri
+
+        ends = (self.tail - 2.0) / chdtri(self.tail, np.array([1.0 - SIZE_ENDS, SIZE_ENDS]))
+        sizes = np.geomspace(ends.min(), ends.max(), 7)
+        # Density of log size, up to a constant: chi2 = (tail - 2) / size.
+        chi2 = (self.tail - 2.0) / sizes
+        density = 0.5 * self.tail * np.log(chi2) - 0.5 * chi2
+        probability = np.exp(density - density.max())
+        return sizes, np.log(probability / probability.sum())
 
     def growth(self, phi_deg: ArrayLike) -> FloatArray:
         """How peak forces over their scatter vary with phi, 1 at phi_0 [-]; any shape."""
