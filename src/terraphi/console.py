@@ -49,6 +49,10 @@ def print_inversion(inversion: Inversion) -> None:
     print_table(("", "median", "68 %", "95 %"), rows, title=title)
     if inversion.phi_plane_strain is None:
         click.echo(f"No equivalent in plane strain: {inversion.plane_strain_reason}.")
+    if inversion.budget is not None:
+        shares = inversion.budget.shares.items()
+        parts = ", ".join(f"{name.replace('_', ' ')} {share:.0%}" for name, share in shares)
+        click.echo(f"Variance of φ: {parts}.")
     verdict = inversion.verdict
     click.secho(f"Verdict: {verdict.verdict.replace('_', ' ')}. {verdict.reason}\n", bold=True)
 

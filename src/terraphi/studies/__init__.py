@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STUDIES = {
+    "calibration": "intervals: how often they hold the truth, and how narrow they are",
     "benchmark": "three legs: our models beside the forces measured in Yuma sand",
     "recovery": "friction angles of fresh simulations, inferred with a library",
     "phi_sensitivity": "forces and their peaks against the friction angle",

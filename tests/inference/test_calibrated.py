@@ -1,0 +1,185 @@
+"""The calibrated likelihood: its terms, its posterior and its test of fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
+
+from terraphi.errors import InputError
+from terraphi.history import ForceHistory
+from terraphi.inference.calibrated import CalibratedLikelihood, Problem, gaussian_parts
+from terraphi.inference.covariance import covariance_terms
+from terraphi.inference.inversion import invert
+from terraphi.inference.library import PreparedLeg, prepare
+from terraphi.inference.noise import Noise, window_covariance
+from terraphi.library import Library
+
+NAME = "quick-plane-strain"
+
+
+@pytest.fixture(scope="module")
+def library() -> Library:
+    return Library.load(NAME)
+
+
+@pytest.fixture(scope="module")
+def leg(library: Library) -> PreparedLeg:
+    return prepare(library, "straight", within=(-3.0, 3.0))
+
+
+@pytest.fixture(scope="module")
+def truths() -> list[tuple[float, ForceHistory]]:
+    found = Library.load(f"{NAME}-truths").cases
+    return [(c.scenario.soil.friction_angle_deg, c.history) for c in found if c.history]
+
+
+def test_gaussian_parts_are_those_of_scipy() -> None:
+    rng = np.random.default_rng(1)
+    half = rng.normal(size=(12, 12))
+    covariance, residual = half @ half.T + np.eye(12), rng.normal(size=12)
+    chi2, log_determinant = gaussian_parts(covariance[None], residual[None])
+    density = -0.5 * (chi2[0] + log_determinant[0] + 12 * np.log(2 * np.pi))
+    assert density == pytest.approx(multivariate_normal(cov=covariance).logpdf(residual))
+
+
+def test_terms_add_up_to_the_covariance_of_brute_force_draws(leg: PreparedLeg) -> None:
+    # Libraries drawn anew about one truth: the error of their curves is what library_scatter says.
+    surrogate, rng, phi = leg.surrogate, np.random.default_rng(2), 33.0
+    truth = surrogate.predict(surrogate.phi_deg)
+    libraries = truth + np.stack(
+        [surrogate.scatter.draw(surrogate.phi_deg, rng) for _ in range(4000)]
+    )
+    node = np.array([phi])
+    mean = surrogate.standard_mean(node, surrogate.project(libraries))[:, 0]
+    curves = surrogate.scatter.sigma(node) * (mean @ surrogate.basis.T)
+    problem = Problem(leg, truth[5], np.eye(80), 0.0, discrepancy=False)
+    terms = covariance_terms(problem, phi, noise_variance=0.0, discrepancy=np.zeros((80, 80)))
+    expected = terms["library_scatter"]
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert np.abs((np.cov(curves.T) - expected) / scale).max() < 0.12  # 4000 draws: 2 % each
+    total = sum(terms.values())
+    observed = surrogate.covariance(phi) + surrogate.scatter.covariance(phi)
+    assert total == pytest.approx(observed, rel=1e-6, abs=1e-12)
+
+
+def test_likelihood_is_the_mixture_of_normal_densities(leg: PreparedLeg) -> None:
+    # At two nodes, against SciPy, with noise given and no correction.
+    bare = replace(leg, drift=0.0 * leg.drift)
+    data, noise = leg.mean[30] + 0.01 * np.sin(np.arange(80.0)), 0.02
+    likelihood = CalibratedLikelihood(Problem(bare, data, np.eye(80), noise, discrepancy=False))
+    sizes, log_p = leg.surrogate.scatter.sizes
+    expected = []
+    for k in (30, 31):
+        parts = [
+            lp + multivariate_normal(
+                leg.mean[k], leg.covariance[k] + q * leg.scatter[k] + noise**2 * np.eye(80)
+            ).logpdf(data)
+            for q, lp in zip(sizes, log_p, strict=True)
+        ]  # fmt: skip
+        expected.append(np.logaddexp.reduce(parts))
+    found = likelihood(leg.phi_deg[[30, 31]])
+    assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], abs=0.01)
+
+
+def test_truths_are_found_sharply_and_believed(
+    library: Library, truths: list[tuple[float, ForceHistory]]
+) -> None:
+    found = [(phi, invert(history, library=library)) for phi, history in truths]
+    error = np.array([abs(a.phi.median - phi) for phi, a in found])
+    half = np.array([0.5 * (a.phi.ci68[1] - a.phi.ci68[0]) for _, a in found])
+    assert np.median(error) < 0.1
+    assert error.max() < 0.3
+    assert np.median(half) < 0.2
+    assert {a.verdict.verdict for _, a in found} == {"consistent"}
+    # 8 intervals of 95 %: fewer than 6 of them right has a probability of 0.6 %.
+    assert sum(a.phi.ci95[0] <= phi <= a.phi.ci95[1] for phi, a in found) >= 6
+
+
+def test_noise_widens_the_interval_and_is_inferred(
+    library: Library, truths: list[tuple[float, ForceHistory]]
+) -> None:
+    phi, history = truths[4]
+    rng = np.random.default_rng(3)
+    sigma = 0.1 * np.abs(history.force).max()
+    noisy = ForceHistory(
+        history.position, history.force + sigma * rng.normal(size=(len(history.position), 2))
+    )
+    clean, given_, inferred = (
+        invert(h, library=library, noise=noise)
+        for h, noise in ((history, None), (noisy, sigma), (noisy, None))
+    )
+    widths = [a.phi.ci68[1] - a.phi.ci68[0] for a in (clean, given_, inferred)]
+    assert widths[0] < 0.8 * min(widths[1:])
+    assert widths[1] == pytest.approx(widths[2], rel=0.3)
+    assert inferred.budget is not None
+    assert given_.budget is not None
+    assert inferred.budget.noise_N == pytest.approx(given_.budget.noise_N, rel=0.3)
+    assert given_.budget.noise == "given"
+    assert abs(inferred.phi.median - phi) < 5.0 * widths[2]
+    assert inferred.verdict.verdict == "consistent"
+
+
+def test_a_wrong_model_is_not_believed_though_the_interval_widens(
+    library: Library, truths: list[tuple[float, ForceHistory]]
+) -> None:
+    _, history = truths[4]
+    shifted = ForceHistory(history.position, history.force + 0.05 * np.abs(history.force).max())
+    answer = invert(shifted, library=library)
+    clean = invert(history, library=library)
+    assert answer.verdict.verdict == "misfit"
+    assert "No friction angle fits" in answer.verdict.reason
+    assert np.diff(answer.phi.ci68) > np.diff(clean.phi.ci68)
+    assert answer.budget is not None
+    assert answer.budget.shares["discrepancy"] > 0.1
+    assert sum(answer.budget.shares.values()) == pytest.approx(1.0)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(1.0, 3.0), st.integers(12, 400))
+def test_window_covariance_is_positive_definite_and_falls_with_readings(
+    reach: float, readings: int
+) -> None:
+    theta = np.linspace(-85.0, 85.0, 40)
+    ends = np.radians(85.0 + reach)
+    covariance = window_covariance(np.linspace(-ends, ends, readings), theta)
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+    dense = window_covariance(np.linspace(-ends, ends, 4 * readings), theta)
+    assert np.trace(dense) < np.trace(covariance)
+
+
+def test_window_covariance_is_that_of_noisy_records() -> None:
+    rng, theta = np.random.default_rng(4), np.linspace(-85.0, 85.0, 40)
+    position = np.radians(np.arange(-90.0, 90.1, 1.7))
+    means = []
+    for _ in range(1500):
+        history = ForceHistory(position, rng.normal(size=(position.size, 2)))
+        means.append(history.observation().Fx)
+    expected = window_covariance(position, theta)
+    assert np.cov(np.array(means).T) == pytest.approx(expected, abs=0.15 * expected.max())
+
+
+@pytest.mark.parametrize("noise", ["-1", "loud", "nan"])
+def test_noise_that_cannot_be(noise: str) -> None:
+    with pytest.raises(InputError, match="noise"):
+        Noise.parse(noise)
+
+
+def test_noise_from_a_sensor_file(tmp_path) -> None:
+    file = tmp_path / "sensor.toml"
+    file.write_text("sigma_Fx_N = 0.02\nsigma_Fz_N = 0.05\n")
+    assert Noise.parse(str(file)).sigma_N == (0.02, 0.05)
+    file.write_text("sigma_Fx = 0.02\nsigma_Fz_N = 0.05\n")
+    with pytest.raises(InputError, match="sigma_Fx"):
+        Noise.parse(str(file))
+
+
+def test_paper_likelihood_takes_no_noise(
+    library: Library, truths: list[tuple[float, ForceHistory]]
+) -> None:
+    with pytest.raises(InputError, match="neither noise nor discrepancy"):
+        invert(truths[0][1], library=library, likelihood="paper", noise=0.1)

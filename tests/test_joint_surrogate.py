@@ -1,0 +1,138 @@
+"""Scatter and joint surrogate, against dense algebra, scikit-learn and draws of known scatter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import Kernel
+
+from terraphi.joint_surrogate import JointKernel, JointSurrogate
+from terraphi.joint_surrogate.evidence import Spectrum, Standardised, _pack, _unpack
+from terraphi.scatter import Scatter, estimate
+from terraphi.scatter.model import correlation_matrix
+
+THETA = np.linspace(-60.0, 60.0, 10)
+PHI = np.array([20.0, 25.0, 30.0, 33.0, 40.0, 45.0])
+KERNEL = JointKernel(8.0, (20.0, 30.0), (0.1, 0.2), (0.1, 0.05))
+
+
+def scatter(sigma: float = 0.1, growth: float = 0.5) -> Scatter:
+    log_sigma = np.zeros((3, 20))
+    log_sigma[0], log_sigma[1] = np.log(sigma), growth
+    return Scatter(THETA, log_sigma, 32.5, 15.0, (0.3, 0.4), (0.5, 0.2))
+
+
+@pytest.fixture(scope="module")
+def curves() -> np.ndarray:
+    rng = np.random.default_rng(0)
+    shape = np.concatenate([np.cos(np.radians(THETA)), np.sin(np.radians(THETA - 50.0))])
+    return np.exp(PHI / 20.0)[:, None] * shape + scatter().draw(PHI, rng)
+
+
+class _Joint(Kernel):
+    """The dense kernel on index pairs, for scikit-learn; nothing is shared with our algebra."""
+
+    def __init__(self, surrogate: JointSurrogate, prior: np.ndarray) -> None:
+        self.surrogate, self.prior = surrogate, prior
+
+    def __call__(self, X, Y=None, eval_gradient=False):
+        Y = X if Y is None else Y
+        over_phi = sum(self.surrogate.phi_covariance(X[:, 0], Y[:, 0]))
+        return over_phi * self.prior[np.ix_(X[:, 1].astype(int), Y[:, 1].astype(int))]
+
+    def diag(self, X):
+        return np.diag(self(X))
+
+    def is_stationary(self):
+        return False
+
+
+def test_prediction_and_covariance_are_those_of_scikit_learn(curves: np.ndarray) -> None:
+    # Scatter without correlation, which is all that scikit-learn knows: alpha on the diagonal.
+    log_sigma = np.full((3, 20), 0.0)
+    log_sigma[0] = np.log(0.1)
+    white = Scatter(THETA, log_sigma, 32.5, 15.0, (0.0, 0.0), (0.0, 0.0))
+    surrogate = JointSurrogate.fit(PHI, THETA, curves, white, kernel=KERNEL)
+    prior = surrogate.basis * surrogate.prior_variance @ surrogate.basis.T
+    points = np.array([(phi, j) for phi in PHI for j in range(20)])
+    model = GaussianProcessRegressor(_Joint(surrogate, prior), alpha=1.0, optimizer=None)
+    model.fit(points, (curves / 0.1).ravel())
+    mean, covariance = model.predict(np.array([(31.0, j) for j in range(20)]), return_cov=True)
+    assert 0.1 * mean == pytest.approx(surrogate.predict([31.0])[0], rel=1e-6, abs=1e-6)
+    assert 0.01 * covariance == pytest.approx(surrogate.covariance(31.0), rel=1e-4, abs=1e-6)
+
+
+def test_evidence_is_that_of_the_dense_normal_density(curves: np.ndarray) -> None:
+    data = Standardised(PHI, THETA, curves, scatter())
+    spectrum = Spectrum(data, KERNEL, 1.3)
+    left = np.linalg.inv(data.inverse_factor) @ spectrum.basis
+    prior = left * spectrum.roots @ left.T
+    correlation = scatter().correlation
+    dense = np.kron(spectrum.phi_factor, prior) + 1.69 * np.kron(np.eye(6), correlation)
+    expected = multivariate_normal(cov=dense).logpdf(data.values.ravel())
+    jacobian = 6 * np.log(np.diag(data.factor)).sum()
+    assert spectrum.log_evidence() == pytest.approx(expected + jacobian, rel=1e-8)
+
+
+def test_gradient_of_the_evidence(curves: np.ndarray) -> None:
+    data = Standardised(PHI, THETA, curves, scatter())
+    at = _pack(KERNEL, 1.2)
+    for i, step in enumerate(1e-5 * np.eye(8)):
+        sides = [Spectrum(data, *_unpack(at + s)).log_evidence() for s in (step, -step)]
+        slope = (sides[0] - sides[1]) / 2e-5
+        assert Spectrum(data, *_unpack(at)).gradient()[i] == pytest.approx(
+            slope, rel=1e-4, abs=1e-3
+        )
+
+
+def test_left_out_squares_are_those_of_predictions_without_the_curve(curves: np.ndarray) -> None:
+    data = Standardised(PHI, THETA, curves, scatter())
+    spectrum = Spectrum(data, KERNEL)
+    whole = np.kron(spectrum.phi_factor, np.diag(spectrum.roots)) + np.eye(120)
+    values = (data.white @ spectrum.basis).ravel()
+    out, rest = np.arange(40, 60), np.r_[0:40, 60:120]
+    gain = np.linalg.solve(whole[np.ix_(rest, rest)], whole[np.ix_(rest, out)]).T
+    residual = values[out] - gain @ values[rest]
+    covariance = whole[np.ix_(out, out)] - gain @ whole[np.ix_(rest, out)]
+    expected = residual @ np.linalg.solve(covariance, residual)
+    assert spectrum.left_out()[2] == pytest.approx(expected, rel=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.floats(1.0, 60.0),
+    st.tuples(st.floats(0.0, 0.95), st.floats(0.0, 0.95)),
+    st.tuples(st.floats(-0.95, 0.95), st.floats(-0.95, 0.95)),
+)
+def test_correlation_is_one_and_well_conditioned(
+    length: float, shared: tuple[float, float], cross: tuple[float, float]
+) -> None:
+    matrix = correlation_matrix(np.linspace(-85.0, 85.0, 40), length, shared, cross)
+    assert np.diag(matrix) == pytest.approx(1.0)
+    assert np.linalg.eigvalsh(matrix).min() > 1e-3
+
+
+def test_scatter_is_recovered_from_replicates() -> None:
+    truth, rng = scatter(), np.random.default_rng(5)
+    groups = [(phi, truth.draw(np.full(12, phi), rng)) for phi in (22.0, 32.0, 43.0)]
+    flat = np.outer(PHI, np.ones(20))
+    found = estimate(THETA, PHI, flat + truth.draw(PHI, rng), groups)
+    ratio = found.sigma(PHI) / truth.sigma(PHI)
+    assert np.exp(np.abs(np.log(ratio)).mean()) < 1.35
+    assert found.contrasts == 33 + 2
+
+
+def test_scatter_survives_its_file() -> None:
+    truth = scatter()
+    again = Scatter.from_dict(truth.as_dict())
+    assert again.sigma(PHI) == pytest.approx(truth.sigma(PHI), rel=1e-4)
+    assert again.correlation == pytest.approx(truth.correlation)
+
+
+def test_a_single_replicate_is_refused(curves: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="two replicates"):
+        estimate(THETA, PHI, curves, [(30.0, curves[:1])])
