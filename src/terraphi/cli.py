@@ -96,7 +96,7 @@ def demo(out: Path, as_json: bool) -> None:
 @click.option("--library", default=DEFAULT_LIBRARY, show_default=True, help="Name, or a .nc file.")
 @click.option(
     "--likelihood",
-    default="calibrated",
+    default="paper",
     show_default=True,
     help="Error model: calibrated or paper.",
 )

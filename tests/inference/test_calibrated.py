@@ -89,7 +89,9 @@ def test_likelihood_is_the_mixture_of_normal_densities(leg: PreparedLeg) -> None
 def test_truths_are_found_sharply_and_believed(
     library: Library, truths: list[tuple[float, ForceHistory]]
 ) -> None:
-    found = [(phi, invert(history, library=library)) for phi, history in truths]
+    found = [
+        (phi, invert(history, library=library, likelihood="calibrated")) for phi, history in truths
+    ]
     error = np.array([abs(a.phi.median - phi) for phi, a in found])
     half = np.array([0.5 * (a.phi.ci68[1] - a.phi.ci68[0]) for _, a in found])
     assert np.median(error) < 0.1
@@ -110,7 +112,7 @@ def test_noise_widens_the_interval_and_is_inferred(
         history.position, history.force + sigma * rng.normal(size=(len(history.position), 2))
     )
     clean, given_, inferred = (
-        invert(h, library=library, noise=noise)
+        invert(h, library=library, likelihood="calibrated", noise=noise)
         for h, noise in ((history, None), (noisy, sigma), (noisy, None))
     )
     widths = [a.phi.ci68[1] - a.phi.ci68[0] for a in (clean, given_, inferred)]
@@ -129,8 +131,8 @@ def test_a_wrong_model_is_not_believed_though_the_interval_widens(
 ) -> None:
     _, history = truths[4]
     shifted = ForceHistory(history.position, history.force + 0.05 * np.abs(history.force).max())
-    answer = invert(shifted, library=library)
-    clean = invert(history, library=library)
+    answer = invert(shifted, library=library, likelihood="calibrated")
+    clean = invert(history, library=library, likelihood="calibrated")
     assert answer.verdict.verdict == "misfit"
     assert "No friction angle fits" in answer.verdict.reason
     assert np.diff(answer.phi.ci68) > np.diff(clean.phi.ci68)

@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 
 CHUNK = 200
 """Replicates at once."""
-COARSE_NODES = 701
+COARSE_NODES = 201
 FINE_NODES = 401
 """Nodes over phi at which posteriors are looked for, and then integrated."""
 NOTHING = 1e-9

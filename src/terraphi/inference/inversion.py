@@ -71,7 +71,7 @@ def invert(
     leg: str = "straight",
     density: float | None = None,
     density_assumed: bool = False,
-    likelihood: str = "calibrated",
+    likelihood: str = "paper",
     noise: float | str | Path | None = None,
     discrepancy: str | None = None,
     sampler: str = "quadrature",
@@ -128,7 +128,10 @@ def invert(
             f"unknown discrepancy '{discrepancy}'; {nearest(discrepancy, DISCREPANCIES)}"
         )
     if likelihood == "paper" and (noise is not None or discrepancy is not None):
-        raise InputError("the paper's likelihood has neither noise nor discrepancy; drop them")
+        raise InputError(
+            "the paper's likelihood has neither noise nor discrepancy; take 'calibrated', or drop "
+            "them"
+        )
     began = time.perf_counter()
     observation = history.observation()
     how = {"sampler": sampler, "seed": seed}

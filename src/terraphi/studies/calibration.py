@@ -144,7 +144,12 @@ def _tables(
     return {
         name: _summary(
             [
-                (phi, invert(spoil(h), library=trained, density=factor * density))
+                (
+                    phi,
+                    invert(
+                        spoil(h), library=trained, likelihood="calibrated", density=factor * density
+                    ),
+                )
                 for phi, h in truths
             ]
         )
@@ -188,7 +193,9 @@ def _strangers(trained: Library) -> dict[str, int]:
         if case.history and case.scenario.leg.shape in {"c", "reversed_c"}
     ][::3]
     verdicts = [
-        invert(case.history, library=trained, leg="straight").verdict.verdict
+        invert(
+            case.history, library=trained, leg="straight", likelihood="calibrated"
+        ).verdict.verdict
         for case in others
         if case.history
     ]
