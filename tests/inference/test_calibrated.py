@@ -70,7 +70,7 @@ def test_terms_add_up_to_the_covariance_of_brute_force_draws(leg: PreparedLeg) -
 def test_likelihood_is_the_mixture_of_normal_densities(leg: PreparedLeg) -> None:
     # At two nodes, against SciPy, with noise given and no correction.
     bare = replace(leg, drift=0.0 * leg.drift)
-    data, noise = leg.mean[30] + 0.01 * np.sin(np.arange(80.0)), 0.02
+    data, noise = leg.mean[30] + 0.3 * np.sin(np.arange(80.0)), 0.3
     likelihood = CalibratedLikelihood(Problem(bare, data, np.eye(80), noise, discrepancy=False))
     sizes, log_p = leg.surrogate.scatter.sizes
     expected = []
