@@ -124,6 +124,7 @@ class Library:
             "failures": self.failures,
             "density_kg_m3": first.soil.density,
             "sweep": self.plan.sweep or self.plan.one_at_a_time,
+            **({"sample": self.plan.sample.model_dump()} if self.plan.sample else {}),
             "certificate": self.calibration.get("certificate"),
             "provenance": dict(self.provenance),
         }
@@ -171,6 +172,11 @@ class Library:
         if chosen[0].scenario.motion.kind != "rotation":
             raise InputError(
                 f"library '{self.name}' is one of translations; an inversion needs rotations"
+            )
+        if self.plan.sample and len(self.plan.sample.keys) > 1:
+            raise InputError(
+                f"library '{self.name}' varies {', '.join(self.plan.sample.keys)} together, not "
+                "the friction angle alone; this inversion knows one parameter"
             )
         chosen.sort(key=lambda case: case.scenario.soil.friction_angle_deg)
         phi = np.array([case.scenario.soil.friction_angle_deg for case in chosen])

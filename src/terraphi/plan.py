@@ -1,8 +1,9 @@
 """A plan: which simulations to make, written in TOML.
 
 A plan is a scenario and what to change in it: keys to sweep, all combinations of their values; keys
-to change one at a time, each by itself, as a study of sensitivity does; or named steps, each of
-which changes some keys of the scenario before it or of the base.
+to sample, points that fill the box of their bounds evenly (beside a sweep every point with every
+combination); keys to change one at a time, each by itself, as a study of sensitivity does; or named
+steps, each of which changes some keys of the scenario before it or of the base.
 """
 
 from __future__ import annotations
@@ -53,6 +54,58 @@ class Step(BaseModel):
     after: Literal["previous", "base"] = "previous"
 
 
+class Sample(BaseModel):
+    """Points in the box of several keys' bounds, by a scrambled Sobol sequence.
+
+    A larger count goes on where a smaller one of the same seed ended, so that a library built
+    anew with more points computes only those.
+
+    Attributes
+    ----------
+    keys
+        Dotted scenario key, of a number, to its lower and upper bound.
+    count
+        Number of points; powers of two fill the box most evenly.
+    seed
+        Seed of the scrambling (Owen, *J. Complexity* 14:466, 1998).
+    also
+        Further points, values in the order of the keys, such as those that ``terraphi library
+        suggest`` names.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    keys: dict[str, tuple[float, float]] = Field(min_length=1)
+    count: int = Field(ge=0, le=65536)
+    seed: int = Field(0, ge=0)
+    also: list[list[float]] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _is_a_box(self) -> Self:
+        for key, (low, high) in self.keys.items():
+            if not low < high:
+                raise ValueError(f"'{key}' is to lie between {low:g} and {high:g}; low first")
+        for point in self.also:
+            if len(point) != len(self.keys):
+                raise ValueError(f"'also' has {point}; a number for each of {list(self.keys)}")
+        if self.count + len(self.also) == 0:
+            raise ValueError("there is no point; raise 'count'")
+        return self
+
+    def points(self) -> list[dict[str, float]]:
+        """Key to value, rounded to six digits, for each point."""
+        from scipy.stats import qmc
+
+        found: list[list[float]] = []
+        if self.count:
+            # Drawn as a whole power of two, lest SciPy should warn of what we know.
+            exponent = (self.count - 1).bit_length()
+            unit = qmc.Sobol(len(self.keys), scramble=True, rng=self.seed).random_base2(exponent)
+            box = qmc.scale(unit[: self.count], *zip(*self.keys.values(), strict=True))
+            found = [[float(f"{value:.6g}") for value in point] for point in box]
+        return [dict(zip(self.keys, p, strict=True)) for p in [*found, *self.also]]
+
+
 class Plan(BaseModel):
     """What a library or a study is to contain.
 
@@ -64,6 +117,8 @@ class Plan(BaseModel):
         What all cases share.
     sweep
         Dotted scenario key to its values; the cases are all combinations, the first key slowest.
+    sample
+        Points in the bounds of some keys, each with all combinations of the sweep, if there is one.
     one_at_a_time
         Instead of a sweep: dotted scenario key to its values; the cases are the scenario itself,
         the base, and then one for each value of each key, all other keys as in the base.
@@ -83,6 +138,7 @@ class Plan(BaseModel):
     description: str = ""
     scenario: Scenario = Field(default_factory=Scenario)
     sweep: dict[str, list[JsonValue]] = Field(default_factory=dict)
+    sample: Sample | None = None
     one_at_a_time: dict[str, list[JsonValue]] = Field(default_factory=dict)
     steps: list[Step] = Field(default_factory=list)
     presets: list[str] = Field(default_factory=list)
@@ -91,13 +147,16 @@ class Plan(BaseModel):
     @model_validator(mode="after")
     def _is_one_of_two_kinds(self) -> Self:
         apart = self.one_at_a_time or self.steps or self.presets
-        if not self.sweep and not apart:
+        combines = self.sweep or self.sample
+        if not combines and not apart:
             raise ValueError("'sweep' is missing or empty; name a key in it, or in 'one_at_a_time'")
-        if self.sweep and apart:
+        if combines and apart:
             raise ValueError(
-                "'sweep' combines its keys, 'one_at_a_time', 'steps' and 'presets' do not; "
-                "make two plans"
+                f"'{'sweep' if self.sweep else 'sample'}' combines its keys, 'one_at_a_time', "
+                "'steps' and 'presets' do not; make two plans"
             )
+        if self.sample and (both := sorted(set(self.sweep) & set(self.sample.keys))):
+            raise ValueError(f"'{both[0]}' is both swept and sampled; drop one of the two")
         if self.vary_seed and apart:
             raise ValueError("vary_seed changes the seed in every case; it is for a sweep only")
         return self
@@ -110,24 +169,34 @@ class Plan(BaseModel):
         InputError
             If a key to change does not exist or a value cannot be.
         """
-        if not self.sweep:
+        if not self.combined_keys:
             return [variant.scenario for variant in self.variants()]
         for key, values in self.sweep.items():
             if not values:
                 raise InputError(f"plan '{self.name}': sweep key '{key}' has no values")
-            if self.vary_seed and key == "numerics.seed":
-                raise InputError(
-                    f"plan '{self.name}': vary_seed sets numerics.seed, so it cannot be swept as "
-                    "well; drop one of the two"
-                )
+        if self.vary_seed and "numerics.seed" in self.combined_keys:
+            raise InputError(
+                f"plan '{self.name}': vary_seed sets numerics.seed, so it cannot be swept as "
+                "well; drop one of the two"
+            )
         seed = self.scenario.numerics.seed
+        table = "sample" if self.sample else "sweep"
+        points: list[dict[str, float]] = self.sample.points() if self.sample else [{}]
         found = []
-        for i, combination in enumerate(itertools.product(*self.sweep.values())):
-            changes = dict(zip(self.sweep, combination, strict=True))
+        every = itertools.product(itertools.product(*self.sweep.values()), points)
+        for i, (combination, point) in enumerate(every):
+            changes: dict[str, JsonValue] = {
+                **dict(zip(self.sweep, combination, strict=True)), **point,
+            }  # fmt: skip
             if self.vary_seed:
                 changes["numerics.seed"] = seed + i
-            found.append(self._changed("sweep", changes))
+            found.append(self._changed(table, changes))
         return found
+
+    @property
+    def combined_keys(self) -> tuple[str, ...]:
+        """Keys that are swept, then those that are sampled."""
+        return (*self.sweep, *(self.sample.keys if self.sample else ()))
 
     def variants(self) -> list[Variant]:
         """The base, every change of one key, the steps, the presets; of a sweep, the base alone.
@@ -194,15 +263,15 @@ def label(variant: Variant) -> str:
 
 def describe(plan: Plan, scenario: Scenario) -> str:
     """What makes a case of a plan differ from the others, for people."""
-    if not plan.sweep:
+    if not plan.combined_keys:
         found = (label(v) for v in plan.variants() if v.scenario.hash == scenario.hash)
         return next(found, scenario.name or scenario.hash[:12])  # a preset may have changed since
-    return ", ".join(f"{key} = {value_of(scenario, key)}" for key in plan.sweep)
+    return ", ".join(f"{key} = {value_of(scenario, key)}" for key in plan.combined_keys)
 
 
 def value_of(scenario: Scenario, key: str) -> Any:
     """Value of a dotted key of a scenario; raises KeyError if there is no such key."""
     value: Any = scenario.model_dump(mode="json")
     for section in key.split("."):
-        value = value[section]
+        value = value[int(section) if isinstance(value, list) else section]
     return value

@@ -219,7 +219,8 @@ class Scenario(Section):
         Parameters
         ----------
         **changes
-            Dotted key to value, as in ``replace(**{"soil.friction_angle_deg": 30.0})``.
+            Dotted key to value, as in ``replace(**{"soil.friction_angle_deg": 30.0})``; a number
+            picks an entry of a list, as in ``motion.hip.1``, the height of the hip.
 
         Returns
         -------
@@ -234,11 +235,13 @@ class Scenario(Section):
         for key, value in changes.items():
             *sections, last = key.split(".")
             place = content
-            for section in sections:
-                if not isinstance(place.get(section), dict):
-                    place[section] = {}  # for the check below to refuse
-                place = place[section]
-            place[last] = value
+            for section in sections[:-1]:
+                place = _section(place, section)
+            if sections and _is_entry(place.get(sections[-1]), last):
+                place[sections[-1]][int(last)] = value
+            else:
+                place = _section(place, sections[-1]) if sections else place
+                place[last] = value
         return strictly(content, Scenario)
 
     @classmethod
@@ -262,3 +265,16 @@ class Scenario(Section):
         if Path(source).suffix != ".toml" and not Path(source).is_file():
             source = shipped_file("scenarios", str(source), ".toml")
         return parse_toml(Path(source), cls)
+
+
+def _section(place: dict[str, Any], name: str) -> dict[str, Any]:
+    """Section of a document; made, for the check to refuse, where there is none."""
+    if not isinstance(place.get(name), dict):
+        place[name] = {}
+    section: dict[str, Any] = place[name]
+    return section
+
+
+def _is_entry(value: object, index: str) -> bool:
+    """Whether an index in a dotted key names an entry of a list."""
+    return isinstance(value, list) and index.isdecimal() and int(index) < len(value)

@@ -1,0 +1,114 @@
+"""Both forces on a leg over several parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.design_surrogate.process import DesignGP
+from terraphi.design_surrogate.training import DENSITY, Training
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class DesignSurrogate:
+    """A process for each force on one leg, over named parameters.
+
+    Forces of cohesionless soil are proportional to its density but for what its stiffness does, so
+    the processes model forces per density, and the density multiplies them again: it may then be a
+    parameter whether the library varies it or not.
+
+    Attributes
+    ----------
+    bounds
+        Dotted key of each parameter that the library varies to its bounds.
+    reference_density
+        Density that stands for itself where none is given [kg/m3].
+    Fx, Fz
+        Processes of the forces at the reference density.
+    """
+
+    bounds: Mapping[str, tuple[float, float]]
+    reference_density: float
+    Fx: DesignGP
+    Fz: DesignGP
+
+    @classmethod
+    def fit(cls, data: Training, *, seed: int = 0) -> Self:
+        """Fit a process to each force; errors as in `DesignGP.fit`.
+
+        Parameters
+        ----------
+        data
+            Points and forces.
+        seed
+            Of the optimiser's random start.
+        """
+        reference = data.scenario.soil.density
+        scaled = data.forces * (reference / data.density)[:, None]
+        points = to_unit(data.values, data.bounds)
+        half = data.theta_deg.size
+        fx, fz = (
+            DesignGP.fit(points, data.theta_deg, part, seed=seed)
+            for part in (scaled[:, :half], scaled[:, half:])
+        )
+        return cls(data.bounds, reference, fx, fz)
+
+    @property
+    def theta_deg(self) -> FloatArray:
+        """Leg angles [deg], shape [theta]."""
+        return self.Fx.theta_deg
+
+    @property
+    def processes(self) -> tuple[DesignGP, DesignGP]:
+        """Those of Fx and Fz."""
+        return self.Fx, self.Fz
+
+    def points(self, named: Mapping[str, FloatArray]) -> FloatArray:
+        """Scaled points of parameters by key, each of shape [k] -> [k, d].
+
+        Raises
+        ------
+        KeyError
+            If a parameter of the library is missing.
+        """
+        return to_unit(np.column_stack([named[key] for key in self.bounds]), self.bounds)
+
+    def scale(self, named: Mapping[str, FloatArray]) -> FloatArray:
+        """Factor on forces at the reference density [-], shape [k]."""
+        count = len(next(iter(named.values())))
+        density = named.get(DENSITY, np.full(count, self.reference_density))
+        scale: FloatArray = np.asarray(density) / self.reference_density
+        return scale
+
+    def predict(self, named: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Mean [N] and variance [N^2] of the forces, parameters of shape [k] -> [k, 2 theta].
+
+        Parameters
+        ----------
+        named
+            Dotted key to values in the key's own unit; ``soil.density`` may be left out.
+        """
+        points, scale = self.points(named), self.scale(named)[:, None]
+        parts = [process.predict(points) for process in self.processes]
+        mean = scale * np.hstack([mean for mean, _ in parts])
+        return mean, np.square(scale) * np.hstack([variance for _, variance in parts])
+
+
+def to_unit(values: FloatArray, bounds: Mapping[str, tuple[float, float]]) -> FloatArray:
+    """Parameters scaled from their bounds to [-1, 1], shape [k, d]."""
+    low, high = np.array(list(bounds.values())).T
+    unit: FloatArray = 2.0 * (values - low) / (high - low) - 1.0
+    return unit
+
+
+def from_unit(points: FloatArray, bounds: Mapping[str, tuple[float, float]]) -> FloatArray:
+    """Inverse of :func:`to_unit`."""
+    low, high = np.array(list(bounds.values())).T
+    values: FloatArray = low + 0.5 * (points + 1.0) * (high - low)
+    return values

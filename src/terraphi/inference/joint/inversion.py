@@ -1,0 +1,318 @@
+"""The joint inversion from end to end: histories, a library and priors in, an answer out."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from terraphi.design_surrogate import DesignSurrogate, training
+from terraphi.design_surrogate.training import DENSITY, parameters
+from terraphi.errors import InputError, nearest
+from terraphi.forward import package_version
+from terraphi.inference.joint.answer import JointInversion, Summary
+from terraphi.inference.joint.identifiability import Identifiability, label
+from terraphi.inference.joint.likelihood import JointLikelihood, LegLikelihood
+from terraphi.inference.joint.prior import Marginal, priors
+from terraphi.inference.joint.sampler import sample
+from terraphi.inference.joint.trials import Repeats, Trial, check_trials, grouped
+from terraphi.inference.noise import Noise, window_covariance
+from terraphi.inference.posterior import Posterior, quadrature
+from terraphi.inference.verdict import Verdict, nrmsd
+from terraphi.library import Library
+
+FloatArray = NDArray[np.float64]
+
+DISCREPANCIES = ("none", "gp")
+NOISE_RANGE = (1e-4, 0.3)
+"""Noise of a window mean that may be inferred, of the largest peak-to-peak [-]; log-uniform."""
+AMPLITUDE_RANGE = (1e-3, 1.0)
+"""Relative size of a discrepancy; log-uniform."""
+SLOPE_STEP = 1e-3
+"""Step of differences over a parameter, of its prior standard deviation [-]."""
+EDGE = 0.02
+"""Width of an edge of a prior, of its span [-]."""
+EDGE_DENSITY = math.exp(-2.0)
+"""Density there, over the largest, from which on an edge cuts a posterior off [-]."""
+NRMSD_LIMIT = 0.10
+
+
+@dataclass(frozen=True, eq=False)
+class _Target:
+    """The log posterior over the free parameters, log noise and log discrepancy."""
+
+    likelihood: JointLikelihood
+    priors: Mapping[str, Marginal]
+    keys: tuple[str, ...]
+    noise: float | None
+    discrepancy: bool
+
+    @property
+    def hyper(self) -> list[Marginal]:
+        """Priors of the logarithms of what else is inferred."""
+        found = []
+        if self.noise is None:
+            low, high = np.log(np.array(NOISE_RANGE) * self.likelihood.largest).tolist()
+            found.append(Marginal(low, high))
+        if self.discrepancy:
+            found.append(Marginal(*np.log(AMPLITUDE_RANGE).tolist()))
+        return found
+
+    @property
+    def marginals(self) -> list[Marginal]:
+        """Priors of all dimensions."""
+        return [*(self.priors[k] for k in self.keys), *self.hyper]
+
+    def named(self, values: FloatArray) -> dict[str, FloatArray]:
+        """All parameters by key, fixed ones too; values of shape [k, d]."""
+        free = {key: values[:, i] for i, key in enumerate(self.keys)}
+        fixed = {k: np.full(len(values), p.low) for k, p in self.priors.items() if p.fixed}
+        return {**fixed, **free}
+
+    def errors(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Noise [N] and relative discrepancy [-], shape [k] each."""
+        rest = list(np.exp(values[:, len(self.keys) :]).T)
+        noise = rest.pop(0) if self.noise is None else np.full(len(values), self.noise)
+        return noise, rest.pop(0) if self.discrepancy else np.zeros(len(values))
+
+    def draw_prior(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Shape [count, d]."""
+        return np.column_stack([m.draw(count, rng) for m in self.marginals])
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Log posterior up to a constant, shape [k, d] -> [k]."""
+        log_p = np.sum(
+            [m.log_density(v) for m, v in zip(self.marginals, values.T, strict=True)], axis=0
+        )
+        inside = np.isfinite(log_p)
+        if inside.any():
+            chosen = values[inside]
+            log_p[inside] += self.likelihood(self.named(chosen), *self.errors(chosen))
+        found: FloatArray = log_p
+        return found
+
+
+def invert_jointly(
+    trials: Sequence[Trial],
+    *,
+    library: Library,
+    prior: Sequence[str] = (),
+    density: float | None = None,
+    noise: float | str | Path | None = None,
+    discrepancy: str | None = None,
+    seed: int = 0,
+    steps: int = 1500,
+) -> JointInversion:
+    """Infer the parameters that a library varies from one history or several.
+
+    Parameters
+    ----------
+    trials
+        Histories: several legs, repeated trials.
+    library
+        Simulations over the parameters, with every leg of the trials.
+    prior
+        As in :func:`~terraphi.inference.joint.prior.priors`; a prior on ``soil.density`` makes the
+        density a parameter whether the library varies it or not.
+    density
+        Known bulk density [kg/m3]: short for the prior ``soil.density=VALUE``.
+    noise, discrepancy
+        As in :func:`terraphi.invert`; noise is that of one reading.
+    seed
+        Of all draws.
+    steps
+        Of each ensemble to begin with; they double until the draws have converged.
+
+    Raises
+    ------
+    InputError
+        If a history, a leg, a prior or an option cannot be used.
+    """
+    if discrepancy is not None and discrepancy not in DISCREPANCIES:
+        raise InputError(
+            f"unknown discrepancy '{discrepancy}'; {nearest(discrepancy, DISCREPANCIES)}"
+        )
+    began = time.perf_counter()
+    if density is not None:
+        prior = [*prior, f"{DENSITY}={density}"]
+    groups = grouped(trials)
+    marginals = priors(parameters(library), prior)
+    keys = tuple(k for k, p in marginals.items() if not p.fixed)
+    if not keys:
+        raise InputError("every parameter is fixed; there is nothing to infer")
+    gp = discrepancy == "gp" or (discrepancy is None and not all(t.simulated for t in trials))
+    with threadpool_limits(limits=1, user_api="blas"):
+        likelihood = _likelihood(groups, library, marginals)
+        target = _Target(
+            likelihood, marginals, keys, _window_noise(Noise.parse(noise), groups), gp
+        )
+        draws = sample(
+            target, target.draw_prior, seed=seed, steps=steps, walkers=max(32, 4 * len(keys))
+        )
+        about = {
+            **{n: package_version(n) for n in ("terraphi", "numpy", "scipy", "emcee")},
+            "library": dict(library.provenance),
+            "library_hash": library.hash,
+            "seconds": time.perf_counter() - began,
+        }
+        return _answer(groups, library, target, draws, about)
+
+
+def _likelihood(
+    groups: Sequence[Repeats], library: Library, marginals: Mapping[str, Marginal]
+) -> JointLikelihood:
+    """Surrogates of all legs, fitted, with their trials; checks what is to be compared."""
+    legs = []
+    known = marginals.get(DENSITY)
+    for group in groups:
+        data = training(library, group.leg, within=group.within)
+        fixed = known.low if known is not None and known.fixed else None
+        check_trials(group, data.scenario, data.bounds, fixed)
+        if known is not None and DENSITY not in data.bounds and data.scenario.soil.cohesion > 0.0:
+            raise InputError(
+                "the library's soil has cohesion, and its forces are not proportional to the "
+                "density; vary soil.density in the library"
+            )
+        legs.append(LegLikelihood(DesignSurrogate.fit(data), group.vectors))
+    return JointLikelihood(tuple(legs))
+
+
+def _window_noise(noise: Noise, groups: Sequence[Repeats]) -> float | None:
+    """Standard deviation of a window mean [N]; ``None`` if it is to be inferred.
+
+    Neighbouring windows share no reading but the one between them, so their noise counts as white.
+    """
+    if noise.sigma_N is None:
+        return None
+    shares = [
+        np.median(np.diag(window_covariance(t.history.position, o.theta_deg)))
+        for g in groups
+        for t, o in zip(g.trials, g.observations, strict=True)
+    ]
+    return float(np.sqrt(np.mean(np.square(noise.sigma_N)) * np.mean(shares)))
+
+
+def _answer(
+    groups: Sequence[Repeats], library: Library, target: _Target, draws: Any, about: dict[str, Any]
+) -> JointInversion:
+    d = len(target.keys)
+    flat = draws.values.reshape(-1, draws.values.shape[-1])
+    noise, amplitude = target.errors(flat)
+    thinned = flat[:: max(1, len(flat) // 4000)]
+    best = thinned[np.argmax(target(thinned))]
+    named = {k: float(v[0]) for k, v in target.named(best[None]).items()}
+    marginal = {k: Summary.of(flat[:, i]) for i, k in enumerate(target.keys)}
+    sd = [target.priors[k].sd for k in target.keys]
+    fits = {
+        group.leg: leg.surrogate.predict({k: np.array([v]) for k, v in named.items()})[0][0]
+        for group, leg in zip(groups, target.likelihood.legs, strict=True)
+    }
+    misfits = {
+        t.source: nrmsd(o.vector, fits[g.leg])
+        for g in groups
+        for t, o in zip(g.trials, g.observations, strict=True)
+    }
+    covariance = np.cov(flat[:, :d].T).reshape(d, d)
+    identifiability = Identifiability.of(target.keys, covariance, sd)
+    return JointInversion(
+        groups=tuple(groups),
+        library=library.name,
+        convention=library.cases[0].scenario.convention,
+        keys=target.keys,
+        priors=target.priors,
+        draws=draws,
+        noise_N=noise,
+        amplitude=amplitude,
+        marginal=marginal,
+        conditional={k: _conditional(target, best, i) for i, k in enumerate(target.keys)},
+        best=named,
+        identifiability=identifiability,
+        expected_sd=_expected(groups, target, best, named, sd),
+        fits=fits,
+        nrmsd=misfits,
+        verdict=_judge(target, flat, identifiability, misfits),
+        discrepancy="gp" if target.discrepancy else "none",
+        provenance=about,
+    )
+
+
+def _conditional(target: _Target, best: FloatArray, i: int) -> Summary:
+    """One parameter with all else held at the most probable draw."""
+
+    def along(values: FloatArray) -> FloatArray:
+        points = np.repeat(best[None], len(values), axis=0)
+        points[:, i] = values
+        return target(points)
+
+    prior = target.marginals[i]
+    found: Posterior = quadrature(along, (prior.low, prior.high), nodes=401)
+    ends = found.interval(0.68)
+    sd = 0.5 * (ends[1] - ends[0])
+    return Summary(found.median, sd, ends, found.interval(0.95))
+
+
+def _expected(
+    groups: Sequence[Repeats],
+    target: _Target,
+    best: FloatArray,
+    named: Mapping[str, float],
+    prior_sd: Sequence[float],
+) -> dict[str, FloatArray]:
+    """Standard deviations that each leg alone and all would leave, by linearisation."""
+    noise, amplitude = (float(v[0]) for v in target.errors(best[None]))
+    steps = [SLOPE_STEP * sd for sd in prior_sd]
+    by_leg = {
+        group.leg: leg.information(named, target.keys, steps, noise=noise, amplitude=amplitude)
+        for group, leg in zip(groups, target.likelihood.legs, strict=True)
+    }
+    every = {**by_leg, "all": np.sum(list(by_leg.values()), axis=0)}
+    before = np.diag(1.0 / np.square(prior_sd))
+    return {
+        name: np.sqrt(np.diag(np.linalg.inv(information + before)))
+        for name, information in every.items()
+    }
+
+
+def _judge(
+    target: _Target,
+    flat: FloatArray,
+    identifiability: Identifiability,
+    misfits: Mapping[str, Mapping[str, float]],
+) -> Verdict:
+    """Out of range if an edge cuts off a parameter that was learnt; misfit if forces deviate."""
+    worst = max(misfits, key=lambda s: max(misfits[s].values()))
+    largest = max(misfits[worst].values())
+    deviation = f"the most probable curve deviates from {worst or 'the forces'} by {largest:.1%}"
+    for i, key in enumerate(target.keys):
+        prior, values = target.priors[key], flat[:, i]
+        if identifiability.kinds[key] == "open" or prior.normal is not None:
+            continue
+        counts, _ = np.histogram(values, bins=round(1.0 / EDGE), range=(prior.low, prior.high))
+        ends = (counts[0] / counts.max(), counts[-1] / counts.max())
+        if max(ends) > EDGE_DENSITY:
+            at_low = ends[0] >= ends[1]
+            name, unit = label(key)
+            return Verdict(
+                "out_of_range",
+                "low" if at_low else "high",
+                f"The posterior of {name} is cut off at {prior.low if at_low else prior.high:g} "
+                f"{unit}, where its density is {max(ends):.0%} of its largest (limit "
+                f"{EDGE_DENSITY:.0%}); {deviation} of peak-to-peak.",
+            )
+    if largest > NRMSD_LIMIT:
+        return Verdict(
+            "misfit", None,
+            f"No parameters fit: {deviation} of peak-to-peak (limit {NRMSD_LIMIT:.0%}).",
+        )  # fmt: skip
+    return Verdict(
+        "consistent", None,
+        f"No edge of the priors cuts off what was learnt, and {deviation} of peak-to-peak at most "
+        f"(limit {NRMSD_LIMIT:.0%}).",
+    )  # fmt: skip

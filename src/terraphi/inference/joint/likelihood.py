@@ -1,0 +1,149 @@
+r"""Likelihood of several histories over several parameters.
+
+The window means of trial k with a leg are, for each force,
+
+    d_k = g(x) + b + e_k,      b ~ N(0, V(x) + a^2 p^2 K),      e_k ~ N(0, (s^2 + t^2) I),
+
+V the surrogate's own covariance; a^2 p^2 K a model discrepancy of relative size a, as smooth over
+the leg angle as the forces themselves (K the surrogate's covariance over theta, of unit mean
+variance; p the peak-to-peak of the data); t^2 the scatter of the simulations; s the noise of a
+window mean. What the surrogate and the model get wrong they get wrong in every trial with that leg:
+b is shared, and repeating a trial averages out e_k alone. Legs err independently.
+
+In the basis of the leg angles that diagonalises K all of these are diagonal, so that with m trials
+of mean z and spread S = sum_k (z_k - z)^2 along a direction of the basis
+
+    -2 log p = (z - g)^2 / (v + q/m) + log(m v + q) + (m - 1) log q + S / q,
+
+v the shared variance and q that of a trial: a sum over 2 M numbers, for any number of trials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.design_surrogate import DesignSurrogate
+
+FloatArray = NDArray[np.float64]
+
+
+class LegLikelihood:
+    """All trials with one leg.
+
+    Parameters
+    ----------
+    surrogate
+        Of the leg.
+    data
+        Observation vectors [N], shape [trial, 2 theta].
+    """
+
+    def __init__(self, surrogate: DesignSurrogate, data: FloatArray) -> None:
+        self.surrogate = surrogate
+        self.trials = len(data)
+        half = surrogate.theta_deg.size
+        self.parts = []
+        for process, values in zip(
+            surrogate.processes, (data[:, :half], data[:, half:]), strict=True
+        ):
+            rotated = values @ process.basis
+            mean = rotated.mean(axis=0)
+            spread = np.square(rotated - mean).sum(axis=0)
+            span = float(np.ptp(values.mean(axis=0)))
+            shape = np.square(span) * process.roots / process.roots.mean()
+            self.parts.append((process, mean, spread, shape))
+        self.largest = float(np.ptp(data.mean(axis=0).reshape(2, -1), axis=1).max())
+
+    def __call__(
+        self, named: Mapping[str, FloatArray], noise: FloatArray, amplitude: FloatArray
+    ) -> FloatArray:
+        """Log-likelihood up to a constant, shape [k].
+
+        Parameters
+        ----------
+        named
+            Dotted key to values, shape [k] each.
+        noise
+            s, standard deviation of a window mean [N], shape [k].
+        amplitude
+            a [-], shape [k]; zero for a model that is right.
+        """
+        points, scale = self.surrogate.points(named), self.surrogate.scale(named)[:, None]
+        m, total = self.trials, np.zeros(len(points))
+        for process, mean, spread, shape in self.parts:
+            model = scale * process.rotated_mean(points)
+            shared = np.square(scale) * process.rotated_variance(points)
+            shared = shared + np.square(amplitude)[:, None] * shape
+            own = np.square(noise)[:, None] + np.square(scale) * process.noise_variance
+            terms = np.square(mean - model) / (shared + own / m) + np.log(m * shared + own)
+            terms = terms + (m - 1) * np.log(own) + spread / own
+            total -= 0.5 * terms.sum(axis=1)
+        return total
+
+    def information(
+        self, named: Mapping[str, float], keys: Sequence[str], steps: Sequence[float], *,
+        noise: float, amplitude: float,
+    ) -> FloatArray:  # fmt: skip
+        """Fisher information of some parameters at a point, of the mean forces alone.
+
+        Parameters
+        ----------
+        named
+            The point: dotted key to value.
+        keys
+            Parameters wanted.
+        steps
+            Of the central differences, in the unit of each.
+        noise, amplitude
+            s [N] and a [-].
+
+        Returns
+        -------
+        ndarray
+            G^T C^-1 G, G the slopes of the forces; shape [key, key].
+        """
+        at = {key: np.array([value]) for key, value in named.items()}
+        scale = float(self.surrogate.scale(at)[0])
+        total = np.zeros((len(keys), len(keys)))
+        for process, _, _, shape in self.parts:
+            slopes = []
+            for key, step in zip(keys, steps, strict=True):
+                ends = {k: np.full(2, v) for k, v in named.items()}
+                ends[key] = named[key] + np.array([-step, step])
+                forces = self.surrogate.scale(ends)[:, None] * process.rotated_mean(
+                    self.surrogate.points(ends)
+                )
+                slopes.append((forces[1] - forces[0]) / (2.0 * step))
+            shared = scale**2 * process.rotated_variance(self.surrogate.points(at))[0]
+            own = noise**2 + scale**2 * process.noise_variance
+            variance = shared + amplitude**2 * shape + own / self.trials
+            total += (np.array(slopes) / variance) @ np.array(slopes).T
+        return total
+
+
+@dataclass(frozen=True, eq=False)
+class JointLikelihood:
+    """All legs; noise and discrepancy have the same relative size for all.
+
+    Attributes
+    ----------
+    legs
+        Likelihood of each leg.
+    """
+
+    legs: tuple[LegLikelihood, ...]
+
+    @property
+    def largest(self) -> float:
+        """Largest peak-to-peak of the data [N]."""
+        return max(leg.largest for leg in self.legs)
+
+    def __call__(
+        self, named: Mapping[str, FloatArray], noise: FloatArray, amplitude: FloatArray
+    ) -> FloatArray:
+        """Log-likelihood up to a constant, shape [k]; arguments as of `LegLikelihood`."""
+        return np.sum([leg(named, noise, amplitude) for leg in self.legs], axis=0)

@@ -1,0 +1,150 @@
+"""Force histories that are inverted together: several legs, repeated trials."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.errors import InputError
+from terraphi.history import ForceHistory, Observation
+from terraphi.inference.checks import check_magnitudes
+from terraphi.plan import value_of
+from terraphi.scenario import Scenario
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One history.
+
+    Attributes
+    ----------
+    history
+        Forces over the whole window of leg angles.
+    leg
+        Shape of the leg that was moved.
+    source
+        Where it comes from, for people.
+    """
+
+    history: ForceHistory
+    leg: str
+    source: str = ""
+
+    @property
+    def simulated(self) -> bool:
+        """Whether one of our own models made it."""
+        return "scenario" in self.history.provenance
+
+
+@dataclass(frozen=True, eq=False)
+class Repeats:
+    """All trials of one leg.
+
+    Attributes
+    ----------
+    leg
+        Shape of the leg.
+    trials
+        In the order given.
+    observations
+        Of each.
+    """
+
+    leg: str
+    trials: tuple[Trial, ...]
+    observations: tuple[Observation, ...]
+
+    @property
+    def within(self) -> tuple[float, float]:
+        """Leg angles that all records cover [rad]."""
+        return (
+            max(float(t.history.position[0]) for t in self.trials),
+            min(float(t.history.position[-1]) for t in self.trials),
+        )
+
+    @property
+    def vectors(self) -> FloatArray:
+        """Observation vectors [N], shape [trial, 2 theta]."""
+        return np.stack([o.vector for o in self.observations])
+
+
+def grouped(trials: Sequence[Trial]) -> list[Repeats]:
+    """Trials by leg; all are observed where each of that leg has forces.
+
+    Parameters
+    ----------
+    trials
+        One or more.
+
+    Raises
+    ------
+    InputError
+        If there is none, the same history is given twice, or one cannot be used.
+    """
+    if not trials:
+        raise InputError("there is no force history; give one or more")
+    seen: dict[tuple[str, bytes], str] = {}
+    for trial in trials:
+        key = (trial.leg, trial.history.force.tobytes())
+        if key in seen:
+            raise InputError(
+                f"{trial.source or 'a history'} has the same forces as {seen[key] or 'another'}: "
+                "a trial that counts twice would make the interval too narrow; drop one of the two"
+            )
+        seen[key] = trial.source
+    found = []
+    for leg in dict.fromkeys(t.leg for t in trials):
+        same = tuple(t for t in trials if t.leg == leg)
+        bare = Repeats(leg, same, ())
+        cut = tuple(t.history.between(*bare.within).observation() for t in same)
+        found.append(Repeats(leg, same, cut))
+    return found
+
+
+def check_trials(
+    repeats: Repeats, scenario: Scenario, varied: Mapping[str, object], density: float | None
+) -> None:
+    """Refuse what cannot be inverted with a library: odd magnitudes, or another leg or hip.
+
+    Parameters
+    ----------
+    repeats
+        Trials of one leg.
+    scenario
+        Of the library.
+    varied
+        Keys that it varies, and that histories may differ in.
+    density
+        Density that is taken as known [kg/m3]; ``None`` if it is inferred.
+
+    Raises
+    ------
+    InputError
+        With the number that is wrong.
+    """
+    for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
+        check_magnitudes(density, observation, scenario)
+        if not trial.simulated:
+            continue
+        made_by = Scenario.model_validate(trial.history.provenance["scenario"])
+        for key in ("leg.chord", "leg.width", "leg.half_thickness"):
+            _check_equal(trial, key, value_of(made_by, key), value_of(scenario, key), varied)
+        if not any(key.startswith(("motion.hip", "bed.")) for key in varied):
+            _check_equal(
+                trial, "hip above the surface", made_by.hip_height, scenario.hip_height, varied
+            )
+
+
+def _check_equal(
+    trial: Trial, name: str, found: float, expected: float, varied: Mapping[str, object]
+) -> None:
+    if name not in varied and abs(found - expected) > 1e-6:
+        raise InputError(
+            f"{trial.source}: simulated with {name} = {found:g} m, the library with {expected:g} "
+            "m; build a library for this setup"
+        )
