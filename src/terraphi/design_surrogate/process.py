@@ -63,6 +63,7 @@ class DesignGP:
     std: float
     basis: FloatArray = field(repr=False)
     roots: FloatArray = field(repr=False)
+    _rotated_centre: FloatArray = field(repr=False)
     _mean_weights: FloatArray = field(repr=False)
     _variance_weights: FloatArray = field(repr=False)
     _points_basis: FloatArray = field(repr=False)
@@ -129,6 +130,7 @@ class DesignGP:
             std=data.std,
             basis=spectrum.theta_basis,
             roots=roots,
+            _rotated_centre=data.mean @ spectrum.theta_basis,
             _mean_weights=data.std * sigma2 * spectrum.points_basis @ (spectrum.weights * roots),
             _variance_weights=sigma2**2 * np.square(roots) / spectrum.eigenvalues,
             _points_basis=spectrum.points_basis,
@@ -142,16 +144,18 @@ class DesignGP:
     def rotated_mean(self, points: FloatArray) -> FloatArray:
         """Mean in the basis [N], shape [k, d] -> [k, theta]."""
         across = self.kernel.over_parameters(points, self.points)
-        mean: FloatArray = self.mean @ self.basis + across @ self._mean_weights
+        mean: FloatArray = self._rotated_centre + across @ self._mean_weights
         return mean
 
-    def rotated_variance(self, points: FloatArray) -> FloatArray:
-        """Variance in the basis, without the scatter [N^2], shape [k, d] -> [k, theta]."""
-        across = self.kernel.over_parameters(points, self.points) @ self._points_basis
-        explained = np.square(across) @ self._variance_weights
+    def rotated(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean [N] and variance [N^2] in the basis, without the scatter, each [k, theta]."""
+        across = self.kernel.over_parameters(points, self.points)
+        mean = self._rotated_centre + across @ self._mean_weights
+        explained = np.square(across @ self._points_basis) @ self._variance_weights
         signal = self.kernel.signal_variance * self.kernel.variance(points)
         # The difference of two nearly equal numbers may round to a negative one.
-        return self.std**2 * np.maximum(np.outer(signal, self.roots) - explained, 0.0)
+        variance = np.maximum(np.outer(signal, self.roots) - explained, 0.0)
+        return mean, self.std**2 * variance
 
     def rotated_covariance(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Posterior covariance between points in the basis [N^2], shape [k, l, theta]."""
@@ -178,8 +182,8 @@ class DesignGP:
         where = np.atleast_2d(np.asarray(points, dtype=np.float64))
         if where.shape[1] != self.points.shape[1]:
             raise ValueError(f"points have shape {where.shape}; expected [k, {len(self.points.T)}]")
-        mean = self.rotated_mean(where) @ self.basis.T
-        return mean, self.rotated_variance(where) @ np.square(self.basis.T)
+        mean, variance = self.rotated(where)
+        return mean @ self.basis.T, variance @ np.square(self.basis.T)
 
 
 class _Data:

@@ -178,12 +178,9 @@ class JointInversion:
         }
         when = datetime.datetime.now(tz=datetime.UTC).isoformat(timespec="seconds")
         about = {"created_at": when, "inference_library": "emcee"}
-        shapes = self.noise_N.shape[:2]
         posterior = {key: chains[:, :, i] for i, key in enumerate(self.keys)}
         extra = {
-            "noise_N": self.noise_N.reshape(-1, shapes[-1])
-            if self.noise_N.ndim == 2
-            else self.noise_N.reshape(chains.shape[:2]),
+            "noise_N": self.noise_N.reshape(chains.shape[:2]),
             "discrepancy_of_peak": self.amplitude.reshape(chains.shape[:2]),
         }
         tree = {

@@ -26,8 +26,8 @@ OPEN = 0.75
 CONFOUNDED = 3.0
 """Standard deviation of a parameter over that with all others known, from which on it is bound up
 with others [-]."""
-LOADING = 0.3
-"""Least part of a combination that is named [-]."""
+LINKED = 0.7
+"""Least correlation of two parameters of one combination [-]."""
 LABELS = {
     "soil.friction_angle_deg": ("φ", "deg"),
     "soil.density": ("ρ", "kg/m³"),
@@ -38,6 +38,12 @@ LABELS = {
     "bed.surcharge": ("surcharge", "Pa"),
 }
 """Names for people, and units, of dotted keys."""
+
+VERBS = {
+    "fixed": "is fixed",
+    "narrowed": "is narrowed",
+    "open": "is not learnt from these forces",
+}
 
 
 def label(key: str) -> tuple[str, str]:
@@ -112,29 +118,30 @@ class Identifiability:
 
     @property
     def confounded(self) -> list[tuple[str, ...]]:
-        """Combinations of parameters that are far better known together than each."""
-        bound = (self.sd / self.conditional_sd > CONFOUNDED) & (self.sd / self.prior_sd > FIXED)
-        found: list[tuple[str, ...]] = []
-        for direction in self.directions.T[::-1]:
-            named = tuple(
-                key
-                for key, part, is_bound in zip(self.keys, direction, bound, strict=True)
-                if is_bound and abs(part) > LOADING
-            )
-            if len(named) > 1 and named not in found:
-                found.append(named)
-        return found
+        """Combinations of parameters, each of which would be far better known with the others.
+
+        Chains of strong correlations; in one at least one parameter is not fixed.
+        """
+        bound = self.sd / self.conditional_sd > CONFOUNDED
+        linked = (np.abs(self.correlation) > LINKED) & np.outer(bound, bound)
+        # Powers of the graph's matrix: who is linked through others.
+        reached = np.linalg.matrix_power(linked.astype(float), len(self.keys)) > 0.0
+        groups = dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in reached)
+        loose = self.sd / self.prior_sd > FIXED
+        return [
+            tuple(self.keys[i] for i in group)
+            for group in groups
+            if len(group) > 1 and any(loose[i] for i in group)
+        ]
 
     def sentences(self) -> list[str]:
         """The findings in words, with numbers."""
         found = []
         for i, (key, kind) in enumerate(self.kinds.items()):
             name, unit = label(key)
-            verb = {
-                "fixed": "is fixed",
-                "narrowed": "is narrowed",
-                "open": "is not learnt from these forces",
-            }[kind]
+            verb = VERBS[kind]
+            if kind != "open" and any(key in keys for keys in self.confounded):
+                verb = "is known only as well as what it is bound up with"
             found.append(
                 f"{name} {verb}: {self.sd[i] / self.prior_sd[i]:.0%} of its prior standard "
                 f"deviation is left ({self.sd[i]:.3g}{' ' + unit if unit else ''}; "
@@ -151,13 +158,12 @@ class Identifiability:
     def _along(self, keys: Sequence[str]) -> str:
         """A step of one posterior standard deviation along the least known of a combination."""
         members = [self.keys.index(k) for k in keys]
-        scaled = self.correlation * np.outer(self.sd / self.prior_sd, self.sd / self.prior_sd)
-        roots, vectors = np.linalg.eigh(scaled[np.ix_(members, members)])
+        roots, vectors = np.linalg.eigh(self.correlation[np.ix_(members, members)])
         step = np.sqrt(roots[-1]) * vectors[:, -1] * np.sign(vectors[0, -1])
         parts = []
         for i, part in zip(members, step, strict=True):
             name, unit = label(self.keys[i])
-            parts.append(f"{name} {part * self.prior_sd[i]:+.3g}{' ' + unit if unit else ''}")
+            parts.append(f"{name} {part * self.sd[i]:+.3g}{' ' + unit if unit else ''}")
         return " with ".join(parts)
 
     def as_dict(self) -> dict[str, Any]:

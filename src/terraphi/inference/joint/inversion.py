@@ -21,7 +21,7 @@ from terraphi.inference.joint.answer import JointInversion, Summary
 from terraphi.inference.joint.identifiability import Identifiability, label
 from terraphi.inference.joint.likelihood import JointLikelihood, LegLikelihood
 from terraphi.inference.joint.prior import Marginal, priors
-from terraphi.inference.joint.sampler import sample
+from terraphi.inference.joint.sampler import Draws, sample
 from terraphi.inference.joint.trials import Repeats, Trial, check_trials, grouped
 from terraphi.inference.noise import Noise, window_covariance
 from terraphi.inference.posterior import Posterior, quadrature
@@ -200,13 +200,12 @@ def _window_noise(noise: Noise, groups: Sequence[Repeats]) -> float | None:
 
 
 def _answer(
-    groups: Sequence[Repeats], library: Library, target: _Target, draws: Any, about: dict[str, Any]
+    groups: Sequence[Repeats], library: Library, target: _Target, draws: Draws, about: dict[str, Any]
 ) -> JointInversion:
     d = len(target.keys)
     flat = draws.values.reshape(-1, draws.values.shape[-1])
     noise, amplitude = target.errors(flat)
-    thinned = flat[:: max(1, len(flat) // 4000)]
-    best = thinned[np.argmax(target(thinned))]
+    best = draws.best
     named = {k: float(v[0]) for k, v in target.named(best[None]).items()}
     marginal = {k: Summary.of(flat[:, i]) for i, k in enumerate(target.keys)}
     sd = [target.priors[k].sd for k in target.keys]

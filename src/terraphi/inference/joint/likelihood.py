@@ -75,11 +75,10 @@ class LegLikelihood:
         points, scale = self.surrogate.points(named), self.surrogate.scale(named)[:, None]
         m, total = self.trials, np.zeros(len(points))
         for process, mean, spread, shape in self.parts:
-            model = scale * process.rotated_mean(points)
-            shared = np.square(scale) * process.rotated_variance(points)
-            shared = shared + np.square(amplitude)[:, None] * shape
+            forces, variance = process.rotated(points)
+            shared = np.square(scale) * variance + np.square(amplitude)[:, None] * shape
             own = np.square(noise)[:, None] + np.square(scale) * process.noise_variance
-            terms = np.square(mean - model) / (shared + own / m) + np.log(m * shared + own)
+            terms = np.square(mean - scale * forces) / (shared + own / m) + np.log(m * shared + own)
             terms = terms + (m - 1) * np.log(own) + spread / own
             total -= 0.5 * terms.sum(axis=1)
         return total
@@ -118,7 +117,7 @@ class LegLikelihood:
                     self.surrogate.points(ends)
                 )
                 slopes.append((forces[1] - forces[0]) / (2.0 * step))
-            shared = scale**2 * process.rotated_variance(self.surrogate.points(at))[0]
+            shared = scale**2 * process.rotated(self.surrogate.points(at))[1][0]
             own = noise**2 + scale**2 * process.noise_variance
             variance = shared + amplitude**2 * shape + own / self.trials
             total += (np.array(slopes) / variance) @ np.array(slopes).T

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,8 @@ class Draws:
     ----------
     values
         After burn-in, shape [ensemble, walker, step, d].
+    log_posterior
+        Of each, up to a constant, shape [ensemble, walker, step].
     diagnostics
         Of each dimension.
     acceptance_fraction
@@ -44,9 +47,17 @@ class Draws:
     """
 
     values: FloatArray
+    log_posterior: FloatArray
     diagnostics: tuple[EnsembleDiagnostics, ...]
     acceptance_fraction: float
     seed: int
+
+    @property
+    def best(self) -> FloatArray:
+        """The most probable draw, shape [d]."""
+        flat = self.values.reshape(-1, self.values.shape[-1])
+        best: FloatArray = flat[int(self.log_posterior.argmax())]
+        return best
 
     @property
     def converged(self) -> bool:
@@ -134,12 +145,13 @@ def _start(
     return pool[best]
 
 
-def _gathered(running: list[object], seed: int) -> Draws:
-    chains = []
+def _gathered(running: list[Any], seed: int) -> Draws:
+    chains, log_p = [], []
     for sampler in running:
-        chain = sampler.get_chain(discard=sampler.iteration // 3)  # type: ignore[attr-defined]
-        chains.append(chain.transpose(1, 0, 2))
+        discard = sampler.iteration // 3
+        chains.append(sampler.get_chain(discard=discard).transpose(1, 0, 2))
+        log_p.append(sampler.get_log_prob(discard=discard).T)
     values = np.stack(chains)
-    fractions = [np.mean(s.acceptance_fraction) for s in running]  # type: ignore[attr-defined]
+    accepted = float(np.mean([sampler.acceptance_fraction for sampler in running]))
     diagnostics = tuple(diagnose(values[..., i]) for i in range(values.shape[-1]))
-    return Draws(values, diagnostics, float(np.mean(fractions)), seed)
+    return Draws(values, np.stack(log_p), diagnostics, accepted, seed)
