@@ -20,6 +20,7 @@ STUDIES = {
     "calibration": "intervals: how often they hold the truth, and how narrow they are",
     "benchmark": "three legs: our models beside the forces measured in Yuma sand",
     "measured": "friction angles of the measured sands, by every library, and the verdicts",
+    "prediction": "calibrated on the straight leg: the C and the reversed C foretold",
     "recovery": "friction angles of fresh simulations, inferred with a library",
     "phi_sensitivity": "forces and their peaks against the friction angle",
     "k0": "what the stress at rest does to a history",
