@@ -58,7 +58,7 @@ def simulate(
 ) -> None:
     """Simulate SCENARIO, a TOML file or the name of a shipped preset.
 
-    Presets: quick, paper-0, resolved.
+    Presets: quick, paper-1, resolved.
 
     A simulation that was interrupted or killed is taken up again by the same command, and ends in
     the same bits.

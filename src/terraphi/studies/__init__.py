@@ -28,7 +28,7 @@ STUDIES = {
     "figures": "the figures of the paper's simulations and inversions, ready to print",
     "verification": "problems with known answers, by the code that the leg uses",
     "reading": "what the paper's text leaves open, against the forces that it prints",
-    "resolution": "from preset paper-0 to resolved, and whether that has arrived",
+    "resolution": "from preset paper-1 to resolved, and whether that has arrived",
     "sensitivity": "what moves the simulated forces: one setting changed at a time",
 }
 

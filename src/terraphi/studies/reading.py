@@ -248,7 +248,7 @@ def _measured(name: str, pair: Mapping[float, ForceHistory]) -> dict[str, Any]:
 # -- what people see -------------------------------------------------------------------------------
 
 METHOD = (
-    "Straight leg, φ = 25° and 45° by the paper's convention, preset `paper-0` four times sped up, "
+    "Straight leg, φ = 25° and 45° by the paper's convention, preset `paper-1` four times sped up, "
     "one thing read differently at a time. Off by: root mean square of the relative errors of the "
     "four peaks that the paper prints. Engages: |F| stays above 2 % of the peak of F_z from there "
     "on; a bare leg touches the soil at -75°. Plan: `reading`. Run again: `terraphi study reading`."
