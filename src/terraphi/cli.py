@@ -14,6 +14,7 @@ import click
 from terraphi.commands import cluster_option, json_option
 from terraphi.commands.calibrate import library_calibrate
 from terraphi.commands.library import library
+from terraphi.commands.report import report
 from terraphi.commands.simulate import simulate
 from terraphi.console import (
     as_text,
@@ -170,6 +171,7 @@ def invert(
 
 cli.add_command(simulate)
 cli.add_command(library)
+cli.add_command(report)
 
 
 library.add_command(library_calibrate)
