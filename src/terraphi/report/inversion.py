@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.errors import InputError
-from terraphi.inference.information import information_share
-from terraphi.inference.residual import PaperLikelihood, peak_to_peak
-from terraphi.library import Library
+from terraphi.inference.residual import peak_to_peak
 from terraphi.report import figures as fig
 from terraphi.report.certificate import certificate_parts
 from terraphi.report.density import smooth_density
-from terraphi.report.parts import Part, Plot, Section, Status, Table, number
-from terraphi.surrogate import LegSurrogate
+from terraphi.report.inversion_data import Again, Saved, load, recomputed
+from terraphi.report.parts import Part, Plot, Section, Status, Table, label, number
 
 FloatArray = NDArray[np.float64]
 
@@ -30,8 +25,6 @@ CONVENTION = {
     "rft3d": "three-dimensional resistive force theory",
 }
 STATUS: dict[str, Status] = {"consistent": "good", "misfit": "bad", "out_of_range": "doubtful"}
-STEP_DEG = 0.25
-"""Half the step of the derivative of the forces with respect to φ [deg]."""
 WORDS = {
     "nodes": "nodes of the quadrature",
     "relative_change_on_halving": "change on halving the nodes / 68 % half-width",
@@ -42,52 +35,6 @@ WORDS = {
     "median_standard_error": "Monte-Carlo error of the median [deg]",
     "acceptance_fraction": "accepted proposals [-]",
 }
-
-
-@dataclass(frozen=True)
-class Saved:
-    """What a folder of an inversion holds.
-
-    Attributes
-    ----------
-    answer
-        ``answer.json``.
-    draws_deg
-        Of φ [deg], shape [draw]; empty if only the answer is there.
-    theta_deg
-        Leg angles [deg], shape [theta].
-    data, best
-        Observation vector and the curve at the median [N], shape [2 theta].
-    """
-
-    answer: Mapping[str, Any]
-    draws_deg: FloatArray
-    theta_deg: FloatArray
-    data: FloatArray
-    best: FloatArray
-
-
-@dataclass(frozen=True)
-class Again:
-    """What follows from the library that was used.
-
-    Attributes
-    ----------
-    band
-        Smallest and largest force over the 95 % interval [N], shape [2, 2 theta].
-    share
-        What each angle adds to the information on φ [-], shape [2, theta]; ``None`` where the
-        likelihood is not the paper's.
-    bounds_deg
-        Friction angles that the library covers [deg].
-    library
-        The library.
-    """
-
-    band: FloatArray
-    share: FloatArray | None
-    bounds_deg: tuple[float, float]
-    library: Library
 
 
 def section(path: Path, *, library: str | None = None) -> Section:
@@ -132,122 +79,6 @@ def section(path: Path, *, library: str | None = None) -> Section:
         provenance={"result": path.name, **about, **answer.get("provenance", {})},
         overview=_overview(answer),
     )
-
-
-def load(path: Path) -> Saved:
-    """Read an inversion's folder, answer or posterior; raises InputError if it is not whole."""
-    folder = path if path.is_dir() else path.parent
-    answer_file = path if path.suffix == ".json" else folder / "answer.json"
-    posterior = path if path.suffix == ".nc" else folder / "posterior.nc"
-    if not posterior.is_file():
-        return _checked(Saved(_answer(answer_file), *(np.empty(0),) * 4), answer_file)
-    import xarray as xr
-
-    try:
-        with xr.open_datatree(posterior, engine="h5netcdf") as opened:
-            tree = opened.load()
-        vectors = [
-            np.concatenate([tree[group][name].values.astype(np.float64) for name in ("Fx", "Fz")])
-            for group in ("observed_data", "posterior_predictive_mean")
-        ]
-        theta = tree["observed_data"]["theta_deg"].values.astype(np.float64)
-        draws = tree["posterior"]["phi_deg"].values.astype(np.float64).ravel()
-        answer = json.loads(tree.attrs["answer"])
-    except Exception as error:  # the HDF5 stack raises OSError, KeyError, ValueError and more
-        raise InputError(
-            f"{posterior}: not a whole posterior as 'terraphi invert --out' writes it; make it "
-            "again"
-        ) from error
-    sound = len(vectors[0]) == len(vectors[1]) == 2 * len(theta) and len(draws) >= 10
-    if not sound or not all(np.isfinite(v).all() for v in (*vectors, theta, draws)):
-        raise InputError(f"{posterior}: its arrays do not fit each other; make it again")
-    return _checked(Saved(answer, draws, theta, *vectors), posterior)
-
-
-def _answer(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not an answer of 'terraphi invert --out'") from error
-    if not isinstance(found, dict):
-        raise InputError(f"{path}: not an answer of 'terraphi invert --out'")
-    return found
-
-
-def _checked(saved: Saved, path: Path) -> Saved:
-    """Refuse an answer without what every answer has."""
-    answer = saved.answer
-    try:
-        for name in ("phi_deg", "phi_plane_strain_deg"):
-            if name == "phi_deg" or answer[name] is not None:
-                float(answer[name]["median"])
-                for level in ("ci68", "ci95"):
-                    low, high = map(float, answer[name][level])
-                    assert low <= high
-        assert all(isinstance(answer["nrmsd"][name], float) for name in ("Fx", "Fz"))
-        float(answer["density_kg_m3"])
-        for name in ("source", "leg", "library", "likelihood", "sampler", "verdict", "reason"):
-            assert isinstance(answer[name], str)
-        assert isinstance(answer["convergence"], dict)
-        assert isinstance(answer.get("provenance", {}), dict)
-    except (KeyError, TypeError, ValueError, AssertionError) as error:
-        raise InputError(f"{path}: not an answer of 'terraphi invert --out'; make it again") from (
-            error
-        )
-    return saved
-
-
-def recomputed(saved: Saved, name: str | None) -> tuple[Again | None, str]:
-    """What follows from the library, or why it cannot be had.
-
-    Parameters
-    ----------
-    saved
-        The inversion.
-    name
-        Name or file of the library; by default the shipped one of the name in the answer.
-
-    Raises
-    ------
-    InputError
-        If a library was named and is not the one that was used.
-    """
-    answer = saved.answer
-    if not saved.draws_deg.size:
-        return None, "posterior.nc does not lie beside the answer"
-    wanted = answer.get("provenance", {}).get("library_hash")
-    used = str(answer["library"])
-    try:
-        # Never a path out of somebody's file.
-        found = Library.load(name or Path(used).name.removesuffix(".nc"))
-    except InputError as error:
-        if name is not None:
-            raise
-        return None, f"the library '{used}' is not at hand ({error}); name it with --library"
-    if wanted != found.hash:
-        why = f"library '{name or used}' is not the one that was used, or of another version"
-        if name is not None:
-            raise InputError(why)
-        return None, why
-    return _again(saved, found), ""
-
-
-def _again(saved: Saved, library: Library) -> Again:
-    answer = saved.answer
-    curves = library.curves(str(answer["leg"]))
-    scale = float(answer["density_kg_m3"]) / curves.scenario.soil.density
-    surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
-    phi = answer["phi_deg"]
-    inside = surrogate.predict(np.linspace(*phi["ci95"], 101), scale=scale)
-    share = None
-    if answer["likelihood"] == "paper":
-        low, high = surrogate.phi_bounds_deg
-        at = np.clip(phi["median"] + np.array([-STEP_DEG, STEP_DEG]), low, high)
-        before, after = surrogate.predict(at, scale=scale)
-        slope = (after - before) / (at[1] - at[0])
-        share = information_share(PaperLikelihood(saved.data, saved.theta_deg), slope)
-    band = np.stack([inside.min(axis=0), inside.max(axis=0)])
-    return Again(band, share, surrogate.phi_bounds_deg, library)
 
 
 def headline(answer: Mapping[str, Any]) -> str:
@@ -324,7 +155,8 @@ def _density(saved: Saved, again: Again | None) -> Plot:
         ),
     ]
     for level, colour in (("ci95", "@blue/0.18"), ("ci68", "@blue/0.40")):
-        inside = np.linspace(*phi[level], 121)
+        low, high = phi[level]
+        inside = np.linspace(low, high, 121)
         height = np.interp(inside, x, density)
         name = f"{level[2:]} %: {_range(phi[level])}"
         traces.append(fig.band(inside, np.zeros_like(inside), height, name, colour))
@@ -335,7 +167,7 @@ def _density(saved: Saved, again: Again | None) -> Plot:
         title="Posterior of the friction angle",
         traces=traces,
         layout=fig.layout(
-            f"friction angle, {fig.label(phi.get('yield'))} [deg]",
+            f"friction angle, {label(phi.get('yield'))} [deg]",
             "density [1/deg]",
             xaxis={"range": fig.numbers(reach)},
             yaxis={"rangemode": "tozero"},
@@ -356,12 +188,9 @@ def _forces(saved: Saved, again: Again | None, why_not: str) -> list[Part]:
     for name, part in (("Fx", slice(0, half)), ("Fz", slice(half, None))):
         traces = []
         if again is not None:
-            traces.append(
-                fig.band(
-                    saved.theta_deg, *again.band[:, part], "curves within the 95 % interval",
-                    "@blue/0.3",
-                )
-            )  # fmt: skip
+            low, high = again.band[:, part]
+            within = "curves within the 95 % interval"
+            traces.append(fig.band(saved.theta_deg, low, high, within, "@blue/0.3"))
         traces += [
             fig.line(saved.theta_deg, saved.best[part], "curve at the median", "@blue"),
             fig.points(saved.theta_deg, saved.data[part], "measured", "@orange"),
@@ -432,6 +261,7 @@ def _information(saved: Saved, share: FloatArray) -> Plot:
                 "title": {"text": "sum so far [%]"},
             },
         ),
+        wide=True,
         note=(
             f"Fx gave {parts[0]:.0f} %, Fz {parts[1]:.0f} %; half of all was in by θ = "
             f"{middle:.0f}°. What each angle adds to the Fisher information of those before it, "
@@ -442,4 +272,5 @@ def _information(saved: Saved, share: FloatArray) -> Plot:
 
 def _convergence(answer: Mapping[str, Any]) -> Table:
     rows = [(WORDS.get(key, key), number(value)) for key, value in answer["convergence"].items()]
-    return Table(title=f"Convergence ({answer['sampler']})", header=("", ""), rows=rows)
+    title = f"Convergence ({answer['sampler']})"
+    return Table(title=title, header=("", ""), rows=rows, wide=True)

@@ -163,16 +163,13 @@ def _maker(
     return lambda path: walk.section(path, robot=robot)
 
 
+def _scenario_of(fields: Path) -> str:
+    from terraphi.report.simulation import scenario_of
+
+    return scenario_of(fields)
+
+
 def _scenario_hash(path: Path) -> str:
     from terraphi.history import ForceHistory
 
     return str(ForceHistory.from_netcdf(path).provenance.get("scenario_hash", ""))
-
-
-def _scenario_of(fields: Path) -> str:
-    """Hash of the scenario that a folder of fields says it is of."""
-    from terraphi.vtk import read_series
-
-    _, note = read_series(fields / "particles.pvd")
-    words = note.replace(",", " ").split()
-    return words[words.index("scenario") + 1] if "scenario" in words[:-1] else ""

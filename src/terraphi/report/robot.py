@@ -36,7 +36,7 @@ LOOKS = {
     "RL": ("@purple", "dot"),
 }
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
-NAMES = {name: name.replace("_", " ") for name in ESTIMATORS}
+NAMES: dict[str, str] = {name: name.replace("_", " ") for name in ESTIMATORS}
 
 
 @dataclass(frozen=True)

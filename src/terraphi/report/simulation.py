@@ -118,9 +118,9 @@ def _curves(history: ForceHistory) -> list[Plot]:
     """Both forces, averaged over half a degree or the like, with a mark to be moved."""
     angular = history.coordinate == "theta"
     where = fig.THETA if angular else "displacement [mm]"
-    ends = history.position[[0, -1]]
-    place = np.linspace(*ends, min(len(history.position), 500))
-    half = float(ends[1] - ends[0]) / 360.0
+    start, stop = float(history.position[0]), float(history.position[-1])
+    place = np.linspace(start, stop, min(len(history.position), 500))
+    half = (stop - start) / 360.0
     force = history.means(place, half)
     x = _shown(place, history.coordinate)
     looks = {"Fx": "@orange", "Fz": "@blue"}
@@ -138,7 +138,7 @@ def _curves(history: ForceHistory) -> list[Plot]:
                 fig.AXIS_LABEL[name],
                 showlegend=False,
                 shapes=[fig.vertical(float(x[0]), "@ink", dash="solid")],
-                xaxis={"range": fig.numbers(x[[0, -1]]), **({"dtick": 30} if angular else {})},
+                xaxis={"range": fig.numbers(x[[0, -1]]), **({"dtick": 45} if angular else {})},
             ),
             height=235,
         )
@@ -183,7 +183,7 @@ def _player(fields: Path, scenario: Scenario, curves: list[Plot], share: float) 
             "size_mm": fig.numbers(1e3 * size),
             "bed_mm": _bed(scenario),
             # Thinned particles are drawn larger, so that they still cover the bed.
-            "marker_mm": fig.numbers([1.5e3 * spacing * math.sqrt(total / len(chosen))])[0],
+            "marker_mm": fig.numbers([1.7e3 * spacing * math.sqrt(total / len(chosen))])[0],
             "fastest_mm_s": f"{1e3 * fastest:.3g}",
             "leg_mm": [[fig.numbers(corner) for corner in 1e3 * frame.leg] for frame in frames],
             "positions": _base64(np.stack(positions)),
@@ -204,9 +204,9 @@ def _first(frames: list[Frame]) -> int:
 
 def _frames(fields: Path, scenario: Scenario) -> list[Frame]:
     """Moments evenly chosen; raises InputError if the fields are of another scenario."""
-    particles, note = read_series(fields / f"{PARTICLES}.pvd")
+    particles, _ = read_series(fields / f"{PARTICLES}.pvd")
     legs = {number_of(name): name for _, name in read_series(fields / f"{LEG}.pvd")[0]}
-    if scenario.hash not in note:
+    if scenario.hash != scenario_of(fields):
         raise InputError(f"{fields}: the fields are of another simulation than the history")
     if not particles:
         raise InputError(f"{fields}: holds no frames; simulate it again with --fields")
@@ -229,6 +229,13 @@ def _frames(fields: Path, scenario: Scenario) -> list[Frame]:
     if len({len(frame.soil.points) for frame in found}) != 1:
         raise InputError(f"{fields}: frames of different numbers of particles")
     return found
+
+
+def scenario_of(fields: Path) -> str:
+    """Hash of the scenario that a folder of fields says it is of; empty if it says none."""
+    _, note = read_series(fields / f"{PARTICLES}.pvd")
+    words = note.replace(",", " ").split()
+    return words[words.index("scenario") + 1] if "scenario" in words[:-1] else ""
 
 
 def number_of(name: str) -> str:

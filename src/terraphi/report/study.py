@@ -162,10 +162,11 @@ def _shortened(value: Any) -> Any:
 
 
 def _page(path: Path) -> Text:
-    """A page in Markdown; HTML in it stays text, and its pictures stand in the report already."""
+    """A page in Markdown; HTML and links in it stay text, and its pictures are elsewhere."""
     from markdown_it import MarkdownIt
 
-    renderer = MarkdownIt("commonmark", {"html": False}).enable("table").disable("image")
+    renderer = MarkdownIt("commonmark", {"html": False}).enable("table")
+    renderer.disable(["image", "link", "autolink"])
     return Text(f"The study's page ({path.name})", html=renderer.render(_text(path)), folded=True)
 
 

@@ -32,6 +32,11 @@ def known_plots(name: str, data: Data) -> list[Part]:
         return [Text("Not drawn", (f"The data are not those of a {name} study ({error}).",))]
 
 
+def _grouped(x: str, y: str) -> dict[str, Any]:
+    """Bars beside each other over words, which may look like numbers."""
+    return fig.layout(x, y, barmode="group", xaxis={"type": "category"})
+
+
 def _recovery(data: Data) -> list[Part]:
     cases = data["cases"]
     truth = np.array([case["phi_true_deg"] for case in cases], dtype=np.float64)
@@ -104,7 +109,7 @@ def _benchmark(data: Data) -> list[Part]:
                     )
                     for model, colour in zip(models, fig.COLOURS, strict=False)
                 ],
-                layout=fig.layout("leg", "NRMSD [% of peak-to-peak]", barmode="group"),
+                layout=_grouped("leg", "NRMSD [% of peak-to-peak]"),
             )
         )
     rows = [
@@ -129,7 +134,7 @@ def _sensitivity(data: Data) -> list[Part]:
                 Plot(
                     title=f"{group['setting']} ({key}), from {group['reference']}",
                     traces=found,
-                    layout=fig.layout(label(group["setting"]), "change [%]", barmode="group"),
+                    layout=_grouped(label(group["setting"]), "change [%]"),
                     height=260,
                 )
             )
@@ -166,7 +171,7 @@ def _resolution(data: Data) -> list[Part]:
             )
             for name, colour in looks
         ],
-        layout=fig.layout("", "peak [N]", barmode="group"),
+        layout=_grouped("", "peak [N]"),
         wide=True,
         height=420,
     )
@@ -183,7 +188,7 @@ def _resolution(data: Data) -> list[Part]:
             )
             for name, colour in looks
         ],
-        layout=fig.layout("", "change of the peak [%]", barmode="group"),
+        layout=_grouped("", "change of the peak [%]"),
         wide=True,
         height=380,
     )

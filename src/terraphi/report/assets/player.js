@@ -64,8 +64,8 @@ class Player {
     pen.fillStyle = colour("@card");
     pen.fillRect(0, 0, this.canvas.width, this.canvas.height);
     const y = (z) => (height - z) * scale;
-    this.room(pen, scale, y);
     this.particles(pen, scale, y);
+    this.room(pen, scale, y);
     this.leg(pen, scale, y);
   }
 

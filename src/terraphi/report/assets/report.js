@@ -5,6 +5,8 @@ const players = {};
 const CONFIG = {
   responsive: true,
   displaylogo: false,
+  // On a phone its buttons would cover the legend, and a finger has gestures for the same.
+  displayModeBar: matchMedia("(pointer: coarse)").matches ? false : "hover",
   modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d", "zoomIn2d", "zoomOut2d"],
 };
 
@@ -21,7 +23,9 @@ function axis(own) {
   };
 }
 
-function finished(layout) {
+let printing = false;
+
+function finished(layout, name) {
   const axes = { xaxis: {}, yaxis: {}, ...layout };
   const shared = {
     font: { family: getComputedStyle(document.body).fontFamily, size: 12, color: "@ink" },
@@ -34,13 +38,15 @@ function finished(layout) {
     dragmode: matchMedia("(pointer: coarse)").matches ? false : "zoom",
   };
   const whole = { ...shared, ...layout };
+  const place = document.getElementById(name);
+  if (printing) Object.assign(whole, { width: place.clientWidth, height: place.clientHeight });
   for (const name of Object.keys(axes)) if (/^[xy]axis\d*$/.test(name)) whole[name] = axis(axes[name]);
   return coloured(whole);
 }
 
 function draw(name) {
   const { traces, layout } = drawings[name];
-  return Plotly.react(name, coloured(traces), finished(layout), CONFIG);
+  return Plotly.react(name, coloured(traces), finished(layout, name), CONFIG);
 }
 
 const plots = Object.keys(drawings).filter((name) => drawings[name].traces);
@@ -77,19 +83,19 @@ function listen() {
   document.getElementById("theme").addEventListener("click", () => setTheme(themed() ? "light" : "dark"));
   document.getElementById("print").addEventListener("click", () => window.print());
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { themed(); redraw(); });
-  // Plots beside a folded part that opens may have to shrink.
-  let before, folded;
+  // What the reader unfolded is printed, on white, and plots are as wide as their place on paper.
+  let before;
   window.addEventListener("beforeprint", () => {
     before = root.dataset.theme;
-    folded = [...document.querySelectorAll("details:not([open])")];
-    folded.forEach((details) => { details.open = true; });
+    printing = true;
+    root.classList.add("printing");
     setTheme("light");
   });
   window.addEventListener("afterprint", () => {
-    folded.forEach((details) => { details.open = false; });
+    printing = false;
+    root.classList.remove("printing");
     setTheme(before);
   });
-  matchMedia("print").addEventListener("change", () => plots.forEach((name) => Plotly.Plots.resize(name)));
 }
 
 (async () => {
