@@ -71,7 +71,9 @@ def test_help_names_every_command(terraphi: Terraphi) -> None:
         assert command in ran.out
 
 
-@pytest.mark.parametrize("command", ["demo", "invert", "simulate", "study", "library build", "report"])
+@pytest.mark.parametrize(
+    "command", ["demo", "invert", "simulate", "study", "library build", "report"]
+)
 def test_help_of_every_command_has_an_example(command: str, terraphi: Terraphi) -> None:
     assert "Example: terraphi " + command in terraphi(*command.split(), "--help").out
 

@@ -28,7 +28,7 @@ let printing = false;
 function finished(layout, name) {
   const axes = { xaxis: {}, yaxis: {}, ...layout };
   const shared = {
-    font: { family: getComputedStyle(document.body).fontFamily, size: 12, color: "@ink" },
+    font: { family: getComputedStyle(document.body).fontFamily, size: printing ? 10 : 12, color: "@ink" },
     paper_bgcolor: "@paper", plot_bgcolor: "@paper",
     margin: { l: 50, r: 12, t: 12, b: 40 },
     hovermode: "closest",
