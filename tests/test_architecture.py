@@ -44,6 +44,7 @@ ROOMS = [
     "animation",
     "studies",
     "report",
+    "app",
     "console",
     "commands",
     "cli",

@@ -67,7 +67,7 @@ def forces(tmp_path) -> Path:
 def test_help_names_every_command(terraphi: Terraphi) -> None:
     ran = terraphi("--help")
     assert ran.status == 0
-    for command in ("demo", "invert", "simulate", "library", "study", "report"):
+    for command in ("demo", "invert", "simulate", "library", "study", "report", "app"):
         assert command in ran.out
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from terraphi.commands import cluster_option, json_option
+from terraphi.commands.app import app
 from terraphi.commands.calibrate import library_calibrate
 from terraphi.commands.library import library
 from terraphi.commands.report import report
@@ -172,6 +173,7 @@ def invert(
 cli.add_command(simulate)
 cli.add_command(library)
 cli.add_command(report)
+cli.add_command(app)
 
 
 library.add_command(library_calibrate)

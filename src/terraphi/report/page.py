@@ -97,28 +97,17 @@ def render(sections: Sequence[Section]) -> str:
         What it holds.
     """
     try:
-        from jinja2 import Environment, PackageLoader, StrictUndefined
         from plotly.offline import get_plotlyjs
     except ImportError as error:
-        raise InputError(
-            "a report needs plotly and Jinja2: install them with pip install 'terraphi[report]'"
-        ) from error
+        raise _missing() from error
     library = get_plotlyjs()
     script = "\n".join(asset(name) for name in ("colours.js", "player.js", "report.js"))
-    environment = Environment(
-        loader=PackageLoader("terraphi.report", "assets"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("page.html").render(
+    html: str = template("page.html").render(
         title=" · ".join(dict.fromkeys(section.title for section in sections))[:150],
         sections=[_shown(section, i) for i, section in enumerate(sections)],
         overviews=_overviews(sections),
         data=embedded({"drawings": _drawings(sections)}),
         policy=_policy(script, library),
-        style=_palette() + asset("report.css"),
         script=script,
         plotly=base64.b64encode(gzip.compress(library.encode(), 9, mtime=0)).decode("ascii"),
         made=dt.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
@@ -126,11 +115,46 @@ def render(sections: Sequence[Section]) -> str:
         words=WORDS,
         signs=SIGNS,
     )
+    return html
 
 
-def asset(name: str) -> str:
-    """Text of a file that belongs to the page."""
-    return resources.files("terraphi.report").joinpath("assets", name).read_text(encoding="utf-8")
+def template(name: str, *, package: str = "terraphi.report") -> Any:
+    """A template that escapes whatever it is given, and knows the ``style`` of our pages.
+
+    Parameters
+    ----------
+    name, package
+        File among the assets of a package.
+
+    Raises
+    ------
+    InputError
+        If Jinja2 is missing.
+    """
+    try:
+        from jinja2 import Environment, PackageLoader, StrictUndefined
+    except ImportError as error:
+        raise _missing() from error
+    environment = Environment(
+        loader=PackageLoader(package, "assets"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.globals["style"] = _palette() + asset("report.css")
+    return environment.get_template(name)
+
+
+def _missing() -> InputError:
+    return InputError(
+        "a report needs plotly and Jinja2: install them with pip install 'terraphi[report]'"
+    )
+
+
+def asset(name: str, *, package: str = "terraphi.report") -> str:
+    """Text of a file among the assets of a package."""
+    return resources.files(package).joinpath("assets", name).read_text(encoding="utf-8")
 
 
 def embedded(data: Any) -> str:
