@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -148,3 +149,22 @@ def test_without_a_certificate_the_page_says_so(inversion_folder: Path) -> None:
     titles = [part.title for part in section(inversion_folder).parts]
     assert "Certificate of library rft3d" in titles
     assert all("nobody has tried" in text.paragraphs[0] for text in texts)
+
+
+def test_the_budget_of_an_answer_that_has_one_is_told(
+    inversion_folder: Path, tmp_path: Path
+) -> None:
+    answer = json.loads((inversion_folder / "answer.json").read_text())
+    answer["error_budget"] = {"shares": {"noise": 0.25, "particle_scatter": 0.75, "x": None}}
+    (tmp_path / "answer.json").write_text(json.dumps(answer))
+    table = next(p for p in section(tmp_path).parts if "width of the interval" in p.title)
+    assert isinstance(table, Table)
+    assert table.rows == [("noise", "25 %"), ("particle scatter", "75 %"), ("x", "–")]
+
+
+def test_a_curve_that_is_not_the_librarys_costs_the_band(inversion_folder: Path) -> None:
+    saved = load(inversion_folder)
+    other = replace(saved, best=saved.best * 1.1)
+    again, why_not = recomputed(other, None)
+    assert again is None
+    assert "of the peak from the saved" in why_not

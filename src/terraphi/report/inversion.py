@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -67,7 +68,7 @@ def section(path: Path, *, library: str | None = None) -> Section:
     parts.append(_numbers(answer))
     if again is not None:
         parts += certificate_parts(again.library, leg=str(answer["leg"]))
-    parts.append(_convergence(answer))
+    parts += [*_budget(answer), _convergence(answer)]
     about = {key: answer[key] for key in ("source", "leg", "library", "likelihood", "sampler")}
     return Section(
         kind="inversion",
@@ -268,6 +269,23 @@ def _information(saved: Saved, share: FloatArray) -> Plot:
             "by the model's slope and the likelihood's covariance."
         ),
     )  # fmt: skip
+
+
+def _budget(answer: Mapping[str, Any]) -> list[Part]:
+    """What the residual is made of, where the likelihood tells its parts apart."""
+    budget = answer.get("error_budget")
+    shares = budget.get("shares") if isinstance(budget, Mapping) else None
+    if not isinstance(shares, Mapping):
+        return []
+    rows = [
+        (str(name).replace("_", " "), f"{100.0 * share:.0f} %" if _is_number(share) else "–")
+        for name, share in shares.items()
+    ]
+    return [Table("What the residual is made of", ("", "share"), rows, wide=True)]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
 
 
 def _convergence(answer: Mapping[str, Any]) -> Table:

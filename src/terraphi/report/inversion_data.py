@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 
 STEP_DEG = 0.25
 """Half the step of the derivative of the forces with respect to φ [deg]."""
+MOST_APART = 0.02
+"""Deviation from the saved curve at which one computed again is another's, of the peak [-]."""
 
 
 @dataclass(frozen=True)
@@ -119,12 +121,13 @@ def _checked(saved: Saved, path: Path) -> Saved:
     try:
         for name in ("phi_deg", "phi_plane_strain_deg"):
             if name == "phi_deg" or answer[name] is not None:
-                float(answer[name]["median"])
-                for level in ("ci68", "ci95"):
-                    low, high = map(float, answer[name][level])
-                    assert low <= high
-        assert all(isinstance(answer["nrmsd"][name], float) for name in ("Fx", "Fz"))
-        float(answer["density_kg_m3"])
+                numbers = [answer[name]["median"], *answer[name]["ci68"], *answer[name]["ci95"]]
+                _, low, high, lower, higher = map(float, numbers)
+                assert np.isfinite([float(n) for n in numbers]).all()
+                assert low <= high
+                assert lower <= higher
+        rest = [answer["density_kg_m3"], *(answer["nrmsd"][name] for name in ("Fx", "Fz"))]
+        assert np.isfinite([float(n) for n in rest]).all()
         for name in ("source", "leg", "library", "likelihood", "sampler", "verdict", "reason"):
             assert isinstance(answer[name], str)
         assert isinstance(answer["convergence"], dict)
@@ -168,10 +171,17 @@ def recomputed(saved: Saved, name: str | None) -> tuple[Again | None, str]:
         if name is not None:
             raise InputError(why)
         return None, why
-    return _again(saved, found), ""
+    again, apart = _again(saved, found)
+    if apart > MOST_APART:
+        return (
+            None,
+            f"the curve at the median comes out {apart:.1%} of the peak apart from the saved",
+        )
+    return again, ""
 
 
-def _again(saved: Saved, library: Library) -> Again:
+def _again(saved: Saved, library: Library) -> tuple[Again, float]:
+    """What follows, and how far the curve at the median is from the saved one, of its peak [-]."""
     answer = saved.answer
     curves = library.curves(str(answer["leg"]))
     scale = float(answer["density_kg_m3"]) / curves.scenario.soil.density
@@ -187,4 +197,6 @@ def _again(saved: Saved, library: Library) -> Again:
         slope = (after - before) / (at[1] - at[0])
         share = information_share(PaperLikelihood(saved.data, saved.theta_deg), slope)
     band = np.stack([inside.min(axis=0), inside.max(axis=0)])
-    return Again(band, share, surrogate.phi_bounds_deg, library)
+    best = surrogate.predict(np.array([phi["median"]]), scale=scale)[0]
+    apart = float(np.abs(best - saved.best).max() / np.abs(saved.best).max())
+    return Again(band, share, surrogate.phi_bounds_deg, library), apart

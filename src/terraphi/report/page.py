@@ -103,19 +103,26 @@ def render(sections: Sequence[Section]) -> str:
     library = get_plotlyjs()
     script = "\n".join(asset(name) for name in ("colours.js", "player.js", "report.js"))
     html: str = template("page.html").render(
-        title=" · ".join(dict.fromkeys(section.title for section in sections))[:150],
-        sections=[_shown(section, i) for i, section in enumerate(sections)],
-        overviews=_overviews(sections),
-        data=embedded({"drawings": _drawings(sections)}),
+        **context(sections),
         policy=_policy(script, library),
         script=script,
         plotly=base64.b64encode(gzip.compress(library.encode(), 9, mtime=0)).decode("ascii"),
-        made=dt.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
-        version=importlib.metadata.version("terraphi"),
-        words=WORDS,
-        signs=SIGNS,
     )
     return html
+
+
+def context(sections: Sequence[Section]) -> dict[str, Any]:
+    """What the template says of sections, the scripts left out."""
+    return {
+        "title": " · ".join(dict.fromkeys(section.title for section in sections))[:150],
+        "sections": [_shown(section, i) for i, section in enumerate(sections)],
+        "overviews": _overviews(sections),
+        "data": embedded({"drawings": drawings(sections)}),
+        "made": dt.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        "version": importlib.metadata.version("terraphi"),
+        "words": WORDS,
+        "signs": SIGNS,
+    }
 
 
 def template(name: str, *, package: str = "terraphi.report") -> Any:
@@ -234,7 +241,7 @@ def _named(section: Section, index: int) -> list[tuple[str, Part]]:
     return [(f"s{index}p{i}", part) for i, part in enumerate(section.parts)]
 
 
-def _drawings(sections: Sequence[Section]) -> dict[str, Any]:
+def drawings(sections: Sequence[Section]) -> dict[str, Any]:
     """What the scripts draw, by the name of its place."""
     found: dict[str, Any] = {}
     for index, section in enumerate(sections):

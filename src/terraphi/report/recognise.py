@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from terraphi.documents import shipped_names
 from terraphi.errors import InputError
+from terraphi.report import page
 from terraphi.report.parts import Section
 
 Kind = str
@@ -130,12 +131,23 @@ def sections(
     made = []
     for result in results:
         if result.kind != "fields":
-            made.append(
-                _maker(result.kind, library, robot, partner.get(result.path), 1.0 / animated)(
-                    result.path
-                )
-            )
+            fields_ = partner.get(result.path)
+            maker = _maker(result.kind, library, robot, fields_, 1.0 / animated)
+            made.append(_made(maker, result.path))
     return made
+
+
+def _made(maker: Callable[[Path], Section], path: Path) -> Section:
+    """A section; whatever a file holds in place of what we write ends in a sentence."""
+    try:
+        section = maker(path)
+        page.embedded(page.drawings([section]))
+    except InputError:
+        raise
+    except (AssertionError, AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+        raise InputError(f"{path}: not as terraphi writes it ({reason}); make it again") from error
+    return section
 
 
 def _maker(

@@ -90,7 +90,7 @@ def headline(name: str, data: Mapping[str, Any]) -> str:
     """What came out in one sentence, for the studies whose data have one number to say."""
     try:
         return _headline(name, data)
-    except (KeyError, TypeError, ValueError, IndexError):
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
         return f"A study of {len(data)} results."
 
 

@@ -28,7 +28,7 @@ def known_plots(name: str, data: Data) -> list[Part]:
         return []
     try:
         return _PLOTS[name](data)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         return [Text("Not drawn", (f"The data are not those of a {name} study ({error}).",))]
 
 
