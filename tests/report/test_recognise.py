@@ -88,13 +88,12 @@ def changed(document: Any, path: tuple[Any, ...], value: Any) -> Any:
 
 
 def judged(source: Path, document: Any) -> bool:
-    """Whether a document makes a page; any other end than a sentence fails."""
+    """Whether a document ends in a sound page or in one sentence."""
     source.write_text(json.dumps(document))
     try:
         (found,) = sections([str(source)])
     except InputError as error:
-        assert "\n" not in str(error)
-        return False
+        return "\n" not in str(error)
     return "<b>x</b>" not in render_without_plotly(found)
 
 
@@ -104,23 +103,22 @@ def render_without_plotly(found: Section) -> str:
     )
 
 
+@pytest.mark.slow
 def test_an_answer_with_anything_in_any_place(inversion_folder: Path, tmp_path: Path) -> None:
     answer = json.loads((inversion_folder / "answer.json").read_text())
-    ends = [
-        judged(tmp_path / "answer.json", changed(answer, path, value))
-        for path in leaves(answer)
-        for value in ODD
-    ]
-    assert any(ends)
-    assert not all(ends)
+    for path in leaves(answer):
+        for value in ODD:
+            assert judged(tmp_path / "answer.json", changed(answer, path, value))
 
 
+@pytest.mark.slow
 def test_a_study_with_anything_in_any_place(recovery_data: dict, tmp_path: Path) -> None:
     for path in leaves(recovery_data):
         for value in ODD:
             assert judged(tmp_path / "data.json", changed(recovery_data, path, value))
 
 
+@pytest.mark.slow
 def test_forces_with_anything_in_any_place_of_their_summary(
     forces_file: Path, tmp_path: Path
 ) -> None:

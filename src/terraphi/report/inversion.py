@@ -272,7 +272,7 @@ def _information(saved: Saved, share: FloatArray) -> Plot:
 
 
 def _budget(answer: Mapping[str, Any]) -> list[Part]:
-    """What the residual is made of, where the likelihood tells its parts apart."""
+    """Shares in the variance of φ, where the likelihood tells its parts apart."""
     budget = answer.get("error_budget")
     shares = budget.get("shares") if isinstance(budget, Mapping) else None
     if not isinstance(shares, Mapping):
@@ -281,7 +281,7 @@ def _budget(answer: Mapping[str, Any]) -> list[Part]:
         (str(name).replace("_", " "), f"{100.0 * share:.0f} %" if _is_number(share) else "–")
         for name, share in shares.items()
     ]
-    return [Table("What the residual is made of", ("", "share"), rows, wide=True)]
+    return [Table("What the width of the interval comes from", ("", "share"), rows, wide=True)]
 
 
 def _is_number(value: Any) -> bool:

@@ -173,10 +173,7 @@ def recomputed(saved: Saved, name: str | None) -> tuple[Again | None, str]:
         return None, why
     again, apart = _again(saved, found)
     if apart > MOST_APART:
-        return (
-            None,
-            f"the curve at the median comes out {apart:.1%} of the peak apart from the saved",
-        )
+        return None, f"the curve at the median comes out {apart:.1%} of the peak from the saved"
     return again, ""
 
 
