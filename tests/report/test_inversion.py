@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from terraphi.errors import InputError
-from terraphi.inference.inversion import Inversion
+from terraphi.inference.inversion import Inversion, invert
+from terraphi.library import Library
+from terraphi.measurements import measurement
 from terraphi.report.inversion import CONVENTION, headline, load, recomputed, section
 from terraphi.report.page import render
 from terraphi.report.parts import Plot, Section, Table, Text
@@ -166,5 +168,23 @@ def test_a_curve_that_is_not_the_librarys_costs_the_band(inversion_folder: Path)
     saved = load(inversion_folder)
     other = replace(saved, best=saved.best * 1.1)
     again, why_not = recomputed(other, None)
-    assert again is None
+    assert again is not None
+    assert again.band is None
     assert "of the peak from the saved" in why_not
+
+
+def test_a_calibrated_answer_has_its_own_band_and_budget(tmp_path: Path) -> None:
+    measured = measurement("li2013:yuma/straight")
+    library = Library.load("quick-plane-strain")
+    found = invert(measured.history, library=library, likelihood="calibrated")
+    found.to_netcdf(tmp_path / "posterior.nc")
+    page = section(tmp_path)
+    band = plots(page)["Fz"].traces[0]
+    top, floor = np.array(band["y"]).reshape(2, -1)
+    np.testing.assert_allclose(top, found.band[1, 40:], rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(floor[::-1], found.band[0, 40:], rtol=1e-3, atol=1e-4)
+    titles = [part.title for part in page.parts]
+    assert "What the width of the interval comes from" in titles
+    certificate = next(p for p in page.parts if p.title.startswith("Certificate"))
+    assert isinstance(certificate, Table)
+    assert certificate.header == ("", "straight")

@@ -15,7 +15,7 @@ from terraphi.report import figures as fig
 from terraphi.report.certificate import certificate_parts
 from terraphi.report.density import smooth_density
 from terraphi.report.inversion_data import Again, Saved, load, recomputed
-from terraphi.report.parts import Part, Plot, Section, Status, Table, label, number
+from terraphi.report.parts import Part, Plot, Section, Status, Table, Text, label, number
 
 FloatArray = NDArray[np.float64]
 
@@ -25,6 +25,7 @@ CONVENTION = {
     "triaxial": "triaxial compression",
     "rft3d": "three-dimensional resistive force theory",
 }
+INFORMATION = "Which angles told the friction angle"
 STATUS: dict[str, Status] = {"consistent": "good", "misfit": "bad", "out_of_range": "doubtful"}
 WORDS = {
     "nodes": "nodes of the quadrature",
@@ -65,6 +66,15 @@ def section(path: Path, *, library: str | None = None) -> Section:
         parts += [_density(saved, again), *_forces(saved, again, why_not), _residuals(saved)]
     if again is not None and again.share is not None:
         parts.append(_information(saved, again.share))
+    elif answer["likelihood"] != "paper":
+        parts.append(
+            Text(
+                INFORMATION,
+                (
+                    "Told under the paper's likelihood only, whose covariance follows from the data.",
+                ),
+            )
+        )
     parts.append(_numbers(answer))
     if again is not None:
         parts += certificate_parts(again.library, leg=str(answer["leg"]))
@@ -188,7 +198,7 @@ def _forces(saved: Saved, again: Again | None, why_not: str) -> list[Part]:
     plots: list[Part] = []
     for name, part in (("Fx", slice(0, half)), ("Fz", slice(half, None))):
         traces = []
-        if again is not None:
+        if again is not None and again.band is not None:
             low, high = again.band[:, part]
             within = "curves within the 95 % interval"
             traces.append(fig.band(saved.theta_deg, low, high, within, "@blue/0.3"))
@@ -201,7 +211,7 @@ def _forces(saved: Saved, again: Again | None, why_not: str) -> list[Part]:
                 title=f"{name}: misfit {100.0 * saved.answer['nrmsd'][name]:.1f} % of peak-to-peak",
                 traces=traces,
                 layout=fig.layout(fig.THETA, fig.AXIS_LABEL[name], xaxis=fig.DEGREES),
-                note="" if again else f"No band of the 95 % interval: {why_not}.",
+                note=f"No band of the 95 % interval: {why_not}." if why_not else "",
             )
         )
     return plots
@@ -249,7 +259,7 @@ def _information(saved: Saved, share: FloatArray) -> Plot:
     )  # fmt: skip
     parts = 100.0 * share.sum(axis=1)
     return Plot(
-        title="Which angles told the friction angle",
+        title=INFORMATION,
         traces=traces,
         layout=fig.layout(
             fig.THETA,

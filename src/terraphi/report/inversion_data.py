@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ from numpy.typing import NDArray
 
 from terraphi.errors import InputError
 from terraphi.inference.information import information_share
+from terraphi.inference.library import prepare
 from terraphi.inference.residual import PaperLikelihood
+from terraphi.joint_surrogate import JointSurrogate
 from terraphi.library import Library
 from terraphi.surrogate import LegSurrogate
 
@@ -55,7 +58,8 @@ class Again:
     Attributes
     ----------
     band
-        Smallest and largest force over the 95 % interval [N], shape [2, 2 theta].
+        Smallest and largest force over the 95 % interval [N], shape [2, 2 theta]; ``None`` where
+        the library's curves are not those that were saved.
     share
         What each angle adds to the information on φ [-], shape [2, theta]; ``None`` where the
         likelihood is not the paper's.
@@ -65,7 +69,7 @@ class Again:
         The library.
     """
 
-    band: FloatArray
+    band: FloatArray | None
     share: FloatArray | None
     bounds_deg: tuple[float, float]
     library: Library
@@ -140,7 +144,7 @@ def _checked(saved: Saved, path: Path) -> Saved:
 
 
 def recomputed(saved: Saved, name: str | None) -> tuple[Again | None, str]:
-    """What follows from the library, or why it cannot be had.
+    """What follows from the library, and why what is ``None`` cannot be had.
 
     Parameters
     ----------
@@ -173,16 +177,28 @@ def recomputed(saved: Saved, name: str | None) -> tuple[Again | None, str]:
         return None, why
     again, apart = _again(saved, found)
     if apart > MOST_APART:
-        return None, f"the curve at the median comes out {apart:.1%} of the peak from the saved"
+        why = f"the curve at the median comes out {apart:.1%} of the peak from the saved"
+        return replace(again, band=None, share=None), why
     return again, ""
+
+
+def _surrogate(
+    library: Library, leg: str, likelihood: str
+) -> tuple[LegSurrogate | JointSurrogate, float]:
+    """Surrogate that a likelihood takes, and the density of the library's soil [kg/m³]."""
+    if likelihood == "calibrated":
+        prepared = prepare(library, leg, within=(-math.inf, math.inf))
+        return prepared.surrogate, prepared.curves.scenario.soil.density
+    curves = library.curves(leg)
+    made = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
+    return made, curves.scenario.soil.density
 
 
 def _again(saved: Saved, library: Library) -> tuple[Again, float]:
     """What follows, and how far the curve at the median is from the saved one, of its peak [-]."""
     answer = saved.answer
-    curves = library.curves(str(answer["leg"]))
-    scale = float(answer["density_kg_m3"]) / curves.scenario.soil.density
-    surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
+    surrogate, density = _surrogate(library, str(answer["leg"]), str(answer["likelihood"]))
+    scale = float(answer["density_kg_m3"]) / density
     phi = answer["phi_deg"]
     low, high = phi["ci95"]
     inside = surrogate.predict(np.linspace(low, high, 101), scale=scale)
