@@ -70,9 +70,7 @@ def section(path: Path, *, library: str | None = None) -> Section:
         parts.append(
             Text(
                 INFORMATION,
-                (
-                    "Told under the paper's likelihood only, whose covariance follows from the data.",
-                ),
+                ("Told under the paper's likelihood only: its covariance follows from the data.",),
             )
         )
     parts.append(_numbers(answer))
