@@ -299,8 +299,8 @@ def _notes(data: Mapping[str, Any]) -> Sequence[str]:
     ]
     if first["off_by_percent"] > CLOSE_PERCENT:
         notes.append(
-            f"No reading comes within {CLOSE_PERCENT:g} %: the forces that the paper prints are not "
-            "reproduced."
+            f"No reading comes within {CLOSE_PERCENT:g} %: the forces that the paper prints are "
+            "not reproduced."
         )
     wider = [
         reading["reading"]
