@@ -44,6 +44,8 @@ ROOMS = [
     "animation",
     "studies",
     "report",
+    "keys",
+    "doctor",
     "console",
     "commands",
     "cli",

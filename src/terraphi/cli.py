@@ -13,6 +13,8 @@ import click
 
 from terraphi.commands import cluster_option, json_option
 from terraphi.commands.calibrate import library_calibrate
+from terraphi.commands.doctor import doctor
+from terraphi.commands.keys import keys
 from terraphi.commands.library import library
 from terraphi.commands.simulate import simulate
 from terraphi.console import (
@@ -133,7 +135,7 @@ def invert(
 ) -> None:
     """Infer the friction angle from FORCES.
 
-    FORCES is a CSV with exactly the columns theta_deg,Fx_N,Fz_N over |theta| <= 85 deg (theta
+    FORCES is a CSV with exactly the columns theta_deg,Fx_N,Fz_N over -85 to 85 deg (theta
     from the downward vertical, increasing in time; x forward, z up; the soil's force on the leg),
     a NetCDF that terraphi wrote, or a shipped measurement such as li2013:yuma/c.
 
@@ -170,6 +172,8 @@ def invert(
 
 cli.add_command(simulate)
 cli.add_command(library)
+cli.add_command(keys)
+cli.add_command(doctor)
 
 
 library.add_command(library_calibrate)
@@ -193,7 +197,8 @@ def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
     """Run the study NAME, one of those below.
 
     The paper's own: benchmark, phi_sensitivity, k0, surrogate, recovery, and figures, which draws
-    all of them. Of the model: calibration, sensitivity, resolution, verification.
+    all of them. Of measured sand: measured, prediction. Of the model: calibration, reading,
+    sensitivity, resolution, verification.
 
     Example: terraphi study recovery --out recovery
     """

@@ -21,7 +21,10 @@ from terraphi.errors import InputError
 
 @click.group()
 def library() -> None:
-    """Build, list and show libraries of simulations."""
+    """Build, list and show libraries of simulations.
+
+    Example: terraphi library list
+    """
 
 
 @library.command("build")
