@@ -35,7 +35,7 @@ for foot in FEET:
     mean = found.feet[foot]
     print(
         f"{foot}: {mean.count} stances of {mean.duration:.2f} s, "
-        f"mean peaks {mean.peak('z'):.0f} N up and {mean.peak('x'):.0f} N backward"
+        f"mean peaks {mean.peak('z'):.0f} N up and {mean.peak('x'):.0f} N along x"
     )
 
 # %%

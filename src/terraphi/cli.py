@@ -51,7 +51,7 @@ def cli() -> None:
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
-    default=Path("terraphi-demo"),
+    default="terraphi-demo",
     show_default=True,
     help="Folder for the figure and the answers.",
 )
