@@ -23,6 +23,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import itertools
 import os
 import re
 import shlex
@@ -182,7 +183,7 @@ class Page:
         namespace: dict[str, Any] = {"__name__": "__main__"}
         changes: list[tuple[Block, list[str]]] = []
         with contextlib.chdir(self.folder):
-            for block, after in zip(found, [*found[1:], None], strict=True):
+            for block, after in itertools.zip_longest(found, found[1:]):
                 if "not run" in block.options or ("slow" in block.options and not self.slow):
                     continue
                 if "in" in block.options and not Path("examples").exists():

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from terraphi.commands import cluster_option, json_option
+from terraphi.commands import (
+    cluster_option,
+    completed,
+    json_option,
+    leg_names,
+    library_names,
+    shipped,
+    study_names,
+)
 from terraphi.commands.calibrate import library_calibrate
 from terraphi.commands.doctor import doctor
 from terraphi.commands.keys import keys
@@ -93,14 +101,25 @@ def demo(out: Path, as_json: bool) -> None:
 
 @cli.command()
 @click.argument("forces")
-@click.option("--leg", help="Shape of the leg: straight, c, reversed_c or plate.")
+@click.option(
+    "--leg",
+    help="Shape of the leg: straight, c, reversed_c or plate.",
+    shell_complete=leg_names,
+)
 @click.option("--density", type=float, help="Bulk density of the soil [kg/m³].")
-@click.option("--library", default=DEFAULT_LIBRARY, show_default=True, help="Name, or a .nc file.")
+@click.option(
+    "--library",
+    default=DEFAULT_LIBRARY,
+    show_default=True,
+    help="Name, or a .nc file.",
+    shell_complete=library_names,
+)
 @click.option(
     "--likelihood",
     default="paper",
     show_default=True,
     help="Error model: calibrated or paper.",
+    shell_complete=completed(lambda: ("calibrated", "paper")),
 )
 @click.option(
     "--noise", help="Noise of a force reading [N], or a TOML file on the sensor; else inferred."
@@ -180,8 +199,12 @@ library.add_command(library_calibrate)
 
 
 @cli.command()
-@click.argument("name")
-@click.option("--library", help="Library to use instead of the study's own.")
+@click.argument("name", shell_complete=study_names)
+@click.option(
+    "--library",
+    help="Library to use instead of the study's own.",
+    shell_complete=library_names,
+)
 @click.option("--only", help="Family of problems, for verification.")
 @click.option("--quick", is_flag=True, default=None, help="Coarse and fast, for verification.")
 @click.option(
@@ -220,7 +243,13 @@ def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
 
 @cli.command()
 @click.argument("log")
-@click.option("--robot", default="go2", show_default=True, help="Name, TOML or URDF of the robot.")
+@click.option(
+    "--robot",
+    default="go2",
+    show_default=True,
+    help="Name, TOML or URDF of the robot.",
+    shell_complete=shipped("robots", ".toml"),
+)
 @click.option(
     "--estimator",
     default="momentum_observer",

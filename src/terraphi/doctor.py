@@ -127,7 +127,8 @@ def _kernels() -> Iterator[Check]:
     bits = known["vector_lanes"] * 64
     yield Check("processor", "ok", f"{known['processor']} ({platform.machine()})")
     yield Check("vectors", "ok", f"{known['vector_lanes']} doubles, {bits} bits")
-    place = Path(packets.march.stats.cache_path)
+    march: Any = packets.march  # compiled, which its type does not say
+    place = Path(march.stats.cache_path)
     if not os.access(place if place.exists() else place.parent, os.W_OK):
         found = (
             f"{place} cannot be written: kernels are compiled at every start; set NUMBA_CACHE_DIR"

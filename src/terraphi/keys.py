@@ -53,7 +53,7 @@ class Key:
     name
         Within its table.
     unit
-        Empty if it has none, or is no number.
+        ``-`` if it has none; empty if it is no number, or counts something.
     default
         As TOML has it; ``required``, or ``not given``.
     allowed
@@ -207,7 +207,7 @@ def _key(name: str, field: FieldInfo, meaning: str) -> Key:
     allowed = " ".join([_kind(field.annotation), *limits[:1]])
     return Key(
         name=name,
-        unit=", ".join("" if unit == "-" else unit for unit in units),
+        unit=", ".join(units),
         default=REQUIRED if field.is_required() else _toml(_default(field)),
         allowed=", ".join([allowed, *limits[1:]]),
         meaning=_without_units(meaning),

@@ -148,7 +148,7 @@ class Numerics(Section):
         ``nodes``: the nodes of the grid near the leg take its velocity; ``surface``: the material
         points press on its true surface.
     contact_band_cells
-        Nodes closer to the leg than this many cells are in contact.
+        Nodes closer to the leg than this many cells are in contact [-].
     remap_interval
         For how long the grid keeps its velocities before it takes them from the particles anew [s],
         rounded to steps; 0: it does so at every step.
