@@ -86,9 +86,15 @@ def plain_bars(_app: Any, _what: str, _name: str, _object: Any, _options: Any, l
     lines[:] = [re.sub(r"(?<!`)\|(?=[^\s|`]+\|)", r"\\|", line) for line in lines]
 
 
+def examples_as_code(_app: Any, _context: Any, lines: list[str]) -> None:
+    """Set the example of a command's help as code."""
+    lines[:] = [re.sub(r"^(\s*Example: )(.+)$", r"\1``\2``", line) for line in lines]
+
+
 def setup(app: Any) -> None:
     """Connect what is ours."""
     app.connect("autodoc-process-docstring", plain_bars, priority=900)
+    app.connect("sphinx-click-process-description", examples_as_code)
     app.connect("builder-inited", building.write_keys)
     app.add_html_math_renderer(
         "mathml", (building.inline_math, None), (building.display_math, None)

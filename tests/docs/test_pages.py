@@ -53,6 +53,15 @@ def test_every_block_is_run_or_says_why_not(page: Path) -> None:
         assert block.options.get("not run", "a reason"), f"{where}: say why it is not run"
 
 
+@pytest.mark.parametrize("page", ALL, ids=name_of)
+def test_files_are_named_to_the_reader(page: Path) -> None:
+    lines = page.read_text(encoding="utf-8").splitlines()
+    for block in blocks_of(page):
+        if "file" in block.options:
+            before = " ".join(lines[block.first - 6 : block.first - 2])
+            assert f"`{block.options['file']}`" in before, f"{name_of(page)}, line {block.first}"
+
+
 def test_most_blocks_are_run() -> None:
     found = [block for page in ALL for block in blocks_of(page) if block.language in pages.RUN]
     left_out = [block for block in found if not is_run(block)]
