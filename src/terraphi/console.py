@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +16,9 @@ import click
 if TYPE_CHECKING:
     from terraphi.inference.inversion import Inversion
     from terraphi.library import Library
+
+
+_NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?( ?[%°]| N)?")
 
 
 def as_text(data: Any) -> str:
@@ -90,7 +94,7 @@ def print_forces(summary: dict[str, Any]) -> None:
 def print_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str | None = None
 ) -> None:
-    """Aligned columns."""
+    """Columns, aligned to the right where they hold numbers alone."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -98,8 +102,10 @@ def print_table(
     if title is not None:
         click.secho(title, bold=True)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
-    for name in header:
-        table.add_column(name)
+    for i, name in enumerate(header):
+        cells = [row[i] for row in rows if row[i] not in ("", "-")]
+        numbers = bool(cells) and all(map(_NUMBER.fullmatch, cells))
+        table.add_column(name, justify="right" if numbers else "left")
     for row in rows:
         table.add_row(*row)
     # Where nobody looks at a terminal, a line is as wide as it needs to be.
