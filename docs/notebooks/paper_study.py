@@ -25,8 +25,8 @@ print(library.plan.description)
 print(f"{len(curves.phi_deg)} angles, {curves.phi_deg[0]:g} to {curves.phi_deg[-1]:g} deg")
 
 # %%
-# The forces grow with φ. The study draws them and finds their peaks; on the right of its second
-# table stands what the paper prints.
+# The forces grow with φ. The study draws them and finds their peaks; in brackets stands what the
+# paper prints.
 
 sensitivity = studies.run("phi_sensitivity")
 forces = sensitivity.figures["forces"]
