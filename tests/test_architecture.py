@@ -45,6 +45,8 @@ ROOMS = [
     "studies",
     "report",
     "app",
+    "keys",
+    "doctor",
     "console",
     "commands",
     "cli",
