@@ -88,7 +88,7 @@ class DesignKernel:
         return distance2
 
     def correlation(self, distance2: FloatArray) -> FloatArray:
-        """c of squared distances [-]."""
+        """Correlation c of squared distances [-]."""
         if self.kind == "rbf":
             return np.exp(-0.5 * distance2)
         lag = np.sqrt(5.0 * distance2)
@@ -104,9 +104,7 @@ class DesignKernel:
 
     def over_angles(self, theta_deg: FloatArray) -> FloatArray:
         """K_theta, shape [theta, theta]."""
-        smooth = np.exp(
-            -0.5 * np.square((theta_deg[:, None] - theta_deg) / self.theta_length_deg)
-        )
+        smooth = np.exp(-0.5 * np.square((theta_deg[:, None] - theta_deg) / self.theta_length_deg))
         total: FloatArray = smooth + self.fine**2 * np.eye(theta_deg.size)
         return total
 

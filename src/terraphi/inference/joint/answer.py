@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import datetime
+import datetime as dt
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -173,10 +173,8 @@ class JointInversion:
         values = self.draws.values
         chains = values.reshape(-1, *values.shape[2:])
         rng = np.random.default_rng(self.draws.seed)
-        prior = {
-            key: self.priors[key].draw(PRIOR_DRAWS, rng)[None] for key in self.keys
-        }
-        when = datetime.datetime.now(tz=datetime.UTC).isoformat(timespec="seconds")
+        prior = {key: self.priors[key].draw(PRIOR_DRAWS, rng)[None] for key in self.keys}
+        when = dt.datetime.now(tz=dt.UTC).isoformat(timespec="seconds")
         about = {"created_at": when, "inference_library": "emcee"}
         posterior = {key: chains[:, :, i] for i, key in enumerate(self.keys)}
         extra = {

@@ -150,9 +150,7 @@ def invert_jointly(
     gp = discrepancy == "gp" or (discrepancy is None and not all(t.simulated for t in trials))
     with threadpool_limits(limits=1, user_api="blas"):
         likelihood = _likelihood(groups, library, marginals)
-        target = _Target(
-            likelihood, marginals, keys, _window_noise(Noise.parse(noise), groups), gp
-        )
+        target = _Target(likelihood, marginals, keys, _window_noise(Noise.parse(noise), groups), gp)
         draws = sample(
             target, target.draw_prior, seed=seed, steps=steps, walkers=max(32, 4 * len(keys))
         )
@@ -200,7 +198,11 @@ def _window_noise(noise: Noise, groups: Sequence[Repeats]) -> float | None:
 
 
 def _answer(
-    groups: Sequence[Repeats], library: Library, target: _Target, draws: Draws, about: dict[str, Any]
+    groups: Sequence[Repeats],
+    library: Library,
+    target: _Target,
+    draws: Draws,
+    about: dict[str, Any],
 ) -> JointInversion:
     d = len(target.keys)
     flat = draws.values.reshape(-1, draws.values.shape[-1])

@@ -145,4 +145,5 @@ class JointLikelihood:
         self, named: Mapping[str, FloatArray], noise: FloatArray, amplitude: FloatArray
     ) -> FloatArray:
         """Log-likelihood up to a constant, shape [k]; arguments as of `LegLikelihood`."""
-        return np.sum([leg(named, noise, amplitude) for leg in self.legs], axis=0)
+        total: FloatArray = np.sum([leg(named, noise, amplitude) for leg in self.legs], axis=0)
+        return total
