@@ -38,9 +38,11 @@ ROOMS = [
     "surrogate",
     "scatter",
     "joint_surrogate",
+    "design_surrogate",
     "inference",
     "robot",
     "plots",
+    "joint_plots",
     "animation",
     "studies",
     "report",
@@ -55,7 +57,7 @@ ROOMS = [
 STRANGERS = {
     "robot": {
         *("forward", "library", "scatter", "joint_surrogate", "gaussian_process", "surrogate"),
-        "inference",
+        *("design_surrogate", "inference"),
     }
 }
 # The public face and `python -m terraphi` may open every door; nobody may come in through them.

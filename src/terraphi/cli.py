@@ -5,17 +5,14 @@ from __future__ import annotations
 import io
 import logging
 import sys
-import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from terraphi.commands import (
     cluster_option,
-    completed,
     json_option,
-    leg_names,
     library_names,
     shipped,
     study_names,
@@ -23,12 +20,12 @@ from terraphi.commands import (
 from terraphi.commands.app import app
 from terraphi.commands.calibrate import library_calibrate
 from terraphi.commands.doctor import doctor
+from terraphi.commands.invert import DEFAULT_LIBRARY, invert
 from terraphi.commands.keys import keys
 from terraphi.commands.library import library
 from terraphi.commands.report import report
 from terraphi.commands.simulate import simulate
 from terraphi.console import (
-    as_text,
     ignore_interrupts,
     print_forces,
     print_inversion,
@@ -38,13 +35,8 @@ from terraphi.console import (
 )
 from terraphi.errors import InputError, SimulationError
 
-if TYPE_CHECKING:
-    from terraphi.inference.inversion import Inversion
-    from terraphi.measurements import Measurement
-
 UNUSABLE = 2
 """Exit status when the input could not be used."""
-DEFAULT_LIBRARY = "quick-plane-strain"
 DEMO_SOURCES = ("li2013:yuma/straight", "li2013:glass03_close/straight")
 
 
@@ -101,96 +93,7 @@ def demo(out: Path, as_json: bool) -> None:
     click.echo(f"Figure: {picture}")
 
 
-@cli.command()
-@click.argument("forces")
-@click.option(
-    "--leg",
-    help="Shape of the leg: straight, c, reversed_c or plate.",
-    shell_complete=leg_names,
-)
-@click.option("--density", type=float, help="Bulk density of the soil [kg/m³].")
-@click.option(
-    "--library",
-    default=DEFAULT_LIBRARY,
-    show_default=True,
-    help="Name, or a .nc file.",
-    shell_complete=library_names,
-)
-@click.option(
-    "--likelihood",
-    default="paper",
-    show_default=True,
-    help="Error model: calibrated or paper.",
-    shell_complete=completed(lambda: ("calibrated", "paper")),
-)
-@click.option(
-    "--noise", help="Noise of a force reading [N], or a TOML file on the sensor; else inferred."
-)
-@click.option(
-    "--discrepancy", help="none or gp; not given: gp, but none for a history that we simulated."
-)
-@click.option(
-    "--sampler", default="quadrature", show_default=True, help="quadrature (exact) or emcee."
-)
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of emcee."
-)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder for answer.json, posterior.nc (opens in ArviZ) and figure.png.",
-)
-@json_option
-def invert(
-    forces: str,
-    leg: str | None,
-    density: float | None,
-    library: str,
-    likelihood: str,
-    noise: str | None,
-    discrepancy: str | None,
-    sampler: str,
-    seed: int,
-    out: Path | None,
-    as_json: bool,
-) -> None:
-    """Infer the friction angle from FORCES.
-
-    FORCES is a CSV with exactly the columns theta_deg,Fx_N,Fz_N over -85 to 85 deg (theta
-    from the downward vertical, increasing in time; x forward, z up; the soil's force on the leg),
-    a NetCDF that terraphi wrote, or a shipped measurement such as li2013:yuma/c.
-
-    Example: terraphi invert forces.csv --density 1600 --out answer
-    """
-    from terraphi.files import folder
-    from terraphi.inference.inversion import invert as run
-    from terraphi.library import Library
-    from terraphi.measurements import open_forces
-
-    measured = open_forces(forces)
-    inversion = run(
-        measured.history,
-        library=Library.load(library),
-        leg=leg_of(leg, measured),
-        density=measured.density_kg_m3 if density is None else density,
-        density_assumed=density is None and measured.density_assumed,
-        likelihood=likelihood,
-        noise=noise,
-        discrepancy=discrepancy,
-        sampler=sampler,
-        seed=seed,
-        source=forces,
-    )
-    if out is not None:
-        save_inversion(inversion, folder(out))
-    if as_json:
-        print_json(inversion.as_dict())
-        return
-    print_inversion(inversion)
-    if out is not None:
-        click.echo(f"Written: {out}/answer.json, posterior.nc, figure.png")
-
-
+cli.add_command(invert)
 cli.add_command(simulate)
 cli.add_command(library)
 cli.add_command(report)
@@ -298,36 +201,6 @@ def forces(
         print_json(found.summary())
         return
     print_forces(found.summary())
-
-
-# -- input ---------------------------------------------------------------------------------------
-
-
-def leg_of(leg: str | None, measured: Measurement) -> str:
-    """Shape of the leg: as asked for, else as measured."""
-    from terraphi.errors import nearest
-    from terraphi.leg import LEG_SHAPES
-
-    if leg is None:
-        return measured.leg
-    if leg not in LEG_SHAPES:
-        raise InputError(f"unknown leg '{leg}'; {nearest(leg, LEG_SHAPES)}")
-    return leg
-
-
-def save_inversion(inversion: Inversion, place: Path) -> None:
-    """Write answer, posterior and figure, all or none."""
-    from terraphi import plots
-    from terraphi.files import replacing
-
-    with tempfile.TemporaryDirectory(dir=place, prefix=".unfinished-") as unfinished:
-        made = Path(unfinished)
-        inversion.to_netcdf(made / "posterior.nc")
-        plots.save(plots.inversions_figure([inversion]), made / "figure.png")
-        with replacing(made / "answer.json") as temporary:
-            temporary.write_text(as_text(inversion.as_dict()))
-        for file in made.iterdir():
-            file.replace(place.joinpath(file.name))
 
 
 def main() -> None:

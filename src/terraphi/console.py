@@ -15,6 +15,7 @@ import click
 
 if TYPE_CHECKING:
     from terraphi.inference.inversion import Inversion
+    from terraphi.inference.joint import JointInversion
     from terraphi.library import Library
 
 
@@ -59,6 +60,55 @@ def print_inversion(inversion: Inversion) -> None:
         click.echo(f"Variance of φ: {parts}.")
     verdict = inversion.verdict
     click.secho(f"Verdict: {verdict.verdict.replace('_', ' ')}. {verdict.reason}\n", bold=True)
+
+
+def print_joint_inversion(found: JointInversion) -> None:
+    """A table of the parameters, what the forces fix, what each leg adds, then the verdict."""
+    answer = found.as_dict()
+    of = [f"{len(group.trials)} of leg {group.leg}" for group in found.groups]
+    density = "" if found.density is None else f", density {found.density:g} kg/m³"
+    assumed = ", assumed" if found.density_assumed else ""
+    count = len(answer["histories"])
+    print_table(
+        ("", "median", "68 %", "95 %", "68 %, others known", "R-hat", "draws worth"),
+        [_parameter_row(found, key) for key in found.keys],
+        title=f"{count} {'history' if count == 1 else 'histories'} ({', '.join(of)}), library "
+        f"{found.library}{density}{assumed}",
+    )
+    if found.phi_plane_strain is not None and found.convention != "plane_strain":
+        angle = found.phi_plane_strain
+        click.echo(
+            f"φ, equivalent in plane strain: {angle.median:.2f} deg, 68 % {angle.ci68[0]:.2f} to "
+            f"{angle.ci68[1]:.2f}."
+        )
+    for sentence in found.identifiability.sentences():
+        click.echo(sentence)
+    if len(found.groups) > 1:
+        legs = {name: f"leg {name} alone" for name in found.expected_sd} | {"all": "all"}
+        click.echo()
+        print_table(
+            ("expected standard deviation", *map(found.axis_name, found.keys)),
+            [
+                (words_for, *(f"{sd:.3g}" for sd in found.expected_sd[name]))
+                for name, words_for in legs.items()
+            ],
+        )
+    if not found.draws.converged:
+        click.echo("The draws have not converged: do not use them.")
+    click.secho(f"Verdict: {answer['verdict'].replace('_', ' ')}. {answer['reason']}\n", bold=True)
+
+
+def _parameter_row(found: JointInversion, key: str) -> tuple[str, ...]:
+    one, known = found.marginal[key], found.conditional[key]
+    diagnostics = found.draws.diagnostics[found.keys.index(key)]
+    form = found.digits(key)
+    return (
+        found.axis_name(key),
+        f"{one.median:{form}}",
+        *(f"{low:{form}} to {high:{form}}" for low, high in (one.ci68, one.ci95, known.ci68)),
+        f"{diagnostics.split_rhat:.3f}",
+        f"{diagnostics.effective_sample_size:.0f}",
+    )
 
 
 def print_library(found: Library, *, as_json: bool) -> None:

@@ -103,11 +103,12 @@ def _draw_forces(axes: Axes, inversion: Inversion, component: str) -> None:
     axes.plot(
         seen.theta_deg, data, "o", ms=3.5, color=ORANGE, mec="black", mew=0.4, label="measured"
     )
-    _finish_force_axes(axes, component)
+    finish_force_axes(axes, component)
     axes.set_title(f"{inversion.source}: misfit {inversion.nrmsd[component]:.1%}", fontsize=10)
 
 
-def _finish_force_axes(axes: Axes, component: str) -> None:
+def finish_force_axes(axes: Axes, component: str) -> None:
+    """Name the axes of a panel of ``Fx`` or ``Fz`` over the leg angle, and set their limits."""
     axes.axhline(0.0, color=GREY, lw=0.6)
     axes.set_xlim(-WINDOW_DEG - 3.0, WINDOW_DEG + 3.0)
     axes.set_xticks(np.arange(-80, 81, 40))
@@ -175,7 +176,7 @@ def comparison_figure(title: str, curves: Sequence[Curve]) -> Figure:
                 )
             else:
                 axes.plot(seen.theta_deg, values, ".", ms=3, color=curve.colour, label=curve.label)
-        _finish_force_axes(axes, component)
+        finish_force_axes(axes, component)
     figure.axes[0].legend(fontsize="small", frameon=False)
     return figure
 

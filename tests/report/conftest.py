@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terraphi.cli import save_inversion
+from terraphi.commands.invert import save_inversion
 from terraphi.forward import simulate
 from terraphi.forward.mpm.fields import FieldSeries
 from terraphi.inference.inversion import Inversion, invert

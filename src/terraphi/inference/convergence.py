@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 __all__ = [
     "EnsembleDiagnostics",
     "autocorrelation_time",
+    "chains",
     "diagnose",
     "effective_sample_size",
     "median_standard_error",
@@ -57,6 +58,25 @@ class EnsembleDiagnostics:
     def as_dict(self) -> dict[str, float]:
         """Plain floats by name, ready for JSON, which knows no infinity: the largest float."""
         return {name: min(value, sys.float_info.max) for name, value in asdict(self).items()}
+
+
+def chains(draws: FloatArray, stride: int) -> FloatArray:
+    """Draws as independent chains, shape [chain, draw, ...], as ArviZ wants them.
+
+    A chain is an ensemble, never a walker, since the walkers of an ensemble depend on each other.
+    Only one step in ``stride`` is kept, all its walkers side by side: with a stride of the
+    autocorrelation time the draws of a chain follow in time and are nearly uncorrelated, so that
+    diagnostics that presume a plain Markov chain are right about them.
+
+    Parameters
+    ----------
+    draws
+        Draws after burn-in, shape [ensemble, walker, step, ...].
+    stride
+        At least 1.
+    """
+    kept = draws[:, :, ::stride].swapaxes(1, 2)
+    return kept.reshape(len(kept), -1, *kept.shape[3:])
 
 
 def diagnose(draws: FloatArray) -> EnsembleDiagnostics:

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference.convergence import autocorrelation_time, diagnose
+from terraphi.inference.convergence import autocorrelation_time, chains, diagnose
 
 __all__ = ["LogLikelihood", "Posterior", "ensemble", "quadrature"]
 
@@ -137,10 +137,7 @@ class Posterior:
     def chains(self) -> FloatArray:
         """Draws [deg] as independent chains, shape [chain, draw], as ArviZ wants them.
 
-        A chain is an ensemble, never a walker, since the walkers of an ensemble depend on each
-        other. Only one step in every autocorrelation time is kept, all its walkers side by side,
-        so that the draws of a chain follow in time and are nearly uncorrelated: diagnostics that
-        presume a plain Markov chain are then right about these.
+        One step in every autocorrelation time is kept; see `convergence.chains`.
 
         Raises
         ------
@@ -149,9 +146,7 @@ class Posterior:
         """
         if self.draws_deg is None:
             raise ValueError("a posterior by quadrature has no draws")
-        stride = int(np.ceil(autocorrelation_time(self.draws_deg).max()))
-        kept = self.draws_deg[:, :, ::stride]
-        return kept.transpose(0, 2, 1).reshape(len(kept), -1)
+        return chains(self.draws_deg, int(np.ceil(autocorrelation_time(self.draws_deg).max())))
 
     def _cell(self, i: int) -> tuple[float, float, float]:
         """Width [deg], density at the left end [1/deg] and its slope [1/deg^2] in cell i."""

@@ -1,9 +1,8 @@
-"""The answer of a joint inversion, and a file of it."""
+"""The answer of a joint inversion."""
 
 from __future__ import annotations
 
-import datetime as dt
-import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.files import write_netcdf
+from terraphi.inference.answer import AngleSummary
 from terraphi.inference.joint.identifiability import Identifiability, label
 from terraphi.inference.joint.prior import Marginal
 from terraphi.inference.joint.sampler import Draws
@@ -21,8 +21,7 @@ from terraphi.inference.verdict import Verdict
 
 FloatArray = NDArray[np.float64]
 
-PRIOR_DRAWS = 2000
-"""Draws of the prior in a file."""
+PHI = "soil.friction_angle_deg"
 
 
 @dataclass(frozen=True)
@@ -57,6 +56,15 @@ class JointInversion:
         The histories by leg.
     library, convention
         Name of the library, and what φ means there.
+    phi_plane_strain
+        The friction angle as one of plane strain [deg]; ``None`` where there is no equivalent or
+        the angle was not inferred.
+    plane_strain_reason
+        Why there is none; empty if there is one.
+    density
+        Bulk density, if it was given or taken from the library [kg/m3]; ``None`` if inferred.
+    density_assumed
+        Whether it is the library's for want of a better one, or a guess.
     keys
         Parameters that were inferred, dotted scenario keys.
     priors
@@ -79,7 +87,7 @@ class JointInversion:
     fits
         Curve of each leg at the most probable draw [N], shape [2 theta].
     nrmsd
-        Misfit of that curve by history, fractions of peak-to-peak.
+        Misfit of that curve by force, fractions of peak-to-peak; one a history, leg by leg.
     verdict
         Whether to believe it.
     discrepancy
@@ -91,6 +99,10 @@ class JointInversion:
     groups: tuple[Repeats, ...]
     library: str
     convention: str
+    phi_plane_strain: AngleSummary | None
+    plane_strain_reason: str
+    density: float | None
+    density_assumed: bool
     keys: tuple[str, ...]
     priors: Mapping[str, Marginal]
     draws: Draws
@@ -102,15 +114,42 @@ class JointInversion:
     identifiability: Identifiability
     expected_sd: Mapping[str, FloatArray]
     fits: Mapping[str, FloatArray]
-    nrmsd: Mapping[str, Mapping[str, float]]
+    nrmsd: tuple[Mapping[str, float], ...]
     verdict: Verdict
     discrepancy: str
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    def axis_name(self, key: str) -> str:
+        """Name of a parameter for people, with its unit, and φ with its convention."""
+        name, unit = label(key)
+        return f"φ, {self.convention} [deg]" if key == PHI else f"{name} [{unit or '-'}]"
+
+    def digits(self, key: str) -> str:
+        """Format that gives the numbers of a parameter the digits they deserve."""
+        smallest = min(self.marginal[key].sd, self.conditional[key].sd)
+        places = 1 - math.floor(math.log10(smallest)) if smallest > 0.0 else 2
+        return f".{min(max(places, 0), 12)}f"
+
     def as_dict(self) -> dict[str, Any]:
         """Answer as the command line prints it with ``--json``."""
         diagnostics = dict(zip(self.keys, self.draws.diagnostics, strict=False))
+        phi = self.marginal.get(PHI)
+        equivalent = self.phi_plane_strain
+        trials = [(t, g) for g in self.groups for t in g.trials]
         return {
+            "phi_deg": {**phi.as_dict(), "yield": self.convention} if phi else None,
+            "phi_plane_strain_deg": equivalent.as_dict() if equivalent else None,
+            "phi_plane_strain_reason": self.plane_strain_reason,
+            "verdict": self.verdict.verdict,
+            "reason": self.verdict.reason,
+            "edge": self.verdict.edge,
+            "density_kg_m3": self.density,
+            "density_assumed": self.density_assumed,
+            "n_angles": len(self.groups[0].observations[0].theta_deg),
+            "histories": [
+                {"source": t.source, "leg": g.leg, "nrmsd": dict(misfit)}
+                for (t, g), misfit in zip(trials, self.nrmsd, strict=True)
+            ],
             "parameters": {
                 key: {
                     "name": label(key)[0],
@@ -123,25 +162,17 @@ class JointInversion:
                 for key in self.keys
             },
             "fixed": {k: p.low for k, p in self.priors.items() if p.fixed},
-            "yield": self.convention,
             "most_probable": dict(self.best),
             "identifiability": self.identifiability.as_dict(),
             "expected_sd": {
                 name: dict(zip(self.keys, map(float, sd), strict=True))
                 for name, sd in self.expected_sd.items()
             },
-            "verdict": self.verdict.verdict,
-            "reason": self.verdict.reason,
-            "edge": self.verdict.edge,
-            "histories": [
-                {"source": t.source, "leg": g.leg, "nrmsd": dict(self.nrmsd[t.source])}
-                for g in self.groups
-                for t in g.trials
-            ],
             "noise_N": Summary.of(self.noise_N).as_dict(),
             "discrepancy": self.discrepancy,
             "discrepancy_of_peak": Summary.of(self.amplitude).as_dict(),
             "library": self.library,
+            "likelihood": "joint",
             "sampler": "emcee",
             "converged": self.draws.converged,
             "acceptance_fraction": self.draws.acceptance_fraction,
@@ -150,13 +181,13 @@ class JointInversion:
         }
 
     def to_netcdf(self, path: Path | str) -> None:
-        """Write the posterior in ArviZ's layout: a group each, chain and draw first.
+        """Write the posterior in ArviZ's layout: groups, with chain and draw first.
 
         ArviZ 0.x reads the groups into an ``InferenceData``, ArviZ 1.x into a ``DataTree``: the
         file is the same. Groups ``posterior`` and ``prior`` (a variable each parameter, named by
         the last parts of its key), ``observed_data`` and ``posterior_predictive_mean`` (window
-        means and best curve of each leg); a chain is one walker. The answer stands in the
-        attributes.
+        means and best curve of each leg). A chain is an ensemble, of which one step in every
+        autocorrelation time is kept; the answer stands in the attributes.
 
         Parameters
         ----------
@@ -168,77 +199,6 @@ class JointInversion:
         InputError
             If the place cannot be written.
         """
-        import xarray as xr
+        from terraphi.inference.joint.file import tree_of
 
-        values = self.draws.values
-        chains = values.reshape(-1, *values.shape[2:])
-        rng = np.random.default_rng(self.draws.seed)
-        prior = {key: self.priors[key].draw(PRIOR_DRAWS, rng)[None] for key in self.keys}
-        when = dt.datetime.now(tz=dt.UTC).isoformat(timespec="seconds")
-        about = {"created_at": when, "inference_library": "emcee"}
-        posterior = {key: chains[:, :, i] for i, key in enumerate(self.keys)}
-        extra = {
-            "noise_N": self.noise_N.reshape(chains.shape[:2]),
-            "discrepancy_of_peak": self.amplitude.reshape(chains.shape[:2]),
-        }
-        tree = {
-            "/": xr.Dataset(
-                attrs={
-                    "terraphi_file": "joint_inversion",
-                    "terraphi_schema": 1,
-                    "answer": json.dumps(self.as_dict()),
-                }
-            ),
-            "/posterior": _draws_dataset(posterior, extra, {**about, "yield": self.convention}),
-            "/prior": _draws_dataset(prior, {}, about),
-            **self._observed(),
-        }
-        write_netcdf(xr.DataTree.from_dict(tree), Path(path))
-
-    def _observed(self) -> dict[str, Any]:
-        """Groups of the data and of the best curves; a variable each leg and force."""
-        import xarray as xr
-
-        data, model = {}, {}
-        theta = self.groups[0].observations[0].theta_deg
-        for group in self.groups:
-            half = theta.size
-            for i, force in enumerate(("Fx", "Fz")):
-                part = slice(i * half, (i + 1) * half)
-                name = f"{force}_{group.leg}"
-                data[name] = ((f"trial_{group.leg}", "theta_deg"), group.vectors[:, part],
-                              {"units": "N"})  # fmt: skip
-                model[name] = ("theta_deg", self.fits[group.leg][part], {"units": "N"})
-        angle = {"theta_deg": ("theta_deg", theta, {"units": "degree"})}
-        sources = {
-            f"source_{g.leg}": (f"trial_{g.leg}", np.array([t.source for t in g.trials], object))
-            for g in self.groups
-        }
-        return {
-            "/observed_data": xr.Dataset(data, coords={**angle, **sources}),
-            "/posterior_predictive_mean": xr.Dataset(model, coords=angle),
-        }
-
-
-def short(key: str) -> str:
-    """Name of a parameter in a file: the last part of its key, or the last two of a list's."""
-    parts = key.split(".")
-    return "_".join(parts[-2:]) if parts[-1].isdecimal() else parts[-1]
-
-
-def _draws_dataset(
-    by_key: Mapping[str, FloatArray], extra: Mapping[str, FloatArray], attrs: Mapping[str, str]
-) -> Any:
-    import xarray as xr
-
-    variables = {
-        short(key): (("chain", "draw"), draws, {"units": label(key)[1] or "1", "key": key})
-        for key, draws in by_key.items()
-    }
-    variables |= {name: (("chain", "draw"), draws, {}) for name, draws in extra.items()}
-    count = next(iter(variables.values()))[1].shape
-    return xr.Dataset(
-        variables,
-        coords={"chain": np.arange(count[0]), "draw": np.arange(count[1])},
-        attrs=dict(attrs),
-    )
+        write_netcdf(tree_of(self), Path(path))

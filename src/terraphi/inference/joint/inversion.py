@@ -17,19 +17,28 @@ from terraphi.design_surrogate import DesignSurrogate, training
 from terraphi.design_surrogate.training import DENSITY, parameters
 from terraphi.errors import InputError, nearest
 from terraphi.forward import package_version
-from terraphi.inference.joint.answer import JointInversion, Summary
+from terraphi.inference.answer import AngleSummary, plane_strain_summary
+from terraphi.inference.joint.answer import PHI, JointInversion, Summary
 from terraphi.inference.joint.identifiability import Identifiability, label
 from terraphi.inference.joint.likelihood import JointLikelihood, LegLikelihood
-from terraphi.inference.joint.prior import Marginal, priors
+from terraphi.inference.joint.prior import Marginal, is_on, priors
 from terraphi.inference.joint.sampler import Draws, sample
-from terraphi.inference.joint.trials import Repeats, Trial, check_trials, grouped
+from terraphi.inference.joint.trials import (
+    Repeats,
+    Trial,
+    check_trials,
+    common_density,
+    grouped,
+)
 from terraphi.inference.noise import Noise, window_covariance
 from terraphi.inference.posterior import Posterior, quadrature
 from terraphi.inference.verdict import Verdict, nrmsd
 from terraphi.library import Library
+from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 
+DILATION = "soil.dilation_angle_deg"
 DISCREPANCIES = ("none", "gp")
 NOISE_RANGE = (1e-4, 0.3)
 """Noise of a window mean that may be inferred, of the largest peak-to-peak [-]; log-uniform."""
@@ -122,7 +131,8 @@ def invert_jointly(
         As in :func:`~terraphi.inference.joint.prior.priors`; a prior on ``soil.density`` makes the
         density a parameter whether the library varies it or not.
     density
-        Known bulk density [kg/m3]: short for the prior ``soil.density=VALUE``.
+        Known bulk density [kg/m3]: short for the prior ``soil.density=VALUE``. Without either it
+        is inferred if the library varies it, and else that of the sources or of the library.
     noise, discrepancy
         As in :func:`terraphi.invert`; noise is that of one reading.
     seed
@@ -140,10 +150,10 @@ def invert_jointly(
             f"unknown discrepancy '{discrepancy}'; {nearest(discrepancy, DISCREPANCIES)}"
         )
     began = time.perf_counter()
-    if density is not None:
-        prior = [*prior, f"{DENSITY}={density}"]
     groups = grouped(trials)
-    marginals = priors(parameters(library), prior)
+    varied = parameters(library)
+    given, assumed = _with_density(trials, varied, prior, density)
+    marginals = priors(varied, given)
     keys = tuple(k for k, p in marginals.items() if not p.fixed)
     if not keys:
         raise InputError("every parameter is fixed; there is nothing to infer")
@@ -160,7 +170,23 @@ def invert_jointly(
             "library_hash": library.hash,
             "seconds": time.perf_counter() - began,
         }
-        return _answer(groups, library, target, draws, about)
+        return _answer(groups, library, target, draws, about, assumed)
+
+
+def _with_density(
+    trials: Sequence[Trial],
+    varied: Mapping[str, object],
+    prior: Sequence[str],
+    density: float | None,
+) -> tuple[list[str], bool]:
+    """Priors with what is known of the density, and whether that is a guess."""
+    said, assumed = any(is_on(text, DENSITY) for text in prior), False
+    if said and density is not None:
+        raise InputError(f"the density is given twice, as {density:g} kg/m³ and as a prior")
+    if density is None and not said and DENSITY not in varied:
+        density, assumed = common_density(trials)
+    known = [] if density is None else [f"{DENSITY}={density!r}"]
+    return [*prior, *known], assumed
 
 
 def _likelihood(
@@ -203,8 +229,9 @@ def _answer(
     target: _Target,
     draws: Draws,
     about: dict[str, Any],
+    density_assumed: bool,
 ) -> JointInversion:
-    d = len(target.keys)
+    d, scenario = len(target.keys), library.cases[0].scenario
     flat = draws.values.reshape(-1, draws.values.shape[-1])
     noise, amplitude = target.errors(flat)
     best = draws.best
@@ -215,17 +242,19 @@ def _answer(
         group.leg: leg.surrogate.predict({k: np.array([v]) for k, v in named.items()})[0][0]
         for group, leg in zip(groups, target.likelihood.legs, strict=True)
     }
-    misfits = {
-        t.source: nrmsd(o.vector, fits[g.leg])
-        for g in groups
-        for t, o in zip(g.trials, g.observations, strict=True)
-    }
+    misfits = [nrmsd(o.vector, fits[g.leg]) for g in groups for o in g.observations]
     covariance = np.cov(flat[:, :d].T).reshape(d, d)
     identifiability = Identifiability.of(target.keys, covariance, sd)
+    equivalent, why_not = _plane_strain(marginal, target.keys, scenario)
+    known = None if DENSITY in target.keys else named.get(DENSITY, scenario.soil.density)
     return JointInversion(
         groups=tuple(groups),
         library=library.name,
-        convention=library.cases[0].scenario.convention,
+        convention=scenario.convention,
+        phi_plane_strain=equivalent,
+        plane_strain_reason=why_not,
+        density=known,
+        density_assumed=known is not None and (density_assumed or DENSITY not in named),
         keys=target.keys,
         priors=target.priors,
         draws=draws,
@@ -237,11 +266,23 @@ def _answer(
         identifiability=identifiability,
         expected_sd=_expected(groups, target, best, named, sd),
         fits=fits,
-        nrmsd=misfits,
-        verdict=_judge(target, flat, identifiability, misfits),
+        nrmsd=tuple(misfits),
+        verdict=_judge(target, flat, identifiability, _worst(groups, misfits)),
         discrepancy="gp" if target.discrepancy else "none",
         provenance=about,
     )
+
+
+def _plane_strain(
+    marginal: Mapping[str, Summary], keys: Sequence[str], scenario: Scenario
+) -> tuple[AngleSummary | None, str]:
+    """The friction angle as one of plane strain, or why there is none."""
+    if PHI not in keys:
+        return None, "the friction angle was not inferred"
+    if DILATION in keys and scenario.soil.yield_criterion == "triaxial":
+        return None, "it depends on the dilation angle, which was inferred as well"
+    phi = marginal[PHI]
+    return plane_strain_summary(AngleSummary(phi.median, phi.ci68, phi.ci95), scenario)
 
 
 def _conditional(target: _Target, best: FloatArray, i: int) -> Summary:
@@ -281,16 +322,19 @@ def _expected(
     }
 
 
+def _worst(groups: Sequence[Repeats], misfits: Sequence[Mapping[str, float]]) -> tuple[str, float]:
+    """Source of the history that fits worst, and by how much it deviates [-]."""
+    sources = [t.source or f"the history of leg {g.leg}" for g in groups for t in g.trials]
+    largest = [max(misfit.values()) for misfit in misfits]
+    return max(zip(sources, largest, strict=True), key=lambda pair: pair[1])
+
+
 def _judge(
-    target: _Target,
-    flat: FloatArray,
-    identifiability: Identifiability,
-    misfits: Mapping[str, Mapping[str, float]],
+    target: _Target, flat: FloatArray, identifiability: Identifiability, worst: tuple[str, float]
 ) -> Verdict:
     """Out of range if an edge cuts off a parameter that was learnt; misfit if forces deviate."""
-    worst = max(misfits, key=lambda s: max(misfits[s].values()))
-    largest = max(misfits[worst].values())
-    deviation = f"the most probable curve deviates from {worst or 'the forces'} by {largest:.1%}"
+    source, largest = worst
+    deviation = f"the most probable curve deviates from {source} by {largest:.1%}"
     for i, key in enumerate(target.keys):
         prior, values = target.priors[key], flat[:, i]
         if identifiability.kinds[key] == "open" or prior.normal is not None:

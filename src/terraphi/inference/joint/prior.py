@@ -100,7 +100,7 @@ def priors(
     keys = dict.fromkeys([*bounds, DENSITY])
     for text in given:
         name, _, value = text.partition("=")
-        matches = [k for k in keys if k == name or k.endswith("." + name)]
+        matches = [k for k in keys if is_on(text, k)]
         if len(matches) != 1 or not value:
             raise InputError(
                 f"prior '{text}': expected KEY=LOW:HIGH, KEY=MEAN+-SD or KEY=VALUE with a key of "
@@ -117,6 +117,12 @@ def priors(
             )
         found[key] = marginal
     return found
+
+
+def is_on(text: str, key: str) -> bool:
+    """Whether a prior as a person wrote it is one on a key."""
+    name = text.partition("=")[0]
+    return name == key or key.endswith("." + name)
 
 
 def _parsed(text: str, value: str, within: Marginal | None) -> Marginal:

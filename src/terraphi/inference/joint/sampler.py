@@ -60,6 +60,11 @@ class Draws:
         return best
 
     @property
+    def stride(self) -> int:
+        """Steps after which the slowest dimension has forgotten where it was."""
+        return int(np.ceil(max(d.autocorrelation_time_steps for d in self.diagnostics)))
+
+    @property
     def converged(self) -> bool:
         """Whether every dimension has R-hat and length within the limits."""
         return all(

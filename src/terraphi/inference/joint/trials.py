@@ -29,11 +29,17 @@ class Trial:
         Shape of the leg that was moved.
     source
         Where it comes from, for people.
+    density
+        Bulk density of the soil as the source has it [kg/m3]; ``None`` if it is not known.
+    density_assumed
+        Whether that is a guess.
     """
 
     history: ForceHistory
     leg: str
     source: str = ""
+    density: float | None = None
+    density_assumed: bool = False
 
     @property
     def simulated(self) -> bool:
@@ -104,6 +110,28 @@ def grouped(trials: Sequence[Trial]) -> list[Repeats]:
         cut = tuple(t.history.between(*bare.within).observation() for t in same)
         found.append(Repeats(leg, same, cut))
     return found
+
+
+def common_density(trials: Sequence[Trial]) -> tuple[float | None, bool]:
+    """Density that the sources agree on [kg/m3], and whether it is a guess.
+
+    Raises
+    ------
+    InputError
+        If they do not agree.
+    """
+    known = {t.density: t for t in trials if t.density is not None}
+    if len(known) > 1:
+        one, other = list(known.values())[:2]
+        raise InputError(
+            f"{one.source} is of soil of {one.density:g} kg/m³ and {other.source} of "
+            f"{other.density:g} kg/m³; histories that are inverted together are of one soil: give "
+            "its density, or invert them apart"
+        )
+    if not known:
+        return None, True
+    ((density, trial),) = known.items()
+    return density, trial.density_assumed
 
 
 def check_trials(
