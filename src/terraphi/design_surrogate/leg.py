@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.design_surrogate.process import DesignGP
+from terraphi.design_surrogate.size import Size
 from terraphi.design_surrogate.training import DENSITY, Training
 
 FloatArray = NDArray[np.float64]
@@ -20,8 +21,8 @@ class DesignSurrogate:
     """A process for each force on one leg, over named parameters.
 
     Forces of cohesionless soil are proportional to its density but for what its stiffness does, so
-    the processes model forces per density, and the density multiplies them again: it may then be a
-    parameter whether the library varies it or not.
+    the processes model forces over density and over their size at the density of the library, and
+    both multiply them again: the density may be a parameter whether the library varies it or not.
 
     Attributes
     ----------
@@ -29,12 +30,15 @@ class DesignSurrogate:
         Dotted key of each parameter that the library varies to its bounds.
     reference_density
         Density that stands for itself where none is given [kg/m3].
+    size
+        Size of the forces at the reference density [N].
     Fx, Fz
-        Processes of the forces at the reference density.
+        Processes of the forces over their size [-].
     """
 
     bounds: Mapping[str, tuple[float, float]]
     reference_density: float
+    size: Size
     Fx: DesignGP
     Fz: DesignGP
 
@@ -52,12 +56,14 @@ class DesignSurrogate:
         reference = data.scenario.soil.density
         scaled = data.forces * (reference / data.density)[:, None]
         points = to_unit(data.values, data.bounds)
+        size = Size.fit(points, scaled)
+        scaled /= size(points)[:, None]
         half = data.theta_deg.size
         fx, fz = (
             DesignGP.fit(points, data.theta_deg, part, seed=seed)
             for part in (scaled[:, :half], scaled[:, half:])
         )
-        return cls(data.bounds, reference, fx, fz)
+        return cls(data.bounds, reference, size, fx, fz)
 
     @property
     def theta_deg(self) -> FloatArray:
@@ -80,11 +86,39 @@ class DesignSurrogate:
         return to_unit(np.column_stack([named[key] for key in self.bounds]), self.bounds)
 
     def scale(self, named: Mapping[str, FloatArray]) -> FloatArray:
-        """Factor on forces at the reference density [-], shape [k]."""
+        """Factor of density and size on what the processes predict [N], shape [k]."""
         count = len(next(iter(named.values())))
         density = named.get(DENSITY, np.full(count, self.reference_density))
-        scale: FloatArray = np.asarray(density) / self.reference_density
+        scale: FloatArray = density / self.reference_density * self.size(self.points(named))
         return scale
+
+    def slopes(
+        self, named: Mapping[str, FloatArray], keys: Sequence[str], steps: Sequence[float]
+    ) -> list[FloatArray]:
+        """Slopes of each force over some parameters, by central differences, in the basis.
+
+        Parameters
+        ----------
+        named
+            Points: dotted key to values, shape [k] each.
+        keys, steps
+            Parameters, and the step of each, in its unit.
+
+        Returns
+        -------
+        list of ndarray
+            Of Fx and Fz [N per unit], shape [k, key, theta]; a basis of the leg angles each.
+        """
+        found: list[list[FloatArray]] = [[], []]
+        for key, step in zip(keys, steps, strict=True):
+            ends = [{**named, key: named[key] + side * step} for side in (-1.0, 1.0)]
+            for process, slopes in zip(self.processes, found, strict=True):
+                low, high = (
+                    self.scale(end)[:, None] * process.rotated_mean(self.points(end))
+                    for end in ends
+                )
+                slopes.append((high - low) / (2.0 * step))
+        return [np.stack(slopes, axis=1) for slopes in found]
 
     def predict(self, named: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
         """Mean [N] and variance [N^2] of the forces, parameters of shape [k] -> [k, 2 theta].

@@ -108,19 +108,12 @@ class LegLikelihood:
         at = {key: np.array([value]) for key, value in named.items()}
         scale = float(self.surrogate.scale(at)[0])
         total = np.zeros((len(keys), len(keys)))
-        for process, _, _, shape in self.parts:
-            slopes = []
-            for key, step in zip(keys, steps, strict=True):
-                ends = {k: np.full(2, v) for k, v in named.items()}
-                ends[key] = named[key] + np.array([-step, step])
-                forces = self.surrogate.scale(ends)[:, None] * process.rotated_mean(
-                    self.surrogate.points(ends)
-                )
-                slopes.append((forces[1] - forces[0]) / (2.0 * step))
+        both = self.surrogate.slopes(at, keys, steps)
+        for (process, _, _, shape), slopes in zip(self.parts, both, strict=True):
             shared = scale**2 * process.rotated(self.surrogate.points(at))[1][0]
             own = noise**2 + scale**2 * process.noise_variance
             variance = shared + amplitude**2 * shape + own / self.trials
-            total += (np.array(slopes) / variance) @ np.array(slopes).T
+            total += (slopes[0] / variance) @ slopes[0].T
         return total
 
 

@@ -1,8 +1,12 @@
 """Draws of a joint posterior by emcee, from several independent ensembles.
 
 R-hat between walkers of one ensemble means nothing, so at least four ensembles run, each from its
-own draws of the prior (see `convergence`). All advance until every parameter has converged, the
-number of steps doubling, up to a limit; what they have come to is reported either way.
+own draws of the prior (see `convergence`). A posterior may be ten thousand times narrower than its
+prior, and a walker that starts far away may stay there; so each ensemble is led from its prior to
+the posterior through powers of the density between 0 and 1, with walkers drawn anew by their
+weights at each (sequential Monte Carlo; Del Moral, Doucet & Jasra, J. R. Stat. Soc. B 68:411,
+2006). All advance until every parameter has converged, the number of steps doubling, up to a limit;
+what they have come to is reported either way.
 """
 
 from __future__ import annotations
@@ -24,7 +28,10 @@ RHAT_LIMIT = 1.01
 LENGTH_LIMIT = 50.0
 """Autocorrelation times that an ensemble must be long."""
 POOL = 20
-"""Draws of the prior among which each walker's start is found."""
+"""Draws of the prior from which each walker's start is drawn."""
+STAGE_STEPS = 20
+"""Steps of an ensemble at each temperature on the way from the prior to the posterior."""
+STAGES = 200
 DOUBLINGS = 3
 
 
@@ -107,21 +114,18 @@ def sample(
     ValueError
         If a number is too small, or the log density is NaN or nearly everywhere minus infinity.
     """
-    import emcee
-
     if ensembles < 4:
         raise ValueError(f"ensembles is {ensembles}; it must be at least 4")
-    moves = [(emcee.moves.StretchMove(), 0.4), (emcee.moves.DEMove(), 0.5),
-             (emcee.moves.DESnookerMove(), 0.1)]  # fmt: skip
     running = []
     for stream in np.random.SeedSequence(seed).spawn(ensembles):
         first, second = stream.spawn(2)
-        start = _start(log_posterior, draw_prior, walkers, np.random.default_rng(first))
+        rng = np.random.default_rng(first)
         random = np.random.RandomState(np.random.MT19937(second))
-        sampler = emcee.EnsembleSampler(
-            walkers, start.shape[1], log_posterior, vectorize=True, moves=moves
+        start = _annealed(
+            log_posterior, *_start(log_posterior, draw_prior, walkers, rng), rng, random
         )
-        sampler.run_mcmc(emcee.State(start, random_state=random.get_state()), steps)
+        sampler = _sampler(log_posterior, start.coords)
+        sampler.run_mcmc(start, steps, skip_initial_state_check=True)
         running.append(sampler)
     found = _gathered(running, seed)
     for _ in range(doublings):
@@ -133,21 +137,77 @@ def sample(
     return found
 
 
+def _sampler(log_density: LogPosterior, start: FloatArray) -> Any:
+    import emcee
+
+    moves = [(emcee.moves.StretchMove(), 0.5), (emcee.moves.DEMove(), 0.5)]
+    return emcee.EnsembleSampler(*start.shape, log_density, vectorize=True, moves=moves)
+
+
 def _start(
     log_posterior: LogPosterior,
     draw_prior: Callable[[int, np.random.Generator], FloatArray],
     walkers: int,
     rng: np.random.Generator,
-) -> FloatArray:
-    """The most probable of many draws of the prior: dispersed, but none in a far corner."""
+) -> tuple[FloatArray, FloatArray, float]:
+    """Walkers from many draws of the prior, their log density, and the power of it they follow."""
     pool = draw_prior(POOL * walkers, rng)
     log_p = log_posterior(pool)
     if np.isnan(log_p).any():
         raise ValueError("the log posterior is not a number at a draw of the prior")
-    best = np.argsort(log_p)[-walkers:]
-    if not np.isfinite(log_p[best]).all():
+    finite = np.isfinite(log_p)
+    if finite.sum() < walkers:
         raise ValueError("the log posterior is minus infinity at nearly all draws of the prior")
-    return pool[best]
+    pool, log_p = pool[finite], log_p[finite]
+    power = _next_power(log_p, 0.0, walkers)
+    weights = np.exp(power * (log_p - log_p.max()))
+    # Each draw once: an ensemble needs different walkers to know which way to go. The largest of
+    # log weights plus Gumbel noise are a weighted sample without replacement.
+    keys = np.log(weights + np.finfo(float).tiny) + rng.gumbel(size=weights.size)
+    chosen = np.argsort(keys)[-walkers:]
+    return pool[chosen], log_p[chosen], power
+
+
+def _annealed(
+    log_posterior: LogPosterior,
+    walkers: FloatArray,
+    log_p: FloatArray,
+    power: float,
+    rng: np.random.Generator,
+    random: np.random.RandomState,
+) -> Any:
+    """An ensemble that follows the posterior, as emcee's state, from one at a power of it."""
+    import emcee
+
+    state = emcee.State(walkers, random_state=random.get_state())
+    for _ in range(STAGES):
+        sampler = _sampler(lambda x, power=power: power * log_posterior(x), walkers)
+        state = sampler.run_mcmc(state, STAGE_STEPS, skip_initial_state_check=True)
+        log_p = state.log_prob / power
+        if power >= 1.0:
+            break
+        following = _next_power(log_p, power, len(walkers) // 2)
+        weights = np.exp((following - power) * (log_p - log_p.max()))
+        chosen = rng.choice(len(weights), size=len(weights), p=weights / weights.sum())
+        state = emcee.State(state.coords[chosen], random_state=state.random_state)
+        power = following
+    return emcee.State(state.coords, random_state=state.random_state)
+
+
+def _next_power(log_p: FloatArray, power: float, worth: float) -> float:
+    """Largest power up to 1 at which weighted walkers are still worth so many."""
+
+    def left(following: float) -> float:
+        weights = np.exp((following - power) * (log_p - log_p.max()))
+        return float(weights.sum() ** 2 / np.square(weights).sum())
+
+    if left(1.0) >= worth:
+        return 1.0
+    low, high = power, 1.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if left(middle) >= worth else (low, middle)
+    return low
 
 
 def _gathered(running: list[Any], seed: int) -> Draws:
