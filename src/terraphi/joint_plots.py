@@ -31,7 +31,7 @@ def corner_figure(found: JointInversion) -> Figure:
 
     On the diagonal stand the draws, their median and 68 % interval, and hatched beyond it the
     interval with all others known; below, contours that hold 68 and 95 % of the draws, and a cross
-    at the most probable one.
+    at the best one.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def _label(axes: Axes, found: JointInversion, row: int, column: int, d: int) -> 
 
 
 def fits_figure(found: JointInversion) -> Figure:
-    """Both forces of all histories, a row each leg, with the most probable curve.
+    """Both forces of all histories, a row each leg, with the best curve.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def fits_figure(found: JointInversion) -> Figure:
         for axes, force in zip(row, ("Fx", "Fz"), strict=True):
             theta = group.observations[0].theta_deg
             half = slice(0, theta.size) if force == "Fx" else slice(theta.size, None)
-            axes.plot(theta, found.fits[group.leg][half], color=BLUE, label="most probable curve")
+            axes.plot(theta, found.fits[group.leg][half], color=BLUE, label="best curve")
             for i, (trial, seen) in enumerate(zip(group.trials, group.vectors, strict=True)):
                 colour = ORANGE if i % 2 == 0 else GREY
                 axes.plot(

@@ -76,16 +76,16 @@ class JointInversion:
     marginal
         Summary of each parameter.
     conditional
-        The same with all others held at the most probable draw.
+        The same with all others held at the best draw.
     best
-        The most probable draw of all parameters, fixed ones included.
+        The most probable of the draws nearest to the median, with all parameters.
     identifiability
         Which are fixed, which bound up with each other.
     expected_sd
         What each leg alone, and all together, would leave of each parameter by linearisation at
-        the most probable draw: leg, or ``all``, to standard deviations, shape [d].
+        the best draw: leg, or ``all``, to standard deviations, shape [d].
     fits
-        Curve of each leg at the most probable draw [N], shape [2 theta].
+        Curve of each leg at the best draw [N], shape [2 theta].
     nrmsd
         Misfit of that curve by force, fractions of peak-to-peak; one a history, leg by leg.
     verdict
@@ -162,7 +162,7 @@ class JointInversion:
                 for key in self.keys
             },
             "fixed": {k: p.low for k, p in self.priors.items() if p.fixed},
-            "most_probable": dict(self.best),
+            "best": dict(self.best),
             "identifiability": self.identifiability.as_dict(),
             "expected_sd": {
                 name: dict(zip(self.keys, map(float, sd), strict=True))

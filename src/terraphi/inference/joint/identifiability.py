@@ -139,13 +139,15 @@ class Identifiability:
         found = []
         for i, (key, kind) in enumerate(self.kinds.items()):
             name, unit = label(key)
+            left = float(self.sd[i] / self.prior_sd[i])
+            known = f"; {self.conditional_sd[i]:.3g} if all else were known"
+            known = known if len(self.keys) > 1 else ""
             verb = VERBS[kind]
             if kind != "open" and any(key in keys for keys in self.confounded):
                 verb = "is known only as well as what it is bound up with"
             found.append(
-                f"{name} {verb}: {self.sd[i] / self.prior_sd[i]:.0%} of its prior standard "
-                f"deviation is left ({self.sd[i]:.3g}{' ' + unit if unit else ''}; "
-                f"{self.conditional_sd[i]:.3g} if all else were known)."
+                f"{name} {verb}: {left:.{0 if left >= 0.01 else 1}%} of its prior standard "
+                f"deviation is left ({self.sd[i]:.3g}{' ' + unit if unit else ''}{known})."
             )
         for keys in self.confounded:
             names = " and ".join(label(k)[0] for k in keys)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from terraphi.inference.joint.identifiability import Identifiability, label
 from terraphi.inference.joint.likelihood import JointLikelihood, LegLikelihood
 from terraphi.inference.joint.prior import Marginal, is_on, priors
 from terraphi.inference.joint.sampler import Draws, sample
+from terraphi.inference.joint.target import Target
 from terraphi.inference.joint.trials import (
     Repeats,
     Trial,
@@ -40,10 +40,6 @@ FloatArray = NDArray[np.float64]
 
 DILATION = "soil.dilation_angle_deg"
 DISCREPANCIES = ("none", "gp")
-NOISE_RANGE = (1e-4, 0.3)
-"""Noise of a window mean that may be inferred, of the largest peak-to-peak [-]; log-uniform."""
-AMPLITUDE_RANGE = (1e-3, 1.0)
-"""Relative size of a discrepancy; log-uniform."""
 SLOPE_STEP = 1e-3
 """Step of differences over a parameter, of its prior standard deviation [-]."""
 EDGE = 0.02
@@ -51,61 +47,6 @@ EDGE = 0.02
 EDGE_DENSITY = math.exp(-2.0)
 """Density there, over the largest, from which on an edge cuts a posterior off [-]."""
 NRMSD_LIMIT = 0.10
-
-
-@dataclass(frozen=True, eq=False)
-class _Target:
-    """The log posterior over the free parameters, log noise and log discrepancy."""
-
-    likelihood: JointLikelihood
-    priors: Mapping[str, Marginal]
-    keys: tuple[str, ...]
-    noise: float | None
-    discrepancy: bool
-
-    @property
-    def hyper(self) -> list[Marginal]:
-        """Priors of the logarithms of what else is inferred."""
-        found = []
-        if self.noise is None:
-            low, high = np.log(np.array(NOISE_RANGE) * self.likelihood.largest).tolist()
-            found.append(Marginal(low, high))
-        if self.discrepancy:
-            found.append(Marginal(*np.log(AMPLITUDE_RANGE).tolist()))
-        return found
-
-    @property
-    def marginals(self) -> list[Marginal]:
-        """Priors of all dimensions."""
-        return [*(self.priors[k] for k in self.keys), *self.hyper]
-
-    def named(self, values: FloatArray) -> dict[str, FloatArray]:
-        """All parameters by key, fixed ones too; values of shape [k, d]."""
-        free = {key: values[:, i] for i, key in enumerate(self.keys)}
-        fixed = {k: np.full(len(values), p.low) for k, p in self.priors.items() if p.fixed}
-        return {**fixed, **free}
-
-    def errors(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Noise [N] and relative discrepancy [-], shape [k] each."""
-        rest = list(np.exp(values[:, len(self.keys) :]).T)
-        noise = rest.pop(0) if self.noise is None else np.full(len(values), self.noise)
-        return noise, rest.pop(0) if self.discrepancy else np.zeros(len(values))
-
-    def draw_prior(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Shape [count, d]."""
-        return np.column_stack([m.draw(count, rng) for m in self.marginals])
-
-    def __call__(self, values: FloatArray) -> FloatArray:
-        """Log posterior up to a constant, shape [k, d] -> [k]."""
-        log_p = np.sum(
-            [m.log_density(v) for m, v in zip(self.marginals, values.T, strict=True)], axis=0
-        )
-        inside = np.isfinite(log_p)
-        if inside.any():
-            chosen = values[inside]
-            log_p[inside] += self.likelihood(self.named(chosen), *self.errors(chosen))
-        found: FloatArray = log_p
-        return found
 
 
 def invert_jointly(
@@ -160,9 +101,14 @@ def invert_jointly(
     gp = discrepancy == "gp" or (discrepancy is None and not all(t.simulated for t in trials))
     with threadpool_limits(limits=1, user_api="blas"):
         likelihood = _likelihood(groups, library, marginals)
-        target = _Target(likelihood, marginals, keys, _window_noise(Noise.parse(noise), groups), gp)
+        target = Target(likelihood, marginals, keys, _window_noise(Noise.parse(noise), groups), gp)
         draws = sample(
-            target, target.draw_prior, seed=seed, steps=steps, walkers=max(32, 4 * len(keys))
+            target.at,
+            target.draw_prior,
+            parameters=target.parameters,
+            seed=seed,
+            steps=steps,
+            walkers=max(32, 4 * len(keys)),
         )
         about = {
             **{n: package_version(n) for n in ("terraphi", "numpy", "scipy", "emcee")},
@@ -226,7 +172,7 @@ def _window_noise(noise: Noise, groups: Sequence[Repeats]) -> float | None:
 def _answer(
     groups: Sequence[Repeats],
     library: Library,
-    target: _Target,
+    target: Target,
     draws: Draws,
     about: dict[str, Any],
     density_assumed: bool,
@@ -234,7 +180,7 @@ def _answer(
     d, scenario = len(target.keys), library.cases[0].scenario
     flat = draws.values.reshape(-1, draws.values.shape[-1])
     noise, amplitude = target.errors(flat)
-    best = draws.best
+    best = draws.central
     named = {k: float(v[0]) for k, v in target.named(best[None]).items()}
     marginal = {k: Summary.of(flat[:, i]) for i, k in enumerate(target.keys)}
     sd = [target.priors[k].sd for k in target.keys]
@@ -285,8 +231,8 @@ def _plane_strain(
     return plane_strain_summary(AngleSummary(phi.median, phi.ci68, phi.ci95), scenario)
 
 
-def _conditional(target: _Target, best: FloatArray, i: int) -> Summary:
-    """One parameter with all else held at the most probable draw."""
+def _conditional(target: Target, best: FloatArray, i: int) -> Summary:
+    """One parameter with all else held at the best draw."""
 
     def along(values: FloatArray) -> FloatArray:
         points = np.repeat(best[None], len(values), axis=0)
@@ -302,7 +248,7 @@ def _conditional(target: _Target, best: FloatArray, i: int) -> Summary:
 
 def _expected(
     groups: Sequence[Repeats],
-    target: _Target,
+    target: Target,
     best: FloatArray,
     named: Mapping[str, float],
     prior_sd: Sequence[float],
@@ -330,11 +276,11 @@ def _worst(groups: Sequence[Repeats], misfits: Sequence[Mapping[str, float]]) ->
 
 
 def _judge(
-    target: _Target, flat: FloatArray, identifiability: Identifiability, worst: tuple[str, float]
+    target: Target, flat: FloatArray, identifiability: Identifiability, worst: tuple[str, float]
 ) -> Verdict:
     """Out of range if an edge cuts off a parameter that was learnt; misfit if forces deviate."""
     source, largest = worst
-    deviation = f"the most probable curve deviates from {source} by {largest:.1%}"
+    deviation = f"the best curve deviates from {source} by {largest:.1%}"
     for i, key in enumerate(target.keys):
         prior, values = target.priors[key], flat[:, i]
         if identifiability.kinds[key] == "open" or prior.normal is not None:

@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from terraphi.inference.convergence import EnsembleDiagnostics, diagnose
 
 FloatArray = NDArray[np.float64]
+Coordinates = Callable[[FloatArray], FloatArray]
+"""Parameters of coordinates, shape [k, d] -> [k, d]."""
 LogPosterior = Callable[[FloatArray], FloatArray]
 """Log density up to a constant of points, shape [k, d] -> [k]."""
 
@@ -33,6 +35,8 @@ STAGE_STEPS = 20
 """Steps of an ensemble at each temperature on the way from the prior to the posterior."""
 STAGES = 200
 DOUBLINGS = 3
+NEAR = 0.01
+"""Fraction of the draws that counts as near to the median [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +64,19 @@ class Draws:
     seed: int
 
     @property
-    def best(self) -> FloatArray:
-        """The most probable draw, shape [d]."""
+    def central(self) -> FloatArray:
+        """The most probable of the draws nearest to the median, shape [d].
+
+        The most probable of all may lie at the far end of a ridge along which the density hardly
+        changes. Distances are those of Mahalanobis.
+        """
         flat = self.values.reshape(-1, self.values.shape[-1])
-        best: FloatArray = flat[int(self.log_posterior.argmax())]
-        return best
+        apart = flat - np.median(flat, axis=0)
+        precision = np.linalg.inv(np.cov(apart.T).reshape(2 * apart.shape[-1:]))
+        distance = np.einsum("ki,ij,kj->k", apart, precision, apart)
+        nearest = np.argsort(distance)[: max(1, round(NEAR * len(flat)))]
+        central: FloatArray = flat[nearest[self.log_posterior.ravel()[nearest].argmax()]]
+        return central
 
     @property
     def stride(self) -> int:
@@ -89,6 +101,7 @@ def sample(
     ensembles: int = 4,
     doublings: int = DOUBLINGS,
     seed: int = 0,
+    parameters: Coordinates = lambda coordinates: coordinates,
 ) -> Draws:
     """Draw from a posterior.
 
@@ -108,6 +121,8 @@ def sample(
         How often the steps may double if the draws have not converged.
     seed
         Of all random streams; NumPy's global state is neither used nor changed.
+    parameters
+        What is drawn, of the coordinates in which ``log_posterior`` is a density and walkers move.
 
     Raises
     ------
@@ -127,13 +142,13 @@ def sample(
         sampler = _sampler(log_posterior, start.coords)
         sampler.run_mcmc(start, steps, skip_initial_state_check=True)
         running.append(sampler)
-    found = _gathered(running, seed)
+    found = _gathered(running, seed, parameters)
     for _ in range(doublings):
         if found.converged:
             break
         for sampler in running:
             sampler.run_mcmc(None, sampler.iteration)
-        found = _gathered(running, seed)
+        found = _gathered(running, seed, parameters)
     return found
 
 
@@ -210,13 +225,15 @@ def _next_power(log_p: FloatArray, power: float, worth: float) -> float:
     return low
 
 
-def _gathered(running: list[Any], seed: int) -> Draws:
+def _gathered(running: list[Any], seed: int, parameters: Coordinates) -> Draws:
     chains, log_p = [], []
     for sampler in running:
         discard = sampler.iteration // 3
         chains.append(sampler.get_chain(discard=discard).transpose(1, 0, 2))
         log_p.append(sampler.get_log_prob(discard=discard).T)
-    values = np.stack(chains)
+    coordinates = np.stack(chains)
+    flat = parameters(coordinates.reshape(-1, coordinates.shape[-1]))
+    values = flat.reshape(coordinates.shape)
     accepted = float(np.mean([sampler.acceptance_fraction for sampler in running]))
     diagnostics = tuple(diagnose(values[..., i]) for i in range(values.shape[-1]))
     return Draws(values, np.stack(log_p), diagnostics, accepted, seed)
