@@ -102,7 +102,7 @@ def _draw_pair(
     """Contours of the density that hold given fractions of the draws."""
     from scipy.ndimage import gaussian_filter
 
-    counts, x, y = np.histogram2d(*drawn.T, bins=BINS, range=ranges)
+    counts, x, y = np.histogram2d(drawn[:, 0], drawn[:, 1], bins=BINS, range=ranges)
     density = gaussian_filter(counts, 1.0)
     ordered = np.sort(density, axis=None)[::-1]
     held = np.cumsum(ordered) / ordered.sum()
@@ -118,17 +118,17 @@ def _label(axes: Axes, found: JointInversion, row: int, column: int, d: int) -> 
     """Names at the left and lower edge of the corner alone, as everywhere in such plots."""
     from matplotlib.ticker import MaxNLocator
 
-    for axis, i, shown, side in (
-        (axes.xaxis, column, row == d - 1, "x"),
-        (axes.yaxis, row, column == 0 and row > 0, "y"),
-    ):
-        if side == "y" and row == column:
-            continue
-        axis.set_major_locator(MaxNLocator(4, prune="both"))
-        axes.tick_params(side, **{"labelbottom" if side == "x" else "labelleft": shown})
-        if shown:
-            axis.set_label_text(found.axis_name(found.keys[i]))
-    axes.tick_params("x", rotation=45)
+    lowest, leftmost = row == d - 1, column == 0 and row > 0
+    axes.xaxis.set_major_locator(MaxNLocator(4, prune="both"))
+    axes.tick_params("x", labelbottom=lowest, rotation=45)
+    if lowest:
+        axes.set_xlabel(found.axis_name(found.keys[column]))
+    if row == column:
+        return
+    axes.yaxis.set_major_locator(MaxNLocator(4, prune="both"))
+    axes.tick_params("y", labelleft=leftmost)
+    if leftmost:
+        axes.set_ylabel(found.axis_name(found.keys[row]))
 
 
 def fits_figure(found: JointInversion) -> Figure:

@@ -51,7 +51,7 @@ class Size:
             if k == 0 or CASES_PER_COEFFICIENT * _terms(points, k).shape[1] <= len(points)
         )  # fmt: skip
         coefficients, *_ = np.linalg.lstsq(_terms(points, degree), sizes, rcond=None)
-        return cls(degree, coefficients)
+        return cls(degree, np.asarray(coefficients, dtype=np.float64))
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Size of the forces [N], shape [k, d] -> [k]."""

@@ -72,7 +72,7 @@ class Draws:
         """
         flat = self.values.reshape(-1, self.values.shape[-1])
         apart = flat - np.median(flat, axis=0)
-        precision = np.linalg.inv(np.cov(apart.T).reshape(2 * apart.shape[-1:]))
+        precision = np.linalg.inv(np.cov(apart.T).reshape(apart.shape[1], apart.shape[1]))
         distance = np.einsum("ki,ij,kj->k", apart, precision, apart)
         nearest = np.argsort(distance)[: max(1, round(NEAR * len(flat)))]
         central: FloatArray = flat[nearest[self.log_posterior.ravel()[nearest].argmax()]]
@@ -196,7 +196,7 @@ def _annealed(
 
     state = emcee.State(walkers, random_state=random.get_state())
     for _ in range(STAGES):
-        sampler = _sampler(lambda x, power=power: power * log_posterior(x), walkers)
+        sampler = _sampler(_raised(log_posterior, power), walkers)
         state = sampler.run_mcmc(state, STAGE_STEPS, skip_initial_state_check=True)
         log_p = state.log_prob / power
         if power >= 1.0:
@@ -207,6 +207,15 @@ def _annealed(
         state = emcee.State(state.coords[chosen], random_state=state.random_state)
         power = following
     return emcee.State(state.coords, random_state=state.random_state)
+
+
+def _raised(log_density: LogPosterior, power: float) -> LogPosterior:
+    """Logarithm of a power of a density."""
+
+    def raised(points: FloatArray) -> FloatArray:
+        return power * log_density(points)
+
+    return raised
 
 
 def _next_power(log_p: FloatArray, power: float, worth: float) -> float:

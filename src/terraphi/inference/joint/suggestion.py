@@ -1,0 +1,303 @@
+r"""Where to simulate next: the design points that would cut the expected posterior variance most.
+
+At a truth x the posterior covariance of the parameters is, to first order,
+
+    C(x) = (sum_t g_t g_t^T / (v_t + s^2 + t^2) + P^-1)^-1,
+
+g_t the slopes of a force along direction t of the basis in which all errors are independent, v_t
+the surrogate's variance there, s the noise of a window mean, t^2 the scatter of the simulations, P
+the prior covariance. A simulation at c lowers the variance to v_t - k_t(x, c)^2 / (v_t(c) + t^2),
+whatever its outcome, k_t the surrogate's posterior covariance. The next point is the candidate
+after which the variance of the parameters, in units of the prior's, is least on average over truths
+(an average-risk design, A-optimal; Chaloner & Verdinelli, *Stat. Sci.* 10:273, 1995). Further ones
+follow one by one, each given those before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from terraphi.design_surrogate import DesignSurrogate, training
+from terraphi.design_surrogate.leg import from_unit
+from terraphi.design_surrogate.process import DesignGP
+from terraphi.errors import InputError, nearest
+from terraphi.inference.joint.identifiability import label
+from terraphi.library import Library
+
+FloatArray = NDArray[np.float64]
+
+TRUTHS = 64
+"""Truths over which the variance is averaged; a power of two."""
+CANDIDATES = 256
+"""Points that are considered; a power of two."""
+NOISE = 0.01
+"""Noise of a window mean unless it is given, of the forces' peak-to-peak [-]: the paper's."""
+SLOPE_STEP = 1e-3
+"""Step of differences over a parameter, of its span [-]."""
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """Points to simulate, in this order.
+
+    Attributes
+    ----------
+    library
+        Name of the library.
+    legs
+        Legs of it that each point is simulated with.
+    points
+        Dotted key to value.
+    expected_sd
+        Root of the expected posterior variance of each parameter, as it is and after each point.
+    floor_sd
+        The same of a library without errors: what noise and scatter alone leave.
+    noise_N
+        Noise of a window mean that was assumed, by leg [N].
+    """
+
+    library: str
+    legs: tuple[str, ...]
+    points: tuple[Mapping[str, float], ...]
+    expected_sd: tuple[Mapping[str, float], ...]
+    floor_sd: Mapping[str, float]
+    noise_N: Mapping[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists."""
+        return {
+            "library": self.library,
+            "legs": list(self.legs),
+            "points": [dict(point) for point in self.points],
+            "expected_sd": [dict(sd) for sd in self.expected_sd],
+            "floor_sd": dict(self.floor_sd),
+            "noise_N": dict(self.noise_N),
+        }
+
+    def plan_lines(self) -> list[str]:
+        """The points as they go into a plan."""
+        if len(self.points[0]) == 1:
+            ((key, _),) = self.points[0].items()
+            values = ", ".join(f"{point[key]:g}" for point in self.points)
+            return [f'"{key}" = [..., {values}]   # in [sweep], or each as a list in sample.also']
+        rows = [f"[{', '.join(f'{v:g}' for v in point.values())}]" for point in self.points]
+        return [f"also = [{', '.join(rows)}]   # in [sample]: {', '.join(self.points[0])}"]
+
+
+def suggest(
+    library: Library,
+    *,
+    leg: str | None = None,
+    parameter: str | None = None,
+    noise: float | None = None,
+    count: int = 1,
+    seed: int = 0,
+) -> Suggestion:
+    """Name the design points that would cut the expected posterior variance most.
+
+    Parameters
+    ----------
+    library
+        Simulations over one parameter or several.
+    leg
+        Leg that will be inverted; all of the library together if not given.
+    parameter
+        The one whose variance counts, by its key or the key's last part; all if not given.
+    noise
+        Standard deviation of a window mean that is expected [N]; 1 % of each leg's mean
+        peak-to-peak if not given.
+    count
+        Number of points.
+    seed
+        Of the scrambled Sobol sequences of truths and candidates.
+
+    Raises
+    ------
+    InputError
+        If the library lacks the leg or the parameter, or has too few cases; if noise or count are
+        not positive.
+    """
+    if count < 1 or (noise is not None and not 0.0 < noise < np.inf):
+        raise InputError(f"count = {count} and noise = {noise} N must be positive")
+    legs = tuple(library.legs if leg is None else [leg])
+    with threadpool_limits(limits=1, user_api="blas"):
+        data = {name: training(library, name) for name in legs}
+        bounds = data[legs[0]].bounds
+        counted = _counted(parameter, list(bounds))
+        levels = {
+            name: noise
+            or NOISE * float(np.ptp(d.forces.reshape(-1, d.theta_deg.size), axis=1).mean())
+            for name, d in data.items()
+        }
+        surrogates = {name: DesignSurrogate.fit(d) for name, d in data.items()}
+        search = _Search(surrogates, levels, bounds, seed)
+        sd = [search.expected_sd()]
+        chosen = []
+        for _ in range(count):
+            chosen.append(search.best(counted))
+            search.add(chosen[-1])
+            sd.append(search.expected_sd())
+    keys = list(bounds)
+    values = from_unit(search.candidates[chosen], bounds)
+    return Suggestion(
+        library.name,
+        legs,
+        tuple({k: float(f"{v:.4g}") for k, v in zip(keys, row, strict=True)} for row in values),
+        tuple(dict(zip(keys, row.tolist(), strict=True)) for row in sd),
+        dict(zip(keys, search.floor_sd().tolist(), strict=True)),
+        levels,
+    )
+
+
+def _counted(parameter: str | None, keys: Sequence[str]) -> list[int]:
+    if parameter is None:
+        return list(range(len(keys)))
+    matches = [i for i, k in enumerate(keys) if k == parameter or k.endswith(f".{parameter}")]
+    if len(matches) != 1:
+        names = ", ".join(f"{k} ({label(k)[0]})" for k in keys)
+        raise InputError(
+            f"the library varies no parameter '{parameter}'; it has {names}; "
+            f"{nearest(parameter, list(keys))}"
+        )
+    return matches
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One force on one leg: variances and covariances over truths and candidates.
+
+    ``truth`` [truth, theta] and ``candidate`` [candidate, theta] are variances, ``across`` [truth,
+    candidate, theta] covariances, all of forces over their size; ``slopes`` [truth, key, theta] are
+    of forces over their size as well, ``noise`` [truth] likewise.
+    """
+
+    process: DesignGP
+    slopes: FloatArray
+    noise: FloatArray
+    truth: FloatArray
+    candidate: FloatArray
+    across: FloatArray
+
+
+class _Search:
+    """The state of a greedy design."""
+
+    def __init__(
+        self,
+        surrogates: Mapping[str, DesignSurrogate],
+        noise: Mapping[str, float],
+        bounds: Mapping[str, tuple[float, float]],
+        seed: int,
+    ) -> None:
+        self.keys = list(bounds)
+        self.spans = np.array([high - low for low, high in bounds.values()])
+        self.truths, self.candidates = _points(len(self.keys), seed)
+        named = dict(zip(self.keys, from_unit(self.truths, bounds).T, strict=True))
+        steps = SLOPE_STEP * self.spans
+        self.parts = []
+        for leg, surrogate in surrogates.items():
+            scale = surrogate.scale(named)
+            both = surrogate.slopes(named, self.keys, steps.tolist())
+            for process, slopes in zip(surrogate.processes, both, strict=True):
+                self.parts.append(
+                    _Part(
+                        process,
+                        slopes / scale[:, None, None],
+                        noise[leg] / scale,
+                        process.rotated(self.truths)[1],
+                        process.rotated(self.candidates)[1],
+                        process.rotated_covariance(self.truths, self.candidates),
+                    )
+                )
+        self._added: list[list[FloatArray]] = [[] for _ in self.parts]
+
+    def _precision(self, variances: Sequence[FloatArray]) -> FloatArray:
+        """Of the parameters over their spans, shape [truth, key, key], plus the prior's."""
+        total = np.zeros((len(self.truths), len(self.keys), len(self.keys)))
+        for part, variance in zip(self.parts, variances, strict=True):
+            slopes = part.slopes * self.spans[:, None]
+            whole = variance + np.square(part.noise)[:, None] + part.process.noise_variance
+            total += np.einsum("xkt,xlt->xkl", slopes / whole[:, None], slopes)
+        # A uniform prior on a unit span has a variance of 1/12.
+        return total + 12.0 * np.eye(len(self.keys))
+
+    def expected_sd(self) -> FloatArray:
+        """Root of the expected variance of each parameter, in its unit, shape [key]."""
+        return self._sd([part.truth for part in self.parts])
+
+    def floor_sd(self) -> FloatArray:
+        """The same if the surrogates knew the forces exactly."""
+        return self._sd([np.zeros_like(part.truth) for part in self.parts])
+
+    def _sd(self, variances: Sequence[FloatArray]) -> FloatArray:
+        inverse = np.linalg.inv(self._precision(variances))
+        variance = np.diagonal(inverse, axis1=1, axis2=2).mean(axis=0)
+        sd: FloatArray = np.sqrt(variance) * self.spans
+        return sd
+
+    def risk(self, candidate: int, counted: Sequence[int]) -> float:
+        """Expected variance in units of the prior's after a simulation there, summed [-]."""
+        after = [
+            part.truth - np.square(part.across[:, candidate]) / self._whole(part, candidate)
+            for part in self.parts
+        ]
+        inverse = np.linalg.inv(self._precision([v.clip(min=0.0) for v in after]))
+        diagonal = np.diagonal(inverse, axis1=1, axis2=2)[:, list(counted)]
+        return 12.0 * float(diagonal.mean(axis=0).sum())
+
+    @staticmethod
+    def _whole(part: _Part, candidate: int) -> FloatArray:
+        """Variance of a simulation at a candidate, shape [theta]."""
+        # A candidate that is known already has next to no variance, and no covariance either.
+        floor = np.finfo(float).eps * part.process.roots.max() * part.process.std**2
+        whole: FloatArray = part.candidate[candidate] + part.process.noise_variance + floor
+        return whole
+
+    def best(self, counted: Sequence[int]) -> int:
+        """The candidate of least risk."""
+        return int(np.argmin([self.risk(c, counted) for c in range(len(self.candidates))]))
+
+    def add(self, candidate: int) -> None:
+        """Condition all parts on a simulation at a candidate."""
+        point = self.candidates[candidate][None]
+        for i, part in enumerate(self.parts):
+            root = np.sqrt(self._whole(part, candidate))
+            towards = part.process.rotated_covariance(self.candidates, point)[:, 0]
+            for earlier in self._added[i]:
+                towards = towards - earlier * earlier[candidate]
+            towards = towards / root
+            to_truths = part.across[:, candidate] / root
+            self._added[i].append(towards)
+            self.parts[i] = _Part(
+                part.process,
+                part.slopes,
+                part.noise,
+                (part.truth - np.square(to_truths)).clip(min=0.0),
+                (part.candidate - np.square(towards)).clip(min=0.0),
+                part.across - to_truths[:, None] * towards[None],
+            )
+
+
+def _points(d: int, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Truths and candidates, scaled to [-1, 1]; a line is filled evenly, its ends included."""
+    from scipy.stats import qmc
+
+    if d == 1:
+        step = 2.0 / TRUTHS
+        truths = np.arange(-1.0 + 0.5 * step, 1.0, step)
+        return truths[:, None], np.linspace(-1.0, 1.0, CANDIDATES)[:, None]
+    first, second = np.random.SeedSequence(seed).spawn(2)
+    truths, candidates = (
+        2.0 * qmc.Sobol(d, rng=np.random.default_rng(stream)).random(count) - 1.0
+        for stream, count in ((first, TRUTHS), (second, CANDIDATES))
+    )
+    # What lies at the rim of the box tells most about it, and a Sobol sequence hardly goes there.
+    half = CANDIDATES // 2
+    candidates[half:] = (1.25 * candidates[half:]).clip(-1.0, 1.0)
+    return truths, candidates
