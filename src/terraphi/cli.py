@@ -25,6 +25,7 @@ from terraphi.commands.keys import keys
 from terraphi.commands.library import library
 from terraphi.commands.report import report
 from terraphi.commands.simulate import simulate
+from terraphi.commands.suggest import library_suggest
 from terraphi.console import (
     ignore_interrupts,
     print_forces,
@@ -103,6 +104,7 @@ cli.add_command(doctor)
 
 
 library.add_command(library_calibrate)
+library.add_command(library_suggest)
 
 
 @cli.command()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 DEGREES = (2, 1, 0)
-CASES_PER_COEFFICIENT = 2
+CASES_PER_COEFFICIENT = 1.25
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from terraphi.files import write_netcdf
 from terraphi.inference.answer import AngleSummary
-from terraphi.inference.joint.identifiability import Identifiability, label
+from terraphi.inference.joint.identifiability import Identifiability, axis_label, label
 from terraphi.inference.joint.prior import Marginal
 from terraphi.inference.joint.sampler import Draws
 from terraphi.inference.joint.trials import Repeats
@@ -121,8 +121,7 @@ class JointInversion:
 
     def axis_name(self, key: str) -> str:
         """Name of a parameter for people, with its unit, and φ with its convention."""
-        name, unit = label(key)
-        return f"φ, {self.convention} [deg]" if key == PHI else f"{name} [{unit or '-'}]"
+        return f"φ, {self.convention} [deg]" if key == PHI else axis_label(key)
 
     def digits(self, key: str) -> str:
         """Format that gives the numbers of a parameter the digits they deserve."""

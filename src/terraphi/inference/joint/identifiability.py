@@ -51,6 +51,12 @@ def label(key: str) -> tuple[str, str]:
     return LABELS.get(key, (key, ""))
 
 
+def axis_label(key: str) -> str:
+    """Name for people with its unit in brackets."""
+    name, unit = label(key)
+    return f"{name} [{unit or '-'}]"
+
+
 @dataclass(frozen=True, eq=False)
 class Identifiability:
     """What a posterior fixes of several parameters.

@@ -27,7 +27,7 @@ from terraphi.design_surrogate import DesignSurrogate, training
 from terraphi.design_surrogate.leg import from_unit
 from terraphi.design_surrogate.process import DesignGP
 from terraphi.errors import InputError, nearest
-from terraphi.inference.joint.identifiability import label
+from terraphi.inference.joint.identifiability import axis_label, label
 from terraphi.library import Library
 
 FloatArray = NDArray[np.float64]
@@ -80,14 +80,38 @@ class Suggestion:
             "noise_N": dict(self.noise_N),
         }
 
-    def plan_lines(self) -> list[str]:
-        """The points as they go into a plan."""
-        if len(self.points[0]) == 1:
-            ((key, _),) = self.points[0].items()
-            values = ", ".join(f"{point[key]:g}" for point in self.points)
-            return [f'"{key}" = [..., {values}]   # in [sweep], or each as a list in sample.also']
+    def title(self) -> str:
+        """One line for people."""
+        noise = ", ".join(f"{leg} {sigma:.3g} N" for leg, sigma in self.noise_N.items())
+        return f"Next points for library {self.library}; noise of a window mean: {noise}"
+
+    def table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Header and rows: each point, and the expected standard deviations after it."""
+        keys = list(self.floor_sd)
+        names = [label(key)[0] for key in keys]
+        header = ("", *map(axis_label, keys), *(f"expected sd of {name}" for name in names))
+        nowhere = dict.fromkeys(keys, "")
+        points = [{k: f"{v:g}" for k, v in point.items()} for point in self.points]
+        names_of = ["as it is", *map(str, range(1, len(points) + 1)), "noise alone"]
+        rows = [
+            (name, *point.values(), *(f"{value:.3g}" for value in sd.values()))
+            for name, point, sd in zip(
+                names_of,
+                [nowhere, *points, nowhere],
+                [*self.expected_sd, self.floor_sd],
+                strict=True,
+            )
+        ]
+        return header, rows
+
+    def advice(self) -> str:
+        """How the points go into a plan, in a sentence."""
         rows = [f"[{', '.join(f'{v:g}' for v in point.values())}]" for point in self.points]
-        return [f"also = [{', '.join(rows)}]   # in [sample]: {', '.join(self.points[0])}"]
+        keys = ", ".join(self.floor_sd)
+        if len(self.floor_sd) == 1:
+            values = ", ".join(row[1:-1] for row in rows)
+            return f"Add {values} to {keys} in [sweep] of the plan (or to 'also' in [sample])."
+        return f"Add to [sample] of the plan: also = [{', '.join(rows)}], in the order {keys}."
 
 
 def suggest(
