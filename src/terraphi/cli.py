@@ -129,8 +129,8 @@ def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
     """Run the study NAME, one of those below.
 
     The paper's own: benchmark, phi_sensitivity, k0, surrogate, recovery, and figures, which draws
-    all of them. Of measured sand: measured, prediction. Of the model: calibration, reading,
-    sensitivity, resolution, verification.
+    all of them. Of measured sand: measured, prediction. Of the model: calibration, design,
+    reading, sensitivity, resolution, verification.
 
     Example: terraphi study recovery --out recovery
     """

@@ -26,6 +26,7 @@ STUDIES = {
     "k0": "what the stress at rest does to a history",
     "surrogate": "the surrogate between the library's angles, and its residuals",
     "figures": "the figures of the paper's simulations and inversions, ready to print",
+    "design": "libraries built evenly, and in the order that is suggested",
     "verification": "problems with known answers, by the code that the leg uses",
     "reading": "what the paper's text leaves open, against the forces that it prints",
     "resolution": "from preset paper-1 to resolved, and whether that has arrived",
