@@ -1,0 +1,101 @@
+"""The likelihood of several trials and legs, against dense normal distributions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from terraphi.design_surrogate import DesignGP, DesignKernel, DesignSurrogate
+from terraphi.design_surrogate.size import Size
+from terraphi.inference.joint.likelihood import JointLikelihood, LegLikelihood
+
+THETA_DEG = np.linspace(-85.0, 85.0, 6)
+KEY = "soil.friction_angle_deg"
+RNG = np.random.default_rng(7)
+
+
+def process(shift: float) -> DesignGP:
+    points = np.linspace(-1.0, 1.0, 5)[:, None]
+    values = np.sin(THETA_DEG / 30.0 + shift) * (1.5 + points) + 0.05 * RNG.standard_normal((5, 6))
+    return DesignGP.condition(
+        points, THETA_DEG, values, DesignKernel((1.2,), 30.0, 1.0, 5e-3, fine=0.1)
+    )
+
+
+def leg(shift: float) -> DesignSurrogate:
+    size = Size(1, np.array([0.2, 0.3]))
+    return DesignSurrogate({KEY: (20.0, 40.0)}, 1650.0, size, process(shift), process(shift + 1.0))
+
+
+def log_density(surrogate, data, named, noise, amplitude) -> float:
+    """All trials of a leg in one dense normal distribution, at one point."""
+    at = {key: np.array([value]) for key, value in named.items()}
+    scale = float(surrogate.scale(at)[0])
+    total = 0.0
+    for part, values in zip(surrogate.processes, np.hsplit(data, 2), strict=True):
+        mean, variance = part.rotated(surrogate.points(at))
+        shape = part.kernel.over_angles(THETA_DEG)
+        shape = shape / np.trace(shape) * THETA_DEG.size
+        shared = scale**2 * part.basis @ np.diag(variance[0]) @ part.basis.T
+        shared = shared + (amplitude * np.ptp(values.mean(axis=0))) ** 2 * shape
+        own = (noise**2 + scale**2 * part.noise_variance) * np.eye(THETA_DEG.size)
+        m = len(values)
+        covariance = np.kron(np.ones((m, m)), shared) + np.kron(np.eye(m), own)
+        expected = np.tile(scale * part.basis @ mean[0], m)
+        total += multivariate_normal(expected, covariance).logpdf(values.ravel())
+    return float(total)
+
+
+@pytest.mark.parametrize("trials", [1, 3])
+@pytest.mark.parametrize("amplitude", [0.0, 0.05])
+def test_likelihood_is_that_of_a_dense_normal_distribution(trials, amplitude) -> None:
+    surrogate = leg(0.3)
+    data = RNG.standard_normal((trials, 12)) + 2.0 * np.sin(np.arange(12))
+    likelihood = LegLikelihood(surrogate, data)
+    # It is known up to a constant: differences count.
+    points = [{KEY: 24.0, "soil.density": 1500.0}, {KEY: 33.0, "soil.density": 1800.0}]
+    found = likelihood(
+        {k: np.array([p[k] for p in points]) for k in points[0]},
+        np.array([0.2, 0.4]),
+        np.full(2, amplitude),
+    )
+    expected = [
+        log_density(surrogate, data, p, noise, amplitude)
+        for p, noise in zip(points, (0.2, 0.4), strict=True)
+    ]
+    assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], abs=1e-7)
+
+
+def test_legs_add_up() -> None:
+    one, other = (LegLikelihood(leg(s), RNG.standard_normal((1, 12)) + 3.0) for s in (0.0, 1.0))
+    args = {KEY: np.array([25.0, 31.0])}, np.full(2, 0.3), np.zeros(2)
+    both = JointLikelihood((one, other))
+    np.testing.assert_allclose(both(*args), one(*args) + other(*args))
+    assert both.largest == max(one.largest, other.largest)
+
+
+def test_information_is_that_of_dense_matrices() -> None:
+    surrogate = leg(0.0)
+    data = RNG.standard_normal((2, 12)) + 3.0
+    named, noise, amplitude = {KEY: 28.0, "soil.density": 1600.0}, 0.3, 0.04
+    keys, steps = [KEY, "soil.density"], [1e-3, 1e-2]
+    found = LegLikelihood(surrogate, data).information(
+        named, keys, steps, noise=noise, amplitude=amplitude
+    )
+    at = {k: np.array([v]) for k, v in named.items()}
+    scale, expected = float(surrogate.scale(at)[0]), np.zeros((2, 2))
+    for i, part in enumerate(surrogate.processes):
+        half = slice(6 * i, 6 * i + 6)
+        slopes = []
+        for key, step in zip(keys, steps, strict=True):
+            ends = [{**at, key: at[key] + side * step} for side in (-1, 1)]
+            low, high = (surrogate.predict(end)[0][0, half] for end in ends)
+            slopes.append((high - low) / (2 * step))
+        shape = part.kernel.over_angles(THETA_DEG)
+        shape = shape / np.trace(shape) * 6 * np.ptp(data[:, half].mean(axis=0)) ** 2
+        variance = scale**2 * part.rotated(surrogate.points(at))[1][0]
+        covariance = part.basis @ np.diag(variance) @ part.basis.T + amplitude**2 * shape
+        covariance += (noise**2 + scale**2 * part.noise_variance) / 2 * np.eye(6)
+        expected += np.array(slopes) @ np.linalg.solve(covariance, np.array(slopes).T)
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
