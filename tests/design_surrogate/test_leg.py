@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -96,8 +98,28 @@ def test_size_is_exact_for_the_exponential_of_a_quadratic() -> None:
 
 def test_size_of_few_cases_is_simpler() -> None:
     points = np.linspace(-1.0, 1.0, 3)[:, None]
-    assert Size.fit(points, np.ones((3, 4))).degree == 1
-    assert Size.fit(points[:2], np.ones((2, 4))).degree == 0
+    growing = np.exp(points) * np.ones((3, 4))
+    assert Size.fit(points, growing).degree == 1
+    assert Size.fit(points[:2], growing[:2]).degree == 0
+
+
+def test_size_follows_no_noise() -> None:
+    points = np.linspace(-1.0, 1.0, 30)[:, None]
+    noise = 0.05 * np.random.default_rng(2).standard_normal((30, 1))
+    assert Size.fit(points, np.exp(0.5 * points + noise) * np.ones(4)).degree <= 2
+
+
+def test_a_factor_that_the_processes_do_not_expect_is_found(library) -> None:
+    data = training(library, "straight")
+    errors = np.exp(0.02 * np.random.default_rng(3).standard_normal((32, 1)))
+    found = DesignSurrogate.fit(replace(data, forces=data.forces * errors))
+    plain = DesignSurrogate.fit(data)
+    assert plain.factor_error < 0.003
+    # Part of it the processes take for a scatter that they do expect.
+    assert 0.01 < found.factor_error < 0.04
+    at = {PHI: np.array([30.0]), FRICTION: np.array([0.4])}
+    mean, variance = found.predict(at)
+    assert (variance >= np.square(found.factor_error * mean)).all()
 
 
 def test_parameters_are_the_numbers_that_vary() -> None:

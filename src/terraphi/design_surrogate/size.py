@@ -2,11 +2,13 @@
 
 Forces on a leg grow several times over the range of a friction angle, and so do the deviations of
 a curve from its neighbours. Divided by their size, they are close to what a stationary process
-describes. The logarithm of the size is a polynomial of the parameters, by least squares.
+describes. The logarithm of the size is a polynomial of the parameters, by least squares, of the
+degree that foretells left-out cases best (PRESS; Allen, *Technometrics* 16:125, 1974).
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Self
 
@@ -15,8 +17,9 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-DEGREES = (2, 1, 0)
+DEGREES = (0, 1, 2, 3, 4, 5)
 CASES_PER_COEFFICIENT = 1.25
+"""Cases that there must be for each coefficient."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +29,7 @@ class Size:
     Attributes
     ----------
     degree
-        2, or less where there are too few cases.
+        Of the polynomial.
     coefficients
         Of the terms, logarithms of a force in newtons.
     """
@@ -46,12 +49,20 @@ class Size:
             [N], shape [case, force].
         """
         sizes = np.log(np.sqrt(np.mean(np.square(forces), axis=1)))
-        degree = next(
-            k for k in DEGREES
-            if k == 0 or CASES_PER_COEFFICIENT * _terms(points, k).shape[1] <= len(points)
-        )  # fmt: skip
-        coefficients, *_ = np.linalg.lstsq(_terms(points, degree), sizes, rcond=None)
-        return cls(degree, np.asarray(coefficients, dtype=np.float64))
+        best = (np.inf, 0, np.zeros(1))
+        for degree in DEGREES:
+            terms = _terms(points, degree)
+            if degree and CASES_PER_COEFFICIENT * terms.shape[1] > len(points):
+                break
+            inverse = np.linalg.pinv(terms)
+            coefficients = inverse @ sizes
+            # What a case adds to its own prediction tells what would be foretold without it.
+            own = np.einsum("ij,ji->i", terms, inverse)
+            left_out = (sizes - terms @ coefficients) / np.maximum(1.0 - own, 1e-9)
+            press = float(np.square(left_out).sum())
+            if press < best[0]:
+                best = (press, degree, coefficients)
+        return cls(*best[1:])
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Size of the forces [N], shape [k, d] -> [k]."""
@@ -60,11 +71,11 @@ class Size:
 
 
 def _terms(points: FloatArray, degree: int) -> FloatArray:
-    """One, the parameters, and their products, as far as the degree goes; shape [k, term]."""
-    columns = [np.ones(len(points))]
-    if degree > 0:
-        columns += list(points.T)
-    if degree > 1:
-        one, other = np.triu_indices(points.shape[1])
-        columns += list((points[:, one] * points[:, other]).T)
-    return np.column_stack(columns)
+    """All products of up to so many parameters, the empty one included; shape [k, term]."""
+    return np.column_stack(
+        [
+            points[:, list(chosen)].prod(axis=1)
+            for k in range(degree + 1)
+            for chosen in itertools.combinations_with_replacement(range(points.shape[1]), k)
+        ]
+    )

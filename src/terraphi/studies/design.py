@@ -228,7 +228,7 @@ def _figure(comparisons: Sequence[Mapping[str, Any]]) -> Any:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(3.0 * len(NOISES) + 0.4, 5.6), layout="constrained")
-    panels = figure.subplots(len(BOXES), len(NOISES), sharey="row")
+    panels = figure.subplots(len(BOXES), len(NOISES), sharey="row", squeeze=False)
     for axes, comparison in zip(panels.ravel(), comparisons, strict=True):
         for order, colour, style in (("even", BLUE, "o-"), ("suggested", ORANGE, "s--")):
             errors = [found[0] for found in comparison[order]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 from terraphi.design_surrogate import DesignGP, DesignKernel, DesignSurrogate
@@ -25,26 +26,34 @@ def process(shift: float) -> DesignGP:
 
 def leg(shift: float) -> DesignSurrogate:
     size = Size(1, np.array([0.2, 0.3]))
-    return DesignSurrogate({KEY: (20.0, 40.0)}, 1650.0, size, process(shift), process(shift + 1.0))
+    both = process(shift), process(shift + 1.0)
+    return DesignSurrogate({KEY: (20.0, 40.0)}, 1650.0, size, *both, factor_error=0.05)
 
 
-def log_density(surrogate, data, named, noise, amplitude) -> float:
-    """All trials of a leg in one dense normal distribution, at one point."""
+def parts_of(surrogate, data, named, noise, amplitude):
+    """Mean of a trial, what all trials share, and what each has to itself, over both forces."""
     at = {key: np.array([value]) for key, value in named.items()}
     scale = float(surrogate.scale(at)[0])
-    total = 0.0
+    means, shared, own = [], [], []
     for part, values in zip(surrogate.processes, np.hsplit(data, 2), strict=True):
         mean, variance = part.rotated(surrogate.points(at))
         shape = part.kernel.over_angles(THETA_DEG)
         shape = shape / np.trace(shape) * THETA_DEG.size
-        shared = scale**2 * part.basis @ np.diag(variance[0]) @ part.basis.T
-        shared = shared + (amplitude * np.ptp(values.mean(axis=0))) ** 2 * shape
-        own = (noise**2 + scale**2 * part.noise_variance) * np.eye(THETA_DEG.size)
-        m = len(values)
-        covariance = np.kron(np.ones((m, m)), shared) + np.kron(np.eye(m), own)
-        expected = np.tile(scale * part.basis @ mean[0], m)
-        total += multivariate_normal(expected, covariance).logpdf(values.ravel())
-    return float(total)
+        discrepancy = (amplitude * np.ptp(values.mean(axis=0))) ** 2 * shape
+        shared.append(scale**2 * part.basis @ np.diag(variance[0]) @ part.basis.T + discrepancy)
+        own.append((noise**2 + scale**2 * part.noise_variance) * np.eye(THETA_DEG.size))
+        means.append(scale * part.basis @ mean[0])
+    mean = np.concatenate(means)
+    factor = surrogate.factor_error**2 * np.outer(mean, mean)
+    return mean, block_diag(*shared) + factor, block_diag(*own)
+
+
+def log_density(surrogate, data, named, noise, amplitude) -> float:
+    """All trials of a leg in one dense normal distribution, at one point."""
+    mean, shared, own = parts_of(surrogate, data, named, noise, amplitude)
+    m = len(data)
+    covariance = np.kron(np.ones((m, m)), shared) + np.kron(np.eye(m), own)
+    return float(multivariate_normal(np.tile(mean, m), covariance).logpdf(data.ravel()))
 
 
 @pytest.mark.parametrize("trials", [1, 3])
@@ -84,18 +93,11 @@ def test_information_is_that_of_dense_matrices() -> None:
         named, keys, steps, noise=noise, amplitude=amplitude
     )
     at = {k: np.array([v]) for k, v in named.items()}
-    scale, expected = float(surrogate.scale(at)[0]), np.zeros((2, 2))
-    for i, part in enumerate(surrogate.processes):
-        half = slice(6 * i, 6 * i + 6)
-        slopes = []
-        for key, step in zip(keys, steps, strict=True):
-            ends = [{**at, key: at[key] + side * step} for side in (-1, 1)]
-            low, high = (surrogate.predict(end)[0][0, half] for end in ends)
-            slopes.append((high - low) / (2 * step))
-        shape = part.kernel.over_angles(THETA_DEG)
-        shape = shape / np.trace(shape) * 6 * np.ptp(data[:, half].mean(axis=0)) ** 2
-        variance = scale**2 * part.rotated(surrogate.points(at))[1][0]
-        covariance = part.basis @ np.diag(variance) @ part.basis.T + amplitude**2 * shape
-        covariance += (noise**2 + scale**2 * part.noise_variance) / 2 * np.eye(6)
-        expected += np.array(slopes) @ np.linalg.solve(covariance, np.array(slopes).T)
-    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    _, shared, own = parts_of(surrogate, data, named, noise, amplitude)
+    slopes = []
+    for key, step in zip(keys, steps, strict=True):
+        ends = [{**at, key: at[key] + side * step} for side in (-1, 1)]
+        low, high = (surrogate.predict(end)[0][0] for end in ends)
+        slopes.append((high - low) / (2 * step))
+    expected = np.array(slopes) @ np.linalg.solve(shared + own / 2, np.array(slopes).T)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)

@@ -4,18 +4,22 @@ The window means of trial k with a leg are, for each force,
 
     d_k = g(x) + b + e_k,      b ~ N(0, V(x) + a^2 p^2 K),      e_k ~ N(0, (s^2 + t^2) I),
 
-V the surrogate's own covariance; a^2 p^2 K a model discrepancy of relative size a, as smooth over
-the leg angle as the forces themselves (K the surrogate's covariance over theta, of unit mean
-variance; p the peak-to-peak of the data); t^2 the scatter of the simulations; s the noise of a
-window mean. What the surrogate and the model get wrong they get wrong in every trial with that leg:
-b is shared, and repeating a trial averages out e_k alone. Legs err independently.
+V the surrogate's own covariance, with an error that multiplies both forces on a leg alike; a^2 p^2 K
+a model discrepancy of relative size a, as smooth over the leg angle as the forces themselves (K the
+surrogate's covariance over theta, of unit mean variance; p the peak-to-peak of the data); t^2 the
+scatter of the simulations; s the noise of a window mean. What the surrogate and the model get wrong
+they get wrong in every trial with that leg: b is shared, and repeating a trial averages out e_k alone. Legs err independently.
 
 In the basis of the leg angles that diagonalises K all of these are diagonal, so that with m trials
 of mean z and spread S = sum_k (z_k - z)^2 along a direction of the basis
 
     -2 log p = (z - g)^2 / (v + q/m) + log(m v + q) + (m - 1) log q + S / q,
 
-v the shared variance and q that of a trial: a sum over 2 M numbers, for any number of trials.
+v the shared variance and q that of a trial: a sum over 2 M numbers, for any number of trials. The
+common factor f has a covariance of rank one, f^2 g g^T, which adds (Woodbury; Rasmussen & Williams,
+eqs A.9 and A.10), with w = v + q/m,
+
+    -f^2 (g^T w^-1 (z - g))^2 / (1 + f^2 g^T w^-1 g) + log(1 + f^2 g^T w^-1 g).
 """
 
 from __future__ import annotations
@@ -74,14 +78,21 @@ class LegLikelihood:
         """
         points, scale = self.surrogate.points(named), self.surrogate.scale(named)[:, None]
         m, total = self.trials, np.zeros(len(points))
+        along, norm = np.zeros(len(points)), np.zeros(len(points))
         for process, mean, spread, shape in self.parts:
             forces, variance = process.rotated(points)
             shared = np.square(scale) * variance + np.square(amplitude)[:, None] * shape
             own = np.square(noise)[:, None] + np.square(scale) * process.noise_variance
-            terms = np.square(mean - scale * forces) / (shared + own / m) + np.log(m * shared + own)
+            curve, whole = scale * forces, shared + own / m
+            terms = np.square(mean - curve) / whole + np.log(m * shared + own)
             terms = terms + (m - 1) * np.log(own) + spread / own
             total -= 0.5 * terms.sum(axis=1)
-        return total
+            along += np.sum(curve * (mean - curve) / whole, axis=1)
+            norm += np.sum(np.square(curve) / whole, axis=1)
+        factor2 = self.surrogate.factor_error**2
+        by_factor = factor2 * np.square(along) / (1.0 + factor2 * norm)
+        result: FloatArray = total + 0.5 * (by_factor - np.log1p(factor2 * norm))
+        return result
 
     def information(
         self, named: Mapping[str, float], keys: Sequence[str], steps: Sequence[float], *,
@@ -108,13 +119,19 @@ class LegLikelihood:
         at = {key: np.array([value]) for key, value in named.items()}
         scale = float(self.surrogate.scale(at)[0])
         total = np.zeros((len(keys), len(keys)))
+        along, norm = np.zeros(len(keys)), 0.0
         both = self.surrogate.slopes(at, keys, steps)
         for (process, _, _, shape), slopes in zip(self.parts, both, strict=True):
-            shared = scale**2 * process.rotated(self.surrogate.points(at))[1][0]
+            forces, surrogate_variance = process.rotated(self.surrogate.points(at))
+            curve, shared = scale * forces[0], scale**2 * surrogate_variance[0]
             own = noise**2 + scale**2 * process.noise_variance
             variance = shared + amplitude**2 * shape + own / self.trials
             total += (slopes[0] / variance) @ slopes[0].T
-        return total
+            along += slopes[0] @ (curve / variance)
+            norm += float(np.sum(np.square(curve) / variance))
+        factor2 = self.surrogate.factor_error**2
+        lost: FloatArray = factor2 * np.outer(along, along) / (1.0 + factor2 * norm)
+        return total - lost
 
 
 @dataclass(frozen=True, eq=False)

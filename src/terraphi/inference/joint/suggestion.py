@@ -10,7 +10,8 @@ the prior covariance. A simulation at c lowers the variance to v_t - k_t(x, c)^2
 whatever its outcome, k_t the surrogate's posterior covariance. The next point is the candidate
 after which the variance of the parameters, in units of the prior's, is least on average over truths
 (an average-risk design, A-optimal; Chaloner & Verdinelli, *Stat. Sci.* 10:273, 1995). Further ones
-follow one by one, each given those before it.
+follow one by one, each given those before it. What the surrogate errs by a common factor is left
+out of account: no single point changes what is known of it.
 """
 
 from __future__ import annotations

@@ -1,0 +1,219 @@
+"""Several histories and parameters inverted together, from end to end."""
+
+from __future__ import annotations
+
+import json
+
+import arviz
+import numpy as np
+import pytest
+
+from terraphi.design_surrogate import DesignSurrogate, training
+from terraphi.errors import InputError
+from terraphi.inference.joint import JointInversion, Trial, invert_jointly
+from terraphi.inference.joint.likelihood import LegLikelihood
+from terraphi.inference.joint.trials import grouped
+from terraphi.joint_plots import corner_figure, fits_figure
+from terraphi.library import Library
+
+PHI, DENSITY, FRICTION = "soil.friction_angle_deg", "soil.density", "leg.friction"
+TRUTH = {PHI: 32.7, FRICTION: 0.37, DENSITY: 1650.0}
+NOISE_N = 0.5
+
+
+@pytest.fixture(scope="module")
+def straight(two_parameters, trial) -> JointInversion:
+    return invert_jointly([trial("straight")], library=two_parameters, noise=NOISE_N)
+
+
+@pytest.fixture(scope="module")
+def both(two_parameters, trial) -> JointInversion:
+    trials = [trial("straight"), trial("c", 1)]
+    return invert_jointly(trials, library=two_parameters, noise=NOISE_N)
+
+
+@pytest.fixture(scope="module")
+def loose(two_parameters, trial) -> JointInversion:
+    return invert_jointly(
+        [trial("straight")], library=two_parameters, noise=NOISE_N, prior=["density=1500:1800"]
+    )
+
+
+def test_truths_are_within_three_standard_deviations(straight, both, loose) -> None:
+    for found in (straight, both, loose):
+        assert found.draws.converged
+        for key in found.keys:
+            one = found.marginal[key]
+            assert abs(one.median - TRUTH[key]) < 3.0 * one.sd, key
+            assert one.ci95[0] < one.ci68[0] < one.median < one.ci68[1] < one.ci95[1]
+
+
+def test_draws_are_those_of_the_posterior_on_a_grid(straight, two_parameters, trial) -> None:
+    # Two parameters and known noise: the posterior can be tabulated.
+    given = trial("straight")
+    surrogate = DesignSurrogate.fit(
+        training(two_parameters, "straight", within=grouped([given])[0].within)
+    )
+    likelihood = LegLikelihood(surrogate, given.history.observation().vector[None])
+    sd = [straight.marginal[k].sd for k in (PHI, FRICTION)]
+    axes = [
+        np.linspace(straight.marginal[k].median - 6 * s, straight.marginal[k].median + 6 * s, 161)
+        for k, s in zip((PHI, FRICTION), sd, strict=True)
+    ]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    noise = straight.noise_N[0]
+    log_p = likelihood(
+        {PHI: grid[:, 0], FRICTION: grid[:, 1]}, np.full(len(grid), noise), np.zeros(len(grid))
+    )
+    p = np.exp(log_p - log_p.max()).reshape(161, 161)
+    for i, key in enumerate((PHI, FRICTION)):
+        marginal = p.sum(axis=1 - i)
+        cdf = np.cumsum(marginal) / marginal.sum()
+        for quantile, value in zip(
+            (0.5, 0.16, 0.84),
+            (straight.marginal[key].median, *straight.marginal[key].ci68),
+            strict=True,
+        ):
+            expected = np.interp(quantile, cdf, axes[i])
+            assert value == pytest.approx(expected, abs=0.08 * sd[i])
+
+
+def test_friction_angle_and_density_trade_places(loose, straight) -> None:
+    # The forces of this theory are a function of the angle times the density, and of no more.
+    assert (PHI, DENSITY) in loose.identifiability.confounded
+    assert loose.identifiability.kinds[DENSITY] == "open"
+    flat = loose.draws.values.reshape(-1, loose.draws.values.shape[-1])
+    assert np.corrcoef(flat[:, 0], flat[:, loose.keys.index(DENSITY)])[0, 1] < -0.97
+    assert loose.marginal[PHI].sd > 3.0 * straight.marginal[PHI].sd
+    # With the density known, what is left is the one-parameter interval.
+    known = loose.conditional[PHI].ci68
+    assert known[1] - known[0] < 0.4 * np.ptp(loose.marginal[PHI].ci68)
+
+
+def test_a_second_leg_adds_what_was_expected(straight, both) -> None:
+    for i, key in enumerate((PHI, FRICTION)):
+        assert both.marginal[key].sd < straight.marginal[key].sd
+        # By linearisation: all legs, and each alone.
+        assert both.expected_sd["all"][i] < min(
+            both.expected_sd["straight"][i], both.expected_sd["c"][i]
+        )
+        assert both.marginal[key].sd == pytest.approx(both.expected_sd["all"][i], rel=0.15)
+    assert both.identifiability.bits > straight.identifiability.bits
+
+
+def test_repeated_trials_narrow_the_interval_by_their_root(two_parameters, trial) -> None:
+    four = [trial("straight", seed) for seed in range(4)]
+    one, found = (
+        invert_jointly(trials, library=two_parameters, noise=NOISE_N, prior=["leg.friction=0.37"])
+        for trials in (four[:1], four)
+    )
+    ratio = one.marginal[PHI].sd / found.marginal[PHI].sd
+    # The surrogate's own error is shared by all: not quite two.
+    assert 1.6 < ratio < 2.05
+    assert found.keys == (PHI,)
+    assert [len(g.trials) for g in found.groups] == [4]
+
+
+def test_noise_is_inferred_if_it_is_not_given(two_parameters, trial) -> None:
+    found = invert_jointly(
+        [trial("straight"), trial("straight", 1)], library=two_parameters,
+        prior=["leg.friction=0.37"],
+    )  # fmt: skip
+    given = invert_jointly([trial("straight")], library=two_parameters, noise=NOISE_N,
+                           prior=["leg.friction=0.37"])  # fmt: skip
+    assert np.median(found.noise_N) == pytest.approx(given.noise_N[0], rel=0.25)
+
+
+def test_a_library_of_one_parameter_takes_several_histories() -> None:
+    library, truths = Library.load("quick-plane-strain"), Library.load("quick-plane-strain-truths")
+    case = next(c for c in truths.cases if c.scenario.soil.friction_angle_deg == 28.9)
+    other = next(
+        c for c in library.cases
+        if c.scenario.leg.shape == "c" and c.scenario.soil.friction_angle_deg == 30.0
+    )  # fmt: skip
+    found = invert_jointly(
+        [Trial(case.history, "straight", "a"), Trial(other.history, "c", "b")], library=library
+    )
+    assert found.keys == (PHI,)
+    assert 28.5 < found.marginal[PHI].median < 30.3
+    answer = found.as_dict()
+    assert answer["phi_deg"]["yield"] == "plane_strain"
+    assert answer["phi_plane_strain_deg"]["median"] == pytest.approx(answer["phi_deg"]["median"])
+    assert answer["density_kg_m3"] == 1650.0
+    assert answer["density_assumed"]
+
+
+def test_forces_that_no_parameters_explain_are_a_misfit(two_parameters, trial) -> None:
+    c = trial("c")
+    found = invert_jointly([Trial(c.history, "straight", "passed off")], library=two_parameters)
+    assert found.verdict.verdict in ("misfit", "out_of_range")
+
+
+def test_the_answer_is_plain_json(loose) -> None:
+    answer = json.loads(json.dumps(loose.as_dict(), allow_nan=False))
+    assert set(answer["parameters"]) == set(loose.keys)
+    assert answer["density_kg_m3"] is None
+    assert answer["parameters"][PHI]["convergence"]["split_rhat"] < 1.01
+    assert answer["phi_plane_strain_deg"] is None
+    assert "empirical law" in answer["phi_plane_strain_reason"]
+    assert answer["histories"][0]["source"] == "straight 0"
+
+
+def test_arviz_opens_the_file_and_agrees(loose, tmp_path) -> None:
+    loose.to_netcdf(tmp_path / "posterior.nc")
+    opened = arviz.from_netcdf(tmp_path / "posterior.nc")
+    draws = opened["posterior"]
+    assert draws["friction_angle_deg"].dims == ("chain", "draw")
+    assert draws.sizes["chain"] == 4
+    assert draws["density"].attrs["units"] == "kg/m³"
+    summary = arviz.summary(opened, var_names=["friction_angle_deg", "density", "friction"])
+    for key, name in ((PHI, "friction_angle_deg"), (DENSITY, "density"), (FRICTION, "friction")):
+        # What is kept is nearly independent, and says the same as all draws.
+        assert float(summary["r_hat"][name]) < 1.02
+        assert float(summary["ess_bulk"][name]) > 0.3 * draws[name].size
+        assert float(draws[name].std()) == pytest.approx(loose.marginal[key].sd, rel=0.1)
+    assert "prior" in opened
+    assert opened["observed_data"]["Fx_straight"].shape == (1, 40)
+    assert (tmp_path / "posterior.nc").stat().st_size < 2e6
+
+
+def test_figures_show_every_parameter_and_leg(loose, both) -> None:
+    corner = corner_figure(loose)
+    assert len(corner.axes) == 6
+    assert corner.axes[0].get_title().startswith("φ = $")
+    assert "ρ" in corner.axes[-1].get_xlabel()
+    corner.draw_without_rendering()
+    fits = fits_figure(both)
+    assert [axes.get_title() for axes in fits.axes] == ["leg straight"] * 2 + ["leg c"] * 2
+    fits.draw_without_rendering()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"discrepancy": "some"}, "unknown discrepancy"),
+        ({"prior": ["density=1500:1800"], "density": 1600.0}, "given twice"),
+        ({"prior": ["friction_angle_deg=30", "leg.friction=0.4"]}, "nothing to infer"),
+        ({"density": 1.6}, "between 100 and 10000"),
+        ({"noise": "loud"}, "give newtons"),
+    ],
+)
+def test_unusable_options_are_refused(options, words, two_parameters, trial) -> None:
+    with pytest.raises(InputError, match=words):
+        invert_jointly([trial("straight")], library=two_parameters, **options)
+
+
+def test_unusable_histories_are_refused(two_parameters, trial) -> None:
+    one = trial("straight")
+    with pytest.raises(InputError, match="there is no force history"):
+        invert_jointly([], library=two_parameters)
+    with pytest.raises(InputError, match="the same forces as straight 0"):
+        invert_jointly([one, Trial(one.history, "straight", "copy")], library=two_parameters)
+    with pytest.raises(InputError, match="no leg 'reversed_c'"):
+        invert_jointly([Trial(one.history, "reversed_c", "x")], library=two_parameters)
+    soils = [
+        Trial(one.history, "straight", "a", 1600.0),
+        Trial(trial("straight", 1).history, "straight", "b", 1500.0),
+    ]
+    with pytest.raises(InputError, match="a is of soil of 1600"):
+        invert_jointly(soils, library=two_parameters)
