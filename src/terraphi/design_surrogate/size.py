@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-DEGREES = (0, 1, 2, 3, 4, 5)
+DEGREES = (0, 1, 2)
 CASES_PER_COEFFICIENT = 1.25
 """Cases that there must be for each coefficient."""
 

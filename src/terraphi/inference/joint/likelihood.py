@@ -4,11 +4,12 @@ The window means of trial k with a leg are, for each force,
 
     d_k = g(x) + b + e_k,      b ~ N(0, V(x) + a^2 p^2 K),      e_k ~ N(0, (s^2 + t^2) I),
 
-V the surrogate's own covariance, with an error that multiplies both forces on a leg alike; a^2 p^2 K
-a model discrepancy of relative size a, as smooth over the leg angle as the forces themselves (K the
-surrogate's covariance over theta, of unit mean variance; p the peak-to-peak of the data); t^2 the
-scatter of the simulations; s the noise of a window mean. What the surrogate and the model get wrong
-they get wrong in every trial with that leg: b is shared, and repeating a trial averages out e_k alone. Legs err independently.
+V the surrogate's own covariance, with an error that multiplies both forces on a leg alike; a^2 p^2
+K a model discrepancy of relative size a, as smooth over the leg angle as the forces themselves (K
+the surrogate's covariance over theta, of unit mean variance; p the peak-to-peak of the data); t^2
+the scatter of the simulations; s the noise of a window mean. What the surrogate and the model get
+wrong they get wrong in every trial with that leg: b is shared, and repeating a trial averages out
+e_k alone. Legs err independently.
 
 In the basis of the leg angles that diagonalises K all of these are diagonal, so that with m trials
 of mean z and spread S = sum_k (z_k - z)^2 along a direction of the basis
