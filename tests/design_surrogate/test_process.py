@@ -80,24 +80,6 @@ def test_prediction_is_that_of_a_dense_matrix() -> None:
     np.testing.assert_allclose(whole.reshape(45, 45), posterior, atol=1e-8)
 
 
-def test_left_out_cases_are_those_of_a_process_without_them() -> None:
-    # In the units and about the mean of the whole, which a case that is left out does not leave.
-    standardised, covariance, _, std = dense(POINTS, VALUES, KERNEL)
-    process = DesignGP.condition(POINTS, THETA_DEG, VALUES, KERNEL)
-    i, m = 5, THETA_DEG.size
-    out = slice(i * m, (i + 1) * m)
-    rest = np.delete(np.arange(VALUES.size), np.arange(VALUES.size)[out])
-    across = covariance[out][:, rest]
-    weights = np.linalg.solve(covariance[np.ix_(rest, rest)], across.T).T
-    deviation = std * (standardised[out] - weights @ standardised[rest])
-    spread = std**2 * (covariance[out, out] - weights @ across.T)
-    found, variance = process.left_out
-    np.testing.assert_allclose(found[i] @ process.basis.T, deviation, atol=1e-8)
-    np.testing.assert_allclose(
-        process.basis @ np.diag(variance[i]) @ process.basis.T, spread, atol=1e-8
-    )
-
-
 @pytest.mark.parametrize("kind", ["matern52", "rbf"])
 def test_gradient_is_that_of_differences(kind) -> None:
     data = _Data(POINTS, THETA_DEG, VALUES)

@@ -46,12 +46,17 @@ def test_errors_are_those_of_the_most_probable_angle() -> None:
 
         def misfit(phi, truth=truth, data=data, noise=noise, at=at, scale=scale):
             named, total = {design.PHI: np.array([phi])}, 12.0 * ((phi - truth) / 35.0) ** 2
+            residual, variances, curves = [], [], []
             for process, half in zip(surrogate.processes, data, strict=True):
                 variance = process.rotated(surrogate.points(at))[1][0] + process.noise_variance
                 mean = surrogate.scale(named)[0] * process.rotated_mean(surrogate.points(named))[0]
-                residual = half @ process.basis - mean
-                total += np.sum(residual**2 / (scale**2 * variance + noise**2))
-            return total
+                residual.append(half @ process.basis - mean)
+                variances.append(scale**2 * variance + noise**2)
+                curves.append(scale * process.rotated_mean(surrogate.points(at))[0])
+            r, curve = np.concatenate(residual), np.concatenate(curves)
+            factor = surrogate.factor_variance(at)[0] * np.outer(curve, curve)
+            covariance = np.diag(np.concatenate(variances)) + factor
+            return total + r @ np.linalg.solve(covariance, r)
 
         errors.append(minimize_scalar(misfit, bounds=(truth - 2, truth + 2)).x - truth)
     expected = np.sqrt(np.mean(np.square(errors)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -35,11 +34,6 @@ class DesignSurrogate:
         Size of the forces at the reference density [N].
     Fx, Fz
         Processes of the forces over their size [-].
-    factor_error
-        Standard deviation of an error that multiplies both curves of a point alike [-]. The
-        processes take errors of all shapes for independent, yet what the polynomial misses of the
-        size has one shape, that of the curves; how much of it there is beyond what the processes
-        expect is seen where cases are left out.
     """
 
     bounds: Mapping[str, tuple[float, float]]
@@ -47,7 +41,6 @@ class DesignSurrogate:
     size: Size
     Fx: DesignGP
     Fz: DesignGP
-    factor_error: float = 0.0
 
     @classmethod
     def fit(cls, data: Training, *, seed: int = 0) -> Self:
@@ -63,13 +56,12 @@ class DesignSurrogate:
         reference = data.scenario.soil.density
         scaled = data.forces * (reference / data.density)[:, None]
         points = to_unit(data.values, data.bounds)
-        size = Size.fit(points, scaled)
+        size = Size.fit(points, scaled, seed=seed)
         scaled /= size(points)[:, None]
         half = data.theta_deg.size
         parts = (scaled[:, :half], scaled[:, half:])
         fx, fz = (DesignGP.fit(points, data.theta_deg, part, seed=seed) for part in parts)
-        error = _factor_error((fx, fz), parts)
-        return cls(data.bounds, reference, size, fx, fz, error)
+        return cls(data.bounds, reference, size, fx, fz)
 
     @property
     def theta_deg(self) -> FloatArray:
@@ -97,6 +89,10 @@ class DesignSurrogate:
         density = named.get(DENSITY, np.full(count, self.reference_density))
         scale: FloatArray = density / self.reference_density * self.size(self.points(named))
         return scale
+
+    def factor_variance(self, named: Mapping[str, FloatArray]) -> FloatArray:
+        """Variance of the factor by which both forces may be wrong alike [-], shape [k]."""
+        return self.size.variance(self.points(named))
 
     def slopes(
         self, named: Mapping[str, FloatArray], keys: Sequence[str], steps: Sequence[float]
@@ -138,20 +134,7 @@ class DesignSurrogate:
         parts = [process.predict(points) for process in self.processes]
         mean = scale * np.hstack([mean for mean, _ in parts])
         variance = np.square(scale) * np.hstack([variance for _, variance in parts])
-        return mean, variance + np.square(self.factor_error * mean)
-
-
-def _factor_error(processes: Sequence[DesignGP], forces: Sequence[FloatArray]) -> float:
-    """Excess of the left-out cases' common factor over what the processes expect [-]."""
-    along = expected = norm = np.zeros(len(forces[0]))
-    for process, values in zip(processes, forces, strict=True):
-        curve = values @ process.basis
-        deviation, variance = process.left_out
-        along = along + np.sum(deviation * curve, axis=1)
-        expected = expected + np.sum(variance * np.square(curve), axis=1)
-        norm = norm + np.sum(np.square(curve), axis=1)
-    excess = float(np.mean(np.square(along / norm)) - np.mean(expected / np.square(norm)))
-    return math.sqrt(max(excess, 0.0))
+        return mean, variance + self.factor_variance(named)[:, None] * np.square(mean)
 
 
 def to_unit(values: FloatArray, bounds: Mapping[str, tuple[float, float]]) -> FloatArray:

@@ -53,10 +53,6 @@ class DesignGP:
         Orthogonal, shape [theta, theta].
     roots
         Eigenvalues of K_theta [-], shape [theta].
-    left_out
-        Each case as the others foretell it (Rasmussen & Williams, eqs 5.10-5.12, a whole curve at a
-        time), in the basis: its deviation from that [N], and the variance of it [N^2], each of
-        shape [case, theta].
     """
 
     points: FloatArray
@@ -67,7 +63,6 @@ class DesignGP:
     std: float
     basis: FloatArray = field(repr=False)
     roots: FloatArray = field(repr=False)
-    left_out: tuple[FloatArray, FloatArray] = field(repr=False)
     _rotated_centre: FloatArray = field(repr=False)
     _mean_weights: FloatArray = field(repr=False)
     _variance_weights: FloatArray = field(repr=False)
@@ -126,9 +121,6 @@ class DesignGP:
     def _conditioned(cls, data: _Data, kernel: DesignKernel) -> Self:
         spectrum = Spectrum(data, kernel)
         sigma2, roots = kernel.signal_variance, spectrum.theta_roots
-        # Diagonals of the inverse covariance of the cases, one for each direction of the basis.
-        precision = np.square(spectrum.points_basis) @ (1.0 / spectrum.eigenvalues)
-        deviation = spectrum.points_basis @ spectrum.weights / precision
         return cls(
             points=data.points,
             theta_deg=data.theta_deg,
@@ -138,7 +130,6 @@ class DesignGP:
             std=data.std,
             basis=spectrum.theta_basis,
             roots=roots,
-            left_out=(data.std * deviation, data.std**2 / precision),
             _rotated_centre=data.mean @ spectrum.theta_basis,
             _mean_weights=data.std * sigma2 * spectrum.points_basis @ (spectrum.weights * roots),
             _variance_weights=sigma2**2 * np.square(roots) / spectrum.eigenvalues,
@@ -276,7 +267,9 @@ def _maximise_evidence(
         return -spectrum.log_evidence(), -spectrum.gradient()
 
     d = data.points.shape[1]
-    spacing, span = float(np.diff(data.theta_deg).min()), float(np.ptp(data.theta_deg))
+    # A single leg angle, of a quantity that has none, has no spacing: any will do.
+    spacing = float(np.diff(data.theta_deg).min(initial=90.0))
+    span = max(float(np.ptp(data.theta_deg)), spacing)
     low, high = np.log(
         [*[LENGTHS] * d, (0.5 * spacing, 10.0 * span), SIGNAL_VARIANCES, FINES, NOISE_VARIANCES]
     ).T

@@ -1,44 +1,41 @@
 """How large the forces are over the parameters: what is divided out before they are modelled.
 
 Forces on a leg grow several times over the range of a friction angle, and so do the deviations of
-a curve from its neighbours. Divided by their size, they are close to what a stationary process
-describes. The logarithm of the size is a polynomial of the parameters, by least squares, of the
-degree that foretells left-out cases best (PRESS; Allen, *Technometrics* 16:125, 1974).
+a curve from its neighbours. Divided by their size they are close to what a stationary process
+describes. The logarithm of the size is a Gaussian process of its own: what is not known of it is an
+error that multiplies both forces on the leg alike, at all leg angles.
 """
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.design_surrogate.process import DesignGP
+
 FloatArray = NDArray[np.float64]
 
-DEGREES = (0, 1, 2)
-CASES_PER_COEFFICIENT = 1.25
-"""Cases that there must be for each coefficient."""
+KINDS = ("rbf", "matern52")
+"""Correlations along the parameters that are tried; the one of larger evidence is taken."""
 
 
 @dataclass(frozen=True, eq=False)
 class Size:
-    """A polynomial for the logarithm of the root mean square force.
+    """The root mean square force on a leg over the parameters.
 
     Attributes
     ----------
-    degree
-        Of the polynomial.
-    coefficients
-        Of the terms, logarithms of a force in newtons.
+    process
+        Of the logarithm of the force in newtons; it has no leg angles, or rather one.
     """
 
-    degree: int
-    coefficients: FloatArray
+    process: DesignGP
 
     @classmethod
-    def fit(cls, points: FloatArray, forces: FloatArray) -> Self:
+    def fit(cls, points: FloatArray, forces: FloatArray, *, seed: int = 0) -> Self:
         """Fit it.
 
         Parameters
@@ -47,35 +44,23 @@ class Size:
             Parameters scaled to [-1, 1], shape [case, d].
         forces
             [N], shape [case, force].
+        seed
+            Of the optimiser's random start.
+
+        Raises
+        ------
+        ValueError
+            If all cases have forces of one size.
         """
         sizes = np.log(np.sqrt(np.mean(np.square(forces), axis=1)))
-        best = (np.inf, 0, np.zeros(1))
-        for degree in DEGREES:
-            terms = _terms(points, degree)
-            if degree and CASES_PER_COEFFICIENT * terms.shape[1] > len(points):
-                break
-            inverse = np.linalg.pinv(terms)
-            coefficients = inverse @ sizes
-            # What a case adds to its own prediction tells what would be foretold without it.
-            own = np.einsum("ij,ji->i", terms, inverse)
-            left_out = (sizes - terms @ coefficients) / np.maximum(1.0 - own, 1e-9)
-            press = float(np.square(left_out).sum())
-            if press < best[0]:
-                best = (press, degree, coefficients)
-        return cls(*best[1:])
+        tried = [DesignGP.fit(points, [0.0], sizes[:, None], kind=k, seed=seed) for k in KINDS]
+        return cls(max(tried, key=lambda process: process.log_marginal_likelihood))
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Size of the forces [N], shape [k, d] -> [k]."""
-        size: FloatArray = np.exp(_terms(points, self.degree) @ self.coefficients)
+        size: FloatArray = np.exp(self.process.predict(points)[0][:, 0])
         return size
 
-
-def _terms(points: FloatArray, degree: int) -> FloatArray:
-    """All products of up to so many parameters, the empty one included; shape [k, term]."""
-    return np.column_stack(
-        [
-            points[:, list(chosen)].prod(axis=1)
-            for k in range(degree + 1)
-            for chosen in itertools.combinations_with_replacement(range(points.shape[1]), k)
-        ]
-    )
+    def variance(self, points: FloatArray) -> FloatArray:
+        """Variance of the size relative to its square [-], shape [k, d] -> [k]."""
+        return self.process.predict(points)[1][:, 0]

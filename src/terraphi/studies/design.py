@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.stats import qmc
 
 from terraphi.design_surrogate import DesignSurrogate, training
@@ -114,16 +115,26 @@ class Box:
         spans = np.array([high - low for low, high in self.bounds.values()])
         noise = level * np.ptp(data.reshape(len(data), 2, -1), axis=2).mean(axis=1)
         precision = np.tile(np.diag(12.0 / np.square(spans)), (len(truths), 1, 1))
-        score = np.zeros((len(truths), len(keys)))
         scale = surrogate.scale(named)[:, None]
-        slopes = surrogate.slopes(named, keys, (SLOPE_STEP * spans).tolist())
-        halves = np.hsplit(data, 2)
-        for process, slope, values in zip(surrogate.processes, slopes, halves, strict=True):
+        forces, slopes, whole = [], [], []
+        for process, slope in zip(
+            surrogate.processes,
+            surrogate.slopes(named, keys, (SLOPE_STEP * spans).tolist()),
+            strict=True,
+        ):
             mean, variance = process.rotated(surrogate.points(named))
-            whole = np.square(scale) * (variance + process.noise_variance)
-            weighted = slope / (whole + np.square(noise)[:, None])[:, None]
-            precision += np.einsum("xkt,xlt->xkl", weighted, slope)
-            score += np.einsum("xkt,xt->xk", weighted, values @ process.basis - scale * mean)
+            forces.append(scale * mean)
+            slopes.append(slope)
+            own = np.square(scale) * (variance + process.noise_variance)
+            whole.append(own + np.square(noise)[:, None])
+        curve, slope, variance = np.hstack(forces), np.dstack(slopes), np.hstack(whole)
+        bases = block_diag(*(process.basis for process in surrogate.processes))
+        covariance = variance[:, :, None] * np.eye(variance.shape[1]) + surrogate.factor_variance(
+            named
+        )[:, None, None] * np.einsum("xt,xu->xtu", curve, curve)
+        weighted = np.linalg.solve(covariance, slope.swapaxes(1, 2))
+        precision += slope @ weighted
+        score = np.einsum("xtk,xt->xk", weighted, data @ bases - curve)
         errors = np.linalg.solve(precision, score[:, :, None])[:, :, 0]
         return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0)))
 

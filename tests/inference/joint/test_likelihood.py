@@ -25,9 +25,11 @@ def process(shift: float) -> DesignGP:
 
 
 def leg(shift: float) -> DesignSurrogate:
-    size = Size(1, np.array([0.2, 0.3]))
+    points = np.linspace(-1.0, 1.0, 5)[:, None]
+    rough = DesignKernel((0.3,), 90.0, 1.0, 1e-2, kind="rbf")
+    size = Size(DesignGP.condition(points, [0.0], 0.2 + 0.3 * points**2, rough))
     both = process(shift), process(shift + 1.0)
-    return DesignSurrogate({KEY: (20.0, 40.0)}, 1650.0, size, *both, factor_error=0.05)
+    return DesignSurrogate({KEY: (20.0, 40.0)}, 1650.0, size, *both)
 
 
 def parts_of(surrogate, data, named, noise, amplitude):
@@ -44,7 +46,7 @@ def parts_of(surrogate, data, named, noise, amplitude):
         own.append((noise**2 + scale**2 * part.noise_variance) * np.eye(THETA_DEG.size))
         means.append(scale * part.basis @ mean[0])
     mean = np.concatenate(means)
-    factor = surrogate.factor_error**2 * np.outer(mean, mean)
+    factor = surrogate.factor_variance(at)[0] * np.outer(mean, mean)
     return mean, block_diag(*shared) + factor, block_diag(*own)
 
 

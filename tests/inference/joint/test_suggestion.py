@@ -33,24 +33,36 @@ def test_risk_is_that_of_a_process_with_the_point_added(few) -> None:
     found = search(few)
     candidate = 60
     at = found.candidates[candidate]
+    leg = found.legs[0]
     variances = []
-    for part in found.parts:
-        process = part.process
+    for known in leg.known:
+        process = known.process
         # Forces there play no part in a variance: any will do, in the units of the process.
-        values = process.predict(process.points)[0]
         more = DesignGP.condition(
             np.vstack([process.points, at]),
             process.theta_deg,
-            np.vstack([values, process.predict(at)[0]]),
+            np.vstack([process.predict(process.points)[0], process.predict(at)[0]]),
             process.kernel,
         )
         variances.append(process.std**2 * more.rotated(found.truths)[1] / more.std**2)
-    expected = found._precision(variances)[:, 0, 0]
-    assert found.risk(candidate, [0]) == pytest.approx(12.0 * np.mean(1.0 / expected), rel=1e-6)
-    # And two points one after the other, as the second of a greedy design.
+    # One parameter, one leg: the information at each truth, from dense matrices.
+    inverse = []
+    for t in range(len(found.truths)):
+        whole = np.concatenate(
+            [
+                v[t] + leg.noise[t] ** 2 + known.process.noise_variance
+                for v, known in zip(variances[:2], leg.known[:2], strict=True)
+            ]
+        )
+        slope = np.concatenate([part[t] for part in leg.slopes], axis=1)
+        curve = np.concatenate([part[t] for part in leg.curves])
+        covariance = np.diag(whole) + variances[2][t, 0] * np.outer(curve, curve)
+        inverse.append(1.0 / (12.0 + float(slope[0] @ np.linalg.solve(covariance, slope[0]))))
+    assert found.risk(candidate, [0]) == pytest.approx(12.0 * np.mean(inverse), rel=1e-6)
+    # And the state after it, from which the next of a greedy design is sought.
     found.add(candidate)
-    for part, variance in zip(found.parts, variances, strict=True):
-        np.testing.assert_allclose(part.truth, variance, rtol=1e-6, atol=1e-12)
+    for known, variance in zip(found.legs[0].known, variances, strict=True):
+        np.testing.assert_allclose(known.truth, variance, rtol=1e-6, atol=1e-12)
 
 
 def test_the_best_candidate_is_best_and_none_is_named_twice(few) -> None:

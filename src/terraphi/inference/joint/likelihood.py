@@ -90,7 +90,7 @@ class LegLikelihood:
             total -= 0.5 * terms.sum(axis=1)
             along += np.sum(curve * (mean - curve) / whole, axis=1)
             norm += np.sum(np.square(curve) / whole, axis=1)
-        factor2 = self.surrogate.factor_error**2
+        factor2 = self.surrogate.factor_variance(named)
         by_factor = factor2 * np.square(along) / (1.0 + factor2 * norm)
         result: FloatArray = total + 0.5 * (by_factor - np.log1p(factor2 * norm))
         return result
@@ -130,7 +130,7 @@ class LegLikelihood:
             total += (slopes[0] / variance) @ slopes[0].T
             along += slopes[0] @ (curve / variance)
             norm += float(np.sum(np.square(curve) / variance))
-        factor2 = self.surrogate.factor_error**2
+        factor2 = float(self.surrogate.factor_variance(at)[0])
         lost: FloatArray = factor2 * np.outer(along, along) / (1.0 + factor2 * norm)
         return total - lost
 

@@ -6,18 +6,17 @@ At a truth x the posterior covariance of the parameters is, to first order,
 
 g_t the slopes of a force along direction t of the basis in which all errors are independent, v_t
 the surrogate's variance there, s the noise of a window mean, t^2 the scatter of the simulations, P
-the prior covariance. A simulation at c lowers the variance to v_t - k_t(x, c)^2 / (v_t(c) + t^2),
+the prior covariance; the error that is common to all t counts as in `likelihood`. A simulation at c lowers the variance to v_t - k_t(x, c)^2 / (v_t(c) + t^2),
 whatever its outcome, k_t the surrogate's posterior covariance. The next point is the candidate
 after which the variance of the parameters, in units of the prior's, is least on average over truths
 (an average-risk design, A-optimal; Chaloner & Verdinelli, *Stat. Sci.* 10:273, 1995). Further ones
-follow one by one, each given those before it. What the surrogate errs by a common factor is left
-out of account: no single point changes what is known of it.
+follow one by one, each given those before it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -194,20 +193,93 @@ def _counted(parameter: str | None, keys: Sequence[str]) -> list[int]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
-    """One force on one leg: variances and covariances over truths and candidates.
+class _Known:
+    """What a process knows at truths and candidates.
 
     ``truth`` [truth, theta] and ``candidate`` [candidate, theta] are variances, ``across`` [truth,
-    candidate, theta] covariances, all of forces over their size; ``slopes`` [truth, key, theta] are
-    of forces over their size as well, ``noise`` [truth] likewise.
+    candidate, theta] covariances; ``towards`` are those of the candidates with each that was added,
+    over the root of its variance [candidate, theta].
     """
 
     process: DesignGP
-    slopes: FloatArray
-    noise: FloatArray
+    candidates: FloatArray
     truth: FloatArray
     candidate: FloatArray
     across: FloatArray
+    towards: tuple[FloatArray, ...] = ()
+
+    @classmethod
+    def of(cls, process: DesignGP, truths: FloatArray, candidates: FloatArray) -> _Known:
+        return cls(
+            process,
+            candidates,
+            process.rotated(truths)[1],
+            process.rotated(candidates)[1],
+            process.rotated_covariance(truths, candidates),
+        )
+
+    def _whole(self, candidate: int) -> FloatArray:
+        """Variance of a simulation at a candidate, shape [theta]."""
+        # A candidate that is known already has next to no variance, and no covariance either.
+        floor = np.finfo(float).eps * self.process.roots.max() * self.process.std**2
+        whole: FloatArray = self.candidate[candidate] + self.process.noise_variance + floor
+        return whole
+
+    def after(self, candidate: int) -> FloatArray:
+        """Variance at the truths after a simulation at a candidate, shape [truth, theta]."""
+        explained = np.square(self.across[:, candidate]) / self._whole(candidate)
+        variance: FloatArray = (self.truth - explained).clip(min=0.0)
+        return variance
+
+    def added(self, candidate: int) -> _Known:
+        """The same after a simulation at a candidate."""
+        root = np.sqrt(self._whole(candidate))
+        point = self.candidates[candidate][None]
+        towards = self.process.rotated_covariance(self.candidates, point)[:, 0]
+        for earlier in self.towards:
+            towards = towards - earlier * earlier[candidate]
+        towards = towards / root
+        to_truths = self.across[:, candidate] / root
+        return _Known(
+            self.process,
+            self.candidates,
+            self.after(candidate),
+            (self.candidate - np.square(towards)).clip(min=0.0),
+            self.across - to_truths[:, None] * towards[None],
+            (*self.towards, towards),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Leg:
+    """A leg at the truths, all forces over their size.
+
+    ``slopes`` [truth, key, theta] of each force are over the parameters' spans, ``curves`` [truth,
+    theta]; ``noise`` [truth] is the standard deviation of a window mean; ``known`` are the two
+    processes of the forces and that of their size.
+    """
+
+    slopes: tuple[FloatArray, ...]
+    curves: tuple[FloatArray, ...]
+    noise: FloatArray
+    known: tuple[_Known, ...]
+
+    def information(self, variances: Sequence[FloatArray]) -> FloatArray:
+        """Of the parameters over their spans, shape [truth, key, key]."""
+        *forces, size = variances
+        total, along, norm = 0.0, 0.0, 0.0
+        for slopes, curve, variance, known in zip(
+            self.slopes, self.curves, forces, self.known[:-1], strict=True
+        ):
+            whole = variance + np.square(self.noise)[:, None] + known.process.noise_variance
+            weighted = slopes / whole[:, None]
+            total = total + np.einsum("xkt,xlt->xkl", weighted, slopes)
+            along = along + np.einsum("xkt,xt->xk", weighted, curve)
+            norm = norm + np.sum(np.square(curve) / whole, axis=1)
+        lost = size / (1.0 + size * np.asarray(norm)[:, None])
+        outer = np.einsum("xk,xl->xkl", along, along)
+        information: FloatArray = total - lost[:, :, None] * outer
+        return information
 
 
 class _Search:
@@ -220,93 +292,62 @@ class _Search:
         bounds: Mapping[str, tuple[float, float]],
         seed: int,
     ) -> None:
-        self.keys = list(bounds)
+        keys = list(bounds)
         self.spans = np.array([high - low for low, high in bounds.values()])
-        self.truths, self.candidates = _points(len(self.keys), seed)
-        named = dict(zip(self.keys, from_unit(self.truths, bounds).T, strict=True))
-        steps = SLOPE_STEP * self.spans
-        self.parts = []
+        self.truths, self.candidates = _points(len(keys), seed)
+        named = dict(zip(keys, from_unit(self.truths, bounds).T, strict=True))
+        self.legs = []
         for leg, surrogate in surrogates.items():
             scale = surrogate.scale(named)
-            both = surrogate.slopes(named, self.keys, steps.tolist())
-            for process, slopes in zip(surrogate.processes, both, strict=True):
-                self.parts.append(
-                    _Part(
-                        process,
-                        slopes / scale[:, None, None],
-                        noise[leg] / scale,
-                        process.rotated(self.truths)[1],
-                        process.rotated(self.candidates)[1],
-                        process.rotated_covariance(self.truths, self.candidates),
-                    )
+            both = surrogate.slopes(named, keys, (SLOPE_STEP * self.spans).tolist())
+            per_span = self.spans[:, None] / scale[:, None, None]
+            processes = (*surrogate.processes, surrogate.size.process)
+            self.legs.append(
+                _Leg(
+                    tuple(slopes * per_span for slopes in both),
+                    tuple(p.rotated_mean(self.truths) for p in surrogate.processes),
+                    noise[leg] / scale,
+                    tuple(_Known.of(p, self.truths, self.candidates) for p in processes),
                 )
-        self._added: list[list[FloatArray]] = [[] for _ in self.parts]
+            )
 
-    def _precision(self, variances: Sequence[FloatArray]) -> FloatArray:
-        """Of the parameters over their spans, shape [truth, key, key], plus the prior's."""
-        total = np.zeros((len(self.truths), len(self.keys), len(self.keys)))
-        for part, variance in zip(self.parts, variances, strict=True):
-            slopes = part.slopes * self.spans[:, None]
-            whole = variance + np.square(part.noise)[:, None] + part.process.noise_variance
-            total += np.einsum("xkt,xlt->xkl", slopes / whole[:, None], slopes)
+    def _covariance(self, variances: Sequence[Sequence[FloatArray]]) -> FloatArray:
+        """Of the parameters over their spans at each truth, shape [truth, key, key]."""
+        information = [leg.information(v) for leg, v in zip(self.legs, variances, strict=True)]
         # A uniform prior on a unit span has a variance of 1/12.
-        return total + 12.0 * np.eye(len(self.keys))
+        precision = np.sum(information, axis=0) + 12.0 * np.eye(len(self.spans))
+        covariance: FloatArray = np.linalg.inv(precision)
+        return covariance
 
     def expected_sd(self) -> FloatArray:
         """Root of the expected variance of each parameter, in its unit, shape [key]."""
-        return self._sd([part.truth for part in self.parts])
+        return self._sd([[known.truth for known in leg.known] for leg in self.legs])
 
     def floor_sd(self) -> FloatArray:
         """The same if the surrogates knew the forces exactly."""
-        return self._sd([np.zeros_like(part.truth) for part in self.parts])
+        return self._sd([[np.zeros_like(k.truth) for k in leg.known] for leg in self.legs])
 
-    def _sd(self, variances: Sequence[FloatArray]) -> FloatArray:
-        inverse = np.linalg.inv(self._precision(variances))
-        variance = np.diagonal(inverse, axis1=1, axis2=2).mean(axis=0)
+    def _sd(self, variances: Sequence[Sequence[FloatArray]]) -> FloatArray:
+        variance = np.diagonal(self._covariance(variances), axis1=1, axis2=2).mean(axis=0)
         sd: FloatArray = np.sqrt(variance) * self.spans
         return sd
 
     def risk(self, candidate: int, counted: Sequence[int]) -> float:
         """Expected variance in units of the prior's after a simulation there, summed [-]."""
-        after = [
-            part.truth - np.square(part.across[:, candidate]) / self._whole(part, candidate)
-            for part in self.parts
-        ]
-        inverse = np.linalg.inv(self._precision([v.clip(min=0.0) for v in after]))
-        diagonal = np.diagonal(inverse, axis1=1, axis2=2)[:, list(counted)]
+        after = [[known.after(candidate) for known in leg.known] for leg in self.legs]
+        diagonal = np.diagonal(self._covariance(after), axis1=1, axis2=2)[:, list(counted)]
         return 12.0 * float(diagonal.mean(axis=0).sum())
-
-    @staticmethod
-    def _whole(part: _Part, candidate: int) -> FloatArray:
-        """Variance of a simulation at a candidate, shape [theta]."""
-        # A candidate that is known already has next to no variance, and no covariance either.
-        floor = np.finfo(float).eps * part.process.roots.max() * part.process.std**2
-        whole: FloatArray = part.candidate[candidate] + part.process.noise_variance + floor
-        return whole
 
     def best(self, counted: Sequence[int]) -> int:
         """The candidate of least risk."""
         return int(np.argmin([self.risk(c, counted) for c in range(len(self.candidates))]))
 
     def add(self, candidate: int) -> None:
-        """Condition all parts on a simulation at a candidate."""
-        point = self.candidates[candidate][None]
-        for i, part in enumerate(self.parts):
-            root = np.sqrt(self._whole(part, candidate))
-            towards = part.process.rotated_covariance(self.candidates, point)[:, 0]
-            for earlier in self._added[i]:
-                towards = towards - earlier * earlier[candidate]
-            towards = towards / root
-            to_truths = part.across[:, candidate] / root
-            self._added[i].append(towards)
-            self.parts[i] = _Part(
-                part.process,
-                part.slopes,
-                part.noise,
-                (part.truth - np.square(to_truths)).clip(min=0.0),
-                (part.candidate - np.square(towards)).clip(min=0.0),
-                part.across - to_truths[:, None] * towards[None],
-            )
+        """Condition all processes on a simulation at a candidate."""
+        self.legs = [
+            replace(leg, known=tuple(known.added(candidate) for known in leg.known))
+            for leg in self.legs
+        ]
 
 
 def _points(d: int, seed: int) -> tuple[FloatArray, FloatArray]:
