@@ -8,24 +8,24 @@ import pytest
 from terraphi.studies import design
 
 
-@pytest.fixture
-def small(monkeypatch) -> None:
-    box = design.Box({design.PHI: (15.0, 50.0)}, (3, 5, 7), 16)
+def test_the_suggested_order_beats_the_even_grid_over_two_parameters(monkeypatch) -> None:
+    box = design.Box({design.PHI: (20.0, 45.0), "leg.friction": (0.2, 0.6)}, (4, 9), 16)
     monkeypatch.setattr(design, "BOXES", (box,))
-    monkeypatch.setattr(design, "NOISES", (0.003,))
-
-
-def test_the_suggested_order_beats_the_even_grid(small) -> None:
     seen: list[tuple[float, float]] = []
     study = design.run(progress=lambda done, total: seen.append((done, total)))
     (found,) = study.data["comparisons"]
-    even, suggested = np.array(found["even"])[1:, 0], np.array(found["suggested"])[1:, 0]
-    assert found["even"][0] == found["suggested"][0]
-    assert (suggested < even).all()
-    assert len(found["order"]) == 4
-    assert seen[-1] == (1, 1)
-    assert len(study.rows) == 3
-    assert "and more than it in 2 of 2" in study.notes[0]
+    assert found["grid"][0] == found["suggested"][0]
+    assert (2.0 * np.array(found["suggested"][1]) < np.array(found["grid"][1])).all()
+    assert len(found["order"]) == 5
+    assert seen == [(1, 1)]
+    assert len(study.rows) == 4
+    assert study.notes[0].startswith("φ, μ_leg, 9 cases: the even grid errs")
+
+
+def test_a_grid_has_its_corners_and_all_combinations() -> None:
+    box = design.Box({"a": (0.0, 1.0), "b": (10.0, 20.0)}, (4, 9), 1)
+    expected = [[a, b] for a in (0.0, 0.5, 1.0) for b in (10.0, 15.0, 20.0)]
+    np.testing.assert_allclose(box.grid(9), expected)
 
 
 def test_errors_are_those_of_the_most_probable_angle() -> None:
@@ -35,12 +35,12 @@ def test_errors_are_those_of_the_most_probable_angle() -> None:
     from terraphi.design_surrogate import DesignSurrogate, training
 
     box = design.Box({design.PHI: (15.0, 50.0)}, (4,), 4)
-    points, level = box.even(4), 0.01
+    points = box.grid(4)
     surrogate = DesignSurrogate.fit(training(box.library(points), design.LEG))
     errors = []
     for (truth,) in box.unseen():
         data = np.hsplit(box.simulated((truth,)).observation().vector, 2)
-        noise = level * np.mean([np.ptp(half) for half in data])
+        noise = design.NOISE * np.mean([np.ptp(half) for half in data])
         at = {design.PHI: np.array([truth])}
         scale = surrogate.scale(at)[0]
 
@@ -60,4 +60,4 @@ def test_errors_are_those_of_the_most_probable_angle() -> None:
 
         errors.append(minimize_scalar(misfit, bounds=(truth - 2, truth + 2)).x - truth)
     expected = np.sqrt(np.mean(np.square(errors)))
-    assert box.wrong(points, level)[0] == pytest.approx(expected, rel=0.05)
+    assert box.wrong(points)[0] == pytest.approx(expected, rel=0.05)

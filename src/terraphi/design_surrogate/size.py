@@ -18,9 +18,6 @@ from terraphi.design_surrogate.process import DesignGP
 
 FloatArray = NDArray[np.float64]
 
-KINDS = ("rbf", "matern52")
-"""Correlations along the parameters that are tried; the one of larger evidence is taken."""
-
 
 @dataclass(frozen=True, eq=False)
 class Size:
@@ -53,8 +50,7 @@ class Size:
             If all cases have forces of one size.
         """
         sizes = np.log(np.sqrt(np.mean(np.square(forces), axis=1)))
-        tried = [DesignGP.fit(points, [0.0], sizes[:, None], kind=k, seed=seed) for k in KINDS]
-        return cls(max(tried, key=lambda process: process.log_marginal_likelihood))
+        return cls(DesignGP.fit(points, [0.0], sizes[:, None], seed=seed))
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Size of the forces [N], shape [k, d] -> [k]."""

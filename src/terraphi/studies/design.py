@@ -1,13 +1,14 @@
-"""Design: a library built in the order that is suggested, against an even one of the same size.
+"""Design: a library built in the order that is suggested, against even ones of the same size.
 
-Three-dimensional resistive force theory stands in for longer simulations. Over the friction angle
-the even library is a grid, built anew for each size; over three parameters it is a Sobol sequence.
-The other begins with the same few points and takes what `suggest` names, given what it has. Both
-are asked for truths that neither has seen, without noise: what they get wrong is their own.
+Three-dimensional resistive force theory stands in for longer simulations. The even libraries are
+grids, built anew for each size, and Sobol sequences. The other begins with the coarsest grid and
+takes what `suggest` names, given what it has. All are asked for truths that none has seen, without
+noise: what they get wrong is their own.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,10 +22,10 @@ from terraphi.design_surrogate import DesignSurrogate, training
 from terraphi.forward import simulate
 from terraphi.history import ForceHistory
 from terraphi.inference.joint.identifiability import axis_label, label
-from terraphi.inference.joint.suggestion import suggest
+from terraphi.inference.joint.suggestion import NOISE, suggest
 from terraphi.library import Case, Library
 from terraphi.plan import Plan, Sample
-from terraphi.plots import BLUE, ORANGE
+from terraphi.plots import BLUE, GREY, ORANGE
 from terraphi.scenario import Scenario
 from terraphi.studies import Study
 
@@ -41,8 +42,6 @@ BASE: dict[str, Any] = {
 """Setting of the simulations: the leg's path in the soil alone, and coarse."""
 LEG = "straight"
 PHI = "soil.friction_angle_deg"
-NOISES = (0.01, 0.003, 0.001)
-"""Noise of a window mean, of the forces' peak-to-peak [-]."""
 SLOPE_STEP = 1e-3
 """Step of differences over a parameter, of its span [-]."""
 
@@ -81,10 +80,14 @@ class Box:
         cases = zip(plan.cases(), points, strict=True)
         return Library(plan, tuple(Case(s, self.simulated(at), "") for s, at in cases))
 
-    def even(self, count: int) -> FloatArray:
-        """Evenly spread points, shape [case, key]: a grid over one parameter, else Sobol's."""
-        if len(self.bounds) == 1:
-            return np.linspace(*next(iter(self.bounds.values())), count)[:, None]
+    def grid(self, count: int) -> FloatArray:
+        """All combinations of evenly spaced values, as many of each, shape [case, key]."""
+        each = round(count ** (1.0 / len(self.bounds)))
+        axes = (np.linspace(low, high, each) for low, high in self.bounds.values())
+        return np.array(list(itertools.product(*axes)))
+
+    def sobol(self, count: int) -> FloatArray:
+        """Points that fill the box evenly, shape [case, key]."""
         points = Sample(keys=dict(self.bounds), count=count).points()
         return np.array([list(point.values()) for point in points])
 
@@ -94,14 +97,7 @@ class Box:
         unit = qmc.Sobol(len(low), rng=np.random.default_rng(1)).random(self.truths)
         return np.asarray(qmc.scale(unit, low, high))
 
-    def following(self, points: FloatArray, level: float) -> FloatArray:
-        """The points and the one that is suggested next, at a level of noise [-]."""
-        library = self.library(points)
-        spans = np.ptp(training(library, LEG).forces.reshape(2 * len(points), -1), axis=1)
-        found = suggest(library, leg=LEG, noise=level * float(spans.mean()))
-        return np.vstack([points, list(found.points[0].values())])
-
-    def wrong(self, points: FloatArray, level: float) -> FloatArray:
+    def wrong(self, points: FloatArray) -> FloatArray:
         """Root mean square error of each parameter, inferred with a library of some points.
 
         To first order: the surrogate's error at a truth, weighted as the likelihood weights it.
@@ -113,7 +109,7 @@ class Box:
         named = dict(zip(keys, truths.T, strict=True))
         data = np.stack([self.simulated(at).observation().vector for at in truths])
         spans = np.array([high - low for low, high in self.bounds.values()])
-        noise = level * np.ptp(data.reshape(len(data), 2, -1), axis=2).mean(axis=1)
+        noise = NOISE * np.ptp(data.reshape(len(data), 2, -1), axis=2).mean(axis=1)
         precision = np.tile(np.diag(12.0 / np.square(spans)), (len(truths), 1, 1))
         scale = surrogate.scale(named)[:, None]
         forces, slopes, whole = [], [], []
@@ -139,116 +135,111 @@ class Box:
         return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0)))
 
 
+PHI_BOUNDS = (20.0, 45.0)
 BOXES = (
-    Box({PHI: (15.0, 50.0)}, tuple(range(3, 11)), 32),
-    Box(
-        {PHI: (20.0, 45.0), "leg.friction": (0.2, 0.6), "motion.hip.1": (0.18, 0.20)},
-        (16, 20, 24, 28, 32),
-        32,
-    ),
+    Box({PHI: (15.0, 50.0)}, (3, 4, 5, 6, 7, 8, 9, 10), 32),
+    Box({PHI: PHI_BOUNDS, "leg.friction": (0.2, 0.6)}, (4, 9, 16, 25), 32),
+    Box({PHI: PHI_BOUNDS, "leg.friction": (0.2, 0.6), "motion.hip.1": (0.18, 0.20)}, (8, 27), 32),
 )
+ORDERS = ("grid", "sobol", "suggested")
 
 
 def run(*, progress: Callable[[float, float], None] | None = None) -> Study:
-    """Build libraries in both orders, and compare what they get wrong.
+    """Build libraries in three orders, and compare what they get wrong.
 
     Parameters
     ----------
     progress
-        Called with the number of libraries that are done, and of all.
+        Called with the number of comparisons that are done, and of all.
 
     Returns
     -------
     Study
-        ``data``: ``comparisons``, each with ``keys``, ``noise_of_peak_to_peak``, ``cases``,
-        ``even`` and ``suggested`` (root mean square error of each parameter, by size) and ``order``
-        (the suggested points, after those at the beginning).
+        ``data``: ``noise_of_peak_to_peak``, and ``comparisons``, each with ``keys``, ``cases``,
+        ``grid``, ``sobol`` and ``suggested`` (root mean square error of each parameter, by size)
+        and ``order`` (the suggested points, after those at the beginning).
     """
-    tasks = [(box, level) for box in BOXES for level in NOISES]
     comparisons = []
-    for box, level in tasks:
-        comparisons.append(_compared(box, level))
+    for box in BOXES:
+        comparisons.append(_compared(box))
         if progress is not None:
-            progress(len(comparisons), len(tasks))
+            progress(len(comparisons), len(BOXES))
     return Study(
-        title="Errors of a library's own, built evenly and in the order that is suggested",
-        header=("parameters", "noise", "cases", "even", "suggested", "even / suggested"),
+        title="Errors of a library's own: an even grid, a Sobol sequence, the suggested order",
+        header=("", "cases", "grid", "Sobol", "suggested", "grid / suggested"),
         rows=[row for comparison in comparisons for row in _rows(comparison)],
-        data={"comparisons": comparisons},
+        data={"noise_of_peak_to_peak": NOISE, "comparisons": comparisons},
         figures={"design": _figure(comparisons)},
-        notes=[
-            _note([c for c in comparisons if c["keys"] == list(box.bounds)], i)
-            for box in BOXES
-            for i in range(len(box.bounds))
-        ],
+        notes=[_note(comparison) for comparison in comparisons],
     )
 
 
-def _compared(box: Box, level: float) -> dict[str, Any]:
-    """Libraries of all sizes in both orders."""
-    points = box.even(box.sizes[0])
-    found: dict[str, list[list[float]]] = {"even": [], "suggested": []}
+def _compared(box: Box) -> dict[str, Any]:
+    """Libraries of all sizes in all orders; the suggested one begins with the coarsest grid."""
+    points = box.grid(box.sizes[0])
+    found: dict[str, list[list[float]]] = {order: [] for order in ORDERS}
     for size in box.sizes:
         while len(points) < size:
-            points = box.following(points, level)
-        found["even"].append(box.wrong(box.even(size), level).tolist())
-        found["suggested"].append(box.wrong(points, level).tolist())
-    return {
-        "keys": list(box.bounds),
-        "noise_of_peak_to_peak": level,
-        "cases": list(box.sizes),
-        **found,
-        "order": points[box.sizes[0] :].tolist(),
-    }
+            following = suggest(box.library(points), leg=LEG).points[0]
+            points = np.vstack([points, list(following.values())])
+        each = {"grid": box.grid(size), "sobol": box.sobol(size), "suggested": points}
+        for order, chosen in each.items():
+            found[order].append(box.wrong(chosen).tolist())
+    order = points[box.sizes[0] :].tolist()
+    return {"keys": list(box.bounds), "cases": list(box.sizes), **found, "order": order}
 
 
 def _rows(comparison: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    names = ", ".join(axis_label(key) for key in comparison["keys"])
     rows = []
-    for size, *both in zip(*(comparison[k] for k in ("cases", "even", "suggested")), strict=True):
-        even, other = both
-        columns = (
-            ", ".join(form(value) for value in values)
-            for form, values in (
-                ("{:.2g}".format, even),
-                ("{:.2g}".format, other),
-                ("{:.2f}".format, np.divide(even, other)),
+    names = [label(key)[0] for key in comparison["keys"]]
+    for i, key in enumerate(comparison["keys"]):
+        others = [name for j, name in enumerate(names) if j != i]
+        beside = f", beside {', '.join(others)}" if others else ""
+        for j, size in enumerate(comparison["cases"]):
+            errors = [comparison[order][j][i] for order in ORDERS]
+            rows.append(
+                (
+                    axis_label(key) + beside,
+                    f"{size}",
+                    *(f"{error:.2g}" for error in errors),
+                    f"{errors[0] / errors[-1]:.2f}",
+                )
             )
-        )
-        rows.append((names, f"{comparison['noise_of_peak_to_peak']:.1%}", f"{size}", *columns))
     return rows
 
 
-def _note(comparisons: Sequence[Mapping[str, Any]], i: int) -> str:
-    """Mean ratio of the errors of a parameter over sizes and noises, in words."""
-    ratios = np.array([[e[i] for e in c["even"][1:]] for c in comparisons]) / np.array(
-        [[e[i] for e in c["suggested"][1:]] for c in comparisons]
-    )
-    first, keys = comparisons[0], comparisons[0]["keys"]
-    alone = "alone" if len(keys) == 1 else f"of {len(keys)}"
+def _note(comparison: Mapping[str, Any]) -> str:
+    """Ratios of the errors, over parameters and sizes, in words."""
+    grid, sobol, suggested = (np.array(comparison[order])[1:] for order in ORDERS)
+    names, sizes = ", ".join(label(key)[0] for key in comparison["keys"]), comparison["cases"]
+    span = f"{sizes[1]} to {sizes[-1]}" if len(sizes) > 2 else f"{sizes[-1]}"
+    mean, least, most = _spread(grid / suggested)
     return (
-        f"{label(keys[i])[0]} {alone}, {first['cases'][1]} to {first['cases'][-1]} cases: the "
-        f"even library errs {np.exp(np.log(ratios).mean()):.2f} times as much as the suggested one "
-        f"(geometric mean; {ratios.min():.2f} to {ratios.max():.2f}), and more than it in "
-        f"{np.count_nonzero(ratios > 1.0)} of {ratios.size}."
+        f"{names}, {span} cases: the even grid errs {mean:.2f} times as much as the suggested "
+        f"order ({least:.2f} to {most:.2f}), Sobol points {_spread(sobol / suggested)[0]:.2f} "
+        "times (geometric means)."
     )
+
+
+def _spread(ratios: FloatArray) -> tuple[float, float, float]:
+    """Geometric mean, least and largest."""
+    return float(np.exp(np.log(ratios).mean())), float(ratios.min()), float(ratios.max())
 
 
 def _figure(comparisons: Sequence[Mapping[str, Any]]) -> Any:
-    """Error of the first parameter over the number of cases, a panel each comparison."""
+    """Error of the friction angle over the number of cases, a panel each number of parameters."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(3.0 * len(NOISES) + 0.4, 5.6), layout="constrained")
-    panels = figure.subplots(len(BOXES), len(NOISES), sharey="row", squeeze=False)
-    for axes, comparison in zip(panels.ravel(), comparisons, strict=True):
-        for order, colour, style in (("even", BLUE, "o-"), ("suggested", ORANGE, "s--")):
+    figure = Figure(figsize=(3.2 * len(comparisons), 3.2), layout="constrained")
+    looks = {"grid": (BLUE, "o-"), "sobol": (GREY, "^:"), "suggested": (ORANGE, "s--")}
+    panels = figure.subplots(1, len(comparisons), squeeze=False)[0]
+    for axes, comparison in zip(panels, comparisons, strict=True):
+        for order, (colour, style) in looks.items():
             errors = [found[0] for found in comparison[order]]
             axes.plot(comparison["cases"], errors, style, color=colour, ms=4, label=order)
-        count, level = len(comparison["keys"]), comparison["noise_of_peak_to_peak"]
         axes.set_yscale("log")
-        axes.set_title(f"{count} varied, noise {level:.1%} of peak-to-peak", fontsize=9)
         axes.set_xlabel("cases")
-    for axes in panels[:, 0]:
-        axes.set_ylabel("RMS error of φ, 3-D RFT [deg]")
-    panels[0, 0].legend(frameon=False)
+        axes.set_title(", ".join(label(key)[0] for key in comparison["keys"]), fontsize=10)
+    panels[0].set_ylabel("RMS error of φ, 3-D RFT [deg]")
+    panels[0].legend(frameon=False)
     return figure

@@ -4,13 +4,13 @@ At a truth x the posterior covariance of the parameters is, to first order,
 
     C(x) = (sum_t g_t g_t^T / (v_t + s^2 + t^2) + P^-1)^-1,
 
-g_t the slopes of a force along direction t of the basis in which all errors are independent, v_t
+g_t the slopes of a force along direction t of the basis in which its errors are independent, v_t
 the surrogate's variance there, s the noise of a window mean, t^2 the scatter of the simulations, P
-the prior covariance; the error that is common to all t counts as in `likelihood`. A simulation at c lowers the variance to v_t - k_t(x, c)^2 / (v_t(c) + t^2),
-whatever its outcome, k_t the surrogate's posterior covariance. The next point is the candidate
-after which the variance of the parameters, in units of the prior's, is least on average over truths
-(an average-risk design, A-optimal; Chaloner & Verdinelli, *Stat. Sci.* 10:273, 1995). Further ones
-follow one by one, each given those before it.
+the prior covariance; the error common to all t counts as in `likelihood`. A simulation at c lowers
+the variance to v_t - k_t(x, c)^2 / (v_t(c) + t^2), whatever its outcome, k_t the surrogate's
+posterior covariance. The next point is the candidate after which the variance of the parameters, in
+units of the prior's, is least on average over truths (an average-risk design, A-optimal; Chaloner &
+Verdinelli, *Stat. Sci.* 10:273, 1995). Further ones follow one by one, each given those before it.
 """
 
 from __future__ import annotations
