@@ -85,10 +85,18 @@ class DesignSurrogate:
 
     def scale(self, named: Mapping[str, FloatArray]) -> FloatArray:
         """Factor of density and size on what the processes predict [N], shape [k]."""
-        count = len(next(iter(named.values())))
-        density = named.get(DENSITY, np.full(count, self.reference_density))
-        scale: FloatArray = density / self.reference_density * self.size(self.points(named))
+        scale: FloatArray = self._relative_density(named) * self.size(self.points(named))
         return scale
+
+    def located(self, named: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Points, scale and variance of the common factor at once; as the three methods."""
+        points = self.points(named)
+        size, variance = self.size.both(points)
+        return points, self._relative_density(named) * size, variance
+
+    def _relative_density(self, named: Mapping[str, FloatArray]) -> FloatArray | float:
+        density = named.get(DENSITY)
+        return 1.0 if density is None else density / self.reference_density
 
     def factor_variance(self, named: Mapping[str, FloatArray]) -> FloatArray:
         """Variance of the factor by which both forces may be wrong alike [-], shape [k]."""

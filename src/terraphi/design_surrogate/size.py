@@ -54,9 +54,16 @@ class Size:
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Size of the forces [N], shape [k, d] -> [k]."""
-        size: FloatArray = np.exp(self.process.predict(points)[0][:, 0])
+        size: FloatArray = np.exp(
+            self.process.rotated_mean(points)[:, 0] * self.process.basis[0, 0]
+        )
         return size
 
     def variance(self, points: FloatArray) -> FloatArray:
         """Variance of the size relative to its square [-], shape [k, d] -> [k]."""
-        return self.process.predict(points)[1][:, 0]
+        return self.both(points)[1]
+
+    def both(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Size [N] and its relative variance [-] at once, shape [k, d] -> [k] each."""
+        logarithm, variance = self.process.predict(points)
+        return np.exp(logarithm[:, 0]), variance[:, 0]

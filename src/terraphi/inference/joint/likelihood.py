@@ -77,7 +77,8 @@ class LegLikelihood:
         amplitude
             a [-], shape [k]; zero for a model that is right.
         """
-        points, scale = self.surrogate.points(named), self.surrogate.scale(named)[:, None]
+        points, scale, factor2 = self.surrogate.located(named)
+        scale = scale[:, None]
         m, total = self.trials, np.zeros(len(points))
         along, norm = np.zeros(len(points)), np.zeros(len(points))
         for process, mean, spread, shape in self.parts:
@@ -90,7 +91,6 @@ class LegLikelihood:
             total -= 0.5 * terms.sum(axis=1)
             along += np.sum(curve * (mean - curve) / whole, axis=1)
             norm += np.sum(np.square(curve) / whole, axis=1)
-        factor2 = self.surrogate.factor_variance(named)
         by_factor = factor2 * np.square(along) / (1.0 + factor2 * norm)
         result: FloatArray = total + 0.5 * (by_factor - np.log1p(factor2 * norm))
         return result

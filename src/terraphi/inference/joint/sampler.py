@@ -35,6 +35,8 @@ STAGE_STEPS = 20
 """Steps of an ensemble at each temperature on the way from the prior to the posterior."""
 STAGES = 200
 DOUBLINGS = 3
+BURN_IN = 5
+"""One in so many steps is left out, from the beginning."""
 NEAR = 0.01
 """Fraction of the draws that counts as near to the median [-]."""
 
@@ -114,7 +116,7 @@ def sample(
     walkers
         Of an ensemble, even, at least twice the dimensions.
     steps
-        Of each ensemble, of which the first third is burn-in.
+        Of each ensemble, of which the first fifth is burn-in.
     ensembles
         At least 4.
     doublings
@@ -237,7 +239,7 @@ def _next_power(log_p: FloatArray, power: float, worth: float) -> float:
 def _gathered(running: list[Any], seed: int, parameters: Coordinates) -> Draws:
     chains, log_p = [], []
     for sampler in running:
-        discard = sampler.iteration // 3
+        discard = sampler.iteration // BURN_IN
         chains.append(sampler.get_chain(discard=discard).transpose(1, 0, 2))
         log_p.append(sampler.get_log_prob(discard=discard).T)
     coordinates = np.stack(chains)
