@@ -11,11 +11,13 @@ A comment before a block says more of it::
     <!-- file: NAME -->        the block is the file NAME
     <!-- exit: 2 -->           the last command of the block ends with this status
     <!-- slow -->              minutes, or tens of seconds: only with --slow
+    <!-- drawn -->             numbers rest on random draws, and on the processor's rounding
     <!-- in: checkout -->      needs files of the checkout: examples/ is linked into the folder
     <!-- not run: REASON -->   not to be run here
 
 In what is shown, a line ``...`` stands for any lines. Decimal numbers may differ by one in their
-last digit; everything else must be the same, but for the width of blanks and rules.
+last digit, numbers that were drawn by 2 % or five in their last digit; everything else must be the
+same, but for the width of blanks and rules.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -44,7 +47,7 @@ INERT = {"text", ""}
 """Languages of blocks that are no code: pictures, formats, and what code prints."""
 
 _FENCE = re.compile(r"^(?P<fence>`{3,})(?P<info>.*)$")
-_COMMENT = re.compile(r"^<!-- (?P<word>file|exit|slow|in|not run)(?:: (?P<value>.*))? -->$")
+_COMMENT = re.compile(r"^<!-- (?P<word>file|exit|slow|drawn|in|not run)(?:: (?P<value>.*))? -->$")
 _TOKEN = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?|─+|[^\s\d─]+")
 
 
@@ -109,8 +112,9 @@ def blocks(text: str) -> list[Block]:
 # -- comparing -----------------------------------------------------------------------------------
 
 
-def same(shown: list[str], came: list[str]) -> bool:
-    """Whether what came out is what is shown."""
+def same(shown: list[str], came: list[str], *, drawn: bool = False) -> bool:
+    """Whether what came out is what is shown, as nearly as numbers that were drawn can be."""
+    alike = _alike_drawn if drawn else _alike
     chunks: list[list[str]] = [[]]
     for line in shown:
         if line.strip() == ANY:
@@ -118,21 +122,28 @@ def same(shown: list[str], came: list[str]) -> bool:
         else:
             chunks[-1] += _TOKEN.findall(line)
     tokens = [token for line in came for token in _TOKEN.findall(line)]
-    at = _find(chunks[0], tokens, 0, anchored=True)
+    at = _find(chunks[0], tokens, 0, alike, anchored=True)
     if len(chunks) == 1:
         return at == len(tokens)
     for chunk in chunks[1:-1]:
-        at = _find(chunk, tokens, at, anchored=False) if at >= 0 else -1
+        at = _find(chunk, tokens, at, alike, anchored=False) if at >= 0 else -1
     end = len(tokens) - len(chunks[-1])
-    return at >= 0 and end >= at and _find(chunks[-1], tokens, end, anchored=True) >= 0
+    return at >= 0 and end >= at and _find(chunks[-1], tokens, end, alike, anchored=True) >= 0
 
 
-def _find(chunk: list[str], tokens: list[str], start: int, *, anchored: bool) -> int:
+def _find(
+    chunk: list[str],
+    tokens: list[str],
+    start: int,
+    alike: Callable[[str, str], bool],
+    *,
+    anchored: bool,
+) -> int:
     """Where the first match of a chunk ends, or -1."""
     last = start if anchored else len(tokens) - len(chunk)
     for at in range(start, last + 1):
         there = tokens[at : at + len(chunk)]
-        if len(there) == len(chunk) and all(map(_alike, chunk, there)):
+        if len(there) == len(chunk) and all(map(alike, chunk, there)):
             return at + len(chunk)
     return -1
 
@@ -149,6 +160,18 @@ def _alike(shown: str, came: str) -> bool:
     if not point:
         return one == other
     return abs(one - other) < 1.5 * 10.0 ** (int(exponent or 0) - len(decimals))
+
+
+def _alike_drawn(shown: str, came: str) -> bool:
+    if _alike(shown, came):
+        return True
+    try:
+        one, other = (float(word.replace("−", "-")) for word in (shown, came))
+    except ValueError:
+        return False
+    mantissa, _, exponent = shown.lower().partition("e")
+    last_digit = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+    return abs(one - other) <= max(0.02 * abs(one), 5.0 * last_digit)
 
 
 # -- running -------------------------------------------------------------------------------------
@@ -218,7 +241,7 @@ class Page:
     def _compared(self, block: Block, shown: list[str], came: list[str]) -> list[str]:
         if self.write and ANY not in shown:
             return came
-        if same(shown, came):
+        if same(shown, came, drawn="drawn" in block.options):
             return shown
         self._fail(block, "shown:\n" + "\n".join(shown), came)
         raise AssertionError  # never reached

@@ -1,4 +1,4 @@
-"""Plans that change one key at a time; tests of sweeps stand with the library's."""
+"""Plans that sample a box, or change one key at a time; sweeps stand with the library's tests."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from terraphi.build import build, finished_cases, simulate_cases
 from terraphi.errors import InputError
@@ -159,3 +163,109 @@ def test_a_step_that_changes_nothing_is_refused() -> None:
 def test_steps_and_a_sweep_are_two_plans() -> None:
     with pytest.raises(ValueError, match="make two plans"):
         stepped({"name": "one", "changes": {PHI: 25.0}}, sweep={PHI: [25.0]})
+
+
+# -- points in a box -----------------------------------------------------------------------------
+
+BOX = {PHI: (20.0, 45.0), "leg.friction": (0.2, 0.6)}
+SIX = {
+    PHI: (20.0, 45.0),
+    "soil.density": (1400.0, 1800.0),
+    "leg.friction": (0.2, 0.6),
+    "soil.dilation_angle_deg": (0.0, 15.0),
+    "soil.youngs_modulus": (2e6, 2e7),
+    "motion.hip.1": (0.185, 0.195),
+}
+
+
+def sampled(**sample: Any) -> Plan:
+    chosen = {"keys": BOX, "count": 8, **sample}
+    return Plan.model_validate({"name": "mine", "scenario": RFT, "sample": chosen})
+
+
+def test_points_are_those_of_a_scrambled_sobol_sequence() -> None:
+    from scipy.stats import qmc
+
+    unit = qmc.Sobol(2, scramble=True, rng=3).random_base2(3)
+    expected = qmc.scale(unit, *zip(*BOX.values(), strict=True))
+    plan = sampled(seed=3)
+    found = [[value_of(case, key) for key in BOX] for case in plan.cases()]
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    # The property that makes it one: each eighth of each key's range holds one point.
+    for values, (low, high) in zip(np.array(found).T, BOX.values(), strict=True):
+        cells = np.floor(8 * (values - low) / (high - low)).astype(int)
+        assert sorted(cells) == list(range(8))
+
+
+@given(fewer=st.integers(1, 40), more=st.integers(0, 40))
+@settings(max_examples=20, deadline=None)
+def test_more_points_go_on_where_fewer_ended(fewer: int, more: int) -> None:
+    sample = sampled().sample
+    assert sample is not None
+    one, other = (sample.model_copy(update={"count": n}).points() for n in (fewer, fewer + more))
+    assert other[:fewer] == one
+
+
+def test_every_point_meets_every_leg_and_what_was_suggested_comes_last() -> None:
+    plan = Plan.model_validate(
+        {
+            "name": "mine",
+            "scenario": RFT,
+            "sweep": {"leg.shape": ["straight", "c"]},
+            "sample": {"keys": BOX, "count": 2, "also": [[50.0, 0.1]]},
+        }
+    )
+    cases = plan.cases()
+    assert [case.leg.shape for case in cases] == ["straight"] * 3 + ["c"] * 3
+    assert value_of(cases[2], PHI) == 50.0
+    assert describe(plan, cases[2]) == f"leg.shape = straight, {PHI} = 50.0, leg.friction = 0.1"
+
+
+def test_six_keys_of_soil_leg_and_setup_make_sound_scenarios() -> None:
+    plan = Plan.model_validate(
+        {"name": "six", "scenario": Scenario.load("quick").model_dump(mode="json"),
+         "sample": {"keys": SIX, "count": 32}}
+    )  # fmt: skip
+    cases = plan.cases()
+    assert len({case.hash for case in cases}) == 32
+    for key, (low, high) in SIX.items():
+        values = [value_of(case, key) for case in cases]
+        assert low <= min(values) < max(values) <= high
+
+
+def test_a_library_of_a_box_is_built_kept_and_extended(tmp_path: Path) -> None:
+    build(sampled(count=2), tmp_path / "box.nc")
+    library = Library.load(tmp_path / "box.nc")
+    assert library.plan == sampled(count=2)
+    assert library.summary()["sample"]["count"] == 2
+    with pytest.raises(InputError, match="together, not the friction angle alone"):
+        library.curves("straight")
+
+
+@pytest.mark.parametrize(
+    ("sample", "said"),
+    [
+        ({"keys": {}}, "at least 1"),
+        ({"keys": {PHI: (45.0, 20.0)}}, "low first"),
+        ({"also": [[30.0]]}, "a number for each of"),
+        ({"count": 0}, "raise 'count'"),
+        ({"keys": {"soil.frictio_angle_deg": (20.0, 45.0)}}, "did you mean"),
+        ({"keys": {"motion.hip.7": (0.1, 0.2)}}, "hip"),
+        ({"keys": {PHI: (20.0, 95.0)}, "count": 16}, "less than"),
+    ],
+)
+def test_boxes_that_cannot_be(tmp_path: Path, sample: dict[str, Any], said: str) -> None:
+    document = {"name": "mine", "scenario": RFT, "sample": {"keys": BOX, "count": 8, **sample}}
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises((InputError, ValidationError)) as refused:
+        Plan.model_validate(document).cases()
+    assert said in str(refused.value)
+
+
+def test_a_key_is_swept_or_sampled() -> None:
+    with pytest.raises(ValidationError, match="both swept and sampled"):
+        Plan.model_validate(
+            {"name": "mine", "scenario": RFT, "sweep": {PHI: [30.0]},
+             "sample": {"keys": BOX, "count": 2}}
+        )  # fmt: skip

@@ -70,7 +70,7 @@ def print_joint_inversion(found: JointInversion) -> None:
     assumed = ", assumed" if found.density_assumed else ""
     count = len(answer["histories"])
     print_table(
-        ("", "median", "68 %", "95 %", "68 %, others known", "R-hat", "draws worth"),
+        ("", "median", "68 %", "95 %", "68 %, others known", "R-hat"),
         [_parameter_row(found, key) for key in found.keys],
         title=f"{count} {'history' if count == 1 else 'histories'} ({', '.join(of)}), library "
         f"{found.library}{density}{assumed}",
@@ -107,7 +107,6 @@ def _parameter_row(found: JointInversion, key: str) -> tuple[str, ...]:
         f"{one.median:{form}}",
         *(f"{low:{form}} to {high:{form}}" for low, high in (one.ci68, one.ci95, known.ci68)),
         f"{diagnostics.split_rhat:.3f}",
-        f"{diagnostics.effective_sample_size:.0f}",
     )
 
 

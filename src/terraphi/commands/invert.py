@@ -226,7 +226,7 @@ def _save(
         made = Path(unfinished)
         found.to_netcdf(made / "posterior.nc")
         for name, draw in figures.items():
-            plots.save(draw(), made / name)
+            plots.save(draw(), made.joinpath(name))
         with replacing(made / "answer.json") as temporary:
             temporary.write_text(as_text(found.as_dict()))
         for name in names:

@@ -126,7 +126,7 @@ class JointInversion:
     def digits(self, key: str) -> str:
         """Format that gives the numbers of a parameter the digits they deserve."""
         smallest = min(self.marginal[key].sd, self.conditional[key].sd)
-        places = 1 - math.floor(math.log10(smallest)) if smallest > 0.0 else 2
+        places = -math.floor(math.log10(0.5 * smallest)) if smallest > 0.0 else 2
         return f".{min(max(places, 0), 12)}f"
 
     def as_dict(self) -> dict[str, Any]:

@@ -146,14 +146,14 @@ class Identifiability:
         for i, (key, kind) in enumerate(self.kinds.items()):
             name, unit = label(key)
             left = float(self.sd[i] / self.prior_sd[i])
-            known = f"; {self.conditional_sd[i]:.3g} if all else were known"
+            known = f"; {self.conditional_sd[i]:.2g} if all else were known"
             known = known if len(self.keys) > 1 else ""
             verb = VERBS[kind]
             if kind != "open" and any(key in keys for keys in self.confounded):
                 verb = "is known only as well as what it is bound up with"
             found.append(
-                f"{name} {verb}: {left:.{0 if left >= 0.01 else 1}%} of its prior standard "
-                f"deviation is left ({self.sd[i]:.3g}{' ' + unit if unit else ''}{known})."
+                f"{name} {verb}: {left:.{0 if left >= 0.1 else 1}%} of its prior standard "
+                f"deviation is left ({self.sd[i]:.2g}{' ' + unit if unit else ''}{known})."
             )
         for keys in self.confounded:
             names = " and ".join(label(k)[0] for k in keys)
@@ -171,7 +171,7 @@ class Identifiability:
         parts = []
         for i, part in zip(members, step, strict=True):
             name, unit = label(self.keys[i])
-            parts.append(f"{name} {part * self.sd[i]:+.3g}{' ' + unit if unit else ''}")
+            parts.append(f"{name} {part * self.sd[i]:+.2g}{' ' + unit if unit else ''}")
         return " with ".join(parts)
 
     def as_dict(self) -> dict[str, Any]:

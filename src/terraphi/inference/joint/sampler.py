@@ -242,7 +242,7 @@ def _gathered(running: list[Any], seed: int, parameters: Coordinates) -> Draws:
         discard = sampler.iteration // BURN_IN
         chains.append(sampler.get_chain(discard=discard).transpose(1, 0, 2))
         log_p.append(sampler.get_log_prob(discard=discard).T)
-    coordinates = np.stack(chains)
+    coordinates: FloatArray = np.stack(chains)
     flat = parameters(coordinates.reshape(-1, coordinates.shape[-1]))
     values = flat.reshape(coordinates.shape)
     accepted = float(np.mean([sampler.acceptance_fraction for sampler in running]))

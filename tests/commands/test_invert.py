@@ -1,0 +1,138 @@
+"""``terraphi invert`` with several histories or parameters, and ``library suggest``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import arviz
+import numpy as np
+import pytest
+
+from terraphi.cli import main
+from terraphi.forward import simulate
+from terraphi.scenario import Scenario
+
+
+class Ran(NamedTuple):
+    status: int
+    out: str
+    err: str
+
+
+Terraphi = Callable[..., Ran]
+
+
+@pytest.fixture
+def terraphi(monkeypatch, capsys, tmp_path) -> Terraphi:
+    monkeypatch.chdir(tmp_path)
+
+    def run(*args: str) -> Ran:
+        monkeypatch.setattr(sys, "argv", ["terraphi", *args])
+        status = 0
+        try:
+            main()
+        except SystemExit as leaving:
+            status = int(leaving.code or 0)
+        return Ran(status, *capsys.readouterr())
+
+    return run
+
+
+@pytest.fixture
+def histories(tmp_path) -> None:
+    """Two trials with the straight leg and one with the C, as CSV files; 31 degrees."""
+    for name, leg, seed in (("a", "straight", 0), ("b", "straight", 1), ("c", "c", 2)):
+        scenario = {
+            "model": "rft", "dimensions": 3, "soil": {"friction_angle_deg": 31.0},
+            "leg": {"shape": leg, "friction": 0.4}, "rft": {"panels": 100},
+        }  # fmt: skip
+        history = simulate(Scenario.model_validate(scenario))
+        errors = np.random.default_rng(seed).standard_normal(history.force.shape)
+        replace(history, force=history.force + 0.3 * errors).to_csv(tmp_path / f"{name}.csv")
+
+
+LEGS = ("--leg", "straight", "--leg", "straight", "--leg", "c")
+
+
+def test_several_histories_are_one_data_set(terraphi, histories, tmp_path) -> None:
+    ran = terraphi(
+        "invert", "a.csv", "b.csv", "c.csv", *LEGS, "--library", "rft3d", "--discrepancy", "none",
+        "--json", "--out", "answer",
+    )  # fmt: skip
+    assert ran.status == 0, ran.err
+    answer = json.loads(ran.out)
+    assert answer["phi_deg"]["ci95"][0] < 31.0 < answer["phi_deg"]["ci95"][1]
+    assert [(h["source"], h["leg"]) for h in answer["histories"]] == [
+        ("a.csv", "straight"), ("b.csv", "straight"), ("c.csv", "c"),
+    ]  # fmt: skip
+    assert answer["verdict"] == "consistent"
+    assert answer["likelihood"] == "joint"
+    assert set(answer["expected_sd"]) == {"straight", "c", "all"}
+    made = {path.name for path in (tmp_path / "answer").iterdir()}
+    assert made == {"answer.json", "posterior.nc", "figure.png", "corner.png"}
+    assert json.loads((tmp_path / "answer" / "answer.json").read_text()) == answer
+    assert "posterior" in arviz.from_netcdf(tmp_path / "answer" / "posterior.nc")
+
+
+def test_a_prior_makes_the_density_a_parameter(terraphi, histories) -> None:
+    ran = terraphi(
+        "invert", "a.csv", "--library", "rft3d", "--prior", "density=1550:1750", "--noise", "0.3"
+    )
+    assert ran.status == 0, ran.err
+    for words in (
+        "1 history (1 of leg straight), library rft3d",
+        "ρ [kg/m³]",
+        "φ and ρ cannot be told apart",
+        "Verdict: consistent",
+    ):
+        assert words in ran.out
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("a.csv", "b.csv", "--leg", "straight", "--leg", "c", "--leg", "c"), "2 histories and 3"),
+        (("a.csv", "b.csv", "--leg", "strait"), "did you mean 'straight'"),
+        (("a.csv", "a.csv"), "the same forces as a.csv"),
+        (("a.csv", "b.csv", "--likelihood", "paper"), "leave it out"),
+        (("a.csv", "b.csv", "--sampler", "quadrature"), "emcee only"),
+        (("a.csv", "--prior", "phi"), "expected KEY=LOW:HIGH"),
+        (("a.csv", "--prior", "friction_angle_deg=10:30"), "between 15 and 50"),
+        (("a.csv", "li2013:yuma/c", "li2013:poppy_loose/c"), "are of one soil"),
+        (("a.csv", "no.csv"), "no.csv"),
+    ],
+)
+def test_what_cannot_be_inverted_together(terraphi, histories, tmp_path, args, words) -> None:
+    ran = terraphi("invert", *args, "--library", "rft3d", "--out", "answer")
+    assert ran.status == 2
+    assert ran.out == ""
+    assert words in ran.err
+    assert ran.err.count("\n") == 1
+    assert not (tmp_path / "answer").exists()
+
+
+def test_suggest_names_points_and_what_they_bring(terraphi) -> None:
+    ran = terraphi("library", "suggest", "rft3d", "--leg", "straight", "--count", "2", "--json")
+    assert ran.status == 0, ran.err
+    found = json.loads(ran.out)
+    assert len(found["points"]) == 2
+    assert len(found["expected_sd"]) == 3
+    assert all(15.0 <= p["soil.friction_angle_deg"] <= 50.0 for p in found["points"])
+    table = terraphi("library", "suggest", "rft3d", "--leg", "straight").out
+    assert "as it is" in table
+    assert "in [sweep] of the plan" in table
+
+
+def test_suggest_refuses_what_it_does_not_know(terraphi) -> None:
+    for args, words in (
+        (("rft3d", "--leg", "plate"), "no leg 'plate'"),
+        (("rft3d", "--parameter", "mu"), "no parameter 'mu'"),
+        (("rft", "--count", "1"), "did you mean 'rft3d'"),
+    ):
+        ran = terraphi("library", "suggest", *args)
+        assert ran.status == 2
+        assert words in ran.err
