@@ -3,12 +3,13 @@
 Over n points x of a design in d parameters and M leg angles the covariance of a force is
 
     K = sigma^2 K_x (x) K_theta + tau^2 I,         (x) the Kronecker product,
-    K_x = t^2 (1 + x.y) + c(|x - y|),              K_theta = exp(-lag^2 / 2 l^2) + f^2 I,
+    K_x = t^2 (1 + x.y) + c(r),                    K_theta = exp(-lag^2 / 2 l^2) + f^2 I,
 
-c the Matern correlation of order 5/2 or the squared exponential, with a length of its own along
-each parameter (Rasmussen & Williams, eqs 4.17 and 4.9), t the size of a free plane and f that of a
-part which is smooth over the parameters and jumps over the leg angle, as forces do where a face of
-the leg begins to lead. Parameters are scaled to their bounds, from -1 to 1.
+r the distance of x and y, c the Matern correlation of order 5/2 or the squared exponential, with a
+length of its own along each parameter (Rasmussen & Williams, eqs 4.17 and 4.9), t the size of a
+free plane and f that of a part which is smooth over the parameters and jumps over the leg angle, as
+forces do where a face of the leg begins to lead. Parameters are scaled to their bounds, from -1 to
+1.
 """
 
 from __future__ import annotations

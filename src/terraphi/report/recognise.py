@@ -51,15 +51,22 @@ def recognise(source: str) -> Result:
     if path.name == "data.json":
         return Result("study", path.parent)
     if path.suffix == ".json":
-        return Result("inversion", path)
+        return Result(_kind_of_answer(path), path)
     if path.suffix in LOGS:
         return Result("log", path)
     raise InputError(f"{source}: not a result that terraphi knows; {EXPECTED}")
 
 
+def _kind_of_answer(path: Path) -> Kind:
+    from terraphi.report.joint import is_joint
+
+    return "joint inversion" if is_joint(path) else "inversion"
+
+
 def _kind_of_folder(path: Path) -> Kind:
+    if (path / "answer.json").is_file():
+        return _kind_of_answer(path / "answer.json")
     for kind, name in (
-        ("inversion", "answer.json"),
         ("inversion", "posterior.nc"),
         ("study", "data.json"),
         ("fields", "particles.pvd"),
@@ -86,6 +93,10 @@ def _kind_of_netcdf(path: Path) -> Kind:
         "foot forces": "robot",
         "force history": "simulation",
     }
+    if kind == "joint_inversion":
+        raise InputError(
+            f"{path}: the posterior of a joint inversion; name the folder that it is in"
+        )
     if kind not in known:
         raise InputError(f"{path}: a NetCDF file, but none of terraphi's results; {EXPECTED}")
     return known[kind]
@@ -158,6 +169,10 @@ def _maker(
         from terraphi.report import inversion
 
         return lambda path: inversion.section(path, library=library)
+    if kind == "joint inversion":
+        from terraphi.report import joint
+
+        return joint.section
     if kind == "library":
         from terraphi.report import library as simulations
 

@@ -60,7 +60,7 @@ def section(folder: Path) -> Section:
         parts.append(Table("Ours beside the paper's", ("", "ours", "Xu & Wang"), beside, wide=True))
     plots = known_plots(name, data)
     parts += plots
-    parts += _pictures(folder, folded=bool(plots))
+    parts += pictures(folder, "Figures as the study drew them", folded=bool(plots))
     parts += [_page(file) for file in sorted(folder.glob("*.md"))]
     hidden = {"beside_paper"}
     rows = pairs(_shortened({k: v for k, v in data.items() if k not in hidden}))
@@ -177,7 +177,7 @@ def _text(path: Path) -> str:
         raise InputError(f"{path}: not a text") from error
 
 
-def _pictures(folder: Path, *, folded: bool) -> list[Part]:
+def pictures(folder: Path, title: str, *, folded: bool) -> list[Part]:
     """The figures of the folder, made smaller, as far as there is room."""
     found: list[tuple[str, str]] = []
     room = MOST_PICTURE_BYTES
@@ -192,7 +192,7 @@ def _pictures(folder: Path, *, folded: bool) -> list[Part]:
     note = f"Left out, no pictures or for want of room: {', '.join(left_out)}." if left_out else ""
     if not found and not note:
         return []
-    return [Pictures("Figures as the study drew them", found, note, folded=folded)]
+    return [Pictures(title, found, note, folded=folded)]
 
 
 def _embedded(path: Path) -> str | None:
