@@ -96,6 +96,24 @@ def layout(x: str, y: str, **more: Any) -> dict[str, Any]:
     return {**axes, **more}
 
 
+def grouped(x: str, y: str) -> dict[str, Any]:
+    """A layout of bars beside each other over words, which may look like numbers."""
+    return layout(x, y, barmode="group", xaxis={"type": "category"})
+
+
+def horizontal(y: float, colour: str, *, dash: str = "dot") -> dict[str, Any]:
+    """A line from left to right."""
+    return {
+        "type": "line",
+        "x0": 0,
+        "x1": 1,
+        "xref": "paper",
+        "y0": y,
+        "y1": y,
+        "line": {"color": colour, "dash": dash, "width": 1.5},
+    }
+
+
 def vertical(x: float, colour: str, *, dash: str = "dot") -> dict[str, Any]:
     """A line from bottom to top."""
     return {
