@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from terraphi.plots import PHI_LABEL
 from terraphi.report.parts import label
 
 AXIS_LABEL = {"Fx": "F<sub>x</sub> [N], forward", "Fz": "F<sub>z</sub> [N], up"}
@@ -94,6 +95,11 @@ def layout(x: str, y: str, **more: Any) -> dict[str, Any]:
     for name in ("xaxis", "yaxis"):
         axes[name] = {**axes[name], **more.pop(name, {})}
     return {**axes, **more}
+
+
+def phi_label(convention: object) -> str:
+    """Title of an axis of friction angles; an unknown convention is named as it is."""
+    return PHI_LABEL.get(str(convention), f"friction angle, {label(convention)} [deg]")
 
 
 def grouped(x: str, y: str) -> dict[str, Any]:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from terraphi.report import figures as fig
-from terraphi.report.parts import Part, Plot, Table, label
+from terraphi.report.parts import Part, Plot, Table
 
+LOOKS = (("Fz", "@blue"), ("Fx", "@orange"))
 MODELS = {"mpm": "material point method", "rft2d": "2-D RFT", "rft3d": "3-D RFT"}
 
 
@@ -56,15 +57,8 @@ def phi_sensitivity(data: Mapping[str, Any]) -> list[Part]:
         }
         for name, colour, dash in (("Fz", "@blue", "solid"), ("Fx", "@orange", "dash"))
     ]
-    words = f"friction angle, {label(data['yield'])} [deg]"
-    return [
-        Plot(
-            "Peak forces over the friction angle", traces, fig.layout(words, "peak [N]"), wide=True
-        )
-    ]
-
-
-LOOKS = (("Fz", "@blue"), ("Fx", "@orange"))
+    axes = fig.layout(fig.phi_label(data["yield"]), "peak [N]")
+    return [Plot("Peak forces over the friction angle", traces, axes, wide=True)]
 
 
 def k0(data: Mapping[str, Any]) -> list[Part]:
@@ -72,20 +66,19 @@ def k0(data: Mapping[str, Any]) -> list[Part]:
     cases = data["cases"]
     traces = [
         fig.bars(
-            [f"{case['phi_deg']:g}°" for case in cases],
+            [f"{case['phi_deg']:g}" for case in cases],
             [100.0 * case["relative_change"][force] for case in cases],
             force,
             colour,
-            hovertemplate="φ = %{x}: %{y:.2g} %",
+            hovertemplate="φ = %{x}°: %{y:.2g} %",
         )
         for force, colour in LOOKS
     ]
-    words = f"friction angle, {label(data['yield'])}"
     return [
         Plot(
             "Largest change of a history, of its peak",
             traces,
-            fig.grouped(words, "change [%]"),
+            fig.grouped(fig.phi_label(data["yield"]), "change [%]"),
             note="From a stress at rest of 1 − sin φ to 0.5 of the weight above.",
         )
     ]

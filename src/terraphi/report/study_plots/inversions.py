@@ -99,7 +99,7 @@ def measured(data: Mapping[str, Any]) -> list[Part]:
             _answers([a for a in of_library if a["leg"] == leg], name, colour, symbol)
             for (leg, name), colour, symbol in looks
         ]
-        words = f"φ, {label(of_library[0]['yield'])} [deg]"
+        words = fig.phi_label(of_library[0]["yield"])
         media = {"type": "category"}
         plots.append(
             Plot(
