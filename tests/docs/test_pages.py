@@ -177,6 +177,21 @@ def test_comparison_on_known_cases(shown: str, came: str, alike: bool) -> None:
 
 
 @pytest.mark.parametrize(
+    ("shown", "came", "alike"),
+    [
+        ("φ 22.85 to 24.10", "φ 22.90 to 24.05", True),
+        ("ρ 1599.6", "ρ 1575.0", True),
+        ("φ 22.85", "φ 23.85", False),
+        ("φ 0.0061", "φ 0.0068", False),
+        ("2 histories", "3 histories", True),
+        ("Verdict: misfit.", "Verdict: consistent.", False),
+    ],
+)
+def test_comparison_of_what_was_drawn(shown: str, came: str, alike: bool) -> None:
+    assert pages.same([shown], [came], drawn=True) is alike
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("```console\n$ terraphi --version\nterraphi, version 99.0\n```\n", "99.0"),

@@ -13,6 +13,7 @@ from terraphi.errors import InputError
 from terraphi.report.page import render
 from terraphi.report.parts import Pictures, Plot, Table, Text
 from terraphi.report.study import section
+from terraphi.report.study_headlines import headline
 from terraphi.report.study_plots import known_plots
 
 HOSTILE = "</script><img src=x onerror=alert(1)><b>'\"&$x$"
@@ -143,3 +144,12 @@ def test_a_prediction_is_drawn_by_medium_and_force() -> None:
     assert isinstance(lift, Plot)
     assert isinstance(thrust, Plot)
     assert (lift.traces[0]["y"], thrust.traces[0]["y"]) == ([9.0], [12.0])
+
+
+def test_design_is_drawn_in_each_order() -> None:
+    errors = {"grid": [[0.4], [0.2]], "sobol": [[0.3], [0.1]], "suggested": [[0.4], [0.05]]}
+    data = {"comparisons": [{"keys": ["soil.friction_angle_deg"], "cases": [4, 9], **errors}]}
+    (plot,) = known_plots("design", data)
+    assert isinstance(plot, Plot)
+    assert [trace["y"] for trace in plot.traces] == [[0.4, 0.2], [0.3, 0.1], [0.4, 0.05]]
+    assert "1 varied, 9 cases: 0.2° and 0.05°" in headline("design", data)

@@ -112,6 +112,15 @@ def _resolution(data: Data) -> str:
     )
 
 
+def _design(data: Data) -> str:
+    parts = []
+    for found in data["comparisons"]:
+        grid, suggested = (found[order][-1][0] for order in ("grid", "suggested"))
+        parts.append(f"{len(found['keys'])} varied, {found['cases'][-1]} cases: {grid:.2g}° and "
+                     f"{suggested:.2g}°")  # fmt: skip
+    return f"Error of φ by an even grid, and in the suggested order: {'; '.join(parts)}."
+
+
 def _verification(data: Data) -> str:
     total = data["passed"] + data["missed"]
     return f"{data['passed']} of {total} checks against known answers passed."
@@ -129,5 +138,6 @@ _SENTENCES: dict[str, Callable[[Data], str]] = {
     "reading": _reading,
     "sensitivity": _sensitivity,
     "resolution": _resolution,
+    "design": _design,
     "verification": _verification,
 }

@@ -20,6 +20,7 @@ _PLOTS: dict[str, Callable[[Mapping[str, Any]], list[Part]]] = {
     "sensitivity": numerics.sensitivity,
     "resolution": numerics.resolution,
     "reading": numerics.reading,
+    "design": inversions.design,
     "verification": numerics.verification,
 }
 

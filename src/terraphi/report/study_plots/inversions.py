@@ -123,6 +123,22 @@ def measured(data: Mapping[str, Any]) -> list[Part]:
     return [*plots, Table("Answer by answer", header, rows, wide=True, folded=True)]
 
 
+def design(data: Mapping[str, Any]) -> list[Part]:
+    """Error of the friction angle over the size of the library, in each order."""
+    looks = (("grid", "@blue"), ("sobol", "@grey"), ("suggested", "@orange"))
+    return [
+        Plot(
+            title=f"Error of the friction angle, {len(found['keys'])} varied",
+            traces=[
+                fig.line(found["cases"], [e[0] for e in found[order]], order, colour)
+                for order, colour in looks
+            ],
+            layout=fig.layout("cases", "root mean square error of φ [deg]", yaxis={"type": "log"}),
+        )
+        for found in data["comparisons"]
+    ]
+
+
 def _answers(
     answers: Sequence[Mapping[str, Any]], name: str, colour: str, symbol: str
 ) -> dict[str, Any]:
