@@ -237,14 +237,15 @@ def _next_power(log_p: FloatArray, power: float, worth: float) -> float:
 
 
 def _gathered(running: list[Any], seed: int, parameters: Coordinates) -> Draws:
-    chains, log_p = [], []
+    chains: list[FloatArray] = []
+    log_p: list[FloatArray] = []
     for sampler in running:
         discard = sampler.iteration // BURN_IN
         chains.append(sampler.get_chain(discard=discard).transpose(1, 0, 2))
         log_p.append(sampler.get_log_prob(discard=discard).T)
-    coordinates: FloatArray = np.stack(chains)
+    coordinates: FloatArray = np.array(chains)
     flat = parameters(coordinates.reshape(-1, coordinates.shape[-1]))
-    values = flat.reshape(coordinates.shape)
+    values: FloatArray = flat.reshape(coordinates.shape)
     accepted = float(np.mean([sampler.acceptance_fraction for sampler in running]))
-    diagnostics = tuple(diagnose(values[..., i]) for i in range(values.shape[-1]))
-    return Draws(values, np.stack(log_p), diagnostics, accepted, seed)
+    diagnostics = tuple(diagnose(values[..., i]) for i in range(flat.shape[1]))
+    return Draws(values, np.array(log_p), diagnostics, accepted, seed)
