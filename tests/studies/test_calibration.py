@@ -22,10 +22,12 @@ def leg() -> PreparedLeg:
 
 def test_each_replicate_has_a_library_of_its_own_with_the_models_scatter(leg: PreparedLeg) -> None:
     surrogate, truth = leg.surrogate, np.full(3000, 33.0)
-    _, libraries = _worlds(surrogate, truth, np.random.default_rng(1))
-    spread = libraries.std(axis=0) / surrogate.scatter.sigma(surrogate.phi_deg)
+    _, libraries = _worlds(surrogate, truth, np.random.default_rng(1), "fitted")
     # Scatter of unit size, and deviations of the true forces beside it.
-    assert spread.min() > 0.93  # 3000 draws: 1.3 %, more with the tail
+    assert libraries.std(axis=0).min() > 0.95  # 3000 draws: 1.3 %
+    _, tailed = _worlds(surrogate, truth, np.random.default_rng(1), "tails")
+    kurtosis = np.mean(tailed[..., -1] ** 4) / np.mean(tailed[..., -1] ** 2) ** 2
+    assert kurtosis > 3.1  # 3 without a tail; 3.2 with one of 30 degrees of freedom
 
 
 def test_coverage_is_near_what_it_says_and_has_the_promised_numbers(leg: PreparedLeg) -> None:
@@ -53,5 +55,6 @@ def test_shipped_libraries_carry_a_certificate_of_themselves(name: str) -> None:
     assert library.calibration["library_hash"] == library.hash
     for numbers in library.calibration["certificate"]["legs"].values():
         assert numbers["replicates"] >= 5000
+        assert numbers["rank_chi2_p"] > 0.01
         assert 0.65 <= numbers["coverage68"] <= 0.71
         assert 0.93 <= numbers["coverage95"] <= 0.97

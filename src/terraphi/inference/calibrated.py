@@ -2,24 +2,20 @@ r"""The calibrated posterior: every part of the residual has a covariance of its
 
 The residual r = d - g(phi) of the 2 m window means is normal with covariance
 
-    C = V(phi) + q S(phi) + s^2 W + D,
+    C = V(phi) + q S(phi) + s^2 W + D + t^2 g' g'^T,
 
 V what the surrogate leaves open (interpolation and the library's scatter), S the scatter of the
 observed simulation or bed, whose size q varies from one to the next (`Scatter.tail`), s^2 W the
-sensor's noise and D the model discrepancy. q, s and D are integrated out on grids, phi by
-quadrature. Noise that is to be inferred is absent with probability 1/2, or has a log-uniform size.
-A discrepancy is a Gaussian process over the leg angle (Kennedy & O'Hagan, J. R. Stat. Soc. B
-63:425, 2001), Matern of order 3/2, with log-uniform amplitude and length; it too is absent with
-probability 1/2.
+sensor's noise, D the model discrepancy and the last term an error of the leg angle, by which all
+forces follow their slope g' over theta. q, s and D are integrated out on grids, phi by quadrature.
+Noise that is to be inferred is absent with probability 1/2, or has a log-uniform size. A
+discrepancy is a Gaussian process over the leg angle (Kennedy & O'Hagan, J. R. Stat. Soc. B 63:425,
+2001), Matern of order 3/2, with log-uniform amplitude and length; it too is absent with probability
+1/2.
 
-The library's curves are themselves observed with errors, and where they err upwards, their slope
-does as well: B = cov(g', g - f) grows with the scatter. The score of the density above is then
--tr(C^-1 B) on average at the true angle, not zero. As in other models with errors in variables that
-is taken off (corrected score: Nakamura, Biometrika 77:127, 1990): the integral of tr(C^-1 B) over
-phi is added.
-
-If the model may be wrong, V and S are those at the best angle throughout. That scatter grows with
-phi would else be evidence of phi, by way of how smooth a measured record is.
+If the model may be wrong, V, S and g' are those at the best angle throughout, and the leg angle may
+be off. That scatter grows with phi would else be evidence of phi, by way of how smooth a measured
+record is.
 """
 
 from __future__ import annotations
@@ -30,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference.library import PreparedLeg, Spectrum, single_threaded
+from terraphi.inference.library import PreparedLeg, single_threaded
 
 FloatArray = NDArray[np.float64]
 
@@ -42,12 +38,18 @@ AMPLITUDES = np.array([0.006, 0.015, 0.04, 0.1, 0.25, 0.6])
 """Standard deviations of the discrepancy, of the peak-to-peak of each force [-]."""
 LENGTHS_DEG = np.array([6.0, 15.0, 40.0, 100.0])
 """Its correlation lengths [deg]; the longest is nearly an offset."""
+REGISTRATION_DEG = 1.0
+"""Prior standard deviation t of an error of the leg angle where the model may be wrong [deg]."""
 ROUNDS = 2
 """Times that the best angle beside a discrepancy is looked for."""
-STRIDE = 3
-"""Of the nodes at which it is looked for."""
+SCANNED = {"without": 71, "with": 24}
+"""Nodes at which posteriors are looked for, without and with a discrepancy."""
 NEGLIGIBLE = 9.0
 """Natural log of the odds below which a combination is left out."""
+OUTSIDE = 60.0
+"""The same for nodes, and how fast the log density falls off beyond [1/deg]."""
+MARGIN = 2
+"""Scanned nodes that are kept beside those."""
 HUGE = 1e250
 
 
@@ -96,13 +98,28 @@ class Problem:
         shape: FloatArray = np.kron(np.diag(np.square(self.spans)), (1.0 + lag) * np.exp(-lag))
         return shape
 
+    def registration(self, forces: FloatArray) -> FloatArray:
+        """Covariance of what an error of the leg angle does to forces [N^2].
+
+        Parameters
+        ----------
+        forces
+            Observation vector of the model [N], shape [2 theta].
+        """
+        theta = self.leg.surrogate.theta_deg
+        slope = np.concatenate([np.gradient(part, theta) for part in forces.reshape(2, -1)])
+        covariance: FloatArray = REGISTRATION_DEG**2 * np.outer(slope, slope)
+        return covariance
+
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """Combinations of scatter, noise and discrepancy, with their log density at the nodes.
+    """Combinations of scatter, noise and discrepancy, with their log density at some nodes.
 
     Attributes
     ----------
+    nodes
+        Indices of nodes over phi, increasing, shape [node].
     size
         Index of the size q of the scatter of each, shape [h].
     noise
@@ -114,9 +131,10 @@ class Hypotheses:
     chi2
         r^T C^-1 r at the nodes, shape [h, node].
     volume
-        log |C| less twice the correction at the nodes, same shape.
+        log |C| at the nodes, same shape.
     """
 
+    nodes: NDArray[np.intp]
     size: NDArray[np.intp]
     noise: FloatArray
     amplitude: FloatArray
@@ -130,18 +148,41 @@ class Hypotheses:
         """Log p(d, h | phi) up to a constant, shape [h, node]."""
         return self.log_prior[:, None] - 0.5 * (self.chi2 + self.volume)
 
+    @property
+    def best_node(self) -> int:
+        """Index of the node of most density."""
+        return int(self.nodes[self.log_density.max(axis=0).argmax()])
+
     def kept(self, which: NDArray[Any]) -> Hypotheses:
         """Some of them."""
-        return Hypotheses(*(value[which] for value in vars(self).values()))
+        parts = {name: part[which] for name, part in vars(self).items() if name != "nodes"}
+        return replace(self, **parts)
 
     def probable(self) -> Hypotheses:
         """Those that are not negligible at the angle that suits each best."""
         best = self.log_density.max(axis=1)
         return self.kept(best > best.max() - NEGLIGIBLE)
 
-    def evaluated(self, chi2: FloatArray, volume: FloatArray) -> Hypotheses:
-        """The same with their density, shape [h, node]."""
-        return replace(self, chi2=chi2, volume=volume)
+    def window(self, count: int) -> NDArray[np.intp]:
+        """Indices of all nodes, of ``count``, about those where the density is not negligible."""
+        top = self.log_density.max(axis=0)
+        near = self.nodes[top > top.max() - OUTSIDE]
+        margin = MARGIN * int(np.diff(self.nodes).max())
+        return np.arange(max(near[0] - margin, 0), min(near[-1] + margin + 1, count))
+
+    def evaluated(
+        self, nodes: NDArray[np.intp], chi2: FloatArray, volume: FloatArray
+    ) -> Hypotheses:
+        """The same with their density at nodes, shape [h, node]."""
+        return replace(self, nodes=nodes, chi2=chi2, volume=volume)
+
+    def of_all_sizes(self, log_prior: FloatArray) -> Hypotheses:
+        """Each, of one size of the scatter, with every size; log prior probabilities of these."""
+        count = len(log_prior)
+        repeated = self.kept(np.repeat(np.arange(len(self.noise)), count))
+        indices = np.tile(np.arange(count), len(self.noise))
+        change = log_prior[indices] - log_prior[repeated.size]
+        return replace(repeated, size=indices, log_prior=repeated.log_prior + change)
 
 
 def log_sum(values: FloatArray, axis: int = 0) -> FloatArray:
@@ -177,11 +218,19 @@ class CalibratedLikelihood:
             if problem.discrepancy:
                 self.used = _with_discrepancy(problem, self.without)
         exponent = 0.5 * (self.used.chi2 + self.used.volume).T
-        self._spline = CubicSpline(problem.leg.phi_deg, exponent)
+        nodes = problem.leg.phi_deg[self.used.nodes]
+        self._ends = (float(nodes[0]), float(nodes[-1]))
+        self._spline = CubicSpline(nodes, exponent)
 
     def __call__(self, phi_deg: FloatArray, /) -> FloatArray:
-        """Log-likelihood up to a constant of friction angles [deg], shape [k] -> [k]."""
-        return log_sum(self.used.log_prior[:, None] - self._spline(phi_deg).T)
+        """Log-likelihood up to a constant of friction angles [deg], shape [k] -> [k].
+
+        Where it is negligible beside the largest it falls off in proportion to the angle.
+        """
+        near = np.clip(phi_deg, *self._ends)
+        log_p = log_sum(self.used.log_prior[:, None] - self._spline(near).T)
+        found: FloatArray = log_p - OUTSIDE * np.abs(phi_deg - near)
+        return found
 
     def weights(self, phi_deg: float) -> FloatArray:
         """Posterior probability of each combination used at a friction angle, shape [h]."""
@@ -204,123 +253,104 @@ def _combinations(
     share = np.log(len(amplitudes) * len(lengths))
     log_prior = log_noise[s] - share + problem.leg.surrogate.scatter.sizes[1][q]
     nothing = np.zeros((len(q), 0))
-    return Hypotheses(q.astype(int), noise[s], a, length, log_prior, nothing, nothing)
+    nowhere = np.zeros(0, dtype=np.intp)
+    return Hypotheses(nowhere, q.astype(int), noise[s], a, length, log_prior, nothing, nothing)
+
+
+def _scanned(count: int, most: int) -> NDArray[np.intp]:
+    """Indices of at most about so many nodes, evenly spaced, both ends among them."""
+    stride = max(round((count - 1) / (most - 1)), 1)
+    return np.unique(np.append(np.arange(0, count, stride), count - 1))
 
 
 def _without_discrepancy(problem: Problem) -> Hypotheses:
     leg = problem.leg
     spectra = leg.spectra(problem.noise_shape)
-    residual = (problem.data - leg.mean)[:, :, None]
     middle = len(spectra) // 2
-    squares = {middle: np.square((spectra[middle].rotation @ residual)[:, :, 0])}
     every = _combinations(problem, np.array([middle]), NOISE_LEVELS, discrepancy=False)
-    if len(every.noise) > 1:
-        near = _near_the_best(spectra[middle], squares[middle], every)
-        looked = _evaluate(spectra, squares, every, near)
-        best = looked.log_density.max(axis=1)
-        levels = every.noise[best > best.max() - 1.5 * NEGLIGIBLE]
-    else:
-        levels = every.noise
-    for i, spectrum in enumerate(spectra):
-        squares[i] = np.square((spectrum.rotation @ residual)[:, :, 0])
-    whole = _combinations(problem, np.arange(len(spectra)), NOISE_LEVELS, discrepancy=False)
-    whole = whole.kept(np.isin(whole.noise, levels))
-    plain = _evaluate(spectra, squares, whole, slice(None)).probable()
-    anchor = int(np.argmax(plain.log_density.max(axis=0)))
-    drift = [
-        (spectra[i].drift / (spectra[i].roots + noise**2)).sum(axis=1)
-        for i, noise in zip(plain.size.tolist(), plain.noise.tolist(), strict=True)
-    ]
-    return replace(plain, volume=plain.volume - 2.0 * leg.correction(np.array(drift), anchor))
+    scanned = _diagonal(problem, every, _scanned(len(leg.phi_deg), SCANNED["without"]))
+    nodes = scanned.window(len(leg.phi_deg))
+    found = _diagonal(problem, scanned, nodes)
+    # Of the sizes of noise, those that matter if the scatter has its middle size, and some more.
+    best = found.log_density.max(axis=1)
+    chosen = found.kept(best > best.max() - 1.5 * NEGLIGIBLE)
+    whole = chosen.of_all_sizes(leg.surrogate.scatter.sizes[1])
+    return _diagonal(problem, whole, nodes).probable()
 
 
-def _near_the_best(spectrum: Spectrum, squares: FloatArray, every: Hypotheses) -> NDArray[np.intp]:
-    """Nodes next to the best ones under little, middling and much noise."""
-    found = []
-    for noise in every.noise[[0, len(every.noise) // 2, -1]]:
-        total = spectrum.roots + noise**2
-        density = (squares / total + np.log(total)).sum(axis=1)
-        found.append(int(np.argmin(density)))
-    near = np.unique(np.add.outer(found, [-1, 0, 1]))
-    return near[(near >= 0) & (near < len(squares))]
-
-
-def _evaluate(
-    spectra: list[Spectrum],
-    squares: dict[int, FloatArray],
-    combinations: Hypotheses,
-    nodes: NDArray[np.intp] | slice,
-) -> Hypotheses:
-    """Combinations without a discrepancy at some nodes, not corrected."""
-    chi2, volume = [], []
-    for i, noise in zip(combinations.size.tolist(), combinations.noise.tolist(), strict=True):
-        spectrum = spectra[i]
-        inverse = 1.0 / (spectrum.roots[nodes] + noise**2)
-        chi2.append((squares[i][nodes] * inverse).sum(axis=1))
-        volume.append(spectrum.log_determinant - np.log(inverse).sum(axis=1))
-    return combinations.evaluated(np.array(chi2), np.array(volume))
+def _diagonal(problem: Problem, combinations: Hypotheses, nodes: NDArray[np.intp]) -> Hypotheses:
+    """Combinations without a discrepancy at some nodes."""
+    spectra = problem.leg.spectra(problem.noise_shape)
+    shape = (len(combinations.noise), len(nodes))
+    chi2, volume = np.empty(shape), np.empty(shape)
+    for i in np.unique(combinations.size).tolist():
+        spectrum, of_size = spectra[i], combinations.size == i
+        rotated = spectrum.rotation[nodes] @ problem.data - spectrum.mean[nodes]
+        total = spectrum.roots[nodes] + np.square(combinations.noise[of_size])[:, None, None]
+        chi2[of_size] = np.einsum("hkj,kj->hk", 1.0 / total, np.square(rotated))
+        volume[of_size] = spectrum.log_determinant + np.log(total).sum(axis=2)
+    return combinations.evaluated(nodes, chi2, volume)
 
 
 def _with_discrepancy(problem: Problem, without: Hypotheses) -> Hypotheses:
     """The combinations that matter, without and with a discrepancy, half and half."""
     leg = problem.leg
-    middle = np.array([len(leg.surrogate.scatter.sizes[0]) // 2])
-    kinds = [
+    count, log_size = len(leg.phi_deg), leg.surrogate.scatter.sizes[1]
+    middle = np.array([len(log_size) // 2])
+    none, some = (
         _combinations(problem, middle, levels, discrepancy=wrong)
         for wrong, levels in ((False, NOISE_LEVELS), (True, COARSE_NOISE))
-    ]
-    joined = Hypotheses(
-        *(np.concatenate(pair) for pair in zip(*(vars(k).values() for k in kinds), strict=True))
     )
-    best = int(np.argmax(without.log_density.max(axis=0)))
+    joined = replace(
+        none,
+        **{
+            name: np.concatenate([part, vars(some)[name]])
+            for name, part in vars(none).items()
+            if name != "nodes"
+        },
+    )
+    best, reference = without.best_node, -1
     found = joined
     for _ in range(ROUNDS):
+        if best == reference:
+            break
         reference = best
-        nodes = np.unique(np.append(np.arange(0, len(leg.phi_deg), STRIDE), best))
+        nodes = np.unique(np.append(_scanned(count, SCANNED["with"]), best))
         found = _frozen(problem, joined, reference, nodes)
         best = int(nodes[np.argmax(log_sum(found.log_density))])
-    chosen = found.probable()
-    log_size = leg.surrogate.scatter.sizes[1]
-    sizes = np.arange(len(log_size))
-    repeated = chosen.kept(np.repeat(np.arange(len(chosen.noise)), len(sizes)))
-    indices = np.tile(sizes, len(chosen.noise))
-    log_prior = repeated.log_prior - log_size[middle] + log_size[indices]
-    repeated = replace(repeated, size=indices, log_prior=log_prior)
-    every = np.arange(len(leg.phi_deg))
-    return _frozen(problem, repeated, best, every, corrected=True).probable()
+    whole = found.probable().of_all_sizes(log_size)
+    return _frozen(problem, whole, best, found.window(count)).probable()
 
 
 def _frozen(
-    problem: Problem,
-    combinations: Hypotheses,
-    reference: int,
-    nodes: NDArray[np.intp],
-    *,
-    corrected: bool = False,
+    problem: Problem, combinations: Hypotheses, reference: int, nodes: NDArray[np.intp]
 ) -> Hypotheses:
     """Combinations at some nodes, with the covariance of one node throughout."""
+    from scipy.linalg.lapack import dpotrf, dtrtrs
+
     leg = problem.leg
-    residual = (problem.data - leg.mean[nodes]).T
+    residual = np.asfortranarray((problem.data - leg.mean[nodes]).T)
     shapes = {0.0: np.zeros_like(problem.noise_shape)}
     for length in set(combinations.length_deg.tolist()) - {0.0}:
         shapes[length] = problem.discrepancy_shape(length)
     sizes = leg.surrogate.scatter.sizes[0][combinations.size]
-    base, scatter = leg.covariance[reference], leg.scatter[reference]
-    drift = leg.drift.reshape(len(leg.phi_deg), -1).T
-    chi2, volume = [], []
-    for q, s, a, length in zip(
-        sizes.tolist(), combinations.noise.tolist(), combinations.amplitude.tolist(),
-        combinations.length_deg.tolist(), strict=True,
+    base = leg.covariance[reference] + problem.registration(leg.mean[reference])
+    scatter = leg.scatter[reference]
+    chi2, volume = np.empty((2, len(sizes), len(nodes)))
+    for i, (q, s, a, length) in enumerate(
+        zip(
+            sizes.tolist(), combinations.noise.tolist(), combinations.amplitude.tolist(),
+            combinations.length_deg.tolist(), strict=True,
+        )
     ):  # fmt: skip
         total = base + q * scatter + s**2 * problem.noise_shape + a**2 * shapes[length]
-        factor = np.linalg.cholesky(total)
-        white = np.linalg.inv(factor)
-        chi2.append(np.square(white @ residual).sum(axis=0))
-        log_determinant = np.full(len(nodes), 2.0 * np.log(np.diag(factor)).sum())
-        if corrected:
-            log_determinant -= 2.0 * leg.correction((white.T @ white).ravel() @ drift, reference)
-        volume.append(log_determinant)
-    return combinations.evaluated(np.array(chi2), np.array(volume))
+        factor, failed = dpotrf(total, lower=1)
+        if failed:
+            raise ValueError(f"a covariance of {len(total)} forces is not positive definite")
+        white, _ = dtrtrs(factor, residual, lower=1)
+        chi2[i] = np.square(white).sum(axis=0)
+        volume[i] = 2.0 * np.log(np.diag(factor)).sum()
+    return combinations.evaluated(nodes, chi2, volume)
 
 
 def gaussian_parts(covariance: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -19,6 +19,7 @@ TERMS = {
     "library_scatter": "particle scatter of the library",
     "particle_scatter": "particle scatter of the observed bed",
     "noise": "sensor noise",
+    "registration": "error of the leg angle",
     "discrepancy": "model discrepancy",
 }
 """Names of the terms, and what they are for people."""
@@ -50,11 +51,13 @@ def covariance_terms(
     phi = np.array([phi_deg])
     left = surrogate.scatter.sigma(phi)[0][:, None] * surrogate.basis
     interpolation, library = (part[0] for part in surrogate.standard_terms(phi))
+    registration = problem.registration(surrogate.predict(phi)[0])
     return {
         "interpolation": (left * interpolation) @ left.T,
         "library_scatter": (left * library) @ left.T,
         "particle_scatter": left @ left.T,
         "noise": noise_variance * problem.noise_shape,
+        "registration": registration if problem.discrepancy else np.zeros_like(discrepancy),
         "discrepancy": discrepancy,
     }
 

@@ -1,10 +1,13 @@
 """Is an interval right as often as it says? Simulation-based calibration of one leg of a library.
 
-A replicate is a world: a true angle from the prior; true forces f(phi), the cubic that the joint
-surrogate fitted and new deviations from it; a library simulated anew, its own particle scatter
-included; and an observed simulation. The surrogate is conditioned on that library and the angle
-inferred. If the posterior is right, its mass below the true angle is uniform (Talts et al.,
-arXiv:1804.06788). Hyperparameters are those of the shipped library.
+A replicate is a world: a true angle, true forces f(phi), a library simulated anew, its own particle
+scatter included, and an observed simulation, all drawn from the very prior that the inference
+holds. The surrogate is conditioned on that library and the angle inferred. If the posterior is
+right, its mass below the true angle is uniform (Talts et al., arXiv:1804.06788). Hyperparameters
+are those of the shipped library.
+
+Other worlds ask what the prior's part in that is: those that keep the cubic which was fitted to the
+library, and those whose libraries scatter with the tail that observed simulations have.
 
 In the joint surrogate's basis all directions are independent, so worlds are drawn by the thousand.
 Worlds that the one library may be of are draws of the process given its curves, by Matheron's rule
@@ -34,8 +37,12 @@ NOTHING = 1e-9
 """Density over the largest that is not looked at more closely [-]."""
 BINS = 20
 """Bins of the rank histogram."""
-JITTER = 1e-9
-"""Added to the variance of equal angles, so that they have a factor."""
+WORLDS = {
+    "prior": "drawn from the prior of the inference",
+    "fitted": "that keep the cubic fitted to the library",
+    "tails": "whose libraries scatter with the tail of observed simulations",
+}
+"""Kinds of worlds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +86,7 @@ class Coverage:
         """Plain numbers."""
         return {
             "replicates": int(self.rank.size),
+            "mean_rank": float(self.rank.mean()),
             "coverage68": self.within(0.68),
             "coverage95": self.within(0.95),
             "rank_chi2_p": self.chi2_probability,
@@ -87,7 +95,7 @@ class Coverage:
         }
 
 
-def calibrate(leg: PreparedLeg, *, replicates: int, seed: int) -> Coverage:
+def calibrate(leg: PreparedLeg, *, replicates: int, seed: int, worlds: str = "prior") -> Coverage:
     """Coverage over worlds that each have a truth, a library and an observation of their own.
 
     Parameters
@@ -98,15 +106,24 @@ def calibrate(leg: PreparedLeg, *, replicates: int, seed: int) -> Coverage:
         Number of worlds.
     seed
         Of all draws.
+    worlds
+        Their kind, one of :data:`WORLDS`.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind.
     """
+    if worlds not in WORLDS:
+        raise ValueError(f"worlds is '{worlds}'; expected one of {', '.join(WORLDS)}")
     rng = np.random.default_rng(seed)
     surrogate, found = leg.surrogate, []
     with single_threaded():
         for start in range(0, replicates, CHUNK):
             truth = rng.uniform(*surrogate.phi_bounds_deg, size=min(CHUNK, replicates - start))
-            forces, library = _worlds(surrogate, truth, rng)
+            forces, library = _worlds(surrogate, truth, rng, worlds)
             data = forces + surrogate.scatter.draw(truth, rng)
-            means = surrogate.standard_mean(leg.phi_deg, surrogate.project(library))
+            means = surrogate.standard_mean(leg.phi_deg, library)
             found.append(_posteriors(leg, truth, data, means))
     return _joined(found)
 
@@ -148,35 +165,32 @@ def through_one_library(
 
 
 def _worlds(
-    surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Generator
+    surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Generator, worlds: str
 ) -> tuple[FloatArray, FloatArray]:
-    """True forces at the truths [r, 2 theta], and a new library for each [r, case, 2 theta]."""
-    cases, size = len(surrogate.phi_deg), surrogate.basis.shape[0]
+    """True forces at the truths [N], [r, 2 theta], and a new library for each.
+
+    The libraries are in the basis and over sigma [-], shape [r, case, 2 theta].
+    """
     angles = np.column_stack([np.tile(surrogate.phi_deg, (len(truth), 1)), truth])
-    cubic = surrogate.phi_covariance(angles, surrogate.phi_deg)[0]
-    local = surrogate.phi_covariance(angles, angles)[1] + JITTER * np.eye(cases + 1)
-    white = rng.standard_normal((len(truth), cases + 1, size))
-    standard = surrogate.regress(cubic, surrogate.standard_curves)
-    standard += np.linalg.cholesky(local) @ white * np.sqrt(surrogate.prior_variance)
-    sigma = surrogate.scatter.sigma(surrogate.phi_deg)
+    cubic = surrogate.standard_cubic(angles) if worlds == "fitted" else None
+    standard = surrogate.draw(angles, rng, about=cubic)
     forces = surrogate.scatter.sigma(truth) * (standard[:, -1] @ surrogate.basis.T)
-    library = sigma * (standard[:, :-1] @ surrogate.basis.T)
-    scatter = surrogate.scatter.draw(np.tile(surrogate.phi_deg, len(truth)), rng)
-    return forces, library + scatter.reshape(library.shape)
+    scatter = rng.standard_normal(standard[:, :-1].shape)
+    if worlds == "tails":
+        scatter *= np.sqrt(surrogate.scatter.draw_sizes(scatter.shape[:2], rng))[..., None]
+    return forces, standard[:, :-1] + scatter
 
 
 def _one_world(
     surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
     """Forces at all truths in one world that the library may be of [N], shape [r, 2 theta]."""
-    cases, size = len(surrogate.phi_deg), surrogate.basis.shape[0]
-    angles = np.concatenate([surrogate.phi_deg, truth])
-    covariance = sum(surrogate.phi_covariance(angles, angles), JITTER * np.eye(len(angles)))
-    white = rng.standard_normal((len(angles), size))
-    prior = np.linalg.cholesky(covariance) @ white * np.sqrt(surrogate.prior_variance)
-    missing = surrogate.standard_curves - prior[:cases] - rng.standard_normal((cases, size))
-    standard = prior + surrogate.regress(covariance[:, :cases], missing)
-    forces: FloatArray = surrogate.scatter.sigma(truth) * (standard[cases:] @ surrogate.basis.T)
+    cases = len(surrogate.phi_deg)
+    prior = surrogate.draw(np.concatenate([surrogate.phi_deg, truth]), rng)
+    scatter = rng.standard_normal(prior[:cases].shape)
+    missing = surrogate.standard_curves - prior[:cases] - scatter
+    standard = prior[cases:] + surrogate.standard_mean(truth, missing)
+    forces: FloatArray = surrogate.scatter.sigma(truth) * (standard @ surrogate.basis.T)
     return forces
 
 
@@ -204,14 +218,8 @@ def _posteriors(
     for size, log_prior in zip(*surrogate.scatter.sizes, strict=True):
         total = variance + size
         volume = np.log(total).sum(axis=1) + 2.0 * np.log(sigma).sum(axis=1)
-        inverse = np.linalg.inv(leg.covariance + size * leg.scatter)
-        drift = leg.correction(np.einsum("kij,kji->k", inverse, leg.drift), 0)
-        parts.append((0.5 * (np.sum(squares / total, axis=2) + volume) - log_prior, drift))
-    anchor = np.min([part[0] for part in parts], axis=0).argmin(axis=1)
-    splines = [
-        CubicSpline(leg.phi_deg, (exponent - drift + drift[anchor, None]).T).c
-        for exponent, drift in parts
-    ]
+        parts.append(0.5 * (np.sum(squares / total, axis=2) + volume) - log_prior)
+    splines = [CubicSpline(leg.phi_deg, exponent.T).c for exponent in parts]
     fine = density = np.empty(0)
     ends = np.tile(leg.phi_deg[[0, -1]], (len(truth), 1))
     for nodes in (COARSE_NODES, FINE_NODES):

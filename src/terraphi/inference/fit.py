@@ -110,7 +110,7 @@ def _best(problem: Problem, without: Hypotheses) -> tuple[float, int, float, flo
     from scipy.interpolate import CubicSpline
     from scipy.special import chdtrc
 
-    nodes, surrogate = problem.leg.phi_deg, problem.leg.surrogate
+    nodes, surrogate = problem.leg.phi_deg[without.nodes], problem.leg.surrogate
     best = int(np.argmax(without.log_density.max(axis=1)))
     fine = np.linspace(nodes[0], nodes[-1], 20 * (len(nodes) - 1) + 1)
     exponent = CubicSpline(nodes, without.chi2[best] + without.volume[best])(fine)

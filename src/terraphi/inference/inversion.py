@@ -19,9 +19,9 @@ from terraphi.inference.checks import check_magnitudes, check_same_setup
 from terraphi.inference.covariance import Budget, budget_of
 from terraphi.inference.fit import Fit, fit_without_discrepancy
 from terraphi.inference.judgement import judge_calibrated
-from terraphi.inference.library import prepare
+from terraphi.inference.library import prepare, single_threaded
 from terraphi.inference.noise import Noise, shape_of, window_covariance
-from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature
+from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature, tabulated
 from terraphi.inference.residual import PaperLikelihood
 from terraphi.inference.verdict import Verdict, judge, nrmsd
 from terraphi.library import Library
@@ -133,13 +133,13 @@ def invert(
             "them"
         )
     began = time.perf_counter()
-    observation = history.observation()
-    how = {"sampler": sampler, "seed": seed}
+    observation, how = history.observation(), {"sampler": sampler, "seed": seed}
     if likelihood == "paper":
         found = _by_paper(history, observation, library, leg, density, how)
     else:
         errors = (Noise.parse(noise), discrepancy or _default_discrepancy(history))
-        found = _calibrated(history, observation, library, leg, density, errors, how)
+        with single_threaded():
+            found = _calibrated(history, observation, library, leg, density, errors, how)
     equivalent, why_not = plane_strain_summary(found.phi, found.scenario)
     return Inversion(
         source=source or str(history.provenance.get("file", "")),
@@ -253,7 +253,8 @@ def _sample(
     nodes: int = 4001,
 ) -> Posterior:
     if sampler == "emcee":
-        return ensemble(log_p, bounds_deg, seed=seed)
+        table = tabulated(log_p, bounds_deg, nodes=nodes)
+        return ensemble(table, bounds_deg, seed=seed)
     return quadrature(log_p, bounds_deg, nodes=nodes)
 
 

@@ -28,7 +28,6 @@ NODES = (71, 281)
 """Nodes over phi, between which chi-square and log-determinant are splines; the larger number where
 the forces fix phi to a small fraction of the distance of the fewer nodes."""
 FRACTION = 0.04
-DRIFT_STEP_DEG = 0.05
 REMEMBERED = 8
 """Prepared legs that are kept, and decompositions of each."""
 
@@ -46,10 +45,10 @@ class Spectrum(NamedTuple):
     """Q, shape [node, 2 theta, 2 theta]."""
     roots: FloatArray
     """Shape [node, 2 theta]."""
+    mean: FloatArray
+    """Q times the forces at the nodes, same shape."""
     log_determinant: float
     """Of W."""
-    drift: FloatArray
-    """Diagonal of Q B Q^T, B the drift [1/deg], same shape."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +67,6 @@ class PreparedLeg:
         Forces there [N], shape [node, 2 theta].
     covariance, scatter
         Of the surrogate, and of the particle scatter [N^2], shape [node, 2 theta, 2 theta].
-    drift
-        B = cov(g', g - f), of the slope of the curves with their error [N^2/deg], same shape.
     """
 
     surrogate: JointSurrogate
@@ -78,7 +75,6 @@ class PreparedLeg:
     mean: FloatArray = field(repr=False)
     covariance: FloatArray = field(repr=False)
     scatter: FloatArray = field(repr=False)
-    drift: FloatArray = field(repr=False)
     _spectra: OrderedDict[bytes, list[Spectrum]] = field(default_factory=OrderedDict, repr=False)
 
     @classmethod
@@ -91,25 +87,7 @@ class PreparedLeg:
         left = surrogate.scatter.sigma(phi)[:, :, None] * surrogate.basis
         right = left.transpose(0, 2, 1)
         covariance = (left * variance[:, None, :]) @ right
-        mean, drift = surrogate.predict(phi), _drift(surrogate, phi)
-        return cls(surrogate, curves, phi, mean, covariance, left @ right, drift)
-
-    def correction(self, density: FloatArray, anchor: int) -> FloatArray:
-        """Integral over phi of tr(C^-1 B) from its density at the nodes, shape [..., node].
-
-        Parameters
-        ----------
-        density
-            tr(C^-1 B) at the nodes [1/deg], shape [..., node].
-        anchor
-            Node where it is to vanish: the best angle, lest it should weigh one C against another.
-        """
-        steps = 0.5 * np.diff(self.phi_deg) * (density[..., 1:] + density[..., :-1])
-        total = np.concatenate(
-            [np.zeros_like(density[..., :1]), np.cumsum(steps, axis=-1)], axis=-1
-        )
-        result: FloatArray = total - total[..., anchor, None]
-        return result
+        return cls(surrogate, curves, phi, surrogate.predict(phi), covariance, left @ right)
 
     def spectra(self, shape: FloatArray) -> list[Spectrum]:
         """Covariance and noise in a common basis, for each size of the scatter.
@@ -130,8 +108,8 @@ class PreparedLeg:
                     total = self.covariance + size * self.scatter
                     roots, basis = np.linalg.eigh(inverse @ total @ inverse.T)
                     rotation = basis.transpose(0, 2, 1) @ inverse
-                    drift = np.sum((rotation @ self.drift) * rotation, axis=2)
-                    found.append(Spectrum(rotation, roots, log_determinant, drift))
+                    mean = (rotation @ self.mean[:, :, None])[:, :, 0]
+                    found.append(Spectrum(rotation, roots, mean, log_determinant))
             self._spectra[key] = found
         _forget_oldest(self._spectra)
         return self._spectra[key]
@@ -142,20 +120,6 @@ def _sharpest_deg(surrogate: JointSurrogate, phi: FloatArray) -> float:
     slope = np.gradient(surrogate.predict(phi), phi, axis=0) / surrogate.scatter.sigma(phi)
     squares = np.square(slope @ surrogate.whitener.T) / (surrogate.standard_variance(phi) + 1.0)
     return float(1.0 / np.sqrt(squares.sum(axis=1).max()))
-
-
-def _drift(surrogate: JointSurrogate, phi: FloatArray) -> FloatArray:
-    """cov(g', g - f) at the nodes [N^2/deg], by central differences of the first argument."""
-    sides = []
-    for shifted in (phi - DRIFT_STEP_DEG, phi + DRIFT_STEP_DEG):
-        first, second = (
-            surrogate.scatter.sigma(angles)[:, :, None] * surrogate.basis
-            for angles in (shifted, phi)
-        )
-        middle = surrogate.standard_drift(shifted, phi)
-        sides.append((first * middle[:, None, :]) @ second.transpose(0, 2, 1))
-    slope: FloatArray = (sides[1] - sides[0]) / (2.0 * DRIFT_STEP_DEG)
-    return slope
 
 
 def single_threaded() -> AbstractContextManager[Any]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.inference.inversion import Inversion, invert
-from terraphi.inference.posterior import ensemble
+from terraphi.inference.posterior import ensemble, tabulated
 from terraphi.inference.residual import PaperLikelihood
 from terraphi.library import Library
 from terraphi.plots import recovery_figure
@@ -120,7 +120,8 @@ def _walkers(library: Library, history: ForceHistory, exact: Inversion, phi: flo
     def log_p(phi_deg: FloatArray) -> FloatArray:
         return likelihood(surrogate.predict(phi_deg))
 
-    draws = ensemble(log_p, surrogate.phi_bounds_deg, burn_in=0, seed=0).draws_deg
+    table = tabulated(log_p, surrogate.phi_bounds_deg)
+    draws = ensemble(table, surrogate.phi_bounds_deg, burn_in=0, seed=0).draws_deg
     assert draws is not None
     return Walkers(draws[0], BURN_IN, exact.posterior, phi)
 
