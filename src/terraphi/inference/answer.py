@@ -74,6 +74,8 @@ class Inversion:
         Misfit of the best curve by force, fractions of peak-to-peak.
     verdict
         Whether to believe it.
+    warnings
+        Sentences on why the answer may not be what was asked for; the verdict's reason has them.
     likelihood
         Name of the likelihood.
     budget
@@ -98,6 +100,7 @@ class Inversion:
     nrmsd: Mapping[str, float]
     verdict: Verdict
     likelihood: str
+    warnings: tuple[str, ...] = ()
     budget: Budget | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -111,6 +114,7 @@ class Inversion:
             "verdict": self.verdict.verdict,
             "reason": self.verdict.reason,
             "edge": self.verdict.edge,
+            "warnings": list(self.warnings),
             "nrmsd": dict(self.nrmsd),
             "density_kg_m3": self.density,
             "density_assumed": self.density_assumed,

@@ -7,11 +7,11 @@ The residual r = d - g(phi) of the 2 m window means is normal with covariance
 V what the surrogate leaves open (interpolation and the library's scatter), S the scatter of the
 observed simulation or bed, whose size q varies from one to the next (`Scatter.tail`), s^2 W the
 sensor's noise, D the model discrepancy and the last term an error of the leg angle, by which all
-forces follow their slope g' over theta. q, s and D are integrated out on grids, phi by quadrature.
-Noise that is to be inferred is absent with probability 1/2, or has a log-uniform size. A
-discrepancy is a Gaussian process over the leg angle (Kennedy & O'Hagan, J. R. Stat. Soc. B 63:425,
-2001), Matern of order 3/2, with log-uniform amplitude and length; it too is absent with probability
-1/2.
+forces follow their slope g' over theta (`registration`). q, s and D are integrated out on grids,
+phi by quadrature. Noise that is to be inferred is absent with probability 1/2, or has a log-uniform
+size. A discrepancy is a Gaussian process over the leg angle (Kennedy & O'Hagan, J. R. Stat. Soc. B
+63:425, 2001), Matern of order 3/2, with log-uniform amplitude and length; it too is absent with
+probability 1/2.
 
 If the model may be wrong, V, S and g' are those at the best angle throughout, and the leg angle may
 be off. That scatter grows with phi would else be evidence of phi, by way of how smooth a measured
@@ -20,12 +20,13 @@ record is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.inference import registration
 from terraphi.inference.library import PreparedLeg, single_threaded
 
 FloatArray = NDArray[np.float64]
@@ -38,10 +39,10 @@ AMPLITUDES = np.array([0.006, 0.015, 0.04, 0.1, 0.25, 0.6])
 """Standard deviations of the discrepancy, of the peak-to-peak of each force [-]."""
 LENGTHS_DEG = np.array([6.0, 15.0, 40.0, 100.0])
 """Its correlation lengths [deg]; the longest is nearly an offset."""
-REGISTRATION_DEG = 1.0
-"""Prior standard deviation t of an error of the leg angle where the model may be wrong [deg]."""
-ROUNDS = 2
-"""Times that the best angle beside a discrepancy is looked for."""
+ROUNDS = 4
+"""Times at most that the best angles beside a discrepancy, of soil and leg, are looked for."""
+SETTLED_DEG = 0.05
+"""Change of the leg angle's error that is looked into no further [deg]."""
 SCANNED = {"without": 71, "with": 24}
 """Nodes at which posteriors are looked for, without and with a discrepancy."""
 NEGLIGIBLE = 9.0
@@ -76,6 +77,7 @@ class Problem:
     noise_shape: FloatArray
     noise_sigma: float | None
     discrepancy: bool
+    _shapes: dict[float, FloatArray] = field(default_factory=dict, repr=False)
 
     @property
     def spans(self) -> FloatArray:
@@ -93,23 +95,15 @@ class Problem:
 
     def discrepancy_shape(self, length_deg: float) -> FloatArray:
         """Covariance of a discrepancy of unit relative amplitude [N^2], [2 theta, 2 theta]."""
+        if length_deg not in self._shapes:
+            self._shapes[length_deg] = self._discrepancy_shape(length_deg)
+        return self._shapes[length_deg]
+
+    def _discrepancy_shape(self, length_deg: float) -> FloatArray:
         theta = self.leg.surrogate.theta_deg
         lag = np.sqrt(3.0) * np.abs(theta[:, None] - theta) / length_deg
         shape: FloatArray = np.kron(np.diag(np.square(self.spans)), (1.0 + lag) * np.exp(-lag))
         return shape
-
-    def registration(self, forces: FloatArray) -> FloatArray:
-        """Covariance of what an error of the leg angle does to forces [N^2].
-
-        Parameters
-        ----------
-        forces
-            Observation vector of the model [N], shape [2 theta].
-        """
-        theta = self.leg.surrogate.theta_deg
-        slope = np.concatenate([np.gradient(part, theta) for part in forces.reshape(2, -1)])
-        covariance: FloatArray = REGISTRATION_DEG**2 * np.outer(slope, slope)
-        return covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,47 +303,76 @@ def _with_discrepancy(problem: Problem, without: Hypotheses) -> Hypotheses:
             if name != "nodes"
         },
     )
-    best, reference = without.best_node, -1
-    found = joined
+    frame, found = _Frame(leg, without.best_node), joined
     for _ in range(ROUNDS):
-        if best == reference:
+        nodes = np.unique(np.append(_scanned(count, SCANNED["with"]), frame.node))
+        found = _frozen(problem, joined, frame, nodes)
+        frame, before = _next_frame(problem, found, frame), frame
+        settled = abs(frame.shift_deg - before.shift_deg) < SETTLED_DEG
+        if frame.node == before.node and settled:
             break
-        reference = best
-        nodes = np.unique(np.append(_scanned(count, SCANNED["with"]), best))
-        found = _frozen(problem, joined, reference, nodes)
-        best = int(nodes[np.argmax(log_sum(found.log_density))])
     whole = found.probable().of_all_sizes(log_size)
-    return _frozen(problem, whole, best, found.window(count)).probable()
+    return _frozen(problem, whole, frame, found.window(count)).probable()
+
+
+class _Frame:
+    """A node and an error of the leg angle, about which a model that may be wrong is linear.
+
+    Parameters
+    ----------
+    leg
+        The prepared leg.
+    node
+        Index of the node whose covariance and slope hold throughout.
+    shift_deg
+        Error of the leg angle about which forces are linear [deg].
+    """
+
+    def __init__(self, leg: PreparedLeg, node: int, shift_deg: float = 0.0) -> None:
+        self.node, self.shift_deg = node, shift_deg
+        mean = leg.mean[node]
+        self.offset, self.slope = registration.about(mean, leg.surrogate.theta_deg, shift_deg)
+        variance = registration.REGISTRATION_DEG**2
+        self.base = leg.covariance[node] + variance * np.outer(self.slope, self.slope)
+        self.scatter = leg.scatter[node]
+
+
+def _next_frame(problem: Problem, found: Hypotheses, frame: _Frame) -> _Frame:
+    """The frame about the best node, and about the error of the leg angle that goes with it."""
+    best = found.best_node
+    column = int(np.searchsorted(found.nodes, best))
+    h = int(found.log_density[:, column].argmax())
+    total = _covariance(problem, frame, found.kept(np.array([h])), 0)
+    residual = problem.data - problem.leg.mean[best] - frame.offset
+    return _Frame(problem.leg, best, registration.likeliest(frame.slope, total, residual))
+
+
+def _covariance(problem: Problem, frame: _Frame, combinations: Hypotheses, h: int) -> FloatArray:
+    """Covariance under one combination [N^2], shape [2 theta, 2 theta]."""
+    q = float(problem.leg.surrogate.scatter.sizes[0][combinations.size[h]])
+    total: FloatArray = frame.base + q * frame.scatter
+    total += combinations.noise[h] ** 2 * problem.noise_shape
+    if combinations.amplitude[h] > 0.0:
+        shape = problem.discrepancy_shape(float(combinations.length_deg[h]))
+        total += combinations.amplitude[h] ** 2 * shape
+    return total
 
 
 def _frozen(
-    problem: Problem, combinations: Hypotheses, reference: int, nodes: NDArray[np.intp]
+    problem: Problem, combinations: Hypotheses, frame: _Frame, nodes: NDArray[np.intp]
 ) -> Hypotheses:
     """Combinations at some nodes, with the covariance of one node throughout."""
     from scipy.linalg.lapack import dpotrf, dtrtrs
 
-    leg = problem.leg
-    residual = np.asfortranarray((problem.data - leg.mean[nodes]).T)
-    shapes = {0.0: np.zeros_like(problem.noise_shape)}
-    for length in set(combinations.length_deg.tolist()) - {0.0}:
-        shapes[length] = problem.discrepancy_shape(length)
-    sizes = leg.surrogate.scatter.sizes[0][combinations.size]
-    base = leg.covariance[reference] + problem.registration(leg.mean[reference])
-    scatter = leg.scatter[reference]
-    chi2, volume = np.empty((2, len(sizes), len(nodes)))
-    for i, (q, s, a, length) in enumerate(
-        zip(
-            sizes.tolist(), combinations.noise.tolist(), combinations.amplitude.tolist(),
-            combinations.length_deg.tolist(), strict=True,
-        )
-    ):  # fmt: skip
-        total = base + q * scatter + s**2 * problem.noise_shape + a**2 * shapes[length]
-        factor, failed = dpotrf(total, lower=1)
+    residual = np.asfortranarray((problem.data - problem.leg.mean[nodes] - frame.offset).T)
+    chi2, volume = np.empty((2, len(combinations.noise), len(nodes)))
+    for h in range(len(combinations.noise)):
+        factor, failed = dpotrf(_covariance(problem, frame, combinations, h), lower=1)
         if failed:
-            raise ValueError(f"a covariance of {len(total)} forces is not positive definite")
+            raise ValueError(f"a covariance of {len(factor)} forces is not positive definite")
         white, _ = dtrtrs(factor, residual, lower=1)
-        chi2[i] = np.square(white).sum(axis=0)
-        volume[i] = 2.0 * np.log(np.diag(factor)).sum()
+        chi2[h] = np.square(white).sum(axis=0)
+        volume[h] = 2.0 * np.log(np.diag(factor)).sum()
     return combinations.evaluated(nodes, chi2, volume)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.inference import registration
 from terraphi.inference.calibrated import CalibratedLikelihood, Problem
 from terraphi.inference.fit import STEP_DEG, Fit
 
@@ -51,13 +52,14 @@ def covariance_terms(
     phi = np.array([phi_deg])
     left = surrogate.scatter.sigma(phi)[0][:, None] * surrogate.basis
     interpolation, library = (part[0] for part in surrogate.standard_terms(phi))
-    registration = problem.registration(surrogate.predict(phi)[0])
+    along = registration.about(surrogate.predict(phi)[0], surrogate.theta_deg, 0.0)[1]
+    off = float(problem.discrepancy) * registration.REGISTRATION_DEG**2
     return {
         "interpolation": (left * interpolation) @ left.T,
         "library_scatter": (left * library) @ left.T,
         "particle_scatter": left @ left.T,
         "noise": noise_variance * problem.noise_shape,
-        "registration": registration if problem.discrepancy else np.zeros_like(discrepancy),
+        "registration": off * np.outer(along, along),
         "discrepancy": discrepancy,
     }
 

@@ -7,6 +7,7 @@ the library's own force unit; an inversion divides by the ratio of densities ins
 
 from __future__ import annotations
 
+import functools
 import weakref
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -30,8 +31,6 @@ the forces fix phi to a small fraction of the distance of the fewer nodes."""
 FRACTION = 0.04
 REMEMBERED = 8
 """Prepared legs that are kept, and decompositions of each."""
-
-_THREADS = ThreadpoolController()
 
 
 class Spectrum(NamedTuple):
@@ -124,8 +123,16 @@ def _sharpest_deg(surrogate: JointSurrogate, phi: FloatArray) -> float:
 
 def single_threaded() -> AbstractContextManager[Any]:
     """Context in which BLAS uses one thread: more cost small matrices far more than they gain."""
-    limit: AbstractContextManager[Any] = _THREADS.limit(limits=1, user_api="blas")
+    limit: AbstractContextManager[Any] = _threads().limit(limits=1, user_api="blas")
     return limit
+
+
+@functools.cache
+def _threads() -> ThreadpoolController:
+    """Threads of NumPy's BLAS and of SciPy's, which is another and must have been loaded."""
+    import scipy.linalg  # noqa: F401
+
+    return ThreadpoolController()
 
 
 _Key = tuple[int, str, tuple[float, float]]
