@@ -22,7 +22,7 @@ help:
 	@echo 'make demo       friction angle from a measured force history, and a picture in demo-output/'
 	@echo 'make test       lint, type-check and test (minutes)'
 	@echo 'make test-slow  the checks that take longer'
-	@echo 'make bench      speed of the kernels, as lines of name and value'
+	@echo 'make bench      speed of kernels and inversions, as lines of name and value'
 	@echo 'make lint       lint and type-check only'
 	@echo 'make format     put the code into the house format'
 	@echo 'make clean      remove what the commands above wrote; make distclean removes .venv as well'
@@ -39,6 +39,7 @@ test-slow: $(DEV)
 # Results depend on what else the machine does: the ratios are what to look at.
 bench: $(DEV)
 	$(BIN)/python benchmarks/bench_kernels.py
+	$(BIN)/python benchmarks/bench_inference.py
 
 lint: $(DEV)
 	$(BIN)/ruff check .

@@ -10,8 +10,9 @@ from scipy.stats import multivariate_normal
 
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
-from terraphi.inference.calibrated import CalibratedLikelihood, Problem, gaussian_parts
+from terraphi.inference.calibrated import CalibratedLikelihood
 from terraphi.inference.covariance import covariance_terms
+from terraphi.inference.hypotheses import Problem, gaussian_parts
 from terraphi.inference.inversion import invert
 from terraphi.inference.library import PreparedLeg, prepare
 from terraphi.inference.noise import Noise, window_covariance

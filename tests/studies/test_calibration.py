@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 import math
+import re
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from terraphi.inference.coverage import Coverage, _worlds, calibrate
+from terraphi.inference.coverage import (
+    STRIDE,
+    Coverage,
+    _posteriors,
+    _worlds,
+    calibrate,
+    learnt_anew,
+)
 from terraphi.inference.library import PreparedLeg, prepare
 from terraphi.library import Library
+from terraphi.studies.calibration import CERTIFICATE, certificates, run
 
+PAGE = Path(__file__).parents[2] / "docs" / "calibration.md"
 NAMES = ("quick-plane-strain", "quick-paper")
 PROMISED = {"replicates", "coverage68", "coverage95", "rank_chi2_p", "ci68_half_width_deg"}
 
@@ -40,6 +52,35 @@ def test_coverage_is_near_what_it_says_and_has_the_promised_numbers(leg: Prepare
     assert numbers["coverage95"] == pytest.approx(0.95, abs=0.03)
 
 
+def test_worlds_of_no_kind_are_refused(leg: PreparedLeg) -> None:
+    with pytest.raises(ValueError, match="expected one of prior, fitted, tails"):
+        calibrate(leg, replicates=10, seed=0, worlds="flat")
+
+
+def test_hyperparameters_learnt_anew_keep_coverage_roughly(leg: PreparedLeg) -> None:
+    found = learnt_anew(leg, worlds=2, truths=100, seed=4)
+    assert found.rank.size == 200
+    # Two libraries only, each with an error common to all its inversions.
+    assert 0.4 < found.within(0.68) < 0.9
+    assert found.within(0.95) > 0.8
+
+
+def test_a_prior_of_another_size_is_found_out_by_the_ranks(leg: PreparedLeg) -> None:
+    # Worlds of a scatter a third larger than the inference believes: intervals are too narrow.
+    surrogate = leg.surrogate
+    timid = replace(surrogate, scatter=surrogate.scatter.scaled(0.75))
+    rng = np.random.default_rng(5)
+    truth = rng.uniform(20.0, 45.0, size=600)
+    forces, library = _worlds(surrogate, truth, rng, "prior")
+    data = forces + surrogate.scatter.draw(truth, rng)
+    curves = (library @ surrogate.basis.T) * surrogate.scatter.sigma(surrogate.phi_deg)
+    believed = PreparedLeg.of(timid, leg.curves)
+    means = timid.standard_mean(believed.phi_deg[::STRIDE], timid.standard(curves))
+    found = _posteriors(believed, truth, data, means)
+    assert found.within(0.68) < 0.62
+    assert found.chi2_probability < 1e-3
+
+
 def test_ranks_of_a_posterior_half_as_wide_are_found_out() -> None:
     rng = np.random.default_rng(2)
     rank = np.clip(0.5 + 2.0 * (rng.uniform(size=2000) - 0.5), 0.0, 1.0)
@@ -58,3 +99,29 @@ def test_shipped_libraries_carry_a_certificate_of_themselves(name: str) -> None:
         assert numbers["rank_chi2_p"] > 0.01
         assert 0.65 <= numbers["coverage68"] <= 0.71
         assert 0.93 <= numbers["coverage95"] <= 0.97
+
+
+def test_the_page_shows_the_certificates_of_the_shipped_libraries() -> None:
+    rows = [f"| {' | '.join(row)} |" for row in (CERTIFICATE, *certificates())]
+    page = PAGE.read_text(encoding="utf-8")
+    assert len(rows) == 7
+    for row in rows:
+        assert row in page
+
+
+@pytest.mark.slow
+def test_the_page_is_what_the_study_writes() -> None:
+    study = run()
+    assert set(study.data) >= PROMISED
+    page, written = PAGE.read_text(encoding="utf-8"), study.documents["calibration.md"]
+    number = r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?"
+    assert re.sub(number, "#", page) == re.sub(number, "#", written)
+    # Another machine rounds otherwise, and a case at an interval's end may change sides.
+    for one, other in zip(re.findall(number, page), re.findall(number, written), strict=True):
+        assert float(one) == pytest.approx(
+            float(other), rel=0.05, abs=1.0 if "." not in one else 0.02
+        )
+    clean = study.data["truths"]["clean"]["none"]
+    assert clean["abs_error_deg"]["median"] <= 0.05
+    assert clean["abs_error_deg"]["max"] <= 0.3
+    assert clean["ci68_half_width_deg"]["median"] <= 0.2

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.inference import registration
-from terraphi.inference.calibrated import CalibratedLikelihood, Problem
+from terraphi.inference.calibrated import CalibratedLikelihood
 from terraphi.inference.fit import STEP_DEG, Fit
+from terraphi.inference.hypotheses import Problem
 
 FloatArray = NDArray[np.float64]
 

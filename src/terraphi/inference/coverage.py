@@ -22,14 +22,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference.calibrated import log_sum
-from terraphi.inference.library import PreparedLeg, single_threaded
+from terraphi.inference.hypotheses import log_sum
+from terraphi.inference.library import PreparedLeg, learn, single_threaded
 from terraphi.joint_surrogate import JointSurrogate
 
 FloatArray = NDArray[np.float64]
 
 CHUNK = 200
 """Replicates at once."""
+STRIDE = 2
+"""Of the leg's nodes; over thousands of worlds the rest makes no difference."""
 COARSE_NODES = 201
 FINE_NODES = 401
 """Nodes over phi at which posteriors are looked for, and then integrated."""
@@ -37,6 +39,8 @@ NOTHING = 1e-9
 """Density over the largest that is not looked at more closely [-]."""
 BINS = 20
 """Bins of the rank histogram."""
+REPLICATES = 3
+"""Replicates of three cases from which a scatter is learnt anew."""
 WORLDS = {
     "prior": "drawn from the prior of the inference",
     "fitted": "that keep the cubic fitted to the library",
@@ -123,7 +127,7 @@ def calibrate(leg: PreparedLeg, *, replicates: int, seed: int, worlds: str = "pr
             truth = rng.uniform(*surrogate.phi_bounds_deg, size=min(CHUNK, replicates - start))
             forces, library = _worlds(surrogate, truth, rng, worlds)
             data = forces + surrogate.scatter.draw(truth, rng)
-            means = surrogate.standard_mean(leg.phi_deg, library)
+            means = surrogate.standard_mean(leg.phi_deg[::STRIDE], library)
             found.append(_posteriors(leg, truth, data, means))
     return _joined(found)
 
@@ -152,7 +156,7 @@ def through_one_library(
     """
     rng = np.random.default_rng(seed)
     surrogate, within = leg.surrogate, []
-    mean = surrogate.standard_mean(leg.phi_deg)[None]
+    mean = surrogate.standard_mean(leg.phi_deg[::STRIDE])[None]
     with single_threaded():
         for _ in range(worlds):
             truth = np.sort(rng.uniform(*surrogate.phi_bounds_deg, size=truths))
@@ -162,6 +166,43 @@ def through_one_library(
             within.append((found.within(0.68), found.within(0.95)))
     one, two = np.array(within).T
     return one, two
+
+
+def learnt_anew(leg: PreparedLeg, *, worlds: int, truths: int, seed: int) -> Coverage:
+    """Coverage where scatter and hyperparameters are learnt from each world's own library.
+
+    They are learnt as the shipped ones were: from the curves, and from a few replicates.
+
+    Parameters
+    ----------
+    leg
+        Whose surrogate and scatter make the worlds.
+    worlds, truths
+        Number of worlds, and of true angles in each.
+    seed
+        Of all draws.
+    """
+    rng = np.random.default_rng(seed)
+    surrogate, found = leg.surrogate, []
+    cases, m = len(surrogate.phi_deg), len(surrogate.theta_deg)
+    with single_threaded():
+        for _ in range(worlds):
+            truth = np.sort(rng.uniform(*surrogate.phi_bounds_deg, size=truths))
+            standard = surrogate.draw(np.concatenate([surrogate.phi_deg, truth]), rng)
+            forces = standard @ surrogate.basis.T
+            forces *= surrogate.scatter.sigma(np.concatenate([surrogate.phi_deg, truth]))
+            data = forces[cases:] + surrogate.scatter.draw(truth, rng)
+            library = forces[:cases] + surrogate.scatter.draw(surrogate.phi_deg, rng)
+            groups = []
+            for i in (1, cases // 2, cases - 2):
+                phi = float(surrogate.phi_deg[i])
+                again = forces[i] + surrogate.scatter.draw(np.full(REPLICATES, phi), rng)
+                groups.append((phi, np.vstack([library[i : i + 1], again])))
+            curves = leg.curves._replace(Fx=library[:, :m], Fz=library[:, m:])
+            own = PreparedLeg.of(learn(curves, groups), curves)
+            mean = own.surrogate.standard_mean(own.phi_deg[::STRIDE])[None]
+            found.append(_posteriors(own, truth, data, mean))
+    return _joined(found)
 
 
 def _worlds(
@@ -210,21 +251,21 @@ def _posteriors(
     """
     from scipy.interpolate import CubicSpline
 
-    surrogate = leg.surrogate
-    variance = surrogate.standard_variance(leg.phi_deg)
-    sigma = surrogate.scatter.sigma(leg.phi_deg)
+    surrogate, nodes_deg = leg.surrogate, leg.phi_deg[::STRIDE]
+    variance = surrogate.standard_variance(nodes_deg)
+    sigma = surrogate.scatter.sigma(nodes_deg)
     standard = (data[:, None, :] / sigma) @ surrogate.whitener.T
     squares, parts = np.square(standard - means), []
     for size, log_prior in zip(*surrogate.scatter.sizes, strict=True):
         total = variance + size
         volume = np.log(total).sum(axis=1) + 2.0 * np.log(sigma).sum(axis=1)
         parts.append(0.5 * (np.sum(squares / total, axis=2) + volume) - log_prior)
-    splines = [CubicSpline(leg.phi_deg, exponent.T).c for exponent in parts]
+    splines = [CubicSpline(nodes_deg, exponent.T).c for exponent in parts]
     fine = density = np.empty(0)
-    ends = np.tile(leg.phi_deg[[0, -1]], (len(truth), 1))
+    ends = np.tile(nodes_deg[[0, -1]], (len(truth), 1))
     for nodes in (COARSE_NODES, FINE_NODES):
         fine = np.linspace(ends[:, 0], ends[:, 1], nodes, axis=1)
-        log_p = log_sum(np.array([-_evaluate(spline, leg.phi_deg, fine) for spline in splines]))
+        log_p = log_sum(np.array([-_evaluate(spline, nodes_deg, fine) for spline in splines]))
         density = np.exp(log_p - log_p.max(axis=1, keepdims=True))
         # The second round looks closely at where the first found anything.
         some = density > NOTHING

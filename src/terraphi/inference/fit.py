@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference.calibrated import (
+from terraphi.inference.hypotheses import (
     AMPLITUDES,
     LENGTHS_DEG,
     Hypotheses,

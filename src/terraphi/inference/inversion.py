@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from terraphi.errors import InputError, nearest
 from terraphi.history import ForceHistory, Observation
 from terraphi.inference.answer import AngleSummary, Inversion, plane_strain_summary
-from terraphi.inference.calibrated import CalibratedLikelihood, Problem
+from terraphi.inference.calibrated import CalibratedLikelihood
 from terraphi.inference.checks import check_magnitudes, check_same_setup, unlike
 from terraphi.inference.covariance import Budget, budget_of
 from terraphi.inference.fit import Fit, fit_without_discrepancy
+from terraphi.inference.hypotheses import Problem
 from terraphi.inference.judgement import judge_calibrated
 from terraphi.inference.library import prepare, single_threaded
 from terraphi.inference.noise import Noise, shape_of, window_covariance

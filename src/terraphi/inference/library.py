@@ -25,16 +25,15 @@ from terraphi.scatter import Scatter, estimate
 
 FloatArray = NDArray[np.float64]
 
-NODES = (71, 281)
-"""Nodes over phi, between which chi-square and log-determinant are splines; the larger number where
-the forces fix phi to a small fraction of the distance of the fewer nodes."""
-FRACTION = 0.04
+NODES = 281
+"""Nodes over phi, between which chi-square and log-determinant are splines: intervals are right to
+a few thousandths of their width; half the nodes leave some hundredths at worst."""
 REMEMBERED = 8
 """Prepared legs that are kept, and decompositions of each."""
 
 
 class Spectrum(NamedTuple):
-    """Covariance and noise at the nodes in a common basis, where both are diagonal.
+    """Covariance and noise at some nodes in a common basis, where both are diagonal.
 
     With C the covariance at one size of the scatter and W the shape of the noise, ``rotation`` Q
     makes Q C Q^T diagonal and Q W Q^T the identity: C + s^2 W has ``roots`` + s^2 there.
@@ -46,8 +45,6 @@ class Spectrum(NamedTuple):
     """Shape [node, 2 theta]."""
     mean: FloatArray
     """Q times the forces at the nodes, same shape."""
-    log_determinant: float
-    """Of W."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,21 +71,19 @@ class PreparedLeg:
     mean: FloatArray = field(repr=False)
     covariance: FloatArray = field(repr=False)
     scatter: FloatArray = field(repr=False)
-    _spectra: OrderedDict[bytes, list[Spectrum]] = field(default_factory=OrderedDict, repr=False)
+    _spectra: OrderedDict[bytes, Spectra] = field(default_factory=OrderedDict, repr=False)
 
     @classmethod
     def of(cls, surrogate: JointSurrogate, curves: Curves) -> PreparedLeg:
         """Evaluate a surrogate at the nodes."""
-        phi = np.linspace(*surrogate.phi_bounds_deg, NODES[0])
-        if _sharpest_deg(surrogate, phi) < FRACTION * (phi[1] - phi[0]):
-            phi = np.linspace(*surrogate.phi_bounds_deg, NODES[1])
+        phi = np.linspace(*surrogate.phi_bounds_deg, NODES)
         variance = surrogate.standard_variance(phi)
         left = surrogate.scatter.sigma(phi)[:, :, None] * surrogate.basis
         right = left.transpose(0, 2, 1)
         covariance = (left * variance[:, None, :]) @ right
         return cls(surrogate, curves, phi, surrogate.predict(phi), covariance, left @ right)
 
-    def spectra(self, shape: FloatArray) -> list[Spectrum]:
+    def spectra(self, shape: FloatArray) -> Spectra:
         """Covariance and noise in a common basis, for each size of the scatter.
 
         Parameters
@@ -98,27 +93,53 @@ class PreparedLeg:
         """
         key = np.round(shape, 9).tobytes()
         if key not in self._spectra:
-            with single_threaded():
-                factor = np.linalg.cholesky(shape)
-                inverse = np.linalg.inv(factor)
-                log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
-                found = []
-                for size in self.surrogate.scatter.sizes[0]:
-                    total = self.covariance + size * self.scatter
-                    roots, basis = np.linalg.eigh(inverse @ total @ inverse.T)
-                    rotation = basis.transpose(0, 2, 1) @ inverse
-                    mean = (rotation @ self.mean[:, :, None])[:, :, 0]
-                    found.append(Spectrum(rotation, roots, mean, log_determinant))
-            self._spectra[key] = found
+            self._spectra[key] = Spectra(self, shape)
         _forget_oldest(self._spectra)
         return self._spectra[key]
 
 
-def _sharpest_deg(surrogate: JointSurrogate, phi: FloatArray) -> float:
-    """Least standard deviation of phi [deg] that forces without noise leave, anywhere."""
-    slope = np.gradient(surrogate.predict(phi), phi, axis=0) / surrogate.scatter.sigma(phi)
-    squares = np.square(slope @ surrogate.whitener.T) / (surrogate.standard_variance(phi) + 1.0)
-    return float(1.0 / np.sqrt(squares.sum(axis=1).max()))
+class Spectra:
+    """Decompositions of one leg's covariances and a noise, each computed when it is asked for.
+
+    Parameters
+    ----------
+    leg, shape
+        As in :meth:`PreparedLeg.spectra`.
+
+    Attributes
+    ----------
+    log_determinant
+        Of W.
+    """
+
+    def __init__(self, leg: PreparedLeg, shape: FloatArray) -> None:
+        self.leg = leg
+        factor = np.linalg.cholesky(shape)
+        self.log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
+        self._inverse = np.linalg.inv(factor)
+        self._sizes = leg.surrogate.scatter.sizes[0]
+        count = (len(self._sizes), *leg.mean.shape)
+        self._ready = np.zeros(count[:2], dtype=bool)
+        self._rotation = np.empty((*count, count[2]))
+        self._roots, self._mean = np.empty(count), np.empty(count)
+
+    def at(self, size: int, nodes: NDArray[np.intp]) -> Spectrum:
+        """Decompositions at one size of the scatter, by its index, and at evenly spaced nodes."""
+        missing = nodes[~self._ready[size, nodes]]
+        if missing.size:
+            total = self.leg.covariance[missing] + self._sizes[size] * self.leg.scatter[missing]
+            with single_threaded():
+                roots, basis = np.linalg.eigh(self._inverse @ total @ self._inverse.T)
+                rotation = basis.transpose(0, 2, 1) @ self._inverse
+            self._rotation[size, missing], self._roots[size, missing] = rotation, roots
+            mean = (rotation @ self.leg.mean[missing][:, :, None])[:, :, 0]
+            self._mean[size, missing] = mean
+            self._ready[size, missing] = True
+        # A slice, not an index: these are megabytes that nobody should copy.
+        step = int(nodes[1] - nodes[0]) if len(nodes) > 1 else 1
+        part = slice(int(nodes[0]), int(nodes[-1]) + 1, step)
+        arrays = (self._rotation, self._roots, self._mean)
+        return Spectrum(*(array[size, part] for array in arrays))
 
 
 def single_threaded() -> AbstractContextManager[Any]:

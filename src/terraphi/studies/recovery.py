@@ -70,8 +70,10 @@ def run(*, library: str = "quick-plane-strain") -> Study:
         if truth.history is None:
             raise InputError(f"library '{truths.name}' holds a failed case: {truth.failure}")
         leg, phi = truth.scenario.leg.shape, truth.scenario.soil.friction_angle_deg
-        exact = invert(truth.history, library=trained, leg=leg)
-        sampled = invert(truth.history, library=trained, leg=leg, sampler="emcee")
+        exact = invert(truth.history, library=trained, leg=leg, likelihood="paper")
+        sampled = invert(
+            truth.history, library=trained, leg=leg, likelihood="paper", sampler="emcee"
+        )
         convergence = sampled.posterior.convergence
         error = convergence["median_standard_error"]
         if shown is None or abs(phi - SHOWN_DEG) < abs(shown[2] - SHOWN_DEG):
