@@ -16,12 +16,13 @@ PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test test-slow bench lint format install clean distclean
+.PHONY: help demo test test-slow docs bench lint format install clean distclean
 
 help:
 	@echo 'make demo       friction angle from a measured force history, and a picture in demo-output/'
 	@echo 'make test       lint, type-check and test (minutes)'
 	@echo 'make test-slow  the checks that take longer'
+	@echo 'make docs       the documentation, in docs/_build/html/index.html'
 	@echo 'make bench      speed of kernels and inversions, as lines of name and value'
 	@echo 'make lint       lint and type-check only'
 	@echo 'make format     put the code into the house format'
@@ -35,6 +36,11 @@ test: lint
 
 test-slow: $(DEV)
 	$(BIN)/pytest -n $(WORKERS) -m slow
+
+# Warnings are errors; nothing is fetched from elsewhere.
+docs: $(DEV)
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
+	@echo 'Built: docs/_build/html/index.html'
 
 # Results depend on what else the machine does: the ratios are what to look at.
 bench: $(DEV)
@@ -68,7 +74,7 @@ $(DEV): pyproject.toml constraints.txt | $(BIN)/python
 	@touch $(RUN) $@
 
 clean:
-	rm -rf build dist demo-output .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf build dist demo-output docs/_build docs/gallery docs/reference/*-keys.md .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean

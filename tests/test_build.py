@@ -16,7 +16,6 @@ from typing import Any
 
 import pytest
 
-from terraphi import build as building
 from terraphi.build import build, cases_folder
 from terraphi.errors import InputError
 from terraphi.forward import MODEL_VERSIONS, Checkpoint, simulate
@@ -25,6 +24,8 @@ from terraphi.library import Library
 from terraphi.plan import Plan
 from terraphi.scenario import Scenario
 from terraphi.workers import WorkerPool
+
+building = importlib.import_module("terraphi.build")
 
 PHI = "soil.friction_angle_deg"
 ANGLES = [20.0, 25.0, 30.0, 35.0, 40.0]

@@ -67,11 +67,13 @@ def forces(tmp_path) -> Path:
 def test_help_names_every_command(terraphi: Terraphi) -> None:
     ran = terraphi("--help")
     assert ran.status == 0
-    for command in ("demo", "invert", "simulate", "library", "study"):
+    for command in ("demo", "invert", "simulate", "library", "study", "report", "app"):
         assert command in ran.out
 
 
-@pytest.mark.parametrize("command", ["demo", "invert", "simulate", "study", "library build"])
+@pytest.mark.parametrize(
+    "command", ["demo", "invert", "simulate", "study", "library build", "report"]
+)
 def test_help_of_every_command_has_an_example(command: str, terraphi: Terraphi) -> None:
     assert "Example: terraphi " + command in terraphi(*command.split(), "--help").out
 

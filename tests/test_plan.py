@@ -55,9 +55,9 @@ def test_each_case_differs_from_the_base_in_one_key() -> None:
 
 
 def test_presets_stand_beside_the_base_as_they_are() -> None:
-    plan = plan_of({PHI: [25.0]}, presets=["quick", "paper-0"])
+    plan = plan_of({PHI: [25.0]}, presets=["quick", "paper-1"])
     assert [variant.key for variant in plan.variants()] == ["base", PHI, "preset", "preset"]
-    assert plan.cases()[-1] == Scenario.load("paper-0")
+    assert plan.cases()[-1] == Scenario.load("paper-1")
     assert describe(plan, plan.cases()[-2]) == "preset = quick"
 
 

@@ -6,6 +6,8 @@ The public names are loaded when first used, so that ``import terraphi`` costs n
 from __future__ import annotations
 
 import importlib
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -54,6 +56,19 @@ __all__ = [
     "invert",
     "simulate",
 ]
+
+
+class _Face(ModuleType):
+    """The package itself, in which a public name never gives way to the module it lives in."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        # Python binds a module to its package when it is loaded: `terraphi.build` would be the
+        # function at first and the module from then on.
+        if not (name in _HOMES and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Face
 
 
 def __getattr__(name: str) -> Any:

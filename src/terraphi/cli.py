@@ -11,9 +11,21 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from terraphi.commands import cluster_option, json_option
+from terraphi.commands import (
+    cluster_option,
+    completed,
+    json_option,
+    leg_names,
+    library_names,
+    shipped,
+    study_names,
+)
+from terraphi.commands.app import app
 from terraphi.commands.calibrate import library_calibrate
+from terraphi.commands.doctor import doctor
+from terraphi.commands.keys import keys
 from terraphi.commands.library import library
+from terraphi.commands.report import report
 from terraphi.commands.simulate import simulate
 from terraphi.console import (
     as_text,
@@ -49,7 +61,7 @@ def cli() -> None:
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
-    default=Path("terraphi-demo"),
+    default="terraphi-demo",
     show_default=True,
     help="Folder for the figure and the answers.",
 )
@@ -91,14 +103,25 @@ def demo(out: Path, as_json: bool) -> None:
 
 @cli.command()
 @click.argument("forces")
-@click.option("--leg", help="Shape of the leg: straight, c, reversed_c or plate.")
+@click.option(
+    "--leg",
+    help="Shape of the leg: straight, c, reversed_c or plate.",
+    shell_complete=leg_names,
+)
 @click.option("--density", type=float, help="Bulk density of the soil [kg/m³].")
-@click.option("--library", default=DEFAULT_LIBRARY, show_default=True, help="Name, or a .nc file.")
+@click.option(
+    "--library",
+    default=DEFAULT_LIBRARY,
+    show_default=True,
+    help="Name, or a .nc file.",
+    shell_complete=library_names,
+)
 @click.option(
     "--likelihood",
     default="paper",
     show_default=True,
     help="Error model: calibrated or paper.",
+    shell_complete=completed(lambda: ("calibrated", "paper")),
 )
 @click.option(
     "--noise", help="Noise of a force reading [N], or a TOML file on the sensor; else inferred."
@@ -133,7 +156,7 @@ def invert(
 ) -> None:
     """Infer the friction angle from FORCES.
 
-    FORCES is a CSV with exactly the columns theta_deg,Fx_N,Fz_N over |theta| <= 85 deg (theta
+    FORCES is a CSV with exactly the columns theta_deg,Fx_N,Fz_N over -85 to 85 deg (theta
     from the downward vertical, increasing in time; x forward, z up; the soil's force on the leg),
     a NetCDF that terraphi wrote, or a shipped measurement such as li2013:yuma/c.
 
@@ -170,14 +193,22 @@ def invert(
 
 cli.add_command(simulate)
 cli.add_command(library)
+cli.add_command(report)
+cli.add_command(app)
+cli.add_command(keys)
+cli.add_command(doctor)
 
 
 library.add_command(library_calibrate)
 
 
 @cli.command()
-@click.argument("name")
-@click.option("--library", help="Library to use instead of the study's own.")
+@click.argument("name", shell_complete=study_names)
+@click.option(
+    "--library",
+    help="Library to use instead of the study's own.",
+    shell_complete=library_names,
+)
 @click.option("--only", help="Family of problems, for verification.")
 @click.option("--quick", is_flag=True, default=None, help="Coarse and fast, for verification.")
 @click.option(
@@ -193,7 +224,8 @@ def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
     """Run the study NAME, one of those below.
 
     The paper's own: benchmark, phi_sensitivity, k0, surrogate, recovery, and figures, which draws
-    all of them. Of the model: calibration, sensitivity, resolution, verification.
+    all of them. Of measured sand: measured, prediction. Of the model: calibration, reading,
+    sensitivity, resolution, verification.
 
     Example: terraphi study recovery --out recovery
     """
@@ -215,7 +247,13 @@ def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
 
 @cli.command()
 @click.argument("log")
-@click.option("--robot", default="go2", show_default=True, help="Name, TOML or URDF of the robot.")
+@click.option(
+    "--robot",
+    default="go2",
+    show_default=True,
+    help="Name, TOML or URDF of the robot.",
+    shell_complete=shipped("robots", ".toml"),
+)
 @click.option(
     "--estimator",
     default="momentum_observer",

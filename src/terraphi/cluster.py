@@ -68,7 +68,8 @@ class Cluster:
                 self._client = connect(
                     address, timeout=CONNECT_SECONDS, set_as_default=False, name="terraphi"
                 )
-        except (OSError, ValueError, TypeError) as error:
+        # Dask asserts that its own loop starts within ten seconds, which a busy machine may miss.
+        except (OSError, ValueError, TypeError, AssertionError) as error:
             self._quiet.__exit__(None, None, None)
             raise InputError(
                 f"no Dask scheduler answers at '{address}' within {CONNECT_SECONDS:g} s; give the "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +16,9 @@ import click
 if TYPE_CHECKING:
     from terraphi.inference.inversion import Inversion
     from terraphi.library import Library
+
+
+_NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?( ?[%°]| N)?")
 
 
 def as_text(data: Any) -> str:
@@ -68,11 +72,19 @@ def print_library(found: Library, *, as_json: bool) -> None:
 def print_forces(summary: dict[str, Any]) -> None:
     """Foot forces of a log: a row a foot, then what else there is to know."""
     header = ("", "stances", "mean duration [s]", "peak of mean Fz [N]", "peak of mean Fx [N]")
-    figures = ("stances", "mean_duration_s", "mean_peak_Fz_N", "mean_peak_Fx_N")
+    figures = {
+        "stances": "d",
+        "mean_duration_s": ".3f",
+        "mean_peak_Fz_N": ".1f",
+        "mean_peak_Fx_N": ".1f",
+    }
     rows = {**summary["feet"], "all feet": summary["pooled"]}
     print_table(
         header,
-        [(name, *(words(found[figure]) for figure in figures)) for name, found in rows.items()],
+        [
+            (name, *(figure_in_words(found[figure], form) for figure, form in figures.items()))
+            for name, found in rows.items()
+        ],
         title=f"Ground's forces on the feet, {summary['estimator']}, {summary['frame']} frame",
     )
     shown_above = {"feet", "pooled", "estimator", "frame"}
@@ -82,7 +94,7 @@ def print_forces(summary: dict[str, Any]) -> None:
 def print_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str | None = None
 ) -> None:
-    """Aligned columns."""
+    """Columns, aligned to the right where they hold numbers alone."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -90,8 +102,10 @@ def print_table(
     if title is not None:
         click.secho(title, bold=True)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
-    for name in header:
-        table.add_column(name)
+    for i, name in enumerate(header):
+        cells = [row[i] for row in rows if row[i] not in ("", "-")]
+        numbers = bool(cells) and all(map(_NUMBER.fullmatch, cells))
+        table.add_column(name, justify="right" if numbers else "left")
     for row in rows:
         table.add_row(*row)
     # Where nobody looks at a terminal, a line is as wide as it needs to be.
@@ -107,15 +121,22 @@ def print_pairs(pairs: dict[str, Any]) -> None:
         click.echo(f"{name:<{width}}  {words(value)}")
 
 
+def figure_in_words(value: float | None, form: str) -> str:
+    """A number with the digits that it deserves."""
+    return "-" if value is None else format(value, form)
+
+
 def words(value: Any) -> str:
     """A value as people read it."""
+    if value is None or value in ("", [], {}):
+        return "-"
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, list):
         return ", ".join(words(v) for v in value)
     if isinstance(value, dict):
         return ", ".join(f"{key}: {words(v)}" for key, v in value.items())
-    return "-" if value is None else str(value)
+    return str(value)
 
 
 @contextmanager

@@ -39,6 +39,8 @@ class Rotation(_Motion):
 
     Attributes
     ----------
+    kind
+        ``rotation``; the kind of motion if none is given.
     hip
         Position of the hip (x, z) [m].
     start_deg, stop_deg
@@ -173,12 +175,14 @@ class Translation(_Motion):
 
     Attributes
     ----------
+    kind
+        ``translation``.
     start
         First position of the origin of the leg's frame (x, z) [m].
     orientation_deg
         Angle of the chord from the downward vertical [deg]: 0 hangs down, 90 points along -x.
     velocity
-        (x, z) [m/s].
+        Velocity (x, z) [m/s].
     distance
         Length of the path [m].
     bin_width

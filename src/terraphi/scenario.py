@@ -1,7 +1,7 @@
 """Scenario: everything a forward model needs to know, strict, frozen and hashed.
 
 The defaults are those of the paper's benchmark (Xu & Wang): a straight leg, Yuma sand, 128² cells,
-2.9 million steps. The shipped presets write them all out (``terraphi simulate paper-0``).
+2.9 million steps. The shipped presets write them all out (``terraphi simulate paper-1``).
 """
 
 from __future__ import annotations

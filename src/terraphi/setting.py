@@ -49,12 +49,12 @@ class Bed(Section):
         ``rough``: soil that presses on the floor sticks; ``smooth``: it slips freely. The side
         walls always let soil slip.
     soil_left, soil_width
-        Where the soil begins, x, and how far it reaches [m]; ``None`` from the left wall, and to
-        the right one.
+        Where the soil begins, x, and how far it reaches [m]; ``None``: from the left wall, and
+        to the right one.
     surcharge
         Pressure on the free surface [Pa]: dead weight that the uppermost particles carry.
     gravity
-        g [m/s²].
+        Acceleration of gravity g [m/s²].
     """
 
     left: float = Field(0.005, ge=0)
@@ -133,12 +133,12 @@ class Numerics(Section):
     seed
         Seed of the particle places.
     time_step
-        Δt [s].
+        Time step Δt [s], below the CFL limit.
     speed_up
-        k: the motion runs k times faster, and the damping rate is divided by k, so that its
-        drag on the soil stays the same.
+        Factor k [-]: the motion runs k times faster, and the damping rate is divided by k, so
+        that its drag on the soil stays the same.
     damping_rate
-        Decay rate of grid velocities [1/s]; 0 for none.
+        Decay rate of grid velocities [1/s], a drag on the soil; 0: none.
     damping_order
         Whether grid velocities decay ``after_contact`` with leg and walls or ``before_contact``.
     transfer
@@ -148,7 +148,7 @@ class Numerics(Section):
         ``nodes``: the nodes of the grid near the leg take its velocity; ``surface``: the material
         points press on its true surface.
     contact_band_cells
-        Nodes closer to the leg than this many cells are in contact.
+        Nodes closer to the leg than this many cells are in contact [-].
     remap_interval
         For how long the grid keeps its velocities before it takes them from the particles anew [s],
         rounded to steps; 0: it does so at every step.
@@ -162,7 +162,8 @@ class Numerics(Section):
         has it; ``spline``, that of the interpolated velocity itself. They differ where the velocity
         is curved: next to the edge of a plate ``mls`` is the stiffer.
     particle_volume
-        ``fixed``: V₀; ``updated``: J V₀.
+        Volume of a particle: ``fixed``, that at the start, V₀; ``updated``, J V₀ by the
+        deformation's determinant J.
     """
 
     domain: float = Field(0.300, gt=0)

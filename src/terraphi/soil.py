@@ -164,24 +164,25 @@ class Soil(BaseModel):
     density
         Bulk density ρ [kg/m³].
     youngs_modulus
-        E [Pa].
+        Young's modulus E [Pa].
     poisson_ratio
-        ν [-], below 0.5.
+        Poisson's ratio ν [-].
     friction_angle_deg
-        φ [deg] in the convention of ``yield_criterion``.
+        Friction angle φ [deg] in the convention of ``yield_criterion``.
     yield_criterion
-        ``paper``, ``plane_strain`` or ``triaxial``.
+        What φ means: ``paper``, as printed by Xu & Wang; ``plane_strain``, Mohr-Coulomb in plane
+        strain; ``triaxial``, Drucker-Prager matched at triaxial compression.
     dilation_angle_deg
-        ψ [deg], same convention; ignored by associated flow.
+        Dilation angle ψ [deg], same convention, at most φ; ignored by associated flow.
     flow
         ``dilation``: plastic potential of slope β(ψ); ``associated``: β = α.
     cohesion
-        c [Pa].
+        Cohesion c [Pa].
     tension_cutoff
         Mean stress [Pa] beyond which a trial state goes to the tip of the cut cone whatever the
-        flow rule; ``None`` leaves tension to the cone's own apex.
+        flow rule; ``None``: tension is left to the cone's own apex.
     k0
-        Ratio of horizontal to vertical stress at rest [-]; ``None`` for 1 - sin φ (Jaky).
+        Ratio of horizontal to vertical stress at rest [-]; ``None``: 1 - sin φ (Jaky).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from terraphi import studies
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.plan import Plan
@@ -70,6 +72,19 @@ def test_the_closest_reading_is_the_one_with_the_paper_s_peaks(plans: dict[float
     assert [row[0] for row in study.rows][:2] == ["the paper", "thick"]
     assert set(study.figures) == {"reading"}
     assert "thin at 25°" in study.documents["reading.md"]
+    assert not any("comes within" in note for note in study.notes)
+
+
+def test_that_nothing_comes_close_is_said(plans: dict[float, Plan]) -> None:
+    far = [(fz * 0.8, fx * 0.8) for fz, fx in PAPER]
+    study = reading.study_of(plans, finished(plans, {"base": far}))
+    assert "No reading comes within 15 %" in study.notes[1]
+
+
+def test_the_page_in_the_documentation_is_of_what_is_shipped() -> None:
+    page = Path(__file__).parents[2] / "docs" / "reading.md"
+    # `terraphi study reading --out FOLDER` writes the page and its figure; copy both.
+    assert page.read_text(encoding="utf-8") == studies.run("reading").documents[page.name]
 
 
 def test_a_reading_at_one_end_alone_waits(plans: dict[float, Plan]) -> None:

@@ -94,7 +94,7 @@ def test_the_way_ends_at_the_preset() -> None:
     ends = {"motion.start_deg": -82.0, "motion.stop_deg": 5.0}
     assert (
         way.scenario.hash
-        == Scenario.load("paper-0").replace(**ends, **{"numerics.speed_up": 10.0}).hash
+        == Scenario.load("paper-1").replace(**ends, **{"numerics.speed_up": 10.0}).hash
     )
     resolved = Scenario.load("resolved").replace(**ends)
     assert way.variants()[-1].scenario.hash == halved.scenario.hash == resolved.hash

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from typing import Any
+
 import click
+from click.shell_completion import CompletionItem
 
 EVERY_SECONDS = 20.0
 """Least time between two checkpoints [s]."""
@@ -16,6 +20,47 @@ checkpoint_every_option = click.option(
     metavar="SECONDS",
     help="Least time between two checkpoints; longer where they would take over 1 % of the time.",
 )
+
+
+def completed(
+    names: Callable[[], Iterable[str]], *, files: bool = False
+) -> Callable[[Any, Any, str], list[CompletionItem]]:
+    """What the tab key completes: names that exist, and files where one may stand as well."""
+
+    def complete(_context: Any, _parameter: Any, begun: str) -> list[CompletionItem]:
+        found = [CompletionItem(name) for name in names() if name.startswith(begun)]
+        # Only the shell knows the files; it is asked where no name fits.
+        return found or ([CompletionItem(begun, type="file")] if files else [])
+
+    return complete
+
+
+def shipped(folder: str, suffix: str) -> Callable[[Any, Any, str], list[CompletionItem]]:
+    """Completion of a file's name or that of a shipped one."""
+
+    def names() -> list[str]:
+        from terraphi.documents import shipped_names
+
+        return shipped_names(folder, suffix)
+
+    return completed(names, files=True)
+
+
+def _legs() -> Iterable[str]:
+    from terraphi.leg import LEG_SHAPES
+
+    return LEG_SHAPES
+
+
+def _studies() -> Iterable[str]:
+    from terraphi.studies import STUDIES
+
+    return STUDIES
+
+
+leg_names = completed(_legs)
+study_names = completed(_studies)
+library_names = shipped("libraries", ".nc")
 cluster_option = click.option(
     "--cluster",
     metavar="ADDRESS",

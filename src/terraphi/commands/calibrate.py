@@ -14,7 +14,7 @@ from terraphi.console import print_json, print_table, progress_bar, words
 @click.argument("name")
 @click.option("--replicates", help="Library of some of its cases under other particle seeds.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file to make.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed.")
 @json_option
 def library_calibrate(
     name: str, replicates: str | None, out: Path, seed: int, as_json: bool

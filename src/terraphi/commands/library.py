@@ -6,7 +6,13 @@ from pathlib import Path
 
 import click
 
-from terraphi.commands import checkpoint_every_option, cluster_option, json_option
+from terraphi.commands import (
+    checkpoint_every_option,
+    cluster_option,
+    json_option,
+    library_names,
+    shipped,
+)
 from terraphi.console import (
     ignore_interrupts,
     print_json,
@@ -21,11 +27,14 @@ from terraphi.errors import InputError
 
 @click.group()
 def library() -> None:
-    """Build, list and show libraries of simulations."""
+    """Build, list and show libraries of simulations.
+
+    Example: terraphi library list
+    """
 
 
 @library.command("build")
-@click.argument("plan")
+@click.argument("plan", shell_complete=shipped("plans", ".toml"))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file to make.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; all cores if not given.")
 @cluster_option
@@ -97,7 +106,7 @@ def library_list(as_json: bool) -> None:
 
 
 @library.command("show")
-@click.argument("name")
+@click.argument("name", shell_complete=library_names)
 @click.option("--check", is_flag=True, help="Simulate a case again and compare all bits.")
 @click.option(
     "--case",

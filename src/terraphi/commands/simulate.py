@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from terraphi.commands import checkpoint_every_option, json_option
+from terraphi.commands import checkpoint_every_option, json_option, shipped
 from terraphi.console import (
     ignore_interrupts,
     print_json,
@@ -28,7 +28,7 @@ file_type = click.Path(path_type=Path)
 
 
 @click.command()
-@click.argument("scenario")
+@click.argument("scenario", shell_complete=shipped("scenarios", ".toml"))
 @click.option("--out", type=file_type, help="NetCDF file for the history.")
 @click.option("--fields", type=file_type, help="Folder for particles and leg as VTK (ParaView).")
 @click.option("--animate", type=file_type, help="A .gif or .mp4 of particles and growing forces.")
@@ -58,7 +58,7 @@ def simulate(
 ) -> None:
     """Simulate SCENARIO, a TOML file or the name of a shipped preset.
 
-    Presets: quick, paper-0, resolved.
+    Presets: quick, paper-1, resolved.
 
     A simulation that was interrupted or killed is taken up again by the same command, and ends in
     the same bits.

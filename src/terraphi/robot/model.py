@@ -82,7 +82,7 @@ class Body(_Part):
     link
         The link that carries it.
     mass
-        [kg].
+        Mass [kg].
     centre
         Centre of mass in the link's frame, whose origin is the joint that moves it [m].
     inertia
@@ -187,11 +187,11 @@ class Quadruped(_Part):
     source
         Where the numbers come from.
     mass
-        Total [kg].
+        Mass of the whole robot [kg].
     foot_radius
         Of the foot's ball [m].
     torque_limit
-        Largest torque of hip, thigh and calf [N m]; ``None`` if unknown.
+        Largest torque of hip, thigh and calf [N m]; ``None``: unknown.
     imu
         Place of the accelerometer in the body's frame [m].
     joint_order

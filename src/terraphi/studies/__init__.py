@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 STUDIES = {
     "calibration": "intervals: how often they hold the truth, and how narrow they are",
     "benchmark": "three legs: our models beside the forces measured in Yuma sand",
+    "measured": "friction angles of the measured sands, by every library, and the verdicts",
+    "prediction": "calibrated on the straight leg: the C and the reversed C foretold",
     "recovery": "friction angles of fresh simulations, inferred with a library",
     "phi_sensitivity": "forces and their peaks against the friction angle",
     "k0": "what the stress at rest does to a history",
@@ -26,7 +28,7 @@ STUDIES = {
     "figures": "the figures of the paper's simulations and inversions, ready to print",
     "verification": "problems with known answers, by the code that the leg uses",
     "reading": "what the paper's text leaves open, against the forces that it prints",
-    "resolution": "from preset paper-0 to resolved, and whether that has arrived",
+    "resolution": "from preset paper-1 to resolved, and whether that has arrived",
     "sensitivity": "what moves the simulated forces: one setting changed at a time",
 }
 

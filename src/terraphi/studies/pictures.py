@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from terraphi.history import WINDOW_DEG, ForceHistory
 from terraphi.inference.posterior import Posterior
-from terraphi.plots import AXIS_LABEL, BLUE, GREY, ORANGE, PHI_LABEL, Curve
+from terraphi.plots import AXIS_LABEL, BLUE, GREEN, GREY, ORANGE, PHI_LABEL, Curve
 from terraphi.surrogate import LegSurrogate
 
 if TYPE_CHECKING:
@@ -303,4 +303,48 @@ def walkers_figure(found: Walkers, convention: str) -> Figure:
     right.set_xlabel(PHI_LABEL[convention])
     right.set_ylim(0.0, 1.25 * right.get_ylim()[1])  # room for the legend
     right.legend(frameon=False, fontsize="small", ncols=2, loc="upper center")
+    return figure
+
+
+def measured_figure(answers: Sequence[Mapping[str, Any]]) -> Figure:
+    """Friction angles of measured sands, a panel a library.
+
+    Parameters
+    ----------
+    answers
+        ``library``, ``yield``, ``medium``, ``leg``, ``phi_median_deg``, ``ci95_deg`` and
+        ``verdict`` of each inversion.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    libraries = list(dict.fromkeys(answer["library"] for answer in answers))
+    media = list(dict.fromkeys(answer["medium"] for answer in answers))
+    looks = {"straight": ("o", BLUE), "c": ("s", ORANGE), "reversed_c": ("^", GREEN)}
+    figure = Figure(figsize=(3.2 * len(libraries) + 0.6, 4.2), layout="constrained")
+    panels = figure.subplots(1, len(libraries), sharey=True, squeeze=False)[0]
+    for axes, library in zip(panels, libraries, strict=True):
+        shown = [answer for answer in answers if answer["library"] == library]
+        for number, (leg, (marker, colour)) in enumerate(looks.items()):
+            axes.plot([], [], marker, color=colour, ms=5, label=LEG_NAMES[leg])
+            for answer in (answer for answer in shown if answer["leg"] == leg):
+                middle = answer["phi_median_deg"]
+                low, high = answer["ci95_deg"]
+                axes.errorbar(
+                    media.index(answer["medium"]) + 0.2 * (number - 1), middle,
+                    yerr=[[max(middle - low, 0.0)], [max(high - middle, 0.0)]], fmt=marker,
+                    color=colour, ms=5, capsize=2, lw=1.0,
+                    mfc=colour if answer["verdict"] == "consistent" else "white",
+                )  # fmt: skip
+        axes.set_title(f"{library}\n({shown[0]['yield']})", fontsize=10)
+        axes.set_xticks(range(len(media)), media, rotation=30, ha="right")
+        axes.set_xlim(-0.5, len(media) - 0.5)
+        axes.grid(axis="y", lw=0.4)
+    panels[0].set_ylabel("friction angle [deg], 95 %")
+    panels[0].plot([], [], "o", color=GREY, mfc="white", ms=5, label="misfit or out of range")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
     return figure

@@ -39,6 +39,8 @@ PAPER_ENGAGEMENT_DEG = -85.0
 """Leg angle at which the leg first meets resistance, about."""
 ENGAGED = 0.02
 """Share of the peak of F_z above which the leg counts as engaged."""
+CLOSE_PERCENT = 15.0
+"""Root mean square error of the peaks within which a reading would count as found."""
 NORMAL_ONLY = "reaction without friction"
 HEADER = (
     "reading",
@@ -248,7 +250,7 @@ def _measured(name: str, pair: Mapping[float, ForceHistory]) -> dict[str, Any]:
 # -- what people see -------------------------------------------------------------------------------
 
 METHOD = (
-    "Straight leg, φ = 25° and 45° by the paper's convention, preset `paper-0` four times sped up, "
+    "Straight leg, φ = 25° and 45° by the paper's convention, preset `paper-1` four times sped up, "
     "one thing read differently at a time. Off by: root mean square of the relative errors of the "
     "four peaks that the paper prints. Engages: |F| stays above 2 % of the peak of F_z from there "
     "on; a bare leg touches the soil at -75°. Plan: `reading`. Run again: `terraphi study reading`."
@@ -295,6 +297,11 @@ def _notes(data: Mapping[str, Any]) -> Sequence[str]:
     notes = [
         f"Closest to the paper's peaks: {first['reading']}, off by {first['off_by_percent']:.0f} %."
     ]
+    if first["off_by_percent"] > CLOSE_PERCENT:
+        notes.append(
+            f"No reading comes within {CLOSE_PERCENT:g} %: the forces that the paper prints are "
+            "not reproduced."
+        )
     wider = [
         reading["reading"]
         for reading in data["readings"]

@@ -1,6 +1,6 @@
 """Resolution: is the force of preset ``resolved`` the soil's, and what took it there.
 
-Two shipped plans. ``waterfall`` leads from preset ``paper-0`` to ``resolved``, one remedy after
+Two shipped plans. ``waterfall`` leads from preset ``paper-1`` to ``resolved``, one remedy after
 another. ``resolution`` takes ``resolved`` and halves the cells, the time step and the speed-up, and
 makes the soil four times as stiff: none of these is a property of the soil, so the peaks should
 stay. What a change is worth is seen beside what another seed does. Peaks are those of 1° means,
@@ -23,7 +23,7 @@ from terraphi.studies import Study, page
 from terraphi.studies.sensitivity import finished_for, missing_from, simulate_missing
 
 PLANS = ("waterfall", "resolution")
-TITLE = "Resolution: from preset paper-0 to preset resolved, and whether that has arrived"
+TITLE = "Resolution: from preset paper-1 to preset resolved, and whether that has arrived"
 HEADER = ("step", "peak Fz", "peak Fx", "change of Fz", "change of Fx")
 FORCES = ("Fz", "Fx")
 TOLERANCE_PERCENT = 5.0

@@ -1,6 +1,6 @@
 """Sensitivity: what moves the simulated forces, one setting of the simulation changed at a time.
 
-The cases are those of the shipped plan ``sensitivity``: preset ``paper-0`` four times sped up, and
+The cases are those of the shipped plan ``sensitivity``: preset ``paper-1`` four times sped up, and
 each value of each key in the plan by itself. Their simulations are shipped, a file each, named by
 the hash of the scenario. Reading them takes seconds; what is missing is simulated on request and
 kept in a folder. Grouping and measures are in :mod:`~terraphi.studies.sensitivity_cases`, the rules

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tokenize
 
 import numba
 import pytest
@@ -85,6 +86,53 @@ def test_every_compiled_source_is_watched():
     assert set(folder.glob("*.py")) < set(compiled._SOURCES)
     assert folder.parents[1] / "leg.py" in compiled._SOURCES
     assert all(source.is_file() for source in compiled._SOURCES)
+
+
+def test_what_bits_rest_on_is_code_and_not_words_about_it(tmp_path):
+    file = tmp_path / "one.py"
+
+    def code(text: str) -> str:
+        file.write_text(text)
+        return compiled._code_of(file)
+
+    plain = code("def f(x):\n    return 2 * x\n")
+    assert plain == code(
+        '"""What."""\n\n\ndef f(x):  # so\n    """Double."""\n\n    return 2 * x\n'
+    )
+    assert plain != code("def f(x):\n    return 3 * x\n")
+    assert plain != code('def f(x):\n    return "2" * x\n')
+    # A string that is a value is code.
+    assert code("a = 'one'\n") != code("a = 'two'\n")
+
+
+def test_no_power_in_a_kernel():
+    """Numba would compile it once for all, with the options of whoever asked first."""
+    for source in compiled._SOURCES:
+        if "@kernel" in source.read_text() or "@entry" in source.read_text():
+            with source.open("rb") as stream:
+                powers = [t.start for t in tokenize.tokenize(stream.readline) if t.string == "**"]
+            # Keywords handed on are powers to the tokenizer as well; kernels know none.
+            assert powers == [], f"{source.name}: {powers}"
+
+
+def test_bits_do_not_depend_on_what_was_compiled_before(tmp_path):
+    """A power compiled without our options first, as any other user of Numba may do."""
+    first = "import numba; numba.njit(lambda x: x**2, error_model='numpy')(1.5); "
+    run = (
+        "import numpy as np; from terraphi.forward.mpm import transfer; "
+        "x = np.random.default_rng(1).uniform(0.5, 1.5, 50); "
+        "print([[w.hex() for w in transfer.weights(float(v))] for v in x])"
+    )
+    found = []
+    for number, code in enumerate((run, first + run)):
+        environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(sys.path),
+            "NUMBA_CACHE_DIR": str(tmp_path / str(number)),
+        }
+        command = [sys.executable, "-c", code]
+        found.append(subprocess.run(command, env=environment, capture_output=True, check=True))
+    assert found[0].stdout == found[1].stdout
 
 
 def test_options_keep_numbers_that_are_not_numbers():

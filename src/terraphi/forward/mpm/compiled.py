@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import re
 from collections import Counter
@@ -21,6 +22,7 @@ _OPTIONS: dict[str, Any] = {
 }
 
 _FOLDER = Path(__file__).parent
+_NOT_OF_THE_MODEL = {"__init__.py", "breakdown.py", "checkpoint.py", "fields.py"}
 _SOURCES = [*sorted(_FOLDER.glob("*.py")), _FOLDER.parents[1] / "leg.py"]
 
 
@@ -29,7 +31,9 @@ def kernel(function: Kernel) -> Kernel:
 
     Sums may be reassociated and multiplications fused with additions, which doubles the speed of
     the transfers; the result is still bitwise the same from run to run on one machine, and values
-    that are not numbers still spread, so that a breakdown is seen.
+    that are not numbers still spread, so that a breakdown is seen. Multiply, and do not write
+    ``x**2``: Numba compiles a power once a process, with the options of whoever asked first, so
+    that all later kernels would round as that one does.
 
     Parameters
     ----------
@@ -118,8 +122,37 @@ def _digest_of_sources() -> str:
     return digest.hexdigest()
 
 
-SOURCE_DIGEST = _digest_of_sources()
-"""SHA-256 of the compiler's version and of the source of all that is compiled, hexadecimal."""
+def _code_of(source: Path) -> str:
+    """What a source does: without comments, docstrings and layout."""
+    tree = ast.parse(source.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            # A docstring, or one below a value.
+            node.body = [part for part in body if not _is_word(part)] or [ast.Pass()]  # type: ignore[attr-defined]
+    return ast.unparse(tree)
+
+
+def _is_word(statement: ast.AST) -> bool:
+    return (
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
+    )
+
+
+def _digest_of_model() -> str:
+    digest = hashlib.sha256(numba.__version__.encode())
+    for source in _SOURCES:
+        if source.name not in _NOT_OF_THE_MODEL:
+            digest.update(_code_of(source).encode())
+    return digest.hexdigest()
+
+
+SOURCE_DIGEST = _digest_of_model()
+"""SHA-256 of the compiler's version and of the code that bears on a result, hexadecimal.
+
+Words about the code, and code that only keeps, shows or explains a result, do not count."""
 
 
 def _cache_folders() -> list[Path]:

@@ -141,7 +141,8 @@ def against_leg(
         (vx, vz) [m/s].
     """
     rx, rz = x - pose.hip_x, z - pose.hip_z
-    if rx * rx + rz * rz >= (intruder.reach + band) ** 2:
+    far = intruder.reach + band
+    if rx * rx + rz * rz >= far * far:
         return vx, vz
     sine, cosine = pose.sine, pose.cosine
     # Into the leg's frame: s = (-sin θ, -cos θ), m = (-cos θ, sin θ).

@@ -292,7 +292,8 @@ def press(
         radius = radius_of(soil, p)
         # Nobody moves further in a phase than half a cell.
         far = intruder.reach + radius + 0.5 * stepping.cell_size
-        if (x - pose.hip_x) ** 2 + (z - pose.hip_z) ** 2 > far * far:
+        rx, rz = x - pose.hip_x, z - pose.hip_z
+        if rx * rx + rz * rz > far * far:
             soil.slip[p] = 0.0
             continue
         dx, dz = gather_values(shift.x, shift.z, x, z, stepping.cell_size)

@@ -85,7 +85,8 @@ def touch(
     """
     nothing = Touch(0.0, 0.0, 0.0, 0.0, 0.0)
     rx, rz = place[0] - pose.hip_x, place[1] - pose.hip_z
-    if rx * rx + rz * rz >= (intruder.reach + radius) ** 2:
+    far = intruder.reach + radius
+    if rx * rx + rz * rz >= far * far:
         return nothing
     sine, cosine = pose.sine, pose.cosine
     distance, ns, nm = distance_to_leg(intruder, -sine * rx - cosine * rz, -cosine * rx + sine * rz)

@@ -30,11 +30,8 @@ def weights(offset: float) -> tuple[float, float, float]:
     tuple
         Three weights [-] that sum to one.
     """
-    return (
-        0.5 * (1.5 - offset) ** 2,
-        0.75 - (offset - 1.0) ** 2,
-        0.5 * (offset - 0.5) ** 2,
-    )
+    before, middle, after = 1.5 - offset, offset - 1.0, offset - 0.5
+    return 0.5 * (before * before), 0.75 - middle * middle, 0.5 * (after * after)
 
 
 @kernel

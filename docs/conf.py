@@ -1,0 +1,101 @@
+"""How the documentation is built: ``make docs``."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "examples")]
+
+import building  # noqa: E402 - beside this file
+
+project = "terraphi"
+author = "The terraphi developers"
+copyright = "The terraphi developers, BSD-3-Clause"  # noqa: A001 - Sphinx reads this name
+release = importlib.metadata.version("terraphi")
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx_click",
+    "sphinx_copybutton",
+    "sphinx_gallery.gen_gallery",
+]
+root_doc = "index"
+exclude_patterns = ["_build", "notebooks/*", "reference/*-keys.md"]
+nitpicky = False
+
+myst_enable_extensions = ["attrs_block", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 4
+
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented_params"
+autodoc_inherit_docstrings = False
+autodoc_preserve_defaults = True
+autosummary_generate = False
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+napoleon_use_rtype = True
+
+# A prompt is not a part of a command, and neither is what the command prints.
+copybutton_prompt_text = "$ "
+copybutton_line_continuation_character = "\\"
+
+sphinx_gallery_conf = {
+    "examples_dirs": "notebooks",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"\.py$",
+    "image_scrapers": (building.figures,),
+    "capture_repr": (),
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "show_signature": False,
+    "show_memory": False,
+    "min_reported_time": 10_000,
+    "remove_config_comments": True,
+    "only_warn_on_example_error": False,
+    "plot_gallery": True,
+    "write_computation_times": False,
+}
+
+html_theme = "furo"
+html_title = f"terraphi {release}"
+html_static_path = ["_static"]
+html_css_files = ["terraphi.css"]
+html_show_sphinx = False
+html_copy_source = False
+html_show_sourcelink = False
+html_theme_options = {"navigation_with_keys": True}
+html_math_renderer = "mathml"
+pygments_style = "friendly"
+pygments_dark_style = "github-dark"
+
+# Fx stands for the same force in more than one class; a reference to it leads to either.
+suppress_warnings = ["config.cache", "ref.python"]
+
+
+def plain_bars(_app: Any, _what: str, _name: str, _object: Any, _options: Any, lines: Any) -> None:
+    """Keep |θ| in docstrings from being read as a substitution."""
+    lines[:] = [re.sub(r"(?<!`)\|(?=[^\s|`]+\|)", r"\\|", line) for line in lines]
+
+
+def examples_as_code(_app: Any, _context: Any, lines: list[str]) -> None:
+    """Set the example of a command's help as code."""
+    lines[:] = [re.sub(r"^(\s*Example: )(.+)$", r"\1``\2``", line) for line in lines]
+
+
+def setup(app: Any) -> None:
+    """Connect what is ours."""
+    app.connect("autodoc-process-docstring", plain_bars, priority=900)
+    app.connect("sphinx-click-process-description", examples_as_code)
+    app.connect("builder-inited", building.write_keys)
+    app.add_html_math_renderer(
+        "mathml", (building.inline_math, None), (building.display_math, None)
+    )

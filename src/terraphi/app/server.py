@@ -1,0 +1,250 @@
+"""A server for one person on one machine.
+
+It listens on the loopback address alone, answers only to that name (so that no foreign site can
+have its own name point here) and takes a file only with a header of ours, which browsers send from
+no other site's page. Files are streamed to a temporary folder under a name of ours, and counted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import hashlib
+import json
+import os
+import secrets
+import sys
+import tempfile
+from collections import OrderedDict
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import TYPE_CHECKING, Any
+
+from terraphi.app.work import JOB, PAGE, REFUSED
+from terraphi.documents import shipped_names
+from terraphi.errors import InputError
+from terraphi.leg import LEG_SHAPES
+from terraphi.report.page import asset, template
+
+if TYPE_CHECKING:
+    from starlette.applications import Starlette
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+HOST = "127.0.0.1"
+PORT = 8321
+MOST_BYTES = 200_000_000
+"""Largest file that is taken: an hour of a robot's log."""
+MOST_SECONDS = 180.0
+"""Longest time for one file [s]."""
+MOST_PAGES = 8
+"""Pages that are kept, in memory."""
+SUFFIXES = (".csv", ".npz", ".mcap", ".db3")
+KINDS = ("auto", "forces", "log")
+HEADER = "x-terraphi"
+
+
+class RefusedError(Exception):
+    """A request that is not served; the message is for people."""
+
+    def __init__(self, status: int, sentence: str) -> None:
+        super().__init__(sentence)
+        self.status = status
+
+
+def serve(port: int = PORT) -> None:
+    """Serve until interrupted.
+
+    Parameters
+    ----------
+    port
+        On the loopback address; 0 takes a free one.
+
+    Raises
+    ------
+    InputError
+        If a package is missing.
+    """
+    try:
+        import uvicorn
+    except ImportError as error:
+        raise _missing() from error
+    uvicorn.run(application(), host=HOST, port=port, log_level="warning", server_header=False)
+
+
+def _missing() -> InputError:
+    return InputError(
+        "the app needs Starlette and uvicorn: install them with pip install 'terraphi[app]'"
+    )
+
+
+def application(*, most_bytes: int = MOST_BYTES, most_seconds: float = MOST_SECONDS) -> Starlette:
+    """The application.
+
+    Parameters
+    ----------
+    most_bytes, most_seconds
+        Largest file, and longest time for one [s].
+
+    Raises
+    ------
+    InputError
+        If a package is missing.
+    """
+    try:
+        from starlette.applications import Starlette
+        from starlette.middleware import Middleware
+        from starlette.middleware.trustedhost import TrustedHostMiddleware
+        from starlette.responses import HTMLResponse, JSONResponse
+        from starlette.routing import Route
+    except ImportError as error:
+        raise _missing() from error
+    front, policy = front_page(most_bytes)
+    pages: OrderedDict[str, str] = OrderedDict()
+    one_at_a_time = asyncio.Lock()
+
+    async def home(_: Request) -> Response:
+        return HTMLResponse(front, headers={**_HEADERS, "content-security-policy": policy})
+
+    async def report(request: Request) -> Response:
+        try:
+            html = await page_of(request, one_at_a_time, most_bytes, most_seconds)
+        except RefusedError as refused:
+            return JSONResponse({"refused": str(refused)}, refused.status, headers=_HEADERS)
+        name = secrets.token_urlsafe(16)
+        pages[name] = html
+        while len(pages) > MOST_PAGES:
+            pages.popitem(last=False)
+        return JSONResponse({"page": f"/page/{name}"}, headers=_HEADERS)
+
+    async def page(request: Request) -> Response:
+        html = pages.get(request.path_params["name"])
+        if html is None:
+            return HTMLResponse("This page is no longer kept.", 404, headers=_HEADERS)
+        return HTMLResponse(html, headers=_HEADERS)
+
+    return Starlette(
+        routes=[
+            Route("/", home),
+            Route("/report", report, methods=["POST"]),
+            Route("/page/{name}", page),
+        ],
+        middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])],
+    )
+
+
+_HEADERS = {
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "cache-control": "no-store",
+    "cross-origin-resource-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+}
+
+
+def front_page(most_bytes: int) -> tuple[str, str]:
+    """The page to drop a file on, and the policy that it comes with."""
+    script = asset("app.js", package="terraphi.app")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    libraries = [name for name in shipped_names("libraries", ".nc") if not _is_reference(name)]
+    html = template("app.html", package="terraphi.app").render(
+        libraries=libraries,
+        legs=LEG_SHAPES,
+        suffixes=",".join(SUFFIXES),
+        megabytes=most_bytes // 1_000_000,
+        script=script,
+    )
+    policy = (
+        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; "
+        "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
+        "frame-ancestors 'none'"
+    )
+    return html, policy
+
+
+def _is_reference(name: str) -> bool:
+    """Whether a library is there to test others, and not to infer with."""
+    return name.endswith("-truths") or "-k0-" in name
+
+
+async def page_of(
+    request: Request, one_at_a_time: asyncio.Lock, most_bytes: int, most_seconds: float
+) -> str:
+    """HTML that a request's file comes to; raises RefusedError."""
+    if request.headers.get(HEADER) != "1":
+        raise RefusedError(403, "only this app's own page may send files")
+    job = job_of(dict(request.query_params))
+    with tempfile.TemporaryDirectory(prefix="terraphi-app-") as place:
+        folder = Path(place)
+        await _received(request, folder / job["file"], most_bytes)
+        (folder / JOB).write_text(json.dumps(job), encoding="utf-8")
+        async with one_at_a_time:
+            await _worked(folder, most_seconds)
+        if (folder / PAGE).is_file():
+            return (folder / PAGE).read_text(encoding="utf-8")
+        if (folder / REFUSED).is_file():
+            raise RefusedError(422, (folder / REFUSED).read_text(encoding="utf-8"))
+    raise RefusedError(422, f"{job['name']}: could not be read")
+
+
+def job_of(query: dict[str, str]) -> dict[str, Any]:
+    """What is asked for, every word of it checked; raises RefusedError."""
+    name = shown_name(query.get("name", ""))
+    suffix = PurePosixPath(name).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise RefusedError(415, f"{name}: a file that ends in {', '.join(SUFFIXES)} is expected")
+    for key, allowed in (
+        ("kind", KINDS), ("leg", LEG_SHAPES), ("library", shipped_names("libraries", ".nc")),
+    ):  # fmt: skip
+        if query.get(key) not in allowed:
+            raise RefusedError(400, f"{key}: one of {', '.join(allowed)} is expected")
+    density = None
+    if query.get("density"):
+        try:
+            density = float(query["density"])
+        except ValueError:
+            raise RefusedError(400, "density: a number in kg/m³ is expected") from None
+    chosen = {key: query[key] for key in ("kind", "leg", "library")}
+    return {**chosen, "name": name, "file": f"dropped{suffix}", "density": density}
+
+
+def shown_name(text: str) -> str:
+    """A file's own name without folders or what cannot be printed, for people only."""
+    last = PureWindowsPath(PurePosixPath(text).name).name
+    return "".join(letter for letter in last if letter.isprintable())[-80:] or "file"
+
+
+async def _received(request: Request, path: Path, most_bytes: int) -> None:
+    """Write what comes in to a file, and stop when it is too much."""
+    too_large = RefusedError(413, f"larger than {most_bytes / 1e6:g} MB")
+    announced = request.headers.get("content-length", "0")
+    if announced.isdigit() and int(announced) > most_bytes:
+        raise too_large
+    size = 0
+    with path.open("wb") as stream:
+        async for part in request.stream():
+            size += len(part)
+            if size > most_bytes:
+                raise too_large
+            stream.write(part)
+
+
+async def _worked(folder: Path, most_seconds: float) -> None:
+    """Run the process that reads the file; raises RefusedError if it takes too long."""
+    one_thread = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1")
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "terraphi.app.work", str(folder)),
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.DEVNULL,
+        stderr=asyncio.subprocess.DEVNULL,
+        env={**os.environ, **one_thread, "TMPDIR": str(folder)},
+    )
+    try:
+        await asyncio.wait_for(process.wait(), most_seconds)
+    except TimeoutError:
+        late = f"not done within {most_seconds:g} s; use the command line"
+        raise RefusedError(422, late) from None
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()

@@ -1,0 +1,26 @@
+"""``terraphi app``: the report's pages, served on this machine."""
+
+from __future__ import annotations
+
+import click
+
+
+@click.command()
+@click.option(
+    "--port",
+    type=click.IntRange(min=1, max=65535),
+    default=8321,
+    show_default=True,
+    help="Port on 127.0.0.1.",
+)
+def app(port: int) -> None:
+    """Serve a page on this machine to drop a CSV of forces or a robot's log on.
+
+    It answers with the report of the inversion or of the log. Ctrl-C ends it.
+
+    Example: terraphi app
+    """
+    from terraphi.app.server import HOST, serve
+
+    click.echo(f"Open http://{HOST}:{port} in a browser; Ctrl-C ends it.")
+    serve(port)

@@ -1,0 +1,231 @@
+"""The app as a browser and as somebody hostile meet it, over a real socket."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import os
+import shutil
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import urlencode
+
+import pytest
+
+from terraphi.app import server
+from terraphi.app.server import application, job_of, shown_name
+from terraphi.measurements import measurement
+
+uvicorn = pytest.importorskip("uvicorn")
+
+USUAL = {"kind": "auto", "leg": "straight", "library": "rft3d", "density": "", "name": "mine.csv"}
+HOSTILE = "</script><img src=x onerror=alert(1)>"
+MOST_BYTES = 300_000
+
+
+class Answer(NamedTuple):
+    status: int
+    headers: dict[str, str]
+    text: str
+
+
+class Served:
+    """A running app."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+
+    def ask(self, method: str, path: str, body: Any = None, **headers: str) -> Answer:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
+        try:
+            connection.request(method, path, body, headers)
+            answer = connection.getresponse()
+            known = {name.lower(): value for name, value in answer.getheaders()}
+            return Answer(answer.status, known, answer.read().decode())
+        finally:
+            connection.close()
+
+    def drop(self, body: Any, **options: str) -> Answer:
+        query = urlencode({**USUAL, **options})
+        return self.ask("POST", f"/report?{query}", body, **{"x-terraphi": "1"})
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory) -> Iterator[Path]:
+    """Where the app makes its temporary folders."""
+    place = tmp_path_factory.mktemp("temporary")
+    before = tempfile.tempdir
+    tempfile.tempdir = str(place)
+    yield place
+    tempfile.tempdir = before
+
+
+@pytest.fixture(scope="module")
+def served(places: Path) -> Iterator[Served]:
+    bound = socket.socket()
+    bound.bind(("127.0.0.1", 0))
+    running = uvicorn.Server(
+        uvicorn.Config(application(most_bytes=MOST_BYTES), log_level="critical", lifespan="off")
+    )
+    thread = threading.Thread(target=running.run, kwargs={"sockets": [bound]})
+    thread.start()
+    while not running.started:
+        time.sleep(0.01)
+    yield Served(bound.getsockname()[1])
+    running.should_exit = True
+    thread.join()
+    bound.close()
+
+
+@pytest.fixture(scope="module")
+def forces(tmp_path_factory) -> bytes:
+    path = tmp_path_factory.mktemp("forces") / "f.csv"
+    measurement("li2013:poppy_loose/straight").history.to_csv(path)
+    return path.read_bytes()
+
+
+def test_the_first_page_has_a_policy_and_every_choice(served: Served) -> None:
+    found = served.ask("GET", "/")
+    assert found.status == 200
+    assert "default-src 'none'" in found.headers["content-security-policy"]
+    assert "frame-ancestors 'none'" in found.headers["content-security-policy"]
+    for word in ("quick-plane-strain", "rft3d", "reversed_c"):
+        assert f">{word}</option>" in found.text
+    assert "-truths" not in found.text
+
+
+def test_dropped_forces_become_a_report_and_nothing_stays(
+    served: Served, forces: bytes, places: Path
+) -> None:
+    found = served.drop(forces)
+    assert found.status == 200
+    page = served.ask("GET", json.loads(found.text)["page"])
+    assert page.status == 200
+    assert "Verdict: " in page.text
+    assert "<h1>mine.csv</h1>" in page.text
+    assert list(places.iterdir()) == []
+
+
+def test_a_hostile_name_is_only_text_and_no_path(
+    served: Served, forces: bytes, places: Path
+) -> None:
+    found = served.drop(forces, name=f"../../../etc/{HOSTILE}.csv")
+    page = served.ask("GET", json.loads(found.text)["page"]).text
+    assert "<img" not in page
+    assert "etc/" not in page.split("<h1>")[1].split("</h1>")[0]
+    assert list(places.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("body", "name", "words"),
+    [
+        (f"{HOSTILE},Fx_N,Fz_N\n1,2,3\n".encode(), "a.csv", "unexpected column"),
+        (b"", "a.csv", "empty"),
+        (os.urandom(5000), "a.csv", "a.csv"),
+        (os.urandom(5000), "a.npz", "a.npz"),
+        (os.urandom(5000), "a.mcap", "a.mcap"),
+        (b"SQLite format 3\x00" + bytes(5000), "a.db3", "a.db3"),
+    ],
+)
+def test_what_cannot_be_read_ends_in_a_sentence(
+    body: bytes, name: str, words: str, served: Served, places: Path
+) -> None:
+    found = served.drop(body, name=name)
+    assert found.status == 422
+    assert found.headers["content-type"].startswith("application/json")
+    sentence = json.loads(found.text)["refused"]
+    assert words in sentence
+    assert "Traceback" not in sentence
+    assert str(places) not in sentence
+    assert list(places.iterdir()) == []
+
+
+def test_too_much_is_refused_whether_it_is_announced_or_not(served: Served, places: Path) -> None:
+    assert served.drop(bytes(MOST_BYTES + 1)).status == 413
+    pieces = (bytes(50_000) for _ in range(20))  # sent in chunks, without a length
+    with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # closed while we still send
+        assert served.drop(pieces).status == 413
+    time.sleep(0.2)
+    assert list(places.iterdir()) == []
+
+
+def test_another_site_can_neither_send_nor_name_us(served: Served, forces: bytes) -> None:
+    query = urlencode(USUAL)
+    assert served.ask("POST", f"/report?{query}", forces).status == 403
+    assert served.ask("GET", "/", Host="evil.example").status == 400
+    preflight = served.ask("OPTIONS", "/report", Origin="http://evil.example")
+    assert preflight.status == 405
+    assert "access-control-allow-origin" not in preflight.headers
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"leg": "x"}, {"library": "../../x"}, {"kind": "x"}, {"density": "x"}, {"name": "a.exe"},
+        {"name": ""}, {"library": "quick-paper\x00"},
+    ],
+)  # fmt: skip
+def test_wrong_options_are_refused(options: dict[str, str], served: Served) -> None:
+    assert served.drop(b"x", **options).status in (400, 415)
+
+
+def test_pages_that_nobody_was_told_of_are_not_there(served: Served) -> None:
+    assert served.ask("GET", "/page/1").status == 404
+    assert served.ask("GET", "/page/..%2f..%2fetc%2fpasswd").status == 404
+
+
+def test_what_takes_too_long_is_ended(forces: bytes, monkeypatch, tmp_path: Path) -> None:
+    import asyncio
+
+    (tmp_path / server.JOB).write_text(json.dumps(job_of(USUAL)))
+    (tmp_path / "dropped.csv").write_bytes(forces)
+    with pytest.raises(server.RefusedError, match=r"not done within 0\.05 s"):
+        asyncio.run(server._worked(tmp_path, 0.05))
+    assert not (tmp_path / server.PAGE).exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "shown"),
+    [
+        ("/etc/passwd", "passwd"), ("..\\..\\a.csv", "a.csv"), ("", "file"),
+        ("a\x00\n.csv", "a.csv"),
+        ("x" * 200 + ".csv", "x" * 76 + ".csv"),
+    ],
+)  # fmt: skip
+def test_names_lose_their_folders(given: str, shown: str) -> None:
+    assert shown_name(given) == shown
+
+
+@pytest.mark.slow
+def test_a_file_dropped_in_a_browser_ends_in_its_report(
+    served: Served, forces: bytes, tmp_path: Path
+) -> None:
+    api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+    program = next((path for name in names if (path := shutil.which(name))), None)
+    if program is None:
+        pytest.skip(f"needs a browser: none of {', '.join(names)} is on the PATH")
+    (tmp_path / "mine.csv").write_bytes(forces)
+    (tmp_path / "bad.csv").write_text(f"{HOSTILE},Fx_N,Fz_N\n1,2,3\n")
+    root = ["--no-sandbox"] if os.geteuid() == 0 else []
+    with api.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=program, args=root)
+        page = browser.new_page()
+        trouble: list[str] = []
+        page.on("pageerror", lambda error: trouble.append(str(error)))
+        page.on("dialog", lambda dialog: trouble.append(dialog.message))
+        page.goto(f"http://127.0.0.1:{served.port}/")
+        page.set_input_files("#file", tmp_path / "bad.csv")
+        page.get_by_text("unexpected column").wait_for()
+        page.select_option("#library", "rft3d")
+        page.set_input_files("#file", tmp_path / "mine.csv")
+        page.locator("html[data-drawn]").wait_for(state="attached")
+        assert "Verdict: " in page.locator(".headline").inner_text()
+        browser.close()
+    assert trouble == []

@@ -1,0 +1,48 @@
+"""Information by angle against determinants of the dense covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from terraphi.inference.information import information_share
+from terraphi.inference.residual import PaperLikelihood
+
+THETA = np.linspace(-85.0, 85.0, 12)
+DATA = np.r_[9.0 * np.exp(-((THETA / 40.0) ** 2)), 7.0 * np.exp(-(((THETA + 40.0) / 30.0) ** 2))]
+SLOPE = np.r_[np.cos(THETA / 30.0), np.sin(THETA / 50.0)]
+
+
+def information(angles: int) -> np.ndarray:
+    """Fisher information of the first angles of each force, by the dense covariance."""
+    found = []
+    for half in (slice(0, 12), slice(12, 24)):
+        sigma = 0.01 * np.ptp(DATA[half])
+        distance = (THETA[:, None] - THETA)[:angles, :angles]
+        covariance = sigma**2 * np.exp(-(distance**2) / (2.0 * 6.0**2))
+        slope = SLOPE[half][:angles]
+        found.append(slope @ np.linalg.solve(covariance, slope))
+    return np.array(found)
+
+
+def test_each_angle_adds_what_the_dense_matrices_say() -> None:
+    share = information_share(PaperLikelihood(DATA, THETA), SLOPE)
+    so_far = np.stack([information(k) for k in range(1, 13)], axis=1)
+    np.testing.assert_allclose(
+        share.cumsum(axis=1), so_far / so_far[:, -1].sum(), rtol=1e-9, atol=1e-12
+    )
+    assert share.sum() == pytest.approx(1.0, rel=1e-12)
+
+
+def test_independent_angles_share_by_the_square_of_the_slope() -> None:
+    likelihood = PaperLikelihood(DATA, THETA, correlation_length_deg=0.1)
+    share = information_share(likelihood, SLOPE)
+    spans = np.array([[np.ptp(DATA[:12])], [np.ptp(DATA[12:])]])
+    square = (SLOPE.reshape(2, 12) / spans) ** 2
+    np.testing.assert_allclose(share, square / square.sum(), rtol=1e-12)
+
+
+@pytest.mark.parametrize("slope", [np.zeros(24), np.ones(12)])
+def test_a_slope_that_says_nothing_is_refused(slope: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="slope"):
+        information_share(PaperLikelihood(DATA, THETA), slope)

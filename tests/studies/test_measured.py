@@ -1,0 +1,57 @@
+"""Measured sands through the libraries; what is counted, on made-up answers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import terraphi
+from terraphi.errors import InputError
+from terraphi.library import Library
+from terraphi.measurements import measurement, names
+from terraphi.studies import measured
+
+
+def answer(medium: str, leg: str, phi: float, repose: float | None) -> dict[str, Any]:
+    return {
+        "library": "x", "yield": "paper", "medium": medium, "leg": leg, "phi_median_deg": phi,
+        "ci95_deg": [phi - 1.0, phi + 1.0], "phi_plane_strain_deg": None,
+        "nrmsd_percent": {"Fx": 3.0, "Fz": 4.0}, "verdict": "misfit", "reason": "because",
+        "angle_of_repose_deg": repose,
+    }  # fmt: skip
+
+
+def test_order_counts_pairs_on_the_same_leg_that_have_an_angle_of_repose() -> None:
+    answers = [
+        answer("steep", "straight", 30.0, 36.0),
+        answer("flat", "straight", 25.0, 30.0),
+        answer("steep", "c", 20.0, 36.0),
+        answer("flat", "c", 24.0, 30.0),
+        answer("unknown", "c", 50.0, None),
+    ]
+    study = measured._study(answers)
+    assert study.data["order"]["x"] == {"right": 1, "of": 2}
+    assert study.data["spread_deg"]["x"] == {"steep": 10.0, "flat": 1.0, "unknown": 0.0}
+    assert study.data["verdicts"]["x"] == {"misfit": 5}
+    assert "1 of 2 pairs" in study.notes[0]
+
+
+def test_every_measured_history_is_answered_as_invert_answers_it() -> None:
+    study = measured.run(library="rft3d")
+    answers = study.data["answers"]
+    assert len(answers) == len(names()) == len(study.rows)
+    one = measurement("li2013:poppy_loose/c")
+    found = terraphi.invert(
+        one.history, library=Library.load("rft3d"), leg="c", density=one.density_kg_m3
+    )
+    (same,) = (a for a in answers if (a["medium"], a["leg"]) == ("poppy_loose", "c"))
+    assert same["phi_median_deg"] == found.phi.median
+    assert same["verdict"] == found.verdict.verdict
+    assert same["angle_of_repose_deg"] == 36.0
+
+
+def test_a_library_without_the_measured_legs(monkeypatch) -> None:
+    monkeypatch.setattr(measured, "names", lambda: ())
+    with pytest.raises(InputError, match="has none of the measured legs"):
+        measured.run(library="rft3d")

@@ -1,0 +1,106 @@
+"""Calibration and prediction, on forces that are made of known parts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from terraphi.errors import InputError
+from terraphi.history import ForceHistory
+from terraphi.measurements import Measurement
+from terraphi.plan import Plan
+from terraphi.scenario import Scenario
+from terraphi.studies import prediction
+
+THETA = np.radians(np.arange(-135.0, 135.0, 0.1) + 0.05)
+DENSITY = 1200.0
+
+
+def history(scenario: Scenario) -> ForceHistory:
+    """Smooth forces that φ, μ, the leg and the density change each in a way of its own."""
+    phi, mu = scenario.soil.friction_angle_deg, scenario.leg.friction
+    shift = {"straight": 0.0, "c": 0.3, "reversed_c": -0.3}[scenario.leg.shape]
+    lift = math.tan(math.radians(phi)) ** 2 * np.exp(-(((THETA + 0.8 + shift) / 0.5) ** 2))
+    thrust = (1.0 + 2.0 * mu + mu**2) * np.exp(-(((THETA - shift) / 0.6) ** 2))
+    force = np.stack([thrust, 10.0 * lift], axis=1) * scenario.soil.density / 1650.0
+    return ForceHistory(THETA, force, provenance={"scenario": scenario.model_dump(mode="json")})
+
+
+@pytest.fixture(name="plan", scope="module")
+def _plan() -> Plan:
+    return Plan.load("prediction")
+
+
+@pytest.fixture(name="finished", scope="module")
+def _finished(plan: Plan) -> dict[str, ForceHistory]:
+    return {scenario.hash: history(scenario) for scenario in plan.cases()}
+
+
+def measured(plan: Plan, leg: str, phi: float, mu: float, density: float) -> Measurement:
+    truth = plan.scenario.replace(
+        **{"leg.shape": leg, prediction.PHI: phi, prediction.FRICTION: mu, "soil.density": density}
+    )
+    return Measurement("made", history(truth), leg, density_kg_m3=density)
+
+
+def test_the_plan_is_of_preset_resolved(plan: Plan) -> None:
+    base = plan.scenario.replace(name="resolved")
+    assert base.hash == Scenario.load("resolved").hash
+    assert len(plan.cases()) == 24
+
+
+def test_the_pair_that_made_the_forces_is_found(plan, finished) -> None:
+    forces = prediction.Interpolated(plan, finished)
+    fit = prediction.calibrate(measured(plan, "straight", 33.7, 0.42, DENSITY), forces)
+    assert fit.phi_deg == pytest.approx(33.7, abs=0.11)
+    # The parabola over μ is exact here.
+    assert fit.friction == pytest.approx(0.42, abs=0.011)
+    assert not fit.at_edge
+    assert max(fit.nrmsd_percent.values()) < 0.5
+
+
+def test_a_fit_at_an_edge_is_owned_up_to(plan, finished) -> None:
+    forces = prediction.Interpolated(plan, finished)
+    fit = prediction.calibrate(measured(plan, "straight", 35.0, 0.9, DENSITY), forces)
+    assert fit.friction == pytest.approx(0.55)
+    assert fit.at_edge
+
+
+def test_predicted_legs_are_compared_at_the_measured_density(plan, finished) -> None:
+    media = {
+        "mud": {leg: measured(plan, leg, 30.0, 0.30, DENSITY) for leg in prediction.LEGS},
+    }
+    fits = {"mud": prediction.Calibration(30.0, 0.30, False, {"Fx": 0.0, "Fz": 0.0})}
+    legs = prediction.legs_plan(plan, fits)
+    done = {v.scenario.hash: history(v.scenario) for v in legs.variants()[1:]}
+    study = prediction.study_of(plan, media, fits, done)
+    assert study.data["missing"] == []
+    for leg in prediction.LEGS:
+        found = study.data["nrmsd_percent"]["mud"][leg]["resolved"]
+        assert found == pytest.approx({"Fx": 0.0, "Fz": 0.0}, abs=1e-9)
+    assert set(study.figures) == {"prediction-mud"}
+    # A sand of another friction is not foretold by the wrong pair.
+    wrong = {"mud": replace(fits["mud"], phi_deg=40.0)}
+    study = prediction.study_of(plan, media, wrong, done)
+    assert study.data["missing"] == ["mud/straight", "mud/c", "mud/reversed_c"]
+    assert "mud/c" in study.notes[-1]
+
+
+def test_rows_that_are_better_are_counted() -> None:
+    legs = {
+        "c": {
+            "resolved": {"Fx": 5.0, "Fz": 9.0},
+            "RFT 2-D": {"Fx": 6.0, "Fz": 8.0},
+        },
+        "straight": {"RFT 2-D": {"Fx": 1.0, "Fz": 1.0}},
+    }
+    assert prediction._better(legs) == {"RFT 2-D": {"rows": 1, "of": 2}}
+
+
+def test_without_the_straight_legs_there_is_nothing_to_say(monkeypatch) -> None:
+    monkeypatch.setattr(prediction, "finished_for", lambda *_: {})
+    with pytest.raises(InputError, match="24 of 24 straight legs are not simulated yet"):
+        prediction.run()
