@@ -15,7 +15,7 @@ probability 1/2.
 
 If the model may be wrong, V, S and g' are those at the best angle throughout, and the leg angle may
 be off. That scatter grows with phi would else be evidence of phi, by way of how smooth a measured
-record is.
+record is. Of a model that is far off, the angle is that of `least_squares`.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference import registration
+from terraphi.inference import least_squares, registration
 from terraphi.inference.hypotheses import (
     COARSE_NOISE,
+    LARGEST_BESIDE,
     MARGIN,
     NEGLIGIBLE,
     NOISE_LEVELS,
@@ -38,7 +39,7 @@ from terraphi.inference.hypotheses import (
     log_sum,
     scanned,
 )
-from terraphi.inference.library import PreparedLeg, single_threaded
+from terraphi.inference.library import single_threaded
 
 FloatArray = NDArray[np.float64]
 
@@ -70,11 +71,12 @@ class CalibratedLikelihood:
         from scipy.interpolate import CubicSpline
 
         self.problem = problem
+        self._frame: _Frame | None = None
         with single_threaded():
             self.without = _without_discrepancy(problem)
             self.used = self.without
             if problem.discrepancy:
-                self.used = _with_discrepancy(problem, self.without)
+                self.used, self._frame = _with_discrepancy(problem, self.without)
         exponent = 0.5 * (self.used.chi2 + self.used.volume).T
         nodes = problem.leg.phi_deg[self.used.nodes]
         self._ends = (float(nodes[0]), float(nodes[-1]))
@@ -95,6 +97,21 @@ class CalibratedLikelihood:
         log_p = self.used.log_prior - self._spline(phi_deg)
         weights: FloatArray = np.exp(log_p - log_sum(log_p))
         return weights
+
+    def discrepancy(self, weights: FloatArray) -> FloatArray:
+        """Covariance of the discrepancy [N^2], shape [2 theta, 2 theta], averaged.
+
+        Parameters
+        ----------
+        weights
+            Probability of each combination used, shape [h].
+        """
+        total = np.zeros_like(self.problem.noise_shape)
+        if self._frame is not None:
+            some = self.used.amplitude > 0.0
+            for h, weight in zip(np.flatnonzero(some).tolist(), weights[some], strict=True):
+                total += weight * self._frame.discrepancy(self.used, h)
+        return total
 
 
 def _without_discrepancy(problem: Problem) -> Hypotheses:
@@ -126,7 +143,7 @@ def _diagonal(problem: Problem, given: Hypotheses, nodes: NDArray[np.intp]) -> H
     return given.evaluated(nodes, chi2, volume)
 
 
-def _with_discrepancy(problem: Problem, without: Hypotheses) -> Hypotheses:
+def _with_discrepancy(problem: Problem, without: Hypotheses) -> tuple[Hypotheses, _Frame]:
     """The combinations that matter, without and with a discrepancy, half and half."""
     leg = problem.leg
     count, log_size = len(leg.phi_deg), leg.surrogate.scatter.sizes[1]
@@ -143,17 +160,17 @@ def _with_discrepancy(problem: Problem, without: Hypotheses) -> Hypotheses:
             if name != "nodes"
         },
     )
-    frame, found = _Frame(leg, without.best_node), joined
+    frame, found = _Frame(problem, without.best_node), joined
     for _ in range(ROUNDS):
         nodes = np.unique(np.append(scanned(count, SCANNED["with"]), frame.node))
-        found = _frozen(problem, joined, frame, nodes)
-        frame, before = _next_frame(problem, found, frame), frame
+        found = _frozen(joined, frame, nodes)
+        frame, before = _next_frame(found, frame), frame
         settled = abs(frame.shift_deg - before.shift_deg) < SETTLED_DEG
         if frame.node == before.node and settled:
             break
     whole = found.probable().of_all_sizes(log_size)
     near = found.window(count, int(np.diff(found.nodes).max()))
-    return _frozen(problem, whole, frame, near).probable()
+    return _frozen(whole, frame, near).probable(), frame
 
 
 class _Frame:
@@ -161,57 +178,75 @@ class _Frame:
 
     Parameters
     ----------
-    leg
-        The prepared leg.
+    problem
+        The data.
     node
-        Index of the node whose covariance and slope hold throughout.
+        Index of the node whose covariance and slopes hold throughout.
     shift_deg
         Error of the leg angle about which forces are linear [deg].
     """
 
-    def __init__(self, leg: PreparedLeg, node: int, shift_deg: float = 0.0) -> None:
-        self.node, self.shift_deg = node, shift_deg
+    def __init__(self, problem: Problem, node: int, shift_deg: float = 0.0) -> None:
+        leg = problem.leg
+        self.problem, self.node, self.shift_deg = problem, node, shift_deg
         mean = leg.mean[node]
         self.offset, self.slope = registration.about(mean, leg.surrogate.theta_deg, shift_deg)
         variance = registration.REGISTRATION_DEG**2
         self.base = leg.covariance[node] + variance * np.outer(self.slope, self.slope)
         self.scatter = leg.scatter[node]
+        over_phi = leg.slope(float(leg.phi_deg[node]))
+        self.over_phi = over_phi, least_squares.shift_of(over_phi, problem.spans)
+        self._apart: dict[float, FloatArray] = {}
+
+    def residual(self, node: NDArray[np.intp] | int) -> FloatArray:
+        """Data less forces at some nodes [N], shape [2 theta, node], or at one, [2 theta]."""
+        return (self.problem.data - self.problem.leg.mean[node] - self.offset).T
+
+    def discrepancy(self, given: Hypotheses, h: int) -> FloatArray:
+        """Covariance of one combination's discrepancy [N^2], shape [2 theta, 2 theta]."""
+        length = float(given.length_deg[h])
+        shape = self.problem.discrepancy_shape(length)
+        if given.amplitude[h] > LARGEST_BESIDE:
+            if length not in self._apart:
+                self._apart[length] = least_squares.taken_apart(shape, *self.over_phi)
+            shape = self._apart[length]
+        found: FloatArray = given.amplitude[h] ** 2 * shape
+        return found
+
+    def covariance(self, given: Hypotheses, h: int) -> FloatArray:
+        """Covariance of the residual under one combination [N^2], shape [2 theta, 2 theta]."""
+        q = float(self.problem.leg.surrogate.scatter.sizes[0][given.size[h]])
+        total: FloatArray = self.base + q * self.scatter
+        total += given.noise[h] ** 2 * self.problem.noise_shape
+        if given.amplitude[h] > 0.0:
+            total += self.discrepancy(given, h)
+        return total
 
 
-def _next_frame(problem: Problem, found: Hypotheses, frame: _Frame) -> _Frame:
+def _next_frame(found: Hypotheses, frame: _Frame) -> _Frame:
     """The frame about the best node, and about the error of the leg angle that goes with it."""
     best = found.best_node
     column = int(np.searchsorted(found.nodes, best))
     h = int(found.log_density[:, column].argmax())
-    total = _covariance(problem, frame, found.kept(np.array([h])), 0)
-    residual = problem.data - problem.leg.mean[best] - frame.offset
-    return _Frame(problem.leg, best, registration.likeliest(frame.slope, total, residual))
+    total = frame.covariance(found, h)
+    shift = registration.likeliest(frame.slope, total, frame.residual(best))
+    return _Frame(frame.problem, best, shift)
 
 
-def _covariance(problem: Problem, frame: _Frame, given: Hypotheses, h: int) -> FloatArray:
-    """Covariance under one combination [N^2], shape [2 theta, 2 theta]."""
-    q = float(problem.leg.surrogate.scatter.sizes[0][given.size[h]])
-    total: FloatArray = frame.base + q * frame.scatter
-    total += given.noise[h] ** 2 * problem.noise_shape
-    if given.amplitude[h] > 0.0:
-        shape = problem.discrepancy_shape(float(given.length_deg[h]))
-        total += given.amplitude[h] ** 2 * shape
-    return total
-
-
-def _frozen(
-    problem: Problem, given: Hypotheses, frame: _Frame, nodes: NDArray[np.intp]
-) -> Hypotheses:
+def _frozen(given: Hypotheses, frame: _Frame, nodes: NDArray[np.intp]) -> Hypotheses:
     """Combinations at some nodes, with the covariance of one node throughout."""
     from scipy.linalg.lapack import dpotrf, dtrtrs
 
-    residual = np.asfortranarray((problem.data - problem.leg.mean[nodes] - frame.offset).T)
+    residual = frame.residual(nodes)
+    fitted = least_squares.about(residual, frame.residual(frame.node), *frame.over_phi)
+    right, wrong = np.asfortranarray(residual), np.asfortranarray(fitted)
     chi2, volume = np.empty((2, len(given.noise), len(nodes)))
     for h in range(len(given.noise)):
-        factor, failed = dpotrf(_covariance(problem, frame, given, h), lower=1)
+        factor, failed = dpotrf(frame.covariance(given, h), lower=1)
         if failed:
             raise ValueError(f"a covariance of {len(factor)} forces is not positive definite")
-        white, _ = dtrtrs(factor, residual, lower=1)
+        far_off = given.amplitude[h] > LARGEST_BESIDE
+        white, _ = dtrtrs(factor, wrong if far_off else right, lower=1)
         chi2[h] = np.square(white).sum(axis=0)
         volume[h] = 2.0 * np.log(np.diag(factor)).sum()
     return given.evaluated(nodes, chi2, volume)

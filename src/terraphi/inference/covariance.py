@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from terraphi.inference import registration
 from terraphi.inference.calibrated import CalibratedLikelihood
-from terraphi.inference.fit import STEP_DEG, Fit
+from terraphi.inference.fit import Fit
 from terraphi.inference.hypotheses import Problem
 
 FloatArray = NDArray[np.float64]
@@ -125,18 +125,11 @@ def budget_of(
     problem, used = likelihood.problem, likelihood.used
     weights = likelihood.weights(phi_deg)
     noise_variance = float(weights @ np.square(used.noise))
-    amplitude2 = weights * np.square(used.amplitude)
-    discrepancy = np.zeros_like(problem.noise_shape)
-    for length in set(used.length_deg[amplitude2 > 0.0].tolist()):
-        total = float(amplitude2[used.length_deg == length].sum())
-        discrepancy += total * problem.discrepancy_shape(length)
+    discrepancy = likelihood.discrepancy(weights)
     terms = covariance_terms(
         problem, phi_deg, noise_variance=noise_variance, discrepancy=discrepancy
     )
-    surrogate = problem.leg.surrogate
-    low, high = surrogate.phi_bounds_deg
-    ends = np.array([max(phi_deg - STEP_DEG, low), min(phi_deg + STEP_DEG, high)])
-    slope = np.diff(surrogate.predict(ends), axis=0)[0]
+    slope = problem.leg.slope(phi_deg)
     direction = np.linalg.solve(sum(terms.values(), np.zeros_like(discrepancy)), slope)
     parts = {name: float(direction @ term @ direction) for name, term in terms.items()}
     whole = sum(parts.values())
@@ -144,7 +137,7 @@ def budget_of(
         shares={name: part / whole for name, part in parts.items()},
         sigma_N={name: scale * np.sqrt(np.diag(term)) for name, term in terms.items()},
         noise_N=scale * float(np.sqrt(noise_variance)),
-        discrepancy_of_peak=float(np.sqrt(amplitude2.sum())),
+        discrepancy_of_peak=float(np.sqrt(weights @ np.square(used.amplitude))),
         fit=fit,
         noise="inferred" if problem.noise_sigma is None else "given",
         discrepancy="gp" if problem.discrepancy else "none",

@@ -22,6 +22,9 @@ COARSE_NOISE = np.array([0.003, 0.01, 0.03, 0.1])
 """The same beside a discrepancy, which blurs them."""
 AMPLITUDES = np.array([0.006, 0.015, 0.04, 0.1, 0.25, 0.6])
 """Standard deviations of the discrepancy, of the peak-to-peak of each force [-]."""
+LARGEST_BESIDE = 0.05
+"""Amplitude up to which a discrepancy is a process beside the right curve [-]; if it is larger, the
+friction angle is that of least squares."""
 LENGTHS_DEG = np.array([6.0, 15.0, 40.0, 100.0])
 """Its correlation lengths [deg]; the longest is nearly an offset."""
 NEGLIGIBLE = 9.0

@@ -73,7 +73,7 @@ def invert(
     leg: str = "straight",
     density: float | None = None,
     density_assumed: bool = False,
-    likelihood: str = "paper",
+    likelihood: str = "calibrated",
     noise: float | str | Path | None = None,
     discrepancy: str | None = None,
     sampler: str = "quadrature",

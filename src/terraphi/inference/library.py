@@ -28,6 +28,8 @@ FloatArray = NDArray[np.float64]
 NODES = 281
 """Nodes over phi, between which chi-square and log-determinant are splines: intervals are right to
 a few thousandths of their width; half the nodes leave some hundredths at worst."""
+STEP_DEG = 0.05
+"""Half the step of derivatives with respect to the friction angle [deg]."""
 REMEMBERED = 8
 """Prepared legs that are kept, and decompositions of each."""
 
@@ -82,6 +84,13 @@ class PreparedLeg:
         right = left.transpose(0, 2, 1)
         covariance = (left * variance[:, None, :]) @ right
         return cls(surrogate, curves, phi, surrogate.predict(phi), covariance, left @ right)
+
+    def slope(self, phi_deg: float) -> FloatArray:
+        """Derivative of the forces with respect to the friction angle [N/deg], shape [2 theta]."""
+        around = np.clip(phi_deg + np.array([-STEP_DEG, STEP_DEG]), *self.surrogate.phi_bounds_deg)
+        below, above = self.surrogate.predict(around)
+        slope: FloatArray = (above - below) / (around[1] - around[0])
+        return slope
 
     def spectra(self, shape: FloatArray) -> Spectra:
         """Covariance and noise in a common basis, for each size of the scatter.
