@@ -118,7 +118,7 @@ def demo(out: Path, as_json: bool) -> None:
 )
 @click.option(
     "--likelihood",
-    default="paper",
+    default="calibrated",
     show_default=True,
     help="Error model: calibrated or paper.",
     shell_complete=completed(lambda: ("calibrated", "paper")),

@@ -78,4 +78,4 @@ def test_of_measured_sand_the_posterior_holds_the_angle_of_least_squares(name: s
         assert found.verdict.verdict != "consistent", one.name
         assert found.phi.ci68[0] < best < found.phi.ci68[1], one.name
         assert found.budget is not None
-        assert found.budget.shares["discrepancy"] > 0.8, one.name
+        assert found.budget.shares["discrepancy"] > 0.5, one.name
