@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
 AXIS_LABEL = {"Fx": "$F_x$ [N], forward", "Fz": "$F_z$ [N], up"}
 PHI_LABEL = {
-    "paper": "friction angle, `paper` yield [deg]",
+    "paper": "friction angle, paper's yield criterion [deg]",
     "plane_strain": "friction angle, plane strain [deg]",
     "triaxial": "friction angle, triaxial [deg]",
     "rft3d": "friction angle, 3-D RFT [deg]",

@@ -51,6 +51,7 @@ def recovery_data() -> dict:
         "verdict": "consistent",
     }  # fmt: skip
     return {
+        "study": "recovery",
         "library": "quick-plane-strain",
         "yield": "plane_strain",
         "cases": [case, {**case, "phi_true_deg": 40.0, "phi_median_deg": 39.5}],

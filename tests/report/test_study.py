@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from terraphi import studies
 from terraphi.errors import InputError
 from terraphi.report.page import render
 from terraphi.report.parts import Pictures, Plot, Table, Text
-from terraphi.report.study import name_of, section
+from terraphi.report.study import section
 from terraphi.report.study_plots import known_plots
 
 HOSTILE = "</script><img src=x onerror=alert(1)><b>'\"&$x$"
@@ -76,10 +78,7 @@ def test_data_like_a_studys_but_broken_are_told(recovery_data: dict) -> None:
     assert isinstance(text, Text)
 
 
-def test_every_study_whose_plots_are_known_is_told_by_its_keys() -> None:
-    assert name_of({"nrmsd_percent": {}, "peaks": {}}) == "benchmark"
-    assert name_of({"waterfall": [], "halved": {}}) == "resolution"
-    assert name_of({}) == ""
+def test_the_way_to_resolved_is_drawn_from_its_data() -> None:
     steps = [{"step": "one", "peaks_N": {"Fz": 5.0, "Fx": 4.0}, "change_N": {"Fz": 0, "Fx": 0}}]
     halved = {"Δx halved": {"change_percent": {"Fz": -9.7, "Fx": -12.2}}}
     way, end = known_plots("resolution", {"waterfall": steps, "halved": halved})
@@ -87,3 +86,60 @@ def test_every_study_whose_plots_are_known_is_told_by_its_keys() -> None:
     assert isinstance(end, Plot)
     assert way.traces[0]["y"] == [5.0]
     assert end.traces[1]["y"] == [-12.2]
+
+
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [
+        ("benchmark", "Closest to the measured forces"),
+        ("k0", "changes a force history by at most"),
+        ("measured", "inversions of measured forces"),
+        ("phi_sensitivity", "Peak lift goes from"),
+        ("reading", "% off its peak forces"),
+        ("resolution", "Peak lift goes from"),
+        ("sensitivity", "One setting changed"),
+        ("surrogate", "Held-out forces are predicted within"),
+    ],
+)
+def test_what_a_study_writes_is_told_and_drawn(name: str, word: str, tmp_path: Path) -> None:
+    found = studies.run(name)
+    replace(found, figures={}).save(tmp_path)
+    shown = section(tmp_path)
+    assert shown.title == name
+    assert word in shown.headline
+    assert any(isinstance(part, Plot) for part in shown.parts)
+    words = [part for part in shown.parts if isinstance(part, Text) and part.title == "In words"]
+    assert [line for part in words for line in part.paragraphs] == [
+        note.replace("`", "") for note in found.notes
+    ]
+    assert len(render([shown])) > 10_000
+
+
+def test_measured_angles_are_drawn_with_their_intervals(tmp_path: Path) -> None:
+    answer = {
+        "library": "one", "yield": "plane_strain", "medium": "mud", "leg": "c",
+        "phi_median_deg": 30.0, "ci95_deg": [28.0, 31.0], "nrmsd_percent": {"Fx": 20.0, "Fz": 10.0},
+        "verdict": "misfit",
+    }  # fmt: skip
+    plot, table = known_plots("measured", {"answers": [answer]})
+    assert isinstance(plot, Plot)
+    trace = next(t for t in plot.traces if t["x"])
+    assert (trace["y"], trace["error_y"]["array"], trace["error_y"]["arrayminus"]) == (
+        [30.0], [1.0], [2.0],
+    )  # fmt: skip
+    assert trace["marker"]["symbol"] == ["square-open"]
+    assert isinstance(table, Table)
+    assert table.rows[0][-1] == "misfit"
+
+
+def test_a_prediction_is_drawn_by_medium_and_force() -> None:
+    data = {
+        "calibrated": {"mud": {"phi_deg": 30.0, "friction": 0.3, "at_edge": True}},
+        "nrmsd_percent": {"mud": {"c": {"resolved": {"Fx": 12.0, "Fz": 9.0}}}},
+    }
+    table, lift, thrust = known_plots("prediction", data)
+    assert isinstance(table, Table)
+    assert table.rows[0][-1] == "at an edge of what was simulated"
+    assert isinstance(lift, Plot)
+    assert isinstance(thrust, Plot)
+    assert (lift.traces[0]["y"], thrust.traces[0]["y"]) == ([9.0], [12.0])

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from terraphi.plots import PHI_LABEL
 from terraphi.report.parts import label
 
 AXIS_LABEL = {"Fx": "F<sub>x</sub> [N], forward", "Fz": "F<sub>z</sub> [N], up"}
@@ -94,6 +95,29 @@ def layout(x: str, y: str, **more: Any) -> dict[str, Any]:
     for name in ("xaxis", "yaxis"):
         axes[name] = {**axes[name], **more.pop(name, {})}
     return {**axes, **more}
+
+
+def phi_label(convention: object) -> str:
+    """Title of an axis of friction angles; an unknown convention is named as it is."""
+    return PHI_LABEL.get(str(convention), f"friction angle, {label(convention)} [deg]")
+
+
+def grouped(x: str, y: str) -> dict[str, Any]:
+    """A layout of bars beside each other over words, which may look like numbers."""
+    return layout(x, y, barmode="group", xaxis={"type": "category"})
+
+
+def horizontal(y: float, colour: str, *, dash: str = "dot") -> dict[str, Any]:
+    """A line from left to right."""
+    return {
+        "type": "line",
+        "x0": 0,
+        "x1": 1,
+        "xref": "paper",
+        "y0": y,
+        "y1": y,
+        "line": {"color": colour, "dash": dash, "width": 1.5},
+    }
 
 
 def vertical(x: float, colour: str, *, dash: str = "dot") -> dict[str, Any]:

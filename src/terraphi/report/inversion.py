@@ -15,7 +15,7 @@ from terraphi.report import figures as fig
 from terraphi.report.certificate import certificate_parts
 from terraphi.report.density import smooth_density
 from terraphi.report.inversion_data import Again, Saved, load, recomputed
-from terraphi.report.parts import Part, Plot, Section, Status, Table, Text, label, number
+from terraphi.report.parts import Part, Plot, Section, Status, Table, Text, number
 
 FloatArray = NDArray[np.float64]
 
@@ -176,7 +176,7 @@ def _density(saved: Saved, again: Again | None) -> Plot:
         title="Posterior of the friction angle",
         traces=traces,
         layout=fig.layout(
-            f"friction angle, {label(phi.get('yield'))} [deg]",
+            fig.phi_label(phi.get("yield")),
             "density [1/deg]",
             xaxis={"range": fig.numbers(reach)},
             yaxis={"rangemode": "tozero"},

@@ -11,6 +11,7 @@ from typing import Any
 
 from terraphi.errors import InputError
 from terraphi.report.parts import Part, Pictures, Section, Table, Text, pairs
+from terraphi.report.study_headlines import headline
 from terraphi.report.study_plots import known_plots
 from terraphi.studies import STUDIES
 
@@ -20,19 +21,6 @@ MOST_PICTURE_BYTES = 2_000_000
 """Of all pictures together."""
 MOST_DATA_BYTES = 20_000_000
 MOST_ROWS = 300
-SIGNATURES = {
-    "recovery": {"cases", "inside68"},
-    "benchmark": {"nrmsd_percent", "peaks"},
-    "sensitivity": {"groups", "tolerance_percent"},
-    "resolution": {"waterfall", "halved"},
-    "verification": {"families", "tier"},
-    "phi_sensitivity": {"peaks_increase"},
-    "k0": {"max_relative_change"},
-    "surrogate": {"held_out"},
-    "reading": {"readings"},
-    "calibration": {"coverage68", "strangers"},
-}
-"""Keys by which the data of a study, which do not name it, are told."""
 
 
 def section(folder: Path) -> Section:
@@ -53,16 +41,19 @@ def section(folder: Path) -> Section:
         If ``data.json`` is not that of a study.
     """
     data = _data(folder / "data.json")
-    name = name_of(data)
+    name = str(data.get("study", ""))
     parts: list[Part] = []
     beside = _beside_paper(data)
     if beside:
         parts.append(Table("Ours beside the paper's", ("", "ours", "Xu & Wang"), beside, wide=True))
+    notes = data.get("notes", ())
+    if isinstance(notes, list) and notes:
+        parts.append(Text("In words", tuple(str(note).replace("`", "") for note in notes)))
     plots = known_plots(name, data)
     parts += plots
     parts += _pictures(folder, folded=bool(plots))
     parts += [_page(file) for file in sorted(folder.glob("*.md"))]
-    hidden = {"beside_paper"}
+    hidden = {"study", "notes", "beside_paper"}
     rows = pairs(_shortened({k: v for k, v in data.items() if k not in hidden}))
     note = f"The first {MOST_ROWS} of {len(rows)}." if len(rows) > MOST_ROWS else ""
     parts.append(
@@ -79,54 +70,6 @@ def section(folder: Path) -> Section:
             **{key: data[key] for key in ("library", "plan", "software") if key in data},
         },
     )
-
-
-def name_of(data: Mapping[str, Any]) -> str:
-    """Name of the study that data are of; empty if they are of none that is known."""
-    return next((name for name, keys in SIGNATURES.items() if keys <= set(data)), "")
-
-
-def headline(name: str, data: Mapping[str, Any]) -> str:
-    """What came out in one sentence, for the studies whose data have one number to say."""
-    try:
-        return _headline(name, data)
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
-        return f"A study of {len(data)} results."
-
-
-def _headline(name: str, data: Mapping[str, Any]) -> str:
-    if name == "recovery":
-        count, error = len(data["cases"]), data["abs_error_deg"]
-        return (
-            f"{count} friction angles ({data['yield']}) recovered with a median error of "
-            f"{error['median']:.2f}°, the largest {error['max']:.2f}°; {data['inside68']} lie "
-            f"inside their 68 % interval and {data['inside95']} inside their 95 % interval."
-        )
-    if name == "verification":
-        total = data["passed"] + data["missed"]
-        return f"{data['passed']} of {total} checks against known answers passed."
-    if name == "benchmark":
-        best = min(
-            (max(forces.values()), leg, model)
-            for leg, models in data["nrmsd_percent"].items()
-            for model, forces in models.items()
-        )
-        return (
-            f"Closest to the measured forces: {best[2]} on the {best[1]} leg, {best[0]:.1f} % of "
-            "peak-to-peak in the worse of both forces."
-        )
-    if name == "sensitivity":
-        return f"One setting changed at a time, {len(data['groups'])} settings."
-    if name == "resolution":
-        first, last = data["waterfall"][0], data["waterfall"][-1]
-        return (
-            f"Peak lift goes from {first['peaks_N']['Fz']:.1f} N ({first['step']}) to "
-            f"{last['peaks_N']['Fz']:.1f} N ({last['step']})."
-        )
-    if name == "k0":
-        change = 100.0 * data["max_relative_change"]
-        return f"The stress at rest changes a force history by at most {change:.2g} %."
-    return f"A study of {len(data)} results."
 
 
 def _data(path: Path) -> dict[str, Any]:

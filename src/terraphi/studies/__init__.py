@@ -6,7 +6,7 @@ import importlib
 import inspect
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,6 +62,8 @@ class Study:
         the same name.
     dpi
         Resolution of the figures [1/in].
+    name
+        Of :data:`STUDIES`; :func:`run` writes it.
     """
 
     title: str
@@ -73,12 +75,14 @@ class Study:
     notes: Sequence[str] = ()
     beside_paper: Sequence[Beside] = ()
     dpi: int = 150
+    name: str = ""
 
     def everything(self) -> dict[str, Any]:
-        """The data with the table beside the paper, JSON-able."""
+        """The data with the study's name, its notes and the table beside the paper, JSON-able."""
         names = ("what", "ours", "paper")
         table = [dict(zip(names, line, strict=True)) for line in self.beside_paper]
-        return {**self.data, **({"beside_paper": table} if table else {})}
+        more = {"study": self.name, "notes": list(self.notes), "beside_paper": table}
+        return {**self.data, **{key: value for key, value in more.items() if value}}
 
     def save(self, out: Path) -> None:
         """Write ``data.json``, documents and figures (PNG) into a folder, made if need be."""
@@ -165,4 +169,4 @@ def run(
     services = {"out": out, "progress": progress}
     given |= {service: value for service, value in services.items() if service in known}
     study: Study = module.run(**given)
-    return study
+    return replace(study, name=name)
