@@ -134,8 +134,9 @@ class Inversion:
         """Write the posterior in the layout of ArviZ, which can open it.
 
         Groups ``posterior`` (``phi_deg`` over chain and draw), ``observed_data`` (the window
-        means) and ``posterior_predictive_mean`` (the best curve); the answer stands in the
-        attributes. A posterior by quadrature is written as quantiles of equal probability in a
+        means), ``posterior_predictive_mean`` (the best curve) and, if there is a budget,
+        ``information_share`` (what each angle told of φ); the answer stands in the attributes. A
+        posterior by quadrature is written as quantiles of equal probability in a
         random order, which are as good as independent draws.
 
         Parameters
@@ -153,6 +154,12 @@ class Inversion:
         angle = ("theta_deg", self.observation.theta_deg, {"units": "degree"})
         draws = self._chains()
         half = len(self.observation.theta_deg)
+        pairs = {
+            "observed_data": (self.observation.Fx, self.observation.Fz, "N"),
+            "posterior_predictive_mean": (self.best[:half], self.best[half:], "N"),
+        }
+        if self.budget is not None:
+            pairs["information_share"] = (*self.budget.information, "1")
         tree = xr.DataTree.from_dict(
             {
                 "/": xr.Dataset(
@@ -167,20 +174,16 @@ class Inversion:
                     coords={"chain": np.arange(draws.shape[0]), "draw": np.arange(draws.shape[1])},
                     attrs={"yield": self.convention, "sampler": self.posterior.sampler},
                 ),
-                "/observed_data": xr.Dataset(
-                    {
-                        "Fx": ("theta_deg", self.observation.Fx, {"units": "N"}),
-                        "Fz": ("theta_deg", self.observation.Fz, {"units": "N"}),
-                    },
-                    coords={"theta_deg": angle},
-                ),
-                "/posterior_predictive_mean": xr.Dataset(
-                    {
-                        "Fx": ("theta_deg", self.best[:half], {"units": "N"}),
-                        "Fz": ("theta_deg", self.best[half:], {"units": "N"}),
-                    },
-                    coords={"theta_deg": angle},
-                ),
+                **{
+                    f"/{name}": xr.Dataset(
+                        {
+                            "Fx": ("theta_deg", fx, {"units": units}),
+                            "Fz": ("theta_deg", fz, {"units": units}),
+                        },
+                        coords={"theta_deg": angle},
+                    )
+                    for name, (fx, fz, units) in pairs.items()
+                },
             }
         )
         write_netcdf(tree, Path(path))

@@ -13,6 +13,7 @@ from terraphi.inference import registration
 from terraphi.inference.calibrated import CalibratedLikelihood
 from terraphi.inference.fit import Fit
 from terraphi.inference.hypotheses import Problem
+from terraphi.inference.information import information_share
 
 FloatArray = NDArray[np.float64]
 
@@ -74,6 +75,9 @@ class Budget:
     shares
         Share of each term in the variance of the friction angle that fits best, if forces were
         linear in it [-]; they add up to 1.
+    information
+        What each angle adds to the information on φ of those before it [-], of Fx and Fz, shape
+        [2, theta].
     sigma_N
         Standard deviation of each term at each window [N], shape [2 theta].
     noise_N
@@ -87,6 +91,7 @@ class Budget:
     """
 
     shares: Mapping[str, float]
+    information: FloatArray
     sigma_N: Mapping[str, FloatArray]
     noise_N: float
     discrepancy_of_peak: float
@@ -130,11 +135,13 @@ def budget_of(
         problem, phi_deg, noise_variance=noise_variance, discrepancy=discrepancy
     )
     slope = problem.leg.slope(phi_deg)
-    direction = np.linalg.solve(sum(terms.values(), np.zeros_like(discrepancy)), slope)
+    total = sum(terms.values(), np.zeros_like(discrepancy))
+    direction = np.linalg.solve(total, slope)
     parts = {name: float(direction @ term @ direction) for name, term in terms.items()}
     whole = sum(parts.values())
     return Budget(
         shares={name: part / whole for name, part in parts.items()},
+        information=information_share(total, slope),
         sigma_N={name: scale * np.sqrt(np.diag(term)) for name, term in terms.items()},
         noise_N=scale * float(np.sqrt(noise_variance)),
         discrepancy_of_peak=float(np.sqrt(weights @ np.square(used.amplitude))),
