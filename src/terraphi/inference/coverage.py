@@ -160,7 +160,7 @@ def through_one_library(
     with single_threaded():
         for _ in range(worlds):
             truth = np.sort(rng.uniform(*surrogate.phi_bounds_deg, size=truths))
-            forces = _one_world(surrogate, truth, rng)
+            forces = one_world(surrogate, truth, rng)
             data = forces + surrogate.scatter.draw(truth, rng)
             found = _posteriors(leg, truth, data, mean)
             within.append((found.within(0.68), found.within(0.95)))
@@ -222,10 +222,23 @@ def _worlds(
     return forces, standard[:, :-1] + scatter
 
 
-def _one_world(
-    surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Generator
-) -> FloatArray:
-    """Forces at all truths in one world that the library may be of [N], shape [r, 2 theta]."""
+def one_world(surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """True forces in one world that a library may be of, given its curves.
+
+    Parameters
+    ----------
+    surrogate
+        Of the library.
+    truth
+        Friction angles [deg], shape [r].
+    rng
+        Of the draw.
+
+    Returns
+    -------
+    FloatArray
+        Without scatter of their own [N], shape [r, 2 theta].
+    """
     cases = len(surrogate.phi_deg)
     prior = surrogate.draw(np.concatenate([surrogate.phi_deg, truth]), rng)
     scatter = rng.standard_normal(prior[:cases].shape)

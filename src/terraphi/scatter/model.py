@@ -15,6 +15,7 @@ definite by construction, its white part keeps it well conditioned.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
@@ -110,7 +111,7 @@ class Scatter:
         result: FloatArray = np.maximum(halves, floor).reshape(len(x), -1)
         return result
 
-    @property
+    @functools.cached_property
     def sizes(self) -> tuple[FloatArray, FloatArray]:
         """Sizes of the scatter, factors on its variance [-], and log probabilities; shapes [7]."""
         from scipy.special import chdtri

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,23 +18,33 @@ from terraphi.inference.coverage import WORLDS, calibrate, learnt_anew, through_
 from terraphi.inference.library import prepare
 from terraphi.library import Library
 from terraphi.studies import Study
-from terraphi.studies.calibration_cases import inverted, strangers, ways
+from terraphi.studies.calibration_cases import inverted, matched, strangers, ways
 from terraphi.studies.calibration_figures import calibration_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 REPLICATES = 5000
 BESIDE = 2000
 """Worlds at most of each kind that is not the prior's."""
 ONE_LIBRARY = (40, 50)
 """Worlds that the one library may be of, and truths in each."""
+MATCHED = (10, 20)
+"""Worlds that the one library may be of, and truths in each of which a misfit is counted."""
 ANEW = (10, 60)
 """Worlds in which scatter and hyperparameters are learnt anew, and truths in each."""
 HEADER = ("what", "discrepancy", "cases", "median error", "largest", "68 % half-width", "in 68 %",
           "in 95 %", "not believed")  # fmt: skip
+PICTURE = (
+    "Ranks of the truths, coverage over the mass of the interval, half-widths over the friction "
+    "angle, and the particle scatter"
+)
 ORIGIN = (
     "Written by `terraphi study calibration --out DIR`; what the rows mean stands in "
     "[inference.md](inference.md)."
 )
-CERTIFICATE = ("library, leg", "replicates", "in 68 %", "in 95 %", "p", "68 % half-width")
+CERTIFICATE = ("library, leg", "replicates", "in 68 %", "in 95 %", "p", "p of other seeds",
+               "68 % half-width")  # fmt: skip
 
 
 def run(
@@ -62,9 +72,10 @@ def run(
         ``data``: ``library``, ``yield``, ``replicates``, ``coverage68``, ``coverage95``,
         ``rank_chi2_p``, ``ci68_half_width_deg``, ``fitted_surface``, ``heavy_tails`` and
         ``learnt_anew`` (the same in other worlds), ``one_library`` (the same coverages, mean and 5
-        to 95 % over worlds), ``truths`` (by what was done to them and the discrepancy: ``cases``,
-        ``abs_error_deg``, ``ci68_half_width_deg``, ``inside68``, ``inside95``, ``misfit``),
-        ``strangers``.
+        to 95 % over worlds), ``matched`` (``cases`` that the model explains, and how many are a
+        ``misfit``), ``truths`` (by what was done to them and the discrepancy: ``cases``,
+        ``abs_error_deg``, ``ci68_half_width_deg``, ``inside68``, ``inside95``, ``misfit``, and
+        ``by_seed`` the same for the truths of each particle seed), ``strangers``.
 
     Raises
     ------
@@ -73,11 +84,11 @@ def run(
     """
     trained = Library.load(library)
     todo = ways(library, np.random.default_rng(seed + 2))
-    done = iter(range(1, 7 + len(todo)))
+    done = iter(range(1, 8 + len(todo)))
 
     def report() -> None:
         if progress is not None:
-            progress(next(done), 6 + len(todo))
+            progress(next(done), 7 + len(todo))
 
     leg = prepare(trained, "straight", within=(-math.inf, math.inf))
     found = {}
@@ -87,9 +98,9 @@ def run(
         report()
     anew = learnt_anew(leg, worlds=ANEW[0], truths=ANEW[1], seed=seed + 3)
     report()
-    one68, one95 = through_one_library(
-        leg, worlds=ONE_LIBRARY[0], truths=ONE_LIBRARY[1], seed=seed + 1
-    )
+    one = through_one_library(leg, worlds=ONE_LIBRARY[0], truths=ONE_LIBRARY[1], seed=seed + 1)
+    report()
+    right = matched(leg, worlds=MATCHED[0], truths=MATCHED[1], seed=seed + 4)
     report()
     tables = {}
     for way in todo:
@@ -105,20 +116,26 @@ def run(
         "learnt_anew": {"worlds": ANEW[0], **anew.as_dict()},
         "one_library": {
             name: {"mean": float(part.mean()), "p05_p95": np.quantile(part, [0.05, 0.95]).tolist()}
-            for name, part in (("coverage68", one68), ("coverage95", one95))
+            for name, part in zip(("coverage68", "coverage95"), one, strict=True)
         },
+        "matched": right,
         "truths": tables,
         "strangers": strangers(trained),
     }
     report()
+    return _study(data, calibration_figure(found["prior"], leg, one[0]))
+
+
+def _study(data: Mapping[str, Any], figure: Figure) -> Study:
+    """Table, sentences, page and picture."""
     rows, notes = _rows(data), _notes(data)
-    title = f"Calibration of the intervals of library '{library}', leg straight"
+    title = f"Calibration of the intervals of library '{data['library']}', leg straight"
     return Study(
         title=title,
         header=HEADER,
         rows=rows,
         data=data,
-        figures={"calibration": calibration_figure(found["prior"], leg, one68)},
+        figures={"calibration": figure},
         documents={"calibration.md": _page(title, rows, notes)},
         notes=notes,
     )
@@ -169,20 +186,40 @@ def _rows(data: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 def _notes(data: Mapping[str, Any]) -> list[str]:
     spread, fitted = data["one_library"]["coverage68"]["p05_p95"], data["fitted_surface"]
-    believed = "; ".join(
-        f"{kind} {n['cases']}, {n['believed']}" for kind, n in data["strangers"].items()
+    believed = ", ".join(
+        f"{n['believed']} of {n['cases']} ({kind})" for kind, n in data["strangers"].items()
     )
     ranks, fitted_ranks = (
         f"have mean {part['mean_rank']:.3f}, and are uniform with p = {part['rank_chi2_p']:.2g}"
         for part in (data, fitted)
     )
+    right, clean = data["matched"], data["truths"].get("clean", {}).get("none")
     held = f"{spread[0]:.0%} to {spread[1]:.0%} (5 to 95 % of the worlds that it may be of)"
     return [
         f"Ranks of the truths {ranks} (chi-square).",
         f"In worlds about the fitted surface they {fitted_ranks}.",
         f"Through one library 68 % intervals cover {held}.",
-        f"Histories that must not be believed, and those that were: {believed}.",
+        f"Of {right['cases']} histories from such worlds, {right['misfit']} are called a misfit.",
+        f"Histories that must not be believed, and were: {believed}.",
+        *(_by_seed(clean["by_seed"]) if clean else ()),
     ]
+
+
+def _by_seed(seeds: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Clean truths, apart by particle seed."""
+    if len(seeds) < 2:
+        return []
+    numbers = {
+        "median errors": [f"{part['abs_error_deg']['median']:.3f}°" for part in seeds],
+        "largest": [f"{part['abs_error_deg']['max']:.2f}°" for part in seeds],
+        "median 68 % half-widths": [
+            f"{part['ci68_half_width_deg']['median']:.3f}°" for part in seeds
+        ],
+        "in 68 %": [str(part["inside68"]) for part in seeds],
+        "in 95 %": [str(part["inside95"]) for part in seeds],
+    }
+    lists = "; ".join(f"{name} {', '.join(values)}" for name, values in numbers.items())
+    return [f"Clean truths, {seeds[0]['cases']} of each of {len(seeds)} particle seeds: {lists}."]
 
 
 def _page(title: str, rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
@@ -195,6 +232,7 @@ def _page(title: str, rows: Sequence[Sequence[str]], notes: Sequence[str]) -> st
         f"## {title}",
         _table(HEADER, rows),
         "\n".join(f"- {note}" for note in notes),
+        f"![{PICTURE}](calibration.png)",
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -203,11 +241,19 @@ def certificates() -> list[tuple[str, ...]]:
     """Rows of the certificates that shipped libraries carry."""
     rows: list[tuple[str, ...]] = []
     for name in shipped_names("libraries", ".nc"):
-        legs = Library.load(name).calibration.get("certificate", {}).get("legs", {})
-        for leg, found in legs.items():
-            coverage = (f"{found[key]:.1%}" for key in ("coverage68", "coverage95"))
-            ends = (f"{found['rank_chi2_p']:.2g}", f"{found['ci68_half_width_deg']:.3f}°")
-            rows.append((f"`{name}`, {leg}", str(found["replicates"]), *coverage, *ends))
+        certificate = Library.load(name).calibration.get("certificate", {})
+        for leg, found in certificate.get("legs", {}).items():
+            again = certificate["rank_chi2_p_of_other_seeds"][leg]
+            rows.append(
+                (
+                    f"`{name}`, {leg}",
+                    str(found["replicates"]),
+                    *(f"{found[key]:.1%}" for key in ("coverage68", "coverage95")),
+                    f"{found['rank_chi2_p']:.2g}",
+                    ", ".join(f"{p:.2g}" for p in again),
+                    f"{found['ci68_half_width_deg']:.3f}°",
+                )
+            )
     return rows
 
 

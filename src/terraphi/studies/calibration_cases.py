@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -12,7 +13,12 @@ from numpy.typing import NDArray
 
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
+from terraphi.inference.calibrated import CalibratedLikelihood
+from terraphi.inference.coverage import one_world
+from terraphi.inference.fit import fit_without_discrepancy
+from terraphi.inference.hypotheses import Problem
 from terraphi.inference.inversion import DISCREPANCIES, Inversion, invert
+from terraphi.inference.library import PreparedLeg
 from terraphi.library import Library
 from terraphi.measurements import measurement, names
 
@@ -115,27 +121,57 @@ def ways(library: str, rng: np.random.Generator) -> list[Way]:
 
 
 def inverted(trained: Library, way: Way) -> dict[str, dict[str, Any]]:
-    """Errors and coverage over the truths, by the discrepancy they were inverted with."""
+    """Errors and coverage over the truths, by the discrepancy they were inverted with.
+
+    Parameters
+    ----------
+    trained
+        The library.
+    way
+        What is inverted.
+
+    Returns
+    -------
+    dict
+        Of each discrepancy the summary of all, with those of each particle seed in ``by_seed``.
+    """
     density = way.density * trained.cases[0].scenario.soil.density
     spoilt = [(truth.phi_deg, way.spoil(truth.history)) for truth in way.truths]
-    return {
-        discrepancy: _summary(
-            [
-                (
-                    phi,
-                    invert(
-                        history,
-                        library=trained,
-                        likelihood="calibrated",
-                        density=density,
-                        discrepancy=discrepancy,
-                    ),
-                )
-                for phi, history in spoilt
-            ]
-        )
-        for discrepancy in way.discrepancies
-    }
+    seeds = max(Counter(phi for phi, _ in spoilt).values())
+    tables = {}
+    for discrepancy in way.discrepancies:
+        found = [
+            (phi, invert(history, library=trained, density=density, discrepancy=discrepancy))
+            for phi, history in spoilt
+        ]
+        size = len(found) // seeds
+        groups = [_summary(found[i * size : (i + 1) * size]) for i in range(seeds)]
+        tables[discrepancy] = {**_summary(found), "by_seed": groups}
+    return tables
+
+
+def matched(leg: PreparedLeg, *, worlds: int, truths: int, seed: int) -> dict[str, int]:
+    """How many histories that the model does explain are a misfit.
+
+    Parameters
+    ----------
+    leg
+        Of the library, whose model is true in worlds that the library may be of.
+    worlds, truths
+        Number of worlds, and of histories in each.
+    seed
+        Of all draws.
+    """
+    rng, surrogate, misfits = np.random.default_rng(seed), leg.surrogate, 0
+    shape = np.eye(2 * len(surrogate.theta_deg))
+    for _ in range(worlds):
+        truth = np.sort(rng.uniform(*surrogate.phi_bounds_deg, size=truths))
+        forces = one_world(surrogate, truth, rng) + surrogate.scatter.draw(truth, rng)
+        for data in forces:
+            problem = Problem(leg, data, shape, None, discrepancy=False)
+            without = CalibratedLikelihood(problem).without
+            misfits += fit_without_discrepancy(problem, without, scale=1.0).misfit
+    return {"cases": worlds * truths, "misfit": misfits}
 
 
 def strangers(trained: Library) -> dict[str, dict[str, int]]:
@@ -156,9 +192,7 @@ def strangers(trained: Library) -> dict[str, dict[str, int]]:
     found = {}
     for kind, histories in kinds.items():
         verdicts = [
-            invert(
-                history, library=trained, leg="straight", likelihood="calibrated", density=density
-            ).verdict.verdict
+            invert(history, library=trained, leg="straight", density=density).verdict.verdict
             for history, density in histories
             if history
         ]
