@@ -137,48 +137,36 @@ def cells() -> dict[str, dict[str, str]]:
 
 
 def test_numbers_that_other_pages_quote_are_those_of_the_page() -> None:
-    row = cells()
+    row, inside, error = cells(), "in 68 %", "median error"
     worlds, clean = row["simulated worlds, none"], row["truths, clean, none"]
     offset, turned = row["truths, offset 2%, gp"], row["truths, θ off by 1°, gp"]
     hip, dense = row["truths, hip off by 2 mm, gp"], row["truths, density off by 20%, gp"]
     noisy = row["truths, density off by 20%, white noise 10%, gp"]
-    inside = "in 68 %"
+    half, largest = clean["68 % half-width"], clean["largest"]
     sentences = {
         "docs/inference.md": (
-            (
-                f"Of {worlds['cases']} simulated worlds {worlds[inside]} of 68 % intervals and "
-                f"{worlds['in 95 %']} of 95 % intervals hold the truth"
-            ),
-            (
-                f"the median error is {clean['median error']}, the largest {clean['largest']}, the "
-                f"median half-width of 68 % intervals {clean['68 % half-width']}; {clean[inside]} of "
-                f"{clean['cases']} are inside"
-            ),
-            (
-                f"median errors {offset['median error']} and {turned['median error']}, with "
-                f"{offset[inside]} and {turned[inside]} of {turned['cases']} truths inside"
-            ),
-            (
-                f"2 mm off ({hip[inside]} of {hip['cases']}) or the density 20 % ({dense[inside]} of "
-                f"{dense['cases']}): the first moves φ by {hip['median error']}, the second by "
-                f"{dense['median error']}"
-            ),
+            f"Of {worlds['cases']} simulated worlds {worlds[inside]} of 68 % intervals",
+            f"and {worlds['in 95 %']} of 95 % intervals hold the truth",
+            f"the median error is {clean[error]}, the largest {largest}",
+            f"the median half-width of 68 % intervals {half}",
+            f"{clean[inside]} of {clean['cases']} are inside",
+            f"median errors {offset[error]} and {turned[error]}, with",
+            f"with {offset[inside]} and {turned[inside]} of {turned['cases']} truths inside",
+            f"2 mm off ({hip[inside]} of {hip['cases']})",
+            f"the density 20 % ({dense[inside]} of {dense['cases']})",
+            f"the first moves φ by {hip[error]}, the second by {dense[error]}",
             f"found out in {noisy['not believed']} of {noisy['cases']}",
         ),
         "docs/explanation/accuracy.md": (
-            (
-                f"Over {worlds['cases']} simulated worlds {worlds[inside]} of 68 % and "
-                f"{worlds['in 95 %']} of 95 % intervals do; of {clean['cases']} fresh simulations the "
-                f"median error is {clean['median error']}, the largest {clean['largest']}, the median "
-                f"68 % half-width {clean['68 % half-width']}"
-            ),
+            f"Over {worlds['cases']} simulated worlds {worlds[inside]} of 68 %",
+            f"and {worlds['in 95 %']} of 95 % intervals do; of {clean['cases']} fresh",
+            f"the median error is {clean[error]}, the largest {largest}",
+            f"the median 68 % half-width {half}",
         ),
         "README.md": (
-            (
-                f"Of {clean['cases']} fresh simulations off the library's grid the median error is "
-                f"{clean['median error']}, and {clean[inside]} are inside their 68 % intervals of ± "
-                f"{clean['68 % half-width']}"
-            ),
+            f"Of {clean['cases']} fresh simulations off the library's grid",
+            f"the median error is {clean[error]}, and {clean[inside]} are inside",
+            f"their 68 % intervals of ± {half}",
         ),
     }
     for page, wanted in sentences.items():
