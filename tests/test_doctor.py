@@ -72,7 +72,7 @@ def test_a_library_cut_short_is_a_problem(own_libraries, monkeypatch, capsys) ->
 
 
 def test_no_library_at_all_is_a_problem(own_libraries, monkeypatch, capsys) -> None:
-    for file in own_libraries.iterdir():
+    for file in own_libraries.glob("*.nc"):
         file.unlink()
     status, out = run(monkeypatch, capsys)
     assert status == 1

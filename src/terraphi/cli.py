@@ -231,7 +231,8 @@ def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
     """
     from terraphi import studies
 
-    with progress_bar("computing") as report:
+    compiles = name == "verification" or options["build"] is not None
+    with progress_bar("computing", compiles=compiles) as report:
         found = studies.run(name, out=out, progress=report, **options)
     if out is not None:
         found.save(out)

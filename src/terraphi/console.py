@@ -166,9 +166,22 @@ def ignore_interrupts() -> None:
 
 @contextmanager
 def progress_bar(
-    description: str, *, at_first: str = "compiling, once"
+    description: str, *, compiles: bool = False
 ) -> Iterator[Callable[[float, float], None]]:
-    """Progress with the time left on standard error, where that is a terminal."""
+    """Progress with the time left on standard error, where that is a terminal.
+
+    Parameters
+    ----------
+    description
+        What is being done.
+    compiles
+        Whether it needs the kernels, which are compiled first if they never were.
+
+    Yields
+    ------
+    Callable[[float, float], None]
+        To be called with the work done and the work of all.
+    """
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -182,6 +195,7 @@ def progress_bar(
     if not sys.stderr.isatty():
         yield lambda _done, _total: None
         return
+    compiling = compiles and not _kernels_are_compiled()
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -191,10 +205,16 @@ def progress_bar(
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(at_first, total=None)
+        task = bar.add_task("compiling, once" if compiling else "starting", total=None)
 
         def report(done: float, total: float) -> None:
             if done:
                 bar.update(task, completed=done, total=total, description=description)
 
         yield report
+
+
+def _kernels_are_compiled() -> bool:
+    from terraphi.doctor import kernels_are_compiled
+
+    return kernels_are_compiled()

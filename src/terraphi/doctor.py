@@ -127,18 +127,29 @@ def _kernels() -> Iterator[Check]:
     bits = known["vector_lanes"] * 64
     yield Check("processor", "ok", f"{known['processor']} ({platform.machine()})")
     yield Check("vectors", "ok", f"{known['vector_lanes']} doubles, {bits} bits")
-    march: Any = packets.march  # compiled, which its type does not say
-    place = Path(march.stats.cache_path)
+    place = _cache_of(packets.march)
     if not os.access(place if place.exists() else place.parent, os.W_OK):
         found = (
             f"{place} cannot be written: kernels are compiled at every start; set NUMBA_CACHE_DIR"
         )
         yield Check("cache", "note", found)
-    elif any(place.glob("packets.march*.nbi")):
+    elif kernels_are_compiled():
         yield Check("cache", "ok", f"kernels are compiled, in {place}")
     else:
         found = f"empty, in {place}: the first simulation compiles its kernels, once"
         yield Check("cache", "note", found)
+
+
+def kernels_are_compiled() -> bool:
+    """Whether the fast kernel lies in the cache, so that a simulation starts at once."""
+    from terraphi.forward.mpm import packets
+
+    return any(_cache_of(packets.march).glob("packets.march*.nbi"))
+
+
+def _cache_of(kernel: Any) -> Path:
+    """Folder of a kernel's machine code; its type does not say that it is compiled."""
+    return Path(kernel.stats.cache_path)
 
 
 def _shipped() -> Iterator[Check]:

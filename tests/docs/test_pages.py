@@ -70,6 +70,13 @@ def test_most_blocks_are_run() -> None:
     assert len(left_out) < 0.15 * len(found)
 
 
+def test_the_counts_of_the_verification_are_those_of_its_page() -> None:
+    found = re.compile(r"(\d+) checks[^.;]*? pass,? (?:and )?(\d+) miss")
+    (counts,) = found.findall((DOCS / "verification.md").read_text(encoding="utf-8"))
+    for page in (ROOT / "README.md", DOCS / "explanation" / "accuracy.md"):
+        assert found.findall(page.read_text(encoding="utf-8")) == [counts], page.name
+
+
 # -- the pages hang together ---------------------------------------------------------------------
 
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")

@@ -157,12 +157,6 @@ def test_numbers_that_other_pages_quote_are_those_of_the_page() -> None:
             f"the first moves φ by {hip[error]}, the second by {dense[error]}",
             f"found out in {noisy['not believed']} of {noisy['cases']}",
         ),
-        "docs/explanation/accuracy.md": (
-            f"Over {worlds['cases']} simulated worlds {worlds[inside]} of 68 %",
-            f"and {worlds['in 95 %']} of 95 % intervals do; of {clean['cases']} fresh",
-            f"the median error is {clean[error]}, the largest {largest}",
-            f"the median 68 % half-width {half}",
-        ),
         "README.md": (
             f"Of {clean['cases']} fresh simulations off the library's grid",
             f"the median error is {clean[error]}, and {clean[inside]} are inside",

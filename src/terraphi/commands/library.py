@@ -59,8 +59,12 @@ def library_build(
     from terraphi.plan import Plan
 
     chosen = Plan.load(plan)
+    compiles = cluster is None and any(case.model == "mpm" for case in chosen.cases())
     try:
-        with pool(workers, cluster) as running, progress_bar("simulating") as report:
+        with (
+            pool(workers, cluster) as running,
+            progress_bar("simulating", compiles=compiles) as report,
+        ):
             if running.workers == 0:
                 click.echo(f"terraphi: {cluster} has no workers yet; the build waits", err=True)
             made = build(
@@ -131,7 +135,8 @@ def library_show(name: str, check: bool, number: int, as_json: bool) -> None:
     bits = account(found)
     again = None
     if check:
-        with progress_bar("simulating") as report:
+        compiles = any(case.scenario.model == "mpm" for case in found.cases)
+        with progress_bar("simulating", compiles=compiles) as report:
             again = rebuild(found, number, progress=lambda fraction: report(fraction, 1.0))
     if as_json:
         checked = {"checked": again.as_dict()} if again else {}

@@ -136,7 +136,10 @@ def run(scenario: Scenario, kept: Checkpoint | None, series: FieldSeries | None)
     from terraphi import forward
 
     try:
-        with warnings_shown(), progress_bar("simulating") as report:
+        with (
+            warnings_shown(),
+            progress_bar("simulating", compiles=scenario.model == "mpm") as report,
+        ):
             return forward.simulate(
                 scenario,
                 progress=lambda fraction: report(fraction, 1.0),
@@ -158,7 +161,7 @@ def draw(path: Path, history: ForceHistory, scenario: Scenario, series: FieldSer
     from terraphi.animation import animate
 
     try:
-        with progress_bar("drawing", at_first="drawing") as report:
+        with progress_bar("drawing") as report:
             animate(
                 path,
                 history,
