@@ -41,6 +41,7 @@ ROOMS = [
     "inference",
     "robot",
     "plots",
+    "budget_plot",
     "animation",
     "studies",
     "report",
