@@ -17,8 +17,9 @@ from terraphi.inference.calibrated import CalibratedLikelihood
 from terraphi.inference.coverage import one_world
 from terraphi.inference.fit import fit_without_discrepancy
 from terraphi.inference.hypotheses import Problem
-from terraphi.inference.inversion import DISCREPANCIES, Inversion, invert
+from terraphi.inference.inversion import DISCREPANCIES, NODES, Inversion, invert
 from terraphi.inference.library import PreparedLeg
+from terraphi.inference.posterior import quadrature
 from terraphi.library import Library
 from terraphi.measurements import measurement, names
 
@@ -150,28 +151,45 @@ def inverted(trained: Library, way: Way) -> dict[str, dict[str, Any]]:
     return tables
 
 
-def matched(leg: PreparedLeg, *, worlds: int, truths: int, seed: int) -> dict[str, int]:
-    """How many histories that the model does explain are a misfit.
+def matched(
+    leg: PreparedLeg, *, noise: float, worlds: int, truths: int, seed: int
+) -> dict[str, float]:
+    """Histories that the model does explain, through all of the inference.
 
     Parameters
     ----------
     leg
         Of the library, whose model is true in worlds that the library may be of.
+    noise
+        White noise of a window mean, of the peak force [-]; its size is inferred.
     worlds, truths
         Number of worlds, and of histories in each.
     seed
         Of all draws.
+
+    Returns
+    -------
+    dict
+        Number of ``cases``, fractions of 68 and 95 % intervals that hold the truth, ``coverage68``
+        and ``coverage95`` [-], and how many cases are a ``misfit``.
     """
-    rng, surrogate, misfits = np.random.default_rng(seed), leg.surrogate, 0
+    rng, surrogate = np.random.default_rng(seed), leg.surrogate
     shape = np.eye(2 * len(surrogate.theta_deg))
+    ranks, misfits = [], 0
     for _ in range(worlds):
         truth = np.sort(rng.uniform(*surrogate.phi_bounds_deg, size=truths))
         forces = one_world(surrogate, truth, rng) + surrogate.scatter.draw(truth, rng)
-        for data in forces:
-            problem = Problem(leg, data, shape, None, discrepancy=False)
-            without = CalibratedLikelihood(problem).without
-            misfits += fit_without_discrepancy(problem, without, scale=1.0).misfit
-    return {"cases": worlds * truths, "misfit": misfits}
+        white = rng.standard_normal(forces.shape)
+        forces += noise * np.abs(forces).max(axis=1, keepdims=True) * white
+        for phi, data in zip(truth.tolist(), forces, strict=True):
+            likelihood = CalibratedLikelihood(Problem(leg, data, shape, None, discrepancy=False))
+            posterior = quadrature(likelihood, surrogate.phi_bounds_deg, nodes=NODES)
+            ranks.append(posterior.mass(surrogate.phi_bounds_deg[0], phi))
+            fit = fit_without_discrepancy(likelihood.problem, likelihood.without, scale=1.0)
+            misfits += fit.misfit
+    off = np.abs(np.array(ranks) - 0.5)
+    inside = {f"coverage{p}": float(np.mean(off <= 0.005 * p)) for p in (68, 95)}
+    return {"cases": len(ranks), **inside, "misfit": misfits}
 
 
 def strangers(trained: Library) -> dict[str, dict[str, int]]:
