@@ -23,7 +23,7 @@ help:
 	@echo 'make test       lint, type-check and test (minutes)'
 	@echo 'make test-slow  the checks that take longer'
 	@echo 'make docs       the documentation, in docs/_build/html/index.html'
-	@echo 'make bench      speed of kernels and surrogate, as lines of name and value'
+	@echo 'make bench      speed of kernels, surrogate and inversions, as lines of name and value'
 	@echo 'make lint       lint and type-check only'
 	@echo 'make format     put the code into the house format'
 	@echo 'make clean      remove what the commands above wrote; make distclean removes .venv as well'
@@ -46,6 +46,7 @@ docs: $(DEV)
 bench: $(DEV)
 	$(BIN)/python benchmarks/bench_kernels.py
 	$(BIN)/python benchmarks/bench_surrogate.py
+	$(BIN)/python benchmarks/bench_inference.py
 
 lint: $(DEV)
 	$(BIN)/ruff check .

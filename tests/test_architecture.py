@@ -43,6 +43,7 @@ ROOMS = [
     "robot",
     "plots",
     "joint_plots",
+    "budget_plot",
     "animation",
     "studies",
     "report",

@@ -10,14 +10,16 @@ from scipy.stats import multivariate_normal
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import Kernel
 
-from terraphi.joint_surrogate import JointKernel, JointSurrogate
-from terraphi.joint_surrogate.evidence import Spectrum, Standardised, _pack, _unpack
+from terraphi.joint_surrogate import JointKernel, JointSurrogate, cubic
+from terraphi.joint_surrogate.evidence import Spectrum, Standardised, _pack, _unpack, matern
 from terraphi.scatter import Scatter, estimate
 from terraphi.scatter.model import correlation_matrix
 
 THETA = np.linspace(-60.0, 60.0, 10)
 PHI = np.array([20.0, 25.0, 30.0, 33.0, 40.0, 45.0])
-KERNEL = JointKernel(8.0, (20.0, 30.0), (0.1, 0.2), (0.1, 0.05))
+KERNEL = JointKernel(
+    8.0, (20.0, 30.0), (0.1, 0.2), (0.1, 0.05), cubic=(30.0, 20.0, 10.0, 5.0), cubic_power=1.0
+)
 
 
 def scatter(sigma: float = 0.1, growth: float = 0.5) -> Scatter:
@@ -41,7 +43,14 @@ class _Joint(Kernel):
 
     def __call__(self, X, Y=None, eval_gradient=False):
         Y = X if Y is None else Y
-        over_phi = sum(self.surrogate.phi_covariance(X[:, 0], Y[:, 0]))
+        # With a power of 1 the cubic has the Matern process's covariance over the forces.
+        kernel = self.surrogate.kernel
+        x, y = ((part[:, 0] - 32.5) / 12.5 for part in (X, Y))
+        cubic = sum((t * t) * np.outer(x, y) ** k for k, t in enumerate(kernel.cubic))
+        lag = np.sqrt(5.0) * np.abs(X[:, :1] - Y[:, 0]) / kernel.phi_length_deg
+        local = (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
+        growth = self.surrogate.scatter.growth
+        over_phi = np.outer(growth(X[:, 0]), growth(Y[:, 0])) * (cubic + local)
         return over_phi * self.prior[np.ix_(X[:, 1].astype(int), Y[:, 1].astype(int))]
 
     def diag(self, X):
@@ -87,6 +96,48 @@ def test_gradient_of_the_evidence(curves: np.ndarray) -> None:
         assert Spectrum(data, *_unpack(at)).gradient()[i] == pytest.approx(
             slope, rel=1e-4, abs=1e-3
         )
+
+
+def test_cubic_prior_is_that_of_most_evidence_and_is_recovered_from_draws() -> None:
+    rng = np.random.default_rng(3)
+    growth = np.linspace(1.2, 0.8, len(PHI))
+    powers = growth[:, None] * cubic.powers_of(PHI, (20.0, 45.0))
+    local = np.outer(growth, growth) * matern(PHI, PHI, 8.0)
+    roots = np.geomspace(50.0, 0.1, 200)
+    truth = (40.0, 20.0, 10.0, 5.0)
+    coefficients = np.sqrt(cubic.variances(truth, 0.8, roots)) * rng.normal(size=(4, 200))
+    rest = roots[:, None, None] * local + np.eye(len(PHI))
+    noise = np.linalg.cholesky(rest) @ rng.normal(size=(200, len(PHI), 1))
+    curves = powers @ coefficients + noise[:, :, 0].T
+    amplitudes, power = cubic.fit(powers, local, roots, curves)
+    assert np.abs(np.log(amplitudes) - np.log(truth)).max() < 0.35  # 200 directions: 5 % and more
+    assert power == pytest.approx(0.8, abs=0.08)
+
+    def evidence(a: np.ndarray, p: float) -> float:
+        prior = cubic.variances(tuple(a), p, roots)
+        covariances = (powers * prior.T[:, None, :]) @ powers.T + rest
+        return sum(
+            multivariate_normal(cov=c).logpdf(y) for c, y in zip(covariances, curves.T, strict=True)
+        )
+
+    best = evidence(np.array(amplitudes), power)
+    for k in range(4):
+        for factor in (0.9, 1.1):
+            other = np.array(amplitudes)
+            other[k] *= factor
+            assert evidence(other, power) < best
+    assert max(evidence(np.array(amplitudes), power + d) for d in (-0.03, 0.03)) < best
+
+
+def test_draws_of_the_prior_have_its_covariance(curves: np.ndarray) -> None:
+    surrogate = JointSurrogate.fit(PHI, THETA, curves, scatter(), kernel=KERNEL)
+    angles = np.array([22.0, 31.0, 40.0])
+    draws = surrogate.draw(np.tile(angles, (20000, 1)), np.random.default_rng(4))
+    expected = surrogate.prior_covariance(angles, angles)
+    for j in (0, 7, 19):
+        found = np.cov(draws[:, :, j].T)
+        scale = np.sqrt(np.outer(np.diag(expected[:, :, j]), np.diag(expected[:, :, j])))
+        assert np.abs(found - expected[:, :, j]).max() < 0.05 * scale.max()  # 20000 draws: 1 %
 
 
 def test_left_out_squares_are_those_of_predictions_without_the_curve(curves: np.ndarray) -> None:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from terraphi.library import Library
 
 
+NARROW_DEG = 0.1
+"""Width of the 68 % interval below which angles are shown with another digit [deg]."""
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?( ?[%°]| N)?")
 
 
@@ -37,12 +39,14 @@ def print_inversion(inversion: Inversion) -> None:
     angles = [(f"φ, {inversion.convention} [deg]", inversion.phi)]
     if inversion.phi_plane_strain and inversion.convention != "plane_strain":
         angles.append(("φ, equivalent in plane strain [deg]", inversion.phi_plane_strain))
+    narrow = inversion.phi.ci68[1] - inversion.phi.ci68[0] < NARROW_DEG
+    number = "{:.3f}".format if narrow else "{:.2f}".format
     rows = [
         (
             name,
-            f"{angle.median:.2f}",
-            "{:.2f} to {:.2f}".format(*angle.ci68),
-            "{:.2f} to {:.2f}".format(*angle.ci95),
+            number(angle.median),
+            " to ".join(map(number, angle.ci68)),
+            " to ".join(map(number, angle.ci95)),
         )
         for name, angle in angles
     ]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,8 +10,9 @@ from scipy.stats import multivariate_normal
 
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
-from terraphi.inference.calibrated import CalibratedLikelihood, Problem, gaussian_parts
+from terraphi.inference.calibrated import CalibratedLikelihood
 from terraphi.inference.covariance import covariance_terms
+from terraphi.inference.hypotheses import Problem, gaussian_parts
 from terraphi.inference.inversion import invert
 from terraphi.inference.library import PreparedLeg, prepare
 from terraphi.inference.noise import Noise, window_covariance
@@ -55,7 +54,7 @@ def test_terms_add_up_to_the_covariance_of_brute_force_draws(leg: PreparedLeg) -
         [surrogate.scatter.draw(surrogate.phi_deg, rng) for _ in range(4000)]
     )
     node = np.array([phi])
-    mean = surrogate.standard_mean(node, surrogate.project(libraries))[:, 0]
+    mean = surrogate.standard_mean(node, surrogate.standard(libraries))[:, 0]
     curves = surrogate.scatter.sigma(node) * (mean @ surrogate.basis.T)
     problem = Problem(leg, truth[5], np.eye(80), 0.0, discrepancy=False)
     terms = covariance_terms(problem, phi, noise_variance=0.0, discrepancy=np.zeros((80, 80)))
@@ -68,10 +67,9 @@ def test_terms_add_up_to_the_covariance_of_brute_force_draws(leg: PreparedLeg) -
 
 
 def test_likelihood_is_the_mixture_of_normal_densities(leg: PreparedLeg) -> None:
-    # At two nodes, against SciPy, with noise given and no correction.
-    bare = replace(leg, drift=0.0 * leg.drift)
+    # At two nodes, against SciPy, with noise given.
     data, noise = leg.mean[30] + 0.3 * np.sin(np.arange(80.0)), 0.3
-    likelihood = CalibratedLikelihood(Problem(bare, data, np.eye(80), noise, discrepancy=False))
+    likelihood = CalibratedLikelihood(Problem(leg, data, np.eye(80), noise, discrepancy=False))
     sizes, log_p = leg.surrogate.scatter.sizes
     expected = []
     for k in (30, 31):

@@ -26,7 +26,7 @@ def information(angles: int) -> np.ndarray:
 
 
 def test_each_angle_adds_what_the_dense_matrices_say() -> None:
-    share = information_share(PaperLikelihood(DATA, THETA), SLOPE)
+    share = information_share(PaperLikelihood(DATA, THETA).covariance, SLOPE)
     so_far = np.stack([information(k) for k in range(1, 13)], axis=1)
     np.testing.assert_allclose(
         share.cumsum(axis=1), so_far / so_far[:, -1].sum(), rtol=1e-9, atol=1e-12
@@ -36,13 +36,25 @@ def test_each_angle_adds_what_the_dense_matrices_say() -> None:
 
 def test_independent_angles_share_by_the_square_of_the_slope() -> None:
     likelihood = PaperLikelihood(DATA, THETA, correlation_length_deg=0.1)
-    share = information_share(likelihood, SLOPE)
+    share = information_share(likelihood.covariance, SLOPE)
     spans = np.array([[np.ptp(DATA[:12])], [np.ptp(DATA[12:])]])
     square = (SLOPE.reshape(2, 12) / spans) ** 2
     np.testing.assert_allclose(share, square / square.sum(), rtol=1e-12)
 
 
+def test_forces_that_err_together_are_told_angle_by_angle() -> None:
+    # Against the information of the first k angles, by the dense covariance of both forces.
+    half = np.random.default_rng(1).normal(size=(24, 24))
+    covariance = half @ half.T + np.eye(24)
+    share = information_share(covariance, SLOPE).sum(axis=0)
+    for k in range(1, 13):
+        first = np.r_[:k, 12 : 12 + k]
+        known = SLOPE[first] @ np.linalg.solve(covariance[np.ix_(first, first)], SLOPE[first])
+        whole = SLOPE @ np.linalg.solve(covariance, SLOPE)
+        assert share[:k].sum() == pytest.approx(known / whole, rel=1e-9)
+
+
 @pytest.mark.parametrize("slope", [np.zeros(24), np.ones(12)])
 def test_a_slope_that_says_nothing_is_refused(slope: np.ndarray) -> None:
     with pytest.raises(ValueError, match="slope"):
-        information_share(PaperLikelihood(DATA, THETA), slope)
+        information_share(PaperLikelihood(DATA, THETA).covariance, slope)

@@ -108,7 +108,8 @@ def test_answer_has_the_keys_that_programs_rely_on(found: Inversion) -> None:
     relied_on = {"phi_deg", "phi_plane_strain_deg", "verdict", "reason", "edge", "nrmsd"}
     relied_on |= {"density_kg_m3", "n_angles", "library", "sampler", "convergence"}
     besides = {"phi_plane_strain_reason", "density_assumed", "source", "leg", "likelihood", "seed"}
-    assert set(answer) == relied_on | besides | {"provenance", "error_budget"}
+    assert set(answer) == relied_on | besides | {"provenance", "error_budget", "warnings"}
+    assert answer["warnings"] == []
     assert answer["provenance"]["library_hash"]
 
 
@@ -189,6 +190,33 @@ def test_a_leg_of_another_size_is_refused(change: dict, name: str, library: Libr
     scenario = Scenario.model_validate({"model": "rft", "dimensions": 3}).replace(**change)
     with pytest.raises(InputError, match=name):
         invert(simulate(scenario), library=library)
+
+
+def test_a_history_of_another_model_is_told_apart(library: Library) -> None:
+    # A newcomer simulated with the paper's yield, inverted with plane strain, and was believed.
+    case = Library.load("quick-paper-truths").cases[2]
+    assert case.history is not None
+    answer = invert(case.history, library=Library.load("quick-plane-strain"))
+    (warning,) = answer.warnings
+    assert "soil.yield_criterion = paper (plane_strain)" in warning
+    assert warning in answer.verdict.reason
+    assert warning in answer.as_dict()["warnings"]
+    by_law = invert(case.history, library=library)
+    assert "model = mpm (rft)" in by_law.warnings[0]
+
+
+def test_what_an_inversion_allows_for_is_no_other_model(library: Library) -> None:
+    own = Library.load("quick-plane-strain")
+    truth = Library.load("quick-plane-strain-truths").cases[4]  # another angle, another seed
+    assert truth.history is not None
+    assert invert(truth.history, library=own).warnings == ()
+    rough = simulate(
+        Scenario.model_validate(
+            {"model": "rft", "dimensions": 3, "leg": {"friction": 0.6}, "soil": {"density": 1500.0}}
+        )
+    )
+    (warning,) = invert(rough, library=library, density=1500.0).warnings
+    assert "leg.friction = 0.6 (0.4); so" in warning
 
 
 def test_a_record_that_ends_with_the_window_loses_nothing(

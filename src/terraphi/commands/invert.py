@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from terraphi.measurements import Measurement
 
 DEFAULT_LIBRARY = "quick-plane-strain"
-DEFAULT_LIKELIHOOD = "paper"
+DEFAULT_LIKELIHOOD = "calibrated"
 DEFAULT_SAMPLER = "quadrature"
 
 

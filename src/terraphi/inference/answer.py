@@ -74,6 +74,8 @@ class Inversion:
         Misfit of the best curve by force, fractions of peak-to-peak.
     verdict
         Whether to believe it.
+    warnings
+        Sentences on why the answer may not be what was asked for; the verdict's reason has them.
     likelihood
         Name of the likelihood.
     budget
@@ -98,6 +100,7 @@ class Inversion:
     nrmsd: Mapping[str, float]
     verdict: Verdict
     likelihood: str
+    warnings: tuple[str, ...] = ()
     budget: Budget | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -111,6 +114,7 @@ class Inversion:
             "verdict": self.verdict.verdict,
             "reason": self.verdict.reason,
             "edge": self.verdict.edge,
+            "warnings": list(self.warnings),
             "nrmsd": dict(self.nrmsd),
             "density_kg_m3": self.density,
             "density_assumed": self.density_assumed,
@@ -130,8 +134,9 @@ class Inversion:
         """Write the posterior in the layout of ArviZ, which can open it.
 
         Groups ``posterior`` (``phi_deg`` over chain and draw), ``observed_data`` (the window
-        means) and ``posterior_predictive_mean`` (the best curve); the answer stands in the
-        attributes. A posterior by quadrature is written as quantiles of equal probability in a
+        means), ``posterior_predictive_mean`` (the best curve) and, if there is a budget,
+        ``information_share`` (what each angle told of φ); the answer stands in the attributes. A
+        posterior by quadrature is written as quantiles of equal probability in a
         random order, which are as good as independent draws.
 
         Parameters
@@ -149,6 +154,12 @@ class Inversion:
         angle = ("theta_deg", self.observation.theta_deg, {"units": "degree"})
         draws = self._chains()
         half = len(self.observation.theta_deg)
+        pairs = {
+            "observed_data": (self.observation.Fx, self.observation.Fz, "N"),
+            "posterior_predictive_mean": (self.best[:half], self.best[half:], "N"),
+        }
+        if self.budget is not None:
+            pairs["information_share"] = (*self.budget.information, "1")
         tree = xr.DataTree.from_dict(
             {
                 "/": xr.Dataset(
@@ -163,20 +174,16 @@ class Inversion:
                     coords={"chain": np.arange(draws.shape[0]), "draw": np.arange(draws.shape[1])},
                     attrs={"yield": self.convention, "sampler": self.posterior.sampler},
                 ),
-                "/observed_data": xr.Dataset(
-                    {
-                        "Fx": ("theta_deg", self.observation.Fx, {"units": "N"}),
-                        "Fz": ("theta_deg", self.observation.Fz, {"units": "N"}),
-                    },
-                    coords={"theta_deg": angle},
-                ),
-                "/posterior_predictive_mean": xr.Dataset(
-                    {
-                        "Fx": ("theta_deg", self.best[:half], {"units": "N"}),
-                        "Fz": ("theta_deg", self.best[half:], {"units": "N"}),
-                    },
-                    coords={"theta_deg": angle},
-                ),
+                **{
+                    f"/{name}": xr.Dataset(
+                        {
+                            "Fx": ("theta_deg", fx, {"units": units}),
+                            "Fz": ("theta_deg", fz, {"units": units}),
+                        },
+                        coords={"theta_deg": angle},
+                    )
+                    for name, (fx, fz, units) in pairs.items()
+                },
             }
         )
         write_netcdf(tree, Path(path))

@@ -20,6 +20,8 @@ from terraphi.scenario import Scenario
 FloatArray = NDArray[np.float64]
 
 REPLICATES = 5000
+OTHER_SEEDS = 4
+"""Seeds after the certificate's own with which the ranks are looked at again."""
 EVERYWHERE = (-math.inf, math.inf)
 
 
@@ -48,7 +50,8 @@ def certified(
     Returns
     -------
     Library
-        The same with its calibration.
+        The same with its calibration. Its certificate is that of the seed; beside it stands how
+        uniform the ranks are with other seeds.
 
     Raises
     ------
@@ -57,13 +60,18 @@ def certified(
     """
     legs: dict[str, Any] = {}
     certificates: dict[str, Any] = {}
+    again: dict[str, list[float]] = {}
     groups = replicate_groups(library, replicates) if replicates else {}
     for leg in library.legs:
         curves = library.curves(leg, within=EVERYWHERE)
         surrogate = learn(curves, groups.get(leg, []))
         legs[leg] = {"scatter": surrogate.scatter.as_dict(), "kernel": surrogate.kernel.as_dict()}
-        found = calibrate(PreparedLeg.of(surrogate, curves), replicates=worlds, seed=seed)
-        certificates[leg] = found.as_dict()
+        prepared = PreparedLeg.of(surrogate, curves)
+        certificates[leg] = calibrate(prepared, replicates=worlds, seed=seed).as_dict()
+        again[leg] = [
+            calibrate(prepared, replicates=worlds, seed=seed + i).chi2_probability
+            for i in range(1, 1 + OTHER_SEEDS)
+        ]
         if progress is not None:
             progress(len(legs), len(library.legs))
     calibration = {
@@ -71,7 +79,11 @@ def certified(
         "replicates": replicates.name if replicates else None,
         "replicates_hash": replicates.hash if replicates else None,
         "legs": legs,
-        "certificate": {"seed": seed, "legs": certificates},
+        "certificate": {
+            "seed": seed,
+            "legs": certificates,
+            "rank_chi2_p_of_other_seeds": again,
+        },
     }
     return replace(library, calibration=calibration)
 

@@ -9,8 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference.calibrated import CalibratedLikelihood, Problem
-from terraphi.inference.fit import STEP_DEG, Fit
+from terraphi.inference import registration
+from terraphi.inference.calibrated import CalibratedLikelihood
+from terraphi.inference.fit import Fit
+from terraphi.inference.hypotheses import Problem
+from terraphi.inference.information import information_share
 
 FloatArray = NDArray[np.float64]
 
@@ -19,6 +22,7 @@ TERMS = {
     "library_scatter": "particle scatter of the library",
     "particle_scatter": "particle scatter of the observed bed",
     "noise": "sensor noise",
+    "registration": "error of the leg angle",
     "discrepancy": "model discrepancy",
 }
 """Names of the terms, and what they are for people."""
@@ -50,11 +54,14 @@ def covariance_terms(
     phi = np.array([phi_deg])
     left = surrogate.scatter.sigma(phi)[0][:, None] * surrogate.basis
     interpolation, library = (part[0] for part in surrogate.standard_terms(phi))
+    along = registration.about(surrogate.predict(phi)[0], surrogate.theta_deg, 0.0)[1]
+    off = float(problem.discrepancy) * registration.REGISTRATION_DEG**2
     return {
         "interpolation": (left * interpolation) @ left.T,
         "library_scatter": (left * library) @ left.T,
         "particle_scatter": left @ left.T,
         "noise": noise_variance * problem.noise_shape,
+        "registration": off * np.outer(along, along),
         "discrepancy": discrepancy,
     }
 
@@ -68,6 +75,9 @@ class Budget:
     shares
         Share of each term in the variance of the friction angle that fits best, if forces were
         linear in it [-]; they add up to 1.
+    information
+        What each angle adds to the information on φ of those before it [-], of Fx and Fz, shape
+        [2, theta].
     sigma_N
         Standard deviation of each term at each window [N], shape [2 theta].
     noise_N
@@ -81,6 +91,7 @@ class Budget:
     """
 
     shares: Mapping[str, float]
+    information: FloatArray
     sigma_N: Mapping[str, FloatArray]
     noise_N: float
     discrepancy_of_peak: float
@@ -119,26 +130,21 @@ def budget_of(
     problem, used = likelihood.problem, likelihood.used
     weights = likelihood.weights(phi_deg)
     noise_variance = float(weights @ np.square(used.noise))
-    amplitude2 = weights * np.square(used.amplitude)
-    discrepancy = np.zeros_like(problem.noise_shape)
-    for length in set(used.length_deg[amplitude2 > 0.0].tolist()):
-        total = float(amplitude2[used.length_deg == length].sum())
-        discrepancy += total * problem.discrepancy_shape(length)
+    discrepancy = likelihood.discrepancy(weights)
     terms = covariance_terms(
         problem, phi_deg, noise_variance=noise_variance, discrepancy=discrepancy
     )
-    surrogate = problem.leg.surrogate
-    low, high = surrogate.phi_bounds_deg
-    ends = np.array([max(phi_deg - STEP_DEG, low), min(phi_deg + STEP_DEG, high)])
-    slope = np.diff(surrogate.predict(ends), axis=0)[0]
-    direction = np.linalg.solve(sum(terms.values(), np.zeros_like(discrepancy)), slope)
+    slope = problem.leg.slope(phi_deg)
+    total = sum(terms.values(), np.zeros_like(discrepancy))
+    direction = np.linalg.solve(total, slope)
     parts = {name: float(direction @ term @ direction) for name, term in terms.items()}
     whole = sum(parts.values())
     return Budget(
         shares={name: part / whole for name, part in parts.items()},
+        information=information_share(total, slope),
         sigma_N={name: scale * np.sqrt(np.diag(term)) for name, term in terms.items()},
         noise_N=scale * float(np.sqrt(noise_variance)),
-        discrepancy_of_peak=float(np.sqrt(amplitude2.sum())),
+        discrepancy_of_peak=float(np.sqrt(weights @ np.square(used.amplitude))),
         fit=fit,
         noise="inferred" if problem.noise_sigma is None else "given",
         discrepancy="gp" if problem.discrepancy else "none",

@@ -1,10 +1,13 @@
 """Is an interval right as often as it says? Simulation-based calibration of one leg of a library.
 
-A replicate is a world: a true angle from the prior; true forces f(phi), the cubic that the joint
-surrogate fitted and new deviations from it; a library simulated anew, its own particle scatter
-included; and an observed simulation. The surrogate is conditioned on that library and the angle
-inferred. If the posterior is right, its mass below the true angle is uniform (Talts et al.,
-arXiv:1804.06788). Hyperparameters are those of the shipped library.
+A replicate is a world: a true angle, true forces f(phi), a library simulated anew, its own particle
+scatter included, and an observed simulation, all drawn from the very prior that the inference
+holds. The surrogate is conditioned on that library and the angle inferred. If the posterior is
+right, its mass below the true angle is uniform (Talts et al., arXiv:1804.06788). Hyperparameters
+are those of the shipped library.
+
+Other worlds ask what the prior's part in that is: those that keep the cubic which was fitted to the
+library, and those whose libraries scatter with the tail that observed simulations have.
 
 In the joint surrogate's basis all directions are independent, so worlds are drawn by the thousand.
 Worlds that the one library may be of are draws of the process given its curves, by Matheron's rule
@@ -19,14 +22,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference.calibrated import log_sum
-from terraphi.inference.library import PreparedLeg, single_threaded
+from terraphi.inference.hypotheses import log_sum
+from terraphi.inference.library import PreparedLeg, learn, single_threaded
 from terraphi.joint_surrogate import JointSurrogate
 
 FloatArray = NDArray[np.float64]
 
 CHUNK = 200
 """Replicates at once."""
+STRIDE = 2
+"""Of the leg's nodes; over thousands of worlds the rest makes no difference."""
 COARSE_NODES = 201
 FINE_NODES = 401
 """Nodes over phi at which posteriors are looked for, and then integrated."""
@@ -34,8 +39,14 @@ NOTHING = 1e-9
 """Density over the largest that is not looked at more closely [-]."""
 BINS = 20
 """Bins of the rank histogram."""
-JITTER = 1e-9
-"""Added to the variance of equal angles, so that they have a factor."""
+REPLICATES = 3
+"""Replicates of three cases from which a scatter is learnt anew."""
+WORLDS = {
+    "prior": "drawn from the prior of the inference",
+    "fitted": "that keep the cubic fitted to the library",
+    "tails": "whose libraries scatter with the tail of observed simulations",
+}
+"""Kinds of worlds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +90,7 @@ class Coverage:
         """Plain numbers."""
         return {
             "replicates": int(self.rank.size),
+            "mean_rank": float(self.rank.mean()),
             "coverage68": self.within(0.68),
             "coverage95": self.within(0.95),
             "rank_chi2_p": self.chi2_probability,
@@ -87,7 +99,7 @@ class Coverage:
         }
 
 
-def calibrate(leg: PreparedLeg, *, replicates: int, seed: int) -> Coverage:
+def calibrate(leg: PreparedLeg, *, replicates: int, seed: int, worlds: str = "prior") -> Coverage:
     """Coverage over worlds that each have a truth, a library and an observation of their own.
 
     Parameters
@@ -98,15 +110,24 @@ def calibrate(leg: PreparedLeg, *, replicates: int, seed: int) -> Coverage:
         Number of worlds.
     seed
         Of all draws.
+    worlds
+        Their kind, one of :data:`WORLDS`.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind.
     """
+    if worlds not in WORLDS:
+        raise ValueError(f"worlds is '{worlds}'; expected one of {', '.join(WORLDS)}")
     rng = np.random.default_rng(seed)
     surrogate, found = leg.surrogate, []
     with single_threaded():
         for start in range(0, replicates, CHUNK):
             truth = rng.uniform(*surrogate.phi_bounds_deg, size=min(CHUNK, replicates - start))
-            forces, library = _worlds(surrogate, truth, rng)
+            forces, library = _worlds(surrogate, truth, rng, worlds)
             data = forces + surrogate.scatter.draw(truth, rng)
-            means = surrogate.standard_mean(leg.phi_deg, surrogate.project(library))
+            means = surrogate.standard_mean(leg.phi_deg[::STRIDE], library)
             found.append(_posteriors(leg, truth, data, means))
     return _joined(found)
 
@@ -135,11 +156,11 @@ def through_one_library(
     """
     rng = np.random.default_rng(seed)
     surrogate, within = leg.surrogate, []
-    mean = surrogate.standard_mean(leg.phi_deg)[None]
+    mean = surrogate.standard_mean(leg.phi_deg[::STRIDE])[None]
     with single_threaded():
         for _ in range(worlds):
             truth = np.sort(rng.uniform(*surrogate.phi_bounds_deg, size=truths))
-            forces = _one_world(surrogate, truth, rng)
+            forces = one_world(surrogate, truth, rng)
             data = forces + surrogate.scatter.draw(truth, rng)
             found = _posteriors(leg, truth, data, mean)
             within.append((found.within(0.68), found.within(0.95)))
@@ -147,36 +168,83 @@ def through_one_library(
     return one, two
 
 
+def learnt_anew(leg: PreparedLeg, *, worlds: int, truths: int, seed: int) -> Coverage:
+    """Coverage where scatter and hyperparameters are learnt from each world's own library.
+
+    They are learnt as the shipped ones were: from the curves, and from a few replicates.
+
+    Parameters
+    ----------
+    leg
+        Whose surrogate and scatter make the worlds.
+    worlds, truths
+        Number of worlds, and of true angles in each.
+    seed
+        Of all draws.
+    """
+    rng = np.random.default_rng(seed)
+    surrogate, found = leg.surrogate, []
+    cases, m = len(surrogate.phi_deg), len(surrogate.theta_deg)
+    with single_threaded():
+        for _ in range(worlds):
+            truth = np.sort(rng.uniform(*surrogate.phi_bounds_deg, size=truths))
+            standard = surrogate.draw(np.concatenate([surrogate.phi_deg, truth]), rng)
+            forces = standard @ surrogate.basis.T
+            forces *= surrogate.scatter.sigma(np.concatenate([surrogate.phi_deg, truth]))
+            data = forces[cases:] + surrogate.scatter.draw(truth, rng)
+            library = forces[:cases] + surrogate.scatter.draw(surrogate.phi_deg, rng)
+            groups = []
+            for i in (1, cases // 2, cases - 2):
+                phi = float(surrogate.phi_deg[i])
+                again = forces[i] + surrogate.scatter.draw(np.full(REPLICATES, phi), rng)
+                groups.append((phi, np.vstack([library[i : i + 1], again])))
+            curves = leg.curves._replace(Fx=library[:, :m], Fz=library[:, m:])
+            own = PreparedLeg.of(learn(curves, groups), curves)
+            mean = own.surrogate.standard_mean(own.phi_deg[::STRIDE])[None]
+            found.append(_posteriors(own, truth, data, mean))
+    return _joined(found)
+
+
 def _worlds(
-    surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Generator
+    surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Generator, worlds: str
 ) -> tuple[FloatArray, FloatArray]:
-    """True forces at the truths [r, 2 theta], and a new library for each [r, case, 2 theta]."""
-    cases, size = len(surrogate.phi_deg), surrogate.basis.shape[0]
+    """True forces at the truths [N], [r, 2 theta], and a new library for each.
+
+    The libraries are in the basis and over sigma [-], shape [r, case, 2 theta].
+    """
     angles = np.column_stack([np.tile(surrogate.phi_deg, (len(truth), 1)), truth])
-    cubic = surrogate.phi_covariance(angles, surrogate.phi_deg)[0]
-    local = surrogate.phi_covariance(angles, angles)[1] + JITTER * np.eye(cases + 1)
-    white = rng.standard_normal((len(truth), cases + 1, size))
-    standard = surrogate.regress(cubic, surrogate.standard_curves)
-    standard += np.linalg.cholesky(local) @ white * np.sqrt(surrogate.prior_variance)
-    sigma = surrogate.scatter.sigma(surrogate.phi_deg)
+    cubic = surrogate.standard_cubic(angles) if worlds == "fitted" else None
+    standard = surrogate.draw(angles, rng, about=cubic)
     forces = surrogate.scatter.sigma(truth) * (standard[:, -1] @ surrogate.basis.T)
-    library = sigma * (standard[:, :-1] @ surrogate.basis.T)
-    scatter = surrogate.scatter.draw(np.tile(surrogate.phi_deg, len(truth)), rng)
-    return forces, library + scatter.reshape(library.shape)
+    scatter = rng.standard_normal(standard[:, :-1].shape)
+    if worlds == "tails":
+        scatter *= np.sqrt(surrogate.scatter.draw_sizes(scatter.shape[:2], rng))[..., None]
+    return forces, standard[:, :-1] + scatter
 
 
-def _one_world(
-    surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Generator
-) -> FloatArray:
-    """Forces at all truths in one world that the library may be of [N], shape [r, 2 theta]."""
-    cases, size = len(surrogate.phi_deg), surrogate.basis.shape[0]
-    angles = np.concatenate([surrogate.phi_deg, truth])
-    covariance = sum(surrogate.phi_covariance(angles, angles), JITTER * np.eye(len(angles)))
-    white = rng.standard_normal((len(angles), size))
-    prior = np.linalg.cholesky(covariance) @ white * np.sqrt(surrogate.prior_variance)
-    missing = surrogate.standard_curves - prior[:cases] - rng.standard_normal((cases, size))
-    standard = prior + surrogate.regress(covariance[:, :cases], missing)
-    forces: FloatArray = surrogate.scatter.sigma(truth) * (standard[cases:] @ surrogate.basis.T)
+def one_world(surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """True forces in one world that a library may be of, given its curves.
+
+    Parameters
+    ----------
+    surrogate
+        Of the library.
+    truth
+        Friction angles [deg], shape [r].
+    rng
+        Of the draw.
+
+    Returns
+    -------
+    FloatArray
+        Without scatter of their own [N], shape [r, 2 theta].
+    """
+    cases = len(surrogate.phi_deg)
+    prior = surrogate.draw(np.concatenate([surrogate.phi_deg, truth]), rng)
+    scatter = rng.standard_normal(prior[:cases].shape)
+    missing = surrogate.standard_curves - prior[:cases] - scatter
+    standard = prior[cases:] + surrogate.standard_mean(truth, missing)
+    forces: FloatArray = surrogate.scatter.sigma(truth) * (standard @ surrogate.basis.T)
     return forces
 
 
@@ -196,27 +264,21 @@ def _posteriors(
     """
     from scipy.interpolate import CubicSpline
 
-    surrogate = leg.surrogate
-    variance = surrogate.standard_variance(leg.phi_deg)
-    sigma = surrogate.scatter.sigma(leg.phi_deg)
+    surrogate, nodes_deg = leg.surrogate, leg.phi_deg[::STRIDE]
+    variance = surrogate.standard_variance(nodes_deg)
+    sigma = surrogate.scatter.sigma(nodes_deg)
     standard = (data[:, None, :] / sigma) @ surrogate.whitener.T
     squares, parts = np.square(standard - means), []
     for size, log_prior in zip(*surrogate.scatter.sizes, strict=True):
         total = variance + size
         volume = np.log(total).sum(axis=1) + 2.0 * np.log(sigma).sum(axis=1)
-        inverse = np.linalg.inv(leg.covariance + size * leg.scatter)
-        drift = leg.correction(np.einsum("kij,kji->k", inverse, leg.drift), 0)
-        parts.append((0.5 * (np.sum(squares / total, axis=2) + volume) - log_prior, drift))
-    anchor = np.min([part[0] for part in parts], axis=0).argmin(axis=1)
-    splines = [
-        CubicSpline(leg.phi_deg, (exponent - drift + drift[anchor, None]).T).c
-        for exponent, drift in parts
-    ]
+        parts.append(0.5 * (np.sum(squares / total, axis=2) + volume) - log_prior)
+    splines = [CubicSpline(nodes_deg, exponent.T).c for exponent in parts]
     fine = density = np.empty(0)
-    ends = np.tile(leg.phi_deg[[0, -1]], (len(truth), 1))
+    ends = np.tile(nodes_deg[[0, -1]], (len(truth), 1))
     for nodes in (COARSE_NODES, FINE_NODES):
         fine = np.linspace(ends[:, 0], ends[:, 1], nodes, axis=1)
-        log_p = log_sum(np.array([-_evaluate(spline, leg.phi_deg, fine) for spline in splines]))
+        log_p = log_sum(np.array([-_evaluate(spline, nodes_deg, fine) for spline in splines]))
         density = np.exp(log_p - log_p.max(axis=1, keepdims=True))
         # The second round looks closely at where the first found anything.
         some = density > NOTHING

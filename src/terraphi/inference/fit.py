@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference.calibrated import (
+from terraphi.inference.hypotheses import (
     AMPLITUDES,
     LENGTHS_DEG,
     Hypotheses,
@@ -34,7 +34,6 @@ FREEDOM = 0.3
 """Standard deviation of phi about the best fit for the odds, of the library's span [-]."""
 SIZES = [1, 3, 5]
 """Sizes of the scatter beside which a discrepancy is looked for, of seven."""
-STEP_DEG = 0.05
 
 
 @dataclass(frozen=True)
@@ -110,7 +109,7 @@ def _best(problem: Problem, without: Hypotheses) -> tuple[float, int, float, flo
     from scipy.interpolate import CubicSpline
     from scipy.special import chdtrc
 
-    nodes, surrogate = problem.leg.phi_deg, problem.leg.surrogate
+    nodes, surrogate = problem.leg.phi_deg[without.nodes], problem.leg.surrogate
     best = int(np.argmax(without.log_density.max(axis=1)))
     fine = np.linspace(nodes[0], nodes[-1], 20 * (len(nodes) - 1) + 1)
     exponent = CubicSpline(nodes, without.chi2[best] + without.volume[best])(fine)
@@ -135,13 +134,11 @@ def _odds(
     """
     surrogate = problem.leg.surrogate
     low, high = surrogate.phi_bounds_deg
-    around = np.array([max(phi - STEP_DEG, low), min(phi + STEP_DEG, high), phi])
-    below, above, mean = surrogate.predict(around)
-    slope = (above - below) / (around[1] - around[0])
+    slope = problem.leg.slope(phi)
     free = FREEDOM * (high - low)
     base = surrogate.covariance(phi) + free**2 * np.outer(slope, slope)
     scatter = surrogate.scatter.covariance(phi)
-    residual = problem.data - mean
+    residual = problem.data - surrogate.predict([phi])[0]
 
     def log_p(extra: FloatArray) -> FloatArray:
         parts = gaussian_parts(base + extra, np.broadcast_to(residual, (len(extra), len(residual))))

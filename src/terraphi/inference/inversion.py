@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib.metadata
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -14,14 +15,15 @@ from numpy.typing import NDArray
 from terraphi.errors import InputError, nearest
 from terraphi.history import ForceHistory, Observation
 from terraphi.inference.answer import AngleSummary, Inversion, plane_strain_summary
-from terraphi.inference.calibrated import CalibratedLikelihood, Problem
-from terraphi.inference.checks import check_magnitudes, check_same_setup
+from terraphi.inference.calibrated import CalibratedLikelihood
+from terraphi.inference.checks import check_magnitudes, check_same_setup, unlike
 from terraphi.inference.covariance import Budget, budget_of
 from terraphi.inference.fit import Fit, fit_without_discrepancy
+from terraphi.inference.hypotheses import Problem
 from terraphi.inference.judgement import judge_calibrated
-from terraphi.inference.library import prepare
+from terraphi.inference.library import prepare, single_threaded
 from terraphi.inference.noise import Noise, shape_of, window_covariance
-from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature
+from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature, tabulated
 from terraphi.inference.residual import PaperLikelihood
 from terraphi.inference.verdict import Verdict, judge, nrmsd
 from terraphi.library import Library
@@ -71,7 +73,7 @@ def invert(
     leg: str = "straight",
     density: float | None = None,
     density_assumed: bool = False,
-    likelihood: str = "paper",
+    likelihood: str = "calibrated",
     noise: float | str | Path | None = None,
     discrepancy: str | None = None,
     sampler: str = "quadrature",
@@ -102,7 +104,8 @@ def invert(
         ``sigma_Fz_N``; ``None`` or ``inferred`` infers it. Of the calibrated likelihood only.
     discrepancy
         ``gp``: the model may be wrong by a Gaussian process over θ; ``none``: it is right.
-        ``None`` takes ``none`` for a simulated history and ``gp`` for any other. Likewise.
+        ``None`` takes ``none`` for a history simulated as the library was and ``gp`` for any
+        other. Likewise.
     sampler
         ``quadrature`` (exact, one parameter) or ``emcee`` (the paper's settings).
     seed
@@ -119,28 +122,19 @@ def invert(
     InputError
         If the history, the leg, the density or an option cannot be used.
     """
-    if likelihood not in LIKELIHOODS:
-        raise InputError(f"unknown likelihood '{likelihood}'; {nearest(likelihood, LIKELIHOODS)}")
-    if sampler not in SAMPLERS:
-        raise InputError(f"unknown sampler '{sampler}'; {nearest(sampler, SAMPLERS)}")
-    if discrepancy is not None and discrepancy not in DISCREPANCIES:
-        raise InputError(
-            f"unknown discrepancy '{discrepancy}'; {nearest(discrepancy, DISCREPANCIES)}"
-        )
-    if likelihood == "paper" and (noise is not None or discrepancy is not None):
-        raise InputError(
-            "the paper's likelihood has neither noise nor discrepancy; take 'calibrated', or drop "
-            "them"
-        )
+    _check_options(likelihood, sampler, noise, discrepancy)
     began = time.perf_counter()
-    observation = history.observation()
-    how = {"sampler": sampler, "seed": seed}
+    observation, how = history.observation(), {"sampler": sampler, "seed": seed}
     if likelihood == "paper":
         found = _by_paper(history, observation, library, leg, density, how)
     else:
-        errors = (Noise.parse(noise), discrepancy or _default_discrepancy(history))
-        found = _calibrated(history, observation, library, leg, density, errors, how)
+        errors = (Noise.parse(noise), discrepancy)
+        with single_threaded():
+            found = _calibrated(history, observation, library, leg, density, errors, how)
     equivalent, why_not = plane_strain_summary(found.phi, found.scenario)
+    warning, verdict = unlike(history, found.scenario, leg), found.verdict
+    if warning:
+        verdict = replace(verdict, reason=f"{verdict.reason} {warning}")
     return Inversion(
         source=source or str(history.provenance.get("file", "")),
         observation=observation,
@@ -156,7 +150,8 @@ def invert(
         best=found.best,
         band=found.band,
         nrmsd=found.nrmsd,
-        verdict=found.verdict,
+        verdict=verdict,
+        warnings=(warning,) if warning else (),
         likelihood=likelihood,
         budget=found.budget,
         provenance={
@@ -167,9 +162,29 @@ def invert(
     )
 
 
-def _default_discrepancy(history: ForceHistory) -> str:
-    """None for what a model of ours made, for then it is true."""
-    return "none" if "scenario" in history.provenance else "gp"
+def _check_options(
+    likelihood: str, sampler: str, noise: float | str | Path | None, discrepancy: str | None
+) -> None:
+    """Refuse options that do not exist, or not together."""
+    if likelihood not in LIKELIHOODS:
+        raise InputError(f"unknown likelihood '{likelihood}'; {nearest(likelihood, LIKELIHOODS)}")
+    if sampler not in SAMPLERS:
+        raise InputError(f"unknown sampler '{sampler}'; {nearest(sampler, SAMPLERS)}")
+    if discrepancy is not None and discrepancy not in DISCREPANCIES:
+        raise InputError(
+            f"unknown discrepancy '{discrepancy}'; {nearest(discrepancy, DISCREPANCIES)}"
+        )
+    if likelihood == "paper" and (noise is not None or discrepancy is not None):
+        raise InputError(
+            "the paper's likelihood has neither noise nor discrepancy; take 'calibrated', or drop "
+            "them"
+        )
+
+
+def _default_discrepancy(history: ForceHistory, scenario: Scenario, leg: str) -> str:
+    """None for what the library's own model made, for then it is true."""
+    ours = "scenario" in history.provenance and not unlike(history, scenario, leg)
+    return "none" if ours else "gp"
 
 
 def _by_paper(
@@ -212,7 +227,7 @@ def _calibrated(
     library: Library,
     leg: str,
     density: float | None,
-    errors: tuple[Noise, str],
+    errors: tuple[Noise, str | None],
     how: dict[str, Any],
 ) -> _Found:
     """Every part of the residual with its own covariance."""
@@ -222,6 +237,7 @@ def _calibrated(
     check_same_setup(history, scenario)
     scale = 1.0 if density is None else density / scenario.soil.density
     noise, discrepancy = errors
+    discrepancy = discrepancy or _default_discrepancy(history, scenario, leg)
     shape, sigma = shape_of(noise, window_covariance(history.position, observation.theta_deg))
     began = time.perf_counter()
     likelihood = CalibratedLikelihood(
@@ -253,7 +269,8 @@ def _sample(
     nodes: int = 4001,
 ) -> Posterior:
     if sampler == "emcee":
-        return ensemble(log_p, bounds_deg, seed=seed)
+        table = tabulated(log_p, bounds_deg, nodes=nodes)
+        return ensemble(table, bounds_deg, seed=seed)
     return quadrature(log_p, bounds_deg, nodes=nodes)
 
 

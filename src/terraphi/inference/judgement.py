@@ -13,6 +13,8 @@ from terraphi.inference.verdict import Verdict
 EDGE_DENSITY = float(np.exp(-2.0))
 """Density at an edge, over the largest, above which the posterior is cut off: that of a normal
 distribution two standard deviations from its mean [-]."""
+AT_EDGE = 0.9
+"""The same, above which the posterior counts as being at the edge, and a misfit as its sign [-]."""
 EDGE_WIDTH = 1e-3
 """Width over which it is taken, of the library's span [-]."""
 
@@ -22,8 +24,9 @@ def judge_calibrated(
 ) -> Verdict:
     """Judge an inversion: by whether an edge cuts the posterior off, and by the fit.
 
-    Out of range if the density at an edge of the library is not small; else a misfit if the best
-    fit without a discrepancy is not one that scatter and noise explain; else consistent.
+    Out of range if the density at an edge of the library is not small; but a misfit, unless the
+    density is largest there, if the best fit without a discrepancy is not one that scatter and
+    noise explain: a wider library would not help. Else consistent.
 
     Parameters
     ----------
@@ -36,22 +39,20 @@ def judge_calibrated(
     convention
         What the friction angle means.
     """
-    low, high = posterior.bounds_deg
     densities = edge_densities(posterior)
+    cut = max(densities) > EDGE_DENSITY
     clause = _misfit(fit, residual_nrmsd) if fit.misfit else ""
-    if max(densities) > EDGE_DENSITY:
-        at_low = densities[0] >= densities[1]
-        edge = low if at_low else high
+    at_low, edge = _edge(posterior, densities, convention)
+    if cut and not (clause and max(densities) < AT_EDGE):
         reason = (
-            f"The posterior is cut off by the {'lower' if at_low else 'upper'} edge of the "
-            f"library at {edge:g}° ({convention}), where its density is "
-            f"{max(densities):.0%} of its largest (limit {EDGE_DENSITY:.0%}), so the friction "
+            f"The posterior is cut off by the {edge} (limit {EDGE_DENSITY:.0%}), so the friction "
             f"angle may lie {'below' if at_low else 'above'} it"
         )
         reason += f"; moreover, {clause}." if clause else "."
         return Verdict("out_of_range", "low" if at_low else "high", reason)
     if clause:
-        return Verdict("misfit", None, f"No friction angle fits: {clause}.")
+        reach = f"; the posterior reaches the {edge}" if cut else ""
+        return Verdict("misfit", None, f"No friction angle fits: {clause}{reach}.")
     return Verdict(
         "consistent",
         None,
@@ -59,6 +60,18 @@ def judge_calibrated(
         f"{fit.freedom} degrees of freedom (probability {fit.probability:.2f}, limit "
         f"{SMALLEST_PROBABILITY:g}), and the odds of a model discrepancy are "
         f"{_odds(fit.log10_odds)} (limit {LARGEST_ODDS:.0f}:1).",
+    )
+
+
+def _edge(
+    posterior: Posterior, densities: tuple[float, float], convention: str
+) -> tuple[bool, str]:
+    """Whether the edge of more density is the lower one, and the edge in words."""
+    at_low = densities[0] >= densities[1]
+    edge = posterior.bounds_deg[0 if at_low else 1]
+    return at_low, (
+        f"{'lower' if at_low else 'upper'} edge of the library at {edge:g}° ({convention}), where "
+        f"its density is {max(densities):.0%} of its largest"
     )
 
 

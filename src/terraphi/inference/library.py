@@ -7,6 +7,7 @@ the library's own force unit; an inversion divides by the ratio of densities ins
 
 from __future__ import annotations
 
+import functools
 import weakref
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -24,19 +25,17 @@ from terraphi.scatter import Scatter, estimate
 
 FloatArray = NDArray[np.float64]
 
-NODES = (71, 281)
-"""Nodes over phi, between which chi-square and log-determinant are splines; the larger number where
-the forces fix phi to a small fraction of the distance of the fewer nodes."""
-FRACTION = 0.04
-DRIFT_STEP_DEG = 0.05
+NODES = 281
+"""Nodes over phi, between which chi-square and log-determinant are splines: intervals are right to
+a few thousandths of their width; half the nodes leave some hundredths at worst."""
+STEP_DEG = 0.05
+"""Half the step of derivatives with respect to the friction angle [deg]."""
 REMEMBERED = 8
 """Prepared legs that are kept, and decompositions of each."""
 
-_THREADS = ThreadpoolController()
-
 
 class Spectrum(NamedTuple):
-    """Covariance and noise at the nodes in a common basis, where both are diagonal.
+    """Covariance and noise at some nodes in a common basis, where both are diagonal.
 
     With C the covariance at one size of the scatter and W the shape of the noise, ``rotation`` Q
     makes Q C Q^T diagonal and Q W Q^T the identity: C + s^2 W has ``roots`` + s^2 there.
@@ -46,10 +45,8 @@ class Spectrum(NamedTuple):
     """Q, shape [node, 2 theta, 2 theta]."""
     roots: FloatArray
     """Shape [node, 2 theta]."""
-    log_determinant: float
-    """Of W."""
-    drift: FloatArray
-    """Diagonal of Q B Q^T, B the drift [1/deg], same shape."""
+    mean: FloatArray
+    """Q times the forces at the nodes, same shape."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +65,6 @@ class PreparedLeg:
         Forces there [N], shape [node, 2 theta].
     covariance, scatter
         Of the surrogate, and of the particle scatter [N^2], shape [node, 2 theta, 2 theta].
-    drift
-        B = cov(g', g - f), of the slope of the curves with their error [N^2/deg], same shape.
     """
 
     surrogate: JointSurrogate
@@ -78,40 +73,26 @@ class PreparedLeg:
     mean: FloatArray = field(repr=False)
     covariance: FloatArray = field(repr=False)
     scatter: FloatArray = field(repr=False)
-    drift: FloatArray = field(repr=False)
-    _spectra: OrderedDict[bytes, list[Spectrum]] = field(default_factory=OrderedDict, repr=False)
+    _spectra: OrderedDict[bytes, Spectra] = field(default_factory=OrderedDict, repr=False)
 
     @classmethod
     def of(cls, surrogate: JointSurrogate, curves: Curves) -> PreparedLeg:
         """Evaluate a surrogate at the nodes."""
-        phi = np.linspace(*surrogate.phi_bounds_deg, NODES[0])
-        if _sharpest_deg(surrogate, phi) < FRACTION * (phi[1] - phi[0]):
-            phi = np.linspace(*surrogate.phi_bounds_deg, NODES[1])
+        phi = np.linspace(*surrogate.phi_bounds_deg, NODES)
         variance = surrogate.standard_variance(phi)
         left = surrogate.scatter.sigma(phi)[:, :, None] * surrogate.basis
         right = left.transpose(0, 2, 1)
         covariance = (left * variance[:, None, :]) @ right
-        mean, drift = surrogate.predict(phi), _drift(surrogate, phi)
-        return cls(surrogate, curves, phi, mean, covariance, left @ right, drift)
+        return cls(surrogate, curves, phi, surrogate.predict(phi), covariance, left @ right)
 
-    def correction(self, density: FloatArray, anchor: int) -> FloatArray:
-        """Integral over phi of tr(C^-1 B) from its density at the nodes, shape [..., node].
+    def slope(self, phi_deg: float) -> FloatArray:
+        """Derivative of the forces with respect to the friction angle [N/deg], shape [2 theta]."""
+        around = np.clip(phi_deg + np.array([-STEP_DEG, STEP_DEG]), *self.surrogate.phi_bounds_deg)
+        below, above = self.surrogate.predict(around)
+        slope: FloatArray = (above - below) / (around[1] - around[0])
+        return slope
 
-        Parameters
-        ----------
-        density
-            tr(C^-1 B) at the nodes [1/deg], shape [..., node].
-        anchor
-            Node where it is to vanish: the best angle, lest it should weigh one C against another.
-        """
-        steps = 0.5 * np.diff(self.phi_deg) * (density[..., 1:] + density[..., :-1])
-        total = np.concatenate(
-            [np.zeros_like(density[..., :1]), np.cumsum(steps, axis=-1)], axis=-1
-        )
-        result: FloatArray = total - total[..., anchor, None]
-        return result
-
-    def spectra(self, shape: FloatArray) -> list[Spectrum]:
+    def spectra(self, shape: FloatArray) -> Spectra:
         """Covariance and noise in a common basis, for each size of the scatter.
 
         Parameters
@@ -121,47 +102,67 @@ class PreparedLeg:
         """
         key = np.round(shape, 9).tobytes()
         if key not in self._spectra:
-            with single_threaded():
-                factor = np.linalg.cholesky(shape)
-                inverse = np.linalg.inv(factor)
-                log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
-                found = []
-                for size in self.surrogate.scatter.sizes[0]:
-                    total = self.covariance + size * self.scatter
-                    roots, basis = np.linalg.eigh(inverse @ total @ inverse.T)
-                    rotation = basis.transpose(0, 2, 1) @ inverse
-                    drift = np.sum((rotation @ self.drift) * rotation, axis=2)
-                    found.append(Spectrum(rotation, roots, log_determinant, drift))
-            self._spectra[key] = found
+            self._spectra[key] = Spectra(self, shape)
         _forget_oldest(self._spectra)
         return self._spectra[key]
 
 
-def _sharpest_deg(surrogate: JointSurrogate, phi: FloatArray) -> float:
-    """Least standard deviation of phi [deg] that forces without noise leave, anywhere."""
-    slope = np.gradient(surrogate.predict(phi), phi, axis=0) / surrogate.scatter.sigma(phi)
-    squares = np.square(slope @ surrogate.whitener.T) / (surrogate.standard_variance(phi) + 1.0)
-    return float(1.0 / np.sqrt(squares.sum(axis=1).max()))
+class Spectra:
+    """Decompositions of one leg's covariances and a noise, each computed when it is asked for.
 
+    Parameters
+    ----------
+    leg, shape
+        As in :meth:`PreparedLeg.spectra`.
 
-def _drift(surrogate: JointSurrogate, phi: FloatArray) -> FloatArray:
-    """cov(g', g - f) at the nodes [N^2/deg], by central differences of the first argument."""
-    sides = []
-    for shifted in (phi - DRIFT_STEP_DEG, phi + DRIFT_STEP_DEG):
-        first, second = (
-            surrogate.scatter.sigma(angles)[:, :, None] * surrogate.basis
-            for angles in (shifted, phi)
-        )
-        middle = surrogate.standard_drift(shifted, phi)
-        sides.append((first * middle[:, None, :]) @ second.transpose(0, 2, 1))
-    slope: FloatArray = (sides[1] - sides[0]) / (2.0 * DRIFT_STEP_DEG)
-    return slope
+    Attributes
+    ----------
+    log_determinant
+        Of W.
+    """
+
+    def __init__(self, leg: PreparedLeg, shape: FloatArray) -> None:
+        self.leg = leg
+        factor = np.linalg.cholesky(shape)
+        self.log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
+        self._inverse = np.linalg.inv(factor)
+        self._sizes = leg.surrogate.scatter.sizes[0]
+        count = (len(self._sizes), *leg.mean.shape)
+        self._ready = np.zeros(count[:2], dtype=bool)
+        self._rotation = np.empty((*count, count[2]))
+        self._roots, self._mean = np.empty(count), np.empty(count)
+
+    def at(self, size: int, nodes: NDArray[np.intp]) -> Spectrum:
+        """Decompositions at one size of the scatter, by its index, and at evenly spaced nodes."""
+        missing = nodes[~self._ready[size, nodes]]
+        if missing.size:
+            total = self.leg.covariance[missing] + self._sizes[size] * self.leg.scatter[missing]
+            with single_threaded():
+                roots, basis = np.linalg.eigh(self._inverse @ total @ self._inverse.T)
+                rotation = basis.transpose(0, 2, 1) @ self._inverse
+            self._rotation[size, missing], self._roots[size, missing] = rotation, roots
+            mean = (rotation @ self.leg.mean[missing][:, :, None])[:, :, 0]
+            self._mean[size, missing] = mean
+            self._ready[size, missing] = True
+        # A slice, not an index: these are megabytes that nobody should copy.
+        step = int(nodes[1] - nodes[0]) if len(nodes) > 1 else 1
+        part = slice(int(nodes[0]), int(nodes[-1]) + 1, step)
+        arrays = (self._rotation, self._roots, self._mean)
+        return Spectrum(*(array[size, part] for array in arrays))
 
 
 def single_threaded() -> AbstractContextManager[Any]:
     """Context in which BLAS uses one thread: more cost small matrices far more than they gain."""
-    limit: AbstractContextManager[Any] = _THREADS.limit(limits=1, user_api="blas")
+    limit: AbstractContextManager[Any] = _threads().limit(limits=1, user_api="blas")
     return limit
+
+
+@functools.cache
+def _threads() -> ThreadpoolController:
+    """Threads of NumPy's BLAS and of SciPy's, which is another and must have been loaded."""
+    import scipy.linalg  # noqa: F401
+
+    return ThreadpoolController()
 
 
 _Key = tuple[int, str, tuple[float, float]]

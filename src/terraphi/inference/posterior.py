@@ -30,6 +30,7 @@ CELL_ERROR = 1e-9
 PEAK_DROP = 0.05
 SPLIT = np.array([0.25, 0.5, 0.75])
 MAX_ROUNDS = 60
+HUGE = 1e300
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -197,6 +198,112 @@ def quadrature(
         If bounds are not finite and increasing, ``nodes`` is less than 5, or the log-likelihood is
         NaN or plus infinity anywhere, minus infinity everywhere, or does not settle.
     """
+    phi, log_p = _resolved(log_likelihood, bounds_deg, nodes)
+    low, high = float(phi[0]), float(phi[-1])
+    posterior = _from_nodes(phi, log_p, (low, high))
+    every_second = np.r_[0 : phi.size - 1 : 2, phi.size - 1]
+    coarse = _from_nodes(phi[every_second], log_p[every_second], (low, high))
+    probabilities = (0.5, 0.16, 0.84, 0.025, 0.975)
+    change = max(abs(posterior.quantile(p) - coarse.quantile(p)) for p in probabilities)
+    half_width = 0.5 * (posterior.quantile(0.84) - posterior.quantile(0.16))
+    convergence = {"nodes": phi.size, "relative_change_on_halving": change / half_width}
+    return replace(posterior, convergence=convergence)
+
+
+def tabulated(
+    log_likelihood: LogLikelihood, bounds_deg: tuple[float, float], *, nodes: int = 4001
+) -> LogLikelihood:
+    """The log-likelihood, interpolated between the nodes of `quadrature`, which resolve it.
+
+    For samplers, which ask tens of thousands of times. Parameters and errors as there.
+    """
+    phi, log_p = _resolved(log_likelihood, bounds_deg, nodes)
+    finite = np.maximum(log_p, -HUGE)
+
+    def interpolated(phi_deg: FloatArray) -> FloatArray:
+        found = np.interp(phi_deg, phi, finite)
+        found[found < -0.1 * HUGE] = -np.inf
+        return found
+
+    return interpolated
+
+
+def ensemble(
+    log_likelihood: LogLikelihood,
+    bounds_deg: tuple[float, float],
+    *,
+    walkers: int = 32,
+    steps: int = 4000,
+    burn_in: int = 1000,
+    ensembles: int = 4,
+    seed: int,
+) -> Posterior:
+    """Posterior by emcee's affine-invariant ensemble sampler, as in the paper (Xu & Wang).
+
+    Several ensembles run side by side from uniform draws of the prior and never mix; NumPy's global
+    random state is neither used nor changed.
+
+    Parameters
+    ----------
+    log_likelihood
+        As in `quadrature`; called with half the walkers of all ensembles at once.
+    bounds_deg
+        Ends of the uniform prior [deg].
+    walkers, steps, burn_in
+        Number of walkers of an ensemble, even; number of steps of each; how many of these are
+        discarded from the start.
+    ensembles
+        Number of independent ensembles, at least 4, or R-hat between them means little.
+    seed
+        Seed of all draws.
+
+    Returns
+    -------
+    Posterior
+        Its ``convergence`` holds the `EnsembleDiagnostics` of the draws and the
+        ``acceptance_fraction``.
+
+    Raises
+    ------
+    ValueError
+        If bounds are not finite and increasing, a number is too small, or the log-likelihood is
+        NaN or plus infinity anywhere or minus infinity nearly everywhere.
+    """
+    from terraphi.inference.ensembles import run, starts
+
+    low, high = _checked_bounds(bounds_deg)
+    if walkers < 4 or walkers % 2:
+        raise ValueError(f"walkers is {walkers}; it must be even and at least 4")
+    if not 0 <= burn_in <= steps - 4:
+        raise ValueError(f"burn_in is {burn_in} of {steps} steps; at least 4 must remain")
+    if ensembles < 4:
+        raise ValueError(f"ensembles is {ensembles}; it must be at least 4")
+
+    def log_posterior(positions: FloatArray) -> FloatArray:
+        phi = positions[:, 0]
+        log_p = _checked(log_likelihood, phi.clip(low, high))
+        return np.where((phi >= low) & (phi <= high), log_p, -np.inf)
+
+    random = np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed)))
+    start = starts(log_posterior, (low, high), (ensembles, walkers), random)
+    chains, accepted = run(log_posterior, start, steps=steps, burn_in=burn_in, random=random)
+    draws = np.ascontiguousarray(chains[..., 0])
+    ordered = np.sort(draws, axis=None)
+    return Posterior(
+        bounds_deg=(low, high),
+        phi_deg=_read_only(ordered),
+        cdf=_read_only((np.arange(ordered.size) + 0.5) / ordered.size),
+        draws_deg=_read_only(draws),
+        sampler="emcee",
+        seed=seed,
+        convergence={**diagnose(draws).as_dict(), "acceptance_fraction": accepted},
+    )
+
+
+def _resolved(
+    log_likelihood: LogLikelihood, bounds_deg: tuple[float, float], nodes: int
+) -> tuple[FloatArray, FloatArray]:
+    """Nodes that gather where the mass is [deg], and the log-likelihood there."""
     low, high = _checked_bounds(bounds_deg)
     if nodes < 5:
         raise ValueError(f"nodes is {nodes}; it must be at least 5")
@@ -219,119 +326,7 @@ def quadrature(
             f"the log-likelihood is not resolved by {phi.size} nodes after {MAX_ROUNDS} rounds of "
             "refinement; it does not look like a smooth function of phi"
         )
-    posterior = _from_nodes(phi, log_p, (low, high))
-    every_second = np.r_[0 : phi.size - 1 : 2, phi.size - 1]
-    coarse = _from_nodes(phi[every_second], log_p[every_second], (low, high))
-    probabilities = (0.5, 0.16, 0.84, 0.025, 0.975)
-    change = max(abs(posterior.quantile(p) - coarse.quantile(p)) for p in probabilities)
-    half_width = 0.5 * (posterior.quantile(0.84) - posterior.quantile(0.16))
-    convergence = {"nodes": phi.size, "relative_change_on_halving": change / half_width}
-    return replace(posterior, convergence=convergence)
-
-
-def ensemble(
-    log_likelihood: LogLikelihood,
-    bounds_deg: tuple[float, float],
-    *,
-    walkers: int = 32,
-    steps: int = 4000,
-    burn_in: int = 1000,
-    ensembles: int = 4,
-    seed: int,
-) -> Posterior:
-    """Posterior by emcee's affine-invariant ensemble sampler, as in the paper (Xu & Wang).
-
-    Several ensembles run from their own uniform draws of the prior and their own random streams,
-    all derived from ``seed``; NumPy's global random state is neither used nor changed.
-
-    Parameters
-    ----------
-    log_likelihood
-        As in `quadrature`; called with half the walkers at once.
-    bounds_deg
-        Ends of the uniform prior [deg].
-    walkers, steps, burn_in
-        Number of walkers of an ensemble, even; number of steps of each; how many of these are
-        discarded from the start.
-    ensembles
-        Number of independent ensembles, at least 4, or R-hat between them means little.
-    seed
-        Seed of all random streams.
-
-    Returns
-    -------
-    Posterior
-        Its ``convergence`` holds the `EnsembleDiagnostics` of the draws and the
-        ``acceptance_fraction``.
-
-    Raises
-    ------
-    ValueError
-        If bounds are not finite and increasing, a number is too small, or the log-likelihood is
-        NaN or plus infinity anywhere or minus infinity nearly everywhere.
-    """
-    low, high = _checked_bounds(bounds_deg)
-    if walkers < 4 or walkers % 2:
-        raise ValueError(f"walkers is {walkers}; it must be even and at least 4")
-    if not 0 <= burn_in <= steps - 4:
-        raise ValueError(f"burn_in is {burn_in} of {steps} steps; at least 4 must remain")
-    if ensembles < 4:
-        raise ValueError(f"ensembles is {ensembles}; it must be at least 4")
-
-    def log_posterior(positions: FloatArray) -> FloatArray:
-        phi = positions[:, 0]
-        inside = (phi >= low) & (phi <= high)
-        log_p = np.full(phi.shape, -np.inf)
-        if inside.any():
-            log_p[inside] = _checked(log_likelihood, phi[inside])
-        return log_p
-
-    draws = np.empty((ensembles, walkers, steps - burn_in))
-    accepted = np.empty(ensembles)
-    for i, stream in enumerate(np.random.SeedSequence(seed).spawn(ensembles)):
-        draws[i], accepted[i] = _run_ensemble(
-            log_posterior, (low, high), walkers, steps, burn_in, stream
-        )
-    ordered = np.sort(draws, axis=None)
-    return Posterior(
-        bounds_deg=(low, high),
-        phi_deg=_read_only(ordered),
-        cdf=_read_only((np.arange(ordered.size) + 0.5) / ordered.size),
-        draws_deg=_read_only(draws),
-        sampler="emcee",
-        seed=seed,
-        convergence={**diagnose(draws).as_dict(), "acceptance_fraction": float(accepted.mean())},
-    )
-
-
-def _run_ensemble(
-    log_posterior: LogLikelihood,
-    bounds_deg: tuple[float, float],
-    walkers: int,
-    steps: int,
-    burn_in: int,
-    stream: np.random.SeedSequence,
-) -> tuple[FloatArray, float]:
-    """One ensemble: draws after burn-in [walker, step], and the fraction of accepted proposals."""
-    import emcee
-
-    random = np.random.RandomState(np.random.MT19937(stream))
-    start = random.uniform(*bounds_deg, size=(walkers, 1))
-    # A walker that starts where the likelihood is zero may stay there for long after burn-in.
-    for _ in range(MAX_ROUNDS):
-        stranded = ~np.isfinite(log_posterior(start))
-        if not stranded.any():
-            break
-        start[stranded] = random.uniform(*bounds_deg, size=(np.count_nonzero(stranded), 1))
-    else:
-        raise ValueError(
-            f"the log-likelihood is minus infinity at all or most draws within {bounds_deg} deg"
-        )
-    sampler = emcee.EnsembleSampler(walkers, 1, log_posterior, vectorize=True)
-    # A state that brings its own generator replaces the copy of NumPy's global one.
-    sampler.run_mcmc(emcee.State(start, random_state=random.get_state()), steps)
-    chain: FloatArray = sampler.get_chain(discard=burn_in)[:, :, 0].T
-    return chain, float(np.mean(sampler.acceptance_fraction))
+    return phi, log_p
 
 
 def _unresolved(phi: FloatArray, log_p: FloatArray) -> NDArray[np.bool_]:
@@ -374,9 +369,8 @@ def _checked(log_likelihood: LogLikelihood, phi: FloatArray) -> FloatArray:
     log_p = np.asarray(log_likelihood(phi), dtype=np.float64)
     if log_p.shape != phi.shape:
         raise ValueError(f"the log-likelihood has shape {log_p.shape}; expected {phi.shape}")
-    wrong = np.isnan(log_p) | np.isposinf(log_p)
-    if wrong.any():
-        i = int(np.argmax(wrong))
+    if not (log_p < np.inf).all():
+        i = int(np.argmin(log_p < np.inf))
         raise ValueError(f"the log-likelihood is {log_p[i]} at phi = {float(phi[i])!r} deg")
     return log_p
 

@@ -111,6 +111,17 @@ class PaperLikelihood:
         smallest = RELATIVE_RESOLUTION**2 * float(self._misfit(observed[None, :])[0])
         object.__setattr__(self, "_smallest_misfit", smallest)
 
+    @property
+    def covariance(self) -> FloatArray:
+        """Sigma, the residual's covariance but for its scale [N^2], shape [2 theta, 2 theta]."""
+        half = self._observed.size // 2
+        sigma: FloatArray = np.zeros((2 * half, 2 * half))
+        for i, whitener in enumerate(self._whiteners):
+            factor = np.linalg.inv(whitener.T)
+            part = slice(i * half, (i + 1) * half)
+            sigma[part, part] = factor @ factor.T
+        return sigma
+
     def __call__(self, predictions: FloatArray, /) -> FloatArray:
         """Log-likelihood up to a constant [-].
 

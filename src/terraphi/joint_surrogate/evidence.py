@@ -1,9 +1,9 @@
 """Evidence of the process that `process` predicts with, and its hyperparameters.
 
 The standardised curves, white in the directions of the scatter's correlation R = L L^T, are normal
-with covariance K_phi (x) L^-1 B L^-T + tau^2 I. Two small eigendecompositions give the evidence and
-its gradient, as in `gaussian_process`. tau, 1 if the scatter is what it was taken to be, is a
-hyperparameter as well.
+with covariance K_phi (x) L^-1 B L^-T + tau^2 I, with a vague cubic in K_phi. Two small
+eigendecompositions give the evidence and its gradient, as in `gaussian_process`. tau, 1 if the
+scatter is what it was taken to be, is a hyperparameter as well.
 """
 
 from __future__ import annotations
@@ -15,12 +15,14 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from terraphi.joint_surrogate.cubic import powers_of
 from terraphi.scatter import Scatter
 
 FloatArray = NDArray[np.float64]
 
 TREND = 30.0
-"""Prior standard deviation of the cubic's coefficients over that of the Matern process [-]."""
+"""Prior standard deviation of the cubic's coefficients over that of the Matern process [-], until
+`cubic` finds it: so large that the process is fitted to what no cubic explains."""
 NOISE_BOUNDS = (0.3, 3.0)
 """Least and largest factor on the scatter that curves may ask for [-]."""
 PROFILE_DEG = 8.0
@@ -43,12 +45,16 @@ class JointKernel:
         Amplitude of each force [-].
     fine
         Amplitude of the part that is white over the leg angle, over that of the smooth part [-].
+    cubic, cubic_power
+        T_k and p of the cubic's prior [-], see `cubic`.
     """
 
     phi_length_deg: float
     theta_length_deg: tuple[float, float]
     amplitude: tuple[float, float]
     fine: tuple[float, float]
+    cubic: tuple[float, float, float, float] = (TREND, TREND, TREND, TREND)
+    cubic_power: float = 1.0
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
@@ -61,8 +67,14 @@ class JointKernel:
         def pair(name: str) -> tuple[float, float]:
             return float(data[name][0]), float(data[name][1])
 
+        a, b, c, d = (float(value) for value in data["cubic"])
         return cls(
-            float(data["phi_length_deg"]), pair("theta_length_deg"), pair("amplitude"), pair("fine")
+            float(data["phi_length_deg"]),
+            pair("theta_length_deg"),
+            pair("amplitude"),
+            pair("fine"),
+            (a, b, c, d),
+            float(data["cubic_power"]),
         )
 
 
@@ -110,8 +122,10 @@ class Spectrum:
         self.data, self.kernel, self.noise = data, kernel, noise
         m = data.theta.size
         self.growth2 = np.outer(data.growth, data.growth)
-        self.phi_factor = self.growth2 * sum(
-            phi_covariance(data.phi, data.phi, kernel.phi_length_deg, (data.phi[0], data.phi[-1]))
+        powers = powers_of(data.phi, (float(data.phi[0]), float(data.phi[-1])))
+        # Without the cubic the process pulls the curves towards zero and levels their bend.
+        self.phi_factor = self.growth2 * (
+            TREND**2 * powers @ powers.T + matern(data.phi, data.phi, kernel.phi_length_deg)
         )
         self.smooth = []
         prior = np.zeros((2 * m, 2 * m))
@@ -177,36 +191,22 @@ class Spectrum:
         return total
 
 
-def phi_covariance(
-    one_deg: FloatArray, other_deg: FloatArray, length_deg: float, ends_deg: tuple[float, float]
-) -> tuple[FloatArray, FloatArray]:
-    """Two parts of K_phi over the growth [-]: a free cubic in phi, and a Matern process.
+def matern(one_deg: FloatArray, other_deg: FloatArray, length_deg: float) -> FloatArray:
+    """Matern correlation of order 5/2 over phi [-] (R & W eq. 4.17).
 
-    Without the cubic the process pulls the curves towards zero and levels their bend. The Matern
-    correlation (of order 5/2, R & W eq. 4.17) is smooth, but not infinitely so: where bands of
-    shear jump, forces bend. A squared exponential, which cannot, has far less evidence on all our
-    libraries.
+    It is smooth, but not infinitely so: where bands of shear jump, forces bend. A squared
+    exponential, which cannot, has far less evidence on all our libraries.
 
     Parameters
     ----------
     one_deg, other_deg
-        Friction angles [deg], shapes [..., one] and [..., other].
+        Friction angles [deg], shapes [..., one] and [..., other]; the result has [..., one, other].
     length_deg
-        Correlation length of the Matern process [deg].
-    ends_deg
-        Ends of the library [deg], which scale the cubic.
-
-    Returns
-    -------
-    tuple
-        Each of shape [..., one, other].
+        Correlation length [deg].
     """
     lag = np.sqrt(5.0) * np.abs(one_deg[..., :, None] - other_deg[..., None, :]) / length_deg
-    matern = (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
-    centre, half = 0.5 * (ends_deg[0] + ends_deg[1]), 0.5 * (ends_deg[1] - ends_deg[0])
-    x, y = ((angle - centre) / half for angle in (one_deg, other_deg))
-    product = x[..., :, None] * y[..., None, :]
-    return TREND**2 * (1.0 + product + product**2 + product**3), matern
+    correlation: FloatArray = (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
+    return correlation
 
 
 def _pack(kernel: JointKernel, noise: float) -> FloatArray:

@@ -3,33 +3,35 @@
 A library's curves carry particle scatter, y_i = f(phi_i) + e_i (`scatter`). Over phi, theta and the
 two forces f is a Gaussian process; divided by the scatter's standard deviation sigma(phi, theta),
 
-    y / sigma ~ N(0, K_phi (x) B + I (x) R),      (x) the Kronecker product,
+    y / sigma ~ N(0, K_m (x) B + sum_k x^k x'^k (x) B_k + I (x) R),    (x) the Kronecker product,
 
-where R is the scatter's correlation, K_phi the covariance over phi of a free cubic and a Matern
-process, both times the growth of forces over scatter, and B the covariance over leg angles and
-forces: for each force a squared exponential in theta and a white part, for what the grid leaves in
-every curve. B and R are diagonal in a common basis, B = A diag(lambda) A^T and R = A A^T, so
-evidence, prediction and the whole covariance of the 2 m forces at any phi are in closed form
-(Rakitsch et al., *It is all in the noise*, NIPS 2013): in that basis the predictive covariance is
-diagonal. It holds what interpolation leaves open and what the library's own scatter does to the
-curve, which is the same for every history inverted with that library.
+where R is the scatter's correlation, K_m a Matern covariance over phi, B its covariance over leg
+angles and forces (for each force a squared exponential in theta and a white part, for what the grid
+leaves in every curve), and B_k that of the coefficients of a cubic (`cubic`); K_m and x^k are times
+the growth of forces over scatter. B and R are diagonal in a common basis, B = A diag(lambda) A^T
+and R = A A^T (Rakitsch et al., *It is all in the noise*, NIPS 2013), and so is B_k by definition:
+in that basis every direction is a process over phi by itself, and evidence, prediction and the
+whole covariance of the 2 m forces at any phi are in closed form. The covariance holds what
+interpolation leaves open and what the library's own scatter does to the curve, which is the same
+for every history inverted with that library.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
+from terraphi.joint_surrogate import cubic
 from terraphi.joint_surrogate.evidence import (
     JointKernel,
     Spectrum,
     Standardised,
+    matern,
     maximise_evidence,
-    phi_covariance,
 )
 from terraphi.scatter import Scatter, corrected, with_tail
 
@@ -37,6 +39,8 @@ FloatArray = NDArray[np.float64]
 
 ROUNDS = 2
 """Corrections of the scatter by the curves."""
+JITTER = 1e-9
+"""Added to the variance of equal angles, so that they have a factor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,25 +53,27 @@ class JointSurrogate:
         Training friction angles and leg angles [deg], shapes [case] and [theta].
     scatter, kernel
         Particle scatter of the curves, and hyperparameters.
-    log_evidence
-        Log marginal likelihood of the standardised curves [-].
     basis
         A, in which all covariances are diagonal [-], shape [2 theta, 2 theta].
     whitener
         The inverse of A [-], same shape.
+    standard_curves
+        The library's curves in the basis, over sigma [-], shape [case, 2 theta].
+    prior_variance, cubic_variance
+        Prior variance of the Matern process and of the cubic's coefficients in each direction of
+        the basis, over sigma^2 [-], shapes [2 theta] and [4, 2 theta].
     """
 
     phi_deg: FloatArray
     theta_deg: FloatArray
     scatter: Scatter
     kernel: JointKernel
-    log_evidence: float
     basis: FloatArray = field(repr=False)
     whitener: FloatArray = field(repr=False)
-    _roots: FloatArray = field(repr=False)
-    _phi_basis: FloatArray = field(repr=False)
-    _phi_roots: FloatArray = field(repr=False)
-    _projected: FloatArray = field(repr=False)
+    standard_curves: FloatArray = field(repr=False)
+    prior_variance: FloatArray = field(repr=False)
+    cubic_variance: FloatArray = field(repr=False)
+    _inverse: FloatArray = field(repr=False)
 
     @classmethod
     def fit(
@@ -105,19 +111,23 @@ class JointSurrogate:
                 scatter, kernel = _learn(phi_deg, theta_deg, curves, scatter)
             data = Standardised(phi_deg, theta_deg, curves, scatter)
             spectrum = Spectrum(data, kernel)
-            return cls(
+            whitener = spectrum.basis.T @ data.inverse_factor
+            variances = cubic.variances(kernel.cubic, kernel.cubic_power, spectrum.roots)
+            known = cls(
                 phi_deg=data.phi,
                 theta_deg=data.theta,
                 scatter=scatter,
                 kernel=kernel,
-                log_evidence=spectrum.log_evidence(),
                 basis=data.factor @ spectrum.basis,
-                whitener=spectrum.basis.T @ data.inverse_factor,
-                _roots=spectrum.roots,
-                _phi_basis=spectrum.phi_basis,
-                _phi_roots=spectrum.phi_roots,
-                _projected=spectrum.projected,
+                whitener=whitener,
+                standard_curves=data.values @ whitener.T,
+                prior_variance=spectrum.roots,
+                cubic_variance=variances,
+                _inverse=np.empty(0),
             )
+            covariance = known.prior_covariance(data.phi, data.phi).transpose(2, 0, 1)
+            covariance += np.eye(data.phi.size)
+            return replace(known, _inverse=np.linalg.inv(covariance).astype(np.float64))
 
     @property
     def phi_bounds_deg(self) -> tuple[float, float]:
@@ -142,38 +152,41 @@ class JointSurrogate:
         phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))
         return scale * self.scatter.sigma(phi) * (self.standard_mean(phi) @ self.basis.T)
 
-    def standard_mean(self, phi_deg: FloatArray, projected: FloatArray | None = None) -> FloatArray:
+    def standard_mean(self, phi_deg: FloatArray, curves: FloatArray | None = None) -> FloatArray:
         """Mean in the common basis, over sigma [-], shape [k] -> [..., k, 2 theta].
 
         Parameters
         ----------
         phi_deg
             [deg], shape [k].
-        projected
-            Other curves than the library's, as :meth:`project` gives them, shape
-            [..., case, 2 theta].
+        curves
+            Others than the library's, in the basis and over sigma, shape [..., case, 2 theta].
         """
-        values = self._projected if projected is None else projected
-        weights = self._roots / (np.outer(self._phi_roots, self._roots) + 1.0)
-        mean: FloatArray = self._correlations(phi_deg) @ (weights * values)
-        return mean
+        weights = self._weights(curves)
+        local = self.scatter.growth(phi_deg)[:, None] * self.scatter.growth(self.phi_deg)
+        local = local * matern(phi_deg, self.phi_deg, self.kernel.phi_length_deg)
+        mean: FloatArray = self.standard_cubic(phi_deg, curves)
+        return mean + local @ (self.prior_variance * weights)
 
-    def project(self, curves: FloatArray) -> FloatArray:
-        """Curves over sigma in the eigenbasis of their covariance, shape [..., case, 2 theta]."""
-        standard = curves / self.scatter.sigma(self.phi_deg) @ self.whitener.T
-        projected: FloatArray = self._phi_basis.T @ standard
-        return projected
+    def standard_cubic(self, phi_deg: FloatArray, curves: FloatArray | None = None) -> FloatArray:
+        """Part of :meth:`standard_mean` that is the cubic; shapes as there."""
+        coefficients = self.cubic_variance * (self._powers(self.phi_deg).T @ self._weights(curves))
+        found: FloatArray = self._powers(phi_deg) @ coefficients
+        return found
+
+    def standard(self, curves: FloatArray) -> FloatArray:
+        """Curves [N] in the basis, over sigma [-], shape [..., case, 2 theta]."""
+        found: FloatArray = curves / self.scatter.sigma(self.phi_deg) @ self.whitener.T
+        return found
 
     def standard_variance(self, phi_deg: FloatArray) -> FloatArray:
         """Predictive variance in the common basis, over sigma^2 [-], shape [k] -> [k, 2 theta].
 
         The variance of the particle scatter itself is 1 in this basis.
         """
-        squares = np.square(self._correlations(phi_deg))
-        products = np.outer(self._phi_roots, self._roots) + 1.0
-        explained = squares @ (np.square(self._roots) / products)
-        alone = np.array([np.add(*self.phi_covariance(phi, phi))[0, 0] for phi in phi_deg[:, None]])
-        return np.maximum(np.outer(alone, self._roots) - explained, 0.0)
+        between = self.prior_covariance(phi_deg, self.phi_deg).transpose(2, 0, 1)
+        explained: FloatArray = np.sum((between @ self._inverse) * between, axis=2).T
+        return np.maximum(self._alone(phi_deg) - explained, 0.0)
 
     def standard_terms(self, phi_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The two parts of :meth:`standard_variance`: interpolation, and the library's scatter.
@@ -181,58 +194,51 @@ class JointSurrogate:
         The prediction is W y with weights W; its error (f - W f(phi_i)) - W e has a part that the
         prior of f gives and one that the scatter e of the library gives.
         """
-        weights = self._roots / (np.outer(self._phi_roots, self._roots) + 1.0)
-        scatter = np.square(self._correlations(phi_deg)) @ np.square(weights)
+        between = self.prior_covariance(phi_deg, self.phi_deg).transpose(2, 0, 1)
+        scatter = np.square(between @ self._inverse).sum(axis=2).T
         total = self.standard_variance(phi_deg)
         return np.maximum(total - scatter, 0.0), np.minimum(scatter, total)
 
-    @property
-    def prior_variance(self) -> FloatArray:
-        """Prior variance of f in the common basis, over sigma^2 [-], shape [2 theta]."""
-        return self._roots
-
-    @property
-    def standard_curves(self) -> FloatArray:
-        """The library's curves in the common basis, over sigma [-], shape [case, 2 theta]."""
-        curves: FloatArray = self._phi_basis @ self._projected
-        return curves
-
-    def regress(self, correlation: FloatArray, curves: FloatArray) -> FloatArray:
-        """Prediction from other curves, in the common basis.
+    def prior_covariance(self, one_deg: FloatArray, other_deg: FloatArray) -> FloatArray:
+        """Prior covariance of f in each direction of the basis, over sigma^2 [-].
 
         Parameters
         ----------
-        correlation
-            K_phi between angles and training angles [-], shape [..., k, case].
-        curves
-            Over sigma, in the basis [-], shape [..., case, 2 theta].
+        one_deg, other_deg
+            Friction angles [deg], shapes [one] and [other]; the result has [one, other, 2 theta].
         """
-        weights = self._roots / (np.outer(self._phi_roots, self._roots) + 1.0)
-        inside = weights * (self._phi_basis.T @ curves)
-        prediction: FloatArray = (correlation @ self._phi_basis) @ inside
-        return prediction
+        local = self.scatter.growth(one_deg)[:, None] * self.scatter.growth(other_deg)
+        local = local * matern(one_deg, other_deg, self.kernel.phi_length_deg)
+        one, other = self._powers(one_deg), self._powers(other_deg)
+        products = one[:, None, :] * other
+        covariance: FloatArray = products @ self.cubic_variance
+        return covariance + local[:, :, None] * self.prior_variance
 
-    def standard_drift(self, phi_deg: FloatArray, other_deg: FloatArray) -> FloatArray:
-        """Covariance of a prediction with the error of another [-], in the basis, over sigma^2.
-
-        Predictions W y of a process with known mean are independent of their errors. Ours has a
-        cubic with free coefficients, of which only y knows: cov(W y, W y - f) of the rest, with
-        covariance K of its Matern part u, is W ((K + 1) W'^T - k').
+    def draw(
+        self, phi_deg: FloatArray, rng: np.random.Generator, *, about: FloatArray | None = None
+    ) -> FloatArray:
+        """Draw f from its prior, in the basis and over sigma [-].
 
         Parameters
         ----------
-        phi_deg, other_deg
-            Angles of the predictions and of the errors [deg], shape [k] each; the result has shape
-            [k, 2 theta].
+        phi_deg
+            Friction angles of each draw [deg], shape [..., k]; the result has [..., k, 2 theta].
+        rng
+            Random generator.
+        about
+            The cubic at these angles, same shape as the result; ``None`` draws it too.
         """
-        shrink = self._roots / (np.outer(self._phi_roots, self._roots) + 1.0)
-        one, other = (self._correlations(phi)[:, :, None] * shrink for phi in (phi_deg, other_deg))
-        local = self.phi_covariance(self.phi_deg, self.phi_deg)[1]
-        inside = self._phi_basis.T @ local @ self._phi_basis
-        alone = self.phi_covariance(other_deg, self.phi_deg)[1] @ self._phi_basis
-        missing = other + self._roots * (inside @ other - alone[:, :, None])
-        drift: FloatArray = np.sum(one * missing, axis=1)
-        return drift
+        growth = self.scatter.growth(phi_deg)
+        local = matern(phi_deg, phi_deg, self.kernel.phi_length_deg)
+        factor = np.linalg.cholesky(local + JITTER * np.eye(phi_deg.shape[-1]))
+        size = self.prior_variance.size
+        white = rng.standard_normal((*phi_deg.shape, size))
+        drawn = growth[..., None] * (factor @ white) * np.sqrt(self.prior_variance)
+        if about is None:
+            coefficients = rng.standard_normal((*phi_deg.shape[:-1], 4, size))
+            about = self._powers(phi_deg) @ (coefficients * np.sqrt(self.cubic_variance))
+        found: FloatArray = drawn + about
+        return found
 
     def covariance(self, phi_deg: float, *, scale: float = 1.0) -> FloatArray:
         """Predictive covariance of the forces f [N^2], shape [2 theta, 2 theta]."""
@@ -241,23 +247,23 @@ class JointSurrogate:
         result: FloatArray = (left * self.standard_variance(phi)[0]) @ left.T
         return result
 
-    def phi_covariance(
-        self, one_deg: FloatArray, other_deg: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Cubic and Matern part of K_phi [-], [..., one] and [..., other] -> [..., one, other]."""
-        cubic, matern = phi_covariance(
-            one_deg, other_deg, self.kernel.phi_length_deg, self.phi_bounds_deg
-        )
-        one, other = self.scatter.growth(one_deg), self.scatter.growth(other_deg)
-        growth = one[..., :, None] * other[..., None, :]
-        return growth * cubic, growth * matern
+    def _weights(self, curves: FloatArray | None) -> FloatArray:
+        """Inverse covariance of the curves times the curves, shape [..., case, 2 theta]."""
+        values = self.standard_curves if curves is None else curves
+        found: FloatArray = np.einsum("jab,...bj->...aj", self._inverse, values, optimize=True)
+        return found
 
-    def _correlations(self, phi_deg: FloatArray) -> FloatArray:
-        """K_phi between angles and training angles, in the latter's eigenbasis, [k, case]."""
-        correlations: FloatArray = (
-            np.add(*self.phi_covariance(phi_deg, self.phi_deg)) @ self._phi_basis
+    def _powers(self, phi_deg: FloatArray) -> FloatArray:
+        """Growth times 1, x, x^2, x^3, shape [...] -> [..., 4]."""
+        return self.scatter.growth(phi_deg)[..., None] * cubic.powers_of(
+            phi_deg, self.phi_bounds_deg
         )
-        return correlations
+
+    def _alone(self, phi_deg: FloatArray) -> FloatArray:
+        """Prior variance of f in the basis, over sigma^2 [-], shape [k] -> [k, 2 theta]."""
+        local = np.outer(np.square(self.scatter.growth(phi_deg)), self.prior_variance)
+        variance: FloatArray = np.square(self._powers(phi_deg)) @ self.cubic_variance + local
+        return variance
 
 
 def _learn(
@@ -272,4 +278,18 @@ def _learn(
     data = Standardised(phi_deg, theta_deg, curves, scatter)
     kernel, noise = maximise_evidence(data)
     squares = Spectrum(data, kernel, noise).left_out()
-    return with_tail(scatter.scaled(noise), squares), kernel
+    scatter = with_tail(scatter.scaled(noise), squares)
+    vague = JointSurrogate.fit(phi_deg, theta_deg, curves, scatter, kernel=kernel)
+    return scatter, _with_cubic(vague)
+
+
+def _with_cubic(vague: JointSurrogate) -> JointKernel:
+    """The hyperparameters with a prior of the cubic."""
+    phi, growth = vague.phi_deg, vague.scatter.growth(vague.phi_deg)
+    amplitudes, power = cubic.fit(
+        growth[:, None] * cubic.powers_of(phi, vague.phi_bounds_deg),
+        np.outer(growth, growth) * matern(phi, phi, vague.kernel.phi_length_deg),
+        vague.prior_variance,
+        vague.standard_curves,
+    )
+    return replace(vague.kernel, cubic=amplitudes, cubic_power=power)

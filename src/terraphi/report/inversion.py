@@ -15,7 +15,7 @@ from terraphi.report import figures as fig
 from terraphi.report.certificate import certificate_parts
 from terraphi.report.density import smooth_density
 from terraphi.report.inversion_data import Again, Saved, load, recomputed
-from terraphi.report.parts import Part, Plot, Section, Status, Table, Text, number
+from terraphi.report.parts import Part, Plot, Section, Status, Table, number
 
 FloatArray = NDArray[np.float64]
 
@@ -64,15 +64,9 @@ def section(path: Path, *, library: str | None = None) -> Section:
     parts: list[Part] = []
     if saved.draws_deg.size:
         parts += [_density(saved, again), *_forces(saved, again, why_not), _residuals(saved)]
-    if again is not None and again.share is not None:
-        parts.append(_information(saved, again.share))
-    elif answer["likelihood"] != "paper":
-        parts.append(
-            Text(
-                INFORMATION,
-                ("Told under the paper's likelihood only: its covariance follows from the data.",),
-            )
-        )
+    share = saved.share if again is None else again.share
+    if share is not None:
+        parts.append(_information(saved, share))
     parts.append(_numbers(answer))
     if again is not None:
         parts += certificate_parts(again.library, leg=str(answer["leg"]))

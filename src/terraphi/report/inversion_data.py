@@ -42,6 +42,8 @@ class Saved:
         Leg angles [deg], shape [theta].
     data, best
         Observation vector and the curve at the median [N], shape [2 theta].
+    share
+        What each angle adds to the information on φ [-], shape [2, theta], if the file says so.
     """
 
     answer: Mapping[str, Any]
@@ -49,6 +51,7 @@ class Saved:
     theta_deg: FloatArray
     data: FloatArray
     best: FloatArray
+    share: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -61,8 +64,8 @@ class Again:
         Smallest and largest force over the 95 % interval [N], shape [2, 2 theta]; ``None`` where
         the library's curves are not those that were saved.
     share
-        What each angle adds to the information on φ [-], shape [2, theta]; ``None`` where the
-        likelihood is not the paper's.
+        As :attr:`Saved.share`, of the paper's likelihood, whose covariance follows from the data;
+        else what the file says.
     bounds_deg
         Friction angles that the library covers [deg].
     library
@@ -93,6 +96,9 @@ def load(path: Path) -> Saved:
         ]
         theta = _array(tree, "observed_data/theta_deg")
         draws = _array(tree, "posterior/phi_deg")
+        share = None
+        if "information_share" in tree:
+            share = np.stack([_array(tree, f"information_share/{name}") for name in ("Fx", "Fz")])
         answer = json.loads(tree.attrs["answer"])
     except Exception as error:  # the HDF5 stack raises OSError, KeyError, ValueError and more
         raise InputError(
@@ -100,9 +106,12 @@ def load(path: Path) -> Saved:
             "again"
         ) from error
     sound = len(vectors[0]) == len(vectors[1]) == 2 * len(theta) and len(draws) >= 10
-    if not sound or not all(np.isfinite(v).all() for v in (*vectors, theta, draws)):
+    told = np.zeros((2, len(theta))) if share is None else share
+    sound = sound and told.shape == (2, len(theta))
+    if not sound or not all(np.isfinite(v).all() for v in (*vectors, theta, draws, told)):
         raise InputError(f"{posterior}: its arrays do not fit each other; make it again")
-    return _checked(Saved(answer, draws, theta, *vectors), posterior)
+    saved = Saved(answer, draws, theta, vectors[0], vectors[1], share)
+    return _checked(saved, posterior)
 
 
 def _array(tree: Any, name: str) -> FloatArray:
@@ -202,13 +211,13 @@ def _again(saved: Saved, library: Library) -> tuple[Again, float]:
     phi = answer["phi_deg"]
     low, high = phi["ci95"]
     inside = surrogate.predict(np.linspace(low, high, 101), scale=scale)
-    share = None
+    share = saved.share
     if answer["likelihood"] == "paper":
         low, high = surrogate.phi_bounds_deg
         at = np.clip(phi["median"] + np.array([-STEP_DEG, STEP_DEG]), low, high)
         before, after = surrogate.predict(at, scale=scale)
         slope = (after - before) / (at[1] - at[0])
-        share = information_share(PaperLikelihood(saved.data, saved.theta_deg), slope)
+        share = information_share(PaperLikelihood(saved.data, saved.theta_deg).covariance, slope)
     band = np.stack([inside.min(axis=0), inside.max(axis=0)])
     best = surrogate.predict(np.array([phi["median"]]), scale=scale)[0]
     apart = float(np.abs(best - saved.best).max() / np.abs(saved.best).max())

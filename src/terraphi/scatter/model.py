@@ -15,6 +15,7 @@ definite by construction, its white part keeps it well conditioned.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
@@ -110,7 +111,7 @@ class Scatter:
         result: FloatArray = np.maximum(halves, floor).reshape(len(x), -1)
         return result
 
-    @property
+    @functools.cached_property
     def sizes(self) -> tuple[FloatArray, FloatArray]:
         """Sizes of the scatter, factors on its variance [-], and log probabilities; shapes [7]."""
         from scipy.special import chdtri
@@ -143,9 +144,13 @@ class Scatter:
         """Draw scatter at friction angles [N], shape [k] -> [k, 2 theta]."""
         sigma = self.sigma(phi_deg)
         white = rng.standard_normal(sigma.shape)
-        size = np.sqrt((self.tail - 2.0) / rng.chisquare(self.tail, size=(len(sigma), 1)))
+        size = np.sqrt(self.draw_sizes((len(sigma), 1), rng))
         drawn: FloatArray = size * sigma * (white @ np.linalg.cholesky(self._correlation).T)
         return drawn
+
+    def draw_sizes(self, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
+        """Draw sizes of the scatter, factors on its variance [-]."""
+        return (self.tail - 2.0) / rng.chisquare(self.tail, size=shape)
 
     def scaled(self, factor: float) -> Scatter:
         """Scatter of all forces, times a factor [-]."""

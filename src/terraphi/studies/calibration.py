@@ -1,45 +1,52 @@
 """Calibration: whether intervals hold the truth as often as they say, and how narrow they are.
 
 Simulation-based calibration in thousands of simulated worlds, each with a truth and a library of
-its own; coverage through the one shipped library; its truths, as they are and made worse; histories
-that the model must not explain.
+its own, and in worlds unlike the prior; coverage through the one shipped library; its truths, as
+they are and made worse; histories that the model must not explain.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from terraphi.errors import InputError
-from terraphi.history import ForceHistory
-from terraphi.inference.coverage import calibrate, through_one_library
-from terraphi.inference.inversion import Inversion, invert
+from terraphi.documents import shipped_names
+from terraphi.inference.coverage import WORLDS, calibrate, learnt_anew, through_one_library
 from terraphi.inference.library import prepare
 from terraphi.library import Library
-from terraphi.measurements import measurement, names
 from terraphi.studies import Study
+from terraphi.studies.calibration_cases import inverted, matched, strangers, ways
 from terraphi.studies.calibration_figures import calibration_figure
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 REPLICATES = 5000
-WORLDS, TRUTHS = 40, 50
+BESIDE = 2000
+"""Worlds at most of each kind that is not the prior's."""
+ONE_LIBRARY = (40, 50)
 """Worlds that the one library may be of, and truths in each."""
-NOISES = (0.02, 0.05, 0.10)
-"""White noise of a reading, of the peak force [-]."""
-CORRELATED = 0.02
-"""Noise correlated over 6°, of the peak force [-]."""
-CORRELATION_DEG = 6.0
-OFFSET = 0.02
-"""Offset of both forces, of the peak force [-]."""
-THETA_DEG = 1.0
-"""Error of the leg angle [deg]."""
-OTHER_MODEL = "rft3d"
-"""Library of another forward model, whose histories the model must not explain."""
-DENSITY = 1.2
-"""Error of the density, a factor [-]."""
+MATCHED = (10, 20)
+"""Worlds that the one library may be of, and truths in each, for all of the inference."""
+MATCHED_NOISE = {"clean": 0.0, "white noise 2%": 0.02}
+"""Noise of a window mean in them, of the peak force [-]."""
+ANEW = (10, 60)
+"""Worlds in which scatter and hyperparameters are learnt anew, and truths in each."""
+HEADER = ("what", "discrepancy", "cases", "median error", "largest", "68 % half-width", "in 68 %",
+          "in 95 %", "not believed")  # fmt: skip
+PICTURE = (
+    "Ranks of the truths, coverage over the mass of the interval, half-widths over the friction "
+    "angle, and the particle scatter"
+)
+ORIGIN = (
+    "Written by `terraphi study calibration --out DIR`; what the rows mean stands in "
+    "[inference.md](inference.md)."
+)
+CERTIFICATE = ("library, leg", "replicates", "in 68 %", "in 95 %", "p", "p of other seeds",
+               "68 % half-width")  # fmt: skip
 
 
 def run(
@@ -54,7 +61,8 @@ def run(
     Parameters
     ----------
     library
-        Name of a shipped library; its truths, ``NAME-truths``, are used if there are any.
+        Name of a shipped library; its truths, ``NAME-fourteen`` or ``NAME-truths``, and
+        ``NAME-hip`` are used if there are any.
     replicates, seed
         Number of worlds and seed of all draws.
     progress
@@ -64,207 +72,199 @@ def run(
     -------
     Study
         ``data``: ``library``, ``yield``, ``replicates``, ``coverage68``, ``coverage95``,
-        ``rank_chi2_p``, ``ci68_half_width_deg``, ``one_library`` (the same coverages, mean and 5 to
-        95 % over worlds), ``truths`` (by what was done to them: ``cases``, ``abs_error_deg``,
-        ``ci68_half_width_deg``, ``inside68``, ``inside95``, ``misfit``), ``strangers``.
+        ``rank_chi2_p``, ``ci68_half_width_deg``, ``fitted_surface``, ``heavy_tails`` and
+        ``learnt_anew`` (the same in other worlds), ``one_library`` (the same coverages, mean and 5
+        to 95 % over worlds), ``matched`` (by noise, ``cases`` that the model explains, their
+        coverages and how many are a ``misfit``), ``truths`` (by what was done to them and the
+        discrepancy: ``cases``, ``abs_error_deg``, ``ci68_half_width_deg``, ``inside68``,
+        ``inside95``, ``misfit``, and ``by_seed`` the same for the truths of each particle seed),
+        ``strangers``.
 
     Raises
     ------
     InputError
         If there is no such library.
     """
-
-    def report(done: int) -> None:
-        if progress is not None:
-            progress(done, 4)
-
     trained = Library.load(library)
+    todo = ways(library, np.random.default_rng(seed + 2))
+    done = iter(range(1, 8 + len(todo)))
+
+    def report() -> None:
+        if progress is not None:
+            progress(next(done), 7 + len(todo))
+
     leg = prepare(trained, "straight", within=(-math.inf, math.inf))
-    coverage = calibrate(leg, replicates=replicates, seed=seed)
-    report(1)
-    one68, one95 = through_one_library(leg, worlds=WORLDS, truths=TRUTHS, seed=seed + 1)
-    report(2)
-    truths = _truths(trained)
-    tables = _tables(trained, truths, np.random.default_rng(seed + 2)) if truths else {}
-    report(3)
-    strangers = _strangers(trained)
+    found = {}
+    for worlds in WORLDS:
+        count = replicates if worlds == "prior" else min(replicates, BESIDE)
+        found[worlds] = calibrate(leg, replicates=count, seed=seed, worlds=worlds)
+        report()
+    anew = learnt_anew(leg, worlds=ANEW[0], truths=ANEW[1], seed=seed + 3)
+    report()
+    one = through_one_library(leg, worlds=ONE_LIBRARY[0], truths=ONE_LIBRARY[1], seed=seed + 1)
+    report()
+    right = {
+        name: matched(leg, noise=noise, worlds=MATCHED[0], truths=MATCHED[1], seed=seed + 4)
+        for name, noise in MATCHED_NOISE.items()
+    }
+    report()
+    tables = {}
+    for way in todo:
+        tables[way.name] = inverted(trained, way)
+        report()
     data = {
         "library": library,
         "yield": leg.curves.scenario.convention,
-        **coverage.as_dict(),
+        **found["prior"].as_dict(),
         "seed": seed,
+        "fitted_surface": found["fitted"].as_dict(),
+        "heavy_tails": found["tails"].as_dict(),
+        "learnt_anew": {"worlds": ANEW[0], **anew.as_dict()},
         "one_library": {
             name: {"mean": float(part.mean()), "p05_p95": np.quantile(part, [0.05, 0.95]).tolist()}
-            for name, part in (("coverage68", one68), ("coverage95", one95))
+            for name, part in zip(("coverage68", "coverage95"), one, strict=True)
         },
+        "matched": right,
         "truths": tables,
-        "strangers": strangers,
+        "strangers": strangers(trained),
     }
+    report()
+    return _study(data, calibration_figure(found["prior"], leg, one[0]))
+
+
+def _study(data: Mapping[str, Any], figure: Figure) -> Study:
+    """Table, sentences, page and picture."""
+    rows, notes = _rows(data), _notes(data)
+    title = f"Calibration of the intervals of library '{data['library']}', leg straight"
     return Study(
-        title=f"Calibration of the intervals of library '{library}', leg straight",
-        header=("what", "cases", "|error|", "68 % half-width", "in 68 %", "in 95 %", "misfit"),
-        rows=_rows(data),
+        title=title,
+        header=HEADER,
+        rows=rows,
         data=data,
-        figures={"calibration": calibration_figure(coverage, leg, one68)},
-        notes=_notes(data),
+        figures={"calibration": figure},
+        documents={"calibration.md": _page(title, rows, notes)},
+        notes=notes,
     )
 
 
-def _truths(trained: Library) -> list[tuple[float, ForceHistory]]:
-    """Friction angles [deg] and histories of the straight truths of a library, if it has any."""
-    try:
-        found = Library.load(f"{trained.name}-truths")
-    except InputError:
-        return []
-    return [
-        (case.scenario.soil.friction_angle_deg, case.history)
-        for case in found.cases
-        if case.history and case.scenario.leg.shape == "straight"
+def _rows(data: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    kinds = {
+        "simulated worlds": data,
+        "worlds about the fitted surface": data["fitted_surface"],
+        "worlds of heavy-tailed libraries": data["heavy_tails"],
+        "worlds learnt anew": data["learnt_anew"],
+    }
+    rows: list[tuple[str, ...]] = [
+        (
+            name,
+            "none",
+            str(part["replicates"]),
+            f"{part['abs_error_deg']:.3f}°",
+            "",
+            f"{part['ci68_half_width_deg']:.3f}°",
+            f"{part['coverage68']:.1%}",
+            f"{part['coverage95']:.1%}",
+            "",
+        )
+        for name, part in kinds.items()
     ]
-
-
-def _tables(
-    trained: Library, truths: list[tuple[float, ForceHistory]], rng: np.random.Generator
-) -> dict[str, Any]:
-    """Errors and coverage over the truths, as they are and made worse in several ways."""
-
-    def noisy(fraction: float) -> Callable[[ForceHistory], ForceHistory]:
-        return lambda h: _spoilt(h, fraction * rng.standard_normal(h.force.shape))
-
-    ways: dict[str, tuple[Callable[[ForceHistory], ForceHistory], float]] = {
-        "clean": (lambda h: h, 1.0),
-        **{f"white noise {fraction:.0%}": (noisy(fraction), 1.0) for fraction in NOISES},
-        f"noise over {CORRELATION_DEG:g}°, {CORRELATED:.0%}": (
-            lambda h: _spoilt(h, CORRELATED * _correlated(h, rng)), 1.0,
-        ),
-        f"offset {OFFSET:.0%}": (lambda h: _spoilt(h, OFFSET * np.ones_like(h.force)), 1.0),
-        f"θ off by {THETA_DEG:g}°": (
-            lambda h: replace(h, position=h.position + math.radians(THETA_DEG), provenance={}), 1.0,
-        ),
-        f"density off by {DENSITY - 1.0:.0%}": (lambda h: replace(h, provenance={}), DENSITY),
-        **{
-            f"density off by {DENSITY - 1.0:.0%}, white noise {fraction:.0%}": (
-                noisy(fraction), DENSITY,
-            )
-            for fraction in NOISES
-        },
-    }  # fmt: skip
-    density = trained.cases[0].scenario.soil.density
-    return {
-        name: _summary(
-            [
+    one = (f"{data['one_library'][name]['mean']:.1%}" for name in ("coverage68", "coverage95"))
+    cases = str(ONE_LIBRARY[0] * ONE_LIBRARY[1])
+    rows.append(("through the one library", "none", cases, "", "", "", *one, ""))
+    for name, part in data["matched"].items():
+        covers = (f"{part[key]:.1%}" for key in ("coverage68", "coverage95"))
+        what, count = f"matched histories, {name}", str(part["cases"])
+        rows.append((what, "none", count, "", "", "", *covers, str(part["misfit"])))
+    for name, by_discrepancy in data["truths"].items():
+        for discrepancy, part in by_discrepancy.items():
+            error, cases = part["abs_error_deg"], str(part["cases"])
+            rows.append(
                 (
-                    phi,
-                    invert(
-                        spoil(h), library=trained, likelihood="calibrated", density=factor * density
-                    ),
+                    f"truths, {name}",
+                    discrepancy,
+                    cases,
+                    f"{error['median']:.3f}°",
+                    f"{error['max']:.2f}°",
+                    f"{part['ci68_half_width_deg']['median']:.3f}°",
+                    f"{part['inside68']}",
+                    f"{part['inside95']}",
+                    f"{part['misfit']}",
                 )
-                for phi, h in truths
-            ]
-        )
-        for name, (spoil, factor) in ways.items()
-    }
-
-
-def _spoilt(history: ForceHistory, relative: np.ndarray[Any, Any]) -> ForceHistory:
-    """A history with something added, relative to each force's peak; no longer one of ours."""
-    peak = np.abs(history.force).max(axis=0)
-    return replace(history, force=history.force + peak * relative, provenance={})
-
-
-def _correlated(history: ForceHistory, rng: np.random.Generator) -> np.ndarray[Any, Any]:
-    """Smooth noise of unit variance over the leg angle, as the paper's residual has it."""
-    coarse = np.arange(-140.0, 140.1, 2.0)
-    covariance = np.exp(-0.5 * np.square((coarse[:, None] - coarse) / CORRELATION_DEG))
-    factor = np.linalg.cholesky(covariance + 1e-6 * np.eye(coarse.size))
-    drawn = factor @ rng.standard_normal((coarse.size, history.force.shape[1]))
-    return np.column_stack([np.interp(history.theta_deg, coarse, column) for column in drawn.T])
-
-
-def _summary(found: list[tuple[float, Inversion]]) -> dict[str, Any]:
-    error = np.array([abs(a.phi.median - phi) for phi, a in found])
-    half = np.array([0.5 * (a.phi.ci68[1] - a.phi.ci68[0]) for _, a in found])
-    return {
-        "cases": len(found),
-        "abs_error_deg": {"median": float(np.median(error)), "max": float(error.max())},
-        "ci68_half_width_deg": {"median": float(np.median(half)), "max": float(half.max())},
-        "inside68": sum(a.phi.ci68[0] <= phi <= a.phi.ci68[1] for phi, a in found),
-        "inside95": sum(a.phi.ci95[0] <= phi <= a.phi.ci95[1] for phi, a in found),
-        "misfit": sum(a.verdict.verdict != "consistent" for _, a in found),
-    }
-
-
-def _strangers(trained: Library) -> dict[str, dict[str, int]]:
-    """Histories that the straight leg of the model must not explain, and how many were believed.
-
-    Of other legs passed off as the straight one, of resistive force theory, and of measured sand.
-    """
-    legs = [c.history for c in trained.cases if c.scenario.leg.shape in {"c", "reversed_c"}][::3]
-    law = [c for c in Library.load(OTHER_MODEL).cases if c.scenario.leg.shape == "straight"]
-    sand = [m for m in map(measurement, names()) if m.leg == "straight"]
-    kinds: dict[str, list[tuple[ForceHistory | None, float | None]]] = {
-        "other legs": [(history, None) for history in legs],
-        OTHER_MODEL: [
-            (replace(c.history, provenance={}), c.scenario.soil.density) for c in law if c.history
-        ],
-        "measured sand": [(m.history, m.density_kg_m3) for m in sand],
-    }
-    found = {}
-    for kind, histories in kinds.items():
-        verdicts = [
-            invert(
-                history, library=trained, leg="straight", likelihood="calibrated", density=density
-            ).verdict.verdict
-            for history, density in histories
-            if history
-        ]
-        found[kind] = {"cases": len(verdicts), "believed": verdicts.count("consistent")}
-    return found
-
-
-def _rows(data: dict[str, Any]) -> list[tuple[str, ...]]:
-    one = data["one_library"]
-    rows = [
-        (
-            "simulated worlds",
-            str(data["replicates"]),
-            f"{data['abs_error_deg']:.3f}°",
-            f"{data['ci68_half_width_deg']:.3f}°",
-            f"{data['coverage68']:.1%}",
-            f"{data['coverage95']:.1%}",
-            "",
-        ),
-        (
-            "through the one library",
-            str(WORLDS * TRUTHS),
-            "",
-            "",
-            *(f"{one[name]['mean']:.1%}" for name in ("coverage68", "coverage95")),
-            "",
-        ),
-    ]
-    for name, found in data["truths"].items():
-        error, half, cases = found["abs_error_deg"], found["ci68_half_width_deg"], found["cases"]
-        rows.append(
-            (
-                f"truths, {name}",
-                str(cases),
-                f"{error['median']:.3f}°, at most {error['max']:.2f}°",
-                f"{half['median']:.3f}°",
-                f"{found['inside68']} of {cases}",
-                f"{found['inside95']} of {cases}",
-                f"{found['misfit']} of {cases}",
             )
-        )
     return rows
 
 
-def _notes(data: dict[str, Any]) -> list[str]:
-    strangers, spread = data["strangers"], data["one_library"]["coverage68"]["p05_p95"]
+def _notes(data: Mapping[str, Any]) -> list[str]:
+    spread, fitted = data["one_library"]["coverage68"]["p05_p95"], data["fitted_surface"]
+    believed = ", ".join(
+        f"{n['believed']} of {n['cases']} ({kind})" for kind, n in data["strangers"].items()
+    )
+    ranks, fitted_ranks = (
+        f"have mean {part['mean_rank']:.3f}, and are uniform with p = {part['rank_chi2_p']:.2g}"
+        for part in (data, fitted)
+    )
+    clean = data["truths"].get("clean", {}).get("none")
+    held = f"{spread[0]:.0%} to {spread[1]:.0%} (5 to 95 % of the worlds that it may be of)"
     return [
-        f"Ranks of the truths are uniform with p = {data['rank_chi2_p']:.2g} (chi-square).",
-        f"Through one library 68 % intervals cover {spread[0]:.0%} to {spread[1]:.0%}.",
-        "Histories that must not be believed, and those that were: "
-        + "; ".join(f"{kind} {n['cases']}, {n['believed']}" for kind, n in strangers.items())
-        + ".",
+        f"Ranks of the truths {ranks} (chi-square).",
+        f"In worlds about the fitted surface they {fitted_ranks}.",
+        f"Through one library 68 % intervals cover {held}.",
+        f"Histories that must not be believed, and were: {believed}.",
+        *(_by_seed(clean["by_seed"]) if clean else ()),
     ]
+
+
+def _by_seed(seeds: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Clean truths, apart by particle seed."""
+    if len(seeds) < 2:
+        return []
+    numbers = {
+        "median errors": [f"{part['abs_error_deg']['median']:.3f}°" for part in seeds],
+        "largest": [f"{part['abs_error_deg']['max']:.2f}°" for part in seeds],
+        "median 68 % half-widths": [
+            f"{part['ci68_half_width_deg']['median']:.3f}°" for part in seeds
+        ],
+        "in 68 %": [str(part["inside68"]) for part in seeds],
+        "in 95 %": [str(part["inside95"]) for part in seeds],
+    }
+    lists = "; ".join(f"{name} {', '.join(values)}" for name, values in numbers.items())
+    return [f"Clean truths, {seeds[0]['cases']} of each of {len(seeds)} particle seeds: {lists}."]
+
+
+def _page(title: str, rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
+    """The study as a page in Markdown, with the certificates of all shipped libraries."""
+    parts = [
+        "# Are the intervals calibrated?",
+        ORIGIN,
+        "## Certificates",
+        _table(CERTIFICATE, certificates()),
+        f"## {title}",
+        _table(HEADER, rows),
+        "\n".join(f"- {note}" for note in notes),
+        f"![{PICTURE}](calibration.png)",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def certificates() -> list[tuple[str, ...]]:
+    """Rows of the certificates that shipped libraries carry."""
+    rows: list[tuple[str, ...]] = []
+    for name in shipped_names("libraries", ".nc"):
+        certificate = Library.load(name).calibration.get("certificate", {})
+        for leg, found in certificate.get("legs", {}).items():
+            again = certificate["rank_chi2_p_of_other_seeds"][leg]
+            rows.append(
+                (
+                    f"`{name}`, {leg}",
+                    str(found["replicates"]),
+                    *(f"{found[key]:.1%}" for key in ("coverage68", "coverage95")),
+                    f"{found['rank_chi2_p']:.2g}",
+                    ", ".join(f"{p:.2g}" for p in again),
+                    f"{found['ci68_half_width_deg']:.3f}°",
+                )
+            )
+    return rows
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(row)} |" for row in [header, ["---"] * len(header), *rows])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.inference.inversion import Inversion, invert
-from terraphi.inference.posterior import ensemble
+from terraphi.inference.posterior import ensemble, tabulated
 from terraphi.inference.residual import PaperLikelihood
 from terraphi.library import Library
 from terraphi.plots import recovery_figure
@@ -70,8 +70,10 @@ def run(*, library: str = "quick-plane-strain") -> Study:
         if truth.history is None:
             raise InputError(f"library '{truths.name}' holds a failed case: {truth.failure}")
         leg, phi = truth.scenario.leg.shape, truth.scenario.soil.friction_angle_deg
-        exact = invert(truth.history, library=trained, leg=leg)
-        sampled = invert(truth.history, library=trained, leg=leg, sampler="emcee")
+        exact = invert(truth.history, library=trained, leg=leg, likelihood="paper")
+        sampled = invert(
+            truth.history, library=trained, leg=leg, likelihood="paper", sampler="emcee"
+        )
         convergence = sampled.posterior.convergence
         error = convergence["median_standard_error"]
         if shown is None or abs(phi - SHOWN_DEG) < abs(shown[2] - SHOWN_DEG):
@@ -120,7 +122,8 @@ def _walkers(library: Library, history: ForceHistory, exact: Inversion, phi: flo
     def log_p(phi_deg: FloatArray) -> FloatArray:
         return likelihood(surrogate.predict(phi_deg))
 
-    draws = ensemble(log_p, surrogate.phi_bounds_deg, burn_in=0, seed=0).draws_deg
+    table = tabulated(log_p, surrogate.phi_bounds_deg)
+    draws = ensemble(table, surrogate.phi_bounds_deg, burn_in=0, seed=0).draws_deg
     assert draws is not None
     return Walkers(draws[0], BURN_IN, exact.posterior, phi)
 

@@ -1,0 +1,66 @@
+"""The calibrated verdict: a misfit counts for more than an edge that the posterior only reaches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from terraphi.inference.fit import Fit
+from terraphi.inference.judgement import EDGE_DENSITY, edge_densities, judge_calibrated
+from terraphi.inference.posterior import Posterior, ensemble, quadrature, tabulated
+from terraphi.inference.verdict import Verdict
+
+BOUNDS = (15.0, 50.0)
+GOOD = Fit(30.0, 0.1, 80.0, 79, 0.45, -1.0, 0.04, 15.0)
+BAD = Fit(30.0, 0.1, 900.0, 79, 1e-9, 30.0, 0.25, 40.0)
+
+
+def normal(mean: float, sigma: float) -> Posterior:
+    return quadrature(lambda phi: norm.logpdf(phi, mean, sigma), BOUNDS, nodes=2001)
+
+
+def judged(posterior: Posterior, fit: Fit) -> Verdict:
+    nrmsd = {"Fx": 0.2, "Fz": 0.1}
+    return judge_calibrated(posterior, fit, residual_nrmsd=nrmsd, convention="plane_strain")
+
+
+@pytest.mark.parametrize(
+    ("mean", "sigma", "fit", "verdict", "edge"),
+    [
+        (30.0, 1.0, GOOD, "consistent", None),
+        (30.0, 1.0, BAD, "misfit", None),
+        (16.0, 1.0, GOOD, "out_of_range", "low"),
+        (49.0, 1.0, GOOD, "out_of_range", "high"),
+        (18.0, 2.0, BAD, "misfit", None),
+        (15.0, 2.0, BAD, "out_of_range", "low"),
+        (55.0, 2.0, BAD, "out_of_range", "high"),
+        (18.0, 1.2, GOOD, "consistent", None),
+    ],
+)
+def test_verdict(mean: float, sigma: float, fit: Fit, verdict: str, edge: str | None) -> None:
+    found = judged(normal(mean, sigma), fit)
+    assert (found.verdict, found.edge) == (verdict, edge)
+
+
+def test_a_misfit_whose_posterior_reaches_an_edge_says_so() -> None:
+    reason = judged(normal(18.0, 2.0), BAD).reason
+    assert reason.startswith("No friction angle fits")
+    assert "reaches the lower edge of the library at 15° (plane_strain)" in reason
+    assert "edge" not in judged(normal(30.0, 1.0), BAD).reason
+
+
+def test_two_standard_deviations_are_the_limit() -> None:
+    low, high = edge_densities(normal(19.0, 2.0))
+    assert low == pytest.approx(EDGE_DENSITY, rel=1e-6)
+    assert high == pytest.approx(0.0, abs=1e-9)
+
+
+def test_draws_tell_the_edge_as_quadrature_does() -> None:
+    def log_p(phi: np.ndarray) -> np.ndarray:
+        return norm.logpdf(phi, 16.0, 2.0)
+
+    drawn = ensemble(tabulated(log_p, BOUNDS, nodes=401), BOUNDS, seed=1)
+    exact = edge_densities(quadrature(log_p, BOUNDS, nodes=401))
+    assert edge_densities(drawn) == pytest.approx(exact, abs=0.15)
+    assert judged(drawn, GOOD).edge == "low"
