@@ -43,6 +43,8 @@ def refusal(tmp_path: Path, content: str | bytes) -> str:
     ("content", "said"),
     [
         ("", ["empty", "theta_deg,Fx_N,Fz_N"]),
+        ("theta_deg;Fx_N;Fz_N\n1,5;2,0;3,0\n", ["line 1", "semicolons", "commas are expected"]),
+        ("theta_deg\tFx_N\tFz_N\n", ["line 1", "tabs"]),
         (" \n\n", ["empty"]),
         (HEADER, ["no numbers under the header"]),
         ("theta_deg,Fx_N\n1,2\n", ["line 1", "'Fz_N' is missing", "theta_deg,Fx_N,Fz_N"]),
@@ -50,7 +52,6 @@ def refusal(tmp_path: Path, content: str | bytes) -> str:
         ("theta,Fx_N,Fz_N\n1,2,3\n", ["line 1", "'theta'", "did you mean 'theta_deg'?"]),
         ("theta_deg,Fx_N,Fz_N,Fy_N\n1,2,3,4\n", ["line 1", "unexpected column 'Fy_N'"]),
         ("theta_deg,Fx_N,Fx_N,Fz_N\n1,2,3,4\n", ["line 1", "'Fx_N' stands twice"]),
-        ("theta_deg;Fx_N;Fz_N\n1;2;3\n", ["line 1", "'theta_deg;Fx_N;Fz_N'", "expected exactly"]),
         (NINE, ["line 1", "unexpected column '-80'", "theta_deg,Fx_N,Fz_N"]),
         (HEADER + "-80,1,2\n\n-60,abc,2\n", ["line 4", "Fx_N = 'abc'", "not a number"]),
         (HEADER + "-80,1,2\n-60,,2\n", ["line 3", "Fx_N = ''", "not a number"]),

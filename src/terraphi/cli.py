@@ -20,7 +20,7 @@ from terraphi.commands import (
 from terraphi.commands.app import app
 from terraphi.commands.calibrate import library_calibrate
 from terraphi.commands.doctor import doctor
-from terraphi.commands.invert import DEFAULT_LIBRARY, invert
+from terraphi.commands.invert import DEFAULT_LIBRARY, invert, save_inversion
 from terraphi.commands.keys import keys
 from terraphi.commands.library import library
 from terraphi.commands.report import report
@@ -86,12 +86,17 @@ def demo(out: Path, as_json: bool) -> None:
         )
     picture = folder(out) / "demo.png"
     plots.save(plots.inversions_figure(found), picture)
+    names = [source.partition(":")[2].replace("/", "-") for source in DEMO_SOURCES]
+    answers = [folder(out.joinpath(name)) for name in names]
+    for inversion, place in zip(found, answers, strict=True):
+        save_inversion(inversion, place)
     if as_json:
         print_json({"inversions": [f.as_dict() for f in found], "figure": str(picture)})
         return
     for inversion in found:
         print_inversion(inversion)
     click.echo(f"Figure: {picture}")
+    click.echo(f"Answers: {', '.join(map(str, answers))}")
 
 
 cli.add_command(invert)
@@ -215,6 +220,8 @@ def main() -> None:
     logging.getLogger("terraphi").addHandler(logging.NullHandler())
     try:
         cli.main(standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as asked:
+        click.echo(asked.format_message())
     except click.ClickException as error:
         click.echo(f"terraphi: {error.format_message()}", err=True)
         sys.exit(UNUSABLE)

@@ -213,6 +213,12 @@ def _cells(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _check_header(path: Path, header: list[str]) -> None:
+    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
+        if mark in header[0]:
+            raise InputError(
+                f"{path}, line 1: columns are separated by {name}; commas are expected, and points "
+                "in numbers"
+            )
     expected = ",".join(CSV_COLUMNS)
     for name in header:
         if name not in CSV_COLUMNS:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import arviz
 import numpy as np
@@ -233,3 +234,50 @@ def test_a_sensor_stuck_at_an_offset_is_refused(history: ForceHistory, library: 
     stuck[:, 0] = 1.0
     with pytest.raises(InputError, match="Fx is 1 N at every angle"):
         invert(ForceHistory(history.position, stuck), library=library)
+
+
+def bare(history: ForceHistory, *, Fx: float = 1.0, Fz: float = 1.0) -> ForceHistory:
+    """Forces as a sensor gives them, each multiplied by a number: nothing tells of their soil."""
+    return ForceHistory(history.position, history.force * [Fx, Fz])
+
+
+def test_a_slip_of_the_unit_is_asked_about(history: ForceHistory, library: Library) -> None:
+    (large,) = invert(bare(history, Fx=1e3, Fz=1e3), library=library).warnings
+    assert "times that of the library's largest curve: are the forces in newtons?" in large
+    answer = invert(bare(history, Fx=1e-3, Fz=1e-3), library=library)
+    (small,) = answer.warnings
+    assert "the library's smallest curve" in small
+    assert small in answer.verdict.reason
+    assert invert(bare(history), library=library).warnings == ()
+
+
+@pytest.mark.parametrize("name", ["Fx", "Fz"])
+def test_a_turned_sign_is_asked_about(name: str, history: ForceHistory, library: Library) -> None:
+    (warning,) = invert(bare(history, **{name: -1.0}), library=library).warnings
+    assert warning.startswith(f"{name} runs against the library's (-1.00 correlation)")
+
+
+def test_a_density_unlike_the_simulated_one_is_told(
+    history: ForceHistory, library: Library
+) -> None:
+    (warning,) = invert(history, library=library, density=2000.0).warnings
+    assert "simulated with a density of 1650 kg/m³ and is inverted with 2000 kg/m³" in warning
+
+
+def test_a_scenario_of_another_version_is_refused(history: ForceHistory, library: Library) -> None:
+    odd = ForceHistory(history.position, history.force, provenance={"scenario": {"sand": "wet"}})
+    with pytest.raises(InputError, match="this version of terraphi cannot read"):
+        invert(odd, library=library)
+
+
+def test_noise_beyond_any_force_is_refused(history: ForceHistory, library: Library) -> None:
+    with pytest.raises(InputError, match="0 to 100000 N is accepted"):
+        invert(history, library=library, noise=1e200)
+
+
+def test_a_calibration_of_another_version_is_told(history: ForceHistory) -> None:
+    own = Library.load("quick-plane-strain")
+    legs = {leg: {**kept, "kernel": {}} for leg, kept in own.calibration["legs"].items()}
+    old = replace(own, calibration={**own.calibration, "legs": legs})
+    with pytest.raises(InputError, match="calibrate it again"):
+        invert(bare(history), library=old)

@@ -106,14 +106,22 @@ def replicate_groups(
     Raises
     ------
     InputError
-        If a replicate is not a case of the library but for its seed.
+        If a replicate is not a case of the library but for its seed, or has its very seed.
     """
+    known = {c.scenario.hash for c in library.cases}
     own = {_unseeded(c.scenario): c.history for c in library.cases if c.history}
     groups: dict[str, list[FloatArray]] = defaultdict(list)
     scenarios: dict[str, Scenario] = {}
     for case in replicates.cases:
         key = _unseeded(case.scenario)
         history = own.get(key)
+        if case.scenario.hash in known:
+            raise InputError(
+                f"'{replicates.name}' repeats a simulation, with the seed "
+                f"{case.scenario.numerics.seed} at "
+                f"{case.scenario.soil.friction_angle_deg:g} deg: that tells nothing of the scatter"
+            )
+        known.add(case.scenario.hash)
         if history is None:
             raise InputError(
                 f"'{replicates.name}' is not of replicates of library '{library.name}': its case "

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory, Observation
@@ -15,6 +17,11 @@ DENSITIES = (100.0, 10000.0)
 """Bulk densities that are accepted [kg/m³]; 1.6 is one in g/cm³."""
 FORCES = (1e-4, 1e5)
 """Peak forces that are accepted [N]."""
+OUT_OF_SCALE = 5.0
+"""Peak force over the largest of the library, or that of its smallest over it, above which its unit
+is asked about [-]."""
+TURNED = -0.5
+"""Correlation of a force with the library's mean curve below which its sign is asked about [-]."""
 FREE = {"name", "soil.friction_angle_deg", "soil.density", "numerics.seed"}
 """Keys in which a simulated history may differ from the library."""
 IDLE = {"mpm": ("rft.",), "rft": ("numerics.", "relief.", "bed.", "soil.")}
@@ -64,9 +71,9 @@ def unlike(history: ForceHistory, scenario: Scenario, leg: str) -> str:
     leg
         Shape of the leg that the history is inverted as.
     """
-    if "scenario" not in history.provenance:
+    made_by = scenario_of(history)
+    if made_by is None:
         return ""
-    made_by = Scenario.model_validate(history.provenance["scenario"])
     expected = scenario.replace(**{"leg.shape": leg})
     if made_by.model != expected.model:
         differences = [f"model = {made_by.model} ({expected.model})"]
@@ -90,6 +97,71 @@ def unlike(history: ForceHistory, scenario: Scenario, leg: str) -> str:
     )
 
 
+def doubts(
+    history: ForceHistory,
+    observation: Observation,
+    curves: NDArray[np.float64],
+    density: float,
+) -> list[str]:
+    """Sentences on what is likely to be a slip: of units, of signs, or of the density.
+
+    Parameters
+    ----------
+    history
+        Forces; it carries its scenario if we simulated it.
+    observation
+        Its window means.
+    curves
+        The library's, at that density [N], shape [case, 2 theta].
+    density
+        With which the history is inverted [kg/m³].
+    """
+    found = []
+    names, measured = ("Fx", "Fz"), observation.vector.reshape(2, -1)
+    library = curves.reshape(len(curves), 2, -1)
+    peak, peaks = np.abs(measured).max(), np.abs(library).max(axis=(1, 2))
+    for ratio, words in ((peak / peaks.max(), "largest"), (peaks.min() / peak, "smallest")):
+        if ratio > OUT_OF_SCALE:
+            far = f"{ratio:.3g} times" if words == "largest" else f"one {ratio:.3g}th of"
+            found.append(
+                f"The largest mean force, {peak:.3g} N, is {far} that of the library's {words} "
+                "curve: are the forces in newtons?"
+            )
+    for name, force, own in zip(names, measured, library.mean(axis=0), strict=True):
+        correlation = np.corrcoef(force, own)[0, 1]
+        if correlation < TURNED:
+            found.append(
+                f"{name} runs against the library's ({correlation:.2f} correlation): is its sign "
+                "right? Fx points forward and Fz up, as forces on the leg."
+            )
+    made_by = scenario_of(history)
+    if made_by is not None and abs(made_by.soil.density - density) > 1e-6 * density:
+        found.append(
+            f"The history was simulated with a density of {made_by.soil.density:g} kg/m³ and is "
+            f"inverted with {density:g} kg/m³."
+        )
+    return found
+
+
+def scenario_of(history: ForceHistory) -> Scenario | None:
+    """Scenario that a simulated history carries; ``None`` if it carries none.
+
+    Raises
+    ------
+    InputError
+        If it is not one of this version.
+    """
+    if "scenario" not in history.provenance:
+        return None
+    try:
+        return Scenario.model_validate(history.provenance["scenario"])
+    except ValidationError as error:
+        raise InputError(
+            "the history carries a scenario that this version of terraphi cannot read; simulate it "
+            "again, or give its forces alone (CSV)"
+        ) from error
+
+
 def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Dotted keys and their values."""
     for key, value in values.items():
@@ -105,9 +177,9 @@ def _word(value: Any) -> str:
 
 def check_same_setup(history: ForceHistory, scenario: Scenario) -> None:
     """Refuse a simulated history of a leg or hip unlike the library's."""
-    if "scenario" not in history.provenance:
+    made_by = scenario_of(history)
+    if made_by is None:
         return
-    made_by = Scenario.model_validate(history.provenance["scenario"])
     for name, found, expected in (
         ("leg.chord", made_by.leg.chord, scenario.leg.chord),
         ("leg.width", made_by.leg.width, scenario.leg.width),

@@ -16,7 +16,7 @@ from terraphi.errors import InputError, nearest
 from terraphi.history import ForceHistory, Observation
 from terraphi.inference.answer import AngleSummary, Inversion, plane_strain_summary
 from terraphi.inference.calibrated import CalibratedLikelihood
-from terraphi.inference.checks import check_magnitudes, check_same_setup, unlike
+from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
 from terraphi.inference.covariance import Budget, budget_of
 from terraphi.inference.fit import Fit, fit_without_discrepancy
 from terraphi.inference.hypotheses import Problem
@@ -63,6 +63,7 @@ class _Found(NamedTuple):
     verdict: Verdict
     budget: Budget | None
     scenario: Scenario
+    curves: FloatArray
     core_seconds: float
 
 
@@ -132,9 +133,13 @@ def invert(
         with single_threaded():
             found = _calibrated(history, observation, library, leg, density, errors, how)
     equivalent, why_not = plane_strain_summary(found.phi, found.scenario)
-    warning, verdict = unlike(history, found.scenario, leg), found.verdict
-    if warning:
-        verdict = replace(verdict, reason=f"{verdict.reason} {warning}")
+    used = found.scenario.soil.density if density is None else density
+    curves = used / found.scenario.soil.density * found.curves
+    warnings = [
+        *filter(None, [unlike(history, found.scenario, leg)]),
+        *doubts(history, observation, curves, used),
+    ]
+    verdict = replace(found.verdict, reason=" ".join([found.verdict.reason, *warnings]))
     return Inversion(
         source=source or str(history.provenance.get("file", "")),
         observation=observation,
@@ -145,13 +150,13 @@ def invert(
         phi=found.phi,
         phi_plane_strain=equivalent,
         plane_strain_reason=why_not,
-        density=found.scenario.soil.density if density is None else density,
+        density=used,
         density_assumed=density is None or density_assumed,
         best=found.best,
         band=found.band,
         nrmsd=found.nrmsd,
         verdict=verdict,
-        warnings=(warning,) if warning else (),
+        warnings=tuple(warnings),
         likelihood=likelihood,
         budget=found.budget,
         provenance={
@@ -218,7 +223,8 @@ def _by_paper(
         residual_nrmsd=deviation,
         convention=scenario.convention,
     )
-    return _Found(posterior, phi, best, band, deviation, verdict, None, scenario, core)
+    vectors = np.hstack([curves.Fx, curves.Fz])
+    return _Found(posterior, phi, best, band, deviation, verdict, None, scenario, vectors, core)
 
 
 def _calibrated(
@@ -257,7 +263,8 @@ def _calibrated(
     verdict = judge_calibrated(
         posterior, fit, residual_nrmsd=deviation, convention=scenario.convention
     )
-    return _Found(posterior, phi, best, band, deviation, verdict, budget, scenario, core)
+    vectors = np.hstack([prepared.curves.Fx, prepared.curves.Fz])
+    return _Found(posterior, phi, best, band, deviation, verdict, budget, scenario, vectors, core)
 
 
 def _sample(

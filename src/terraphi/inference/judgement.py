@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from terraphi.inference.fit import LARGEST_ODDS, SMALLEST_PROBABILITY, Fit
+from terraphi.inference.hypotheses import AMPLITUDES
 from terraphi.inference.posterior import Posterior
 from terraphi.inference.verdict import Verdict
 
@@ -95,14 +96,14 @@ def _misfit(fit: Fit, residual_nrmsd: Mapping[str, float]) -> str:
     clauses = []
     if fit.probability < SMALLEST_PROBABILITY:
         clauses.append(
-            f"the residual of the best fit, at {fit.phi_deg:.1f}°, is "
+            f"without a discrepancy the residual of the best fit, at {fit.phi_deg:.1f}°, is "
             f"{np.sqrt(fit.chi2 / fit.freedom):.1f} times what scatter and noise allow "
             f"(chi-square {fit.chi2:.0f} with {fit.freedom} degrees of freedom)"
         )
     if fit.log10_odds > np.log10(LARGEST_ODDS):
         clauses.append(
             f"the residual follows the leg angle as noise does not: the odds of a model "
-            f"discrepancy of about {fit.amplitude:.0%} of the peak-to-peak are "
+            f"discrepancy of {_amplitude(fit.amplitude)} of the peak-to-peak are "
             f"{_odds(fit.log10_odds)} (limit {LARGEST_ODDS:.0f}:1)"
         )
     deviations = " and ".join(
@@ -112,6 +113,13 @@ def _misfit(fit: Fit, residual_nrmsd: Mapping[str, float]) -> str:
         f"at the median the model deviates from the forces by {deviations} of their peak-to-peak"
     )
     return ", and ".join(clauses)
+
+
+def _amplitude(amplitude: float) -> str:
+    """Amplitude in words; the largest that was tried stands for all beyond it."""
+    if amplitude >= AMPLITUDES[-1]:
+        return f"{AMPLITUDES[-1]:.0%} or more"
+    return f"about {amplitude:.0%}"
 
 
 def _odds(log10_odds: float) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from terraphi.errors import InputError
 from terraphi.joint_surrogate import JointKernel, JointSurrogate
 from terraphi.library import Curves, Library
 from terraphi.scatter import Scatter, estimate
@@ -202,9 +203,15 @@ def surrogate_of(library: Library, leg: str, curves: Curves) -> JointSurrogate:
     vectors = np.hstack([curves.Fx, curves.Fz])
     carried = library.calibration.get("legs", {}).get(leg)
     if carried is not None and library.calibration.get("library_hash") == library.hash:
-        scatter, kernel = Scatter.from_dict(carried["scatter"]), None
-        if np.allclose(scatter.theta_deg, curves.theta_deg, atol=1e-6):
+        try:
+            scatter = Scatter.from_dict(carried["scatter"])
             kernel = JointKernel.from_dict(carried["kernel"])
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise InputError(
+                f"library '{library.name}' carries a calibration of another version of terraphi; "
+                "calibrate it again (terraphi library calibrate)"
+            ) from error
+        if np.allclose(scatter.theta_deg, curves.theta_deg, atol=1e-6):
             return JointSurrogate.fit(
                 curves.phi_deg, curves.theta_deg, vectors, scatter, kernel=kernel
             )

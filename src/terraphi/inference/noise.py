@@ -22,6 +22,8 @@ from terraphi.history import WINDOW_DEG
 FloatArray = NDArray[np.float64]
 
 INFERRED = "inferred"
+LARGEST_N = 1e5
+"""Noise that is accepted [N], as much as the largest force."""
 RIDGE = 1e-3
 """Added to the noise covariance, of its mean variance [-]: coarse records make it singular."""
 
@@ -31,8 +33,8 @@ class _Sensor(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    sigma_Fx_N: float = Field(ge=0)
-    sigma_Fz_N: float = Field(ge=0)
+    sigma_Fx_N: float = Field(ge=0, le=LARGEST_N)
+    sigma_Fz_N: float = Field(ge=0, le=LARGEST_N)
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class Noise:
         Raises
         ------
         InputError
-            If it is none of these, or negative.
+            If it is none of these, negative or larger than any force.
         """
         if given is None or given == INFERRED:
             return cls()
@@ -68,8 +70,8 @@ class Noise:
                 ) from None
             sensor = parse_toml(path, _Sensor)
             return cls((sensor.sigma_Fx_N, sensor.sigma_Fz_N))
-        if not 0.0 <= sigma < np.inf:
-            raise InputError(f"noise = {given} N; 0 or more newtons are accepted")
+        if not 0.0 <= sigma <= LARGEST_N:
+            raise InputError(f"noise = {given} N; 0 to {LARGEST_N:g} N is accepted")
         return cls((sigma, sigma))
 
 
