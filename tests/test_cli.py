@@ -314,3 +314,13 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path) -> None:
     time.sleep(4.0)
     started.kill()
     started.communicate(timeout=120)  # the workers hold the pipe as long as they live
+
+
+@pytest.mark.parametrize("words", [[], ["library"]])
+def test_no_words_show_the_help(words: list[str], monkeypatch, capsys) -> None:
+    monkeypatch.setattr(sys, "argv", ["terraphi", *words])
+    main()
+    out, err = capsys.readouterr()
+    assert out.startswith("Usage: terraphi")
+    assert "Example:" in out
+    assert not err
