@@ -6,6 +6,7 @@ import contextlib
 import http.client
 import json
 import os
+import re
 import shutil
 import socket
 import tempfile
@@ -18,7 +19,7 @@ from urllib.parse import urlencode
 
 import pytest
 
-from terraphi.app import server
+from terraphi.app import choices, server
 from terraphi.app.server import application, job_of, shown_name
 from terraphi.measurements import measurement
 
@@ -97,7 +98,9 @@ def test_the_first_page_has_a_policy_and_every_choice(served: Served) -> None:
     assert "frame-ancestors 'none'" in found.headers["content-security-policy"]
     for word in ("quick-plane-strain", "rft3d", "reversed_c"):
         assert f">{word}</option>" in found.text
-    assert "-truths" not in found.text
+    offered = re.findall(r"<option(?: selected)?>([^<]+)</option>", found.text)
+    assert set(offered) == {*choices.offered(), *choices.offered_legs()}
+    assert not [name for name in offered if re.search("truths|seeds|fourteen|hip|k0|plate", name)]
 
 
 def test_dropped_forces_become_a_report_and_nothing_stays(
@@ -168,7 +171,8 @@ def test_another_site_can_neither_send_nor_name_us(served: Served, forces: bytes
     "options",
     [
         {"leg": "x"}, {"library": "../../x"}, {"kind": "x"}, {"density": "x"}, {"name": "a.exe"},
-        {"name": ""}, {"library": "quick-paper\x00"},
+        {"name": ""}, {"library": "quick-paper\x00"}, {"library": "quick-paper-truths"},
+        {"leg": "plate"},
     ],
 )  # fmt: skip
 def test_wrong_options_are_refused(options: dict[str, str], served: Served) -> None:

@@ -19,10 +19,9 @@ from collections import OrderedDict
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
+from terraphi.app.choices import offered, offered_legs
 from terraphi.app.work import JOB, PAGE, REFUSED
-from terraphi.documents import shipped_names
 from terraphi.errors import InputError
-from terraphi.leg import LEG_SHAPES
 from terraphi.report.page import asset, template
 
 if TYPE_CHECKING:
@@ -146,10 +145,9 @@ def front_page(most_bytes: int) -> tuple[str, str]:
     """The page to drop a file on, and the policy that it comes with."""
     script = asset("app.js", package="terraphi.app")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-    libraries = [name for name in shipped_names("libraries", ".nc") if not _is_reference(name)]
     html = template("app.html", package="terraphi.app").render(
-        libraries=libraries,
-        legs=LEG_SHAPES,
+        libraries=list(offered()),
+        legs=offered_legs(),
         suffixes=",".join(SUFFIXES),
         megabytes=most_bytes // 1_000_000,
         script=script,
@@ -160,11 +158,6 @@ def front_page(most_bytes: int) -> tuple[str, str]:
         "frame-ancestors 'none'"
     )
     return html, policy
-
-
-def _is_reference(name: str) -> bool:
-    """Whether a library is there to test others, and not to infer with."""
-    return name.endswith("-truths") or "-k0-" in name
 
 
 async def page_of(
@@ -193,9 +186,7 @@ def job_of(query: dict[str, str]) -> dict[str, Any]:
     suffix = PurePosixPath(name).suffix.lower()
     if suffix not in SUFFIXES:
         raise RefusedError(415, f"{name}: a file that ends in {', '.join(SUFFIXES)} is expected")
-    for key, allowed in (
-        ("kind", KINDS), ("leg", LEG_SHAPES), ("library", shipped_names("libraries", ".nc")),
-    ):  # fmt: skip
+    for key, allowed in (("kind", KINDS), ("leg", offered_legs()), ("library", offered())):
         if query.get(key) not in allowed:
             raise RefusedError(400, f"{key}: one of {', '.join(allowed)} is expected")
     density = None
