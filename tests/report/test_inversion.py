@@ -41,6 +41,20 @@ def test_headline_names_the_equivalent_in_plane_strain(inversion: Inversion) -> 
     assert "which acts as 17.4° in plane strain" in headline(answer)
 
 
+def test_a_narrow_interval_has_two_ends(inversion_folder: Path, tmp_path: Path) -> None:
+    answer = json.loads((inversion_folder / "answer.json").read_text())
+    narrow = {"median": 31.003, "ci68": [31.0001, 31.0061], "ci95": [30.997, 31.009]}
+    answer["phi_deg"] |= narrow
+    (tmp_path / "answer.json").write_text(json.dumps(answer))
+    found = section(tmp_path)
+    assert "φ = 31.0030°" in found.headline
+    assert "68 %: 31.0001 to 31.0061°, 95 %: 30.9970 to 31.0090°" in found.headline
+    assert found.overview["68 %"] == "31.0001 to 31.0061°"
+    numbers = next(p for p in found.parts if p.title == "In numbers")
+    assert isinstance(numbers, Table)
+    assert numbers.rows[0][1:] == ("31.0030", "31.0001 to 31.0061", "30.9970 to 31.0090")
+
+
 def test_curves_are_those_of_the_inversion(inversion: Inversion, inversion_folder: Path) -> None:
     found = plots(section(inversion_folder))
     half = len(inversion.observation.theta_deg)

@@ -15,7 +15,7 @@ from terraphi.report import figures as fig
 from terraphi.report.certificate import certificate_parts
 from terraphi.report.density import smooth_density
 from terraphi.report.inversion_data import Again, Saved, load, recomputed
-from terraphi.report.parts import Part, Plot, Section, Status, Table, number
+from terraphi.report.parts import Part, Plot, Section, Status, Table, decimals, number
 
 FloatArray = NDArray[np.float64]
 
@@ -91,10 +91,10 @@ def headline(answer: Mapping[str, Any]) -> str:
     equal = answer["phi_plane_strain_deg"]
     also = ""
     if equal and phi.get("yield") != "plane_strain":
-        also = f", which acts as {equal['median']:.1f}° in plane strain"
+        also = f", which acts as {_median(equal)}° in plane strain"
     return (
-        f"φ = {phi['median']:.1f}° ({convention}; 68 %: {_range(phi['ci68'])}, 95 %: "
-        f"{_range(phi['ci95'])}){also}. Verdict: {answer['verdict'].replace('_', ' ')}."
+        f"φ = {_median(phi)}° ({convention}; 68 %: {_range(phi, 'ci68')}, 95 %: "
+        f"{_range(phi, 'ci95')}){also}. Verdict: {answer['verdict'].replace('_', ' ')}."
     )
 
 
@@ -104,16 +104,22 @@ def _overview(answer: Mapping[str, Any]) -> dict[str, str]:
         "leg": str(answer["leg"]),
         "library": str(answer["library"]),
         "φ means": CONVENTION.get(str(phi.get("yield")), str(phi.get("yield"))),
-        "φ": f"{phi['median']:.1f}°",
-        "68 %": _range(phi["ci68"]),
-        "95 %": _range(phi["ci95"]),
-        "in plane strain": f"{equal['median']:.1f}°" if equal else "–",
+        "φ": f"{_median(phi)}°",
+        "68 %": _range(phi, "ci68"),
+        "95 %": _range(phi, "ci95"),
+        "in plane strain": f"{_median(equal)}°" if equal else "–",
         "verdict": str(answer["verdict"]).replace("_", " "),
     }
 
 
-def _range(ends: Any) -> str:
-    return f"{ends[0]:.1f} to {ends[1]:.1f}°"
+def _median(angle: Mapping[str, Any], fewest: int = 1) -> str:
+    return f"{angle['median']:.{decimals(angle['ci68'], fewest)}f}"
+
+
+def _range(angle: Mapping[str, Any], level: str, fewest: int = 1, unit: str = "°") -> str:
+    """An interval, both levels with the digits that the narrower one needs."""
+    low, high = (f"{end:.{decimals(angle['ci68'], fewest)}f}" for end in angle[level])
+    return f"{low} to {high}{unit}"
 
 
 def _plain_verdict(answer: Mapping[str, Any]) -> str:
@@ -129,9 +135,9 @@ def _numbers(answer: Mapping[str, Any]) -> Table:
     rows = [
         (
             name,
-            f"{angle['median']:.2f}",
-            "{:.2f} to {:.2f}".format(*angle["ci68"]),
-            "{:.2f} to {:.2f}".format(*angle["ci95"]),
+            _median(angle, 2),
+            _range(angle, "ci68", 2, ""),
+            _range(angle, "ci95", 2, ""),
         )
         for name, angle in angles
     ]
@@ -152,16 +158,13 @@ def _numbers(answer: Mapping[str, Any]) -> Table:
 def _density(saved: Saved, again: Again | None) -> Plot:
     phi = saved.answer["phi_deg"]
     x, density = smooth_density(saved.draws_deg, bounds=again.bounds_deg if again else None)
-    traces = [
-        fig.line(
-            x, density, "posterior density", "@blue", hovertemplate="φ = %{x:.2f}°<extra></extra>"
-        ),
-    ]
+    hover = f"φ = %{{x:.{decimals(phi['ci68'], 2)}f}}°<extra></extra>"
+    traces = [fig.line(x, density, "posterior density", "@blue", hovertemplate=hover)]
     for level, colour in (("ci95", "@blue/0.18"), ("ci68", "@blue/0.40")):
         low, high = phi[level]
         inside = np.linspace(low, high, 121)
         height = np.interp(inside, x, density)
-        name = f"{level[2:]} %: {_range(phi[level])}"
+        name = f"{level[2:]} %: {_range(phi, level)}"
         traces.append(fig.band(inside, np.zeros_like(inside), height, name, colour))
     margin = 0.5 * (phi["ci95"][1] - phi["ci95"][0])
     reach = [phi["ci95"][0] - margin, phi["ci95"][1] + margin]
