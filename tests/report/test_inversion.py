@@ -14,7 +14,7 @@ from terraphi.errors import InputError
 from terraphi.inference.inversion import Inversion, invert
 from terraphi.library import Library
 from terraphi.measurements import measurement
-from terraphi.report.inversion import CONVENTION, headline, load, recomputed, section
+from terraphi.report.inversion import CONVENTION, _density, headline, load, recomputed, section
 from terraphi.report.page import render
 from terraphi.report.parts import Plot, Section, Table, Text
 
@@ -55,8 +55,27 @@ def test_a_narrow_interval_has_two_ends(inversion_folder: Path, tmp_path: Path) 
     assert numbers.rows[0][1:] == ("31.0030", "31.0001 to 31.0061", "30.9970 to 31.0090")
 
 
+def test_the_ends_of_the_library_that_are_drawn_are_named(
+    inversion: Inversion, inversion_folder: Path
+) -> None:
+    saved = load(inversion_folder)
+    again, _ = recomputed(saved, None)
+    for ends, words in (
+        ([10.0, 60.0], " Dashed: the library ends at 15° and 50°."),
+        ([16.0, 60.0], " Dashed: the library ends at 15° and 50°."),
+        ([27.0, 48.0], " Dashed: the library ends at 50°."),
+        ([28.0, 32.0], ""),
+    ):
+        phi = {**saved.answer["phi_deg"], "ci68": ends, "ci95": ends}
+        plot = _density(replace(saved, answer={**saved.answer, "phi_deg": phi}), again)
+        assert plot.note.startswith(f"Line: median.{words} Smoothed")
+        assert sum(s["line"]["dash"] == "dash" for s in plot.layout["shapes"]) == words.count("°")
+
+
 def test_curves_are_those_of_the_inversion(inversion: Inversion, inversion_folder: Path) -> None:
     found = plots(section(inversion_folder))
+    assert not [plot.title for plot in found.values() if "misfit" in plot.title]
+    assert found["Fx"].title.startswith("Fx: deviation ")
     half = len(inversion.observation.theta_deg)
     for name, part in (("Fx", slice(0, half)), ("Fz", slice(half, None))):
         band, best, measured = found[name].traces

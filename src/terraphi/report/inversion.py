@@ -183,7 +183,7 @@ def _density(saved: Saved, again: Again | None) -> Plot:
             ],
         ),
         note="Line: median."
-        + (f" Dashed: the library ends at {ends[0]:g}°." if ends else "")
+        + (f" Dashed: the library ends at {' and '.join(f'{e:g}°' for e in ends)}." if ends else "")
         + f" Smoothed from {saved.draws_deg.size} draws.",
     )
 
@@ -201,9 +201,10 @@ def _forces(saved: Saved, again: Again | None, why_not: str) -> list[Part]:
             fig.line(saved.theta_deg, saved.best[part], "curve at the median", "@blue"),
             fig.points(saved.theta_deg, saved.data[part], "measured", "@orange"),
         ]
+        deviation = 100.0 * saved.answer["nrmsd"][name]
         plots.append(
             Plot(
-                title=f"{name}: misfit {100.0 * saved.answer['nrmsd'][name]:.1f} % of peak-to-peak",
+                title=f"{name}: deviation {deviation:.1f} % of peak-to-peak",
                 traces=traces,
                 layout=fig.layout(fig.THETA, fig.AXIS_LABEL[name], xaxis=fig.DEGREES),
                 note=f"No band of the 95 % interval: {why_not}." if why_not else "",
