@@ -14,8 +14,18 @@ from terraphi.errors import InputError
 from terraphi.inference.inversion import Inversion, invert
 from terraphi.library import Library
 from terraphi.measurements import measurement
-from terraphi.report.inversion import CONVENTION, _density, headline, load, recomputed, section
-from terraphi.report.page import render
+from terraphi.report.inversion import (
+    CONVENTION,
+    UNCHECKED,
+    UNKNOWN,
+    _belief,
+    _density,
+    headline,
+    load,
+    recomputed,
+    section,
+)
+from terraphi.report.page import context, render
 from terraphi.report.parts import Plot, Section, Table, Text
 
 HOSTILE = "</script><img src=x onerror=alert(1)><b>'\"&$x$"
@@ -177,6 +187,49 @@ def test_a_broken_posterior_is_refused(inversion_folder: Path, tmp_path: Path) -
     (tmp_path / "posterior.nc").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match="not a whole posterior"):
         section(tmp_path)
+
+
+def test_nobody_is_told_to_believe_a_library_that_nobody_checked(
+    inversion_folder: Path, tmp_path: Path
+) -> None:
+    saved = load(inversion_folder)
+    sound = {**saved.answer, "verdict": "consistent"}
+    again, _ = recomputed(saved, None)
+    assert again is not None
+    assert _belief(sound, again) == ("doubtful", UNCHECKED)
+    assert _belief(sound, None) == ("doubtful", UNKNOWN)
+    checked = replace(again, library=Library.load("quick-plane-strain"))
+    assert _belief(sound, checked) == ("good", "")
+    assert _belief({**sound, "leg": "plate"}, checked) == ("doubtful", UNCHECKED)
+    assert _belief({**sound, "verdict": "misfit"}, again) == ("bad", "")
+    (tmp_path / "answer.json").write_text(json.dumps(sound))
+    html = render([section(tmp_path)])
+    assert "believe it" not in html
+    assert "not known here" in html
+
+
+def test_side_by_side_tells_two_answers_of_one_file_apart(
+    inversion_folder: Path, tmp_path: Path
+) -> None:
+    answer = json.loads((inversion_folder / "answer.json").read_text())
+    other = {
+        **answer, "likelihood": "calibrated", "density_assumed": True,
+        "error_budget": {"noise": "given", "noise_N": 0.05, "discrepancy": "gp", "shares": {}},
+    }  # fmt: skip
+    one = {**answer, "likelihood": "paper", "density_assumed": False, "error_budget": None}
+    found = []
+    for name, content in (("a", one), ("b", other)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "answer.json").write_text(json.dumps(content))
+        found.append(section(tmp_path / name))
+    (table,) = context(found)["overviews"]
+    assert table["header"][:2] == ("", "verdict")
+    assert table["header"][-4:] == ("likelihood", "density", "noise", "discrepancy")
+    first, second = table["rows"]
+    assert first[-4] == "paper"
+    assert second[-4:] == ("calibrated", first[-3] + ", assumed", "given, 0.05 N", "gp")
+    (table,) = context([found[0], found[0]])["overviews"]
+    assert "likelihood" not in table["header"]
 
 
 def test_without_a_certificate_the_page_says_so(inversion_folder: Path) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from terraphi.inference.residual import peak_to_peak
 from terraphi.report import figures as fig
-from terraphi.report.certificate import certificate_parts
+from terraphi.report.certificate import certificate_of, certificate_parts
 from terraphi.report.density import smooth_density
 from terraphi.report.inversion_data import Again, Saved, load, recomputed
 from terraphi.report.parts import Part, Plot, Section, Status, Table, decimals, number
@@ -27,6 +27,8 @@ CONVENTION = {
 }
 INFORMATION = "Which angles told the friction angle"
 STATUS: dict[str, Status] = {"consistent": "good", "misfit": "bad", "out_of_range": "doubtful"}
+UNCHECKED = "consistent, with a library whose intervals nobody has checked"
+UNKNOWN = "consistent, but whether its library's intervals were checked is not known here"
 WORDS = {
     "nodes": "nodes of the quadrature",
     "relative_change_on_halving": "change on halving the nodes / 68 % half-width",
@@ -71,17 +73,32 @@ def section(path: Path, *, library: str | None = None) -> Section:
     if again is not None:
         parts += certificate_parts(again.library, leg=str(answer["leg"]))
     parts += [*_budget(answer), _convergence(answer)]
+    status, badge = _belief(answer, again)
     about = {key: answer[key] for key in ("source", "leg", "library", "likelihood", "sampler")}
     return Section(
         kind="inversion",
         title=str(answer["source"]) or path.name,
         headline=headline(answer),
         reason=_plain_verdict(answer),
-        status=STATUS.get(str(answer["verdict"]), "none"),
+        status=status,
+        badge=badge,
         parts=parts,
         provenance={"result": path.name, **about, **answer.get("provenance", {})},
         overview=_overview(answer),
+        apart=_apart(answer),
     )
+
+
+def _belief(answer: Mapping[str, Any], again: Again | None) -> tuple[Status, str]:
+    """Whether to believe an answer, and words for it where the usual ones would say too much."""
+    status = STATUS.get(str(answer["verdict"]), "none")
+    if status != "good":
+        return status, ""
+    if again is None:
+        return "doubtful", UNKNOWN
+    if str(answer["leg"]) not in certificate_of(again.library):
+        return "doubtful", UNCHECKED
+    return status, ""
 
 
 def headline(answer: Mapping[str, Any]) -> str:
@@ -101,6 +118,7 @@ def headline(answer: Mapping[str, Any]) -> str:
 def _overview(answer: Mapping[str, Any]) -> dict[str, str]:
     phi, equal = answer["phi_deg"], answer["phi_plane_strain_deg"]
     return {
+        "verdict": str(answer["verdict"]).replace("_", " "),
         "leg": str(answer["leg"]),
         "library": str(answer["library"]),
         "φ means": CONVENTION.get(str(phi.get("yield")), str(phi.get("yield"))),
@@ -108,7 +126,23 @@ def _overview(answer: Mapping[str, Any]) -> dict[str, str]:
         "68 %": _range(phi, "ci68"),
         "95 %": _range(phi, "ci95"),
         "in plane strain": f"{_median(equal)}°" if equal else "–",
-        "verdict": str(answer["verdict"]).replace("_", " "),
+    }
+
+
+def _apart(answer: Mapping[str, Any]) -> dict[str, str]:
+    """What tells two answers from the same forces, leg and library apart."""
+    assumed = ", assumed" if answer.get("density_assumed") else ""
+    budget = answer.get("error_budget")
+    known = budget if isinstance(budget, Mapping) else {}
+    told, size = known.get("noise"), known.get("noise_N")
+    words = [str(told)] if told is not None else []
+    if _is_number(size):
+        words.append(f"{number(float(size), 3)} N")
+    return {
+        "likelihood": str(answer["likelihood"]),
+        "density": f"{answer['density_kg_m3']:g} kg/m³{assumed}",
+        "noise": ", ".join(words) or "–",
+        "discrepancy": str(known.get("discrepancy") or "–"),
     }
 
 

@@ -132,8 +132,12 @@ class Section:
         A second sentence, why.
     provenance
         Where it comes from, JSON-able; folded away.
+    badge
+        Words for the status in place of the usual ones.
     overview
         Column to word of a table that compares sections with the same columns; empty for none.
+    apart
+        More columns of that table, each shown only where its words differ.
     """
 
     kind: str
@@ -143,7 +147,9 @@ class Section:
     status: Status = "none"
     reason: str = ""
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    badge: str = ""
     overview: Mapping[str, str] = field(default_factory=dict)
+    apart: Mapping[str, str] = field(default_factory=dict)
 
 
 def label(text: object) -> str:
