@@ -136,7 +136,7 @@ def _apart(answer: Mapping[str, Any]) -> dict[str, str]:
     known = budget if isinstance(budget, Mapping) else {}
     told, size = known.get("noise"), known.get("noise_N")
     words = [str(told)] if told is not None else []
-    if _is_number(size):
+    if isinstance(size, int | float) and math.isfinite(size):
         words.append(f"{number(float(size), 3)} N")
     return {
         "likelihood": str(answer["likelihood"]),
