@@ -6,6 +6,7 @@ import contextlib
 import http.client
 import json
 import os
+import re
 import shutil
 import socket
 import tempfile
@@ -17,9 +18,12 @@ from typing import Any, NamedTuple
 from urllib.parse import urlencode
 
 import pytest
+from click.testing import CliRunner
 
-from terraphi.app import server
+from terraphi.app import choices, server
 from terraphi.app.server import application, job_of, shown_name
+from terraphi.commands.app import app
+from terraphi.errors import InputError
 from terraphi.measurements import measurement
 
 uvicorn = pytest.importorskip("uvicorn")
@@ -27,6 +31,9 @@ uvicorn = pytest.importorskip("uvicorn")
 USUAL = {"kind": "auto", "leg": "straight", "library": "rft3d", "density": "", "name": "mine.csv"}
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 MOST_BYTES = 300_000
+FLAT = (
+    "theta_deg,Fx_N,Fz_N\n" + "".join(f"{theta},2,{theta}\n" for theta in range(-100, 101))
+).encode()
 
 
 class Answer(NamedTuple):
@@ -97,7 +104,9 @@ def test_the_first_page_has_a_policy_and_every_choice(served: Served) -> None:
     assert "frame-ancestors 'none'" in found.headers["content-security-policy"]
     for word in ("quick-plane-strain", "rft3d", "reversed_c"):
         assert f">{word}</option>" in found.text
-    assert "-truths" not in found.text
+    offered = re.findall(r"<option(?: selected)?>([^<]+)</option>", found.text)
+    assert set(offered) == {*choices.offered(), *choices.offered_legs()}
+    assert not [name for name in offered if re.search("truths|seeds|fourteen|hip|k0|plate", name)]
 
 
 def test_dropped_forces_become_a_report_and_nothing_stays(
@@ -127,6 +136,9 @@ def test_a_hostile_name_is_only_text_and_no_path(
     [
         (f"{HOSTILE},Fx_N,Fz_N\n1,2,3\n".encode(), "a.csv", "unexpected column"),
         (b"", "a.csv", "empty"),
+        (FLAT, "a.csv", "at every angle"),
+        (b"theta_deg,Fx_N,Fz_N\n1,2\n", "…" + "n" * 75 + ".csv", "line 2"),
+        (b"time,q,a,b,c\n0,1,2,3,4\n", "it.csv", "it.csv"),
         (os.urandom(5000), "a.csv", "a.csv"),
         (os.urandom(5000), "a.npz", "a.npz"),
         (os.urandom(5000), "a.mcap", "a.mcap"),
@@ -141,6 +153,8 @@ def test_what_cannot_be_read_ends_in_a_sentence(
     assert found.headers["content-type"].startswith("application/json")
     sentence = json.loads(found.text)["refused"]
     assert words in sentence
+    assert name in sentence
+    assert "dropped." not in sentence
     assert "Traceback" not in sentence
     assert str(places) not in sentence
     assert list(places.iterdir()) == []
@@ -168,7 +182,8 @@ def test_another_site_can_neither_send_nor_name_us(served: Served, forces: bytes
     "options",
     [
         {"leg": "x"}, {"library": "../../x"}, {"kind": "x"}, {"density": "x"}, {"name": "a.exe"},
-        {"name": ""}, {"library": "quick-paper\x00"},
+        {"name": ""}, {"library": "quick-paper\x00"}, {"library": "quick-paper-truths"},
+        {"leg": "plate"},
     ],
 )  # fmt: skip
 def test_wrong_options_are_refused(options: dict[str, str], served: Served) -> None:
@@ -190,12 +205,33 @@ def test_what_takes_too_long_is_ended(forces: bytes, monkeypatch, tmp_path: Path
     assert not (tmp_path / server.PAGE).exists()
 
 
+def test_a_port_that_somebody_has_is_refused_before_anything_is_said(capfd) -> None:
+    with socket.socket() as busy:
+        busy.bind(("127.0.0.1", 0))
+        busy.listen()
+        port = busy.getsockname()[1]
+        with pytest.raises(InputError, match=rf"port {port} .*--port"):
+            CliRunner().invoke(app, ["--port", str(port)], catch_exceptions=False)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_address_is_said_once_the_port_is_ours(monkeypatch) -> None:
+    def stopped(_: Any, sockets: list[socket.socket]) -> None:
+        assert said == [f"http://127.0.0.1:{sockets[0].getsockname()[1]}"]
+        raise KeyboardInterrupt
+
+    said: list[str] = []
+    monkeypatch.setattr(uvicorn.Server, "run", stopped)
+    server.serve(0, ready=said.append)
+    assert len(said) == 1
+
+
 @pytest.mark.parametrize(
     ("given", "shown"),
     [
         ("/etc/passwd", "passwd"), ("..\\..\\a.csv", "a.csv"), ("", "file"),
         ("a\x00\n.csv", "a.csv"),
-        ("x" * 200 + ".csv", "x" * 76 + ".csv"),
+        ("x" * 200 + ".csv", "…" + "x" * 75 + ".csv"),
     ],
 )  # fmt: skip
 def test_names_lose_their_folders(given: str, shown: str) -> None:

@@ -116,6 +116,21 @@ def test_nothing_hangs_over_the_edge(width: int, opened: Open, inverted: list[Se
     assert seen.sound()
 
 
+def test_a_table_that_goes_on_says_so(opened: Open, inverted: list[Section]) -> None:
+    seen = opened(inverted * 2, viewport={"width": 390, "height": 800}, is_mobile=True)
+    table = "document.querySelector('.overview .scroll')"
+    assert seen.page.evaluate(f"{table}.scrollWidth > {table}.clientWidth")
+    # A browser without a screen draws no bars; the shade it has.
+    shades = seen.page.evaluate(f"getComputedStyle({table}).backgroundAttachment")
+    assert shades == "local, local, scroll, scroll"
+    head = seen.page.locator(".overview thead th").nth(1)
+    assert head.inner_text() == "verdict"
+    box = head.bounding_box()
+    assert box is not None
+    assert box["x"] + box["width"] < 390
+    assert seen.sound()
+
+
 def test_hover_says_angle_and_force(opened: Open, inverted: list[Section]) -> None:
     seen = opened(inverted)
     plot = seen.page.locator("#s0p1 .nsewdrag").first

@@ -14,8 +14,18 @@ from terraphi.errors import InputError
 from terraphi.inference.inversion import Inversion, invert
 from terraphi.library import Library
 from terraphi.measurements import measurement
-from terraphi.report.inversion import CONVENTION, headline, load, recomputed, section
-from terraphi.report.page import render
+from terraphi.report.inversion import (
+    CONVENTION,
+    UNCHECKED,
+    UNKNOWN,
+    _belief,
+    _density,
+    headline,
+    load,
+    recomputed,
+    section,
+)
+from terraphi.report.page import context, render
 from terraphi.report.parts import Plot, Section, Table, Text
 
 HOSTILE = "</script><img src=x onerror=alert(1)><b>'\"&$x$"
@@ -41,8 +51,41 @@ def test_headline_names_the_equivalent_in_plane_strain(inversion: Inversion) -> 
     assert "which acts as 17.4° in plane strain" in headline(answer)
 
 
+def test_a_narrow_interval_has_two_ends(inversion_folder: Path, tmp_path: Path) -> None:
+    answer = json.loads((inversion_folder / "answer.json").read_text())
+    narrow = {"median": 31.003, "ci68": [31.0001, 31.0061], "ci95": [30.997, 31.009]}
+    answer["phi_deg"] |= narrow
+    (tmp_path / "answer.json").write_text(json.dumps(answer))
+    found = section(tmp_path)
+    assert "φ = 31.0030°" in found.headline
+    assert "68 %: 31.0001 to 31.0061°, 95 %: 30.9970 to 31.0090°" in found.headline
+    assert found.overview["68 %"] == "31.0001 to 31.0061°"
+    numbers = next(p for p in found.parts if p.title == "In numbers")
+    assert isinstance(numbers, Table)
+    assert numbers.rows[0][1:] == ("31.0030", "31.0001 to 31.0061", "30.9970 to 31.0090")
+
+
+def test_the_ends_of_the_library_that_are_drawn_are_named(
+    inversion: Inversion, inversion_folder: Path
+) -> None:
+    saved = load(inversion_folder)
+    again, _ = recomputed(saved, None)
+    for ends, words in (
+        ([10.0, 60.0], " Dashed: the library ends at 15° and 50°."),
+        ([16.0, 60.0], " Dashed: the library ends at 15° and 50°."),
+        ([27.0, 48.0], " Dashed: the library ends at 50°."),
+        ([28.0, 32.0], ""),
+    ):
+        phi = {**saved.answer["phi_deg"], "ci68": ends, "ci95": ends}
+        plot = _density(replace(saved, answer={**saved.answer, "phi_deg": phi}), again)
+        assert plot.note.startswith(f"Line: median.{words} Smoothed")
+        assert sum(s["line"]["dash"] == "dash" for s in plot.layout["shapes"]) == words.count("°")
+
+
 def test_curves_are_those_of_the_inversion(inversion: Inversion, inversion_folder: Path) -> None:
     found = plots(section(inversion_folder))
+    assert not [plot.title for plot in found.values() if "misfit" in plot.title]
+    assert found["Fx"].title.startswith("Fx: deviation ")
     half = len(inversion.observation.theta_deg)
     for name, part in (("Fx", slice(0, half)), ("Fz", slice(half, None))):
         band, best, measured = found[name].traces
@@ -144,6 +187,49 @@ def test_a_broken_posterior_is_refused(inversion_folder: Path, tmp_path: Path) -
     (tmp_path / "posterior.nc").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match="not a whole posterior"):
         section(tmp_path)
+
+
+def test_nobody_is_told_to_believe_a_library_that_nobody_checked(
+    inversion_folder: Path, tmp_path: Path
+) -> None:
+    saved = load(inversion_folder)
+    sound = {**saved.answer, "verdict": "consistent"}
+    again, _ = recomputed(saved, None)
+    assert again is not None
+    assert _belief(sound, again) == ("doubtful", UNCHECKED)
+    assert _belief(sound, None) == ("doubtful", UNKNOWN)
+    checked = replace(again, library=Library.load("quick-plane-strain"))
+    assert _belief(sound, checked) == ("good", "")
+    assert _belief({**sound, "leg": "plate"}, checked) == ("doubtful", UNCHECKED)
+    assert _belief({**sound, "verdict": "misfit"}, again) == ("bad", "")
+    (tmp_path / "answer.json").write_text(json.dumps(sound))
+    html = render([section(tmp_path)])
+    assert "believe it" not in html
+    assert "not known here" in html
+
+
+def test_side_by_side_tells_two_answers_of_one_file_apart(
+    inversion_folder: Path, tmp_path: Path
+) -> None:
+    answer = json.loads((inversion_folder / "answer.json").read_text())
+    other = {
+        **answer, "likelihood": "calibrated", "density_assumed": True,
+        "error_budget": {"noise": "given", "noise_N": 0.05, "discrepancy": "gp", "shares": {}},
+    }  # fmt: skip
+    one = {**answer, "likelihood": "paper", "density_assumed": False, "error_budget": None}
+    found = []
+    for name, content in (("a", one), ("b", other)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "answer.json").write_text(json.dumps(content))
+        found.append(section(tmp_path / name))
+    (table,) = context(found)["overviews"]
+    assert table["header"][:2] == ("", "verdict")
+    assert table["header"][-4:] == ("likelihood", "density", "noise", "discrepancy")
+    first, second = table["rows"]
+    assert first[-4] == "paper"
+    assert second[-4:] == ("calibrated", first[-3] + ", assumed", "given, 0.05 N", "gp")
+    (table,) = context([found[0], found[0]])["overviews"]
+    assert "likelihood" not in table["header"]
 
 
 def test_without_a_certificate_the_page_says_so(inversion_folder: Path) -> None:

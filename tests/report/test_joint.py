@@ -54,7 +54,7 @@ def test_a_joint_inversion_is_told_and_shown(folder: Path) -> None:
             "Parameters",
             "What the forces fix",
             "Expected standard deviations",
-            "Histories, and misfit of the best curve",
+            "Histories, and deviation of the best curve",
         ]
 
 

@@ -16,7 +16,7 @@ import pytest
 from terraphi.errors import InputError
 from terraphi.report import figures as fig
 from terraphi.report import page
-from terraphi.report.parts import Plot, Section, Table, Text, label, number, pairs
+from terraphi.report.parts import Plot, Section, Table, Text, decimals, label, number, pairs
 
 HOSTILE = "</script><img src=x onerror=alert(1)><b>'\"&$x$"
 
@@ -159,3 +159,22 @@ def test_values_as_people_read_them() -> None:
 
 def test_numbers_that_are_none_are_null() -> None:
     assert fig.numbers([1.0, np.nan, np.inf, 1.234567]) == [1.0, None, None, 1.2346]
+
+
+def test_numbers_close_to_each_other_stay_apart() -> None:
+    x = np.linspace(31.0, 31.01, 241)
+    shown = np.array(fig.numbers(x))
+    np.testing.assert_allclose(np.diff(shown), np.diff(x), rtol=0.05)
+    assert fig.numbers([-1e308, 1e308]) == [-1e308, 1e308]
+    assert fig.numbers([0.0, 5e-324]) == [0.0, 5e-324]
+
+
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [((18.0, 29.8), 1), ((31.0, 31.9), 2), ((31.0, 31.006), 4), ((31.0, 31.0), 1),
+     ((0.0, float("inf")), 1), ((0.0, 5e-324), 8)],
+)  # fmt: skip
+def test_an_interval_has_the_digits_that_its_width_needs(
+    ends: tuple[float, float], expected: int
+) -> None:
+    assert decimals(ends, 1) == expected

@@ -64,6 +64,15 @@ def test_what_is_nothing_of_ours_is_refused(content: str, tmp_path: Path) -> Non
         recognise("quick-papr")
 
 
+def test_forces_on_a_leg_are_to_be_inverted_first(tmp_path: Path) -> None:
+    for header in ("theta_deg,Fx_N,Fz_N", '\ufeff"Fz_N", "Fx_N", "theta_deg"'):
+        (tmp_path / "good.csv").write_text(f"{header}\n-10,1,2\n", encoding="utf-8")
+        with pytest.raises(InputError, match=r"good\.csv: forces on a leg .*terraphi invert"):
+            recognise(str(tmp_path / "good.csv"))
+    (tmp_path / "walk.csv").write_text("time,q_FL_hip\n0,1\n")
+    assert recognise(str(tmp_path / "walk.csv")).kind == "log"
+
+
 # -- files that are not as we write them ---------------------------------------------------------
 
 ODD = (None, True, -1, 1e308, float("nan"), float("inf"), "<b>x</b>", [], [1], {}, {"a": []})

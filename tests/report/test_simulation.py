@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from terraphi.errors import InputError
+from terraphi.forward import simulate
 from terraphi.history import ForceHistory
 from terraphi.report import simulation as report
 from terraphi.report.page import LARGEST_BYTES, render
 from terraphi.report.parts import Player, Plot
+from terraphi.scenario import Scenario
 from terraphi.vtk import read_points, read_series
 
 Simulation = tuple[Path, Path]
@@ -97,3 +99,20 @@ def test_a_series_cannot_name_files_outside_its_folder(
         (other / file.name).write_text(moved)
     with pytest.raises(InputError, match="no such file"):
         report.section(simulation[0], other)
+
+
+@pytest.mark.parametrize(
+    ("dimensions", "title"),
+    [
+        (3, "straight leg, φ = 31° (rft3d)"),
+        (2, "straight leg, two-dimensional resistive force theory"),
+    ],
+)
+def test_the_title_names_the_convention_of_the_model(
+    dimensions: int, title: str, tmp_path: Path
+) -> None:
+    scenario = Scenario.model_validate(
+        {"model": "rft", "dimensions": dimensions, "soil": {"friction_angle_deg": 31.0}}
+    )
+    simulate(scenario).to_netcdf(tmp_path / "h.nc")
+    assert report.section(tmp_path / "h.nc", None).title == title

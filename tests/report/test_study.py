@@ -51,6 +51,15 @@ def test_markdown_lets_no_html_through(study_folder: Path) -> None:
     assert "href" not in text.html
 
 
+def test_markdown_of_a_picture_is_left_out(study_folder: Path) -> None:
+    (study_folder / "recovery.md").write_text(
+        "before ![errors](recovery.png) after\n\n![alt][p]\n\n[p]: p.png\n"
+    )
+    text = next(p for p in section(study_folder).parts if isinstance(p, Text))
+    assert "before  after" in text.html
+    assert not [mark for mark in ("![", ".png", "<img", "alt") if mark in text.html]
+
+
 def test_a_study_that_nobody_knows_shows_its_data(tmp_path: Path) -> None:
     (tmp_path / "data.json").write_text(json.dumps({"a": {HOSTILE: 1.5}, "b": [1] * 50}))
     found = section(tmp_path)

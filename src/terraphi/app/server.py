@@ -9,20 +9,22 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import contextlib
 import hashlib
 import json
 import os
 import secrets
+import socket
 import sys
 import tempfile
 from collections import OrderedDict
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
+from terraphi.app.choices import offered, offered_legs
 from terraphi.app.work import JOB, PAGE, REFUSED
-from terraphi.documents import shipped_names
 from terraphi.errors import InputError
-from terraphi.leg import LEG_SHAPES
 from terraphi.report.page import asset, template
 
 if TYPE_CHECKING:
@@ -38,6 +40,8 @@ MOST_SECONDS = 180.0
 """Longest time for one file [s]."""
 MOST_PAGES = 8
 """Pages that are kept, in memory."""
+LONGEST_NAME = 80
+"""Letters of a file's name that are shown."""
 SUFFIXES = (".csv", ".npz", ".mcap", ".db3")
 KINDS = ("auto", "forces", "log")
 HEADER = "x-terraphi"
@@ -51,24 +55,47 @@ class RefusedError(Exception):
         self.status = status
 
 
-def serve(port: int = PORT) -> None:
+def serve(port: int = PORT, *, ready: Callable[[str], None] = lambda _: None) -> None:
     """Serve until interrupted.
 
     Parameters
     ----------
     port
         On the loopback address; 0 takes a free one.
+    ready
+        Called with the address once the port is ours.
 
     Raises
     ------
     InputError
-        If a package is missing.
+        If a package is missing, or the port cannot be had.
     """
     try:
         import uvicorn
     except ImportError as error:
         raise _missing() from error
-    uvicorn.run(application(), host=HOST, port=port, log_level="warning", server_header=False)
+    served = application()
+    with _bound(port) as ours:
+        ready(f"http://{HOST}:{ours.getsockname()[1]}")
+        configured = uvicorn.Config(served, log_level="warning", server_header=False)
+        with contextlib.suppress(KeyboardInterrupt):
+            uvicorn.Server(configured).run(sockets=[ours])
+
+
+def _bound(port: int) -> socket.socket:
+    """A socket on the loopback address that listens already."""
+    ours = socket.socket()
+    try:
+        if os.name == "posix":  # elsewhere the option would share a port that is in use
+            ours.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        ours.bind((HOST, port))
+        ours.listen()
+    except OSError as error:
+        ours.close()
+        raise InputError(
+            f"port {port} on {HOST} cannot be had ({error.strerror}); name another with --port"
+        ) from error
+    return ours
 
 
 def _missing() -> InputError:
@@ -146,10 +173,9 @@ def front_page(most_bytes: int) -> tuple[str, str]:
     """The page to drop a file on, and the policy that it comes with."""
     script = asset("app.js", package="terraphi.app")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-    libraries = [name for name in shipped_names("libraries", ".nc") if not _is_reference(name)]
     html = template("app.html", package="terraphi.app").render(
-        libraries=libraries,
-        legs=LEG_SHAPES,
+        libraries=list(offered()),
+        legs=offered_legs(),
         suffixes=",".join(SUFFIXES),
         megabytes=most_bytes // 1_000_000,
         script=script,
@@ -162,11 +188,6 @@ def front_page(most_bytes: int) -> tuple[str, str]:
     return html, policy
 
 
-def _is_reference(name: str) -> bool:
-    """Whether a library is there to test others, and not to infer with."""
-    return name.endswith("-truths") or "-k0-" in name
-
-
 async def page_of(
     request: Request, one_at_a_time: asyncio.Lock, most_bytes: int, most_seconds: float
 ) -> str:
@@ -176,10 +197,13 @@ async def page_of(
     job = job_of(dict(request.query_params))
     with tempfile.TemporaryDirectory(prefix="terraphi-app-") as place:
         folder = Path(place)
-        await _received(request, folder / job["file"], most_bytes)
+        await _received(request, folder / job["file"], job["name"], most_bytes)
         (folder / JOB).write_text(json.dumps(job), encoding="utf-8")
         async with one_at_a_time:
-            await _worked(folder, most_seconds)
+            try:
+                await _worked(folder, most_seconds)
+            except RefusedError as late:
+                raise RefusedError(late.status, f"{job['name']}: {late}") from None
         if (folder / PAGE).is_file():
             return (folder / PAGE).read_text(encoding="utf-8")
         if (folder / REFUSED).is_file():
@@ -193,9 +217,7 @@ def job_of(query: dict[str, str]) -> dict[str, Any]:
     suffix = PurePosixPath(name).suffix.lower()
     if suffix not in SUFFIXES:
         raise RefusedError(415, f"{name}: a file that ends in {', '.join(SUFFIXES)} is expected")
-    for key, allowed in (
-        ("kind", KINDS), ("leg", LEG_SHAPES), ("library", shipped_names("libraries", ".nc")),
-    ):  # fmt: skip
+    for key, allowed in (("kind", KINDS), ("leg", offered_legs()), ("library", offered())):
         if query.get(key) not in allowed:
             raise RefusedError(400, f"{key}: one of {', '.join(allowed)} is expected")
     density = None
@@ -211,12 +233,15 @@ def job_of(query: dict[str, str]) -> dict[str, Any]:
 def shown_name(text: str) -> str:
     """A file's own name without folders or what cannot be printed, for people only."""
     last = PureWindowsPath(PurePosixPath(text).name).name
-    return "".join(letter for letter in last if letter.isprintable())[-80:] or "file"
+    plain = "".join(letter for letter in last if letter.isprintable())
+    if len(plain) > LONGEST_NAME:
+        plain = f"…{plain[1 - LONGEST_NAME :]}"
+    return plain or "file"
 
 
-async def _received(request: Request, path: Path, most_bytes: int) -> None:
+async def _received(request: Request, path: Path, name: str, most_bytes: int) -> None:
     """Write what comes in to a file, and stop when it is too much."""
-    too_large = RefusedError(413, f"larger than {most_bytes / 1e6:g} MB")
+    too_large = RefusedError(413, f"{name}: larger than {most_bytes / 1e6:g} MB")
     announced = request.headers.get("content-length", "0")
     if announced.isdigit() and int(announced) > most_bytes:
         raise too_large

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
@@ -42,12 +44,17 @@ def work(folder: Path) -> None:
 
         write([section_of(file, folder, job)], folder / PAGE)
     except InputError as error:
-        # People know the file by their own name for it.
-        sentence = str(error).replace(str(file), str(job["name"]))
-        (folder / REFUSED).write_text(sentence, encoding="utf-8")
+        (folder / REFUSED).write_text(named(str(error), file, job["name"]), encoding="utf-8")
     except MemoryError:
         sentence = f"{job['name']}: needs more memory than is allowed here"
         (folder / REFUSED).write_text(sentence, encoding="utf-8")
+
+
+def named(sentence: str, file: Path, name: str) -> str:
+    """A sentence about a file with the name by which people know it, and with that in any case."""
+    ours = "|".join(re.escape(text) for text in (str(file), file.name, f"{file.parent}{os.sep}"))
+    found = re.sub(ours, lambda match: name if match[0].endswith(file.name) else "", sentence)
+    return found if name in found else f"{name}: {found}"
 
 
 def section_of(file: Path, folder: Path, job: Mapping[str, Any]) -> Section:

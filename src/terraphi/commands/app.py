@@ -20,7 +20,6 @@ def app(port: int) -> None:
 
     Example: terraphi app
     """
-    from terraphi.app.server import HOST, serve
+    from terraphi.app.server import serve
 
-    click.echo(f"Open http://{HOST}:{port} in a browser; Ctrl-C ends it.")
-    serve(port)
+    serve(port, ready=lambda at: click.echo(f"Open {at} in a browser; Ctrl-C ends it."))

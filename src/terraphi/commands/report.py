@@ -8,6 +8,9 @@ import click
 
 from terraphi.commands import json_option
 from terraphi.console import print_json
+from terraphi.errors import InputError
+
+SUFFIXES = (".html", ".htm")
 
 
 @click.command()
@@ -37,6 +40,11 @@ def report(
     from terraphi.report.page import write
     from terraphi.report.recognise import sections
 
+    if out.suffix.lower() not in SUFFIXES:
+        raise InputError(
+            f"{out}: a report is a page in HTML; name it .html, and print it from a browser if "
+            "you want a PDF"
+        )
     writable(out)
     found = sections(results, library=library, robot=robot)
     size = write(found, out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,11 +20,22 @@ DASHES = ("solid", "dash", "dashdot", "dot", "longdash")
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "x")
 DIGITS = 5
 """Significant digits of the numbers in a page."""
+MOST_DIGITS = 12
+"""The same where numbers lie close to each other."""
 
 
-def numbers(values: ArrayLike, digits: int = DIGITS) -> list[float | None]:
-    """Numbers for a page, no longer than a reader can use; ``None`` where there is none."""
+def numbers(values: ArrayLike) -> list[float | None]:
+    """Numbers for a page, no longer than a reader can use; ``None`` where there is none.
+
+    Where they lie close to each other they have more digits, so that they stay apart.
+    """
     array = np.asarray(values, dtype=np.float64).ravel()
+    finite = array[np.isfinite(array)]
+    digits = DIGITS
+    apart = float(finite.max()) - float(finite.min()) if finite.size else 0.0
+    if 0.0 < apart < math.inf:
+        beyond = math.log10(float(np.abs(finite).max())) - math.log10(apart)
+        digits = min(max(DIGITS, DIGITS + math.floor(beyond)), MOST_DIGITS)
     return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in array.tolist()]
 
 

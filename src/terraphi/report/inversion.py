@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from terraphi.inference.residual import peak_to_peak
 from terraphi.report import figures as fig
-from terraphi.report.certificate import certificate_parts
+from terraphi.report.certificate import certificate_of, certificate_parts
 from terraphi.report.density import smooth_density
 from terraphi.report.inversion_data import Again, Saved, load, recomputed
-from terraphi.report.parts import Part, Plot, Section, Status, Table, number
+from terraphi.report.parts import Part, Plot, Section, Status, Table, decimals, number
 
 FloatArray = NDArray[np.float64]
 
@@ -27,6 +27,8 @@ CONVENTION = {
 }
 INFORMATION = "Which angles told the friction angle"
 STATUS: dict[str, Status] = {"consistent": "good", "misfit": "bad", "out_of_range": "doubtful"}
+UNCHECKED = "consistent, with a library whose intervals nobody has checked"
+UNKNOWN = "consistent, but whether its library's intervals were checked is not known here"
 WORDS = {
     "nodes": "nodes of the quadrature",
     "relative_change_on_halving": "change on halving the nodes / 68 % half-width",
@@ -71,17 +73,32 @@ def section(path: Path, *, library: str | None = None) -> Section:
     if again is not None:
         parts += certificate_parts(again.library, leg=str(answer["leg"]))
     parts += [*_budget(answer), _convergence(answer)]
+    status, badge = _belief(answer, again)
     about = {key: answer[key] for key in ("source", "leg", "library", "likelihood", "sampler")}
     return Section(
         kind="inversion",
         title=str(answer["source"]) or path.name,
         headline=headline(answer),
         reason=_plain_verdict(answer),
-        status=STATUS.get(str(answer["verdict"]), "none"),
+        status=status,
+        badge=badge,
         parts=parts,
         provenance={"result": path.name, **about, **answer.get("provenance", {})},
         overview=_overview(answer),
+        apart=_apart(answer),
     )
+
+
+def _belief(answer: Mapping[str, Any], again: Again | None) -> tuple[Status, str]:
+    """Whether to believe an answer, and words for it where the usual ones would say too much."""
+    status = STATUS.get(str(answer["verdict"]), "none")
+    if status != "good":
+        return status, ""
+    if again is None:
+        return "doubtful", UNKNOWN
+    if str(answer["leg"]) not in certificate_of(again.library):
+        return "doubtful", UNCHECKED
+    return status, ""
 
 
 def headline(answer: Mapping[str, Any]) -> str:
@@ -91,29 +108,52 @@ def headline(answer: Mapping[str, Any]) -> str:
     equal = answer["phi_plane_strain_deg"]
     also = ""
     if equal and phi.get("yield") != "plane_strain":
-        also = f", which acts as {equal['median']:.1f}° in plane strain"
+        also = f", which acts as {_median(equal)}° in plane strain"
     return (
-        f"φ = {phi['median']:.1f}° ({convention}; 68 %: {_range(phi['ci68'])}, 95 %: "
-        f"{_range(phi['ci95'])}){also}. Verdict: {answer['verdict'].replace('_', ' ')}."
+        f"φ = {_median(phi)}° ({convention}; 68 %: {_range(phi, 'ci68')}, 95 %: "
+        f"{_range(phi, 'ci95')}){also}. Verdict: {answer['verdict'].replace('_', ' ')}."
     )
 
 
 def _overview(answer: Mapping[str, Any]) -> dict[str, str]:
     phi, equal = answer["phi_deg"], answer["phi_plane_strain_deg"]
     return {
+        "verdict": str(answer["verdict"]).replace("_", " "),
         "leg": str(answer["leg"]),
         "library": str(answer["library"]),
         "φ means": CONVENTION.get(str(phi.get("yield")), str(phi.get("yield"))),
-        "φ": f"{phi['median']:.1f}°",
-        "68 %": _range(phi["ci68"]),
-        "95 %": _range(phi["ci95"]),
-        "in plane strain": f"{equal['median']:.1f}°" if equal else "–",
-        "verdict": str(answer["verdict"]).replace("_", " "),
+        "φ": f"{_median(phi)}°",
+        "68 %": _range(phi, "ci68"),
+        "95 %": _range(phi, "ci95"),
+        "in plane strain": f"{_median(equal)}°" if equal else "–",
     }
 
 
-def _range(ends: Any) -> str:
-    return f"{ends[0]:.1f} to {ends[1]:.1f}°"
+def _apart(answer: Mapping[str, Any]) -> dict[str, str]:
+    """What tells two answers from the same forces, leg and library apart."""
+    assumed = ", assumed" if answer.get("density_assumed") else ""
+    budget = answer.get("error_budget")
+    known = budget if isinstance(budget, Mapping) else {}
+    told, size = known.get("noise"), known.get("noise_N")
+    words = [str(told)] if told is not None else []
+    if isinstance(size, int | float) and math.isfinite(size):
+        words.append(f"{number(float(size), 3)} N")
+    return {
+        "likelihood": str(answer["likelihood"]),
+        "density": f"{answer['density_kg_m3']:g} kg/m³{assumed}",
+        "noise": ", ".join(words) or "–",
+        "discrepancy": str(known.get("discrepancy") or "–"),
+    }
+
+
+def _median(angle: Mapping[str, Any], fewest: int = 1) -> str:
+    return f"{angle['median']:.{decimals(angle['ci68'], fewest)}f}"
+
+
+def _range(angle: Mapping[str, Any], level: str, fewest: int = 1, unit: str = "°") -> str:
+    """An interval, both levels with the digits that the narrower one needs."""
+    low, high = (f"{end:.{decimals(angle['ci68'], fewest)}f}" for end in angle[level])
+    return f"{low} to {high}{unit}"
 
 
 def _plain_verdict(answer: Mapping[str, Any]) -> str:
@@ -129,9 +169,9 @@ def _numbers(answer: Mapping[str, Any]) -> Table:
     rows = [
         (
             name,
-            f"{angle['median']:.2f}",
-            "{:.2f} to {:.2f}".format(*angle["ci68"]),
-            "{:.2f} to {:.2f}".format(*angle["ci95"]),
+            _median(angle, 2),
+            _range(angle, "ci68", 2, ""),
+            _range(angle, "ci95", 2, ""),
         )
         for name, angle in angles
     ]
@@ -152,16 +192,13 @@ def _numbers(answer: Mapping[str, Any]) -> Table:
 def _density(saved: Saved, again: Again | None) -> Plot:
     phi = saved.answer["phi_deg"]
     x, density = smooth_density(saved.draws_deg, bounds=again.bounds_deg if again else None)
-    traces = [
-        fig.line(
-            x, density, "posterior density", "@blue", hovertemplate="φ = %{x:.2f}°<extra></extra>"
-        ),
-    ]
+    hover = f"φ = %{{x:.{decimals(phi['ci68'], 2)}f}}°<extra></extra>"
+    traces = [fig.line(x, density, "posterior density", "@blue", hovertemplate=hover)]
     for level, colour in (("ci95", "@blue/0.18"), ("ci68", "@blue/0.40")):
         low, high = phi[level]
         inside = np.linspace(low, high, 121)
         height = np.interp(inside, x, density)
-        name = f"{level[2:]} %: {_range(phi[level])}"
+        name = f"{level[2:]} %: {_range(phi, level)}"
         traces.append(fig.band(inside, np.zeros_like(inside), height, name, colour))
     margin = 0.5 * (phi["ci95"][1] - phi["ci95"][0])
     reach = [phi["ci95"][0] - margin, phi["ci95"][1] + margin]
@@ -180,7 +217,7 @@ def _density(saved: Saved, again: Again | None) -> Plot:
             ],
         ),
         note="Line: median."
-        + (f" Dashed: the library ends at {ends[0]:g}°." if ends else "")
+        + (f" Dashed: the library ends at {' and '.join(f'{e:g}°' for e in ends)}." if ends else "")
         + f" Smoothed from {saved.draws_deg.size} draws.",
     )
 
@@ -198,9 +235,10 @@ def _forces(saved: Saved, again: Again | None, why_not: str) -> list[Part]:
             fig.line(saved.theta_deg, saved.best[part], "curve at the median", "@blue"),
             fig.points(saved.theta_deg, saved.data[part], "measured", "@orange"),
         ]
+        deviation = 100.0 * saved.answer["nrmsd"][name]
         plots.append(
             Plot(
-                title=f"{name}: misfit {100.0 * saved.answer['nrmsd'][name]:.1f} % of peak-to-peak",
+                title=f"{name}: deviation {deviation:.1f} % of peak-to-peak",
                 traces=traces,
                 layout=fig.layout(fig.THETA, fig.AXIS_LABEL[name], xaxis=fig.DEGREES),
                 note=f"No band of the 95 % interval: {why_not}." if why_not else "",

@@ -124,4 +124,4 @@ def _histories(answer: Mapping[str, Any]) -> Table:
         (str(h["source"]), str(h["leg"]), f"{h['nrmsd']['Fx']:.1%}", f"{h['nrmsd']['Fz']:.1%}")
         for h in answer["histories"]
     ]
-    return Table("Histories, and misfit of the best curve", ("", "leg", "Fx", "Fz"), rows)
+    return Table("Histories, and deviation of the best curve", ("", "leg", "Fx", "Fz"), rows)

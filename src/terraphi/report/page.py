@@ -120,7 +120,6 @@ def context(sections: Sequence[Section]) -> dict[str, Any]:
         "data": embedded({"drawings": drawings(sections)}),
         "made": dt.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
         "version": importlib.metadata.version("terraphi"),
-        "words": WORDS,
         "signs": SIGNS,
     }
 
@@ -205,8 +204,16 @@ def _overviews(sections: Sequence[Section]) -> list[dict[str, Any]]:
     for columns in dict.fromkeys(tuple(s.overview) for s in sections if s.overview):
         alike = [section for section in sections if tuple(section.overview) == columns]
         if len(alike) > 1:
-            rows = [(s.title, *s.overview.values()) for s in alike]
-            found.append({"title": "Side by side", "header": ("", *columns), "rows": rows,
+            more = [
+                name
+                for name in dict.fromkeys(name for s in alike for name in s.apart)
+                if len({s.apart.get(name) for s in alike}) > 1
+            ]
+            rows = [
+                (s.title, *s.overview.values(), *(s.apart.get(name, "–") for name in more))
+                for s in alike
+            ]
+            found.append({"title": "Side by side", "header": ("", *columns, *more), "rows": rows,
                           "note": "", "prose": True})  # fmt: skip
     return found
 
@@ -219,6 +226,7 @@ def _shown(section: Section, index: int) -> dict[str, Any]:
         "title": section.title,
         "headline": section.headline,
         "status": section.status,
+        "badge": section.badge or WORDS[section.status],
         "reason": section.reason,
         "parts": parts,
         "provenance": pairs(section.provenance),

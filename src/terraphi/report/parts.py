@@ -14,6 +14,7 @@ from typing import Any, Literal
 Status = Literal["good", "doubtful", "bad", "none"]
 """Whether an answer may be believed; said in words beside it too."""
 
+MOST_DECIMALS = 8
 LONGEST_LABEL = 120
 """Characters of a text in a plot."""
 
@@ -131,8 +132,12 @@ class Section:
         A second sentence, why.
     provenance
         Where it comes from, JSON-able; folded away.
+    badge
+        Words for the status in place of the usual ones.
     overview
         Column to word of a table that compares sections with the same columns; empty for none.
+    apart
+        More columns of that table, each shown only where its words differ.
     """
 
     kind: str
@@ -142,7 +147,9 @@ class Section:
     status: Status = "none"
     reason: str = ""
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    badge: str = ""
     overview: Mapping[str, str] = field(default_factory=dict)
+    apart: Mapping[str, str] = field(default_factory=dict)
 
 
 def label(text: object) -> str:
@@ -151,6 +158,14 @@ def label(text: object) -> str:
     if len(plain) > LONGEST_LABEL:
         plain = plain[: LONGEST_LABEL - 1] + "…"
     return plain.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def decimals(ends: Sequence[float], fewest: int) -> int:
+    """Decimals that show the width of an interval with two digits, and no fewer than asked for."""
+    width = abs(float(ends[1]) - float(ends[0]))
+    if not 0.0 < width < math.inf:
+        return fewest
+    return min(max(fewest, 1 - math.floor(math.log10(width))), MOST_DECIMALS)
 
 
 def number(value: Any, digits: int = 4) -> str:

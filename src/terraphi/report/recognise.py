@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from terraphi.documents import shipped_names
 from terraphi.errors import InputError
+from terraphi.files import CSV_COLUMNS
 from terraphi.report import page
 from terraphi.report.parts import Section
 
@@ -52,9 +53,26 @@ def recognise(source: str) -> Result:
         return Result("study", path.parent)
     if path.suffix == ".json":
         return Result(_kind_of_answer(path), path)
+    if path.suffix == ".csv" and _has_leg_forces(path):
+        raise InputError(
+            f"{source}: forces on a leg over its angle; run `terraphi invert` on it first, and "
+            "report its --out folder"
+        )
     if path.suffix in LOGS:
         return Result("log", path)
     raise InputError(f"{source}: not a result that terraphi knows; {EXPECTED}")
+
+
+def _has_leg_forces(path: Path) -> bool:
+    """Whether the first line of a CSV names the angle and a force on a leg."""
+    try:
+        with path.open("rb") as stream:
+            first = stream.readline(4096).decode("utf-8-sig", errors="replace")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    angle, *forces = CSV_COLUMNS
+    names = {name.strip().strip('"') for name in first.split(",")}
+    return angle in names or names.issuperset(forces)
 
 
 def _kind_of_answer(path: Path) -> Kind:

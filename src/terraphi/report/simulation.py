@@ -92,7 +92,9 @@ def _title(scenario: Scenario | None) -> str:
         return ""
     soil = scenario.soil
     leg = {"c": "C", "reversed_c": "reversed C"}.get(scenario.leg.shape, scenario.leg.shape)
-    return f"{leg} leg, φ = {soil.friction_angle_deg:g}° ({soil.yield_criterion})"
+    if scenario.convention == "none":
+        return f"{leg} leg, two-dimensional resistive force theory"
+    return f"{leg} leg, φ = {soil.friction_angle_deg:g}° ({scenario.convention})"
 
 
 def _headline(history: ForceHistory) -> str:

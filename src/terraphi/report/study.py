@@ -105,11 +105,12 @@ def _shortened(value: Any) -> Any:
 
 
 def _page(path: Path) -> Text:
-    """A page in Markdown; HTML and links in it stay text, and its pictures are elsewhere."""
+    """A page in Markdown; HTML and links in it stay text, its pictures are left out: see above."""
     from markdown_it import MarkdownIt
 
     renderer = MarkdownIt("commonmark", {"html": False}).enable("table")
-    renderer.disable(["image", "link", "autolink"])
+    renderer.disable(["link", "autolink"])
+    renderer.add_render_rule("image", lambda *_: "")
     return Text(f"The study's page ({path.name})", html=renderer.render(_text(path)), folded=True)
 
 
