@@ -123,9 +123,7 @@ def _without_discrepancy(problem: Problem) -> Hypotheses:
     found = _diagonal(problem, coarse, near)
     nodes = found.window(len(leg.phi_deg), MARGIN)
     # Of the sizes of noise, those that matter if the scatter has its middle size, and some more.
-    best = found.log_density.max(axis=1)
-    chosen = found.kept(best > best.max() - 1.5 * NEGLIGIBLE)
-    whole = chosen.of_all_sizes(leg.surrogate.scatter.sizes[1])
+    whole = found.within(1.5 * NEGLIGIBLE).of_all_sizes(leg.surrogate.scatter.sizes[1])
     return _diagonal(problem, whole, nodes).probable()
 
 
@@ -160,7 +158,7 @@ def _with_discrepancy(problem: Problem, without: Hypotheses) -> tuple[Hypotheses
             if name != "nodes"
         },
     )
-    frame, found = _Frame(problem, without.best_node), joined
+    frame, found = _Frame(problem, round(without.best[1])), joined
     for _ in range(ROUNDS):
         nodes = np.unique(np.append(scanned(count, SCANNED["with"]), frame.node))
         found = _frozen(joined, frame, nodes)
@@ -225,12 +223,11 @@ class _Frame:
 
 def _next_frame(found: Hypotheses, frame: _Frame) -> _Frame:
     """The frame about the best node, and about the error of the leg angle that goes with it."""
-    best = found.best_node
-    column = int(np.searchsorted(found.nodes, best))
-    h = int(found.log_density[:, column].argmax())
-    total = frame.covariance(found, h)
-    shift = registration.likeliest(frame.slope, total, frame.residual(best))
-    return _Frame(frame.problem, best, shift)
+    h, where = found.best
+    below = min(int(where), len(frame.problem.leg.phi_deg) - 2)
+    residual = frame.residual(np.array([below, below + 1])) @ [1.0 + below - where, where - below]
+    shift = registration.likeliest(frame.slope, frame.covariance(found, h), residual)
+    return _Frame(frame.problem, round(where), shift)
 
 
 def _frozen(given: Hypotheses, frame: _Frame, nodes: NDArray[np.intp]) -> Hypotheses:
