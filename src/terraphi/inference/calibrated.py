@@ -43,7 +43,7 @@ from terraphi.inference.library import single_threaded
 
 FloatArray = NDArray[np.float64]
 
-ROUNDS = 4
+ROUNDS = 8
 """Times at most that the best angles beside a discrepancy, of soil and leg, are looked for."""
 SETTLED_DEG = 0.05
 """Change of the leg angle's error that is looked into no further [deg]."""
@@ -158,17 +158,36 @@ def _with_discrepancy(problem: Problem, without: Hypotheses) -> tuple[Hypotheses
             if name != "nodes"
         },
     )
-    frame, found = _Frame(problem, round(without.best[1])), joined
-    for _ in range(ROUNDS):
-        nodes = np.unique(np.append(scanned(count, SCANNED["with"]), frame.node))
-        found = _frozen(joined, frame, nodes)
-        frame, before = _next_frame(found, frame), frame
-        settled = abs(frame.shift_deg - before.shift_deg) < SETTLED_DEG
-        if frame.node == before.node and settled:
-            break
+    frame, found = _settled(joined, _Frame(problem, round(without.best[1])))
     whole = found.probable().of_all_sizes(log_size)
     near = found.window(count, int(np.diff(found.nodes).max()))
     return _frozen(whole, frame, near).probable(), frame
+
+
+def _settled(joined: Hypotheses, frame: _Frame) -> tuple[_Frame, Hypotheses]:
+    """The frame that is the best one about itself, or moves least, and all combinations in it.
+
+    They are evaluated at some nodes, and at all those between which the best angle is.
+    """
+    count = len(frame.problem.leg.phi_deg)
+    coarse = scanned(count, SCANNED["with"])
+    step, width = int(coarse[1]), float(np.diff(frame.problem.leg.phi_deg[:2])[0])
+    tried: set[tuple[int, float]] = set()
+    least, kept = np.inf, (frame, joined)
+    for _ in range(ROUNDS):
+        fine = np.arange(max(frame.node - step, 0), min(frame.node + step + 1, count))
+        found = _frozen(joined, frame, np.union1d(coarse, fine))
+        following = _next_frame(found, frame)
+        change = abs(following.shift_deg - frame.shift_deg)
+        moved = max(width * abs(following.node - frame.node), change)
+        if moved < least:
+            least, kept = moved, (frame, found)
+        tried.add((frame.node, round(frame.shift_deg, 3)))
+        same = following.node == frame.node and change < SETTLED_DEG
+        if same or (following.node, round(following.shift_deg, 3)) in tried:
+            break
+        frame = following
+    return kept
 
 
 class _Frame:
