@@ -43,7 +43,7 @@ from terraphi.inference.library import single_threaded
 
 FloatArray = NDArray[np.float64]
 
-ROUNDS = 4
+ROUNDS = 8
 """Times at most that the best angles beside a discrepancy, of soil and leg, are looked for."""
 SETTLED_DEG = 0.05
 """Change of the leg angle's error that is looked into no further [deg]."""
@@ -123,9 +123,7 @@ def _without_discrepancy(problem: Problem) -> Hypotheses:
     found = _diagonal(problem, coarse, near)
     nodes = found.window(len(leg.phi_deg), MARGIN)
     # Of the sizes of noise, those that matter if the scatter has its middle size, and some more.
-    best = found.log_density.max(axis=1)
-    chosen = found.kept(best > best.max() - 1.5 * NEGLIGIBLE)
-    whole = chosen.of_all_sizes(leg.surrogate.scatter.sizes[1])
+    whole = found.within(1.5 * NEGLIGIBLE).of_all_sizes(leg.surrogate.scatter.sizes[1])
     return _diagonal(problem, whole, nodes).probable()
 
 
@@ -160,17 +158,36 @@ def _with_discrepancy(problem: Problem, without: Hypotheses) -> tuple[Hypotheses
             if name != "nodes"
         },
     )
-    frame, found = _Frame(problem, without.best_node), joined
-    for _ in range(ROUNDS):
-        nodes = np.unique(np.append(scanned(count, SCANNED["with"]), frame.node))
-        found = _frozen(joined, frame, nodes)
-        frame, before = _next_frame(found, frame), frame
-        settled = abs(frame.shift_deg - before.shift_deg) < SETTLED_DEG
-        if frame.node == before.node and settled:
-            break
+    frame, found = _settled(joined, _Frame(problem, round(without.best[1])))
     whole = found.probable().of_all_sizes(log_size)
     near = found.window(count, int(np.diff(found.nodes).max()))
     return _frozen(whole, frame, near).probable(), frame
+
+
+def _settled(joined: Hypotheses, frame: _Frame) -> tuple[_Frame, Hypotheses]:
+    """The frame that is the best one about itself, or moves least, and all combinations in it.
+
+    They are evaluated at some nodes, and at all those between which the best angle is.
+    """
+    count = len(frame.problem.leg.phi_deg)
+    coarse = scanned(count, SCANNED["with"])
+    step, width = int(coarse[1]), float(np.diff(frame.problem.leg.phi_deg[:2])[0])
+    tried: set[tuple[int, float]] = set()
+    least, kept = np.inf, (frame, joined)
+    for _ in range(ROUNDS):
+        fine = np.arange(max(frame.node - step, 0), min(frame.node + step + 1, count))
+        found = _frozen(joined, frame, np.union1d(coarse, fine))
+        following = _next_frame(found, frame)
+        change = abs(following.shift_deg - frame.shift_deg)
+        moved = max(width * abs(following.node - frame.node), change)
+        if moved < least:
+            least, kept = moved, (frame, found)
+        tried.add((frame.node, round(frame.shift_deg, 3)))
+        same = following.node == frame.node and change < SETTLED_DEG
+        if same or (following.node, round(following.shift_deg, 3)) in tried:
+            break
+        frame = following
+    return kept
 
 
 class _Frame:
@@ -225,12 +242,11 @@ class _Frame:
 
 def _next_frame(found: Hypotheses, frame: _Frame) -> _Frame:
     """The frame about the best node, and about the error of the leg angle that goes with it."""
-    best = found.best_node
-    column = int(np.searchsorted(found.nodes, best))
-    h = int(found.log_density[:, column].argmax())
-    total = frame.covariance(found, h)
-    shift = registration.likeliest(frame.slope, total, frame.residual(best))
-    return _Frame(frame.problem, best, shift)
+    h, where = found.best
+    below = min(int(where), len(frame.problem.leg.phi_deg) - 2)
+    residual = frame.residual(np.array([below, below + 1])) @ [1.0 + below - where, where - below]
+    shift = registration.likeliest(frame.slope, frame.covariance(found, h), residual)
+    return _Frame(frame.problem, round(where), shift)
 
 
 def _frozen(given: Hypotheses, frame: _Frame, nodes: NDArray[np.intp]) -> Hypotheses:

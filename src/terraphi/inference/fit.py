@@ -2,8 +2,9 @@
 
 Two tests, since the size of the noise may be unknown. The chi-square of the best fit is large if
 the residual is larger than scatter and noise allow. The odds of a discrepancy against none are
-large if the residual follows the leg angle as noise does not; without one, odds above k happen
-with a probability of at most 1 / k, whatever the discrepancy's prior (Markov's inequality).
+large if the residual follows the leg angle as noise does not. Were all scales known beforehand,
+odds above k would without one have a probability of at most 1 / k (Markov's inequality); here the
+angle and the size of the noise come from the data, and how often it happens was measured.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ FloatArray = NDArray[np.float64]
 SMALLEST_PROBABILITY = 0.01
 """Chi-squares that are less probable count as a misfit."""
 LARGEST_ODDS = 50.0
-"""Odds for a discrepancy that count as a misfit; 2 % of good fits reach them at most."""
+"""Odds for a discrepancy that count as a misfit."""
 FREEDOM = 0.3
 """Standard deviation of phi about the best fit for the odds, of the library's span [-]."""
 SIZES = [1, 3, 5]
@@ -91,7 +92,7 @@ def fit_without_discrepancy(problem: Problem, without: Hypotheses, *, scale: flo
     phi, best, chi2, probability = _best(problem, without)
     noise = float(without.noise[best])
     with single_threaded():
-        odds, amplitude, length = _odds(problem, without, phi, noise)
+        odds, amplitude, length = _odds(problem, phi, noise)
     return Fit(
         phi_deg=phi,
         noise_N=noise * scale,
@@ -106,14 +107,11 @@ def fit_without_discrepancy(problem: Problem, without: Hypotheses, *, scale: flo
 
 def _best(problem: Problem, without: Hypotheses) -> tuple[float, int, float, float]:
     """Angle and combination of most likelihood, its chi-square, and how probable that is."""
-    from scipy.interpolate import CubicSpline
     from scipy.special import chdtrc
 
-    nodes, surrogate = problem.leg.phi_deg[without.nodes], problem.leg.surrogate
-    best = int(np.argmax(without.log_density.max(axis=1)))
-    fine = np.linspace(nodes[0], nodes[-1], 20 * (len(nodes) - 1) + 1)
-    exponent = CubicSpline(nodes, without.chi2[best] + without.volume[best])(fine)
-    phi = float(fine[int(np.argmin(exponent))])
+    surrogate = problem.leg.surrogate
+    best, where = without.best
+    phi = float(np.interp(where, np.arange(len(problem.leg.phi_deg)), problem.leg.phi_deg))
     # The size of the scatter is not known: the probability is its average over all sizes.
     residual = problem.data - surrogate.predict([phi])[0]
     base = surrogate.covariance(phi) + without.noise[best] ** 2 * problem.noise_shape
@@ -124,9 +122,7 @@ def _best(problem: Problem, without: Hypotheses) -> tuple[float, int, float, flo
     return phi, best, float(chi2[len(sizes) // 2]), probability
 
 
-def _odds(
-    problem: Problem, without: Hypotheses, phi: float, noise: float
-) -> tuple[float, float, float]:
+def _odds(problem: Problem, phi: float, noise: float) -> tuple[float, float, float]:
     """Natural log of the odds of a discrepancy, and the most probable one.
 
     Around the best fit the forces are taken as linear in phi, which then is integrated out by the
@@ -141,22 +137,25 @@ def _odds(
     residual = problem.data - surrogate.predict([phi])[0]
 
     def log_p(extra: FloatArray) -> FloatArray:
-        parts = gaussian_parts(base + extra, np.broadcast_to(residual, (len(extra), len(residual))))
-        density: FloatArray = -0.5 * (parts[0] + parts[1])
+        total = base + extra.reshape(-1, *base.shape)
+        parts = gaussian_parts(total, np.broadcast_to(residual, total.shape[:2]))
+        density: FloatArray = -0.5 * (parts[0] + parts[1]).reshape(extra.shape[:-2])
         return density
 
-    factors = surrogate.scatter.sizes[0][without.size][:, None, None]
-    null = log_p(np.square(without.noise)[:, None, None] * problem.noise_shape + factors * scatter)
+    # Noise is absent or that of the best fit, with and without a discrepancy, and the scatter has
+    # its prior: a large one must not pass for a discrepancy.
     sizes = np.array([noise]) if problem.noise_sigma is not None else np.unique([0.0, noise])
+    factors, log_prior = surrogate.scatter.sizes
+    white = np.square(sizes)[:, None, None, None] * problem.noise_shape
     shapes = np.stack([problem.discrepancy_shape(length) for length in LENGTHS_DEG])
-    extra = (
-        np.square(sizes)[None, :, None, None, None, None] * problem.noise_shape
-        + np.square(AMPLITUDES)[:, None, None, None] * shapes
-        + surrogate.scatter.sizes[0][SIZES, None, None, None, None, None] * scatter
-    )
-    alternative = log_p(extra.reshape(-1, *problem.noise_shape.shape))
-    odds = float(log_sum(alternative)) - np.log(len(alternative))
-    odds -= float(log_sum(without.log_prior + null) - log_sum(without.log_prior))
-    grid = alternative.reshape(-1, len(AMPLITUDES), len(LENGTHS_DEG)).max(axis=0)
+    wrong = np.square(AMPLITUDES)[:, None, None, None] * shapes
+
+    null = log_p(white + factors[:, None, None] * scatter) + log_prior
+    some = factors[SIZES, None, None, None, None] * scatter
+    alternative = log_p(white[:, :, None, None] + some + wrong)
+    alternative += log_prior[SIZES, None, None] - log_sum(log_prior[SIZES])
+    odds = float(log_sum(alternative.ravel()) - log_sum(null.ravel()))
+    odds -= np.log(len(AMPLITUDES) * len(LENGTHS_DEG))
+    grid = alternative.max(axis=(0, 1))
     i, j = np.unravel_index(int(np.argmax(grid)), grid.shape)
     return odds, float(AMPLITUDES[i]), float(LENGTHS_DEG[j])

@@ -33,6 +33,8 @@ OUTSIDE = 60.0
 """The same for nodes, and how fast the log density falls off beyond [1/deg]."""
 MARGIN = 2
 """Nodes that are kept beside those."""
+FEWEST = 4
+"""Neighbouring nodes through which a spline is drawn at least."""
 HUGE = 1e250
 
 
@@ -125,9 +127,29 @@ class Hypotheses:
         return self.log_prior[:, None] - 0.5 * (self.chi2 + self.volume)
 
     @property
-    def best_node(self) -> int:
-        """Index of the node of most density."""
-        return int(self.nodes[self.log_density.max(axis=0).argmax()])
+    def peaks(self) -> tuple[FloatArray, FloatArray]:
+        """Where the density of each is largest [node], and its log there, both of shape [h].
+
+        Between nodes that are neighbours too: a narrow density may be hundreds of nats below its
+        peak at the nearest node.
+        """
+        density = self.log_density
+        top, where = density.max(axis=1), self.nodes[density.argmax(axis=1)].astype(float)
+        close = np.diff(self.nodes) == 1
+        run = np.append(close, False) | np.append(False, close)
+        if run.sum() >= FEWEST:
+            first = int(np.flatnonzero(run)[0])
+            at, least = spline_minimum(-density[:, run])
+            higher = -least > top
+            where[higher], top[higher] = self.nodes[first] + at[higher], -least[higher]
+        return where, top
+
+    @property
+    def best(self) -> tuple[int, float]:
+        """The one of most density, and where it has it [node]."""
+        where, top = self.peaks
+        h = int(top.argmax())
+        return h, float(where[h])
 
     def kept(self, which: NDArray[Any]) -> Hypotheses:
         """Some of them."""
@@ -136,8 +158,12 @@ class Hypotheses:
 
     def probable(self) -> Hypotheses:
         """Those that are not negligible at the angle that suits each best."""
-        best = self.log_density.max(axis=1)
-        return self.kept(best > best.max() - NEGLIGIBLE)
+        return self.within(NEGLIGIBLE)
+
+    def within(self, nats: float) -> Hypotheses:
+        """Those whose largest log density is so close to the largest of all."""
+        top = self.peaks[1]
+        return self.kept(top > top.max() - nats)
 
     def window(self, count: int, margin: int) -> NDArray[np.intp]:
         """Indices of all nodes, of ``count``, about those where the density is not negligible.
@@ -161,6 +187,35 @@ class Hypotheses:
         indices = np.tile(np.arange(count), len(self.noise))
         change = log_prior[indices] - log_prior[repeated.size]
         return replace(repeated, size=indices, log_prior=repeated.log_prior + change)
+
+
+def spline_minimum(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least values of cubic splines beside the least of their knots, which are 0, 1, 2 ...
+
+    Parameters
+    ----------
+    values
+        Shape [k, knot].
+
+    Returns
+    -------
+    tuple
+        Where they are, and the values, both of shape [k].
+    """
+    from scipy.interpolate import CubicSpline
+
+    each, knot = np.arange(len(values)), values.argmin(axis=1)
+    at, least = knot.astype(float), values[each, knot]
+    coefficients = CubicSpline(np.arange(values.shape[1]), values, axis=1).c
+    for left in (knot - 1, knot):
+        piece = np.clip(left, 0, values.shape[1] - 2)
+        a, b, c, d = coefficients[:, piece, each]
+        root = b + np.sqrt(np.maximum(b**2 - 3.0 * a * c, 0.0))
+        t = np.clip(-c / np.where(root == 0.0, np.inf, root), 0.0, 1.0)
+        value = ((a * t + b) * t + c) * t + d
+        lower = value < least
+        at[lower], least[lower] = (piece + t)[lower], value[lower]
+    return at, least
 
 
 def log_sum(values: FloatArray, axis: int = 0) -> FloatArray:
