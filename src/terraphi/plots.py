@@ -104,7 +104,7 @@ def _draw_forces(axes: Axes, inversion: Inversion, component: str) -> None:
         seen.theta_deg, data, "o", ms=3.5, color=ORANGE, mec="black", mew=0.4, label="measured"
     )
     finish_force_axes(axes, component)
-    axes.set_title(f"{inversion.source}: misfit {inversion.nrmsd[component]:.1%}", fontsize=10)
+    axes.set_title(f"{inversion.source}: deviation {inversion.nrmsd[component]:.1%}", fontsize=10)
 
 
 def finish_force_axes(axes: Axes, component: str) -> None:
