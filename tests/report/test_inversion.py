@@ -16,6 +16,7 @@ from terraphi.library import Library
 from terraphi.measurements import measurement
 from terraphi.report.inversion import (
     CONVENTION,
+    OTHER_LIKELIHOOD,
     UNCHECKED,
     UNKNOWN,
     _belief,
@@ -193,7 +194,7 @@ def test_nobody_is_told_to_believe_a_library_that_nobody_checked(
     inversion_folder: Path, tmp_path: Path
 ) -> None:
     saved = load(inversion_folder)
-    sound = {**saved.answer, "verdict": "consistent"}
+    sound = {**saved.answer, "verdict": "consistent", "likelihood": "calibrated"}
     again, _ = recomputed(saved, None)
     assert again is not None
     assert _belief(sound, again) == ("doubtful", UNCHECKED)
@@ -201,6 +202,8 @@ def test_nobody_is_told_to_believe_a_library_that_nobody_checked(
     checked = replace(again, library=Library.load("quick-plane-strain"))
     assert _belief(sound, checked) == ("good", "")
     assert _belief({**sound, "leg": "plate"}, checked) == ("doubtful", UNCHECKED)
+    printed = {**sound, "likelihood": "paper"}
+    assert _belief(printed, checked) == ("doubtful", OTHER_LIKELIHOOD)
     assert _belief({**sound, "verdict": "misfit"}, again) == ("bad", "")
     (tmp_path / "answer.json").write_text(json.dumps(sound))
     html = render([section(tmp_path)])

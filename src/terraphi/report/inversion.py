@@ -28,6 +28,9 @@ CONVENTION = {
 INFORMATION = "Which angles told the friction angle"
 STATUS: dict[str, Status] = {"consistent": "good", "misfit": "bad", "out_of_range": "doubtful"}
 UNCHECKED = "consistent, with a library whose intervals nobody has checked"
+OTHER_LIKELIHOOD = (
+    "consistent; its intervals were not checked, only those of the calibrated likelihood"
+)
 UNKNOWN = "consistent, but whether its library's intervals were checked is not known here"
 WORDS = {
     "nodes": "nodes of the quadrature",
@@ -98,6 +101,8 @@ def _belief(answer: Mapping[str, Any], again: Again | None) -> tuple[Status, str
         return "doubtful", UNKNOWN
     if str(answer["leg"]) not in certificate_of(again.library):
         return "doubtful", UNCHECKED
+    if answer["likelihood"] != "calibrated":
+        return "doubtful", OTHER_LIKELIHOOD
     return status, ""
 
 

@@ -12,6 +12,7 @@ from terraphi.report.inversion import STATUS
 from terraphi.report.parts import Part, Section, Table, Text, number
 from terraphi.report.study import pictures
 
+UNCHECKED = "consistent; nobody has checked how often joint intervals hold the truth"
 PICTURES = "Fits, and the corner plot of the posterior"
 
 
@@ -54,12 +55,15 @@ def section(path: Path) -> Section:
         *pictures(folder, PICTURES, folded=False),
     ]
     about = {key: answer[key] for key in ("library", "likelihood", "sampler", "seed", "fixed")}
+    status = STATUS.get(str(answer["verdict"]), "none")
+    sound = status == "good"
     return Section(
         kind="joint inversion",
         title=", ".join(str(history["source"]) for history in answer["histories"]) or path.name,
         headline=_headline(answer),
         reason=str(answer["reason"]),
-        status=STATUS.get(str(answer["verdict"]), "none"),
+        status="doubtful" if sound else status,
+        badge=UNCHECKED if sound else "",
         parts=parts,
         provenance={"result": path.name, **about, **answer.get("provenance", {})},
     )
