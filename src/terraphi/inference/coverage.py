@@ -68,9 +68,13 @@ class Coverage:
     median_deg: FloatArray
     half_width_deg: FloatArray
 
+    def count(self, probability: float) -> int:
+        """How many equal-tailed intervals of that mass hold the truth."""
+        return int(np.count_nonzero(np.abs(self.rank - 0.5) <= 0.5 * probability))
+
     def within(self, probability: float) -> float:
         """Fraction of equal-tailed intervals of that mass that hold the truth [-]."""
-        return float(np.mean(np.abs(self.rank - 0.5) <= 0.5 * probability))
+        return self.count(probability) / self.rank.size
 
     @property
     def histogram(self) -> NDArray[np.int64]:
@@ -165,6 +169,44 @@ def through_one_library(
             found = _posteriors(leg, truth, data, mean)
             within.append((found.within(0.68), found.within(0.95)))
     one, two = np.array(within).T
+    return one, two
+
+
+def held(
+    leg: PreparedLeg, phi_deg: FloatArray, *, each: int, worlds: int, seed: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """How many of some truths the 68 and 95 % intervals of the one library hold, if they are right.
+
+    Observations of one angle share the library's error, so that counts vary more than independent
+    ones would.
+
+    Parameters
+    ----------
+    leg
+        The library's leg.
+    phi_deg
+        True angles, increasing [deg], shape [r].
+    each
+        Observations of each, with scatter of their own.
+    worlds, seed
+        Number of worlds that the library may be of, and seed of all draws.
+
+    Returns
+    -------
+    tuple
+        Counts, shapes [world].
+    """
+    rng = np.random.default_rng(seed)
+    surrogate, counts = leg.surrogate, []
+    mean = surrogate.standard_mean(leg.phi_deg[::STRIDE])[None]
+    truth = np.repeat(phi_deg, each)
+    with single_threaded():
+        for _ in range(worlds):
+            forces = np.repeat(one_world(surrogate, phi_deg, rng), each, axis=0)
+            data = forces + surrogate.scatter.draw(truth, rng)
+            found = _posteriors(leg, truth, data, mean)
+            counts.append((found.count(0.68), found.count(0.95)))
+    one, two = np.array(counts, dtype=np.int64).T
     return one, two
 
 

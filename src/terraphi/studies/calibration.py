@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from terraphi.documents import shipped_names
-from terraphi.inference.coverage import WORLDS, calibrate, learnt_anew, through_one_library
-from terraphi.inference.library import prepare
+from terraphi.inference.coverage import WORLDS, calibrate, held, learnt_anew, through_one_library
+from terraphi.inference.library import PreparedLeg, prepare
 from terraphi.library import Library
 from terraphi.studies import Study
-from terraphi.studies.calibration_cases import inverted, matched, strangers, ways
+from terraphi.studies.calibration_cases import inverted, matched, strangers, truths_of, ways
 from terraphi.studies.calibration_figures import calibration_figure
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ BESIDE = 2000
 """Worlds at most of each kind that is not the prior's."""
 ONE_LIBRARY = (40, 50)
 """Worlds that the one library may be of, and truths in each."""
+HELD = 200
+"""Worlds that the one library may be of, in which intervals hold the truths' angles or not."""
 MATCHED = (10, 20)
 """Worlds that the one library may be of, and truths in each, for all of the inference."""
 MATCHED_NOISE = {"clean": 0.0, "white noise 2%": 0.02}
@@ -41,8 +43,9 @@ PICTURE = (
     "Ranks of the truths, coverage over the mass of the interval, half-widths over the friction "
     "angle, and the particle scatter"
 )
+DEFAULT = "quick-plane-strain"
 ORIGIN = (
-    "Written by `terraphi study calibration --out DIR`; what the rows mean stands in "
+    "Written by `terraphi study calibration{option} --out DIR`; what the rows mean stands in "
     "[inference.md](inference.md)."
 )
 CERTIFICATE = ("library, leg", "replicates", "in 68 %", "in 95 %", "p", "p of other seeds",
@@ -51,7 +54,7 @@ CERTIFICATE = ("library, leg", "replicates", "in 68 %", "in 95 %", "p", "p of ot
 
 def run(
     *,
-    library: str = "quick-plane-strain",
+    library: str = DEFAULT,
     replicates: int = REPLICATES,
     seed: int = 0,
     progress: Callable[[float, float], None] | None = None,
@@ -78,7 +81,7 @@ def run(
         coverages and how many are a ``misfit``), ``truths`` (by what was done to them and the
         discrepancy: ``cases``, ``abs_error_deg``, ``ci68_half_width_deg``, ``inside68``,
         ``inside95``, ``misfit``, and ``by_seed`` the same for the truths of each particle seed),
-        ``strangers``.
+        ``clean_held`` (how many should be inside: 5 and 95 % over worlds), ``strangers``.
 
     Raises
     ------
@@ -126,10 +129,23 @@ def run(
         },
         "matched": right,
         "truths": tables,
+        "clean_held": _held(leg, library, seed=seed + 5),
         "strangers": strangers(trained),
     }
     report()
     return _study(data, calibration_figure(found["prior"], leg, one[0]))
+
+
+def _held(leg: PreparedLeg, library: str, *, seed: int) -> dict[str, Any]:
+    """How many of the clean truths are inside if intervals are right, 5 to 95 % over worlds."""
+    angles, counts = np.unique([t.phi_deg for t in truths_of(library)], return_counts=True)
+    if not angles.size:
+        return {}
+    found = held(leg, angles, each=int(counts.max()), worlds=HELD, seed=seed)
+    return {
+        name: np.quantile(part, [0.05, 0.95]).tolist()
+        for name, part in zip(("inside68", "inside95"), found, strict=True)
+    }
 
 
 def _study(data: Mapping[str, Any], figure: Figure) -> Study:
@@ -142,7 +158,7 @@ def _study(data: Mapping[str, Any], figure: Figure) -> Study:
         rows=rows,
         data=data,
         figures={"calibration": figure},
-        documents={"calibration.md": _page(title, rows, notes)},
+        documents={"calibration.md": _page(data["library"], title, rows, notes)},
         notes=notes,
     )
 
@@ -197,7 +213,9 @@ def _rows(data: Mapping[str, Any]) -> list[tuple[str, ...]]:
 def _notes(data: Mapping[str, Any]) -> list[str]:
     spread, fitted = data["one_library"]["coverage68"]["p05_p95"], data["fitted_surface"]
     believed = ", ".join(
-        f"{n['believed']} of {n['cases']} ({kind})" for kind, n in data["strangers"].items()
+        f"{n['believed']} of {n['cases']} ({kind})"
+        for kind, n in data["strangers"].items()
+        if n["cases"]
     )
     ranks, fitted_ranks = (
         f"have mean {part['mean_rank']:.3f}, and are uniform with p = {part['rank_chi2_p']:.2g}"
@@ -210,8 +228,19 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         f"In worlds about the fitted surface they {fitted_ranks}.",
         f"Through one library 68 % intervals cover {held}.",
         f"Histories that must not be believed, and were: {believed}.",
+        *(_expected(data["clean_held"], clean) if clean else ()),
         *(_by_seed(clean["by_seed"]) if clean else ()),
     ]
+
+
+def _expected(limits: Mapping[str, Sequence[float]], clean: Mapping[str, Any]) -> list[str]:
+    """Clean truths inside their intervals, beside how many should be."""
+    (low, high), (least, most) = limits["inside68"], limits["inside95"]
+    found = f"{clean['inside68']} in 68 %, {clean['inside95']} in 95 %"
+    worlds = "5 to 95 % of the worlds that it may be of"
+    right = f"{low:.0f} to {high:.0f} and {least:.0f} to {most:.0f} of {clean['cases']}"
+    expected = f"expected of one library: {right} ({worlds})"
+    return [f"Clean truths inside their intervals: {found}; {expected}."]
 
 
 def _by_seed(seeds: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -231,11 +260,12 @@ def _by_seed(seeds: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"Clean truths, {seeds[0]['cases']} of each of {len(seeds)} particle seeds: {lists}."]
 
 
-def _page(title: str, rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
+def _page(library: str, title: str, rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
     """The study as a page in Markdown, with the certificates of all shipped libraries."""
+    usual = library == DEFAULT
     parts = [
-        "# Are the intervals calibrated?",
-        ORIGIN,
+        "# Are the intervals calibrated?" if usual else f"# Are those of {library}?",
+        ORIGIN.format(option="" if usual else f" --library {library}"),
         "## Certificates",
         _table(CERTIFICATE, certificates()),
         f"## {title}",
