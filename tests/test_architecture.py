@@ -32,6 +32,7 @@ ROOMS = [
     "cluster",
     "plan",
     "library",
+    "choices",
     "reproduction",
     "build",
     "gaussian_process",

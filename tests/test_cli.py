@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -126,7 +127,10 @@ def test_simulate_then_invert(terraphi: Terraphi, tmp_path) -> None:
 def test_library_list_and_show(terraphi: Terraphi) -> None:
     listed = json.loads(terraphi("library", "list", "--json").out)["libraries"]
     assert "rft3d" in [entry["name"] for entry in listed]
-    assert "rft3d" in terraphi("library", "list").out
+    usable, others = terraphi("library", "list").out.split("To try those with")
+    assert re.search(r"^rft3d +rft3d +15 to 50 +c, reversed_c, straight +45 ", usable, re.MULTILINE)
+    assert "quick-plane-strain-seeds" in others
+    assert "quick-plane-strain-seeds" not in usable
     shown = json.loads(terraphi("library", "show", "rft3d", "--json").out)
     assert shown["cases"] == 45
     assert shown["provenance"]["model_version"] == "rft-1"

@@ -20,7 +20,8 @@ from urllib.parse import urlencode
 import pytest
 from click.testing import CliRunner
 
-from terraphi.app import choices, server
+from terraphi import choices
+from terraphi.app import server
 from terraphi.app.server import application, job_of, shown_name
 from terraphi.commands.app import app
 from terraphi.errors import InputError

@@ -22,8 +22,8 @@ from collections.abc import Callable
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
-from terraphi.app.choices import offered, offered_legs
 from terraphi.app.work import JOB, PAGE, REFUSED
+from terraphi.choices import offered, offered_legs
 from terraphi.errors import InputError
 from terraphi.report.page import asset, template
 

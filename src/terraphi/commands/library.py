@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -94,10 +96,11 @@ def library_build(
 @library.command("list")
 @json_option
 def library_list(as_json: bool) -> None:
-    """List the shipped libraries.
+    """List the shipped libraries: those to invert with, then those that try them.
 
     Example: terraphi library list
     """
+    from terraphi.choices import offered
     from terraphi.documents import shipped_names
     from terraphi.library import Library
 
@@ -105,8 +108,29 @@ def library_list(as_json: bool) -> None:
     if as_json:
         print_json({"libraries": found})
         return
-    columns = ("name", "convention", "phi_deg", "legs", "cases", "density_kg_m3")
-    print_table(columns, [[words(entry[column]) for column in columns] for entry in found])
+    usable = offered()
+    some = [entry for entry in found if entry["name"] in usable]
+    rest = [entry for entry in found if entry["name"] not in usable]
+    _list(some, "To invert with, as --library NAME")
+    _list(rest, "To try those with: other angles, particle seeds or settings")
+
+
+def _list(found: Sequence[Mapping[str, Any]], title: str) -> None:
+    """Libraries as a table; they are of several conventions and soils."""
+    header = ("", "φ means", "φ [deg]", "legs", "histories", "density [kg/m³]", "checked")
+    rows = [
+        (
+            entry["name"],
+            entry["convention"],
+            " to ".join(map(words, entry["phi_deg"])),
+            words(entry["legs"]),
+            words(entry["cases"]),
+            words(entry["density_kg_m3"]),
+            "yes" if entry["certificate"] else "-",
+        )
+        for entry in found
+    ]
+    print_table(header, rows, title=title)
 
 
 @library.command("show")

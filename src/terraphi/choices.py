@@ -1,4 +1,4 @@
-"""What the app's page offers: the shipped libraries that an inversion can use, and their legs."""
+"""Shipped libraries that an inversion can use, and their legs; others are there to try those."""
 
 from __future__ import annotations
 

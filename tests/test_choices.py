@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from terraphi.app.choices import legs_of, offered, offered_legs
+from terraphi.choices import legs_of, offered, offered_legs
 from terraphi.documents import shipped_file
 from terraphi.library import Case, Library
 
