@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import logging
 import os
@@ -230,6 +231,20 @@ def test_nobody_answers(
     address = address.replace("PORT", str(free_port()))
     refused(terraphi(*BUILD, "--cluster", address), address, "'dask scheduler' prints")
     assert names(tmp_path) == ["p.toml"]
+
+
+def test_no_old_client_is_collected_while_one_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+
+    def client(*_: Any, **__: Any) -> None:
+        seen.append(gc.isenabled())
+        raise OSError
+
+    monkeypatch.setattr("distributed.Client", client)
+    with pytest.raises(InputError, match="no Dask scheduler answers"):
+        clusters.Cluster("tcp://127.0.0.1:1")
+    assert seen == [False]
+    assert gc.isenabled()
 
 
 def test_without_the_extra(terraphi: Any, monkeypatch: pytest.MonkeyPatch) -> None:

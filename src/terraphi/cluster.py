@@ -8,6 +8,7 @@ running already.
 
 from __future__ import annotations
 
+import gc
 import logging
 import platform
 import warnings
@@ -63,7 +64,7 @@ class Cluster:
         self._quiet.__enter__()
         connect: Any = distributed.Client  # without types in full
         try:
-            with warnings.catch_warnings():
+            with warnings.catch_warnings(), _no_collection():
                 warnings.simplefilter("ignore")  # it warns of versions, which are compared below
                 self._client = connect(
                     address, timeout=CONNECT_SECONDS, set_as_default=False, name="terraphi"
@@ -118,6 +119,22 @@ class Cluster:
         with without_interrupts():
             self._client.close(timeout=CONNECT_SECONDS)
             self._quiet.__exit__(None, None, None)
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Collect no garbage meanwhile.
+
+    A client that starts holds a lock of distributed which one that is collected, such as one that
+    nobody answered, waits for: in the same thread, for ever.
+    """
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def pool(
