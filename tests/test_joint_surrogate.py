@@ -60,19 +60,33 @@ class _Joint(Kernel):
         return False
 
 
-def test_prediction_and_covariance_are_those_of_scikit_learn(curves: np.ndarray) -> None:
+@pytest.mark.parametrize("again", [0, 3])
+def test_prediction_and_covariance_are_those_of_scikit_learn(
+    curves: np.ndarray, again: int
+) -> None:
     # Scatter without correlation, which is all that scikit-learn knows: alpha on the diagonal.
     log_sigma = np.full((3, 20), 0.0)
     log_sigma[0] = np.log(0.1)
     white = Scatter(THETA, log_sigma, 32.5, 15.0, (0.0, 0.0), (0.0, 0.0))
-    surrogate = JointSurrogate.fit(PHI, THETA, curves, white, kernel=KERNEL)
+    # Simulations of the third angle: the surrogate takes their mean, scikit-learn takes them all.
+    more = curves[2] + 0.1 * np.random.default_rng(1).standard_normal((again, 20))
+    means, repeats = curves.copy(), np.ones(6)
+    means[2], repeats[2] = np.vstack([curves[2:3], more]).mean(axis=0), 1 + again
+    surrogate = JointSurrogate.fit(PHI, THETA, means, white, kernel=KERNEL, repeats=repeats)
     prior = surrogate.basis * surrogate.prior_variance @ surrogate.basis.T
-    points = np.array([(phi, j) for phi in PHI for j in range(20)])
+    points = np.array([(phi, j) for phi in [*PHI, *[PHI[2]] * again] for j in range(20)])
     model = GaussianProcessRegressor(_Joint(surrogate, prior), alpha=1.0, optimizer=None)
-    model.fit(points, (curves / 0.1).ravel())
+    model.fit(points, (np.vstack([curves, more]) / 0.1).ravel())
     mean, covariance = model.predict(np.array([(31.0, j) for j in range(20)]), return_cov=True)
     assert 0.1 * mean == pytest.approx(surrogate.predict([31.0])[0], rel=1e-6, abs=1e-6)
     assert 0.01 * covariance == pytest.approx(surrogate.covariance(31.0), rel=1e-4, abs=1e-6)
+    assert surrogate.standard(means) == pytest.approx(surrogate.standard_curves)
+
+
+def test_repeats_that_are_none_are_refused(curves: np.ndarray) -> None:
+    for repeats in (np.zeros(6), np.ones(5)):
+        with pytest.raises(ValueError, match="expected one number, 1 or more"):
+            JointSurrogate.fit(PHI, THETA, curves, scatter(), kernel=KERNEL, repeats=repeats)
 
 
 def test_evidence_is_that_of_the_dense_normal_density(curves: np.ndarray) -> None:

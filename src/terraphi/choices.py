@@ -50,11 +50,16 @@ def legs_of(path: Path) -> frozenset[str]:
 
     with xr.open_dataset(path, engine="h5netcdf") as data:
         failures = data["failure"].values.tolist()
+        again = data["replicate"].values.tolist() if "replicate" in data else [0] * len(failures)
         scenarios = [json.loads(str(text)) for text in data["scenario"].values]
         sample = json.loads(str(data.attrs["plan"])).get("sample")
     if sample and len(sample.get("keys", ())) > 1:
         return frozenset()
-    whole = [s for s, failure in zip(scenarios, failures, strict=True) if not failure]
+    whole = [
+        scenario
+        for scenario, failure, repeated in zip(scenarios, failures, again, strict=True)
+        if not failure and not repeated
+    ]
     by_leg: dict[str, list[dict[str, Any]]] = {}
     for scenario in whole:
         by_leg.setdefault(str(scenario["leg"]["shape"]), []).append(scenario)

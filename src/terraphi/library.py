@@ -82,12 +82,15 @@ class Library:
     calibration
         What inversions have learnt of it: particle scatter and hyperparameters by leg, and the
         certificate of its coverage; JSON-able, empty if nobody looked.
+    replicates
+        Some of the cases again under other particle seeds: what the scatter was learnt from.
     """
 
     plan: Plan
     cases: tuple[Case, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
     calibration: Mapping[str, Any] = field(default_factory=dict)
+    replicates: tuple[Case, ...] = ()
 
     @property
     def name(self) -> str:
@@ -125,6 +128,7 @@ class Library:
             "density_kg_m3": first.soil.density,
             "sweep": self.plan.sweep or self.plan.one_at_a_time,
             **({"sample": self.plan.sample.model_dump()} if self.plan.sample else {}),
+            "replicates": len(self.replicates),
             "certificate": self.calibration.get("certificate"),
             "provenance": dict(self.provenance),
         }
@@ -198,6 +202,35 @@ class Library:
             chosen[0].scenario,
         )
 
+    def repeated(
+        self, leg: str, *, within: tuple[float, float] = (-math.inf, math.inf)
+    ) -> list[tuple[float, FloatArray]]:
+        """Observations of simulations that differ by their particle seed alone, of one leg.
+
+        Parameters
+        ----------
+        leg, within
+            As in :meth:`curves`.
+
+        Returns
+        -------
+        list
+            Friction angle [deg] of each case that was repeated, and its observation vectors [N],
+            the case's own first, shape [simulation, 2 theta].
+        """
+        again = [c for c in self.replicates if c.scenario.leg.shape == leg]
+        found = []
+        for phi in dict.fromkeys(c.scenario.soil.friction_angle_deg for c in again):
+            vectors = [
+                case.history.between(*within).observation().vector
+                for case in (*self.cases, *again)
+                if case.scenario.soil.friction_angle_deg == phi
+                and case.scenario.leg.shape == leg
+                and case.history
+            ]
+            found.append((phi, np.stack(vectors)))
+        return found
+
     # -- files -----------------------------------------------------------------------------------
 
     def save(self, path: Path | str) -> None:
@@ -216,7 +249,8 @@ class Library:
         import xarray as xr
 
         whole = next(case.history for case in self.cases if case.history)
-        for case in self.cases:
+        everything = (*self.cases, *self.replicates)
+        for case in everything:
             if case.history and not _alike(case.history, whole):
                 raise InputError(
                     f"library '{self.name}': the forces at {describe(self.plan, case.scenario)} "
@@ -226,7 +260,7 @@ class Library:
         coordinate = "theta_deg" if whole.coordinate == "theta" else whole.coordinate
         position = whole.theta_deg if whole.coordinate == "theta" else whole.position
         nothing = np.full(whole.force.shape, np.nan)
-        force = np.stack([c.history.force if c.history else nothing for c in self.cases])
+        force = np.stack([c.history.force if c.history else nothing for c in everything])
         units = {"theta_deg": "degree", "displacement": "m"}[coordinate]
 
         def text(values: list[str]) -> tuple[str, NDArray[np.object_]]:
@@ -240,14 +274,15 @@ class Library:
             coords={
                 whole.coordinate: (coordinate, whole.position, {"units": "rad"}),
                 coordinate: (coordinate, position, {"units": units}),
-                "scenario": text([c.scenario.model_dump_json() for c in self.cases]),
-                "scenario_hash": text([c.scenario.hash for c in self.cases]),
-                "failure": text([c.failure for c in self.cases]),
-                "digest": text([c.digest for c in self.cases]),
+                "scenario": text([c.scenario.model_dump_json() for c in everything]),
+                "scenario_hash": text([c.scenario.hash for c in everything]),
+                "failure": text([c.failure for c in everything]),
+                "digest": text([c.digest for c in everything]),
+                "replicate": ("case", [0] * len(self.cases) + [1] * len(self.replicates)),
                 "provenance": text(
                     [
                         json.dumps(dict(c.history.provenance) if c.history else {})
-                        for c in self.cases
+                        for c in everything
                     ]
                 ),
             },
@@ -316,7 +351,12 @@ class Library:
         provenance, calibration = (
             json.loads(data.attrs.get(name, "{}")) for name in ("provenance", "calibration")
         )
-        return cls(plan, tuple(cases), provenance, calibration)
+        again = data["replicate"].values.tolist() if "replicate" in data else [0] * len(cases)
+        first, repeated = (
+            tuple(case for case, flag in zip(cases, again, strict=True) if bool(flag) is which)
+            for which in (False, True)
+        )
+        return cls(plan, first, provenance, calibration, repeated)
 
 
 def _alike(one: ForceHistory, other: ForceHistory) -> bool:

@@ -16,12 +16,15 @@ from terraphi.inference.coverage import (
     _posteriors,
     _worlds,
     calibrate,
-    held,
+    expected_of,
     learnt_anew,
 )
+from terraphi.inference.inversion import invert
 from terraphi.inference.library import PreparedLeg, prepare
+from terraphi.joint_surrogate import JointSurrogate
 from terraphi.library import Library
 from terraphi.studies.calibration import CERTIFICATE, HEADER, certificates, run
+from terraphi.studies.calibration_cases import truths_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "calibration.md"
 NAMES = ("quick-plane-strain", "quick-paper", "k4-plane-strain")
@@ -126,7 +129,7 @@ def test_the_page_shows_the_certificates_of_the_shipped_libraries() -> None:
 
 def page_of(library: str) -> Path:
     """The page that shows a library's study."""
-    return PAGE if library == NAMES[0] else PAGE.with_stem("calibration-k4")
+    return PAGE if library == NAMES[0] else PAGE.with_stem(f"calibration-{library}")
 
 
 @pytest.mark.slow
@@ -134,8 +137,7 @@ def page_of(library: str) -> Path:
 def test_the_page_is_what_the_study_writes(library: str) -> None:
     study, page = run(library=library), page_of(library).read_text(encoding="utf-8")
     assert set(study.data) >= PROMISED
-    picture = page_of(library).with_suffix(".png").name
-    written = study.documents["calibration.md"].replace("calibration.png", picture)
+    written = study.documents[page_of(library).name]
     number = r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?"
     assert re.sub(number, "#", page) == re.sub(number, "#", written)
     # Another machine rounds otherwise, and a case at an interval's end may change sides.
@@ -144,7 +146,7 @@ def test_the_page_is_what_the_study_writes(library: str) -> None:
             float(other), rel=0.05, abs=1.0 if "." not in one else 0.02
         )
     clean = study.data["truths"]["clean"]["none"]
-    assert clean["abs_error_deg"]["median"] <= 0.06
+    assert clean["abs_error_deg"]["median"] <= (0.05 if library == NAMES[0] else 0.06)
     # Fourteen truths of each seed; with one of the three the largest error is 2.7 half-widths.
     assert sorted(part["abs_error_deg"]["max"] for part in clean["by_seed"])[1] <= 0.3
     assert clean["ci68_half_width_deg"]["median"] <= 0.2
@@ -158,6 +160,13 @@ def cells(library: str) -> dict[str, dict[str, str]]:
     return {f"{row[0]}, {row[1]}": dict(zip(HEADER, row, strict=True)) for row in table}
 
 
+def known(library: str) -> list[str]:
+    """Clean truths inside where no noise is inferred, and how many were expected, of its page."""
+    text = page_of(library).read_text(encoding="utf-8")
+    line = next(line for line in text.splitlines() if "no noise is inferred" in line)
+    return [*re.findall(r"(\d+) in \d\d %", line), *re.findall(r"\d+ to \d+(?= expected)", line)]
+
+
 def test_numbers_that_other_pages_quote_are_those_of_the_page() -> None:
     row, inside, error = cells(NAMES[0]), "in 68 %", "median error"
     worlds, clean = row["simulated worlds, none"], row["truths, clean, none"]
@@ -166,7 +175,7 @@ def test_numbers_that_other_pages_quote_are_those_of_the_page() -> None:
     noisy = row["truths, density off by 20%, white noise 10%, gp"]
     half, largest = clean["68 % half-width"], clean["largest"]
     slow = cells(NAMES[2])
-    slower, anew = slow["truths, clean, none"], slow["worlds learnt anew, none"]
+    slower, found = slow["truths, clean, none"], known(NAMES[2])
     two, five = (slow[f"truths, white noise {n}%, none"] for n in (2, 5))
     sentences = {
         "docs/inference.md": (
@@ -185,8 +194,9 @@ def test_numbers_that_other_pages_quote_are_those_of_the_page() -> None:
             f"the median half-width {slower['68 % half-width']}",
             f"{slower[inside]} of {slower['cases']} are inside their 68 %",
             f"and {slower['in 95 %']} inside their 95 % intervals",
-            f"learnt anew {anew[inside]} and {anew['in 95 %']}",
-            f"{two['not believed']} and {five['not believed']} of them are a misfit through",
+            f"Where no noise is inferred, {found[0]} and {found[1]} are, and {found[2]} and",
+            f"and {found[3]} were to be expected",
+            f"2 and 5 % of the peak, {two['not believed']} and {five['not believed']} of them are",
         ),
         "README.md": (
             f"Of {clean['cases']} fresh simulations off the library's grid",
@@ -204,46 +214,62 @@ def test_numbers_that_other_pages_quote_are_those_of_the_page() -> None:
 
 
 def test_truths_of_one_angle_are_held_together(leg: PreparedLeg) -> None:
-    angles = np.array([22.0, 31.0, 39.0])
-    one, two = held(leg, angles, each=4, worlds=60, seed=1)
-    assert (one <= two).all()
+    truth = np.repeat([22.0, 31.0, 39.0], 4)
+    worlds = expected_of(leg, truth, worlds=60, seed=1)
+    one = np.array([world.count(0.68) for world in worlds])
     # Over worlds the intervals are right; 60 of them leave 4 %.
     assert one.mean() / 12 == pytest.approx(0.68, abs=0.13)
-    assert two.mean() / 12 == pytest.approx(0.95, abs=0.06)
     # Independent observations of a fixed coverage would vary less.
     assert one.var() > 1.3 * 12 * 0.68 * 0.32
 
 
-def test_what_stands_behind_the_truths_outside_the_slower_library() -> None:
+def test_forces_bend_within_two_degrees_at_both_speeds() -> None:
+    seeds = set()
     for name in (NAMES[0], NAMES[2]):
-        library, seeds = Library.load(name), Library.load(f"{name}-seeds")
-        surrogate = prepare(library, "straight", within=(-math.inf, math.inf)).surrogate
-        slope = prepare(library, "straight", within=(-math.inf, math.inf)).slope(32.5)
-        weights = np.linalg.solve(surrogate.scatter.covariance(32.5), slope)
-        off = [
-            float((forces - surrogate.predict([32.5])[0]) @ weights / (slope @ weights))
-            for phi, forces in _straight(library) + _straight(seeds)
-            if phi == 32.5
-        ]
+        library = Library.load(name)
+        whole = prepare(library, "straight", within=(-math.inf, math.inf))
+        surrogate, curves, slope = whole.surrogate, whole.curves, whole.slope(32.5)
+        others = curves.phi_deg != 32.5
+        rest = JointSurrogate.fit(
+            curves.phi_deg[others],
+            curves.theta_deg,
+            np.hstack([curves.Fx, curves.Fz])[others],
+            surrogate.scatter,
+            kernel=surrogate.kernel,
+        )
+        total = surrogate.scatter.covariance(32.5) + rest.covariance(32.5)
+        weights = np.linalg.solve(total, slope)
+        (group,) = (vectors for phi, vectors in library.repeated("straight") if phi == 32.5)
+        off = (group - rest.predict([32.5])[0]) @ weights / (slope @ weights)
         assert len(off) == 4
-        assert min(off) > -0.2
-        assert max(off) < -0.05
-    again: dict[float, list[np.ndarray]] = {}
-    for phi, forces in _straight(Library.load(f"{NAMES[2]}-fourteen")):
-        again.setdefault(phi, []).append(forces)
-    # Three simulations of one angle: variance over that of the model, in all directions.
-    ratio = {}
-    for phi, group in again.items():
-        rest = np.array(group) - np.mean(group, axis=0)
-        inverse = np.linalg.inv(surrogate.scatter.covariance(phi))
-        ratio[phi] = np.einsum("ij,jk,ik->", rest, inverse, rest) / (2 * rest.shape[1])
-    assert np.mean([r for phi, r in ratio.items() if 36.0 < phi < 42.0]) > 1.08
-    assert np.mean([r for phi, r in ratio.items() if phi < 35.0]) < 0.92
+        assert off.min() > -0.35
+        assert off.max() < -0.1
+        seeds |= {
+            case.scenario.numerics.seed
+            for case in (*library.cases, *library.replicates)
+            if case.scenario.leg.shape == "straight"
+            and case.scenario.soil.friction_angle_deg == 32.5
+        }
+    assert len(seeds) == 4
+    # The curve with them goes through them: replicates are data.
+    assert abs(np.mean((group - surrogate.predict([32.5])[0]) @ weights / (slope @ weights))) < 0.05
 
 
-def _straight(library: Library) -> list[tuple[float, np.ndarray]]:
-    return [
-        (c.scenario.soil.friction_angle_deg, c.history.observation().vector)
-        for c in library.cases
-        if c.history and c.scenario.leg.shape == "straight"
-    ]
+@pytest.mark.slow
+def test_misfits_of_noisy_truths_are_fewer_if_the_noise_of_each_force_is_told(
+    tmp_path: Path,
+) -> None:
+    rng, sensor = np.random.default_rng(100), tmp_path / "sensor.toml"
+    library, told, inferred = Library.load(NAMES[2]), 0, 0
+    for _, history in truths_of(NAMES[2]):
+        sigma = 0.05 * np.abs(history.force).max(axis=0)
+        noisy = replace(
+            history,
+            force=history.force + sigma * rng.standard_normal(history.force.shape),
+            provenance={},
+        )
+        sensor.write_text(f"sigma_Fx_N = {sigma[0]}\nsigma_Fz_N = {sigma[1]}\n")
+        how = {"library": library, "density": 1650.0, "discrepancy": "none"}
+        told += invert(noisy, noise=sensor, **how).verdict.verdict == "misfit"
+        inferred += invert(noisy, **how).verdict.verdict == "misfit"
+    assert told < inferred

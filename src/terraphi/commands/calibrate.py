@@ -21,6 +21,8 @@ def library_calibrate(
 ) -> None:
     """Learn the particle scatter of library NAME, check its intervals, and write both into a copy.
 
+    Replicates go into the copy too: forces at their angles are known the better for them.
+
     Example: terraphi library calibrate mine.nc --replicates seeds.nc --out calibrated.nc
     """
     from terraphi.files import writable

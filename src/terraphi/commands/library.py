@@ -117,7 +117,7 @@ def library_list(as_json: bool) -> None:
 
 def _list(found: Sequence[Mapping[str, Any]], title: str) -> None:
     """Libraries as a table; they are of several conventions and soils."""
-    header = ("", "φ means", "φ [deg]", "legs", "histories", "density [kg/m³]", "checked")
+    header = ("", "φ means", "φ [deg]", "legs", "histories", "density [kg/m³]", "certificate")
     rows = [
         (
             entry["name"],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -61,10 +60,11 @@ def certified(
     legs: dict[str, Any] = {}
     certificates: dict[str, Any] = {}
     again: dict[str, list[float]] = {}
-    groups = replicate_groups(library, replicates) if replicates else {}
+    if replicates is not None:
+        library = with_replicates(library, replicates)
     for leg in library.legs:
         curves = library.curves(leg, within=EVERYWHERE)
-        surrogate = learn(curves, groups.get(leg, []))
+        surrogate = learn(curves, library.repeated(leg))
         legs[leg] = {"scatter": surrogate.scatter.as_dict(), "kernel": surrogate.kernel.as_dict()}
         prepared = PreparedLeg.of(surrogate, curves)
         certificates[leg] = calibrate(prepared, replicates=worlds, seed=seed).as_dict()
@@ -88,20 +88,13 @@ def certified(
     return replace(library, calibration=calibration)
 
 
-def replicate_groups(
-    library: Library, replicates: Library
-) -> dict[str, list[tuple[float, FloatArray]]]:
-    """Groups of simulations that differ by their seed alone, the library's own among them, by leg.
+def with_replicates(library: Library, replicates: Library) -> Library:
+    """The library with some of its cases again, under other particle seeds.
 
     Parameters
     ----------
     library, replicates
         As in :func:`certified`.
-
-    Returns
-    -------
-    dict
-        Friction angle [deg] and observation vectors [N], shape [replicate, 2 theta], of each group.
 
     Raises
     ------
@@ -109,12 +102,8 @@ def replicate_groups(
         If a replicate is not a case of the library but for its seed, or has its very seed.
     """
     known = {c.scenario.hash for c in library.cases}
-    own = {_unseeded(c.scenario): c.history for c in library.cases if c.history}
-    groups: dict[str, list[FloatArray]] = defaultdict(list)
-    scenarios: dict[str, Scenario] = {}
+    own = {_unseeded(c.scenario) for c in library.cases if c.history}
     for case in replicates.cases:
-        key = _unseeded(case.scenario)
-        history = own.get(key)
         if case.scenario.hash in known:
             raise InputError(
                 f"'{replicates.name}' repeats a simulation, with the seed "
@@ -122,23 +111,13 @@ def replicate_groups(
                 f"{case.scenario.soil.friction_angle_deg:g} deg: that tells nothing of the scatter"
             )
         known.add(case.scenario.hash)
-        if history is None:
+        if _unseeded(case.scenario) not in own:
             raise InputError(
                 f"'{replicates.name}' is not of replicates of library '{library.name}': its case "
                 f"at {case.scenario.soil.friction_angle_deg:g} deg, leg "
                 f"{case.scenario.leg.shape}, is no case of the library under another seed"
             )
-        if key not in groups:
-            groups[key].append(history.observation().vector)
-            scenarios[key] = case.scenario
-        if case.history is not None:
-            groups[key].append(case.history.observation().vector)
-    found: dict[str, list[tuple[float, FloatArray]]] = defaultdict(list)
-    for key, vectors in groups.items():
-        if len(vectors) > 1:
-            scenario = scenarios[key]
-            found[scenario.leg.shape].append((scenario.soil.friction_angle_deg, np.stack(vectors)))
-    return dict(found)
+    return replace(library, replicates=tuple(c for c in replicates.cases if c.history))
 
 
 def _unseeded(scenario: Scenario) -> str:

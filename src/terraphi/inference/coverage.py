@@ -172,42 +172,45 @@ def through_one_library(
     return one, two
 
 
-def held(
-    leg: PreparedLeg, phi_deg: FloatArray, *, each: int, worlds: int, seed: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """How many of some truths the 68 and 95 % intervals of the one library hold, if they are right.
+def of_observations(leg: PreparedLeg, truth_deg: FloatArray, data: FloatArray) -> Coverage:
+    """Ranks of truths whose observations are at hand, through the one library.
+
+    Noise and discrepancy are known to be absent, as in worlds.
+
+    Parameters
+    ----------
+    leg
+        The library's leg.
+    truth_deg, data
+        True angles [deg], shape [r], and forces [N], shape [r, 2 theta].
+    """
+    mean = leg.surrogate.standard_mean(leg.phi_deg[::STRIDE])[None]
+    with single_threaded():
+        return _posteriors(leg, truth_deg, data, mean)
+
+
+def expected_of(
+    leg: PreparedLeg, truth_deg: FloatArray, *, worlds: int, seed: int
+) -> list[Coverage]:
+    """The same for truths of each world that the library may be of: what should come out.
 
     Observations of one angle share the library's error, so that counts vary more than independent
     ones would.
 
     Parameters
     ----------
-    leg
-        The library's leg.
-    phi_deg
-        True angles, increasing [deg], shape [r].
-    each
-        Observations of each, with scatter of their own.
+    leg, truth_deg
+        As in :func:`of_observations`.
     worlds, seed
-        Number of worlds that the library may be of, and seed of all draws.
-
-    Returns
-    -------
-    tuple
-        Counts, shapes [world].
+        Number of worlds, and seed of all draws.
     """
     rng = np.random.default_rng(seed)
-    surrogate, counts = leg.surrogate, []
-    mean = surrogate.standard_mean(leg.phi_deg[::STRIDE])[None]
-    truth = np.repeat(phi_deg, each)
-    with single_threaded():
-        for _ in range(worlds):
-            forces = np.repeat(one_world(surrogate, phi_deg, rng), each, axis=0)
-            data = forces + surrogate.scatter.draw(truth, rng)
-            found = _posteriors(leg, truth, data, mean)
-            counts.append((found.count(0.68), found.count(0.95)))
-    one, two = np.array(counts, dtype=np.int64).T
-    return one, two
+    angles, place = np.unique(truth_deg, return_inverse=True)
+    scatter, found = leg.surrogate.scatter, []
+    for _ in range(worlds):
+        forces = one_world(leg.surrogate, angles, rng)[place]
+        found.append(of_observations(leg, truth_deg, forces + scatter.draw(truth_deg, rng)))
+    return found
 
 
 def learnt_anew(leg: PreparedLeg, *, worlds: int, truths: int, seed: int) -> Coverage:
@@ -252,7 +255,7 @@ def _worlds(
 ) -> tuple[FloatArray, FloatArray]:
     """True forces at the truths [N], [r, 2 theta], and a new library for each.
 
-    The libraries are in the basis and over sigma [-], shape [r, case, 2 theta].
+    The libraries are as :meth:`JointSurrogate.standard` gives them [-], [r, case, 2 theta].
     """
     angles = np.column_stack([np.tile(surrogate.phi_deg, (len(truth), 1)), truth])
     cubic = surrogate.standard_cubic(angles) if worlds == "fitted" else None
@@ -261,7 +264,7 @@ def _worlds(
     scatter = rng.standard_normal(standard[:, :-1].shape)
     if worlds == "tails":
         scatter *= np.sqrt(surrogate.scatter.draw_sizes(scatter.shape[:2], rng))[..., None]
-    return forces, standard[:, :-1] + scatter
+    return forces, surrogate.root_repeats[:, None] * standard[:, :-1] + scatter
 
 
 def one_world(surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -284,7 +287,8 @@ def one_world(surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Gener
     cases = len(surrogate.phi_deg)
     prior = surrogate.draw(np.concatenate([surrogate.phi_deg, truth]), rng)
     scatter = rng.standard_normal(prior[:cases].shape)
-    missing = surrogate.standard_curves - prior[:cases] - scatter
+    simulated = surrogate.root_repeats[:, None] * prior[:cases] + scatter
+    missing = surrogate.standard_curves - simulated
     standard = prior[cases:] + surrogate.standard_mean(truth, missing)
     forces: FloatArray = surrogate.scatter.sigma(truth) * (standard @ surrogate.basis.T)
     return forces

@@ -192,16 +192,18 @@ def prepare(library: Library, leg: str, *, within: tuple[float, float]) -> Prepa
     if known and known[0]() is library:
         return known[1]
     curves = library.curves(leg, within=within)
-    prepared = PreparedLeg.of(surrogate_of(library, leg, curves), curves)
+    prepared = PreparedLeg.of(surrogate_of(library, leg, curves, within=within), curves)
     _KNOWN[key] = (weakref.ref(library), prepared)
     _forget_oldest(_KNOWN)
     return prepared
 
 
-def surrogate_of(library: Library, leg: str, curves: Curves) -> JointSurrogate:
+def surrogate_of(
+    library: Library, leg: str, curves: Curves, *, within: tuple[float, float]
+) -> JointSurrogate:
     """Joint surrogate of one leg: as the library's calibration says, or fitted."""
-    vectors = np.hstack([curves.Fx, curves.Fz])
     carried = library.calibration.get("legs", {}).get(leg)
+    again = library.repeated(leg, within=within)
     if carried is not None and library.calibration.get("library_hash") == library.hash:
         try:
             scatter = Scatter.from_dict(carried["scatter"])
@@ -212,10 +214,11 @@ def surrogate_of(library: Library, leg: str, curves: Curves) -> JointSurrogate:
                 "calibrate it again (terraphi library calibrate)"
             ) from error
         if np.allclose(scatter.theta_deg, curves.theta_deg, atol=1e-6):
+            means, repeats = _means(curves, again)
             return JointSurrogate.fit(
-                curves.phi_deg, curves.theta_deg, vectors, scatter, kernel=kernel
+                curves.phi_deg, curves.theta_deg, means, scatter, kernel=kernel, repeats=repeats
             )
-    return learn(curves)
+    return learn(curves, again)
 
 
 def learn(curves: Curves, replicates: Sequence[tuple[float, FloatArray]] = ()) -> JointSurrogate:
@@ -226,12 +229,24 @@ def learn(curves: Curves, replicates: Sequence[tuple[float, FloatArray]] = ()) -
     curves
         Of one leg.
     replicates
-        As in :func:`terraphi.scatter.estimate`.
+        As from :meth:`Library.repeated`. Forces at their angles are known the better for them.
     """
     vectors = np.hstack([curves.Fx, curves.Fz])
+    means, repeats = _means(curves, replicates)
     with single_threaded():
         scatter = estimate(curves.theta_deg, curves.phi_deg, vectors, replicates)
-        return JointSurrogate.fit(curves.phi_deg, curves.theta_deg, vectors, scatter)
+        return JointSurrogate.fit(curves.phi_deg, curves.theta_deg, means, scatter, repeats=repeats)
+
+
+def _means(
+    curves: Curves, replicates: Sequence[tuple[float, FloatArray]]
+) -> tuple[FloatArray, FloatArray]:
+    """Mean of all simulations of each case [N], shape [case, 2 theta], and how many they are."""
+    means, repeats = np.hstack([curves.Fx, curves.Fz]), np.ones(len(curves.phi_deg))
+    for phi, vectors in replicates:
+        (case,) = np.flatnonzero(curves.phi_deg == phi)
+        means[case], repeats[case] = vectors.mean(axis=0), len(vectors)
+    return means, repeats
 
 
 def _forget_oldest(kept: OrderedDict[Any, Any]) -> None:

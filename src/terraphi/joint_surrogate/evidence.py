@@ -79,10 +79,15 @@ class JointKernel:
 
 
 class Standardised:
-    """Validated curves over sigma, and the factor of R."""
+    """Validated curves over sigma, times the root of their repeats, and the factor of R."""
 
     def __init__(
-        self, phi_deg: ArrayLike, theta_deg: ArrayLike, curves: ArrayLike, scatter: Scatter
+        self,
+        phi_deg: ArrayLike,
+        theta_deg: ArrayLike,
+        curves: ArrayLike,
+        scatter: Scatter,
+        repeats: ArrayLike | None = None,
     ) -> None:
         self.phi = phi = np.array(phi_deg, dtype=np.float64)
         self.theta = theta = np.array(theta_deg, dtype=np.float64)
@@ -96,12 +101,16 @@ class Standardised:
             )
         if not np.allclose(scatter.theta_deg, theta, atol=1e-6):
             raise ValueError("the scatter is given at other leg angles than the curves")
-        self.values = values / scatter.sigma(phi)
+        counts = np.ones(phi.size) if repeats is None else np.array(repeats, dtype=np.float64)
+        if counts.shape != phi.shape or not (counts >= 1.0).all():
+            raise ValueError(f"repeats are {counts}; expected one number, 1 or more, of each curve")
+        self.root_repeats = np.sqrt(counts)
+        self.values = self.root_repeats[:, None] * (values / scatter.sigma(phi))
         self.factor = np.linalg.cholesky(scatter.correlation)
         self.inverse_factor = np.linalg.inv(self.factor)
         self.white = self.values @ self.inverse_factor.T
         self.theta_distance2 = np.square(theta[:, None] - theta)
-        self.growth = scatter.growth(phi)
+        self.growth = self.root_repeats * scatter.growth(phi)
         self.profile = self._profile()
 
     def _profile(self) -> FloatArray:

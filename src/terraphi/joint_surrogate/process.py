@@ -8,12 +8,15 @@ two forces f is a Gaussian process; divided by the scatter's standard deviation 
 where R is the scatter's correlation, K_m a Matern covariance over phi, B its covariance over leg
 angles and forces (for each force a squared exponential in theta and a white part, for what the grid
 leaves in every curve), and B_k that of the coefficients of a cubic (`cubic`); K_m and x^k are times
-the growth of forces over scatter. B and R are diagonal in a common basis, B = A diag(lambda) A^T
-and R = A A^T (Rakitsch et al., *It is all in the noise*, NIPS 2013), and so is B_k by definition:
-in that basis every direction is a process over phi by itself, and evidence, prediction and the
-whole covariance of the 2 m forces at any phi are in closed form. The covariance holds what
-interpolation leaves open and what the library's own scatter does to the curve, which is the same
-for every history inverted with that library.
+the growth of forces over scatter. The mean of n simulations of one case has R / n: its row, and
+the growth there, are taken sqrt(n) times, so that all rows scatter alike.
+
+B and R are diagonal in a common basis, B = A diag(lambda) A^T and R = A A^T (Rakitsch et al., *It
+is all in the noise*, NIPS 2013), and so is B_k by definition: in that basis every direction is a
+process over phi by itself, and evidence, prediction and the whole covariance of the 2 m forces at
+any phi are in closed form. The covariance holds what interpolation leaves open and what the
+library's own scatter does to the curve, which is the same for every history inverted with that
+library.
 """
 
 from __future__ import annotations
@@ -52,13 +55,16 @@ class JointSurrogate:
     phi_deg, theta_deg
         Training friction angles and leg angles [deg], shapes [case] and [theta].
     scatter, kernel
-        Particle scatter of the curves, and hyperparameters.
+        Particle scatter of a simulation, and hyperparameters.
+    root_repeats
+        Square root of the number of simulations that each curve is the mean of [-], shape [case].
     basis
         A, in which all covariances are diagonal [-], shape [2 theta, 2 theta].
     whitener
         The inverse of A [-], same shape.
     standard_curves
-        The library's curves in the basis, over sigma [-], shape [case, 2 theta].
+        The library's curves in the basis, over sigma and times root_repeats [-], shape
+        [case, 2 theta].
     prior_variance, cubic_variance
         Prior variance of the Matern process and of the cubic's coefficients in each direction of
         the basis, over sigma^2 [-], shapes [2 theta] and [4, 2 theta].
@@ -68,6 +74,7 @@ class JointSurrogate:
     theta_deg: FloatArray
     scatter: Scatter
     kernel: JointKernel
+    root_repeats: FloatArray = field(repr=False)
     basis: FloatArray = field(repr=False)
     whitener: FloatArray = field(repr=False)
     standard_curves: FloatArray = field(repr=False)
@@ -84,6 +91,7 @@ class JointSurrogate:
         scatter: Scatter,
         *,
         kernel: JointKernel | None = None,
+        repeats: ArrayLike | None = None,
     ) -> Self:
         """Condition on the curves of a library.
 
@@ -97,9 +105,11 @@ class JointSurrogate:
         curves
             Observation vectors [N], shape [case, 2 theta].
         scatter
-            Of these curves.
+            Of one simulation.
         kernel
             Hyperparameters, for a scatter already fitted; ``None`` finds those of maximum evidence.
+        repeats
+            Number of simulations that each curve is the mean of, shape [case]; ``None`` is one.
 
         Raises
         ------
@@ -108,8 +118,8 @@ class JointSurrogate:
         """
         with threadpool_limits(limits=1, user_api="blas"):
             if kernel is None:
-                scatter, kernel = _learn(phi_deg, theta_deg, curves, scatter)
-            data = Standardised(phi_deg, theta_deg, curves, scatter)
+                scatter, kernel = _learn(phi_deg, theta_deg, curves, scatter, repeats)
+            data = Standardised(phi_deg, theta_deg, curves, scatter, repeats)
             spectrum = Spectrum(data, kernel)
             whitener = spectrum.basis.T @ data.inverse_factor
             variances = cubic.variances(kernel.cubic, kernel.cubic_power, spectrum.roots)
@@ -118,6 +128,7 @@ class JointSurrogate:
                 theta_deg=data.theta,
                 scatter=scatter,
                 kernel=kernel,
+                root_repeats=data.root_repeats,
                 basis=data.factor @ spectrum.basis,
                 whitener=whitener,
                 standard_curves=data.values @ whitener.T,
@@ -125,7 +136,7 @@ class JointSurrogate:
                 cubic_variance=variances,
                 _inverse=np.empty(0),
             )
-            covariance = known.prior_covariance(data.phi, data.phi).transpose(2, 0, 1)
+            covariance = known._between(data.phi) * data.root_repeats[:, None]
             covariance += np.eye(data.phi.size)
             return replace(known, _inverse=np.linalg.inv(covariance).astype(np.float64))
 
@@ -160,9 +171,9 @@ class JointSurrogate:
         phi_deg
             [deg], shape [k].
         curves
-            Others than the library's, in the basis and over sigma, shape [..., case, 2 theta].
+            Others than the library's, as :meth:`standard` gives them, [..., case, 2 theta].
         """
-        weights = self._weights(curves)
+        weights = self.root_repeats[:, None] * self._weights(curves)
         local = self.scatter.growth(phi_deg)[:, None] * self.scatter.growth(self.phi_deg)
         local = local * matern(phi_deg, self.phi_deg, self.kernel.phi_length_deg)
         mean: FloatArray = self.standard_cubic(phi_deg, curves)
@@ -170,21 +181,25 @@ class JointSurrogate:
 
     def standard_cubic(self, phi_deg: FloatArray, curves: FloatArray | None = None) -> FloatArray:
         """Part of :meth:`standard_mean` that is the cubic; shapes as there."""
-        coefficients = self.cubic_variance * (self._powers(self.phi_deg).T @ self._weights(curves))
+        weights = self.root_repeats[:, None] * self._weights(curves)
+        coefficients = self.cubic_variance * (self._powers(self.phi_deg).T @ weights)
         found: FloatArray = self._powers(phi_deg) @ coefficients
         return found
 
     def standard(self, curves: FloatArray) -> FloatArray:
-        """Curves [N] in the basis, over sigma [-], shape [..., case, 2 theta]."""
+        """Curves [N] like the library's in the basis, of scatter 1 [-], shape [..., case, 2 theta].
+
+        Each is the mean of as many simulations as the library's.
+        """
         found: FloatArray = curves / self.scatter.sigma(self.phi_deg) @ self.whitener.T
-        return found
+        return self.root_repeats[:, None] * found
 
     def standard_variance(self, phi_deg: FloatArray) -> FloatArray:
         """Predictive variance in the common basis, over sigma^2 [-], shape [k] -> [k, 2 theta].
 
         The variance of the particle scatter itself is 1 in this basis.
         """
-        between = self.prior_covariance(phi_deg, self.phi_deg).transpose(2, 0, 1)
+        between = self._between(phi_deg)
         explained: FloatArray = np.sum((between @ self._inverse) * between, axis=2).T
         return np.maximum(self._alone(phi_deg) - explained, 0.0)
 
@@ -194,7 +209,7 @@ class JointSurrogate:
         The prediction is W y with weights W; its error (f - W f(phi_i)) - W e has a part that the
         prior of f gives and one that the scatter e of the library gives.
         """
-        between = self.prior_covariance(phi_deg, self.phi_deg).transpose(2, 0, 1)
+        between = self._between(phi_deg)
         scatter = np.square(between @ self._inverse).sum(axis=2).T
         total = self.standard_variance(phi_deg)
         return np.maximum(total - scatter, 0.0), np.minimum(scatter, total)
@@ -247,6 +262,11 @@ class JointSurrogate:
         result: FloatArray = (left * self.standard_variance(phi)[0]) @ left.T
         return result
 
+    def _between(self, phi_deg: FloatArray) -> FloatArray:
+        """Prior covariance of f with the rows of the curves, [k] -> [2 theta, k, case]."""
+        covariance = self.prior_covariance(phi_deg, self.phi_deg).transpose(2, 0, 1)
+        return covariance * self.root_repeats
+
     def _weights(self, curves: FloatArray | None) -> FloatArray:
         """Inverse covariance of the curves times the curves, shape [..., case, 2 theta]."""
         values = self.standard_curves if curves is None else curves
@@ -267,25 +287,30 @@ class JointSurrogate:
 
 
 def _learn(
-    phi_deg: ArrayLike, theta_deg: ArrayLike, curves: ArrayLike, scatter: Scatter
+    phi_deg: ArrayLike,
+    theta_deg: ArrayLike,
+    curves: ArrayLike,
+    scatter: Scatter,
+    repeats: ArrayLike | None,
 ) -> tuple[Scatter, JointKernel]:
     """Hyperparameters, and the scatter as curves predicted from the others show it."""
     for _ in range(ROUNDS):
-        data = Standardised(phi_deg, theta_deg, curves, scatter)
+        data = Standardised(phi_deg, theta_deg, curves, scatter, repeats)
         kernel, noise = maximise_evidence(data)
         squares = Spectrum(data, kernel, noise).left_out()
         scatter = corrected(scatter, data.phi, noise**2 * squares)
-    data = Standardised(phi_deg, theta_deg, curves, scatter)
+    data = Standardised(phi_deg, theta_deg, curves, scatter, repeats)
     kernel, noise = maximise_evidence(data)
     squares = Spectrum(data, kernel, noise).left_out()
     scatter = with_tail(scatter.scaled(noise), squares)
-    vague = JointSurrogate.fit(phi_deg, theta_deg, curves, scatter, kernel=kernel)
+    vague = JointSurrogate.fit(phi_deg, theta_deg, curves, scatter, kernel=kernel, repeats=repeats)
     return scatter, _with_cubic(vague)
 
 
 def _with_cubic(vague: JointSurrogate) -> JointKernel:
     """The hyperparameters with a prior of the cubic."""
-    phi, growth = vague.phi_deg, vague.scatter.growth(vague.phi_deg)
+    phi = vague.phi_deg
+    growth = vague.root_repeats * vague.scatter.growth(phi)
     amplitudes, power = cubic.fit(
         growth[:, None] * cubic.powers_of(phi, vague.phi_bounds_deg),
         np.outer(growth, growth) * matern(phi, phi, vague.kernel.phi_length_deg),

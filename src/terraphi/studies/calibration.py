@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from terraphi.documents import shipped_names
-from terraphi.inference.coverage import WORLDS, calibrate, held, learnt_anew, through_one_library
+from terraphi.inference.coverage import (
+    WORLDS,
+    calibrate,
+    expected_of,
+    learnt_anew,
+    of_observations,
+    through_one_library,
+)
 from terraphi.inference.library import PreparedLeg, prepare
 from terraphi.library import Library
 from terraphi.studies import Study
@@ -29,8 +36,8 @@ BESIDE = 2000
 """Worlds at most of each kind that is not the prior's."""
 ONE_LIBRARY = (40, 50)
 """Worlds that the one library may be of, and truths in each."""
-HELD = 200
-"""Worlds that the one library may be of, in which intervals hold the truths' angles or not."""
+EXPECTED = 200
+"""Worlds that the one library may be of, from which the counts of truths are expected."""
 MATCHED = (10, 20)
 """Worlds that the one library may be of, and truths in each, for all of the inference."""
 MATCHED_NOISE = {"clean": 0.0, "white noise 2%": 0.02}
@@ -81,7 +88,8 @@ def run(
         coverages and how many are a ``misfit``), ``truths`` (by what was done to them and the
         discrepancy: ``cases``, ``abs_error_deg``, ``ci68_half_width_deg``, ``inside68``,
         ``inside95``, ``misfit``, and ``by_seed`` the same for the truths of each particle seed),
-        ``clean_held`` (how many should be inside: 5 and 95 % over worlds), ``strangers``.
+        ``clean_known`` (how many clean truths are inside if it is known that there is no noise, and
+        between which counts, 5 and 95 % over worlds, that should be), ``strangers``.
 
     Raises
     ------
@@ -129,36 +137,43 @@ def run(
         },
         "matched": right,
         "truths": tables,
-        "clean_held": _held(leg, library, seed=seed + 5),
+        "clean_known": _known(leg, library, seed=seed + 5),
         "strangers": strangers(trained),
     }
     report()
     return _study(data, calibration_figure(found["prior"], leg, one[0]))
 
 
-def _held(leg: PreparedLeg, library: str, *, seed: int) -> dict[str, Any]:
-    """How many of the clean truths are inside if intervals are right, 5 to 95 % over worlds."""
-    angles, counts = np.unique([t.phi_deg for t in truths_of(library)], return_counts=True)
-    if not angles.size:
+def _known(leg: PreparedLeg, library: str, *, seed: int) -> dict[str, Any]:
+    """How many clean truths are inside, without any noise inferred, and how many should be."""
+    truths = truths_of(library)
+    if not truths:
         return {}
-    found = held(leg, angles, each=int(counts.max()), worlds=HELD, seed=seed)
+    angles = np.array([truth.phi_deg for truth in truths])
+    data = np.stack([truth.history.observation().vector for truth in truths])
+    found = of_observations(leg, angles, data)
+    worlds = expected_of(leg, angles, worlds=EXPECTED, seed=seed)
     return {
-        name: np.quantile(part, [0.05, 0.95]).tolist()
-        for name, part in zip(("inside68", "inside95"), found, strict=True)
+        f"inside{p}": {
+            "found": found.count(0.01 * p),
+            "p05_p95": np.quantile([w.count(0.01 * p) for w in worlds], [0.05, 0.95]).tolist(),
+        }
+        for p in (68, 95)
     }
 
 
 def _study(data: Mapping[str, Any], figure: Figure) -> Study:
     """Table, sentences, page and picture."""
     rows, notes = _rows(data), _notes(data)
-    title = f"Calibration of the intervals of library '{data['library']}', leg straight"
+    library = str(data["library"])
+    name = "calibration" if library == DEFAULT else f"calibration-{library}"
     return Study(
-        title=title,
+        title=_title(library),
         header=HEADER,
         rows=rows,
         data=data,
-        figures={"calibration": figure},
-        documents={"calibration.md": _page(data["library"], title, rows, notes)},
+        figures={name: figure},
+        documents={f"{name}.md": _page(library, name, rows, notes)},
         notes=notes,
     )
 
@@ -228,19 +243,20 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         f"In worlds about the fitted surface they {fitted_ranks}.",
         f"Through one library 68 % intervals cover {held}.",
         f"Histories that must not be believed, and were: {believed}.",
-        *(_expected(data["clean_held"], clean) if clean else ()),
+        *(_expected(data["clean_known"]) if clean else ()),
         *(_by_seed(clean["by_seed"]) if clean else ()),
     ]
 
 
-def _expected(limits: Mapping[str, Sequence[float]], clean: Mapping[str, Any]) -> list[str]:
+def _expected(known: Mapping[str, Any]) -> list[str]:
     """Clean truths inside their intervals, beside how many should be."""
-    (low, high), (least, most) = limits["inside68"], limits["inside95"]
-    found = f"{clean['inside68']} in 68 %, {clean['inside95']} in 95 %"
-    worlds = "5 to 95 % of the worlds that it may be of"
-    right = f"{low:.0f} to {high:.0f} and {least:.0f} to {most:.0f} of {clean['cases']}"
-    expected = f"expected of one library: {right} ({worlds})"
-    return [f"Clean truths inside their intervals: {found}; {expected}."]
+    counts = " and ".join(
+        f"{part['found']} in {name.removeprefix('inside')} % "
+        f"({part['p05_p95'][0]:.0f} to {part['p05_p95'][1]:.0f} expected)"
+        for name, part in known.items()
+    )
+    worlds = "5 to 95 % of the worlds that the library may be of"
+    return [f"Clean truths inside, where no noise is inferred: {counts}; expected: {worlds}."]
 
 
 def _by_seed(seeds: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -260,18 +276,22 @@ def _by_seed(seeds: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"Clean truths, {seeds[0]['cases']} of each of {len(seeds)} particle seeds: {lists}."]
 
 
-def _page(library: str, title: str, rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
+def _title(library: str) -> str:
+    return f"Calibration of the intervals of library '{library}', leg straight"
+
+
+def _page(library: str, picture: str, rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
     """The study as a page in Markdown, with the certificates of all shipped libraries."""
     usual = library == DEFAULT
     parts = [
-        "# Are the intervals calibrated?" if usual else f"# Are those of {library}?",
+        f"# Are the intervals {'' if usual else f'of {library} '}calibrated?",
         ORIGIN.format(option="" if usual else f" --library {library}"),
         "## Certificates",
         _table(CERTIFICATE, certificates()),
-        f"## {title}",
+        f"## {_title(library)}",
         _table(HEADER, rows),
         "\n".join(f"- {note}" for note in notes),
-        f"![{PICTURE}](calibration.png)",
+        f"![{PICTURE}]({picture}.png)",
     ]
     return "\n\n".join(parts) + "\n"
 
