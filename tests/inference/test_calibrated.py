@@ -50,8 +50,11 @@ def test_terms_add_up_to_the_covariance_of_brute_force_draws(leg: PreparedLeg) -
     # Libraries drawn anew about one truth: the error of their curves is what library_scatter says.
     surrogate, rng, phi = leg.surrogate, np.random.default_rng(2), 33.0
     truth = surrogate.predict(surrogate.phi_deg)
+    # The mean of four simulations, where the library has replicates, scatters half as much.
+    root = surrogate.root_repeats[:, None]
+    assert root.max() == 2.0
     libraries = truth + np.stack(
-        [surrogate.scatter.draw(surrogate.phi_deg, rng) for _ in range(4000)]
+        [surrogate.scatter.draw(surrogate.phi_deg, rng) / root for _ in range(4000)]
     )
     node = np.array([phi])
     mean = surrogate.standard_mean(node, surrogate.standard(libraries))[:, 0]
