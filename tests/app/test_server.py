@@ -29,7 +29,14 @@ from terraphi.measurements import measurement
 
 uvicorn = pytest.importorskip("uvicorn")
 
-USUAL = {"kind": "auto", "leg": "straight", "library": "rft3d", "density": "", "name": "mine.csv"}
+USUAL = {
+    "kind": "auto",
+    "leg": "straight",
+    "library": "rft3d",
+    "density": "",
+    "noise": "",
+    "name": "mine.csv",
+}
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 MOST_BYTES = 300_000
 FLAT = (
@@ -122,6 +129,17 @@ def test_dropped_forces_become_a_report_and_nothing_stays(
     assert list(places.iterdir()) == []
 
 
+def test_density_and_noise_are_those_of_the_answer(served: Served, forces: bytes) -> None:
+    found = served.drop(forces, density="638", noise="0.25")
+    page = served.ask("GET", json.loads(found.text)["page"]).text
+    assert "638 kg/m³" in page
+    # A window averages five readings.
+    assert "Noise of a window mean: 0.11 N, given." in page
+    wrong = served.drop(forces, noise="-1")
+    assert wrong.status == 422
+    assert "noise = -1.0 N; 0 to" in wrong.text
+
+
 def test_a_hostile_name_is_only_text_and_no_path(
     served: Served, forces: bytes, places: Path
 ) -> None:
@@ -182,7 +200,8 @@ def test_another_site_can_neither_send_nor_name_us(served: Served, forces: bytes
 @pytest.mark.parametrize(
     "options",
     [
-        {"leg": "x"}, {"library": "../../x"}, {"kind": "x"}, {"density": "x"}, {"name": "a.exe"},
+        {"leg": "x"}, {"library": "../../x"}, {"kind": "x"}, {"density": "x"}, {"noise": "x"},
+        {"name": "a.exe"},
         {"name": ""}, {"library": "quick-paper\x00"}, {"library": "quick-paper-truths"},
         {"leg": "plate"},
     ],

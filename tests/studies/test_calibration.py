@@ -146,7 +146,7 @@ def test_the_page_is_what_the_study_writes(library: str) -> None:
             float(other), rel=0.05, abs=1.0 if "." not in one else 0.02
         )
     clean = study.data["truths"]["clean"]["none"]
-    assert clean["abs_error_deg"]["median"] <= (0.05 if library == NAMES[0] else 0.06)
+    assert clean["abs_error_deg"]["median"] <= (0.06 if library == NAMES[0] else 0.05)
     # Fourteen truths of each seed; with one of the three the largest error is 2.7 half-widths.
     assert sorted(part["abs_error_deg"]["max"] for part in clean["by_seed"])[1] <= 0.3
     assert clean["ci68_half_width_deg"]["median"] <= 0.2

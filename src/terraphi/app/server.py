@@ -44,6 +44,8 @@ LONGEST_NAME = 80
 """Letters of a file's name that are shown."""
 SUFFIXES = (".csv", ".npz", ".mcap", ".db3")
 KINDS = ("auto", "forces", "log")
+NUMBERS = {"density": "kg/m³", "noise": "N"}
+"""Numbers that may be given, and their units."""
 HEADER = "x-terraphi"
 
 
@@ -220,14 +222,19 @@ def job_of(query: dict[str, str]) -> dict[str, Any]:
     for key, allowed in (("kind", KINDS), ("leg", offered_legs()), ("library", offered())):
         if query.get(key) not in allowed:
             raise RefusedError(400, f"{key}: one of {', '.join(allowed)} is expected")
-    density = None
-    if query.get("density"):
-        try:
-            density = float(query["density"])
-        except ValueError:
-            raise RefusedError(400, "density: a number in kg/m³ is expected") from None
     chosen = {key: query[key] for key in ("kind", "leg", "library")}
-    return {**chosen, "name": name, "file": f"dropped{suffix}", "density": density}
+    numbers = {key: _number(query, key, unit) for key, unit in NUMBERS.items()}
+    return {**chosen, "name": name, "file": f"dropped{suffix}", **numbers}
+
+
+def _number(query: dict[str, str], key: str, unit: str) -> float | None:
+    """A number that may be left out; raises RefusedError."""
+    if not query.get(key):
+        return None
+    try:
+        return float(query[key])
+    except ValueError:
+        raise RefusedError(400, f"{key}: a number in {unit} is expected") from None
 
 
 def shown_name(text: str) -> str:

@@ -93,6 +93,7 @@ def _inverted(file: Path, folder: Path, job: Mapping[str, Any]) -> Section:
         leg=str(job["leg"]),
         density=density,
         density_assumed=density is None,
+        noise=job["noise"],
         source=str(job["name"]),
     )
     found.to_netcdf(folder / "posterior.nc")

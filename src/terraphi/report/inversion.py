@@ -319,14 +319,16 @@ def _information(saved: Saved, share: FloatArray) -> Plot:
 def _budget(answer: Mapping[str, Any]) -> list[Part]:
     """Shares in the variance of φ, where the likelihood tells its parts apart."""
     budget = answer.get("error_budget")
-    shares = budget.get("shares") if isinstance(budget, Mapping) else None
-    if not isinstance(shares, Mapping):
+    if not isinstance(budget, Mapping) or not isinstance(budget.get("shares"), Mapping):
         return []
     rows = [
         (str(name).replace("_", " "), f"{100.0 * share:.0f} %" if _is_number(share) else "–")
-        for name, share in shares.items()
+        for name, share in budget["shares"].items()
     ]
-    return [Table("What the width of the interval comes from", ("", "share"), rows, wide=True)]
+    size, told = budget.get("noise_N"), budget.get("noise")
+    note = f"Noise of a window mean: {number(size, 2)} N, {told}." if _is_number(size) else ""
+    title = "What the width of the interval comes from"
+    return [Table(title, ("", "share"), rows, note=note, wide=True)]
 
 
 def _is_number(value: Any) -> bool:

@@ -4,7 +4,7 @@ const place = by("drop"), say = by("say");
 
 function query(file) {
   const asked = new URLSearchParams({ name: file.name });
-  for (const name of ["kind", "leg", "library", "density"]) asked.set(name, by(name).value);
+  for (const name of ["kind", "leg", "library", "density", "noise"]) asked.set(name, by(name).value);
   return asked;
 }
 
