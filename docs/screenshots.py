@@ -17,7 +17,7 @@ from typing import Any
 
 HERE = Path(__file__).parent / "how-to"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-WIDTH, HEIGHT, LOW = 1200, 900, 480
+WIDTH, HEIGHT, LOW = 1200, 900, 540
 """Of the pictures [px]; the app's is low."""
 
 
