@@ -12,6 +12,7 @@ import numpy as np
 
 from terraphi.documents import shipped_file, shipped_names
 from terraphi.leg import LEG_SHAPES
+from terraphi.library import replicates_in
 
 FEWEST_ANGLES = 3
 """Friction angles that an inversion needs."""
@@ -50,16 +51,12 @@ def legs_of(path: Path) -> frozenset[str]:
 
     with xr.open_dataset(path, engine="h5netcdf") as data:
         failures = data["failure"].values.tolist()
-        again = data["replicate"].values.tolist() if "replicate" in data else [0] * len(failures)
+        own = len(failures) - replicates_in(data)
         scenarios = [json.loads(str(text)) for text in data["scenario"].values]
         sample = json.loads(str(data.attrs["plan"])).get("sample")
     if sample and len(sample.get("keys", ())) > 1:
         return frozenset()
-    whole = [
-        scenario
-        for scenario, failure, repeated in zip(scenarios, failures, again, strict=True)
-        if not failure and not repeated
-    ]
+    whole = [s for s, failure in list(zip(scenarios, failures, strict=True))[:own] if not failure]
     by_leg: dict[str, list[dict[str, Any]]] = {}
     for scenario in whole:
         by_leg.setdefault(str(scenario["leg"]["shape"]), []).append(scenario)

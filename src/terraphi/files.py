@@ -200,6 +200,13 @@ def read_force_table(path: Path) -> FloatArray:
     return _ordered(path, table, numbers)
 
 
+def column_names(path: Path) -> list[str]:
+    """Words of a CSV's first line, whatever the file may be; raises OSError if there is none."""
+    with path.open("rb") as stream:
+        first = stream.readline(4096).decode("utf-8-sig", errors="replace")
+    return [name.strip() for name in first.split(",")]
+
+
 def _cells(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
     """Line number and cells of each row of a CSV."""
     lines = csv.reader(text.splitlines(), strict=True)

@@ -351,12 +351,16 @@ class Library:
         provenance, calibration = (
             json.loads(data.attrs.get(name, "{}")) for name in ("provenance", "calibration")
         )
-        again = data["replicate"].values.tolist() if "replicate" in data else [0] * len(cases)
-        first, repeated = (
-            tuple(case for case, flag in zip(cases, again, strict=True) if bool(flag) is which)
-            for which in (False, True)
-        )
-        return cls(plan, first, provenance, calibration, repeated)
+        own = len(cases) - replicates_in(data)
+        return cls(plan, tuple(cases[:own]), provenance, calibration, tuple(cases[own:]))
+
+
+def replicates_in(data: Any) -> int:
+    """How many replicates an open library file has; they stand after its cases.
+
+    Files that were written before libraries kept theirs have none.
+    """
+    return int(data["replicate"].values.sum()) if "replicate" in data else 0
 
 
 def _alike(one: ForceHistory, other: ForceHistory) -> bool:

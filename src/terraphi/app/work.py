@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from terraphi.errors import InputError
-from terraphi.files import CSV_COLUMNS
+from terraphi.files import CSV_COLUMNS, column_names
 from terraphi.report.parts import Section
 
 JOB, PAGE, REFUSED = "job.json", "page.html", "refused.txt"
@@ -73,9 +73,7 @@ def has_forces(file: Path) -> bool:
     """Whether a file's first line looks like that of measured forces rather than of a log."""
     if file.suffix != ".csv":
         return False
-    with file.open("rb") as stream:
-        first = stream.readline(4096).decode("utf-8-sig", errors="replace")
-    names = [name.strip() for name in first.split(",")]
+    names = column_names(file)
     return len(names) <= len(CSV_COLUMNS) + 1 or any(name in CSV_COLUMNS for name in names)
 
 

@@ -159,15 +159,11 @@ def through_one_library(
         Fractions of intervals that hold the truth [-], shapes [world].
     """
     rng = np.random.default_rng(seed)
-    surrogate, within = leg.surrogate, []
-    mean = surrogate.standard_mean(leg.phi_deg[::STRIDE])[None]
-    with single_threaded():
-        for _ in range(worlds):
-            truth = np.sort(rng.uniform(*surrogate.phi_bounds_deg, size=truths))
-            forces = one_world(surrogate, truth, rng)
-            data = forces + surrogate.scatter.draw(truth, rng)
-            found = _posteriors(leg, truth, data, mean)
-            within.append((found.within(0.68), found.within(0.95)))
+    within = []
+    for _ in range(worlds):
+        truth = np.sort(rng.uniform(*leg.surrogate.phi_bounds_deg, size=truths))
+        found = _in_one_world(leg, truth, rng)
+        within.append((found.within(0.68), found.within(0.95)))
     one, two = np.array(within).T
     return one, two
 
@@ -205,12 +201,7 @@ def expected_of(
         Number of worlds, and seed of all draws.
     """
     rng = np.random.default_rng(seed)
-    angles, place = np.unique(truth_deg, return_inverse=True)
-    scatter, found = leg.surrogate.scatter, []
-    for _ in range(worlds):
-        forces = one_world(leg.surrogate, angles, rng)[place]
-        found.append(of_observations(leg, truth_deg, forces + scatter.draw(truth_deg, rng)))
-    return found
+    return [_in_one_world(leg, truth_deg, rng) for _ in range(worlds)]
 
 
 def learnt_anew(leg: PreparedLeg, *, worlds: int, truths: int, seed: int) -> Coverage:
@@ -245,9 +236,17 @@ def learnt_anew(leg: PreparedLeg, *, worlds: int, truths: int, seed: int) -> Cov
                 groups.append((phi, np.vstack([library[i : i + 1], again])))
             curves = leg.curves._replace(Fx=library[:, :m], Fz=library[:, m:])
             own = PreparedLeg.of(learn(curves, groups), curves)
-            mean = own.surrogate.standard_mean(own.phi_deg[::STRIDE])[None]
-            found.append(_posteriors(own, truth, data, mean))
+            found.append(of_observations(own, truth, data))
     return _joined(found)
+
+
+def _in_one_world(leg: PreparedLeg, truth: FloatArray, rng: np.random.Generator) -> Coverage:
+    """Ranks of truths [deg], shape [r], observed in a world that the library may be of."""
+    angles, place = np.unique(truth, return_inverse=True)
+    with single_threaded():
+        forces = one_world(leg.surrogate, angles, rng)[place]
+        data = forces + leg.surrogate.scatter.draw(truth, rng)
+        return of_observations(leg, truth, data)
 
 
 def _worlds(

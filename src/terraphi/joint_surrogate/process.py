@@ -173,15 +173,17 @@ class JointSurrogate:
         curves
             Others than the library's, as :meth:`standard` gives them, [..., case, 2 theta].
         """
-        weights = self.root_repeats[:, None] * self._weights(curves)
+        weights = self._weights(self.standard_curves if curves is None else curves)
         local = self.scatter.growth(phi_deg)[:, None] * self.scatter.growth(self.phi_deg)
         local = local * matern(phi_deg, self.phi_deg, self.kernel.phi_length_deg)
-        mean: FloatArray = self.standard_cubic(phi_deg, curves)
+        mean: FloatArray = self._cubic(phi_deg, weights)
         return mean + local @ (self.prior_variance * weights)
 
-    def standard_cubic(self, phi_deg: FloatArray, curves: FloatArray | None = None) -> FloatArray:
-        """Part of :meth:`standard_mean` that is the cubic; shapes as there."""
-        weights = self.root_repeats[:, None] * self._weights(curves)
+    def standard_cubic(self, phi_deg: FloatArray) -> FloatArray:
+        """Part of :meth:`standard_mean` that is the library's cubic; shapes as there."""
+        return self._cubic(phi_deg, self._weights(self.standard_curves))
+
+    def _cubic(self, phi_deg: FloatArray, weights: FloatArray) -> FloatArray:
         coefficients = self.cubic_variance * (self._powers(self.phi_deg).T @ weights)
         found: FloatArray = self._powers(phi_deg) @ coefficients
         return found
@@ -267,11 +269,11 @@ class JointSurrogate:
         covariance = self.prior_covariance(phi_deg, self.phi_deg).transpose(2, 0, 1)
         return covariance * self.root_repeats
 
-    def _weights(self, curves: FloatArray | None) -> FloatArray:
-        """Inverse covariance of the curves times the curves, shape [..., case, 2 theta]."""
-        values = self.standard_curves if curves is None else curves
-        found: FloatArray = np.einsum("jab,...bj->...aj", self._inverse, values, optimize=True)
-        return found
+    def _weights(self, curves: FloatArray) -> FloatArray:
+        """What a mean gives each curve's angle: K^-1 y times root_repeats, [..., case, 2 theta]."""
+        solved = np.einsum("jab,...bj->...aj", self._inverse, curves, optimize=True)
+        weights: FloatArray = self.root_repeats[:, None] * solved
+        return weights
 
     def _powers(self, phi_deg: FloatArray) -> FloatArray:
         """Growth times 1, x, x^2, x^3, shape [...] -> [..., 4]."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,8 +141,8 @@ def _apart(answer: Mapping[str, Any]) -> dict[str, str]:
     known = budget if isinstance(budget, Mapping) else {}
     told, size = known.get("noise"), known.get("noise_N")
     words = [str(told)] if told is not None else []
-    if isinstance(size, int | float) and math.isfinite(size):
-        words.append(f"{number(float(size), 3)} N")
+    if _is_number(size):
+        words.append(f"{number(size, 3)} N")
     return {
         "likelihood": str(answer["likelihood"]),
         "density": f"{answer['density_kg_m3']:g} kg/m³{assumed}",
@@ -331,7 +331,7 @@ def _budget(answer: Mapping[str, Any]) -> list[Part]:
     return [Table(title, ("", "share"), rows, note=note, wide=True)]
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, int | float) and math.isfinite(value)
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from terraphi.documents import shipped_names
 from terraphi.errors import InputError
-from terraphi.files import CSV_COLUMNS
+from terraphi.files import CSV_COLUMNS, column_names
 from terraphi.report import page
 from terraphi.report.parts import Section
 
@@ -66,12 +66,10 @@ def recognise(source: str) -> Result:
 def _has_leg_forces(path: Path) -> bool:
     """Whether the first line of a CSV names the angle and a force on a leg."""
     try:
-        with path.open("rb") as stream:
-            first = stream.readline(4096).decode("utf-8-sig", errors="replace")
+        names = {name.strip('"') for name in column_names(path)}
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     angle, *forces = CSV_COLUMNS
-    names = {name.strip().strip('"') for name in first.split(",")}
     return angle in names or names.issuperset(forces)
 
 
