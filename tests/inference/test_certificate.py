@@ -94,3 +94,11 @@ def test_a_calibration_is_used_with_the_replicates_that_it_was_learnt_from(
         learnt.predict([29.0, 41.0]), rel=1e-4, abs=1e-4
     )
     assert sorted(np.square(read.root_repeats).round().tolist())[-3:] == [4.0, 4.0, 4.0]
+
+
+def test_calibrated_again_a_library_keeps_its_replicates_and_says_whose_they_are() -> None:
+    shipped = Library.load(NAME)
+    again = certified(shipped, worlds=200)
+    assert again.calibration["legs"] == shipped.calibration["legs"]
+    for key in ("replicates", "replicates_hash"):
+        assert again.calibration[key] == shipped.calibration[key] is not None

@@ -39,8 +39,8 @@ def certified(
     library
         Simulations over the friction angle.
     replicates
-        Some of them again, under other particle seeds; ``None`` learns the scatter from the curves
-        alone.
+        Some of them again, under other particle seeds; ``None`` takes those that the library
+        carries, and learns the scatter from the curves alone if there are none.
     worlds, seed
         Number of replicates of the check, and their seed.
     progress
@@ -60,8 +60,11 @@ def certified(
     legs: dict[str, Any] = {}
     certificates: dict[str, Any] = {}
     again: dict[str, list[float]] = {}
+    known = library.calibration if library.replicates else {}
+    origin = {key: known.get(key) for key in ("replicates", "replicates_hash")}
     if replicates is not None:
         library = with_replicates(library, replicates)
+        origin = {"replicates": replicates.name, "replicates_hash": replicates.hash}
     for leg in library.legs:
         curves = library.curves(leg, within=EVERYWHERE)
         surrogate = learn(curves, library.repeated(leg))
@@ -76,8 +79,7 @@ def certified(
             progress(len(legs), len(library.legs))
     calibration = {
         "library_hash": library.hash,
-        "replicates": replicates.name if replicates else None,
-        "replicates_hash": replicates.hash if replicates else None,
+        **origin,
         "legs": legs,
         "certificate": {
             "seed": seed,
