@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
+from terraphi.scenario import Scenario
 from terraphi.studies import Study, figures
 
 
@@ -40,3 +41,11 @@ def test_every_figure_has_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.dpi == 300
     assert len(found.beside_paper) == 4
     assert set(found.data) == {"library", *names}
+
+
+@pytest.mark.parametrize("preset", ["paper-1", "quick"])
+def test_snapshots_are_sped_up_and_nothing_else(preset: str) -> None:
+    scenario = Scenario.load(preset)
+    drawn = figures.sped_up(scenario)
+    assert drawn.numerics.speed_up == 10.0
+    assert drawn.replace(**{"numerics.speed_up": scenario.numerics.speed_up}) == scenario
