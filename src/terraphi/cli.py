@@ -219,7 +219,7 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     logging.getLogger("terraphi").addHandler(logging.NullHandler())
     try:
-        cli.main(standalone_mode=False)
+        cli.main(prog_name="terraphi", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as asked:
         click.echo(asked.format_message())
     except click.ClickException as error:
