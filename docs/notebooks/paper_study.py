@@ -4,8 +4,9 @@ The paper's study
 
 Xu & Wang infer a friction angle in four steps: simulate a leg over a range of friction angles,
 let Gaussian processes stand in for the simulations, invert histories whose angle is known, then
-look at measured sand. Here are the four, with the shipped library ``quick-paper``, which has the
-paper's yield criterion on a coarser grid.
+look at measured sand. Here are the four. The simulations over φ and those of the three legs are of
+library ``paper``, the model as printed; what is inverted here is by ``quick-paper``, which has the
+same yield criterion on a coarser grid.
 """
 
 # %%
@@ -19,10 +20,11 @@ import numpy as np
 import terraphi
 from terraphi import studies
 
-library = terraphi.Library.load("quick-paper")
-curves = library.curves("straight")
-print(library.plan.description)
-print(f"{len(curves.phi_deg)} angles, {curves.phi_deg[0]:g} to {curves.phi_deg[-1]:g} deg")
+for name in ("paper", "quick-paper"):
+    library = terraphi.Library.load(name)
+    curves = library.curves("straight")
+    print(f"{name}: {library.plan.description}")
+    print(f"{len(curves.phi_deg)} angles, {curves.phi_deg[0]:g} to {curves.phi_deg[-1]:g} deg")
 
 # %%
 # The forces grow with φ. The study draws them and finds their peaks; in brackets stands what the

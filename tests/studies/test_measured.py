@@ -32,9 +32,16 @@ def test_order_counts_pairs_on_the_same_leg_that_have_an_angle_of_repose() -> No
     ]
     study = measured._study(answers)
     assert study.data["order"]["x"] == {"right": 1, "of": 2}
-    assert study.data["spread_deg"]["x"] == {"steep": 10.0, "flat": 1.0, "unknown": 0.0}
+    assert study.data["spread_deg"]["x"] == {"steep": 10.0, "flat": 1.0}
     assert study.data["verdicts"]["x"] == {"misfit": 5}
     assert "1 of 2 pairs" in study.notes[0]
+    assert study.data["off_repose_deg"]["x"] == [-16.0, -5.0]
+    assert "the medians lie -16 to -5° off" in study.notes[0]
+    alone = measured._study([{**answers[0], "phi_plane_strain_deg": 14.0}])
+    assert alone.data["off_repose_deg"]["x"] == [-22.0, -22.0]
+    assert "the medians, as they act in plane strain, lie -22" in alone.notes[0]
+    assert alone.data["spread_deg"]["x"] == {}
+    assert "lie apart" not in alone.notes[0]
 
 
 def test_every_measured_history_is_answered_as_invert_answers_it() -> None:

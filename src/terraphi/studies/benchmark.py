@@ -123,7 +123,9 @@ def curves_of(library: str, leg: str) -> list[Curve]:
     """
     return [
         Curve("measured, Li et al. 2013", measurement(f"li2013:yuma/{leg}").history, ORANGE, ""),
-        Curve(f"MPM, {Library.load(library).name}", case_at(library, leg).history, BLUE),
+        Curve(
+            f"our MPM, library {Library.load(library).name}", case_at(library, leg).history, BLUE
+        ),
         # RFT 3-D stays in the table: at 35° it is five times the measured force, and would leave
         # the others no room.
         Curve(

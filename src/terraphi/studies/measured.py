@@ -25,7 +25,14 @@ from terraphi.studies.pictures import measured_figure
 
 NAME = "measured"
 TITLE = "Friction angles of the measured sands, by library and leg"
-LIBRARIES = ("resolved", "paper", "quick-plane-strain", "quick-paper", "rft3d")
+LIBRARIES = (
+    "resolved",
+    "k4-plane-strain",
+    "quick-plane-strain",
+    "paper",
+    "quick-paper",
+    "rft3d",
+)
 """Libraries to invert with, as far as they are shipped."""
 HEADER = ("library", "medium", "leg", "φ [deg]", "95 %", "NRMSD Fz", "NRMSD Fx", "verdict")
 METHOD = (
@@ -58,7 +65,9 @@ def run(
         ``data``: ``answers`` (list of ``library``, ``yield``, ``medium``, ``leg``,
         ``phi_median_deg``, ``ci95_deg``, ``phi_plane_strain_deg``, ``nrmsd_percent``, ``verdict``,
         ``reason``, ``angle_of_repose_deg``), ``spread_deg`` between legs by library and medium,
-        ``verdicts`` by library, and ``order`` of the media with an angle of repose.
+        where there are several, ``verdicts`` by library, and for the media with an angle of repose
+        ``order`` and ``off_repose_deg``, the least and the largest offset of a median from it by
+        library, of its equivalent in plane strain where there is one.
 
     Raises
     ------
@@ -121,8 +130,13 @@ def _study(answers: Sequence[Mapping[str, Any]]) -> Study:
     }
     spread = {name: _spread([a for a in answers if a["library"] == name]) for name in libraries}
     order = {name: _order([a for a in answers if a["library"] == name]) for name in libraries}
+    off = {name: _off_repose([a for a in answers if a["library"] == name]) for name in libraries}
+    converted = {
+        a["library"]: a["yield"] != "plane_strain" and a["phi_plane_strain_deg"] is not None
+        for a in answers
+    }
     rows = [_row(answer) for answer in answers]
-    notes = _notes(libraries, verdicts, spread, order)
+    notes = _notes(libraries, verdicts, spread, order, off, converted)
     picture = "friction angles by medium, leg and library, with their 95 % intervals"
     return Study(
         title=TITLE,
@@ -133,6 +147,7 @@ def _study(answers: Sequence[Mapping[str, Any]]) -> Study:
             "spread_deg": spread,
             "verdicts": verdicts,
             "order": order,
+            "off_repose_deg": off,
         },
         figures={NAME: measured_figure(answers)},
         documents={f"{NAME}.md": page(TITLE, METHOD, notes, HEADER, rows, f"{NAME}.png", picture)},
@@ -141,10 +156,10 @@ def _study(answers: Sequence[Mapping[str, Any]]) -> Study:
 
 
 def _spread(answers: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Largest less smallest median between the legs, by medium [deg]."""
+    """Largest less smallest median between the legs, by medium that has several [deg]."""
     media = dict.fromkeys(answer["medium"] for answer in answers)
     found = {m: [a["phi_median_deg"] for a in answers if a["medium"] == m] for m in media}
-    return {medium: float(np.ptp(values)) for medium, values in found.items()}
+    return {medium: float(np.ptp(values)) for medium, values in found.items() if len(values) > 1}
 
 
 def _order(answers: Sequence[Mapping[str, Any]]) -> dict[str, int]:
@@ -157,6 +172,19 @@ def _order(answers: Sequence[Mapping[str, Any]]) -> dict[str, int]:
         if a["leg"] == b["leg"] and a["angle_of_repose_deg"] != b["angle_of_repose_deg"]
     ]
     return {"right": sum(p > 0.0 for p in pairs), "of": len(pairs)}
+
+
+def _off_repose(answers: Sequence[Mapping[str, Any]]) -> list[float]:
+    """Least and largest offset of a median from the angle of repose [deg]; empty if none has one.
+
+    Of the equivalent in plane strain, which is what soil mechanics means by φ, where there is one.
+    """
+    found = [
+        (a["phi_plane_strain_deg"] or a["phi_median_deg"]) - a["angle_of_repose_deg"]
+        for a in answers
+        if a["angle_of_repose_deg"] is not None
+    ]
+    return [min(found), max(found)] if found else []
 
 
 def _row(answer: Mapping[str, Any]) -> tuple[str, ...]:
@@ -178,11 +206,14 @@ def _notes(
     verdicts: Mapping[str, Mapping[str, int]],
     spread: Mapping[str, Mapping[str, float]],
     order: Mapping[str, Mapping[str, int]],
+    off: Mapping[str, Sequence[float]],
+    converted: Mapping[str, bool],
 ) -> list[str]:
     notes = []
     for name in libraries:
         said = ", ".join(f"{count} {verdict}" for verdict, count in verdicts[name].items())
         apart = ", ".join(f"{medium} {value:.1f}" for medium, value in spread[name].items())
+        legs = f"; medians of the legs lie apart by [deg] {apart}" if apart else ""
         ranked = order[name]
         ranks = (
             f"; {ranked['right']} of {ranked['of']} pairs of media come out in the order of their "
@@ -190,5 +221,9 @@ def _notes(
             if ranked["of"]
             else ""
         )
-        notes.append(f"{name}: {said}; medians of the legs lie apart by [deg] {apart}{ranks}.")
+        if off[name]:
+            acting = ", as they act in plane strain," if converted[name] else ""
+            ranks += f", from which the medians{acting} lie {off[name][0]:+.0f} to "
+            ranks += f"{off[name][1]:+.0f}° off"
+        notes.append(f"{name}: {said}{legs}{ranks}.")
     return notes

@@ -313,7 +313,8 @@ def measured_figure(answers: Sequence[Mapping[str, Any]]) -> Figure:
     ----------
     answers
         ``library``, ``yield``, ``medium``, ``leg``, ``phi_median_deg``, ``ci95_deg`` and
-        ``verdict`` of each inversion.
+        ``verdict`` of each inversion, with ``phi_plane_strain_deg`` and the medium's
+        ``angle_of_repose_deg``, which may be None. These two can be compared.
 
     Returns
     -------
@@ -321,6 +322,7 @@ def measured_figure(answers: Sequence[Mapping[str, Any]]) -> Figure:
     """
     from matplotlib.figure import Figure
 
+    repose = {answer["medium"]: answer["angle_of_repose_deg"] for answer in answers}
     libraries = list(dict.fromkeys(answer["library"] for answer in answers))
     media = list(dict.fromkeys(answer["medium"] for answer in answers))
     looks = {"straight": ("o", BLUE), "c": ("s", ORANGE), "reversed_c": ("^", GREEN)}
@@ -328,13 +330,19 @@ def measured_figure(answers: Sequence[Mapping[str, Any]]) -> Figure:
     panels = figure.subplots(1, len(libraries), sharey=True, squeeze=False)[0]
     for axes, library in zip(panels, libraries, strict=True):
         shown = [answer for answer in answers if answer["library"] == library]
+        for place, medium in enumerate(media):
+            if repose[medium] is not None:
+                axes.hlines(repose[medium], place - 0.4, place + 0.4, color=GREY, lw=1.5)
         for number, (leg, (marker, colour)) in enumerate(looks.items()):
             axes.plot([], [], marker, color=colour, ms=5, label=LEG_NAMES[leg])
             for answer in (answer for answer in shown if answer["leg"] == leg):
+                at = media.index(answer["medium"]) + 0.2 * (number - 1)
+                if answer["yield"] != "plane_strain":
+                    axes.plot(at, answer["phi_plane_strain_deg"] or np.nan, "x", color=colour, ms=5)
                 middle = answer["phi_median_deg"]
                 low, high = answer["ci95_deg"]
                 axes.errorbar(
-                    media.index(answer["medium"]) + 0.2 * (number - 1), middle,
+                    at, middle,
                     yerr=[[max(middle - low, 0.0)], [max(high - middle, 0.0)]], fmt=marker,
                     color=colour, ms=5, capsize=2, lw=1.0,
                     mfc=colour if answer["verdict"] == "consistent" else "white",
@@ -345,6 +353,8 @@ def measured_figure(answers: Sequence[Mapping[str, Any]]) -> Figure:
         axes.grid(axis="y", lw=0.4)
     panels[0].set_ylabel("friction angle [deg], 95 %")
     panels[0].plot([], [], "o", color=GREY, mfc="white", ms=5, label="misfit or out of range")
+    panels[0].plot([], [], "x", color=GREY, ms=5, label="median as it acts in plane strain")
+    panels[0].plot([], [], color=GREY, lw=1.5, label="angle of repose")
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
     return figure

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from terraphi.errors import InputError
 from terraphi.inference.residual import residual_autocorrelation, residual_correlation_length_deg
 from terraphi.library import Curves, Library
-from terraphi.studies import PAPER_LIBRARY, Beside, Study
+from terraphi.studies import TRUTHS_LIBRARY, Beside, Study
 from terraphi.studies.pictures import autocorrelation_figure, slices_figure, surfaces_figure
 from terraphi.surrogate import LegSurrogate
 
@@ -49,7 +49,7 @@ class HeldOut(NamedTuple):
         return np.vstack([left / np.ptp(force, axis=1, keepdims=True) for left, force in parts])
 
 
-def run(*, library: str = PAPER_LIBRARY) -> Study:
+def run(*, library: str = TRUTHS_LIBRARY) -> Study:
     """Fit the surrogate and ask it for cases that it has not seen.
 
     Parameters
