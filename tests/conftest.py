@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
 
 
 def pytest_configure() -> None:
@@ -12,3 +18,32 @@ def pytest_configure() -> None:
     """
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+class Ran(NamedTuple):
+    """How a command ended, and what it printed."""
+
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def terraphi(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> Callable[..., Ran]:
+    """Run a command in an empty folder, in this process."""
+    from terraphi.cli import main
+
+    monkeypatch.chdir(tmp_path)
+
+    def run(*args: str) -> Ran:
+        monkeypatch.setattr(sys, "argv", ["terraphi", *args])
+        status = 0
+        try:
+            main()
+        except SystemExit as leaving:
+            status = int(leaving.code or 0)
+        return Ran(status, *capsys.readouterr())
+
+    return run

@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,40 +19,16 @@ import pytest
 from terraphi.cli import main
 from terraphi.measurements import measurement
 
-
-class Ran(NamedTuple):
-    status: int
-    out: str
-    err: str
+Terraphi = Callable[..., Any]
 
 
-Terraphi = Callable[..., Ran]
-
-
-@pytest.fixture
-def terraphi(monkeypatch, capsys, tmp_path) -> Terraphi:
-    """Run a command in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*args: str) -> Ran:
-        monkeypatch.setattr(sys, "argv", ["terraphi", *args])
-        status = 0
-        try:
-            main()
-        except SystemExit as leaving:
-            status = int(leaving.code or 0)
-        return Ran(status, *capsys.readouterr())
-
-    return run
-
-
-def assert_refused(ran: Ran, *words: str) -> None:
+def assert_refused(ran: tuple[int, str, str], *words: str) -> None:
     """One sentence on standard error that says what is wrong and where."""
-    assert ran.status == 2
-    assert ran.out == ""
-    assert "Traceback" not in ran.err
+    status, out, err = ran
+    assert (status, out) == (2, "")
+    assert "Traceback" not in err
     for word in words:
-        assert word in ran.err
+        assert word in err
 
 
 @pytest.fixture
@@ -302,7 +278,7 @@ def test_interrupted_build_leaves_one_sentence_and_no_process(
     # Ends only when every process that holds the pipes has ended.
     out, err = started.communicate(timeout=120)
     if not early:
-        assert_refused(Ran(started.returncode, out, err), "interrupted")
+        assert_refused((started.returncode, out, err), "interrupted")
         assert len(err.strip().splitlines()) == 1
     assert not (tmp_path / "l.nc").exists()
     kept = tmp_path / "l.nc.cases"

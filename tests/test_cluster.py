@@ -24,7 +24,6 @@ from distributed import LocalCluster
 
 from terraphi import cluster as clusters
 from terraphi.build import build, cases_folder
-from terraphi.cli import main
 from terraphi.cluster import Cluster, pool
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
@@ -176,27 +175,15 @@ def test_ctrl_c_ends_in_one_sentence(local: LocalCluster, tmp_path: Path) -> Non
 
 
 @pytest.fixture
-def terraphi(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> Any:
-    monkeypatch.chdir(tmp_path)
+def terraphi(terraphi: Any, tmp_path: Path) -> Any:
+    """Run a command in a folder with a small plan."""
     plan = small_plan(**{"soil.friction_angle_deg": [20.0, 30.0, 40.0]})
     (tmp_path / "p.toml").write_text(
         'name = "small"\n[sweep]\n"soil.friction_angle_deg" = [20.0, 30.0, 40.0]\n'
         '[scenario]\nmodel = "rft"\ndimensions = 3\n[scenario.rft]\npanels = 10\n'
     )
     assert Plan.load(tmp_path / "p.toml").cases() == plan.cases()
-
-    def run(*args: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["terraphi", *args])
-        status = 0
-        try:
-            main()
-        except SystemExit as leaving:
-            status = int(leaving.code or 0)
-        return (status, *capsys.readouterr())
-
-    return run
+    return terraphi
 
 
 def refused(ran: tuple[int, str, str], *words: str) -> None:

@@ -12,7 +12,6 @@ import numba
 import pytest
 
 from terraphi import doctor
-from terraphi.cli import main
 from terraphi.documents import shipped_folder, shipped_names
 
 
@@ -20,17 +19,8 @@ def found() -> dict[str, doctor.Check]:
     return {check.name: check for check in doctor.examine()}
 
 
-def run(monkeypatch, capsys, *words: str) -> tuple[int, str]:
-    monkeypatch.setattr(sys, "argv", ["terraphi", "doctor", *words])
-    try:
-        main()
-    except SystemExit as leaving:
-        return int(leaving.code or 0), capsys.readouterr().out
-    return 0, capsys.readouterr().out
-
-
-def test_this_installation_is_sound(monkeypatch, capsys) -> None:
-    status, out = run(monkeypatch, capsys, "--json")
+def test_this_installation_is_sound(terraphi) -> None:
+    status, out, _ = terraphi("doctor", "--json")
     answer = json.loads(out)
     assert status == 0
     assert answer["sound"] is True
@@ -41,8 +31,8 @@ def test_this_installation_is_sound(monkeypatch, capsys) -> None:
     assert checks["vectors"].split()[0] in {"4", "8"}
 
 
-def test_people_are_told_in_words(monkeypatch, capsys) -> None:
-    status, out = run(monkeypatch, capsys)
+def test_people_are_told_in_words(terraphi) -> None:
+    status, out, _ = terraphi("doctor")
     assert status == 0
     assert "All is well." in out
     assert "cores" in out
@@ -59,22 +49,22 @@ def own_libraries(tmp_path, monkeypatch) -> Path:
     return place / "libraries"
 
 
-def test_a_library_cut_short_is_a_problem(own_libraries, monkeypatch, capsys) -> None:
+def test_a_library_cut_short_is_a_problem(own_libraries, terraphi) -> None:
     file = own_libraries / "rft3d.nc"
     whole = file.read_bytes()
     file.unlink()
     file.write_bytes(whole[: len(whole) // 2])
-    status, out = run(monkeypatch, capsys, "--json")
+    status, out, _ = terraphi("doctor", "--json")
     checks = {check["name"]: check for check in json.loads(out)["checks"]}
     assert status == 1
     assert checks["library rft3d"]["state"] == "problem"
     assert checks["library quick-paper"]["state"] == "ok"
 
 
-def test_no_library_at_all_is_a_problem(own_libraries, monkeypatch, capsys) -> None:
+def test_no_library_at_all_is_a_problem(own_libraries, terraphi) -> None:
     for file in own_libraries.glob("*.nc"):
         file.unlink()
-    status, out = run(monkeypatch, capsys)
+    status, out, _ = terraphi("doctor")
     assert status == 1
     assert "Problems: 1." in out
 

@@ -3,43 +3,18 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any
 
 import arviz
 import numpy as np
 import pytest
 
-from terraphi.cli import main
 from terraphi.forward import simulate
 from terraphi.scenario import Scenario
 
-
-class Ran(NamedTuple):
-    status: int
-    out: str
-    err: str
-
-
-Terraphi = Callable[..., Ran]
-
-
-@pytest.fixture
-def terraphi(monkeypatch, capsys, tmp_path) -> Terraphi:
-    monkeypatch.chdir(tmp_path)
-
-    def run(*args: str) -> Ran:
-        monkeypatch.setattr(sys, "argv", ["terraphi", *args])
-        status = 0
-        try:
-            main()
-        except SystemExit as leaving:
-            status = int(leaving.code or 0)
-        return Ran(status, *capsys.readouterr())
-
-    return run
+Terraphi = Callable[..., Any]
 
 
 @pytest.fixture

@@ -10,13 +10,12 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
 from PIL import Image
 
-from terraphi.cli import main
 from terraphi.commands import EVERY_SECONDS
 from terraphi.forward import simulate
 from terraphi.forward.watch import EVERY
@@ -38,31 +37,15 @@ height = 0.160
 start_deg = -80.0
 stop_deg = {stop}
 """
+Terraphi = Callable[..., Any]
 COMMAND = [sys.executable, "-m", "terraphi.cli", "simulate", "s.toml", "--out", "h.nc"]
 
 
-class Ran(NamedTuple):
-    status: int
-    out: str
-    err: str
-
-
 @pytest.fixture
-def terraphi(monkeypatch, capsys, tmp_path) -> Callable[..., Ran]:
+def terraphi(terraphi: Terraphi, tmp_path: Path) -> Terraphi:
     """Run a command in a folder with a coarse scenario of five blocks of steps."""
-    monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text(COARSE.format(stop=10.0))
-
-    def run(*args: str) -> Ran:
-        monkeypatch.setattr(sys, "argv", ["terraphi", *args])
-        status = 0
-        try:
-            main()
-        except SystemExit as leaving:
-            status = int(leaving.code or 0)
-        return Ran(status, *capsys.readouterr())
-
-    return run
+    return terraphi
 
 
 def forces(path: Path) -> bytes:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+import runpy
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from terraphi.commands.invert import save_inversion
@@ -14,15 +14,10 @@ from terraphi.forward.mpm.fields import FieldSeries
 from terraphi.inference.inversion import Inversion, invert
 from terraphi.library import Library
 from terraphi.measurements import measurement
-from terraphi.robot.joint_log import JointLog
-from terraphi.robot.kinematics import jacobian
 from terraphi.robot.logs import write_npz
-from terraphi.robot.model import Quadruped
 from terraphi.robot.results import analyse
 from terraphi.robot.results_file import write_forces
 from terraphi.scenario import Scenario
-
-STEP = 0.002
 
 
 @pytest.fixture(scope="session")
@@ -75,31 +70,11 @@ def study_folder(recovery_data: dict, tmp_path: Path) -> Path:
     return place
 
 
-def walking(seconds: float = 4.0) -> JointLog:
-    """Legs that swing a little and feel half sines of 76 N up and 14 N backwards."""
-    time = STEP * np.arange(round(seconds / STEP))
-    phase = (time[:, None] / 0.4 + np.array([0.0, 0.5, 0.5, 0.0])) % 1.0
-    lift = np.sin(np.pi * np.clip(phase / 0.5, 0.0, 1.0))
-    force = lift[:, :, None] * [-14.0, 2.0, 76.0]
-    swing = 0.05 * np.sin(2 * np.pi * phase)[:, :, None]
-    angle = np.array([0.1, 0.8, -1.6]) + swing * [0.0, 1.0, 1.0]
-    matrix = jacobian(Quadruped.load("go2"), angle)
-    return JointLog(
-        time=time,
-        angle=angle,
-        velocity=np.gradient(angle, time, axis=0),
-        torque=-np.einsum("sfij,sfi->sfj", matrix, force),
-        quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (len(time), 1)),
-        angular_velocity=np.zeros((len(time), 3)),
-        acceleration=np.tile([0.0, 0.0, 9.81], (len(time), 1)),
-        foot_counts=np.round(20.0 + force[:, :, 2]),
-    )
-
-
 @pytest.fixture(scope="session")
 def log_file(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("log") / "walk.npz"
-    write_npz(path, walking())
+    samples = runpy.run_path(str(Path(__file__).parents[1] / "robot" / "log_samples.py"))
+    write_npz(path, samples["trotting"]())
     return path
 
 

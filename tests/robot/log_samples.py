@@ -7,8 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from terraphi.robot.joint_log import FEET, JOINTS, JointLog
+from terraphi.robot.kinematics import jacobian
 from terraphi.robot.logs import read_log
+from terraphi.robot.model import Quadruped
 
+STEP = 0.002
+"""Between two samples of a trot [s]."""
 COLUMNS = (
     "angle",
     "velocity",
@@ -18,6 +22,27 @@ COLUMNS = (
     "acceleration",
     "foot_counts",
 )
+
+
+def trotting(seconds: float = 4.0) -> JointLog:
+    """Legs that swing a little and feel half sines of 76 N up and 14 N backwards."""
+    time = STEP * np.arange(round(seconds / STEP))
+    phase = (time[:, None] / 0.4 + np.array([0.0, 0.5, 0.5, 0.0])) % 1.0
+    lift = np.sin(np.pi * np.clip(phase / 0.5, 0.0, 1.0))
+    force = lift[:, :, None] * [-14.0, 2.0, 76.0]
+    swing = 0.05 * np.sin(2 * np.pi * phase)[:, :, None]
+    angle = np.array([0.1, 0.8, -1.6]) + swing * [0.0, 1.0, 1.0]
+    matrix = jacobian(Quadruped.load("go2"), angle)
+    return JointLog(
+        time=time,
+        angle=angle,
+        velocity=np.gradient(angle, time, axis=0),
+        torque=-np.einsum("sfij,sfi->sfj", matrix, force),
+        quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (len(time), 1)),
+        angular_velocity=np.zeros((len(time), 3)),
+        acceleration=np.tile([0.0, 0.0, 9.81], (len(time), 1)),
+        foot_counts=np.round(20.0 + force[:, :, 2]),
+    )
 
 
 def walking(samples: int = 200, *, step_s: float = 0.002, start_s: float = 5.0) -> JointLog:

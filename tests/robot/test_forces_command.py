@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import sys
+import runpy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from terraphi.cli import main
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.kinematics import jacobian
 from terraphi.robot.logs import write_csv, write_mcap, write_npz, write_rosbag2
@@ -21,48 +20,12 @@ from terraphi.robot.results import analyse
 from terraphi.robot.stance import Criteria, find_stances
 
 Terraphi = Callable[..., tuple[int, str, str]]
-STEP = 0.002
-
-
-def walking(seconds: float = 4.0) -> JointLog:
-    """Legs that swing a little and feel half sines of 76 N up and 14 N backwards."""
-    time = STEP * np.arange(round(seconds / STEP))
-    phase = (time[:, None] / 0.4 + np.array([0.0, 0.5, 0.5, 0.0])) % 1.0
-    lift = np.sin(np.pi * np.clip(phase / 0.5, 0.0, 1.0))
-    force = lift[:, :, None] * [-14.0, 2.0, 76.0]
-    swing = 0.05 * np.sin(2 * np.pi * phase)[:, :, None]
-    angle = np.array([0.1, 0.8, -1.6]) + swing * [0.0, 1.0, 1.0]
-    matrix = jacobian(Quadruped.load("go2"), angle)
-    return JointLog(
-        time=time,
-        angle=angle,
-        velocity=np.gradient(angle, time, axis=0),
-        torque=-np.einsum("sfij,sfi->sfj", matrix, force),
-        quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (len(time), 1)),
-        angular_velocity=np.zeros((len(time), 3)),
-        acceleration=np.tile([0.0, 0.0, 9.81], (len(time), 1)),
-        foot_counts=np.round(20.0 + force[:, :, 2]),
-    )
-
-
-@pytest.fixture
-def terraphi(monkeypatch, capsys, tmp_path) -> Terraphi:
-    monkeypatch.chdir(tmp_path)
-
-    def run(*args: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["terraphi", *args])
-        status = 0
-        try:
-            main()
-        except SystemExit as leaving:
-            status = int(leaving.code or 0)
-        return status, *capsys.readouterr()
-
-    return run
+_SAMPLES = runpy.run_path(str(Path(__file__).with_name("log_samples.py")))
+STEP, trotting = _SAMPLES["STEP"], _SAMPLES["trotting"]
 
 
 def test_every_format_gives_the_same_answer(terraphi: Terraphi) -> None:
-    log = walking()
+    log = trotting()
     write_csv("log.csv", log)
     write_npz("log.npz", log)
     write_mcap("log.mcap", log)
@@ -80,7 +43,7 @@ def test_every_format_gives_the_same_answer(terraphi: Terraphi) -> None:
 
 
 def test_file_and_figures(terraphi: Terraphi, tmp_path: Path) -> None:
-    write_npz("log.npz", walking())
+    write_npz("log.npz", trotting())
     status, out, _ = terraphi("forces", "log.npz", "--out", "forces.nc", "--figures", "figures")
     assert status == 0
     assert "all feet" in out
@@ -103,7 +66,7 @@ def test_file_and_figures(terraphi: Terraphi, tmp_path: Path) -> None:
     ],
 )
 def test_unusable_words(args: tuple[str, ...], word: str, terraphi: Terraphi, tmp_path) -> None:
-    write_npz("log.npz", walking(1.0))
+    write_npz("log.npz", trotting(1.0))
     status, out, err = terraphi("forces", *args)
     assert (status, out) == (2, "")
     assert word in err
@@ -112,7 +75,7 @@ def test_unusable_words(args: tuple[str, ...], word: str, terraphi: Terraphi, tm
 
 
 def test_world_frame_without_an_attitude_is_refused(terraphi: Terraphi) -> None:
-    write_npz("log.npz", replace(walking(1.0), quaternion=None))
+    write_npz("log.npz", replace(trotting(1.0), quaternion=None))
     status, _, err = terraphi("forces", "log.npz")
     assert status == 2
     assert "body" in err
@@ -120,19 +83,19 @@ def test_world_frame_without_an_attitude_is_refused(terraphi: Terraphi) -> None:
 
 
 def test_what_the_reader_noticed_reaches_the_answer(terraphi: Terraphi) -> None:
-    write_mcap("log.mcap", walking(), chunked=False, compression="none")
+    write_mcap("log.mcap", trotting(), chunked=False, compression="none")
     whole = Path("log.mcap").read_bytes()
     Path("half.mcap").write_bytes(whole[: len(whole) // 2])
     status, out, _ = terraphi("forces", "half.mcap", "--json")
     answer = json.loads(out)
     assert status == 0
-    assert 0 < answer["samples"] < len(walking().time)
+    assert 0 < answer["samples"] < len(trotting().time)
     assert any("cut off" in note for note in answer["notes"])
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e6, 1e9])
 def test_times_in_another_unit_are_refused(factor: float, terraphi: Terraphi) -> None:
-    log = walking()
+    log = trotting()
     write_npz("log.npz", replace(log, time=log.time * factor))
     status, _, err = terraphi("forces", "log.npz")
     assert status == 2
@@ -140,7 +103,7 @@ def test_times_in_another_unit_are_refused(factor: float, terraphi: Terraphi) ->
 
 
 def test_huge_numbers_are_dropped_and_counted(terraphi: Terraphi) -> None:
-    log = walking()
+    log = trotting()
     torque = log.torque.copy()
     torque[100, 0, 0] = 1e300
     write_npz("log.npz", replace(log, torque=torque))
@@ -150,7 +113,7 @@ def test_huge_numbers_are_dropped_and_counted(terraphi: Terraphi) -> None:
 
 
 def test_clipped_torques_are_named() -> None:
-    log = walking()
+    log = trotting()
     limit = 0.8 * np.abs(log.torque[:, 0, 2]).max()
     clipped = analyse(replace(log, torque=np.clip(log.torque, -limit, limit)))
     assert clipped.summary()["saturated"] > 0
@@ -160,7 +123,7 @@ def test_clipped_torques_are_named() -> None:
 @pytest.mark.parametrize("samples", [1, 2, 10])
 def test_a_few_frames_of_a_standing_robot(samples: int) -> None:
     weight = Quadruped.load("go2").mass * 9.81
-    log = walking(1.0)
+    log = trotting(1.0)
     angle = np.tile([0.0, 0.8, -1.6], (samples, 4, 1))
     force = np.zeros((samples, 4, 3))
     force[..., 2] = 0.25 * weight

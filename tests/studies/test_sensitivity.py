@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from terraphi import studies
-from terraphi.cli import main
 from terraphi.documents import shipped_folder
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
@@ -362,24 +361,6 @@ def test_a_case_that_fails_is_named_and_the_others_kept(
 
 
 Terraphi = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def terraphi(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> Terraphi:
-    monkeypatch.chdir(tmp_path)
-
-    def command(*args: str) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["terraphi", *args])
-        status = 0
-        try:
-            main()
-        except SystemExit as leaving:
-            status = int(leaving.code or 0)
-        return status, *capsys.readouterr()
-
-    return command
 
 
 def test_the_command_builds_then_answers(small: Plan, terraphi: Terraphi, tmp_path: Path) -> None:
