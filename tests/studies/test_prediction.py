@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from terraphi import studies
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.measurements import Measurement
@@ -104,3 +106,11 @@ def test_without_the_straight_legs_there_is_nothing_to_say(monkeypatch) -> None:
     monkeypatch.setattr(prediction, "finished_for", lambda *_: {})
     with pytest.raises(InputError, match="24 of 24 straight legs are not simulated yet"):
         prediction.run()
+
+
+def test_the_page_in_the_documentation_is_of_what_is_shipped() -> None:
+    study = studies.run("prediction")
+    assert study.data["missing"] == []
+    # `terraphi study prediction --out FOLDER` writes the page and its figures; copy it and Yuma's.
+    page = Path(__file__).parents[2] / "docs" / "prediction.md"
+    assert page.read_text(encoding="utf-8") == study.documents[page.name]

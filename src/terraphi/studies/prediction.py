@@ -271,7 +271,8 @@ def study_of(
             row |= _others(leg)
     better = _better(deviations.get("yuma", {}))
     rows = _rows(deviations)
-    notes = _notes(fits, better, missing)
+    repose = {medium: legs[CALIBRATED_ON].angle_of_repose_deg for medium, legs in media.items()}
+    notes = _notes(fits, repose, better, missing)
     data = {
         "calibrated": {medium: vars(fit) for medium, fit in fits.items()},
         "nrmsd_percent": deviations,
@@ -302,7 +303,7 @@ def _others(leg: str) -> dict[str, Mapping[str, float]]:
     ours = benchmark.run().data["nrmsd_percent"][leg]
     return {
         "the paper's MPM": {"Fz": fz, "Fx": fx},
-        "its preset, ours": ours["mpm"],
+        "preset paper-1": ours["mpm"],
         "RFT 2-D": ours["rft2d"],
         "RFT 3-D": ours["rft3d"],
     }
@@ -333,11 +334,13 @@ def _rows(
 
 def _notes(
     fits: Mapping[str, Calibration],
+    repose: Mapping[str, float | None],
     better: Mapping[str, Mapping[str, int]],
     missing: Sequence[str],
 ) -> list[str]:
     notes = [
         f"{medium}: φ = {fit.phi_deg:.1f}°, μ = {fit.friction:.2f} from the straight leg"
+        + (f", where the angle of repose is {repose[medium]:g}°" if repose[medium] else "")
         + (", at an edge of what was simulated." if fit.at_edge else ".")
         for medium, fit in fits.items()
     ]
