@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-import sys
 import tomllib
 from collections.abc import Iterator
 
 import pytest
 from pydantic import ValidationError
 
-from terraphi.cli import main
 from terraphi.errors import InputError
 from terraphi.keys import DOCUMENTS, Key, Table, markdown, tables
 from terraphi.scenario import Scenario
@@ -118,9 +116,8 @@ def test_unknown_document_names_the_nearest() -> None:
         tables("scenery")
 
 
-def test_command_prints_the_tables(capsys, monkeypatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["terraphi", "keys", "plan"])
-    main()
-    out = capsys.readouterr().out
+def test_command_prints_the_tables(terraphi) -> None:
+    status, out, _ = terraphi("keys", "plan")
+    assert status == 0
     assert "vary_seed" in out
     assert "[[steps]]" in out

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from terraphi.cli import main
 from terraphi.errors import InputError
 from terraphi.forward import rests_on, simulate
 from terraphi.library import Case, Library
@@ -132,16 +131,14 @@ def test_forces_that_were_damaged_on_the_disk(
         Library.load(file)
 
 
-def test_show_says_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_show_says_it(tmp_path: Path, terraphi: Callable[..., Any]) -> None:
     file = tmp_path / "small.nc"
     small().save(file)
 
     def show(*options: str) -> str:
-        monkeypatch.setattr(sys, "argv", ["terraphi", "library", "show", str(file), *options])
-        main()
-        return capsys.readouterr().out
+        status, out, _ = terraphi("library", "show", str(file), *options)
+        assert status == 0
+        return str(out)
 
     printed = show("--check", "--case", "2")
     assert "bits rest on" in printed

@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import pytest
 
-from terraphi.cli import cli, main
+from terraphi.cli import cli
 
 PROGRAM = Path(sys.executable).with_name("terraphi")
 
@@ -24,19 +24,9 @@ def commands(command: click.Command = cli, path: tuple[str, ...] = ()) -> Iterat
             yield from commands(inner, (*path, name))
 
 
-def run(words: list[str], monkeypatch, capsys) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["terraphi", *words])
-    status = 0
-    try:
-        main()
-    except SystemExit as leaving:
-        status = int(leaving.code or 0)
-    return status, *capsys.readouterr()
-
-
 @pytest.mark.parametrize("path", list(commands()), ids=" ".join)
-def test_every_help_has_an_example_of_its_own(path, monkeypatch, capsys) -> None:
-    status, out, _ = run([*path, "--help"], monkeypatch, capsys)
+def test_every_help_has_an_example_of_its_own(path, terraphi) -> None:
+    status, out, _ = terraphi(*path, "--help")
     assert status == 0
     assert " ".join(["Example: terraphi", *path]) in " ".join(out.split())
 
@@ -67,8 +57,8 @@ def test_every_option_says_what_it_does(path) -> None:
         (["invert", "li2013:yuma/c", "--library", "rft3d", "--likelihood", "papr"], "paper"),
     ],
 )
-def test_a_slip_is_answered_with_the_right_name(words, right, monkeypatch, capsys) -> None:
-    status, out, err = run(words, monkeypatch, capsys)
+def test_a_slip_is_answered_with_the_right_name(words, right, terraphi) -> None:
+    status, out, err = terraphi(*words)
     assert status == 2
     assert out == ""
     assert right in err

@@ -8,6 +8,7 @@ from it is reported and not judged.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from typing import Any
@@ -120,23 +121,17 @@ def _answer(library: str, one: Measurement, found: Inversion) -> dict[str, Any]:
 
 
 def _study(answers: Sequence[Mapping[str, Any]]) -> Study:
-    libraries = list(dict.fromkeys(answer["library"] for answer in answers))
-    verdicts = {
-        name: {
-            verdict: sum(a["library"] == name and a["verdict"] == verdict for a in answers)
-            for verdict in sorted({a["verdict"] for a in answers if a["library"] == name})
-        }
-        for name in libraries
-    }
-    spread = {name: _spread([a for a in answers if a["library"] == name]) for name in libraries}
-    order = {name: _order([a for a in answers if a["library"] == name]) for name in libraries}
-    off = {name: _off_repose([a for a in answers if a["library"] == name]) for name in libraries}
-    converted = {
-        a["library"]: a["yield"] != "plane_strain" and a["phi_plane_strain_deg"] is not None
-        for a in answers
-    }
+    libraries = dict.fromkeys(answer["library"] for answer in answers)
+    of = {name: [a for a in answers if a["library"] == name] for name in libraries}
+    told = {name: Counter(sorted(a["verdict"] for a in some)) for name, some in of.items()}
+    spread = {name: _spread(some) for name, some in of.items()}
+    order = {name: _order(some) for name, some in of.items()}
+    off = {name: _off_repose(some) for name, some in of.items()}
     rows = [_row(answer) for answer in answers]
-    notes = _notes(libraries, verdicts, spread, order, off, converted)
+    notes = [
+        f"{name}: {_note(some, told[name], spread[name], order[name], off[name])}."
+        for name, some in of.items()
+    ]
     picture = "friction angles by medium, leg and library, with their 95 % intervals"
     return Study(
         title=TITLE,
@@ -145,7 +140,7 @@ def _study(answers: Sequence[Mapping[str, Any]]) -> Study:
         data={
             "answers": list(answers),
             "spread_deg": spread,
-            "verdicts": verdicts,
+            "verdicts": told,
             "order": order,
             "off_repose_deg": off,
         },
@@ -201,29 +196,27 @@ def _row(answer: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _notes(
-    libraries: Sequence[str],
-    verdicts: Mapping[str, Mapping[str, int]],
-    spread: Mapping[str, Mapping[str, float]],
-    order: Mapping[str, Mapping[str, int]],
-    off: Mapping[str, Sequence[float]],
-    converted: Mapping[str, bool],
-) -> list[str]:
-    notes = []
-    for name in libraries:
-        said = ", ".join(f"{count} {verdict}" for verdict, count in verdicts[name].items())
-        apart = ", ".join(f"{medium} {value:.1f}" for medium, value in spread[name].items())
-        legs = f"; medians of the legs lie apart by [deg] {apart}" if apart else ""
-        ranked = order[name]
-        ranks = (
-            f"; {ranked['right']} of {ranked['of']} pairs of media come out in the order of their "
+def _note(
+    answers: Sequence[Mapping[str, Any]],
+    verdicts: Mapping[str, int],
+    spread: Mapping[str, float],
+    order: Mapping[str, int],
+    off: Sequence[float],
+) -> str:
+    """What a library's answers come to."""
+    said = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
+    if spread:
+        apart = ", ".join(f"{medium} {value:.1f}" for medium, value in spread.items())
+        said += f"; medians of the legs lie apart by [deg] {apart}"
+    if order["of"]:
+        said += (
+            f"; {order['right']} of {order['of']} pairs of media come out in the order of their "
             "angles of repose"
-            if ranked["of"]
-            else ""
         )
-        if off[name]:
-            acting = ", as they act in plane strain," if converted[name] else ""
-            ranks += f", from which the medians{acting} lie {off[name][0]:+.0f} to "
-            ranks += f"{off[name][1]:+.0f}° off"
-        notes.append(f"{name}: {said}{legs}{ranks}.")
-    return notes
+    if off:
+        converted = answers[0]["yield"] != "plane_strain" and any(
+            a["phi_plane_strain_deg"] is not None for a in answers
+        )
+        acting = ", as they act in plane strain," if converted else ""
+        said += f", from which the medians{acting} lie {off[0]:+.0f} to {off[1]:+.0f}° off"
+    return said

@@ -252,6 +252,7 @@ def study_of(
     deviations: dict[str, dict[str, dict[str, Mapping[str, float]]]] = {}
     curves: dict[str, dict[str, list[Curve]]] = {}
     missing = []
+    others = _others()
     for variant in legs_plan(plan, fits).variants()[1:]:
         medium, _, leg = variant.key.partition("/")
         measured = media[medium][leg]
@@ -268,7 +269,7 @@ def study_of(
                 Curve(OURS, scaled, BLUE),
             ]
         if medium == "yuma":
-            row |= _others(leg)
+            row |= others[leg]
     better = _better(deviations.get("yuma", {}))
     rows = _rows(deviations)
     repose = {medium: legs[CALIBRATED_ON].angle_of_repose_deg for medium, legs in media.items()}
@@ -297,16 +298,18 @@ def _scaled(history: ForceHistory, factor: float) -> ForceHistory:
     return ForceHistory(history.position, factor * history.force, history.coordinate, history.axes)
 
 
-def _others(leg: str) -> dict[str, Mapping[str, float]]:
-    """Deviations of the other models in Yuma sand, ours and printed."""
-    fz, fx = benchmark.PAPER_NRMSD[leg]
-    ours = benchmark.run().data["nrmsd_percent"][leg]
-    return {
-        "the paper's MPM": {"Fz": fz, "Fx": fx},
-        "preset paper-1": ours["mpm"],
-        "RFT 2-D": ours["rft2d"],
-        "RFT 3-D": ours["rft3d"],
-    }
+def _others() -> dict[str, dict[str, Mapping[str, float]]]:
+    """Deviations of the other models in Yuma sand, ours and printed, by leg."""
+    found = {}
+    for leg, ours in benchmark.run().data["nrmsd_percent"].items():
+        fz, fx = benchmark.PAPER_NRMSD[leg]
+        found[leg] = {
+            "the paper's MPM": {"Fz": fz, "Fx": fx},
+            "preset paper-1": ours["mpm"],
+            "RFT 2-D": ours["rft2d"],
+            "RFT 3-D": ours["rft3d"],
+        }
+    return found
 
 
 def _better(legs: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, dict[str, int]]:
