@@ -39,7 +39,8 @@ def test_order_counts_pairs_on_the_same_leg_that_have_an_angle_of_repose() -> No
     assert "the medians lie -16 to -5° off" in study.notes[0]
     alone = measured._study([{**answers[0], "phi_plane_strain_deg": 14.0}])
     assert alone.data["off_repose_deg"]["x"] == [-22.0, -22.0]
-    assert "the medians, as they act in plane strain, lie -22" in alone.notes[0]
+    said = "x: 1 misfit; the medians, as they act in plane strain, lie -22 to -22° off the angle"
+    assert said in alone.notes[0]
     assert alone.data["spread_deg"]["x"] == {}
     assert "lie apart" not in alone.notes[0]
 

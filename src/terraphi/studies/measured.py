@@ -218,5 +218,5 @@ def _note(
             a["phi_plane_strain_deg"] is not None for a in answers
         )
         acting = ", as they act in plane strain," if converted else ""
-        said += f", from which the medians{acting} lie {off[0]:+.0f} to {off[1]:+.0f}° off"
+        said += f"; the medians{acting} lie {off[0]:+.0f} to {off[1]:+.0f}° off the angle of repose"
     return said
