@@ -1,9 +1,9 @@
 r"""Dry soil, and what its friction angle means.
 
-Three conventions are in use, and they differ by up to a factor of two, so no friction angle in
-this package travels without the name of its yield criterion. With the in-plane mean stress
-:math:`p = \tfrac12 \mathrm{tr}\,\sigma` (tension positive) and the in-plane deviatoric magnitude
-:math:`r = \sqrt{\tfrac12 s:s}` (the Mohr radius):
+Three conventions are in use, and the same named angle acts as angles up to almost a factor of four
+apart, so no friction angle in this package travels without the name of its yield criterion. With
+the in-plane mean stress :math:`p = \tfrac12 \mathrm{tr}\,\sigma` (tension positive) and the
+in-plane deviatoric magnitude :math:`r = \sqrt{\tfrac12 s:s}` (the Mohr radius):
 
 ``paper``
     :math:`r + \alpha p \le k` with :math:`\alpha = 2\sin\varphi / (\sqrt3 (3 - \sin\varphi))`, as

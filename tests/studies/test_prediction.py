@@ -97,9 +97,17 @@ def test_rows_that_are_better_are_counted() -> None:
             "resolved": {"Fx": 5.0, "Fz": 9.0},
             "RFT 2-D": {"Fx": 6.0, "Fz": 8.0},
         },
-        "straight": {"RFT 2-D": {"Fx": 1.0, "Fz": 1.0}},
+        "straight": {
+            "resolved": {"Fx": 2.0, "Fz": 2.0},
+            "RFT 2-D": {"Fx": 3.0, "Fz": 3.0},
+            "lacks our reversed C": {"Fx": 1.0, "Fz": 1.0},
+        },
+        "reversed_c": {"RFT 2-D": {"Fx": 1.0, "Fz": 1.0}},
     }
-    assert prediction._better(legs) == {"RFT 2-D": {"rows": 1, "of": 2}}
+    count = {"below": 3, "of": 4, "foretold_below": 1, "foretold_of": 2}
+    assert prediction._better(legs)["RFT 2-D"] == count
+    count = {"below": 0, "of": 2, "foretold_below": 0, "foretold_of": 0}
+    assert prediction._better(legs)["lacks our reversed C"] == count
 
 
 def test_without_the_straight_legs_there_is_nothing_to_say(monkeypatch) -> None:

@@ -239,10 +239,10 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
     clean = data["truths"].get("clean", {}).get("none")
     held = f"{spread[0]:.0%} to {spread[1]:.0%} (5 to 95 % of the worlds that it may be of)"
     return [
-        f"Ranks of the truths {ranks} (chi-square).",
+        f"Ranks of the true angles in simulated worlds {ranks} (chi-square).",
         f"In worlds about the fitted surface they {fitted_ranks}.",
         f"Through one library 68 % intervals cover {held}.",
-        f"Histories that must not be believed, and were: {believed}.",
+        f"Histories that must not be believed, but were: {believed}.",
         *(_expected(data["clean_known"]) if clean else ()),
         *(_by_seed(clean["by_seed"]) if clean else ()),
     ]

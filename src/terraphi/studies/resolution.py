@@ -271,9 +271,9 @@ METHOD = (
     "One run stands against the mean over the seeds, so that a change of a peak no larger than a "
     "few times the scatter is not told from it; the means over the path are the better witness.\n\n"
     "What the grid still holds of the force falls about in proportion to Δx: if halving it takes "
-    "7 to 9 %, some 15 to 20 % is the grid's. The same contact, cells and soil push a rough plate "
-    "that has soil beneath its toe with a tenth more than the exact passive force, and lie on a "
-    "line that leads to it (`terraphi study verification --only plate`). The gradient of the "
-    "splines does not take it away; phases three times as long take a little."
+    "7 to 9 %, some 15 to 20 % is the grid's. The same contact and cells push a rough plate that "
+    "has soil of associated flow beneath its toe with a tenth more than the exact passive force, "
+    "and lie on a line that leads to it (`terraphi study verification --only plate`). The gradient "
+    "of the splines does not take it away; phases three times as long take a little."
 )
 PICTURE = "peaks along the way, and what is left of them when things are halved"

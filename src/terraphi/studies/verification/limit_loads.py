@@ -208,7 +208,7 @@ def _footing_cause(load: str, scheme: str) -> str:
     if load == "weight" and scheme == "surface":
         return (
             "contact on the surface gives 13 % more than with the nodes, least squares 7 % more "
-            "than splines; why the surface does is not known, but the excess falls with the cells"
+            "than splines; why the surface does is not known"
         )
     if load == "weight" and scheme == "nodes":
         return (

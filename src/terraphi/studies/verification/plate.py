@@ -335,10 +335,10 @@ def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
 
 FAMILY = Family(
     title="The leg's contact against a passive wall",
-    meaning="Soil in front of a plate, from above the surface to 56 mm depth, with all numerics of "
-    "preset `resolved` and the speed of the leg's tip. If these pass, the contact and the grid of "
-    "the leg's own simulations give the force that plasticity theory says. Flow is associated, "
-    "because the force is exact then; dilatation is that of each particle.",
+    meaning="Soil in front of a plate, from above the surface to 56 mm depth, with contact, grid, "
+    "step and phases of preset `resolved` and the speed of the leg's tip. If these pass, the "
+    "contact and the grid of the leg's own simulations give the force that plasticity theory says. "
+    "Flow is associated, because the force is exact then; dilatation is that of each particle.",
     tasks=tasks,
     figures=figures,
 )
