@@ -159,7 +159,7 @@ WHOLE = np.arange(-90.0, 91.0)
         (HEADER + "8,2,3\n8,2,3\n", ("line 3", "repeats")),
         (rows(WHOLE[::-1]), ("decreases",)),
         (rows(np.radians(WHOLE)), ("radians",)),
-        (rows(np.linspace(-90, 90, 9)), ("at least 10",)),
+        (rows(np.linspace(-90, 90, 9)), ("at least 40",)),
         (rows(WHOLE, 0.0), ("zero at every angle",)),
         (rows(np.arange(-90.0, 1.0)), ("whole window",)),
         ("\x00\x01\x02", ()),

@@ -157,7 +157,7 @@ def refusal(history: ForceHistory) -> str:
         (np.arange(-90.0, 1.0), "theta covers -90.0 to 0.0 deg, but the whole window -85 to 85"),
         (np.arange(0.0, 91.0), "theta covers 0.0 to 90.0 deg"),
         (np.arange(-82.0, 91.0), "theta covers -82.0 to 90.0 deg"),
-        (np.linspace(-90.0, 90.0, 9), "only 7 angles lie within |theta| <= 85 deg, at least 10"),
+        (np.linspace(-90.0, 90.0, 9), "only 7 angles lie within |theta| <= 85 deg, at least 40"),
         (np.array([-90.0, 90.0]), "only 0 angles"),
         (np.r_[-90.0:-29.0, 1.0:91.0], "no angle between -30.0 and 1.0 deg; gaps of up to 20 deg"),
         (np.r_[-135.0, -90.0, -50.0:91.0], "no angle between -90.0 and -50.0 deg"),
@@ -332,12 +332,34 @@ def test_engaged_window_keeps_its_ends() -> None:
     assert kept.Fx == pytest.approx(kept.theta_deg)
 
 
-def test_resampling_a_line_gives_the_line() -> None:
+def test_a_line_read_at_other_angles_is_the_line() -> None:
     theta = np.linspace(-90.0, 90.0, 1801)
     history = ForceHistory(np.radians(theta), np.stack([theta, 3.0 - theta], axis=1))
-    fewer = history.resampled(np.radians(np.arange(-80.0, 81.0, 7.0)), half_width=np.radians(0.5))
+    fewer = history.as_read_at(np.radians(np.arange(-80.0, 81.0, 7.0)))
     assert fewer.Fx == pytest.approx(np.arange(-80.0, 81.0, 7.0))
     assert fewer.Fz == pytest.approx(3.0 - np.arange(-80.0, 81.0, 7.0))
+    # Beyond its own ends there is nothing to be read.
+    assert history.as_read_at(np.radians(np.arange(-120.0, 121.0, 1.0))).theta_deg[0] > -90.5
+
+
+def test_a_reading_is_the_mean_over_its_share_of_the_path() -> None:
+    theta = np.arange(-90.0, 90.0, 0.1) + 0.05
+    history = ForceHistory(np.radians(theta), np.stack([np.exp(theta / 20), theta**2], axis=1))
+    # Two readings 0.6° apart after a gap of 3°: their shares are 0.6° wide, the others' 1°.
+    readings = np.radians(np.r_[-88.0:-1.0:3.0, 0.0, 3.0, 3.6, 6.0:88.0:2.0])
+    seen = history.as_read_at(readings)
+    assert seen.position == pytest.approx(readings)
+    at = int(np.argmin(np.abs(readings)))
+    for i, half in ((at, 0.5), (at + 1, 0.3), (at + 2, 0.3), (at + 3, 0.5)):
+        x = np.degrees(readings[i])
+        exact = 20 * (np.exp((x + half) / 20) - np.exp((x - half) / 20)) / (2 * half)
+        assert seen.Fx[i] == pytest.approx(exact, rel=1e-4)
+    # Dense records leave the curve as it is, and so does one's own sampling.
+    whole = history.as_read_at(np.radians(np.arange(-80.0, 80.01, 0.5)))
+    assert np.array_equal(whole.position, history.between(*whole.position[[0, -1]]).position)
+    assert np.abs(whole.theta_deg).max() == pytest.approx(79.95)
+    assert np.array_equal(seen.as_read_at(readings).force, seen.force)
+    assert history.as_read_at(None) is history
 
 
 def test_a_history_outside_the_window_has_no_peaks_and_says_so() -> None:

@@ -33,10 +33,15 @@ WINDOW_DEG = 85.0
 """Half width of the engaged window of the paper [deg]."""
 OBSERVATION_ANGLES = 40
 """Number M of angles in the paper's observation vector."""
-FEWEST_ANGLES = 10
-"""Fewest measured angles within the window that an inversion accepts."""
+FEWEST_ANGLES = OBSERVATION_ANGLES
+"""Fewest measured angles within the window that an inversion accepts: from fewer, window means are
+lines between readings, and eighty numbers tell less than they seem to."""
 WIDEST_GAP_DEG = 20.0
 """Widest gap between measured angles within the window [deg]."""
+DENSE_DEG = 0.5
+"""Widest gap of a record whose window means are those of the whole curve [deg]."""
+READING_DEG = 1.0
+"""Most of the path that one reading is taken to be the mean over [deg]."""
 SCHEMA = 1
 
 _SHOWN = (
@@ -158,11 +163,38 @@ class ForceHistory:
         inside = (self.position >= low - slack) & (self.position <= high + slack)
         return replace(self, position=self.position[inside], force=self.force[inside])
 
-    def resampled(self, position: FloatArray, *, half_width: float) -> ForceHistory:
-        """History of the :meth:`means` around new positions; arguments and errors as there."""
-        return replace(self, position=position, force=self.means(position, half_width))
+    def as_read_at(self, readings: FloatArray | None) -> ForceHistory:
+        """What a record that was read at other angles would show of this history.
 
-    def means(self, centre: FloatArray, half_width: float) -> FloatArray:
+        Window means of a record with a reading every few degrees are of lines between readings,
+        and so are to be those of the curves that it is compared with.
+
+        Parameters
+        ----------
+        readings
+            Leg angles of that record [rad], increasing, shape [sample]; ``None`` leaves all as it
+            is.
+
+        Returns
+        -------
+        ForceHistory
+            Its own samples between the first and the last reading if no gap between readings is
+            wider than 0.5°. Otherwise one at each reading, the mean over its share of the path, of
+            1° at most: what a reading averages over is not known, and few sensors read a point.
+        """
+        if readings is None:
+            return self
+        own = self.between(readings[0], readings[-1])
+        if is_dense(readings) or np.array_equal(own.position, readings):
+            return own
+        gaps = np.diff(readings)
+        share = np.minimum(np.append(gaps, math.inf), np.append(math.inf, gaps))
+        half = 0.5 * np.minimum(share, math.radians(READING_DEG))
+        seen = (readings >= self.position[0]) & (readings <= self.position[-1])
+        force = self.means(readings[seen], half[seen])
+        return replace(self, position=readings[seen], force=force)
+
+    def means(self, centre: FloatArray, half_width: float | FloatArray) -> FloatArray:
         """Mean forces over windows, by integrating the piecewise linear history.
 
         Parameters
@@ -170,7 +202,7 @@ class ForceHistory:
         centre
             Window centres in the unit of ``position``, shape [window].
         half_width
-            Half the width of the windows, same unit; cut at the ends of the record.
+            Half the width of the windows, or of each, same unit; cut at the ends of the record.
 
         Returns
         -------
@@ -216,8 +248,8 @@ class ForceHistory:
         Raises
         ------
         InputError
-            If the record does not cover the window, has a wide gap in it, fewer than
-            ten angles, or no force at all.
+            If the record does not cover the window, has a wide gap in it, fewer angles than
+            there are windows, or no force at all.
         """
         theta_deg = np.linspace(-window_deg, window_deg, angles)
         half_deg = window_deg / (angles - 1)
@@ -239,7 +271,7 @@ class ForceHistory:
         if inside.sum() < FEWEST_ANGLES:
             raise InputError(
                 f"{file}only {inside.sum()} angles lie within |theta| <= {window_deg:g} deg, "
-                f"at least {FEWEST_ANGLES} are needed"
+                f"at least {FEWEST_ANGLES} are needed, one for each window mean"
             )
         gaps = np.diff(np.clip(theta, -window_deg, window_deg))
         if gaps.max() > WIDEST_GAP_DEG:
@@ -384,6 +416,12 @@ class ForceHistory:
             raise InputError(
                 f"{path}: not as terraphi writes a force history ({error}); make it again"
             ) from error
+
+
+def is_dense(readings: FloatArray) -> bool:
+    """Whether window means of a record read at these angles [rad] are those of the whole curve."""
+    # Degrees turned to radians and back may be off by a rounding error.
+    return bool(np.degrees(np.diff(readings).max()) <= DENSE_DEG + 1e-9)
 
 
 def _primitive(

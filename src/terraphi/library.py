@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -139,7 +138,7 @@ class Library:
         *,
         angles: int = OBSERVATION_ANGLES,
         window_deg: float = WINDOW_DEG,
-        within: tuple[float, float] = (-math.inf, math.inf),
+        readings: FloatArray | None = None,
     ) -> Curves:
         """Observation vectors of one leg over the friction angle.
 
@@ -149,9 +148,10 @@ class Library:
             Shape of the leg.
         angles, window_deg
             As in :meth:`ForceHistory.observation`.
-        within
-            Leg angles between which the curves are used [rad]: those that the measured record
-            covers, so that the windows at its ends are cut alike.
+        readings
+            Leg angles at which the measured record was read [rad], so that windows at its ends
+            are cut alike and gaps bridged alike (:meth:`ForceHistory.as_read_at`); ``None`` takes
+            the whole curves.
 
         Returns
         -------
@@ -190,7 +190,7 @@ class Library:
                 "an inversion needs at least three, each once"
             )
         seen = [
-            case.history.between(*within).observation(angles=angles, window_deg=window_deg)
+            case.history.as_read_at(readings).observation(angles=angles, window_deg=window_deg)
             for case in chosen
             if case.history
         ]
@@ -203,13 +203,13 @@ class Library:
         )
 
     def repeated(
-        self, leg: str, *, within: tuple[float, float] = (-math.inf, math.inf)
+        self, leg: str, *, readings: FloatArray | None = None
     ) -> list[tuple[float, FloatArray]]:
         """Observations of simulations that differ by their particle seed alone, of one leg.
 
         Parameters
         ----------
-        leg, within
+        leg, readings
             As in :meth:`curves`.
 
         Returns
@@ -222,7 +222,7 @@ class Library:
         found = []
         for phi in dict.fromkeys(c.scenario.soil.friction_angle_deg for c in again):
             vectors = [
-                case.history.between(*within).observation().vector
+                case.history.as_read_at(readings).observation().vector
                 for case in (*self.cases, *again)
                 if case.scenario.soil.friction_angle_deg == phi
                 and case.scenario.leg.shape == leg

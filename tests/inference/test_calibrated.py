@@ -28,7 +28,7 @@ def library() -> Library:
 
 @pytest.fixture(scope="module")
 def leg(library: Library) -> PreparedLeg:
-    return prepare(library, "straight", within=(-3.0, 3.0))
+    return prepare(library, "straight")
 
 
 @pytest.fixture(scope="module")

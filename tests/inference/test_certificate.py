@@ -41,7 +41,7 @@ def test_replicates_are_kept_with_the_cases_that_they_repeat(
     assert [c.digest for c in found.cases] == [c.digest for c in alone.cases]
     assert [c.digest for c in found.replicates] == [c.digest for c in seeds.cases]
     assert legs_of(tmp_path / "both.nc") == {"straight"}
-    groups = found.repeated("straight", within=(-1.5, 1.5))
+    groups = found.repeated("straight", readings=np.arange(-1.5, 1.5001, 0.005))
     assert [(phi, len(vectors)) for phi, vectors in groups] == [(17.5, 4), (32.5, 4), (47.5, 4)]
     own = next(c for c in alone.cases if c.scenario.soil.friction_angle_deg == 32.5)
     assert own.history is not None
@@ -68,9 +68,7 @@ def test_failed_replicates_count_for_nothing(alone: Library, seeds: Library) -> 
 
 def test_replicates_are_data(alone: Library, seeds: Library) -> None:
     both = with_replicates(alone, seeds)
-    few, many = (
-        prepare(library, "straight", within=EVERYWHERE).surrogate for library in (alone, both)
-    )
+    few, many = (prepare(library, "straight").surrogate for library in (alone, both))
     for phi, vectors in both.repeated("straight"):
         mean = vectors.mean(axis=0)
         assert np.trace(many.covariance(phi)) < 0.6 * np.trace(few.covariance(phi))
@@ -86,8 +84,7 @@ def test_a_calibration_is_used_with_the_replicates_that_it_was_learnt_from(
     found = Library.load(tmp_path / "made.nc")
     assert found.calibration["replicates"] == seeds.name
     learnt, read = (
-        prepare(library, "straight", within=EVERYWHERE).surrogate
-        for library in (with_replicates(alone, seeds), found)
+        prepare(library, "straight").surrogate for library in (with_replicates(alone, seeds), found)
     )
     # Files keep five digits of the logarithms.
     assert read.predict([29.0, 41.0]) == pytest.approx(

@@ -281,3 +281,28 @@ def test_a_calibration_of_another_version_is_told(history: ForceHistory) -> None
     old = replace(own, calibration={**own.calibration, "legs": legs})
     with pytest.raises(InputError, match="calibrate it again"):
         invert(bare(history), library=old)
+
+
+@pytest.mark.parametrize(
+    "theta_deg",
+    [
+        pytest.param(np.arange(-88.0, 88.1, 2.0), id="every 2 deg"),
+        pytest.param(np.arange(-88.0, 88.1, 4.0), id="every 4 deg"),
+        pytest.param(np.r_[-88.0:-49.0, -35.0:89.0], id="a gap of 15 deg"),
+    ],
+)
+def test_a_coarse_record_is_compared_with_curves_read_as_coarsely(theta_deg) -> None:
+    library, truths = (Library.load(f"quick-plane-strain{end}") for end in ("", "-fourteen"))
+    readings = np.radians(theta_deg)
+    scores, verdicts = [], []
+    for case in truths.cases[1::5]:
+        record = ForceHistory(readings, case.history.means(readings, np.radians(0.5)))
+        answer = invert(record, library=library)
+        low, high = answer.phi.ci95
+        off = answer.phi.median - case.scenario.soil.friction_angle_deg
+        scores.append(off / (0.25 * (high - low)))
+        verdicts.append(answer.verdict.verdict)
+    # Against whole curves nearly all of them are a misfit.
+    assert verdicts.count("consistent") >= 7
+    assert np.abs(scores).max() < 4.0
+    assert np.sqrt(np.mean(np.square(scores))) < 1.7

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -50,7 +48,7 @@ def test_residuals_change_along_the_slope_alone() -> None:
 
 def fitted(library: Library, one: Measurement) -> float:
     """Friction angle of the smallest residual, each force over its peak-to-peak, by SciPy."""
-    leg: PreparedLeg = prepare(library, one.leg, within=(-math.inf, math.inf))
+    leg: PreparedLeg = prepare(library, one.leg)
     data = one.history.observation().vector
     density = leg.curves.scenario.soil.density
     scale = (one.density_kg_m3 or density) / density

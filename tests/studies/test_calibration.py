@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +32,7 @@ PROMISED = {"replicates", "coverage68", "coverage95", "rank_chi2_p", "ci68_half_
 
 @pytest.fixture(scope="module")
 def leg() -> PreparedLeg:
-    return prepare(Library.load(NAMES[0]), "straight", within=(-math.inf, math.inf))
+    return prepare(Library.load(NAMES[0]), "straight")
 
 
 def test_each_replicate_has_a_library_of_its_own_with_the_models_scatter(leg: PreparedLeg) -> None:
@@ -227,7 +226,7 @@ def test_forces_bend_within_two_degrees_at_both_speeds() -> None:
     seeds = set()
     for name in (NAMES[0], NAMES[2]):
         library = Library.load(name)
-        whole = prepare(library, "straight", within=(-math.inf, math.inf))
+        whole = prepare(library, "straight")
         surrogate, curves, slope = whole.surrogate, whole.curves, whole.slope(32.5)
         others = curves.phi_deg != 32.5
         rest = JointSurrogate.fit(

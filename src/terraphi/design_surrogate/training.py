@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -83,9 +82,7 @@ def parameters(library: Library) -> dict[str, tuple[float, float]]:
     return found
 
 
-def training(
-    library: Library, leg: str, *, within: tuple[float, float] = (-math.inf, math.inf)
-) -> Training:
+def training(library: Library, leg: str, *, readings: FloatArray | None = None) -> Training:
     """Points and forces of one leg of a library.
 
     Parameters
@@ -94,7 +91,7 @@ def training(
         Simulations over one parameter or several.
     leg
         Shape of the leg.
-    within
+    readings
         As in :meth:`Library.curves`.
 
     Raises
@@ -126,7 +123,7 @@ def training(
         )
     values = np.array([[float(value_of(c.scenario, k)) for k in bounds] for c in chosen])
     seen = [
-        c.history.between(*within).observation(angles=OBSERVATION_ANGLES, window_deg=WINDOW_DEG)
+        c.history.as_read_at(readings).observation(angles=OBSERVATION_ANGLES, window_deg=WINDOW_DEG)
         for c in chosen
         if c.history
     ]

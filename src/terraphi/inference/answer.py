@@ -51,6 +51,8 @@ class Inversion:
         Where the forces come from.
     observation
         The data d.
+    readings
+        Leg angles at which the record was read [rad], shape [sample].
     leg
         Shape of the leg.
     library
@@ -86,6 +88,7 @@ class Inversion:
 
     source: str
     observation: Observation
+    readings: FloatArray
     leg: str
     library: str
     convention: str
@@ -134,10 +137,10 @@ class Inversion:
         """Write the posterior in the layout of ArviZ, which can open it.
 
         Groups ``posterior`` (``phi_deg`` over chain and draw), ``observed_data`` (the window
-        means), ``posterior_predictive_mean`` (the best curve) and, if there is a budget,
-        ``information_share`` (what each angle told of φ); the answer stands in the attributes. A
-        posterior by quadrature is written as quantiles of equal probability in a
-        random order, which are as good as independent draws.
+        means, and where the record was read), ``posterior_predictive_mean`` (the best curve) and,
+        if there is a budget, ``information_share`` (what each angle told of φ); the answer stands
+        in the attributes. A posterior by quadrature is written as quantiles of equal probability
+        in a random order, which are as good as independent draws.
 
         Parameters
         ----------
@@ -185,6 +188,9 @@ class Inversion:
                     for name, (fx, fz, units) in pairs.items()
                 },
             }
+        )
+        tree["observed_data/reading_deg"] = xr.DataArray(
+            np.degrees(self.readings), dims="reading", attrs={"units": "degree"}
         )
         write_netcdf(tree, Path(path))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -21,7 +20,6 @@ FloatArray = NDArray[np.float64]
 REPLICATES = 5000
 OTHER_SEEDS = 4
 """Seeds after the certificate's own with which the ranks are looked at again."""
-EVERYWHERE = (-math.inf, math.inf)
 
 
 def certified(
@@ -66,7 +64,7 @@ def certified(
         library = with_replicates(library, replicates)
         origin = {"replicates": replicates.name, "replicates_hash": replicates.hash}
     for leg in library.legs:
-        curves = library.curves(leg, within=EVERYWHERE)
+        curves = library.curves(leg)
         surrogate = learn(curves, library.repeated(leg))
         legs[leg] = {"scatter": surrogate.scatter.as_dict(), "kernel": surrogate.kernel.as_dict()}
         prepared = PreparedLeg.of(surrogate, curves)

@@ -143,6 +143,7 @@ def invert(
     return Inversion(
         source=source or str(history.provenance.get("file", "")),
         observation=observation,
+        readings=history.position,
         leg=leg,
         library=library.name,
         convention=found.scenario.convention,
@@ -201,7 +202,7 @@ def _by_paper(
     how: dict[str, Any],
 ) -> _Found:
     """As printed by Xu & Wang."""
-    curves = library.curves(leg, within=(history.position[0], history.position[-1]))
+    curves = library.curves(leg, readings=history.position)
     scenario = curves.scenario
     check_magnitudes(density, observation, scenario)
     check_same_setup(history, scenario)
@@ -237,7 +238,7 @@ def _calibrated(
     how: dict[str, Any],
 ) -> _Found:
     """Every part of the residual with its own covariance."""
-    prepared = prepare(library, leg, within=(history.position[0], history.position[-1]))
+    prepared = prepare(library, leg, readings=history.position)
     scenario, surrogate = prepared.curves.scenario, prepared.surrogate
     check_magnitudes(density, observation, scenario)
     check_same_setup(history, scenario)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from terraphi.errors import InputError
+from terraphi.history import WINDOW_DEG, is_dense
 from terraphi.joint_surrogate import JointKernel, JointSurrogate
 from terraphi.library import Curves, Library
 from terraphi.scatter import Scatter, estimate
@@ -31,6 +32,8 @@ NODES = 281
 a few thousandths of their width; half the nodes leave some hundredths at worst."""
 STEP_DEG = 0.05
 """Half the step of derivatives with respect to the friction angle [deg]."""
+ENOUGH = 2
+"""Readings in every window from which on a mean scatters as that over the whole window."""
 REMEMBERED = 8
 """Prepared legs that are kept, and decompositions of each."""
 
@@ -166,19 +169,20 @@ def _threads() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-_Key = tuple[int, str, tuple[float, float]]
+_Key = tuple[int, str, bytes]
 _KNOWN: OrderedDict[_Key, tuple[weakref.ref[Library], PreparedLeg]] = OrderedDict()
 
 
-def prepare(library: Library, leg: str, *, within: tuple[float, float]) -> PreparedLeg:
+def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -> PreparedLeg:
     """Make a leg of a library ready, or recall it.
 
     Parameters
     ----------
     library
         Simulations over the friction angle. Scatter and hyperparameters that it carries are used;
-        otherwise they are estimated from its curves.
-    leg, within
+        otherwise, and for records with fewer than two readings in a window, they are estimated
+        from its curves.
+    leg, readings
         As in :meth:`Library.curves`.
 
     Raises
@@ -186,24 +190,30 @@ def prepare(library: Library, leg: str, *, within: tuple[float, float]) -> Prepa
     InputError
         As :meth:`Library.curves` does.
     """
-    ends = (round(float(within[0]), 9), round(float(within[1]), 9))
-    key = (id(library), leg, ends)
+    key = (id(library), leg, _sampling(readings))
     known = _KNOWN.get(key)
     if known and known[0]() is library:
         return known[1]
-    curves = library.curves(leg, within=within)
-    prepared = PreparedLeg.of(surrogate_of(library, leg, curves, within=within), curves)
+    curves = library.curves(leg, readings=readings)
+    prepared = PreparedLeg.of(surrogate_of(library, leg, curves, readings=readings), curves)
     _KNOWN[key] = (weakref.ref(library), prepared)
     _forget_oldest(_KNOWN)
     return prepared
 
 
+def _sampling(readings: FloatArray | None) -> bytes:
+    """What tells how curves are seen; records that are read densely differ by their ends alone."""
+    if readings is None:
+        return b""
+    return np.round(readings[[0, -1]] if is_dense(readings) else readings, 9).tobytes()
+
+
 def surrogate_of(
-    library: Library, leg: str, curves: Curves, *, within: tuple[float, float]
+    library: Library, leg: str, curves: Curves, *, readings: FloatArray | None = None
 ) -> JointSurrogate:
     """Joint surrogate of one leg: as the library's calibration says, or fitted."""
     carried = library.calibration.get("legs", {}).get(leg)
-    again = library.repeated(leg, within=within)
+    again = library.repeated(leg, readings=readings)
     if carried is not None and library.calibration.get("library_hash") == library.hash:
         try:
             scatter = Scatter.from_dict(carried["scatter"])
@@ -213,12 +223,21 @@ def surrogate_of(
                 f"library '{library.name}' carries a calibration of another version of terraphi; "
                 "calibrate it again (terraphi library calibrate)"
             ) from error
-        if np.allclose(scatter.theta_deg, curves.theta_deg, atol=1e-6):
+        # Its scatter is that of means over many readings, and few leave more of it.
+        sparse = readings is not None and _fewest(readings, curves.theta_deg) < ENOUGH
+        if not sparse and np.allclose(scatter.theta_deg, curves.theta_deg, atol=1e-6):
             means, repeats = _means(curves, again)
             return JointSurrogate.fit(
                 curves.phi_deg, curves.theta_deg, means, scatter, kernel=kernel, repeats=repeats
             )
     return learn(curves, again)
+
+
+def _fewest(readings: FloatArray, theta_deg: FloatArray) -> int:
+    """Fewest readings that the mean of a window is taken over."""
+    half = WINDOW_DEG / (theta_deg.size - 1)
+    found = np.searchsorted(np.degrees(readings), [theta_deg - half, theta_deg + half])
+    return int(np.diff(found, axis=0).min())
 
 
 def learn(curves: Curves, replicates: Sequence[tuple[float, FloatArray]] = ()) -> JointSurrogate:

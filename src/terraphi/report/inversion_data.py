@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,6 +43,8 @@ class Saved:
         Observation vector and the curve at the median [N], shape [2 theta].
     share
         What each angle adds to the information on φ [-], shape [2, theta], if the file says so.
+    readings
+        Leg angles at which the record was read [rad], shape [sample], if the file says so.
     """
 
     answer: Mapping[str, Any]
@@ -52,6 +53,7 @@ class Saved:
     data: FloatArray
     best: FloatArray
     share: FloatArray | None = None
+    readings: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,9 @@ def load(path: Path) -> Saved:
         share = None
         if "information_share" in tree:
             share = np.stack([_array(tree, f"information_share/{name}") for name in ("Fx", "Fz")])
+        readings = None
+        if "reading_deg" in tree["observed_data"]:
+            readings = np.radians(_array(tree, "observed_data/reading_deg"))
         answer = json.loads(tree.attrs["answer"])
     except Exception as error:  # the HDF5 stack raises OSError, KeyError, ValueError and more
         raise InputError(
@@ -110,7 +115,7 @@ def load(path: Path) -> Saved:
     sound = sound and told.shape == (2, len(theta))
     if not sound or not all(np.isfinite(v).all() for v in (*vectors, theta, draws, told)):
         raise InputError(f"{posterior}: its arrays do not fit each other; make it again")
-    saved = Saved(answer, draws, theta, vectors[0], vectors[1], share)
+    saved = Saved(answer, draws, theta, vectors[0], vectors[1], share, readings)
     return _checked(saved, posterior)
 
 
@@ -192,13 +197,13 @@ def recomputed(saved: Saved, name: str | None) -> tuple[Again | None, str]:
 
 
 def _surrogate(
-    library: Library, leg: str, likelihood: str
+    library: Library, leg: str, likelihood: str, readings: FloatArray | None
 ) -> tuple[LegSurrogate | JointSurrogate, float]:
     """Surrogate that a likelihood takes, and the density of the library's soil [kg/m³]."""
     if likelihood == "calibrated":
-        prepared = prepare(library, leg, within=(-math.inf, math.inf))
+        prepared = prepare(library, leg, readings=readings)
         return prepared.surrogate, prepared.curves.scenario.soil.density
-    curves = library.curves(leg)
+    curves = library.curves(leg, readings=readings)
     made = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
     return made, curves.scenario.soil.density
 
@@ -206,7 +211,8 @@ def _surrogate(
 def _again(saved: Saved, library: Library) -> tuple[Again, float]:
     """What follows, and how far the curve at the median is from the saved one, of its peak [-]."""
     answer = saved.answer
-    surrogate, density = _surrogate(library, str(answer["leg"]), str(answer["likelihood"]))
+    leg, likelihood = str(answer["leg"]), str(answer["likelihood"])
+    surrogate, density = _surrogate(library, leg, likelihood, saved.readings)
     scale = float(answer["density_kg_m3"]) / density
     phi = answer["phi_deg"]
     low, high = phi["ci95"]

@@ -7,7 +7,6 @@ they are and made worse; histories that the model must not explain.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -104,7 +103,7 @@ def run(
         if progress is not None:
             progress(next(done), 7 + len(todo))
 
-    leg = prepare(trained, "straight", within=(-math.inf, math.inf))
+    leg = prepare(trained, "straight")
     found = {}
     for worlds in WORLDS:
         count = replicates if worlds == "prior" else min(replicates, BESIDE)

@@ -52,7 +52,7 @@ def test_draws_are_those_of_the_posterior_on_a_grid(straight, two_parameters, tr
     # Two parameters and known noise: the posterior can be tabulated.
     given = trial("straight")
     surrogate = DesignSurrogate.fit(
-        training(two_parameters, "straight", within=grouped([given])[0].within)
+        training(two_parameters, "straight", readings=grouped([given])[0].readings)
     )
     likelihood = LegLikelihood(surrogate, given.history.observation().vector[None])
     sd = [straight.marginal[k].sd for k in (PHI, FRICTION)]

@@ -142,7 +142,7 @@ def _likelihood(
     legs = []
     known = marginals.get(DENSITY)
     for group in groups:
-        data = training(library, group.leg, within=group.within)
+        data = training(library, group.leg, readings=group.readings)
         fixed = known.low if known is not None and known.fixed else None
         check_trials(group, data.scenario, data.bounds, fixed)
         if known is not None and DENSITY not in data.bounds and data.scenario.soil.cohesion > 0.0:

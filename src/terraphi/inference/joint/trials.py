@@ -66,12 +66,12 @@ class Repeats:
     observations: tuple[Observation, ...]
 
     @property
-    def within(self) -> tuple[float, float]:
-        """Leg angles that all records cover [rad]."""
-        return (
-            max(float(t.history.position[0]) for t in self.trials),
-            min(float(t.history.position[-1]) for t in self.trials),
-        )
+    def readings(self) -> FloatArray:
+        """Leg angles of the coarsest record, where all have forces [rad], shape [sample]."""
+        low = max(float(t.history.position[0]) for t in self.trials)
+        high = min(float(t.history.position[-1]) for t in self.trials)
+        records = [t.history.between(low, high).position for t in self.trials]
+        return max(records, key=lambda position: float(np.diff(position).max(initial=0.0)))
 
     @property
     def vectors(self) -> FloatArray:
@@ -80,7 +80,7 @@ class Repeats:
 
 
 def grouped(trials: Sequence[Trial]) -> list[Repeats]:
-    """Trials by leg; all are observed where each of that leg has forces.
+    """Trials by leg; all are observed where each of that leg has forces, and as the coarsest is.
 
     Parameters
     ----------
@@ -103,11 +103,13 @@ def grouped(trials: Sequence[Trial]) -> list[Repeats]:
                 "a trial that counts twice would make the interval too narrow; drop one of the two"
             )
         seen[key] = trial.source
+    for trial in trials:
+        trial.history.observation()  # refuses by itself what does not cover the window
     found = []
     for leg in dict.fromkeys(t.leg for t in trials):
         same = tuple(t for t in trials if t.leg == leg)
         bare = Repeats(leg, same, ())
-        cut = tuple(t.history.between(*bare.within).observation() for t in same)
+        cut = tuple(t.history.as_read_at(bare.readings).observation() for t in same)
         found.append(Repeats(leg, same, cut))
     return found
 
