@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -111,6 +113,24 @@ def test_parameters_are_the_numbers_that_vary() -> None:
     }
     library = Library(Plan.model_validate({"name": "p", "scenario": RFT, **plan}), ())
     assert parameters(library) == {PHI: (20.0, 47.0)}
+
+
+def test_bounds_are_those_of_what_came_of_it() -> None:
+    library = built(sweep={PHI: [20.0, 30.0, 40.0, 45.0], "leg.shape": ["straight", "c"]})
+    assert parameters(library) == {PHI: (20.0, 45.0)}
+    lost = [
+        case._replace(history=None, failure="broke down")
+        if (case.scenario.leg.shape, case.scenario.soil.friction_angle_deg) == ("c", 45.0)
+        else case
+        for case in library.cases
+    ]
+    assert parameters(replace(library, cases=tuple(lost))) == {PHI: (20.0, 40.0)}
+
+
+def test_cases_that_differ_in_what_is_no_number_are_not_pooled() -> None:
+    sweep = {PHI: [20.0, 30.0, 40.0], "motion.hip": [[0.0, 0.19], [0.0, 0.18]]}
+    with pytest.raises(InputError, match="differ in what is no number, and would count as scatter"):
+        training(built(sweep=sweep), "straight")
 
 
 def test_what_cannot_be_trained_on_is_refused(library) -> None:

@@ -206,6 +206,12 @@ def test_a_history_of_another_model_is_told_apart(library: Library) -> None:
     assert "model = mpm (rft)" in by_law.warnings[0]
 
 
+def test_another_gravity_is_another_model(library: Library) -> None:
+    scenario = library.cases[0].scenario.replace(**{"bed.gravity": 1.62})
+    found = invert(simulate(scenario), library=library)
+    assert any("bed.gravity = 1.62 (9.81)" in said for said in found.warnings)
+
+
 def test_what_an_inversion_allows_for_is_no_other_model(library: Library) -> None:
     own = Library.load("quick-plane-strain")
     truth = Library.load("quick-plane-strain-truths").cases[4]  # another angle, another seed

@@ -96,7 +96,7 @@ def invert(
 
     Example: terraphi invert straight.csv c.csv --leg straight --leg c --prior density=1500:1700
     """
-    from terraphi.design_surrogate.training import parameters
+    from terraphi.design_surrogate.training import is_of_several
     from terraphi.files import folder
     from terraphi.library import Library
     from terraphi.measurements import open_forces
@@ -104,7 +104,7 @@ def invert(
     measured = [open_forces(source) for source in forces]
     shapes = legs_of(legs, measured)
     chosen = Library.load(library)
-    joint = len(measured) > 1 or bool(prior) or len(parameters(chosen)) > 1
+    joint = len(measured) > 1 or bool(prior) or is_of_several(chosen)
     made: tuple[str, ...]
     if joint:
         found = jointly(measured, shapes, chosen, prior=prior, **options)

@@ -61,25 +61,50 @@ def parameters(library: Library) -> dict[str, tuple[float, float]]:
     Parameters
     ----------
     library
-        Of a plan with a sweep or a sample.
+        Of a plan with a sweep or a sample. Of what is swept the bounds are those of the cases
+        that every leg has; of what is sampled, those of the box.
 
     Raises
     ------
     InputError
         If it varies none that is a number.
     """
+    found = _varied(library)
+    if not found:
+        raise InputError(f"library '{library.name}' varies no parameter")
+    return found
+
+
+def is_of_several(library: Library) -> bool:
+    """Whether a library varies more than one parameter."""
+    return len(_varied(library)) > 1
+
+
+def _varied(library: Library) -> dict[str, tuple[float, float]]:
+    """Keys and bounds of :func:`parameters`; empty if there are none."""
     plan, found = library.plan, {}
     for key, values in plan.sweep.items():
         numbers = [v for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
         if key not in NOT_PARAMETERS and len(numbers) == len(values) > 1:
-            found[key] = (float(min(numbers)), float(max(numbers)))
+            low, high = _reached(library, key)
+            if low < high:
+                found[key] = (low, high)
     if plan.sample:
         for i, (key, (low, high)) in enumerate(plan.sample.keys.items()):
             extra = [point[i] for point in plan.sample.also]
             found[key] = (min(low, *extra, low), max(high, *extra, high))
-    if not found:
-        raise InputError(f"library '{library.name}' varies no parameter")
     return found
+
+
+def _reached(library: Library, key: str) -> tuple[float, float]:
+    """Least and largest value of a key that no leg lacks."""
+    by_leg: dict[str, list[float]] = {}
+    for case in library.cases:
+        if case.history:
+            by_leg.setdefault(case.scenario.leg.shape, []).append(
+                float(value_of(case.scenario, key))
+            )
+    return max(map(min, by_leg.values())), min(map(max, by_leg.values()))
 
 
 def training(library: Library, leg: str, *, readings: FloatArray | None = None) -> Training:
@@ -97,8 +122,8 @@ def training(library: Library, leg: str, *, readings: FloatArray | None = None) 
     Raises
     ------
     InputError
-        If the library lacks the leg, has too few cases of it, varies no parameter, or its histories
-        cannot be inverted.
+        If the library lacks the leg, has too few cases of it, varies no parameter or what is none,
+        or its histories cannot be inverted.
     """
     bounds = parameters(library)
     chosen = [c for c in library.cases if c.history and c.scenario.leg.shape == leg]
@@ -120,6 +145,12 @@ def training(library: Library, leg: str, *, readings: FloatArray | None = None) 
         raise InputError(
             f"library '{library.name}' has {len(chosen)} cases of leg '{leg}'; at least "
             f"{FEWEST_CASES} are needed"
+        )
+    same = {**{k: value_of(first, k) for k in bounds}, "numerics.seed": 0}
+    if len({c.scenario.replace(**same).hash for c in chosen}) > 1:
+        raise InputError(
+            f"library '{library.name}' varies more than {', '.join(bounds)}: its cases of leg "
+            f"'{leg}' differ in what is no number, and would count as scatter; build one for each"
         )
     values = np.array([[float(value_of(c.scenario, k)) for k in bounds] for c in chosen])
     seen = [

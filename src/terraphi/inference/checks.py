@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,10 @@ TURNED = -0.5
 FREE = {"name", "soil.friction_angle_deg", "soil.density", "numerics.seed"}
 """Keys in which a simulated history may differ from the library."""
 IDLE = {"mpm": ("rft.",), "rft": ("numerics.", "relief.", "bed.", "soil.")}
-"""Sections that a forward model does not read."""
+"""Sections that a forward model does not read, but for what is in ``READ``."""
+READ = {"mpm": (), "rft": ("bed.gravity",)}
+"""Keys of such sections that it does read."""
+HIP = "hip above the surface"
 TOLD = 4
 """Differences that are named."""
 
@@ -56,7 +59,9 @@ def check_magnitudes(density: float | None, observation: Observation, scenario: 
         )
 
 
-def unlike(history: ForceHistory, scenario: Scenario, leg: str) -> str:
+def unlike(
+    history: ForceHistory, scenario: Scenario, leg: str, *, varied: Iterable[str] = ()
+) -> str:
     """A sentence on how a simulated history differs from the library; empty if it does not.
 
     The friction angle is what is asked for, forces are scaled by the density, and seeds are to
@@ -70,6 +75,8 @@ def unlike(history: ForceHistory, scenario: Scenario, leg: str) -> str:
         Any of the library's for this leg.
     leg
         Shape of the leg that the history is inverted as.
+    varied
+        Further keys in which it may differ: those that the library varies.
     """
     made_by = scenario_of(history)
     if made_by is None:
@@ -79,11 +86,14 @@ def unlike(history: ForceHistory, scenario: Scenario, leg: str) -> str:
         differences = [f"model = {made_by.model} ({expected.model})"]
     else:
         own, other = (dict(_flat(s.model_dump(mode="json"))) for s in (made_by, expected))
-        idle = IDLE[made_by.model]
+        idle, read = IDLE[made_by.model], READ[made_by.model]
+        free = FREE.union(varied)
         differences = [
             f"{key} = {_word(own.get(key))} ({_word(other.get(key))})"
             for key in {**other, **own}
-            if key not in FREE and not key.startswith(idle) and own.get(key) != other.get(key)
+            if key not in free
+            and (key in read or not key.startswith(idle))
+            and own.get(key) != other.get(key)
         ]
     if not differences:
         return ""
@@ -101,7 +111,7 @@ def doubts(
     history: ForceHistory,
     observation: Observation,
     curves: NDArray[np.float64],
-    density: float,
+    density: float | None,
 ) -> list[str]:
     """Sentences on what is likely to be a slip: of units, of signs, or of the density.
 
@@ -114,7 +124,7 @@ def doubts(
     curves
         The library's, at that density [N], shape [case, 2 theta].
     density
-        With which the history is inverted [kg/m³].
+        With which the history is inverted [kg/m³]; ``None`` if it is inferred.
     """
     found = []
     names, measured = ("Fx", "Fz"), observation.vector.reshape(2, -1)
@@ -135,7 +145,7 @@ def doubts(
                 "right? Fx points forward and Fz up, as forces on the leg."
             )
     made_by = scenario_of(history)
-    if made_by is not None and abs(made_by.soil.density - density) > 1e-6 * density:
+    if density and made_by and abs(made_by.soil.density - density) > 1e-6 * density:
         found.append(
             f"The history was simulated with a density of {made_by.soil.density:g} kg/m³ and is "
             f"inverted with {density:g} kg/m³."
@@ -175,19 +185,33 @@ def _word(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def check_same_setup(history: ForceHistory, scenario: Scenario) -> None:
-    """Refuse a simulated history of a leg or hip unlike the library's."""
-    made_by = scenario_of(history)
+def check_same_setup(
+    history: ForceHistory, scenario: Scenario, *, source: str = "", varied: Iterable[str] = ()
+) -> None:
+    """Refuse a simulated history of a leg or hip unlike the library's.
+
+    Parameters
+    ----------
+    history, scenario
+        As in :func:`unlike`.
+    source
+        Name of the history, for people.
+    varied
+        Keys that the library varies, in which histories may differ.
+    """
+    made_by, free = scenario_of(history), set(varied)
     if made_by is None:
         return
+    if any(key.startswith(("motion.hip", "bed.")) for key in free):
+        free.add(HIP)
     for name, found, expected in (
         ("leg.chord", made_by.leg.chord, scenario.leg.chord),
         ("leg.width", made_by.leg.width, scenario.leg.width),
         ("leg.half_thickness", made_by.leg.half_thickness, scenario.leg.half_thickness),
-        ("hip above the surface", made_by.hip_height, scenario.hip_height),
+        (HIP, made_by.hip_height, scenario.hip_height),
     ):
-        if abs(found - expected) > 1e-6:
+        if name not in free and abs(found - expected) > 1e-6:
             raise InputError(
-                f"the history was simulated with {name} = {found:g} m, the library with "
-                f"{expected:g} m; build a library for this setup"
+                f"{source or 'the history'} was simulated with {name} = {found:g} m, the library "
+                f"with {expected:g} m; build a library for this setup"
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import arviz
 import numpy as np
@@ -10,11 +11,20 @@ import pytest
 
 from terraphi.design_surrogate import DesignSurrogate, training
 from terraphi.errors import InputError
+from terraphi.forward import simulate
+from terraphi.history import ForceHistory
 from terraphi.inference.joint import JointInversion, Trial, invert_jointly
+from terraphi.inference.joint.answer import Summary
+from terraphi.inference.joint.inversion import DILATION, _plane_strain, _window_noise
 from terraphi.inference.joint.likelihood import LegLikelihood
-from terraphi.inference.joint.trials import grouped
+from terraphi.inference.joint.prior import Marginal
+from terraphi.inference.joint.target import Target
+from terraphi.inference.joint.trials import grouped, warnings_on
+from terraphi.inference.noise import Noise
 from terraphi.joint_plots import corner_figure, fits_figure
 from terraphi.library import Library
+from terraphi.scenario import Scenario
+from terraphi.soil import plane_strain_friction_angle_deg
 
 PHI, DENSITY, FRICTION = "soil.friction_angle_deg", "soil.density", "leg.friction"
 TRUTH = {PHI: 32.7, FRICTION: 0.37, DENSITY: 1650.0}
@@ -147,6 +157,75 @@ def test_forces_that_no_parameters_explain_are_a_misfit(two_parameters, trial) -
     c = trial("c")
     found = invert_jointly([Trial(c.history, "straight", "passed off")], library=two_parameters)
     assert found.verdict.verdict in ("misfit", "out_of_range")
+
+
+def test_a_history_of_another_model_is_named_and_not_believed_blindly(
+    two_parameters, trial
+) -> None:
+    given = trial("straight")
+    data = training(two_parameters, "straight")
+    assert given.made_as(data)
+    bare = ForceHistory(given.history.position, given.history.force)
+    assert not replace(given, history=bare).made_as(data)
+    coarser = two_parameters.cases[0].scenario.replace(**TRUTH, **{"rft.panels": 20})
+    other = Trial(simulate(coarser), "straight", "other")
+    assert not other.made_as(data)
+    (group,) = grouped([other])
+    (said,) = warnings_on(group, data, None)
+    assert said.startswith("other: The history was not simulated as the library was")
+    assert "rft.panels = 20 (40)" in said
+    assert "friction_angle" not in said
+    known = warnings_on(group, data, 1500.0)
+    assert "inverted with 1500 kg/m³" in known[1]
+    found = invert_jointly([other], library=two_parameters, noise=NOISE_N)
+    assert found.discrepancy == "gp"
+    assert found.warnings == (said,)
+    assert said in found.verdict.reason
+    assert found.as_dict()["warnings"] == [said]
+
+
+def test_noise_that_is_told_is_of_each_force(trial) -> None:
+    groups = grouped([trial("straight"), trial("c", 1)])
+    size, ratio = _window_noise(Noise((0.01, 1.0)), groups)
+    assert ratio == pytest.approx((0.01, 1.0))
+    # The window mean of a smooth part of the noise: by drawing records of white readings.
+    position = groups[0].trials[0].history.position
+    rng = np.random.default_rng(3)
+    drawn = [
+        ForceHistory(position, rng.standard_normal((position.size, 2))).observation().vector
+        for _ in range(400)
+    ]
+    smooth = np.mean(np.array(drawn)[:, 5:35], axis=1) * np.sqrt(30.0)
+    assert size == pytest.approx(smooth.std(), rel=0.12)
+    assert _window_noise(Noise(), groups) == (None, (1.0, 1.0))
+    assert _window_noise(Noise((0.0, 0.0)), groups) == (0.0, (1.0, 1.0))
+
+
+def test_an_edge_of_the_library_cuts_a_normal_prior_too(two_parameters, trial) -> None:
+    scenario = two_parameters.cases[0].scenario
+    beyond = Trial(simulate(scenario.replace(**{PHI: 47.5, FRICTION: 0.4})), "straight", "beyond")
+    options = {"library": two_parameters, "noise": 0.3}
+    found = invert_jointly(
+        [beyond], prior=["friction_angle_deg=38+-10", "leg.friction=0.4"], **options
+    )
+    assert found.verdict.verdict == "out_of_range"
+    assert found.verdict.edge == "high"
+    inside = invert_jointly(
+        [trial("straight")], prior=["friction_angle_deg=32+-2", "leg.friction=0.37"], **options
+    )
+    assert inside.verdict.verdict == "consistent"
+
+
+def test_the_equivalent_in_plane_strain_knows_the_dilation(two_parameters) -> None:
+    soil = {"yield_criterion": "triaxial", "dilation_angle_deg": 0.0}
+    scenario = Scenario.model_validate({"soil": soil})
+    marginal = {PHI: Summary.of(np.full(10, 30.0))}
+    for psi in (0.0, 15.0):
+        priors = {PHI: Marginal(20.0, 40.0), DILATION: Marginal(psi, psi)}
+        target = Target(None, priors, (PHI,), 0.1, False)
+        found, _ = _plane_strain(marginal, target, scenario)
+        exact = plane_strain_friction_angle_deg(30.0, "triaxial", dilation_angle_deg=psi)
+        assert found.median == pytest.approx(exact)
 
 
 def test_the_answer_is_plain_json(loose) -> None:

@@ -32,38 +32,38 @@ def leg(shift: float) -> DesignSurrogate:
     return DesignSurrogate({KEY: (20.0, 40.0)}, 1650.0, size, *both)
 
 
-def parts_of(surrogate, data, named, noise, amplitude):
+def parts_of(surrogate, data, named, noise, amplitude, ratio=(1.0, 1.0)):
     """Mean of a trial, what all trials share, and what each has to itself, over both forces."""
     at = {key: np.array([value]) for key, value in named.items()}
     scale = float(surrogate.scale(at)[0])
     means, shared, own = [], [], []
-    for part, values in zip(surrogate.processes, np.hsplit(data, 2), strict=True):
+    for part, values, r in zip(surrogate.processes, np.hsplit(data, 2), ratio, strict=True):
         mean, variance = part.rotated(surrogate.points(at))
         shape = part.kernel.over_angles(THETA_DEG)
         shape = shape / np.trace(shape) * THETA_DEG.size
         discrepancy = (amplitude * np.ptp(values.mean(axis=0))) ** 2 * shape
         shared.append(scale**2 * part.basis @ np.diag(variance[0]) @ part.basis.T + discrepancy)
-        own.append((noise**2 + scale**2 * part.noise_variance) * np.eye(THETA_DEG.size))
+        own.append(((r * noise) ** 2 + scale**2 * part.noise_variance) * np.eye(THETA_DEG.size))
         means.append(scale * part.basis @ mean[0])
     mean = np.concatenate(means)
     factor = surrogate.factor_variance(at)[0] * np.outer(mean, mean)
     return mean, block_diag(*shared) + factor, block_diag(*own)
 
 
-def log_density(surrogate, data, named, noise, amplitude) -> float:
+def log_density(surrogate, data, named, noise, amplitude, ratio) -> float:
     """All trials of a leg in one dense normal distribution, at one point."""
-    mean, shared, own = parts_of(surrogate, data, named, noise, amplitude)
+    mean, shared, own = parts_of(surrogate, data, named, noise, amplitude, ratio)
     m = len(data)
     covariance = np.kron(np.ones((m, m)), shared) + np.kron(np.eye(m), own)
     return float(multivariate_normal(np.tile(mean, m), covariance).logpdf(data.ravel()))
 
 
 @pytest.mark.parametrize("trials", [1, 3])
-@pytest.mark.parametrize("amplitude", [0.0, 0.05])
-def test_likelihood_is_that_of_a_dense_normal_distribution(trials, amplitude) -> None:
+@pytest.mark.parametrize(("amplitude", "ratio"), [(0.0, (1.0, 1.0)), (0.05, (0.2, 1.0))])
+def test_likelihood_is_that_of_a_dense_normal_distribution(trials, amplitude, ratio) -> None:
     surrogate = leg(0.3)
     data = RNG.standard_normal((trials, 12)) + 2.0 * np.sin(np.arange(12))
-    likelihood = LegLikelihood(surrogate, data)
+    likelihood = LegLikelihood(surrogate, data, ratio)
     # It is known up to a constant: differences count.
     points = [{KEY: 24.0, "soil.density": 1500.0}, {KEY: 33.0, "soil.density": 1800.0}]
     found = likelihood(
@@ -72,7 +72,7 @@ def test_likelihood_is_that_of_a_dense_normal_distribution(trials, amplitude) ->
         np.full(2, amplitude),
     )
     expected = [
-        log_density(surrogate, data, p, noise, amplitude)
+        log_density(surrogate, data, p, noise, amplitude, ratio)
         for p, noise in zip(points, (0.2, 0.4), strict=True)
     ]
     assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], abs=1e-7)
@@ -91,11 +91,12 @@ def test_information_is_that_of_dense_matrices() -> None:
     data = RNG.standard_normal((2, 12)) + 3.0
     named, noise, amplitude = {KEY: 28.0, "soil.density": 1600.0}, 0.3, 0.04
     keys, steps = [KEY, "soil.density"], [1e-3, 1e-2]
-    found = LegLikelihood(surrogate, data).information(
+    ratio = (1.0, 0.5)
+    found = LegLikelihood(surrogate, data, ratio).information(
         named, keys, steps, noise=noise, amplitude=amplitude
     )
     at = {k: np.array([v]) for k, v in named.items()}
-    _, shared, own = parts_of(surrogate, data, named, noise, amplitude)
+    _, shared, own = parts_of(surrogate, data, named, noise, amplitude, ratio)
     slopes = []
     for key, step in zip(keys, steps, strict=True):
         ends = [{**at, key: at[key] + side * step} for side in (-1, 1)]

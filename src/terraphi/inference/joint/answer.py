@@ -92,6 +92,8 @@ class JointInversion:
         Whether to believe it.
     discrepancy
         ``none`` or ``gp``.
+    warnings
+        Sentences on why the answer may not be what was asked for; the verdict's reason has them.
     provenance
         Versions, hashes and time taken [s]; JSON-able.
     """
@@ -117,6 +119,7 @@ class JointInversion:
     nrmsd: tuple[Mapping[str, float], ...]
     verdict: Verdict
     discrepancy: str
+    warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def axis_name(self, key: str) -> str:
@@ -142,6 +145,7 @@ class JointInversion:
             "verdict": self.verdict.verdict,
             "reason": self.verdict.reason,
             "edge": self.verdict.edge,
+            "warnings": list(self.warnings),
             "density_kg_m3": self.density,
             "density_assumed": self.density_assumed,
             "n_angles": len(self.groups[0].observations[0].theta_deg),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from terraphi.design_surrogate import DesignSurrogate, training
+from terraphi.design_surrogate import DesignSurrogate, Training, training
 from terraphi.design_surrogate.training import DENSITY, parameters
 from terraphi.errors import InputError, nearest
 from terraphi.forward import package_version
@@ -29,6 +30,7 @@ from terraphi.inference.joint.trials import (
     check_trials,
     common_density,
     grouped,
+    warnings_on,
 )
 from terraphi.inference.noise import Noise, window_covariance
 from terraphi.inference.posterior import Posterior, quadrature
@@ -75,7 +77,8 @@ def invert_jointly(
         Known bulk density [kg/m3]: short for the prior ``soil.density=VALUE``. Without either it
         is inferred if the library varies it, and else that of the sources or of the library.
     noise, discrepancy
-        As in :func:`terraphi.invert`; noise is that of one reading.
+        As in :func:`terraphi.invert`; noise is that of one reading. Noise that is inferred is of
+        one size in newtons for both forces.
     seed
         Of all draws.
     steps
@@ -98,10 +101,18 @@ def invert_jointly(
     keys = tuple(k for k, p in marginals.items() if not p.fixed)
     if not keys:
         raise InputError("every parameter is fixed; there is nothing to infer")
-    gp = discrepancy == "gp" or (discrepancy is None and not all(t.simulated for t in trials))
     with threadpool_limits(limits=1, user_api="blas"):
-        likelihood = _likelihood(groups, library, marginals)
-        target = Target(likelihood, marginals, keys, _window_noise(Noise.parse(noise), groups), gp)
+        data = _checked(groups, library, marginals)
+        ours = all(t.made_as(d) for g, d in zip(groups, data, strict=True) for t in g.trials)
+        gp = discrepancy == "gp" or (discrepancy is None and not ours)
+        size, ratio = _window_noise(Noise.parse(noise), groups)
+        likelihood = JointLikelihood(
+            tuple(
+                LegLikelihood(DesignSurrogate.fit(d), g.vectors, ratio)
+                for g, d in zip(groups, data, strict=True)
+            )
+        )
+        target = Target(likelihood, marginals, keys, size, gp)
         draws = sample(
             target.at,
             target.draw_prior,
@@ -116,7 +127,11 @@ def invert_jointly(
             "library_hash": library.hash,
             "seconds": time.perf_counter() - began,
         }
-        return _answer(groups, library, target, draws, about, assumed)
+        answer = _answer(groups, library, target, draws, about, assumed)
+    known = _fixed(marginals, DENSITY)
+    warnings = [w for g, d in zip(groups, data, strict=True) for w in warnings_on(g, d, known)]
+    verdict = replace(answer.verdict, reason=" ".join([answer.verdict.reason, *warnings]))
+    return replace(answer, verdict=verdict, warnings=tuple(warnings))
 
 
 def _with_density(
@@ -135,38 +150,48 @@ def _with_density(
     return [*prior, *known], assumed
 
 
-def _likelihood(
+def _checked(
     groups: Sequence[Repeats], library: Library, marginals: Mapping[str, Marginal]
-) -> JointLikelihood:
-    """Surrogates of all legs, fitted, with their trials; checks what is to be compared."""
-    legs = []
-    known = marginals.get(DENSITY)
+) -> list[Training]:
+    """What the library holds of each leg; refuses trials that it cannot be compared with."""
+    found = []
     for group in groups:
         data = training(library, group.leg, readings=group.readings)
-        fixed = known.low if known is not None and known.fixed else None
-        check_trials(group, data.scenario, data.bounds, fixed)
-        if known is not None and DENSITY not in data.bounds and data.scenario.soil.cohesion > 0.0:
+        check_trials(group, data.scenario, data.bounds, _fixed(marginals, DENSITY))
+        cohesive = data.scenario.soil.cohesion > 0.0
+        if DENSITY in marginals and DENSITY not in data.bounds and cohesive:
             raise InputError(
                 "the library's soil has cohesion, and its forces are not proportional to the "
                 "density; vary soil.density in the library"
             )
-        legs.append(LegLikelihood(DesignSurrogate.fit(data), group.vectors))
-    return JointLikelihood(tuple(legs))
+        found.append(data)
+    return found
 
 
-def _window_noise(noise: Noise, groups: Sequence[Repeats]) -> float | None:
-    """Standard deviation of a window mean [N]; ``None`` if it is to be inferred.
+def _fixed(marginals: Mapping[str, Marginal], key: str) -> float | None:
+    """Value of a parameter that is known; ``None`` if it is not one, or inferred."""
+    known = marginals.get(key)
+    return known.low if known is not None and known.fixed else None
 
-    Neighbouring windows share no reading but the one between them, so their noise counts as white.
+
+def _window_noise(
+    noise: Noise, groups: Sequence[Repeats]
+) -> tuple[float | None, tuple[float, float]]:
+    """Standard deviation of a window mean of the noisier force [N], and of both over it [-].
+
+    ``None`` if it is to be inferred. Noise counts as white from window to window; as neighbours
+    share a reading, which makes their errors alike, its size is that of the part they share.
     """
     if noise.sigma_N is None:
-        return None
+        return None, (1.0, 1.0)
     shares = [
-        np.median(np.diag(window_covariance(t.history.position, o.theta_deg)))
+        np.median(window_covariance(t.history.position, o.theta_deg).sum(axis=1))
         for g in groups
         for t, o in zip(g.trials, g.observations, strict=True)
     ]
-    return float(np.sqrt(np.mean(np.square(noise.sigma_N)) * np.mean(shares)))
+    largest = max(noise.sigma_N)
+    x, z = (s / largest if largest > 0.0 else 1.0 for s in noise.sigma_N)
+    return float(largest * np.sqrt(np.mean(shares))), (x, z)
 
 
 def _answer(
@@ -191,7 +216,7 @@ def _answer(
     misfits = [nrmsd(o.vector, fits[g.leg]) for g in groups for o in g.observations]
     covariance = np.cov(flat[:, :d].T).reshape(d, d)
     identifiability = Identifiability.of(target.keys, covariance, sd)
-    equivalent, why_not = _plane_strain(marginal, target.keys, scenario)
+    equivalent, why_not = _plane_strain(marginal, target, scenario)
     known = None if DENSITY in target.keys else named.get(DENSITY, scenario.soil.density)
     return JointInversion(
         groups=tuple(groups),
@@ -220,13 +245,16 @@ def _answer(
 
 
 def _plane_strain(
-    marginal: Mapping[str, Summary], keys: Sequence[str], scenario: Scenario
+    marginal: Mapping[str, Summary], target: Target, scenario: Scenario
 ) -> tuple[AngleSummary | None, str]:
     """The friction angle as one of plane strain, or why there is none."""
-    if PHI not in keys:
+    if PHI not in target.keys:
         return None, "the friction angle was not inferred"
-    if DILATION in keys and scenario.soil.yield_criterion == "triaxial":
+    if DILATION in target.keys and scenario.soil.yield_criterion == "triaxial":
         return None, "it depends on the dilation angle, which was inferred as well"
+    dilation = _fixed(target.priors, DILATION)
+    if dilation is not None:
+        scenario = scenario.replace(**{DILATION: dilation})
     phi = marginal[PHI]
     return plane_strain_summary(AngleSummary(phi.median, phi.ci68, phi.ci95), scenario)
 
@@ -283,10 +311,11 @@ def _judge(
     deviation = f"the best curve deviates from {source} by {largest:.1%}"
     for i, key in enumerate(target.keys):
         prior, values = target.priors[key], flat[:, i]
-        if identifiability.kinds[key] == "open" or prior.normal is not None:
+        if identifiability.kinds[key] == "open":
             continue
         counts, _ = np.histogram(values, bins=round(1.0 / EDGE), range=(prior.low, prior.high))
-        ends = (counts[0] / counts.max(), counts[-1] / counts.max())
+        cuts = zip(prior.cut_off, (counts[0], counts[-1]), strict=True)
+        ends = [count / counts.max() if cut else 0.0 for cut, count in cuts]
         if max(ends) > EDGE_DENSITY:
             at_low = ends[0] >= ends[1]
             name, unit = label(key)

@@ -45,10 +45,18 @@ class LegLikelihood:
         Of the leg.
     data
         Observation vectors [N], shape [trial, 2 theta].
+    noise_ratio
+        Noise of Fx and of Fz over that of the noisier [-].
     """
 
-    def __init__(self, surrogate: DesignSurrogate, data: FloatArray) -> None:
+    def __init__(
+        self,
+        surrogate: DesignSurrogate,
+        data: FloatArray,
+        noise_ratio: tuple[float, float] = (1.0, 1.0),
+    ) -> None:
         self.surrogate = surrogate
+        self.noise_ratio = noise_ratio
         self.trials = len(data)
         half = surrogate.theta_deg.size
         self.parts = []
@@ -73,7 +81,7 @@ class LegLikelihood:
         named
             Dotted key to values, shape [k] each.
         noise
-            s, standard deviation of a window mean [N], shape [k].
+            s, standard deviation of a window mean of the noisier force [N], shape [k].
         amplitude
             a [-], shape [k]; zero for a model that is right.
         """
@@ -81,10 +89,10 @@ class LegLikelihood:
         scale = scale[:, None]
         m, total = self.trials, np.zeros(len(points))
         along, norm = np.zeros(len(points)), np.zeros(len(points))
-        for process, mean, spread, shape in self.parts:
+        for (process, mean, spread, shape), ratio in zip(self.parts, self.noise_ratio, strict=True):
             forces, variance = process.rotated(points)
             shared = np.square(scale) * variance + np.square(amplitude)[:, None] * shape
-            own = np.square(noise)[:, None] + np.square(scale) * process.noise_variance
+            own = np.square(ratio * noise)[:, None] + np.square(scale) * process.noise_variance
             curve, whole = scale * forces, shared + own / m
             terms = np.square(mean - curve) / whole + np.log(m * shared + own)
             terms = terms + (m - 1) * np.log(own) + spread / own
@@ -122,10 +130,12 @@ class LegLikelihood:
         total = np.zeros((len(keys), len(keys)))
         along, norm = np.zeros(len(keys)), 0.0
         both = self.surrogate.slopes(at, keys, steps)
-        for (process, _, _, shape), slopes in zip(self.parts, both, strict=True):
+        for (process, _, _, shape), slopes, ratio in zip(
+            self.parts, both, self.noise_ratio, strict=True
+        ):
             forces, surrogate_variance = process.rotated(self.surrogate.points(at))
             curve, shared = scale * forces[0], scale**2 * surrogate_variance[0]
-            own = noise**2 + scale**2 * process.noise_variance
+            own = (ratio * noise) ** 2 + scale**2 * process.noise_variance
             variance = shared + amplitude**2 * shape + own / self.trials
             total += (slopes[0] / variance) @ slopes[0].T
             along += slopes[0] @ (curve / variance)

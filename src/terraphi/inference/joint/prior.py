@@ -39,6 +39,15 @@ class Marginal:
         """Whether there is nothing to infer."""
         return self.low == self.high
 
+    @property
+    def cut_off(self) -> tuple[bool, bool]:
+        """Whether more lies beyond the bounds: not where a normal prior has run out by itself."""
+        if self.normal is None:
+            return True, True
+        mean, sd = self.normal
+        low, high = mean - 0.999 * FAR * sd, mean + 0.999 * FAR * sd
+        return self.low > low, self.high < high
+
     def log_density(self, values: FloatArray) -> FloatArray:
         """Log density up to a constant; minus infinity beyond the bounds."""
         inside = (values >= self.low) & (values <= self.high)

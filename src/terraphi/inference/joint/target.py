@@ -33,7 +33,7 @@ class Target:
     keys
         Those that are free.
     noise
-        Standard deviation of a window mean [N]; ``None`` if it is inferred.
+        Standard deviation of a window mean of the noisier force [N]; ``None`` if it is inferred.
     discrepancy
         Whether the model may be wrong.
     """

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.design_surrogate import Training
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory, Observation
-from terraphi.inference.checks import check_magnitudes
-from terraphi.plan import value_of
+from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
 from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
@@ -41,10 +41,11 @@ class Trial:
     density: float | None = None
     density_assumed: bool = False
 
-    @property
-    def simulated(self) -> bool:
-        """Whether one of our own models made it."""
-        return "scenario" in self.history.provenance
+    def made_as(self, training: Training) -> bool:
+        """Whether the library's own model made it, whatever the parameters that it varies."""
+        known = "scenario" in self.history.provenance
+        varied = training.bounds
+        return known and not unlike(self.history, training.scenario, self.leg, varied=varied)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,22 +160,27 @@ def check_trials(
     """
     for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
         check_magnitudes(density, observation, scenario)
-        if not trial.simulated:
-            continue
-        made_by = Scenario.model_validate(trial.history.provenance["scenario"])
-        for key in ("leg.chord", "leg.width", "leg.half_thickness"):
-            _check_equal(trial, key, value_of(made_by, key), value_of(scenario, key), varied)
-        if not any(key.startswith(("motion.hip", "bed.")) for key in varied):
-            _check_equal(
-                trial, "hip above the surface", made_by.hip_height, scenario.hip_height, varied
-            )
+        check_same_setup(trial.history, scenario, source=trial.source, varied=varied)
 
 
-def _check_equal(
-    trial: Trial, name: str, found: float, expected: float, varied: Mapping[str, object]
-) -> None:
-    if name not in varied and abs(found - expected) > 1e-6:
-        raise InputError(
-            f"{trial.source}: simulated with {name} = {found:g} m, the library with {expected:g} "
-            "m; build a library for this setup"
-        )
+def warnings_on(repeats: Repeats, training: Training, density: float | None) -> list[str]:
+    """Sentences on why the trials of a leg may not be what they were taken for.
+
+    Parameters
+    ----------
+    repeats
+        Trials of one leg.
+    training
+        What the library holds of it.
+    density
+        Density that is taken as known [kg/m3]; ``None`` if it is inferred.
+    """
+    found = []
+    curves = training.forces
+    if density is not None:
+        curves = curves * (density / training.density)[:, None]
+    for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
+        other = unlike(trial.history, training.scenario, repeats.leg, varied=training.bounds)
+        said = [*filter(None, [other]), *doubts(trial.history, observation, curves, density)]
+        found += [f"{trial.source}: {s}" if trial.source else s for s in said]
+    return found
