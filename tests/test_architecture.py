@@ -25,6 +25,7 @@ ROOMS = [
     "setting",
     "scenario",
     "plausibility",
+    "readings",
     "history",
     "measurements",
     "forward",

@@ -11,16 +11,17 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from terraphi.build import build, cases_folder
+from terraphi.build import build, cases_folder, held
 from terraphi.errors import InputError
 from terraphi.forward import MODEL_VERSIONS, Checkpoint, simulate
 from terraphi.history import ForceHistory
-from terraphi.library import Library
+from terraphi.library import Case, Library
 from terraphi.plan import Plan
 from terraphi.scenario import Scenario
 from terraphi.workers import WorkerPool
@@ -122,6 +123,39 @@ def test_a_plan_that_grows_reuses_its_library(tmp_path: Path, calls: Calls) -> N
     grown = build(plan_of(legs=["straight", "c"]), tmp_path / "x.nc")
     assert calls == [25.0, 35.0, 20.0, 30.0, 40.0, *ANGLES]
     assert same_forces(grown, build(plan_of(legs=["straight", "c"]), tmp_path / "y.nc"))
+
+
+def test_a_library_that_is_built_again_keeps_what_was_learnt_of_it(
+    tmp_path: Path, calls: Calls
+) -> None:
+    path = tmp_path / "mine.nc"
+    made = build(plan_of(), path)
+    again = [c.scenario.replace(**{"numerics.seed": 7}) for c in made.cases[:2]]
+    replicates = tuple(Case(s, simulate(s), "") for s in again)
+    known = {"library_hash": made.hash, "certificate": {"seed": 0}}
+    replace(made, replicates=replicates, calibration=known).save(path)
+    # For nothing, then with one more angle, then without that of a replicate.
+    same = build(plan_of(), path)
+    assert [c.digest for c in same.replicates] == [c.digest for c in replicates]
+    assert same.calibration == Library.load(path).calibration == known
+    larger = build(plan_of([*ANGLES, 45.0]), path)
+    assert [c.digest for c in larger.replicates] == [c.digest for c in replicates]
+    assert larger.calibration == {}
+    smaller = build(plan_of([ANGLES[1], *ANGLES[2:]]), path)
+    assert [c.digest for c in smaller.replicates] == [replicates[1].digest]
+    assert calls == [*ANGLES, 45.0]
+
+
+def test_two_builds_of_one_file_do_not_meddle_with_each_other(tmp_path: Path) -> None:
+    path = tmp_path / "mine.nc"
+    with held(cases_folder(path)):
+        finished = cases_folder(path) / "of the other build"
+        finished.touch()
+        with pytest.raises(InputError, match=r"mine\.nc\.cases: another build is at work here"):
+            build(plan_of(), path)
+        assert finished.exists()
+        assert not path.exists()
+    assert len(build(plan_of(), path).cases) == len(ANGLES)
 
 
 def test_another_version_of_the_model_is_computed_again(

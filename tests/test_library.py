@@ -48,6 +48,12 @@ def test_cases_are_all_combinations_the_first_key_slowest() -> None:
     assert found == [(leg, phi) for leg in ("straight", "c") for phi in (25.0, 30.0, 35.0)]
     assert all(case.model == "rft" and case.rft.panels == 10 for case in plan.cases())
     assert describe(plan, plan.cases()[1]) == "leg.shape = straight, soil.friction_angle_deg = 30.0"
+    twice = plan.model_copy(update={"sweep": {PHI: [30.0, 40.0, 30.0]}, "vary_seed": True})
+    assert [describe(twice, case) for case in twice.cases()] == [
+        f"{PHI} = 30.0, numerics.seed = 0",
+        f"{PHI} = 40.0, numerics.seed = 1",
+        f"{PHI} = 30.0, numerics.seed = 2",
+    ]
 
 
 def test_seeds_vary_if_asked_to() -> None:

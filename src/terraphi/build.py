@@ -8,11 +8,15 @@ that broke down.
 
 from __future__ import annotations
 
+import fcntl
 import json
 import logging
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -24,7 +28,7 @@ from terraphi.files import replacing
 from terraphi.forward import Checkpoint, model_version, simulate, software
 from terraphi.forward.watch import EVERY
 from terraphi.history import ForceHistory
-from terraphi.library import Case, Library
+from terraphi.library import Case, Library, unseeded
 from terraphi.plan import Plan, describe
 from terraphi.scenario import Scenario
 from terraphi.workers import heartbeat
@@ -106,7 +110,8 @@ def build(
         What to simulate.
     path
         The library's file; cases of the same scenario and model version that it, or an
-        interrupted build of it, already holds are taken from there.
+        interrupted build of it, already holds are taken from there, and so are its replicates of
+        cases of the plan. Its calibration stays if the cases are the same.
     executor
         Runs the cases, such as that of a :class:`~terraphi.workers.WorkerPool` or a
         :class:`~terraphi.cluster.Cluster`; ``None`` runs them here, one after another.
@@ -123,30 +128,79 @@ def build(
     Raises
     ------
     InputError
-        If the file cannot be written, a worker was killed, or no case at all succeeded.
+        If the file cannot be written, another build of it is under way, a worker was killed, or no
+        case at all succeeded.
     """
     path = Path(path)
+    # A file that is not a library of ours is not for us to overwrite.
+    before = Library.load(path) if path.exists() else None
     folder = cases_folder(path)
-    wanted = plan.cases()
-    finished, failures = simulate_cases(
-        plan,
-        folder,
-        known=_from_library(path),
-        executor=executor,
-        progress=progress,
-        checkpoint_every=checkpoint_every,
-    )
-    if not finished:
-        reason = next(iter(failures.values()))
-        raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
-    cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in wanted]
-    library = Library(plan, tuple(cases), software(plan.scenario))
-    library.save(path)
-    for file in set(folder.iterdir()) if folder.is_dir() else ():
-        if file.stem not in failures:
-            file.unlink()
+    with held(folder):
+        finished, failures = simulate_cases(
+            plan,
+            folder,
+            known=_usable(before.cases) if before else {},
+            executor=executor,
+            progress=progress,
+            checkpoint_every=checkpoint_every,
+        )
+        if not finished:
+            reason = next(iter(failures.values()))
+            raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
+        cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in plan.cases()]
+        library = Library(plan, tuple(cases), software(plan.scenario))
+        if before is not None:
+            library = _with_what_was_learnt(library, before)
+        library.save(path)
+        for file in set(folder.iterdir()) if folder.is_dir() else ():
+            if file.stem not in failures:
+                file.unlink(missing_ok=True)
     kept_cases(path)
     return library
+
+
+def _with_what_was_learnt(library: Library, before: Library) -> Library:
+    """The library with the replicates and the calibration of the one that it takes the place of."""
+    cases = {c.scenario.hash for c in library.cases}
+    kinds = {unseeded(c.scenario) for c in library.cases}
+    usable = _usable(before.replicates)
+    kept = tuple(
+        c
+        for c in before.replicates
+        if c.scenario.hash in usable
+        and c.scenario.hash not in cases
+        and unseeded(c.scenario) in kinds
+    )
+    same = [c.digest for c in library.cases] == [c.digest for c in before.cases]
+    whole = len(kept) == len(before.replicates)
+    calibration = before.calibration if same and whole else {}
+    return replace(library, replicates=kept, calibration=calibration)
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Keep other builds out of a folder of cases; a build that is killed lets go of it.
+
+    Raises
+    ------
+    InputError
+        If another holds it, or it cannot be made.
+    """
+    made_folder(folder)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(handle)
+        raise InputError(
+            f"{folder}: another build is at work here; wait for it, or stop it and run this again"
+        ) from error
+    except OSError as error:  # a file system without locks
+        log.info("%s cannot be locked (%s); let no other build use it", folder, error)
+    try:
+        yield
+    finally:
+        os.close(handle)
 
 
 def simulate_cases(
@@ -316,17 +370,8 @@ def _keep_failure(folder: Path, scenario: Scenario, reason: str) -> None:
         temporary.write_text(json.dumps(record, indent=1, ensure_ascii=False), encoding="utf-8")
 
 
-def _from_library(path: Path) -> dict[str, ForceHistory]:
-    """Usable histories of a library file, by scenario hash.
-
-    Raises
-    ------
-    InputError
-        If a file stands there that is not a library of ours: it is not for us to overwrite.
-    """
-    if not path.exists():
-        return {}
-    cases = Library.load(path).cases
+def _usable(cases: Iterable[Case]) -> dict[str, ForceHistory]:
+    """Histories of cases that today's model would give, by scenario hash."""
     return {c.scenario.hash: c.history for c in cases if c.history and _is_current(c.history)}
 
 

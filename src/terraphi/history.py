@@ -26,6 +26,7 @@ from terraphi.files import (
     replacing,
     write_netcdf,
 )
+from terraphi.readings import check_readings, is_dense, shares
 
 FloatArray = NDArray[np.float64]
 
@@ -33,15 +34,6 @@ WINDOW_DEG = 85.0
 """Half width of the engaged window of the paper [deg]."""
 OBSERVATION_ANGLES = 40
 """Number M of angles in the paper's observation vector."""
-FEWEST_ANGLES = OBSERVATION_ANGLES
-"""Fewest measured angles within the window that an inversion accepts: from fewer, window means are
-lines between readings, and eighty numbers tell less than they seem to."""
-WIDEST_GAP_DEG = 20.0
-"""Widest gap between measured angles within the window [deg]."""
-DENSE_DEG = 0.5
-"""Widest gap of a record whose window means are those of the whole curve [deg]."""
-READING_DEG = 1.0
-"""Most of the path that one reading is taken to be the mean over [deg]."""
 SCHEMA = 1
 
 _SHOWN = (
@@ -187,11 +179,8 @@ class ForceHistory:
         own = self.between(readings[0], readings[-1])
         if is_dense(readings) or np.array_equal(own.position, readings):
             return own
-        gaps = np.diff(readings)
-        share = np.minimum(np.append(gaps, math.inf), np.append(math.inf, gaps))
-        half = 0.5 * np.minimum(share, math.radians(READING_DEG))
         seen = (readings >= self.position[0]) & (readings <= self.position[-1])
-        force = self.means(readings[seen], half[seen])
+        force = self.means(readings[seen], 0.5 * shares(readings)[seen])
         return replace(self, position=readings[seen], force=force)
 
     def means(self, centre: FloatArray, half_width: float | FloatArray) -> FloatArray:
@@ -253,33 +242,15 @@ class ForceHistory:
         """
         theta_deg = np.linspace(-window_deg, window_deg, angles)
         half_deg = window_deg / (angles - 1)
-        self._check_window(window_deg, half_deg)
+        self._check_window(window_deg, half_deg, angles)
         force = self.means(np.radians(theta_deg), math.radians(half_deg))
         fx, fz = force[:, self.axes.index("x")], force[:, self.axes.index("z")]
         return Observation(theta_deg, fx, fz)
 
-    def _check_window(self, window_deg: float, slack_deg: float) -> None:
-        theta = self.theta_deg
+    def _check_window(self, window_deg: float, slack_deg: float, fewest: int) -> None:
         file = f"{self.provenance['file']}: " if "file" in self.provenance else ""
-        # Angles a record's step short of the window's end still leave half a mean to take.
-        if max(theta[0] + window_deg, window_deg - theta[-1]) > 0.999 * slack_deg:
-            raise InputError(
-                f"{file}theta covers {theta[0]:.1f} to {theta[-1]:.1f} deg, but the whole window "
-                f"-{window_deg:g} to {window_deg:g} deg is needed"
-            )
-        inside = np.abs(theta) <= window_deg
-        if inside.sum() < FEWEST_ANGLES:
-            raise InputError(
-                f"{file}only {inside.sum()} angles lie within |theta| <= {window_deg:g} deg, "
-                f"at least {FEWEST_ANGLES} are needed, one for each window mean"
-            )
-        gaps = np.diff(np.clip(theta, -window_deg, window_deg))
-        if gaps.max() > WIDEST_GAP_DEG:
-            at = int(gaps.argmax())
-            raise InputError(
-                f"{file}no angle between {theta[at]:.1f} and {theta[at + 1]:.1f} deg; gaps of up "
-                f"to {WIDEST_GAP_DEG:g} deg are accepted"
-            )
+        ends = {"window_deg": window_deg, "slack_deg": slack_deg}
+        inside = check_readings(self.theta_deg, **ends, fewest=fewest, file=file)
         for axis, name in zip(self.force.T, self.axes, strict=True):
             if not np.any(axis[inside]):
                 raise InputError(
@@ -416,12 +387,6 @@ class ForceHistory:
             raise InputError(
                 f"{path}: not as terraphi writes a force history ({error}); make it again"
             ) from error
-
-
-def is_dense(readings: FloatArray) -> bool:
-    """Whether window means of a record read at these angles [rad] are those of the whole curve."""
-    # Degrees turned to radians and back may be off by a rounding error.
-    return bool(np.degrees(np.diff(readings).max()) <= DENSE_DEG + 1e-9)
 
 
 def _primitive(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -104,8 +104,7 @@ class Library:
     @property
     def hash(self) -> str:
         """SHA-256 of the hashes of all cases, hexadecimal."""
-        joined = "".join(case.scenario.hash for case in self.cases)
-        return hashlib.sha256(joined.encode()).hexdigest()
+        return hash_of(self.cases)
 
     @property
     def legs(self) -> list[str]:
@@ -353,6 +352,16 @@ class Library:
         )
         own = len(cases) - replicates_in(data)
         return cls(plan, tuple(cases[:own]), provenance, calibration, tuple(cases[own:]))
+
+
+def hash_of(cases: Sequence[Case]) -> str:
+    """SHA-256 of the hashes of some cases, hexadecimal."""
+    return hashlib.sha256("".join(case.scenario.hash for case in cases).encode()).hexdigest()
+
+
+def unseeded(scenario: Scenario) -> str:
+    """Hash of a scenario but for its particle seed."""
+    return scenario.replace(**{"numerics.seed": 0}).hash
 
 
 def replicates_in(data: Any) -> int:

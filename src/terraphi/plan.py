@@ -266,7 +266,10 @@ def describe(plan: Plan, scenario: Scenario) -> str:
     if not plan.combined_keys:
         found = (label(v) for v in plan.variants() if v.scenario.hash == scenario.hash)
         return next(found, scenario.name or scenario.hash[:12])  # a preset may have changed since
-    return ", ".join(f"{key} = {value_of(scenario, key)}" for key in plan.combined_keys)
+    keys = list(plan.combined_keys)
+    if any(value in values[:i] for values in plan.sweep.values() for i, value in enumerate(values)):
+        keys.append("numerics.seed")  # the same case more than once
+    return ", ".join(f"{key} = {value_of(scenario, key)}" for key in keys)
 
 
 def value_of(scenario: Scenario, key: str) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from terraphi.inference.library import prepare
 from terraphi.library import Case, Library
 
 NAME = "k4-plane-strain"
-EVERYWHERE = (-math.inf, math.inf)
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +89,14 @@ def test_a_calibration_is_used_with_the_replicates_that_it_was_learnt_from(
         learnt.predict([29.0, 41.0]), rel=1e-4, abs=1e-4
     )
     assert sorted(np.square(read.root_repeats).round().tolist())[-3:] == [4.0, 4.0, 4.0]
+
+
+def test_more_replicates_come_in_addition(alone: Library, seeds: Library) -> None:
+    few, rest = replace(seeds, cases=seeds.cases[:4]), replace(seeds, cases=seeds.cases[4:])
+    both = with_replicates(with_replicates(alone, few), rest)
+    assert {c.digest for c in both.replicates} == {c.digest for c in seeds.cases}
+    # Given twice, they are still there once.
+    assert len(with_replicates(both, seeds).replicates) == len(seeds.cases)
 
 
 def test_calibrated_again_a_library_keeps_its_replicates_and_says_whose_they_are() -> None:

@@ -76,8 +76,9 @@ def test_predicted_legs_are_compared_at_the_measured_density(plan, finished) -> 
         "mud": {leg: measured(plan, leg, 30.0, 0.30, DENSITY) for leg in prediction.LEGS},
     }
     fits = {"mud": prediction.Calibration(30.0, 0.30, False, {"Fx": 0.0, "Fz": 0.0})}
-    legs = prediction.legs_plan(plan, fits)
+    legs = prediction.legs_plan(plan, prediction.foretold(plan, media, fits))
     done = {v.scenario.hash: history(v.scenario) for v in legs.variants()[1:]}
+    assert len(done) == 3
     study = prediction.study_of(plan, media, fits, done)
     assert study.data["missing"] == []
     for leg in prediction.LEGS:
@@ -89,6 +90,31 @@ def test_predicted_legs_are_compared_at_the_measured_density(plan, finished) -> 
     study = prediction.study_of(plan, media, wrong, done)
     assert study.data["missing"] == ["mud/straight", "mud/c", "mud/reversed_c"]
     assert "mud/c" in study.notes[-1]
+
+
+def test_sands_that_come_to_one_pair_share_a_simulation(plan) -> None:
+    corner = prediction.Calibration(50.0, 0.55, True, {"Fx": 0.0, "Fz": 0.0})
+    other = prediction.Calibration(35.0, 0.36, False, {"Fx": 0.0, "Fz": 0.0})
+    straight = measured(plan, "straight", 35.0, 0.35, DENSITY)
+    c = measured(plan, "c", 35.0, 0.35, DENSITY)
+    media = {"a": {"straight": straight, "c": c}, "b": {"straight": straight}, "d": {"c": c}}
+    fits = {"a": corner, "b": corner, "d": other}
+    wanted = prediction.foretold(plan, media, fits)
+    assert set(wanted) == {("a", "straight"), ("a", "c"), ("b", "straight"), ("d", "c")}
+    cases = prediction.legs_plan(plan, wanted).variants()
+    assert {v.scenario.hash for v in cases} == {
+        plan.scenario.hash,
+        *(scenario.hash for scenario in wanted.values()),
+    }
+
+
+def test_a_sand_that_comes_to_the_base_of_the_plan_needs_no_simulation(plan) -> None:
+    # It is one of the straight legs that the fit itself rests on.
+    base = prediction.Calibration(35.0, 0.35, False, {"Fx": 0.0, "Fz": 0.0})
+    media = {"b": {"straight": measured(plan, "straight", 35.0, 0.35, DENSITY)}}
+    (own,) = prediction.foretold(plan, media, {"b": base}).values()
+    assert own.hash == plan.scenario.hash
+    assert own.hash in {s.hash for s in plan.cases()}
 
 
 def test_rows_that_are_better_are_counted() -> None:

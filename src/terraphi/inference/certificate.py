@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from terraphi.errors import InputError
 from terraphi.inference.coverage import calibrate
 from terraphi.inference.library import PreparedLeg, learn
-from terraphi.library import Library
-from terraphi.scenario import Scenario
+from terraphi.library import Library, hash_of, unseeded
 
 FloatArray = NDArray[np.float64]
 
@@ -37,8 +36,8 @@ def certified(
     library
         Simulations over the friction angle.
     replicates
-        Some of them again, under other particle seeds; ``None`` takes those that the library
-        carries, and learns the scatter from the curves alone if there are none.
+        Some of them again, under other particle seeds, in addition to those that the library
+        carries; without any the scatter is learnt from the curves alone.
     worlds, seed
         Number of replicates of the check, and their seed.
     progress
@@ -62,7 +61,12 @@ def certified(
     origin = {key: known.get(key) for key in ("replicates", "replicates_hash")}
     if replicates is not None:
         library = with_replicates(library, replicates)
-        origin = {"replicates": replicates.name, "replicates_hash": replicates.hash}
+        more = len(library.replicates) > len(replicates.cases)
+        named = [origin["replicates"]] if more and origin["replicates"] else []
+        origin = {
+            "replicates": ", ".join(dict.fromkeys([*named, replicates.name])),
+            "replicates_hash": hash_of(library.replicates),
+        }
     for leg in library.legs:
         curves = library.curves(leg)
         surrogate = learn(curves, library.repeated(leg))
@@ -89,7 +93,7 @@ def certified(
 
 
 def with_replicates(library: Library, replicates: Library) -> Library:
-    """The library with some of its cases again, under other particle seeds.
+    """The library with more of its cases again, under other particle seeds.
 
     Parameters
     ----------
@@ -102,7 +106,7 @@ def with_replicates(library: Library, replicates: Library) -> Library:
         If a replicate is not a case of the library but for its seed, or has its very seed.
     """
     known = {c.scenario.hash for c in library.cases}
-    own = {_unseeded(c.scenario) for c in library.cases if c.history}
+    own = {unseeded(c.scenario) for c in library.cases if c.history}
     for case in replicates.cases:
         if case.scenario.hash in known:
             raise InputError(
@@ -111,15 +115,11 @@ def with_replicates(library: Library, replicates: Library) -> Library:
                 f"{case.scenario.soil.friction_angle_deg:g} deg: that tells nothing of the scatter"
             )
         known.add(case.scenario.hash)
-        if _unseeded(case.scenario) not in own:
+        if unseeded(case.scenario) not in own:
             raise InputError(
                 f"'{replicates.name}' is not of replicates of library '{library.name}': its case "
                 f"at {case.scenario.soil.friction_angle_deg:g} deg, leg "
                 f"{case.scenario.leg.shape}, is no case of the library under another seed"
             )
-    return replace(library, replicates=tuple(c for c in replicates.cases if c.history))
-
-
-def _unseeded(scenario: Scenario) -> str:
-    """Hash of a scenario but for its seed."""
-    return scenario.replace(**{"numerics.seed": 0}).hash
+    added = {c.scenario.hash: c for c in (*library.replicates, *replicates.cases) if c.history}
+    return replace(library, replicates=tuple(added.values()))

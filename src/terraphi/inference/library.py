@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from terraphi.errors import InputError
-from terraphi.history import WINDOW_DEG, is_dense
+from terraphi.history import WINDOW_DEG
 from terraphi.joint_surrogate import JointKernel, JointSurrogate
 from terraphi.library import Curves, Library
+from terraphi.readings import is_dense
 from terraphi.scatter import Scatter, estimate
 
 FloatArray = NDArray[np.float64]

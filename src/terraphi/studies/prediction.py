@@ -118,16 +118,21 @@ def run(
     forces = Interpolated(plan, finished)
     media = sands()
     fits = {medium: calibrate(legs[CALIBRATED_ON], forces) for medium, legs in media.items()}
-    legs = legs_plan(plan, fits)
-    if build is not None and missing_from(legs, finished):
+    wanted = foretold(plan, media, fits)
+    lacking = {place: s for place, s in wanted.items() if s.hash not in finished}
+    if build is not None and lacking:
+        legs = legs_plan(plan, lacking)
         finished |= simulate_missing(legs, build, workers, cluster, progress)
     return study_of(plan, media, fits, finished)
 
 
 def sands() -> dict[str, dict[str, Measurement]]:
-    """The shipped measurements, by medium and leg."""
-    media = dict.fromkeys(name.partition(":")[2].partition("/")[0] for name in names())
-    return {m: {leg: measurement(f"li2013:{m}/{leg}") for leg in LEGS} for m in media}
+    """The shipped measurements by medium and leg, of the media whose straight leg was measured."""
+    found: dict[str, dict[str, Measurement]] = {}
+    for name in names():
+        one = measurement(name)
+        found.setdefault(name.partition(":")[2].partition("/")[0], {})[one.leg] = one
+    return {m: legs for m, legs in found.items() if CALIBRATED_ON in legs}
 
 
 class Interpolated:
@@ -218,16 +223,36 @@ def calibrate(measured: Measurement, forces: Interpolated) -> Calibration:
     return Calibration(phi, mu, bool(near.any()), {"Fx": fx, "Fz": fz})
 
 
-def legs_plan(plan: Plan, fits: Mapping[str, Calibration]) -> Plan:
-    """The legs to simulate with each sand's pair, the straight one as a check of the fit."""
-    steps = [
-        Step(
-            name=f"{medium}/{leg}",
-            after="base",
-            changes={SHAPE: leg, PHI: fit.phi_deg, FRICTION: fit.friction},
+def foretold(
+    plan: Plan,
+    media: Mapping[str, Mapping[str, Measurement]],
+    fits: Mapping[str, Calibration],
+) -> dict[tuple[str, str], Scenario]:
+    """Each measured leg with its sand's pair, the straight one as a check of the fit."""
+    return {
+        (medium, leg): plan.scenario.replace(
+            **{SHAPE: leg, PHI: fit.phi_deg, FRICTION: fit.friction}
         )
         for medium, fit in fits.items()
         for leg in LEGS
+        if leg in media[medium]
+    }
+
+
+def legs_plan(plan: Plan, wanted: Mapping[tuple[str, str], Scenario]) -> Plan:
+    """What is wanted as a plan, once where two sands came to the same pair."""
+    distinct = {s.hash: (f"{medium}/{leg}", s) for (medium, leg), s in wanted.items()}
+    steps = [
+        Step(
+            name=name,
+            after="base",
+            changes={
+                SHAPE: s.leg.shape,
+                PHI: s.soil.friction_angle_deg,
+                FRICTION: s.leg.friction,
+            },
+        )
+        for name, s in distinct.values()
     ]
     return Plan(name=NAME, scenario=plan.scenario, steps=steps)
 
@@ -258,13 +283,12 @@ def study_of(
     curves: dict[str, dict[str, list[Curve]]] = {}
     missing = []
     others = _others()
-    for variant in legs_plan(plan, fits).variants()[1:]:
-        medium, _, leg = variant.key.partition("/")
+    for (medium, leg), scenario in foretold(plan, media, fits).items():
         measured = media[medium][leg]
         row = deviations.setdefault(medium, {}).setdefault(leg, {})
-        history = finished.get(variant.scenario.hash)
+        history = finished.get(scenario.hash)
         if history is None:
-            missing.append(variant.key)
+            missing.append(f"{medium}/{leg}")
         else:
             density = measured.density_kg_m3 or plan.scenario.soil.density
             scaled = _scaled(history, density / plan.scenario.soil.density)

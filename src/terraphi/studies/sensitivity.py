@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from terraphi.build import finished_cases, simulate_cases
+from terraphi.build import finished_cases, held, simulate_cases
 from terraphi.cluster import pool
 from terraphi.documents import shipped_folder
 from terraphi.errors import InputError
@@ -116,7 +116,7 @@ def simulate_missing(
     interrupted: the others are kept. Where failures are kept, one that fails is no error.
     """
     try:
-        with pool(workers, cluster, default=1) as running:
+        with held(folder), pool(workers, cluster, default=1) as running:
             finished, failures = simulate_cases(
                 plan,
                 folder,
