@@ -235,6 +235,17 @@ def test_a_failure_that_is_a_result_is_kept_and_not_tried_again(
     assert building.failed_cases(tmp_path) == {}
 
 
+def test_a_failure_that_is_known_elsewhere_is_not_tried_again(tmp_path: Path, calls: Calls) -> None:
+    plan = plan_of(ANGLES[:2])
+    lost = plan.cases()[0].hash
+    finished, failures = building.simulate_cases(
+        plan, tmp_path / "cases", known_failures={lost: "it broke down there"}
+    )
+    assert failures == {lost: "it broke down there"}
+    assert list(finished) == [plan.cases()[1].hash]
+    assert calls == [ANGLES[1]]
+
+
 def test_a_record_of_a_failure_that_cannot_be_read_is_tried_again(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -234,10 +234,14 @@ def test_six_keys_of_soil_leg_and_setup_make_sound_scenarios() -> None:
 
 
 def test_a_library_of_a_box_is_built_kept_and_extended(tmp_path: Path) -> None:
-    build(sampled(count=2), tmp_path / "box.nc")
+    first = build(sampled(count=2), tmp_path / "box.nc")
+    larger = build(sampled(count=4), tmp_path / "box.nc")
     library = Library.load(tmp_path / "box.nc")
-    assert library.plan == sampled(count=2)
-    assert library.summary()["sample"]["count"] == 2
+    assert library.plan == sampled(count=4)
+    assert library.summary()["sample"]["count"] == 4
+    # The seconds that a simulation took are of that one run.
+    seconds = [[c.history.provenance["seconds"] for c in lib.cases] for lib in (first, larger)]
+    assert seconds[1][:2] == seconds[0]
     with pytest.raises(InputError, match="together, not the friction angle alone"):
         library.curves("straight")
 

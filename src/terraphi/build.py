@@ -212,6 +212,7 @@ def simulate_cases(
     progress: Progress | None = None,
     checkpoint_every: float = EVERY,
     keep_failures: bool = False,
+    known_failures: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[dict[str, ForceHistory], dict[str, str]]:
     """Simulate what a plan asks for and has not been simulated yet, each case to a file of its own.
 
@@ -229,6 +230,8 @@ def simulate_cases(
     keep_failures
         Whether that a case fails is a result too: the reason is then kept in a file beside the
         histories, and the case not tried again.
+    known_failures
+        Why further cases fail, by the hash of their scenario; these are not tried either.
 
     Returns
     -------
@@ -244,7 +247,7 @@ def simulate_cases(
     made_folder(folder)
     there = {**known, **finished_cases(folder)}
     finished = {s.hash: there[s.hash] for s in wanted if s.hash in there}
-    hopeless = failed_cases(folder) if keep_failures else {}
+    hopeless = {**known_failures, **(failed_cases(folder) if keep_failures else {})}
     failures = {s.hash: hopeless[s.hash] for s in wanted if s.hash in hopeless}
     # A worker may stand in another folder, or on another machine with the same files.
     place = folder.absolute()

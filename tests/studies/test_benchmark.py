@@ -35,6 +35,15 @@ def test_published_deviations_of_the_authors_own_theory(leg: str, fz: float, fx:
     assert found["Fx"] == pytest.approx(fx, abs=1.5)
 
 
+def test_forces_are_brought_to_the_density_of_the_sand() -> None:
+    case = benchmark.case_at("quick-paper", "straight")
+    sand = measurement("li2013:poppy_loose/straight")
+    assert sand.density_kg_m3 == 638.0
+    found = benchmark.in_the_sand(case, sand)
+    assert found.Fz == pytest.approx(case.history.Fz * 638.0 / 1650.0)
+    assert benchmark._rft(sand, dimensions=3).soil.density == 638.0
+
+
 def test_a_leg_comes_from_the_library_or_else_from_its_companion(monkeypatch) -> None:
     here, legs = Library.load("quick-paper"), Library.load("quick-plane-strain")
     straight = Library(

@@ -41,6 +41,9 @@ def test_order_counts_pairs_on_the_same_leg_that_have_an_angle_of_repose() -> No
     assert alone.data["off_repose_deg"]["x"] == [-22.0, -22.0]
     said = "x: 1 misfit; the medians, as they act in plane strain, lie -22 to -22° off the angle"
     assert said in alone.notes[0]
+    # Angles of two conventions are not put into one range: those without an equivalent stay out.
+    mixed = measured._study([{**answers[0], "phi_plane_strain_deg": 34.0}, answers[1]])
+    assert mixed.data["off_repose_deg"]["x"] == [-2.0, -2.0]
     assert alone.data["spread_deg"]["x"] == {}
     assert "lie apart" not in alone.notes[0]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,9 +27,9 @@ def test_phi_sensitivity_tells_peaks_over_phi() -> None:
     assert {25.0, 45.0} <= set(phi)
     for force in ("Fz", "Fx"):
         assert len(data[f"peak_{force}_N"]) == len(data[f"theta_peak_{force}_deg"]) == len(phi)
-        rises = all(np.diff(data[f"peak_{force}_N"]) > 0.0)
-        assert data["peaks_increase"][force] is rises
-        assert 0.0 <= data["share_of_angles_monotone"][force] <= 1.0
+        # Nothing but the soil's strength grows from case to case.
+        assert data["peaks_increase"][force] is True
+        assert data["share_of_angles_monotone"][force] > 0.8
     printed = {line["what"]: line["paper"] for line in data["beside_paper"]}
     assert printed["peaks Fz / Fx at 25°"] == "8.6 / 10.2 N"
     assert set(found.figures) == {"forces", "peaks"}
@@ -39,6 +40,14 @@ def test_phi_sensitivity_needs_its_leg() -> None:
     curved = tuple(case for case in library.cases if case.scenario.leg.shape == "c")
     with pytest.raises(InputError, match="has no leg 'straight'"):
         phi_sensitivity.histories_of(replace(library, cases=curved))
+
+
+def test_phi_sensitivity_needs_rotations() -> None:
+    library = Library.load("rft3d")
+    moved = ForceHistory(np.linspace(0.0, 0.1, 9), np.ones((9, 2)), "displacement")
+    cases = tuple(case._replace(history=moved) for case in library.cases)
+    with pytest.raises(InputError, match="is one of translations; this needs rotations"):
+        phi_sensitivity.histories_of(replace(library, cases=cases))
 
 
 def ramp(factor: float, bump: float = 0.0) -> ForceHistory:
@@ -67,6 +76,16 @@ def test_k0_compares_two_libraries_that_differ_in_it_alone() -> None:
     jaky = Library.load("quick-k0-jaky")
     with pytest.raises(InputError, match="differ in more than K0"):
         k0._pair(jaky.cases[0], jaky.cases[1])
+
+
+def test_k0_needs_a_companion_of_every_case(monkeypatch) -> None:
+    jaky, half = (Library.load(f"quick-k0-{end}") for end in ("jaky", "half"))
+    short = replace(half, cases=half.cases[:-1])
+    monkeypatch.setattr(
+        k0, "Library", SimpleNamespace(load=lambda n: jaky if n.endswith("jaky") else short)
+    )
+    with pytest.raises(InputError, match=r"'quick-k0-jaky' has 3 cases and 'quick-k0-half' 2"):
+        k0.run(library="quick-k0")
 
 
 def test_surrogate_predicts_what_it_has_not_seen() -> None:
@@ -117,3 +136,17 @@ def test_moments_are_taken_once_and_kept(tmp_path, monkeypatch) -> None:
             assert np.array_equal(a, b)
     figure = snapshots.snapshots_figure({"straight": (scenario, taken)})
     assert len(figure.axes) == 3
+    # Of another version of the model they are taken anew.
+    monkeypatch.setattr(snapshots, "model_version", lambda _: "later")
+    with pytest.raises(TypeError):
+        snapshots.moments(scenario, (-90.0, -60.0), tmp_path)
+
+
+def test_an_angle_that_the_leg_does_not_come_to_is_told(tmp_path, monkeypatch) -> None:
+    def stops_early(_, *, progress, observe) -> None:
+        observe.kept.append(None)
+
+    monkeypatch.setattr(snapshots, "simulate", stops_early)
+    with pytest.raises(InputError, match="does not come to -30 deg"):
+        snapshots.moments(Scenario.model_validate(COARSE), (-90.0, -30.0), tmp_path)
+    assert not list(tmp_path.iterdir())

@@ -124,3 +124,7 @@ def test_a_reading_that_breaks_down_is_a_result(plans: dict[float, Plan]) -> Non
     row = next(row for row in study.rows if row[0] == "thin")
     assert row[1:5] == ("8.6 N", "10.2 N", "breaks down", "breaks down")
     assert "thin at 45°: the soil flew away." in study.documents["reading.md"]
+    # What is not simulated yet has not broken down.
+    del done[plans[25.0].variants()[1].scenario.hash]
+    row = next(r for r in reading.study_of(plans, done, {at_45: "so"}).rows if r[0] == "thin")
+    assert row[1:5] == ("not yet", "not yet", "breaks down", "breaks down")

@@ -118,7 +118,7 @@ def test_wrong_return_mapping_is_found(monkeypatch) -> None:
     assert abs(wrong.dilatancy) < 0.01
 
 
-def test_weaker_gravity_makes_a_block_slide_slower() -> None:
+def test_a_block_that_rubs_less_slides_further() -> None:
     from terraphi.studies.verification.sliding import slide
 
     (check,) = slide(cells=32, slope_deg=30.0, friction=0.30).checks

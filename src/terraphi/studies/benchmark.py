@@ -19,7 +19,7 @@ from terraphi.errors import InputError
 from terraphi.forward import simulate
 from terraphi.history import WINDOW_DEG, ForceHistory
 from terraphi.library import Library
-from terraphi.measurements import measurement
+from terraphi.measurements import Measurement, measurement
 from terraphi.plots import BLUE, GREEN, ORANGE, Curve, comparison_figure
 from terraphi.scenario import Scenario
 from terraphi.studies import PAPER_LIBRARY, Beside, Study
@@ -71,11 +71,12 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
     peaks: dict[str, dict[str, dict[str, float]]] = {}
     figures, rows = {}, []
     for leg in LEGS:
-        measured = measurement(f"li2013:yuma/{leg}").history
+        sand = measurement(f"li2013:yuma/{leg}")
+        measured = sand.history
         models = {
-            "mpm": case_at(library, leg).history,
-            "rft2d": simulate(_rft(leg, dimensions=2)),
-            "rft3d": simulate(_rft(leg, dimensions=3)),
+            "mpm": in_the_sand(case_at(library, leg), sand),
+            "rft2d": simulate(_rft(sand, dimensions=2)),
+            "rft3d": simulate(_rft(sand, dimensions=3)),
         }
         deviations[leg] = {name: nrmsd_percent(measured, h) for name, h in models.items()}
         everything = {"measured": measured, **models}
@@ -121,17 +122,32 @@ def curves_of(library: str, leg: str) -> list[Curve]:
 
     Raises InputError if the library lacks the leg at 35°.
     """
+    sand = measurement(f"li2013:yuma/{leg}")
     return [
-        Curve("measured, Li et al. 2013", measurement(f"li2013:yuma/{leg}").history, ORANGE, ""),
+        Curve("measured, Li et al. 2013", sand.history, ORANGE, ""),
         Curve(
-            f"our MPM, library {Library.load(library).name}", case_at(library, leg).history, BLUE
+            f"our MPM, library {Library.load(library).name}",
+            in_the_sand(case_at(library, leg), sand),
+            BLUE,
         ),
         # RFT 3-D stays in the table: at 35° it is five times the measured force, and would leave
         # the others no room.
         Curve(
-            f"RFT 2-D, generic, ζ = {YUMA_SCALE:g}", simulate(_rft(leg, dimensions=2)), GREEN, "--"
+            f"RFT 2-D, generic, ζ = {YUMA_SCALE:g}", simulate(_rft(sand, dimensions=2)), GREEN, "--"
         ),
     ]
+
+
+def in_the_sand(case: FinishedCase, sand: Measurement) -> ForceHistory:
+    """Forces of a case at the density of a sand, to which they are proportional."""
+    own = case.scenario.soil.density
+    return case.history.scaled((sand.density_kg_m3 or own) / own)
+
+
+def means_of(history: ForceHistory) -> FloatArray:
+    """Means over 1° [N] at whole degrees within |θ| < 85°, shape [theta, 2]."""
+    theta = np.radians(np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG))
+    return history.means(theta, math.radians(0.5))
 
 
 def nrmsd_percent(measured: ForceHistory, model: ForceHistory) -> dict[str, float]:
@@ -147,8 +163,7 @@ def nrmsd_percent(measured: ForceHistory, model: ForceHistory) -> dict[str, floa
     dict
         ``Fx`` and ``Fz`` [%].
     """
-    theta = np.radians(np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG))
-    data, guess = (h.means(theta, math.radians(0.5)) for h in (measured, model))
+    data, guess = (means_of(history) for history in (measured, model))
     rms = np.sqrt(np.mean((data - guess) ** 2, axis=0))
     fx, fz = (100.0 * rms / np.ptp(data, axis=0)).tolist()
     return {"Fx": fx, "Fz": fz}
@@ -183,14 +198,15 @@ def case_at(library: str, leg: str) -> FinishedCase:
     raise InputError(f"library '{library}' has no case of leg '{leg}' at {PHI_DEG:g} deg")
 
 
-def _rft(leg: str, *, dimensions: int) -> Scenario:
-    """Scenario of resistive force theory for a leg in Yuma sand."""
+def _rft(sand: Measurement, *, dimensions: int) -> Scenario:
+    """Scenario of resistive force theory for the leg that was moved in a sand."""
+    density = {} if sand.density_kg_m3 is None else {"density": sand.density_kg_m3}
     return Scenario.model_validate(
         {
             "model": "rft",
             "dimensions": dimensions,
-            "leg": {"shape": leg},
-            "soil": {"friction_angle_deg": PHI_DEG},
+            "leg": {"shape": sand.leg},
+            "soil": {"friction_angle_deg": PHI_DEG, **density},
             "rft": {"medium": "generic", "scale": YUMA_SCALE},
         }
     )

@@ -8,6 +8,7 @@ they are and made worse; histories that the model must not explain.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -165,7 +166,7 @@ def _study(data: Mapping[str, Any], figure: Figure) -> Study:
     """Table, sentences, page and picture."""
     rows, notes = _rows(data), _notes(data)
     library = str(data["library"])
-    name = "calibration" if library == DEFAULT else f"calibration-{library}"
+    name = "calibration" if library == DEFAULT else f"calibration-{Path(library).stem}"
     return Study(
         title=_title(library),
         header=HEADER,

@@ -195,10 +195,13 @@ def matched(
 def strangers(trained: Library) -> dict[str, dict[str, int]]:
     """Histories that the straight leg of the model must not explain, and how many were believed.
 
-    Of other legs passed off as the straight one, of resistive force theory, and of measured sand.
+    Of other legs passed off as the straight one, of resistive force theory if the model is another,
+    and of measured sand.
     """
     legs = [c.history for c in trained.cases if c.scenario.leg.shape in {"c", "reversed_c"}][::3]
     law = [c for c in Library.load(OTHER_MODEL).cases if c.scenario.leg.shape == "straight"]
+    if trained.cases[0].scenario.model == "rft":
+        law = []
     sand = [m for m in map(measurement, names()) if m.leg == "straight"]
     kinds: dict[str, list[tuple[ForceHistory | None, float | None]]] = {
         "other legs": [(history, None) for history in legs],

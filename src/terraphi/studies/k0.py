@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from terraphi.errors import InputError
-from terraphi.history import WINDOW_DEG, ForceHistory
+from terraphi.history import ForceHistory
 from terraphi.library import Case, Library
 from terraphi.plots import BLUE, ORANGE, Curve, comparison_figure
 from terraphi.studies import Study
+from terraphi.studies.benchmark import means_of
 
 LIBRARIES = "quick-k0"
 """Common beginning of the names of the two shipped libraries."""
@@ -45,6 +46,11 @@ def run(*, library: str = LIBRARIES) -> Study:
         If a library is missing, or they differ in more than K0.
     """
     jaky, half = (Library.load(f"{library}-{name}") for name in ("jaky", "half"))
+    if len(jaky.cases) != len(half.cases):
+        raise InputError(
+            f"'{jaky.name}' has {len(jaky.cases)} cases and '{half.name}' {len(half.cases)}; build "
+            "both libraries from one scenario"
+        )
     pairs = [_pair(one, other) for one, other in zip(jaky.cases, half.cases, strict=True)]
     cases: list[dict[str, Any]] = [
         {
@@ -93,8 +99,7 @@ def relative_change(before: ForceHistory, after: ForceHistory) -> dict[str, floa
     before, after
         Histories that cover |θ| < 85°.
     """
-    theta = np.radians(np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG))
-    old, new = (history.means(theta, math.radians(0.5)) for history in (before, after))
+    old, new = (means_of(history) for history in (before, after))
     fx, fz = (np.abs(new - old).max(axis=0) / np.abs(old).max(axis=0)).tolist()
     return {"Fz": fz, "Fx": fx}
 

@@ -172,13 +172,12 @@ def _order(answers: Sequence[Mapping[str, Any]]) -> dict[str, int]:
 def _off_repose(answers: Sequence[Mapping[str, Any]]) -> list[float]:
     """Least and largest offset of a median from the angle of repose [deg]; empty if none has one.
 
-    Of the equivalent in plane strain, which is what soil mechanics means by φ, where there is one.
+    Of the equivalents in plane strain, which are what soil mechanics means by φ, if there are any.
     """
-    found = [
-        (a["phi_plane_strain_deg"] or a["phi_median_deg"]) - a["angle_of_repose_deg"]
-        for a in answers
-        if a["angle_of_repose_deg"] is not None
-    ]
+    known = [a for a in answers if a["angle_of_repose_deg"] is not None]
+    acting = [a for a in known if a["phi_plane_strain_deg"] is not None]
+    key = "phi_plane_strain_deg" if acting else "phi_median_deg"
+    found = [a[key] - a["angle_of_repose_deg"] for a in acting or known]
     return [min(found), max(found)] if found else []
 
 

@@ -88,7 +88,7 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
 def histories_of(library: Library) -> dict[float, ForceHistory]:
     """Friction angle [deg] to the straight leg's history, in increasing order.
 
-    Raises InputError if there is none.
+    Raises InputError if there is none, or the legs do not rotate.
     """
     found = {
         case.scenario.soil.friction_angle_deg: case.history
@@ -97,6 +97,8 @@ def histories_of(library: Library) -> dict[float, ForceHistory]:
     }
     if not found:
         raise InputError(f"library '{library.name}' has no leg '{LEG}'; it has {library.legs}")
+    if any(history.coordinate != "theta" for history in found.values()):
+        raise InputError(f"library '{library.name}' is one of translations; this needs rotations")
     return {phi: found[phi] for phi in sorted(found)}
 
 

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.errors import InputError
-from terraphi.history import WINDOW_DEG, ForceHistory
+from terraphi.history import ForceHistory
 from terraphi.measurements import Measurement, measurement, names
 from terraphi.plan import Plan, Step
 from terraphi.plots import BLUE, ORANGE, Curve
 from terraphi.scenario import Scenario
 from terraphi.studies import Study, benchmark, page
-from terraphi.studies.benchmark import LEGS, nrmsd_percent
+from terraphi.studies.benchmark import LEGS, FinishedCase, in_the_sand, means_of, nrmsd_percent
 from terraphi.studies.pictures import legs_figure
 from terraphi.studies.sensitivity import finished_for, missing_from, simulate_missing
 
@@ -177,12 +177,6 @@ def _pair(scenario: Scenario) -> tuple[float, float]:
     return scenario.soil.friction_angle_deg, scenario.leg.friction
 
 
-def means_of(history: ForceHistory) -> FloatArray:
-    """Means over 1° [N] at whole degrees within |θ| < 85°, shape [theta, 2]."""
-    theta = np.radians(np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG))
-    return history.means(theta, np.radians(0.5))
-
-
 def calibrate(measured: Measurement, forces: Interpolated) -> Calibration:
     """Fit φ and μ to one measured history.
 
@@ -290,8 +284,7 @@ def study_of(
         if history is None:
             missing.append(f"{medium}/{leg}")
         else:
-            density = measured.density_kg_m3 or plan.scenario.soil.density
-            scaled = _scaled(history, density / plan.scenario.soil.density)
+            scaled = in_the_sand(FinishedCase(scenario, history), measured)
             row[OURS] = nrmsd_percent(measured.history, scaled)
             curves.setdefault(medium, {})[leg] = [
                 Curve("measured, Li et al. 2013", measured.history, ORANGE, ""),
@@ -321,10 +314,6 @@ def study_of(
         },
         notes=notes,
     )
-
-
-def _scaled(history: ForceHistory, factor: float) -> ForceHistory:
-    return ForceHistory(history.position, factor * history.force, history.coordinate, history.axes)
 
 
 def _others() -> dict[str, dict[str, Mapping[str, float]]]:

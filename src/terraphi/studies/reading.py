@@ -91,7 +91,13 @@ def run(
         for plan in plans.values():
             if any(v.scenario.hash not in failed for v, _ in missing_from(plan, finished)):
                 finished |= simulate_missing(
-                    plan, build, workers, cluster, progress, keep_failures=True
+                    plan,
+                    build,
+                    workers,
+                    cluster,
+                    progress,
+                    keep_failures=True,
+                    known_failures=failed,
                 )
         failed = _failed(build)
     return study_of(plans, finished, failed)
@@ -286,8 +292,11 @@ def _broken_rows(
             key = variant.scenario.hash
             if key in failed:
                 broken.add(variant.key)
-            peaks = finished[key].peaks() if key in finished else None
-            shown = [f"{p:.1f} N" for p in (peaks.Fz, peaks.Fx)] if peaks else ["breaks down"] * 2
+            if key in finished:
+                peaks = finished[key].peaks()
+                shown = [f"{peak:.1f} N" for peak in (peaks.Fz, peaks.Fx)]
+            else:
+                shown = ["breaks down" if key in failed else "not yet"] * 2
             cells.setdefault(variant.key, []).extend(shown)
     return [(name, *shown, "", "", "") for name, shown in cells.items() if name in broken]
 

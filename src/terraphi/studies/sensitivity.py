@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from terraphi.build import finished_cases, held, simulate_cases
@@ -108,6 +109,7 @@ def simulate_missing(
     progress: Callable[[float, float], None] | None,
     *,
     keep_failures: bool = False,
+    known_failures: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, ForceHistory]:
     """Simulate what is missing of a shipped plan; all finished cases, as :func:`finished_for`.
 
@@ -124,6 +126,7 @@ def simulate_missing(
                 executor=running.executor,
                 progress=lambda done, total: progress and progress(running.counted(done), total),
                 keep_failures=keep_failures,
+                known_failures=known_failures,
             )
     except KeyboardInterrupt:
         raise InputError(

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.errors import InputError
 from terraphi.files import folder as made_folder
 from terraphi.files import replacing
-from terraphi.forward import Snapshot, simulate
+from terraphi.forward import Snapshot, model_version, simulate
 from terraphi.leg import frame_axes
 from terraphi.plots import GREY
 from terraphi.scenario import Scenario
@@ -94,10 +95,10 @@ def moments(
     Raises
     ------
     InputError
-        If the folder cannot be made or written.
+        If the folder cannot be made or written, or the leg does not come to an angle.
     """
     file = made_folder(place) / f"{scenario.hash}.npz"
-    key = ",".join(f"{angle:g}" for angle in theta_deg)
+    key = ",".join(f"{angle:g}" for angle in theta_deg) + f" {model_version(scenario)}"
     if file.is_file():
         with np.load(file) as kept:
             if str(kept["theta_deg"]) == key:
@@ -107,6 +108,11 @@ def moments(
                 ]
     observer = Moments(theta_deg)
     simulate(scenario, progress=progress, observe=observer)
+    if len(observer.kept) < len(theta_deg):
+        raise InputError(
+            f"the leg does not come to {theta_deg[len(observer.kept)]:g} deg; ask for angles that "
+            "its motion passes"
+        )
     arrays = {
         f"{i}_{name}": np.asarray(value)
         for i, moment in enumerate(observer.kept)

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -30,14 +29,13 @@ from terraphi.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 from terraphi.scenario import Scenario
 from terraphi.studies.verification.check import Check, Family, Outcome, Task
 from terraphi.studies.verification.driver import rig_of
+from terraphi.studies.verification.limit_values import passive_pressure
 from terraphi.studies.verification.plate_scenario import CELLS, DEPTH, SIDE, plate_scenario
 from terraphi.workers import heartbeat
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SLIP_LINES = {(25.0, 0.35): 3.712, (35.0, 0.35): 6.502}
-"""Exact horizontal K_p by slip lines at δ = atan 0.35 = 19.29°, by φ [deg] and μ."""
 WINDOW = (5e-4, 1.5e-3)
 """Displacements over which the force is averaged [m]: some periods of the waves that the sudden
 start sends through the bed, and so early that the soil that the toe takes in adds 2 %."""
@@ -49,29 +47,6 @@ TOLERANCE = 0.05
 SWING = 0.25
 """Scatter of forces over 1 % of the path above which their mean says little [-]."""
 GRIDS = (128, 192, 256)
-
-
-def exact_pressure(phi_deg: float, friction: float) -> float:
-    """Exact K_p: Rankine's on a smooth plate, that of slip lines on a rough one.
-
-    Parameters
-    ----------
-    phi_deg, friction
-        φ [deg] and μ of the plate.
-
-    Returns
-    -------
-    float
-        Horizontal force over ρ g h²/2 [-].
-
-    Raises
-    ------
-    KeyError
-        If the plate is rough and no slip lines are tabulated for it.
-    """
-    if friction == 0.0:
-        return math.tan(math.pi / 4 + math.radians(phi_deg) / 2) ** 2
-    return SLIP_LINES[phi_deg, friction]
 
 
 def push(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
@@ -131,7 +106,7 @@ def push_plate(
         phi_deg, friction, cells,
         beneath=beneath, floor=floor, dilatation=dilatation, path=window[1],
     )  # fmt: skip
-    exact = exact_pressure(phi_deg, friction)
+    exact = passive_pressure(phi_deg, friction)
     place, pressure = _pressure(scenario)
     under = f"{floor} floor at the toe"
     if beneath:
@@ -176,7 +151,7 @@ def compare_speeds(phi_deg: float = 35.0, speed_up: float = 10.0) -> Outcome:
     -------
     Outcome
     """
-    exact, found = exact_pressure(phi_deg, 0.0), []
+    exact, found = passive_pressure(phi_deg, 0.0), []
     for factor in (1.0, speed_up):
         scenario = plate_scenario(phi_deg, 0.0, speed_up=factor, path=FAR[1])
         place, pressure = _pressure(scenario)
