@@ -85,8 +85,9 @@ def inversions_figure(inversions: Sequence[Inversion]) -> Figure:
         _draw_forces(row[1], inversion, "Fz")
         _draw_posterior(row[2], inversion)
     # One legend outside the axes: inside, it would hide data in one panel or another.
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    parts = [panel.get_legend_handles_labels() for panel in (axes[0, 0], axes[0, 2])]
+    handles, labels = ([*one, *other] for one, other in zip(*parts, strict=True))
+    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
     return figure
 
 
@@ -104,7 +105,8 @@ def _draw_forces(axes: Axes, inversion: Inversion, component: str) -> None:
         seen.theta_deg, data, "o", ms=3.5, color=ORANGE, mec="black", mew=0.4, label="measured"
     )
     finish_force_axes(axes, component)
-    axes.set_title(f"{inversion.source}: deviation {inversion.nrmsd[component]:.1%}", fontsize=10)
+    deviation = 100.0 * inversion.nrmsd[component]
+    axes.set_title(f"{inversion.source}: NRMSD {deviation:.1f} %", fontsize=10)
 
 
 def finish_force_axes(axes: Axes, component: str) -> None:
@@ -122,12 +124,13 @@ def _draw_posterior(axes: Axes, inversion: Inversion) -> None:
         axes.plot(posterior.phi_deg, posterior.density, color=BLUE)
         inside = (posterior.phi_deg >= phi.ci68[0]) & (posterior.phi_deg <= phi.ci68[1])
         axes.fill_between(
-            posterior.phi_deg[inside], posterior.density[inside], color=BLUE, alpha=0.25, lw=0
-        )
+            posterior.phi_deg[inside], posterior.density[inside], color=GREEN, alpha=0.25, lw=0,
+            label="68 % interval",
+        )  # fmt: skip
     else:
         axes.hist(posterior.phi_deg, bins=80, density=True, color=BLUE, alpha=0.5)
-        axes.axvspan(*phi.ci68, color=BLUE, alpha=0.15, lw=0)
-    axes.axvline(phi.median, color=BLUE, lw=1.0, ls="--")
+        axes.axvspan(*phi.ci68, color=GREEN, alpha=0.15, lw=0, label="68 % interval")
+    axes.axvline(phi.median, color=BLUE, lw=1.0, ls="--", label="median")
     low, high = posterior.bounds_deg
     width = phi.ci95[1] - phi.ci95[0]
     left, right = max(low, phi.ci95[0] - width), min(high, phi.ci95[1] + width)
@@ -136,7 +139,10 @@ def _draw_posterior(axes: Axes, inversion: Inversion) -> None:
     for edge in (low, high):
         # Beyond the library's edge there is no posterior: say so instead of drawing a cliff.
         outside = (edge - 90.0, edge) if edge == low else (edge, edge + 90.0)
-        axes.axvspan(*outside, facecolor="none", edgecolor=GREY, alpha=0.5, hatch="///", lw=0)
+        label = "outside the library" if edge == low else None
+        axes.axvspan(
+            *outside, facecolor="none", edgecolor=GREY, alpha=0.5, hatch="///", lw=0, label=label
+        )
     axes.set_ylim(bottom=0.0)
     axes.set_yticks([])
     axes.set_ylabel("posterior density")
@@ -341,6 +347,8 @@ def readings_figure(
 ) -> Figure:
     """Peak thrust over peak lift of each reading, from one friction angle to the other.
 
+    Readings that cannot be told apart in print share a line and its place in the legend.
+
     Parameters
     ----------
     readings
@@ -359,13 +367,18 @@ def readings_figure(
     looks = itertools.cycle(
         itertools.product(("o-", "s--", "^:"), (BLUE, ORANGE, GREEN, PURPLE, GREY))
     )
-    lines: list[tuple[Any, ...]] = [("the paper", paper, "*-", "black", 2.5)]
+    shared: list[tuple[list[str], FloatArray]] = []
     for reading in readings:
-        style, colour = next(looks)
-        lines.append((reading["reading"], reading["peaks_N"], style, colour, 1.2))
-    for name, peaks, style, colour, width in lines:
-        values = np.array([[p["Fz"], p["Fx"]] for p in peaks.values()])
-        axes.plot(*values.T, style, color=colour, lw=width, ms=6, label=name)
+        ends = _ends(reading["peaks_N"])
+        twins = (names for names, other in shared if np.abs(ends - other).max() < ONE_MARK_N)
+        names = next(twins, None)
+        if names is None:
+            shared.append(([reading["reading"]], ends))
+        else:
+            names.append(reading["reading"])
+    axes.plot(*_ends(paper).T, "*-", color="black", lw=2.5, ms=6, label="the paper")
+    for (names, ends), (style, colour) in zip(shared, looks, strict=False):
+        axes.plot(*ends.T, style, color=colour, lw=1.2, ms=6, label=",\n".join(names))
     low, high = (f"{phi:g}°" for phi in paper)
     axes.set_xlabel("peak $F_z$ [N]")
     axes.set_ylabel("peak $F_x$ [N]")
@@ -373,3 +386,12 @@ def readings_figure(
     axes.grid(lw=0.4)
     axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
+
+
+ONE_MARK_N = 0.1
+"""Distance of peaks below which marks in print hide each other [N]."""
+
+
+def _ends(peaks: Mapping[float, Mapping[str, float]]) -> FloatArray:
+    """Peaks F_z and F_x [N], shape [friction angle, 2]."""
+    return np.array([[p["Fz"], p["Fx"]] for p in peaks.values()])
