@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 import terraphi
+from terraphi import studies
 from terraphi.errors import InputError
 from terraphi.library import Library
 from terraphi.measurements import measurement, names
@@ -34,18 +36,19 @@ def test_order_counts_pairs_on_the_same_leg_that_have_an_angle_of_repose() -> No
     assert study.data["order"]["x"] == {"right": 1, "of": 2}
     assert study.data["spread_deg"]["x"] == {"steep": 10.0, "flat": 1.0}
     assert study.data["verdicts"]["x"] == {"misfit": 5}
-    assert "1 of 2 pairs" in study.notes[0]
+    assert study.notes[0] == "Angle of repose: steep 36°, flat 30°."
+    assert "1 of 2 pairs of media on one leg" in study.notes[1]
     assert study.data["off_repose_deg"]["x"] == [-16.0, -5.0]
-    assert "the medians lie -16 to -5° off" in study.notes[0]
+    assert "the medians lie -16 to -5° off" in study.notes[1]
     alone = measured._study([{**answers[0], "phi_plane_strain_deg": 14.0}])
     assert alone.data["off_repose_deg"]["x"] == [-22.0, -22.0]
     said = "x: 1 misfit; the medians, as they act in plane strain, lie -22 to -22° off the angle"
-    assert said in alone.notes[0]
+    assert said in alone.notes[1]
     # Angles of two conventions are not put into one range: those without an equivalent stay out.
     mixed = measured._study([{**answers[0], "phi_plane_strain_deg": 34.0}, answers[1]])
     assert mixed.data["off_repose_deg"]["x"] == [-2.0, -2.0]
     assert alone.data["spread_deg"]["x"] == {}
-    assert "lie apart" not in alone.notes[0]
+    assert "lie apart" not in alone.notes[1]
 
 
 def test_every_measured_history_is_answered_as_invert_answers_it() -> None:
@@ -66,3 +69,10 @@ def test_a_library_without_the_measured_legs(monkeypatch) -> None:
     monkeypatch.setattr(measured, "names", lambda: ())
     with pytest.raises(InputError, match="has none of the measured legs"):
         measured.run(library="rft3d")
+
+
+@pytest.mark.slow
+def test_the_page_in_the_documentation_is_of_what_is_shipped() -> None:
+    # `terraphi study measured --out FOLDER` writes the page and its figure; copy both.
+    page = Path(__file__).parents[2] / "docs" / "measured.md"
+    assert page.read_text(encoding="utf-8") == studies.run("measured").documents[page.name]

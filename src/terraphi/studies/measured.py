@@ -128,7 +128,13 @@ def _study(answers: Sequence[Mapping[str, Any]]) -> Study:
     order = {name: _order(some) for name, some in of.items()}
     off = {name: _off_repose(some) for name, some in of.items()}
     rows = [_row(answer) for answer in answers]
-    notes = [
+    repose = {
+        a["medium"]: f"{a['medium']} {a['angle_of_repose_deg']:g}°"
+        for a in answers
+        if a["angle_of_repose_deg"] is not None
+    }
+    told_repose = [f"Angle of repose: {', '.join(repose.values())}."] if repose else []
+    notes = told_repose + [
         f"{name}: {_note(some, told[name], spread[name], order[name], off[name])}."
         for name, some in of.items()
     ]
@@ -209,8 +215,8 @@ def _note(
         said += f"; medians of the legs lie apart by [deg] {apart}"
     if order["of"]:
         said += (
-            f"; {order['right']} of {order['of']} pairs of media come out in the order of their "
-            "angles of repose"
+            f"; {order['right']} of {order['of']} pairs of media on one leg come out in the order "
+            "of their angles of repose"
         )
     if off:
         converted = answers[0]["yield"] != "plane_strain" and any(
