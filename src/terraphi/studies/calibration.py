@@ -53,8 +53,8 @@ PICTURE = (
 DEFAULT = "quick-plane-strain"
 ORIGIN = (
     "Written by `terraphi study calibration{option} --out DIR`; what the rows mean stands in "
-    "[inference.md](inference.md). How many are inside an interval is told in percent of worlds and "
-    "of matched histories, and counted of truths."
+    "[inference.md](inference.md). How many are inside an interval is told in percent of worlds "
+    "and of matched histories, and counted of truths."
 )
 CERTIFICATE = ("library, leg", "replicates", "in 68 %", "in 95 %", "p", "p of other seeds",
                "68 % half-width")  # fmt: skip
