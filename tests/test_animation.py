@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from terraphi import forward
-from terraphi.animation import Scene, animate, check_animation
+from terraphi.animation import Scene, _tick, animate, check_animation
 from terraphi.errors import InputError
 from terraphi.forward.mpm.fields import FieldSeries
 from terraphi.history import ForceHistory
@@ -217,6 +217,23 @@ def test_an_mp4_is_left_to_ffmpeg(made: Made, tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     animate(tmp_path / "a.mp4", made.history, made.scenario, made.series)
     assert (tmp_path / "a.mp4").read_text() == "7.0 frames at 12"
+    # Moments that are twice as far apart are shown twice as long.
+    from terraphi import animation
+
+    monkeypatch.setattr(animation, "_durations", lambda _: [83, 166, 83, 83, 166, 83, 83])
+    animate(tmp_path / "b.mp4", made.history, made.scenario, made.series)
+    assert (tmp_path / "b.mp4").read_text() == "9.0 frames at 12"
+    program.write_text(f"#!{sys.executable}\nimport sys\nsys.stdin.buffer.read()\nsys.exit(8)\n")
+    with pytest.raises(
+        InputError, match=r"c\.mp4: ffmpeg ended with status 8; one that can encode"
+    ):
+        animate(tmp_path / "c.mp4", made.history, made.scenario, made.series)
+    assert not (tmp_path / "c.mp4").exists()
+
+
+def test_ticks_are_parts_of_a_turn_however_long_the_way() -> None:
+    spans = {20.0: 5.0, 270.0: 45.0, 630.0: 90.0, 720.0: 180.0, 5000.0: 360.0}
+    assert {span: _tick(np.array([-135.0, span - 135.0])) for span in spans} == spans
 
 
 def test_what_cannot_be_drawn(made: Made, tmp_path, monkeypatch) -> None:

@@ -73,6 +73,7 @@ def refusal(tmp_path: Path, content: str | bytes) -> str:
         ),
         (HEADER + "80,1,2\n0,1,2\n-80,1,2\n", ["theta_deg decreases", "sort"]),
         (HEADER + "-1.48,1,2\n0,1,2\n1.48,1,2\n", ["1.48", "radians", "degrees are expected"]),
+        ("\n \n" + HEADER.replace("Fx_N", "F_N") + "-80,1,2\n", ["line 3", "'F_N'"]),
         (b"\x89HDF\r\n\x1a\n" + bytes(range(256)), ["not a text file", "UTF-8"]),
         (bytes(range(1, 32)) * 40, ["line 1", "unexpected column"]),
         (b"\x00" * 4096, ["line 1", "unexpected column"]),
@@ -103,6 +104,8 @@ def test_columns_come_in_any_order_with_quotes_spaces_and_a_byte_order_mark(
 ) -> None:
     file = tmp_path / "x.csv"
     file.write_bytes(b'\xef\xbb\xbf"Fz_N", theta_deg ,"Fx_N"\r\n3,-10,"2"\r\n\r\n 5 ,+1e1, 4 \r\n')
+    assert read_force_table(file).tolist() == [[-10.0, 2.0, 3.0], [10.0, 4.0, 5.0]]
+    file.write_text("\n,,\ntheta_deg,Fx_N,Fz_N\n-10,2,3\n10,4,5\n")
     assert read_force_table(file).tolist() == [[-10.0, 2.0, 3.0], [10.0, 4.0, 5.0]]
 
 

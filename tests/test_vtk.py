@@ -111,6 +111,10 @@ def test_files_that_cannot_be_read(tmp_path) -> None:
     write_series(tmp_path / "x.pvd", [])
     with pytest.raises(InputError, match="not a VTK file of the kind UnstructuredGrid"):
         read_points(tmp_path / "x.pvd")
+    series = '<VTKFile type="Collection"><Collection><DataSet file="a.vtu"/></Collection></VTKFile>'
+    (tmp_path / "x.pvd").write_text(series)
+    with pytest.raises(InputError, match=r"x\.pvd: not a series as terraphi writes it"):
+        read_series(tmp_path / "x.pvd")
     write_points(file, np.zeros((2, 3)), point_data={"a": np.zeros(2)})
     text = file.read_text()
     file.write_text(text[: len(text) // 2])

@@ -6,6 +6,7 @@ Made from the frames of :class:`~terraphi.forward.mpm.fields.FieldSeries` and th
 from __future__ import annotations
 
 import math
+import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -132,8 +133,20 @@ def _recording(figure: Figure, path: Path, lasts: list[int]) -> Iterator[Callabl
     from matplotlib.animation import FFMpegWriter
 
     writer = FFMpegWriter(fps=FRAMES_PER_SECOND)
-    with writer.saving(figure, path, dpi=DOTS_PER_INCH):
-        yield writer.grab_frame
+    shown = iter(lasts)
+
+    def show() -> None:
+        for _ in range(max(1, round(next(shown) * FRAMES_PER_SECOND / 1000.0))):
+            writer.grab_frame()
+
+    try:
+        with writer.saving(figure, path, dpi=DOTS_PER_INCH):
+            yield show
+    except subprocess.CalledProcessError as error:
+        raise InputError(
+            f"{path}: ffmpeg ended with status {error.returncode}; one that can encode H.264 is "
+            "needed, or name a .gif instead"
+        ) from error
 
 
 @contextmanager
@@ -388,7 +401,8 @@ def _round_down(value: float) -> float:
 
 def _tick(span: FloatArray) -> float:
     """Distance of ticks on an axis of angles [deg]: parts of a right angle."""
-    return next(step for step in (1.0, 5.0, 15.0, 45.0, 90.0) if np.ptp(span) <= 7.0 * step)
+    steps = (1.0, 5.0, 15.0, 45.0, 90.0, 180.0)
+    return next((step for step in steps if np.ptp(span) <= 7.0 * step), 360.0)
 
 
 def _name(scenario: Scenario) -> str:

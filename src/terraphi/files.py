@@ -185,8 +185,9 @@ def read_force_table(path: Path) -> FloatArray:
     if not text.strip():
         raise InputError(f"{path}: the file is empty; expected columns {','.join(CSV_COLUMNS)}")
     lines = _cells(path, text)
-    header = [name.strip() for name in next(lines)[1]]
-    _check_header(path, header)
+    place, names = next((n, row) for n, row in lines if any(cell.strip() for cell in row))
+    header = [name.strip() for name in names]
+    _check_header(f"{path}, line {place}", header)
     order = [header.index(name) for name in CSV_COLUMNS]
     rows: list[list[float]] = []
     numbers: list[int] = []
@@ -219,11 +220,11 @@ def _cells(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
         ) from error
 
 
-def _check_header(path: Path, header: list[str]) -> None:
+def _check_header(place: str, header: list[str]) -> None:
     for mark, name in ((";", "semicolons"), ("\t", "tabs")):
         if mark in header[0]:
             raise InputError(
-                f"{path}, line 1: columns are separated by {name}; commas are expected, and points "
+                f"{place}: columns are separated by {name}; commas are expected, and points "
                 "in numbers"
             )
     expected = ",".join(CSV_COLUMNS)
@@ -231,14 +232,13 @@ def _check_header(path: Path, header: list[str]) -> None:
         if name not in CSV_COLUMNS:
             known = f"expected exactly {expected}"
             raise InputError(
-                f"{path}, line 1: unexpected column {name[:40]!r} ({nearest(name, CSV_COLUMNS)}); "
-                f"{known}"
+                f"{place}: unexpected column {name[:40]!r} ({nearest(name, CSV_COLUMNS)}); {known}"
             )
         if header.count(name) > 1:
-            raise InputError(f"{path}, line 1: column '{name}' stands twice; expected {expected}")
+            raise InputError(f"{place}: column '{name}' stands twice; expected {expected}")
     for name in CSV_COLUMNS:
         if name not in header:
-            raise InputError(f"{path}, line 1: column '{name}' is missing; expected {expected}")
+            raise InputError(f"{place}: column '{name}' is missing; expected {expected}")
 
 
 def _read_row(

@@ -120,9 +120,13 @@ def read_series(path: Path) -> tuple[list[tuple[float, str]], str]:
         If there is no such file or it is of another kind.
     """
     root = _read(path, "Collection")
-    frames = [
-        (float(frame.attrib["timestep"]), frame.attrib["file"]) for frame in root.iter("DataSet")
-    ]
+    try:
+        frames = [
+            (float(frame.attrib["timestep"]), frame.attrib["file"])
+            for frame in root.iter("DataSet")
+        ]
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{path}: not a series as terraphi writes it; make it again") from error
     comment: Any = ET.Comment
     notes = [node.text or "" for node in root.iter(comment)]
     return frames, notes[0] if notes else ""

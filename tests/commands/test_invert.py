@@ -53,6 +53,22 @@ def test_several_histories_are_one_data_set(terraphi, histories, tmp_path) -> No
     assert "posterior" in arviz.from_netcdf(tmp_path / "answer" / "posterior.nc")
 
 
+def test_an_answer_takes_the_place_of_another_kind_and_is_utf8(
+    terraphi, histories, tmp_path, monkeypatch
+) -> None:
+    (tmp_path / "answer").mkdir()
+    for name in ("corner.png", "mine.txt"):
+        (tmp_path / "answer" / name).write_text("old")
+    # Whatever the locale says.
+    monkeypatch.setattr("locale.getpreferredencoding", lambda *_: "ascii")
+    ran = terraphi("invert", "a.csv", "--library", "rft3d", "--out", "answer")
+    assert ran.status == 0, ran.err
+    made = {path.name for path in (tmp_path / "answer").iterdir()}
+    assert made == {"answer.json", "posterior.nc", "figure.png", "mine.txt"}
+    answer = (tmp_path / "answer" / "answer.json").read_bytes().decode("utf-8")
+    assert json.loads(answer)["library"] == "rft3d"
+
+
 def test_a_prior_makes_the_density_a_parameter(terraphi, histories) -> None:
     ran = terraphi(
         "invert", "a.csv", "--library", "rft3d", "--prior", "density=1550:1750", "--noise", "0.3"

@@ -17,6 +17,7 @@ import pytest
 from PIL import Image
 
 from terraphi.commands import EVERY_SECONDS
+from terraphi.commands.simulate import kept_state
 from terraphi.forward import simulate
 from terraphi.forward.watch import EVERY
 from terraphi.history import ForceHistory
@@ -212,6 +213,37 @@ def test_no_fields_without_particles(terraphi, tmp_path) -> None:
         assert ran.status == 2
         assert "model = 'rft' has no particles to look at" in ran.err
     assert names(tmp_path) == ["s.toml"]
+
+
+def test_no_state_of_a_model_that_keeps_none(terraphi, tmp_path) -> None:
+    (tmp_path / "r.toml").write_text('model = "rft"\ndimensions = 3\n')
+    for name in ("thesis.txt", ".thesis.txt.swp", "h.nc.checkpoint"):
+        (tmp_path / name).write_text("mine")
+    before = names(tmp_path)
+    ran = terraphi("simulate", "r.toml", "--checkpoint", "thesis.txt")
+    assert ran.status == 2
+    assert "model = 'rft' is done in no time and keeps no state" in ran.err
+    assert terraphi("simulate", "r.toml", "--out", "h.nc").status == 0
+    assert names(tmp_path) == sorted([*before, "h.nc"])
+
+
+def test_what_lies_beside_a_checkpoint_or_frames_is_left_alone(terraphi, tmp_path) -> None:
+    (tmp_path / "s.toml").write_text(COARSE.format(stop=-75.0))
+    (tmp_path / ".mine.swp").write_text("an editor's")
+    (tmp_path / "a.gif.frames").mkdir()
+    (tmp_path / "a.gif.frames" / "notes.txt").write_text("keep")
+    ran = terraphi(
+        "simulate", "s.toml", "--checkpoint", "mine", "--animate", "a.gif", "--frames", "2"
+    )
+    assert ran.status == 0, ran.err
+    assert names(tmp_path) == [".mine.swp", "a.gif", "a.gif.frames", "s.toml"]
+    assert names(tmp_path / "a.gif.frames") == ["notes.txt"]
+
+
+def test_fields_may_go_where_one_stands() -> None:
+    kept = kept_state(Scenario(), None, Path(), 20.0)
+    assert kept is not None
+    assert kept.path == Path.cwd().with_name(Path.cwd().name + ".checkpoint")
 
 
 def test_no_mp4_without_ffmpeg(terraphi, tmp_path, monkeypatch) -> None:

@@ -47,6 +47,17 @@ def test_history_and_fields_make_one_section(simulation: tuple[Path, Path]) -> N
         assert found.parts[0].part == "player"
 
 
+def test_a_history_named_twice_is_shown_once_with_its_fields(
+    simulation: tuple[Path, Path], tmp_path: Path
+) -> None:
+    history, fields = map(str, simulation)
+    (found,) = sections([history, fields, history])
+    assert found.parts[0].part == "player"
+    shutil.copytree(fields, tmp_path / "again")
+    with pytest.raises(InputError, match="again: these fields belong to no history"):
+        sections([history, fields, str(tmp_path / "again")])
+
+
 def test_fields_alone_are_refused(simulation: tuple[Path, Path]) -> None:
     with pytest.raises(InputError, match="belong to no history"):
         sections([str(simulation[1])])

@@ -174,9 +174,47 @@ def test_urdf_of_another_robot(tmp_path: Path) -> None:
     assert robot.torque_limit is None
 
 
+def mounted(rpy: str = "0 0 0") -> str:
+    """The same robot, each leg on a mount that is fixed to the trunk 0.05 m above its middle."""
+    text = small_urdf()
+    for foot in FEET:
+        text = text.replace(
+            f'type="revolute"><parent link="trunk"/><child link="{foot}_hip"/>',
+            f'type="revolute"><parent link="{foot}_mount"/><child link="{foot}_hip"/>',
+        )
+        mount = (
+            f'<link name="{foot}_mount"/><joint name="{foot}_mount_joint" type="fixed">'
+            f'<parent link="trunk"/><child link="{foot}_mount"/>'
+            f'<origin xyz="0.01 0 0.05" rpy="{rpy}"/></joint>'
+        )
+        text = text.replace("</robot>", mount + "</robot>")
+    imu = (
+        '<link name="imu"/><joint name="imu_joint" type="fixed"><parent link="trunk"/>'
+        '<child link="imu"/><origin xyz="0 0 0.1"/></joint>'
+    )
+    return text.replace("</robot>", imu + "</robot>")
+
+
+def test_what_a_hip_hangs_on_counts_as_part_of_the_trunk(tmp_path: Path) -> None:
+    robot = Quadruped.load(written(tmp_path, mounted(), "mounted.urdf"))
+    assert robot.legs.RL.hip == pytest.approx((-0.19, 0.1, 0.05))
+    assert robot.imu == pytest.approx((0.0, 0.0, 0.1))
+    with pytest.raises(InputError, match="joint 'FR_mount_joint' has a rotated origin"):
+        Quadruped.load(written(tmp_path, mounted("0 0 0.3"), "turned.urdf"))
+    apart = re.sub(
+        r'"fixed"(><parent link="trunk"/><child link="FL_mount"/>)', r'"floating"\1', mounted()
+    )
+    with pytest.raises(InputError, match="the legs hang on several links"):
+        Quadruped.load(written(tmp_path, apart, "apart.urdf"))
+
+
 @pytest.mark.parametrize(
     ("pattern", "new", "words"),
     [
+        ('<sphere radius="0.02"/>', '<sphere radius="${r}"/>', "a number cannot be read"),
+        ('<sphere radius="0.02"/>', "<sphere/>", "lacks its radius"),
+        ('<link name="FL_foot">', '<link name="other">', "speaks of link 'FL_foot', which is not"),
+        ('<parent link="FL_calf"/><child', '<parent link="FL_foot"/><child', "or on itself"),
         ("FR_calf_joint", "front_wheel", "no revolute joint is named like FR_calf"),
         ("</robot>", "", "not valid XML"),
         ('<robot name="small">', "<sdf>", "outermost element is <sdf>"),

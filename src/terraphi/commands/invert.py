@@ -197,8 +197,11 @@ def legs_of(legs: Sequence[str], measured: Sequence[Measurement]) -> list[str]:
     return list(legs)
 
 
+ALL_FIGURES = ("figure.png", "corner.png")
+
+
 def save_inversion(inversion: Inversion, place: Path) -> tuple[str, ...]:
-    """Write answer, posterior and figure, all or none; their names."""
+    """Write posterior, figure and answer, the answer last; their names."""
     from terraphi import plots
 
     return _save(inversion, place, {"figure.png": lambda: plots.inversions_figure([inversion])})
@@ -221,14 +224,17 @@ def _save(
     from terraphi import plots
     from terraphi.files import replacing
 
-    names = ("answer.json", "posterior.nc", *figures)
+    # The answer comes last: where it stands, all that it speaks of does.
+    names = ("posterior.nc", *figures, "answer.json")
     with tempfile.TemporaryDirectory(dir=place, prefix=".unfinished-") as unfinished:
         made = Path(unfinished)
         found.to_netcdf(made / "posterior.nc")
         for name, draw in figures.items():
             plots.save(draw(), made.joinpath(name))
         with replacing(made / "answer.json") as temporary:
-            temporary.write_text(as_text(found.as_dict()))
+            temporary.write_text(as_text(found.as_dict()), encoding="utf-8")
+        for name in ("answer.json", *ALL_FIGURES):  # of an earlier inversion, joint or not
+            place.joinpath(name).unlink(missing_ok=True)
         for name in names:
             made.joinpath(name).replace(place.joinpath(name))
-    return names
+    return "answer.json", *names[:-1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -79,7 +78,7 @@ def simulate(
         from terraphi.animation import check_animation
 
         check_animation(animate)
-    kept = kept_state(checkpoint, out or animate or fields, checkpoint_every)
+    kept = kept_state(chosen, checkpoint, out or animate or fields, checkpoint_every)
     series = field_series(chosen, fields, animate, frames)
     for doubt in doubts(chosen):
         click.echo(f"terraphi: {doubt}", err=True)
@@ -89,7 +88,7 @@ def simulate(
     if animate is not None and series is not None:
         draw(animate, history, chosen, series)
         if fields is None:
-            shutil.rmtree(series.particles.parent)
+            series.remove()
     if kept is not None:
         kept.remove()
     made = {"out": out, "fields": fields, "animation": animate}
@@ -103,13 +102,25 @@ def simulate(
     print_pairs(summary)
 
 
-def kept_state(named: Path | None, made: Path | None, every: float) -> Checkpoint | None:
+def kept_state(
+    scenario: Scenario, named: Path | None, made: Path | None, every: float
+) -> Checkpoint | None:
     """Where the state is kept: in the file that was named, or else beside what is made."""
     from terraphi.forward import Checkpoint
 
+    if scenario.model != "mpm":
+        if named is not None:
+            raise InputError(
+                f"model = '{scenario.model}' is done in no time and keeps no state: leave out "
+                "--checkpoint"
+            )
+        return None
     if named is not None:
         return Checkpoint(named, every, named=True)
-    return None if made is None else Checkpoint(made.with_name(made.name + ".checkpoint"), every)
+    if made is None:
+        return None
+    made = made if made.name else made.resolve()  # "." has no name of its own
+    return Checkpoint(made.with_name(made.name + ".checkpoint"), every)
 
 
 def field_series(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,10 +50,12 @@ class Checkpoint:
 
     def unfinished(self) -> list[Path]:
         """Files under a temporary name that were never finished."""
-        start = f".{self.path.name}."
         if not self.path.parent.is_dir():
             return []
-        return [file for file in self.path.parent.iterdir() if file.name.startswith(start)]
+        # As terraphi.files.replacing names them, and not what an editor keeps beside the file.
+        name, suffix = re.escape(self.path.name), re.escape(self.path.suffix)
+        ours = re.compile(rf"\.{name}\.[a-z0-9_]{{8}}{suffix}")
+        return [file for file in self.path.parent.iterdir() if ours.fullmatch(file.name)]
 
 
 @dataclass(frozen=True)

@@ -144,15 +144,20 @@ def sections(
     InputError
         If one of them cannot be used.
     """
-    results = [recognise(source) for source in sources]
-    fields = {_scenario_of(r.path): r.path for r in results if r.kind == "fields"}
+    results = list(dict.fromkeys(recognise(source) for source in sources))
+    fields: dict[str, list[Path]] = {}
+    for result in results:
+        if result.kind == "fields":
+            fields.setdefault(_scenario_of(result.path), []).append(result.path)
     histories = [r.path for r in results if r.kind == "simulation"]
-    partner = {path: fields.pop(_scenario_hash(path), None) for path in histories}
-    if fields:
-        alone = next(iter(fields.values()))
+    partner = {}
+    for path in histories:
+        waiting = fields.get(_scenario_hash(path), [])
+        partner[path] = waiting.pop(0) if waiting else None
+    for alone in (path for waiting in fields.values() for path in waiting):
         raise InputError(
-            f"{alone}: these fields belong to no history that was named; name the file of "
-            "'terraphi simulate --out' too"
+            f"{alone}: these fields belong to no history that was named, or to one that has "
+            "others; name the file of 'terraphi simulate --out' too"
         )
     animated = sum(place is not None for place in partner.values()) or 1
     made = []

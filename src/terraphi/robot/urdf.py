@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -65,22 +66,25 @@ def document_from_urdf(text: str, source: str) -> dict[str, Any]:
     try:
         joints = [_joint(element) for element in root.findall("joint")]
         masses = {e.attrib["name"]: _inertial(e) for e in root.findall("link")}
+        radii = {e.attrib["name"]: _radius(e) for e in root.findall("link")}
     except KeyError as error:
         raise InputError(f"{source}: an element lacks its {error.args[0]}") from error
     except ValueError as error:
         raise InputError(f"{source}: a number cannot be read ({error})") from error
+    _check_tree(joints, masses, source)
     legs, limits = {}, np.full((4, 3), np.nan)
     chains = _leg_joints(joints, source)
+    trunk, hips = _hips(chains, joints, source)
     for i, foot in enumerate(FEET):
-        legs[foot] = _leg(chains[foot], joints, masses, source)
+        legs[foot] = _leg(chains[foot], joints, masses, source) | {"hip": hips[foot]}
         limits[i] = [joint.effort for joint in chains[foot]]
-    radii = [_radius(root, leg.pop("foot_link")) for leg in legs.values()]
+    feet = [leg.pop("foot_link") for leg in legs.values()]
     document = {
         "name": root.get("name", ""),
         "source": source,
         "mass": sum(mass for mass, _, _ in masses.values()),
-        "foot_radius": radii[0],
-        "imu": _imu(joints, chains["FR"][0].parent),
+        "foot_radius": radii[feet[0]],
+        "imu": _imu(joints, trunk),
         "legs": legs,
     }
     if np.all(limits > 0.0):
@@ -122,6 +126,33 @@ def _leg_joints(joints: list[_Joint], source: str) -> dict[str, list[_Joint]]:
     return chains
 
 
+def _hips(
+    chains: Mapping[str, list[_Joint]], joints: list[_Joint], source: str
+) -> tuple[str, dict[str, tuple[float, ...]]]:
+    """The link that all legs hang on, and the places of the hips in its frame [m].
+
+    That is the link that the hips themselves hang on, or the one that their mounts are fixed to.
+    """
+    above = {joint.child: joint for joint in joints if joint.kind == "fixed"}
+    trunks = {foot: chain[0].parent for foot, chain in chains.items()}
+    places = {foot: chain[0].place for foot, chain in chains.items()}
+    if len(set(trunks.values())) > 1:
+        for foot, trunk in trunks.items():
+            while trunk in above:
+                mount = above[trunk]
+                if not np.allclose(mount.rotation, np.eye(3), atol=1e-6):
+                    raise InputError(
+                        f"{source}: joint '{mount.name}' has a rotated origin (rpy); legs whose "
+                        "frames are parallel at zero angles are expected"
+                    )
+                trunk, places[foot] = mount.parent, mount.place + places[foot]
+            trunks[foot] = trunk
+    if len(set(trunks.values())) > 1:
+        listed = ", ".join(f"{foot} on '{link}'" for foot, link in trunks.items())
+        raise InputError(f"{source}: the legs hang on several links ({listed}); one is expected")
+    return trunks["FR"], {foot: tuple(place.tolist()) for foot, place in places.items()}
+
+
 def _leg(
     chain: list[_Joint],
     joints: list[_Joint],
@@ -154,7 +185,6 @@ def _leg(
     candidates = named or ends
     foot = max(candidates, key=lambda link: float(np.linalg.norm(candidates[link])))
     return {
-        "hip": tuple(chain[0].place.tolist()),
         "thigh": tuple(chain[1].place.tolist()),
         "calf": tuple(chain[2].place.tolist()),
         "foot": tuple(candidates[foot].tolist()),
@@ -183,13 +213,29 @@ def _imu(joints: list[_Joint], trunk: str) -> tuple[float, ...]:
     return (0.0, 0.0, 0.0)
 
 
-def _radius(root: ET.Element, foot: str) -> float:
-    """Radius of the foot's sphere [m]; 0 if the URDF has none."""
-    for link in root.findall("link"):
-        if link.get("name") == foot:
-            sphere = link.find("collision/geometry/sphere")
-            return float(sphere.attrib["radius"]) if sphere is not None else 0.0
-    return 0.0
+def _radius(link: ET.Element) -> float:
+    """Radius of a link's sphere [m]; 0 if it has none."""
+    sphere = link.find("collision/geometry/sphere")
+    return float(sphere.attrib["radius"]) if sphere is not None else 0.0
+
+
+def _check_tree(joints: list[_Joint], links: Mapping[str, object], source: str) -> None:
+    """Refuse joints on links that are not there, and links that hang on more than one joint."""
+    children = [joint.child for joint in joints]
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise InputError(
+                    f"{source}: joint '{joint.name}' speaks of link '{link}', which is not there"
+                )
+        if children.count(joint.child) > 1 or joint.child == joint.parent:
+            raise InputError(
+                f"{source}: link '{joint.child}' hangs on more than one joint, or on itself; a "
+                "tree of links is expected"
+            )
+    moved = set(children)
+    if len(moved) == len(links) and links:
+        raise InputError(f"{source}: every link hangs on another; a tree of links is expected")
 
 
 def _numbers(element: ET.Element | None, key: str, default: str) -> FloatArray:

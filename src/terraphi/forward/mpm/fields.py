@@ -113,6 +113,14 @@ class FieldSeries:
             )
         return known
 
+    def remove(self) -> None:
+        """Remove the series, and the folder if nothing else is in it."""
+        self._clear(set())
+        for name in (PARTICLES, LEG):
+            (self._folder / f"{name}.pvd").unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # somebody keeps something else there
+            self._folder.rmdir()
+
     def _clear(self, kept: set[str]) -> None:
         """Remove the frames of another run, which the new series would not list."""
         for name in (PARTICLES, LEG):
