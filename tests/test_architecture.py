@@ -46,6 +46,7 @@ ROOMS = [
     "plots",
     "joint_plots",
     "budget_plot",
+    "film",
     "animation",
     "studies",
     "report",

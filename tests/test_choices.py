@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from terraphi.choices import legs_of, offered, offered_legs
 from terraphi.documents import shipped_file
+from terraphi.errors import InputError
 from terraphi.library import Case, Library
+
+
+def test_a_leg_whose_cases_differ_in_more_is_no_grid(tmp_path: Path) -> None:
+    whole = Library.load("rft3d")
+    c = [case for case in whole.cases if case.scenario.leg.shape == "c"]
+    other = c[3]._replace(scenario=c[3].scenario.replace(**{"leg.friction": 0.5}))
+    mixed = replace(whole, cases=tuple(other if case is c[3] else case for case in whole.cases))
+    mixed.save(tmp_path / "mixed.nc")
+    assert legs_of(tmp_path / "mixed.nc") == {"straight", "reversed_c"}
+    with pytest.raises(InputError, match="varies more than the friction angle of leg 'c'"):
+        mixed.curves("c")
 
 
 def test_every_library_and_leg_that_is_offered_has_curves() -> None:

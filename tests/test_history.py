@@ -362,6 +362,13 @@ def test_a_reading_is_the_mean_over_its_share_of_the_path() -> None:
     assert history.as_read_at(None) is history
 
 
+def test_the_largest_force_of_a_path_keeps_its_sign() -> None:
+    force = np.stack([[0.0, -14.0, -3.0], [1.0, 80.0, -5.0]], axis=1)
+    moved = ForceHistory(np.array([0.0, 0.1, 0.2]), force, "time")
+    assert moved.summary()["peak_Fx_N"] == -14.0
+    assert moved.summary()["peak_Fz_N"] == 80.0
+
+
 def test_a_history_outside_the_window_has_no_peaks_and_says_so() -> None:
     theta = np.radians(np.linspace(-135.0, -120.0, 20))
     early = ForceHistory(theta, np.ones((20, 2)))

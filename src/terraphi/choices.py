@@ -68,10 +68,20 @@ def _is_grid(cases: list[dict[str, Any]]) -> bool:
     first = cases[0]
     has_angle = (first["model"], first["dimensions"]) != ("rft", 2)
     steps = np.diff(sorted(case["soil"]["friction_angle_deg"] for case in cases))
+    rest = [
+        case
+        | {
+            "name": "",
+            "soil": case["soil"] | {"friction_angle_deg": 0.0},
+            "numerics": case["numerics"] | {"seed": 0},
+        }
+        for case in cases
+    ]
     return bool(
         has_angle
         and first["motion"]["kind"] == "rotation"
         and len(cases) >= FEWEST_ANGLES
+        and all(case == rest[0] for case in rest)
         and steps.min() > 0.0
         and steps.max() <= WIDEST_STEP_DEG
     )

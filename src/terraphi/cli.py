@@ -171,7 +171,7 @@ def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
     show_default=True,
     help="quasi_static (the paper's), gravity, inverse_dynamics or momentum_observer.",
 )
-@click.option("--frame", default="world", show_default=True, help="world or body.")
+@click.option("--frame", default="world", show_default=True, help="world, heading or body.")
 @click.option("--topic", help="Topic of a bag; the only fitting one if not given.")
 @click.option("--out", type=click.Path(path_type=Path), help="NetCDF file to make.")
 @click.option("--figures", type=click.Path(path_type=Path), help="Folder for two figures.")

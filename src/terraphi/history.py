@@ -284,8 +284,9 @@ class ForceHistory:
         try:
             peaks = self.peaks()
         except ValueError:  # no function of θ, or none within the window
-            tops = self.force.max(axis=0).tolist()
-            shown |= {f"peak_F{axis}_N": top for axis, top in zip(self.axes, tops, strict=True)}
+            largest = np.abs(self.force).argmax(axis=0)
+            for i, axis in enumerate(self.axes):
+                shown[f"peak_F{axis}_N"] = float(self.force[largest[i], i])
         else:
             shown |= {
                 "peak_Fx_N": peaks.Fx,

@@ -160,7 +160,7 @@ class Library:
         ------
         InputError
             If the library lacks the leg, has fewer than three friction angles for it or several
-            cases of one.
+            cases of one, or varies anything else.
         """
         chosen = [c for c in self.cases if c.history and c.scenario.leg.shape == leg]
         if not chosen:
@@ -187,6 +187,12 @@ class Library:
             raise InputError(
                 f"library '{self.name}' has the friction angles {phi.tolist()} for leg '{leg}'; "
                 "an inversion needs at least three, each once"
+            )
+        own = {"soil.friction_angle_deg": phi[0], "numerics.seed": 0}
+        if len({case.scenario.replace(**own).hash for case in chosen}) > 1:
+            raise InputError(
+                f"library '{self.name}' varies more than the friction angle of leg '{leg}'; this "
+                "inversion knows one parameter"
             )
         seen = [
             case.history.as_read_at(readings).observation(angles=angles, window_deg=window_deg)

@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import socket
+import sys
 import tempfile
 import threading
 import time
@@ -223,6 +224,18 @@ def test_what_takes_too_long_is_ended(forces: bytes, monkeypatch, tmp_path: Path
     with pytest.raises(server.RefusedError, match=r"not done within 0\.05 s"):
         asyncio.run(server._worked(tmp_path, 0.05))
     assert not (tmp_path / server.PAGE).exists()
+
+
+def test_what_a_limit_ends_is_not_called_unreadable(monkeypatch, tmp_path: Path) -> None:
+    import asyncio
+
+    killed = [sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"]
+    start = asyncio.create_subprocess_exec
+    monkeypatch.setattr(
+        asyncio, "create_subprocess_exec", lambda *_, **options: start(*killed, **options)
+    )
+    with pytest.raises(server.RefusedError, match="too much for this page; use the command line"):
+        asyncio.run(server._worked(tmp_path, 60.0))
 
 
 def test_a_port_that_somebody_has_is_refused_before_anything_is_said(capfd) -> None:

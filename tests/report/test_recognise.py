@@ -39,6 +39,14 @@ def test_every_kind_is_told(
     assert {name: recognise(name).kind for name in expected} == expected
 
 
+def test_logs_are_known_without_metadata_and_in_capitals(tmp_path: Path) -> None:
+    (tmp_path / "LOG.MCAP").touch()
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "bag_0.db3").touch()
+    for name in ("LOG.MCAP", "bag"):
+        assert recognise(str(tmp_path / name)).kind == "log"
+
+
 def test_history_and_fields_make_one_section(simulation: tuple[Path, Path]) -> None:
     history, fields = map(str, simulation)
     for order in ((history, fields), (fields, history)):

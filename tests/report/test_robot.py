@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 from terraphi.errors import InputError
 from terraphi.report.parts import Plot, Section, Table, Text
 from terraphi.report.robot import MOST_POINTS, _thinned, section
-from terraphi.robot.results_file import read_stances
+from terraphi.robot.logs import read_log, write_npz
+from terraphi.robot.results import analyse
+from terraphi.robot.results_file import read_stances, write_forces
 
 
 def plots(found: Section) -> list[Plot]:
@@ -49,6 +52,38 @@ def test_all_estimators_are_compared_from_the_log_that_the_file_names(forces_fil
 
 def test_a_log_by_itself_will_do(log_file: Path, forces_file: Path) -> None:
     assert section(log_file).headline == section(forces_file).headline
+
+
+def test_a_log_without_attitude_is_shown_in_the_body_frame(log_file: Path, tmp_path: Path) -> None:
+    log = replace(read_log(log_file), quaternion=None, angular_velocity=None)
+    write_npz(tmp_path / "bare.npz", log)
+    found = section(tmp_path / "bare.npz")
+    assert "body frame" in found.headline
+    assert "gravity is taken along the body's z" in found.reason
+
+
+def test_a_file_is_compared_with_the_topic_and_the_log_that_it_came_from(
+    log_file: Path, tmp_path: Path, monkeypatch
+) -> None:
+    from terraphi.report import robot as page
+
+    asked = []
+
+    def reading(path: Path, **options: object) -> object:
+        asked.append(options["topic"])
+        return read_log(path)
+
+    log = replace(read_log(log_file), report={"topic": "/b/lowstate", "source": str(log_file)})
+    write_forces(analyse(log), tmp_path / "f.nc")
+    monkeypatch.setattr(page, "read_log", reading)
+    assert [p.title for p in section(tmp_path / "f.nc").parts if isinstance(p, Table)][-1:]
+    assert asked == ["/b/lowstate"]
+    cut = {k: v[:-9] for k, v in vars(log).items() if isinstance(v, np.ndarray)}
+    shorter = replace(log, **cut)
+    monkeypatch.setattr(page, "read_log", lambda *_, **__: shorter)
+    text = next(p for p in section(tmp_path / "f.nc").parts if p.title == "Estimators compared")
+    assert isinstance(text, Text)
+    assert "the log that lies there now is another" in text.paragraphs[0]
 
 
 def test_without_its_log_the_page_says_how_to_compare(

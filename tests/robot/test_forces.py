@@ -121,6 +121,23 @@ def test_world_frame_is_the_body_frame_turned(truth: Any) -> None:
     np.testing.assert_allclose(world, turned, atol=1e-4)
 
 
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, -150.0])
+def test_forces_along_the_robot_do_not_know_the_compass(truth: Any, yaw_deg: float) -> None:
+    half = np.radians(0.5 * yaw_deg)
+    w, x, y, z = truth.log.quaternion.T
+    c, s = np.cos(half), np.sin(half)
+    turned = np.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], axis=1)
+    log = replace(truth.log, quaternion=turned)
+    known = estimate(truth.log, robot=GO2, frame="heading").force
+    found = estimate(log, robot=GO2, frame="heading")
+    np.testing.assert_allclose(found.force, known, atol=2e-3)
+    # Level: the lift is that of the world.
+    world = estimate(log, robot=GO2)
+    np.testing.assert_allclose(found.force[..., 2], world.force[..., 2], atol=2e-3)
+    off = (world.provenance["heading_deg"] - yaw_deg + 180.0) % 360.0 - 180.0
+    assert off == pytest.approx(0.0, abs=3.0)
+
+
 def test_result_does_not_depend_on_how_the_log_is_cut(
     truth: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

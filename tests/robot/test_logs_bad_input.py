@@ -26,7 +26,7 @@ from terraphi.robot.logs import (
     write_rosbag2,
 )
 from terraphi.robot.logs.clock import increasing, seconds
-from terraphi.robot.logs.joints import NAMES, joint_order, recognise
+from terraphi.robot.logs.joints import NAMES, joint_order
 from terraphi.robot.logs.writers import typestore
 
 stream_reader = pytest.importorskip("mcap.stream_reader")
@@ -436,26 +436,9 @@ def test_joint_states_of_a_gripper_between_those_of_the_legs(tmp_path: Path) -> 
     assert found.report["dropped"] == {"joints of something else": 5}
 
 
-@pytest.mark.parametrize(
-    ("name", "meaning"),
-    [
-        ("FR_hip_joint", ("FR", "hip")),
-        ("go2/RL_calf_joint", ("RL", "calf")),
-        ("LF_HAA", ("FL", "hip")),
-        ("RH_KFE", ("RR", "calf")),
-        ("front_left_hip_x", ("FL", "hip")),
-        ("rear_right_hip_y", ("RR", "thigh")),
-        ("hind_left_knee", ("RL", "calf")),
-        ("fr.hx", ("FR", "hip")),
-        ("FL_2", ("FL", "calf")),
-        ("FR_FL_hip", None),
-        ("FR_foot", None),
-        ("hip", None),
-        ("", None),
-    ],
-)
-def test_names_of_joints(name: str, meaning: tuple[str, str] | None) -> None:
-    assert recognise(name) == meaning
+def test_a_joint_named_twice_is_refused() -> None:
+    with pytest.raises(InputError, match="joint 'FR_hip_joint' stands twice"):
+        joint_order(NAMES, [NAMES[0], *NAMES[:11]])
 
 
 def test_order_of_joints() -> None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -29,6 +30,8 @@ from terraphi.robot.logs import (
 from terraphi.robot.logs.cdr import layout
 from terraphi.robot.logs.joints import NAMES
 from terraphi.robot.logs.writers import EPOCH_NS, typestore
+from terraphi.robot.model import Quadruped
+from terraphi.robot.results import analyse
 
 mcap_reader = pytest.importorskip("mcap.reader")
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
@@ -170,6 +173,28 @@ def random_low_state(rng: np.random.Generator, types: dict[str, Any]) -> Any:
         return types[f"unitree_go/msg/{name}"](**values)
 
     return fill("LowState")
+
+
+def test_motors_in_another_order_give_the_same_log(tmp_path: Path, log: JointLog) -> None:
+    order = [f"{foot}_{joint}" for foot in ("FL", "FR", "RL", "RR") for joint in JOINTS]
+    swapped = [1, 0, 3, 2]
+    other = replace(
+        log, **{name: getattr(log, name)[:, swapped] for name in ("angle", "velocity", "torque")}
+    )
+    write_mcap(tmp_path / "a.mcap", other)
+    write_mcap(tmp_path / "b.mcap", log)
+    found, plain = read_log(tmp_path / "a.mcap", motors=order), read_log(tmp_path / "a.mcap")
+    for name in ("angle", "velocity", "torque"):
+        np.testing.assert_allclose(getattr(found, name), getattr(log, name), rtol=1e-6, atol=1e-6)
+        np.testing.assert_array_equal(getattr(plain, name)[:, swapped], getattr(found, name))
+    # The description of a robot says how its motors are numbered.
+    robot = Quadruped.load("go2")
+    mine = robot.model_copy(update={"joint_order": tuple(order)})
+    one, same = (
+        analyse(tmp_path / "a.mcap", robot=mine),
+        analyse(tmp_path / "b.mcap", robot=robot),
+    )
+    np.testing.assert_array_equal(one.forces.force, same.forces.force)
 
 
 @pytest.mark.parametrize("little", [True, False])

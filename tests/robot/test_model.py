@@ -11,7 +11,8 @@ import pytest
 
 from terraphi.errors import InputError
 from terraphi.robot.joint_log import FEET
-from terraphi.robot.model import JOINT_NAMES, Quadruped, joint_place
+from terraphi.robot.joint_names import JOINT_NAMES
+from terraphi.robot.model import Quadruped
 
 SMALL = """
 mass = 20.0
@@ -63,30 +64,6 @@ def test_small_file_is_enough_for_geometry(tmp_path: Path) -> None:
     assert robot.legs.RL.foot == (0.0, 0.0, -0.32)
     assert not robot.has_masses
     np.testing.assert_array_equal(robot.chain.sign, np.ones((4, 3)))
-
-
-@pytest.mark.parametrize(
-    ("name", "place"),
-    [
-        ("FL_hip_joint", (1, 0)),
-        ("FR_thigh", (0, 1)),
-        ("rr_calf_joint", (2, 2)),
-        ("RL_2", (3, 2)),
-        ("LF_HAA", (1, 0)),
-        ("RH_KFE", (2, 2)),
-        ("lh_hfe", (3, 1)),
-        ("front_left_hip_x", (1, 0)),
-        ("rear_right_hip_y", (2, 1)),
-        ("fl.kn", (1, 2)),
-        ("go2/FR_calf_joint", (0, 2)),
-        ("FL_hip_rotor_joint", None),
-        ("arm_joint", None),
-        ("FL_foot_joint", None),
-        ("", None),
-    ],
-)
-def test_names_of_joints(name: str, place: tuple[int, int] | None) -> None:
-    assert joint_place(name) == place
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -65,6 +66,20 @@ def test_constant_bias_changes_no_number(bias: float) -> None:
     time, force = walk()
     biased = force + np.random.default_rng(2).normal(0.0, 1.0, force.shape) + [0.0, 0.0, bias]
     assert counts(find_stances(time, biased)) == WHOLE
+
+
+def test_a_swing_that_never_comes_down_to_the_level_parts_stances_all_the_same() -> None:
+    time, force = walk()
+    phase = (time - 0.1) / PERIOD
+    # One swing of FR carries 3.2 N, above the level at which a stance ends, below that of touch.
+    force[(phase > 4.45) & (phase < 5.05), 0, 2] += 3.2
+    noisy = force + np.random.default_rng(4).normal(0.0, 0.5, force.shape)
+    stances = find_stances(time, noisy)
+    assert counts(stances) == WHOLE
+    for foot in FEET:
+        own = [stance for stance in stances if stance.foot == foot]
+        assert all(one.end <= other.begin for one, other in pairwise(own))
+        assert max(stance.duration for stance in own) < 1.7 * PERIOD * DUTY
 
 
 def test_short_force_of_a_swinging_leg_is_no_stance() -> None:

@@ -280,3 +280,5 @@ async def _worked(folder: Path, most_seconds: float) -> None:
         if process.returncode is None:
             process.kill()
             await process.wait()
+    if process.returncode is not None and process.returncode < 0:  # by a limit of its own
+        raise RefusedError(422, "too much for this page; use the command line")

@@ -58,7 +58,7 @@ def recognise(source: str) -> Result:
             f"{source}: forces on a leg over its angle; run `terraphi invert` on it first, and "
             "report its --out folder"
         )
-    if path.suffix in LOGS:
+    if path.suffix.lower() in LOGS:
         return Result("log", path)
     raise InputError(f"{source}: not a result that terraphi knows; {EXPECTED}")
 
@@ -90,6 +90,8 @@ def _kind_of_folder(path: Path) -> Kind:
     ):
         if (path / name).is_file():
             return kind
+    if any(".db3" in file.suffixes or ".mcap" in file.suffixes for file in path.iterdir()):
+        return "log"  # a bag without its metadata
     raise InputError(f"{path}: holds no result that terraphi knows; {EXPECTED}")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -16,6 +16,7 @@ from terraphi.files import open_netcdf
 from terraphi.report import figures as fig
 from terraphi.report.parts import Part, Plot, Section, Table, Text, number
 from terraphi.robot.joint_log import FEET
+from terraphi.robot.logs import read_log
 from terraphi.robot.model import Quadruped
 from terraphi.robot.plots import FOOT_NAMES
 from terraphi.robot.residual import Estimator
@@ -135,7 +136,7 @@ def section(path: Path, *, robot: str = "go2") -> Section:
         shown = Forces.read(path)
         compared, why_not = _from_its_log(shown, robot)
     else:
-        compared, why_not = comparison(path, robot=robot, frame="world")
+        compared, why_not = comparison(path, robot=robot)
         if not compared:
             raise InputError(why_not)
         shown = compared["momentum_observer" if "momentum_observer" in compared else "quasi_static"]
@@ -156,17 +157,26 @@ def _notes(summary: Mapping[str, Any]) -> list[str]:
     return [str(note) for note in summary.get("notes", [])]
 
 
-def comparison(log: Path, *, robot: str, frame: Any) -> tuple[dict[str, Forces], str]:
-    """What every estimator makes of a log, and of the last that could not, why."""
+def comparison(
+    path: Path, *, robot: str, frame: Any = None, topic: str | None = None
+) -> tuple[dict[str, Forces], str]:
+    """What every estimator makes of a log, and of the last that could not, why.
+
+    In the frame of the world if none is named, or of the body where the log has no attitude.
+    """
+    body = Quadruped.load(robot)
+    log = read_log(path, topic=topic, motors=body.joint_order, precision="single")
+    log = replace(log, report={"source": str(path), **log.report})
+    chosen: Any = frame or ("body" if log.quaternion is None else "world")
     found: dict[str, Forces] = {}
     why_not = ""
     for estimator in ESTIMATORS:
         try:
             found[estimator] = Forces.of(
-                analyse(log, robot=robot, estimator=estimator, frame=frame)
+                analyse(log, robot=body, estimator=estimator, frame=chosen)
             )
         except InputError as error:
-            why_not = str(error)
+            why_not = f"{path}: {error}"
     return found, why_not
 
 
@@ -180,7 +190,13 @@ def _from_its_log(shown: Forces, robot: str) -> tuple[dict[str, Forces], str]:
     try:
         if Quadruped.load(robot).name != known.get("robot"):
             return {}, f"they are of the robot '{known.get('robot')}'; name it with --robot"
-        return comparison(Path(str(source)), robot=robot, frame=shown.summary["frame"])
+        log = known["log"]
+        frame, topic = shown.summary["frame"], log.get("topic")
+        found = comparison(Path(str(source)), robot=robot, frame=frame, topic=topic)
+        others = next(iter(found[0].values()), None)
+        if others is not None and others.summary["samples"] != shown.summary["samples"]:
+            return {}, f"the log that lies there now is another; {how}"
+        return found
     except (OSError, KeyError, InputError) as error:
         return {}, f"the log that they come from cannot be read ({error}); {how}"
 

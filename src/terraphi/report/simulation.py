@@ -32,6 +32,7 @@ ROOM_ABOVE = 0.02
 """Free room above leg and soil in the picture [m]."""
 SEED = 0
 """Of the choice of particles."""
+COORDINATES = {"theta": fig.THETA, "displacement": "displacement [mm]", "time": "time [ms]"}
 
 
 class Frame(NamedTuple):
@@ -119,7 +120,7 @@ def _peaks(history: ForceHistory) -> Table:
 def _curves(history: ForceHistory) -> list[Plot]:
     """Both forces, averaged over half a degree or the like, with a mark to be moved."""
     angular = history.coordinate == "theta"
-    where = fig.THETA if angular else "displacement [mm]"
+    where = COORDINATES[history.coordinate]
     start, stop = float(history.position[0]), float(history.position[-1])
     place = np.linspace(start, stop, min(len(history.position), 500))
     half = (stop - start) / 360.0

@@ -38,7 +38,7 @@ logger = logging.getLogger(__name__)
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
-Frame = Literal["world", "body"]
+Frame = Literal["world", "heading", "body"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 DEFAULT_ESTIMATOR: Estimator = "momentum_observer"
@@ -82,7 +82,8 @@ class FootForces:
     estimator
         How the forces were found.
     frame
-        ``world``: x where the world's x points, z up; ``body``: x forward, y left.
+        ``world``: x where the world's x points, z up; ``heading``: x where the robot heads, level,
+        z up; ``body``: x forward, y left, tilted with the trunk.
     friction
         Of the joints, as found in swing and accounted for; ``None`` if it was not.
     provenance
@@ -128,7 +129,7 @@ def estimate(
         and treats all terms alike, so that they stay in step when a foot strikes. All but the first
         take the ground to push on the ball's lowest point.
     frame
-        ``world``, by the log's attitude, or ``body``.
+        ``world`` or ``heading``, by the log's attitude, or ``body``.
     friction
         Find the joints' friction in swing and take it off; ``quasi_static`` does not.
     gain
@@ -146,8 +147,8 @@ def estimate(
     ------
     InputError
         If the log has the wrong shape, is empty, runs backwards, holds something that is not a
-        number or angles in degrees, lacks the attitude that ``world`` takes, or an option is
-        unknown.
+        number or angles in degrees, lacks the attitude that ``world`` and ``heading`` take, or an
+        option is unknown.
 
     Notes
     -----
@@ -209,9 +210,29 @@ def _leverage(
     inverse, lever = inverse_transpose(jacobian(robot, angle, offset=offset))
     links = np.linalg.norm(robot.chain.origin[:, 2:], axis=-1).sum(axis=-1)
     near = lever < LEAST_LEVER * links
-    if frame == "world":
+    if frame == "heading":
+        turn = _levelled(turn)
+    if frame != "body":
         inverse = turn[:, None] @ inverse
     return inverse, near
+
+
+def _levelled(turn: FloatArray) -> FloatArray:
+    """Attitudes without their heading: x stays above where the body's x points."""
+    heading = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
+    back = np.zeros_like(turn)
+    back[:, 0, 0] = back[:, 1, 1] = np.cos(heading)
+    back[:, 0, 1], back[:, 1, 0], back[:, 2, 2] = np.sin(heading), -np.sin(heading), 1.0
+    return np.asarray(back @ turn)
+
+
+def _mean_heading(log: JointLog) -> float | None:
+    """Direction of the trunk's x in the world on the whole [deg]; ``None`` without attitude."""
+    if log.quaternion is None:
+        return None
+    every = slice(None, None, max(1, len(log.time) // 10_000))
+    along = rotation(log.quaternion[every])[:, :2, 0].mean(axis=0)
+    return math.degrees(math.atan2(along[1], along[0]))
 
 
 def _torque_sigma(overview: Survey) -> FloatArray:
@@ -301,8 +322,8 @@ def _check_log(log: JointLog, frame: Frame) -> None:
     if widest > WIDEST_ANGLE:
         raise InputError(f"joint angles reach {widest:.1f}; radians are expected, not degrees")
     if log.quaternion is None:
-        if frame == "world":
-            raise InputError("the log has no attitude, which frame 'world' needs; use 'body'")
+        if frame != "body":
+            raise InputError(f"the log has no attitude, which frame '{frame}' needs; use 'body'")
         return
     lengths = np.einsum("ij,ij->i", log.quaternion, log.quaternion)
     if lengths.min() < 0.5 or lengths.max() > 2.0:
@@ -359,6 +380,7 @@ def _provenance(
         "robot_source": robot.source,
         "estimator": settings.estimator,
         "frame": frame,
+        "heading_deg": _mean_heading(log),
         "gain_per_s": settings.gain if settings.estimator == "momentum_observer" else None,
         "causal": settings.causal,
         "cutoff_hz": settings.cutoff if settings.estimator == "inverse_dynamics" else None,

@@ -7,7 +7,6 @@ of Unitree's quadrupeds and of most others with twelve joints.
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,52 +21,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from terraphi.errors import InputError, nearest, sentence_from_validation
 from terraphi.robot.joint_log import FEET, JOINTS
+from terraphi.robot.joint_names import JOINT_NAMES
 
 FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Inertia = tuple[float, float, float, float, float, float]
 Sign = Literal[-1, 1]
 Positive = Annotated[float, Field(gt=0)]
-
-JOINT_NAMES = tuple(f"{foot}_{joint}" for foot in FEET for joint in JOINTS)
-"""The twelve joints as ``FOOT_JOINT``, in the order of the Go2's motors."""
-
-_FOOT_PATTERNS = {
-    "FR": r"fr|rf|front_?right|right_?front",
-    "FL": r"fl|lf|front_?left|left_?front",
-    "RR": r"rr|hr|rh|br|(rear|hind|back)_?right|right_?(rear|hind|back)",
-    "RL": r"rl|hl|lh|bl|(rear|hind|back)_?left|left_?(rear|hind|back)",
-}
-_JOINT_PATTERNS = {
-    "hip": r"hip_?(x|aa|roll)|haa|hx|hip|abd(uct(ion|or))?|0",
-    "thigh": r"hip_?(y|fe|pitch)|hfe|hy|thigh|upper(_?leg)?|1",
-    "calf": r"kfe|kn|knee(_?pitch)?|calf|lower(_?leg)?|shank|2",
-}
-
-
-def joint_place(name: str) -> tuple[int, int] | None:
-    """Foot and joint that a name means, by the usual patterns.
-
-    Parameters
-    ----------
-    name
-        Such as ``FL_hip_joint``, ``front_left_hip_x``, ``LF_HAA`` or ``FR_0``.
-
-    Returns
-    -------
-    tuple or None
-        Indices into :data:`~terraphi.robot.joint_log.FEET` and
-        :data:`~terraphi.robot.joint_log.JOINTS`; ``None`` if the name fits no pattern.
-    """
-    stem = re.sub(r"_?joint$", "", re.sub(r"[\s./-]+", "_", name.strip().lower()))
-    for i, foot in enumerate(FEET):
-        match = re.fullmatch(rf"(?:.*_)?(?:{_FOOT_PATTERNS[foot]})_?(?:leg_)?(?P<rest>.+)", stem)
-        if match is None:
-            continue
-        for j, joint in enumerate(JOINTS):
-            if re.fullmatch(_JOINT_PATTERNS[joint], match["rest"]):
-                return i, j
-    return None
 
 
 class _Part(BaseModel):

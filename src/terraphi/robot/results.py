@@ -28,6 +28,8 @@ RISE_SHARE = 0.1
 """Part of the robot's weight that a foot carries at least at the height of a stance [-]."""
 STANDING_SHARE, HANGING_SHARE = 0.7, 0.3
 """Parts of the robot's weight above which it stands, and below which it hangs [-]."""
+ASKEW_DEG = 15.0
+"""Heading from the world's x above which a reader is told what Fx means [deg]."""
 SENSOR_AGREEMENT = 0.5
 """Correlation of a foot sensor with the vertical force below which one of them is doubtful [-]."""
 
@@ -136,7 +138,13 @@ def analyse(
     if not isinstance(log, JointLog):
         report["source"] = str(log)
         # What a LowState holds; an hour of it fits into memory.
-        log = read_log(log, topic=topic, joint_names=joint_names, precision="single")
+        log = read_log(
+            log,
+            topic=topic,
+            joint_names=joint_names,
+            motors=body.joint_order,
+            precision="single",
+        )
     try:
         forces = estimate(log, robot=body, estimator=estimator, frame=frame)
     except InputError as error:
@@ -195,6 +203,12 @@ def _notes(
     criteria: Criteria,
 ) -> list[str]:
     notes = list(forces.provenance.get("assumed", ()))
+    heading = forces.provenance.get("heading_deg")
+    if forces.frame == "world" and heading is not None and abs(heading) > ASKEW_DEG:
+        notes.append(
+            f"the robot heads {heading:.0f}° from the world's x, along which Fx counts; frame "
+            "'heading' counts it along the robot"
+        )
     counts = forces.saturated.sum(axis=0).tolist()
     limited = [f"{foot} ({n})" for foot, n in zip(FEET, counts, strict=True) if n]
     if limited:

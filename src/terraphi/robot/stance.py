@@ -270,9 +270,9 @@ def _crossings(
     up = np.where(lift <= leave, np.arange(len(lift)), len(lift))
     after = np.minimum.accumulate(up[::-1])[::-1]
     first, last = before[starts], after[ends]
-    for i in np.flatnonzero(first[1:] < ends[:-1]).tolist():
+    for i in np.flatnonzero((first[1:] < ends[:-1]) | (last[:-1] >= starts[1:])).tolist():
         parting = ends[i] + int(lift[ends[i] : starts[i + 1]].argmin())
-        first[i + 1] = last[i] = parting
+        first[i + 1], last[i] = max(first[i + 1], parting), min(last[i], parting)
     return first, last
 
 

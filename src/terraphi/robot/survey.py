@@ -56,7 +56,8 @@ class Survey(NamedTuple):
     noise
         Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
     swing
-        Share of the time that each foot was in the air [-], shape [foot].
+        Share of the time that each foot was surely in the air, the ends of its swings left out [-],
+        shape [foot].
     ceiling
         Torque at which each motor's was cut off [N m], shape [foot, joint]; infinite if it was not.
     """

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from terraphi.errors import InputError
 from terraphi.robot.joint_log import FEET, JOINTS
-from terraphi.robot.model import JOINT_NAMES, joint_place
+from terraphi.robot.joint_names import JOINT_NAMES, joint_place
 
 FloatArray = NDArray[np.float64]
 
@@ -37,9 +37,9 @@ class _Joint:
 def document_from_urdf(text: str, source: str) -> dict[str, Any]:
     """What a TOML for :class:`~terraphi.robot.model.Quadruped` would say, from a URDF.
 
-    Joints are found by the patterns of :func:`~terraphi.robot.model.joint_place`, the feet as the
-    links fixed to the calves whose names say so, or the farthest ones. What is fixed to a link
-    counts as part of it; whatever is on no leg belongs to the trunk.
+    Joints are found by :func:`~terraphi.robot.joint_names.joint_place`, the feet as the links fixed
+    to the calves whose names say so, or the farthest ones. What is fixed to a link counts as part
+    of it; whatever is on no leg belongs to the trunk.
 
     Parameters
     ----------

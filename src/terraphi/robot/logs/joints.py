@@ -1,57 +1,15 @@
-"""Which of a robot's joints is which, by the names that people give them."""
+"""Which places the twelve joints have in a message's list of names."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 from terraphi.errors import InputError, nearest
 from terraphi.robot.joint_log import FEET, JOINTS
+from terraphi.robot.joint_names import joint_place
 
 NAMES = tuple(f"{foot}_{joint}_joint" for foot in FEET for joint in JOINTS)
 """Names of the joints in Unitree's robot descriptions, in the order of a JointLog."""
-
-_FRONT, _REAR = {"front", "fore"}, {"rear", "hind", "back"}
-_SHORT = {
-    "FR": {"fr", "rf"},
-    "FL": {"fl", "lf"},
-    "RR": {"rr", "rh", "hr"},
-    "RL": {"rl", "lr", "lh", "hl"},
-}
-_WORDS = {
-    "hip": {"hip", "haa", "abad", "abduction", "hx"},
-    "thigh": {"thigh", "hfe", "upper", "hy"},
-    "calf": {"calf", "kfe", "knee", "shank", "lower", "kn"},
-}
-_NUMBERS = dict(zip("012", JOINTS, strict=True))
-
-
-def recognise(name: str) -> tuple[str, str] | None:
-    """Foot and joint that a name such as ``FR_hip_joint`` or ``LH_KFE`` means.
-
-    Parameters
-    ----------
-    name
-        Name of a joint.
-
-    Returns
-    -------
-    tuple of str
-        One of :data:`FEET` and one of :data:`JOINTS`; None if the name says neither or several.
-    """
-    words = re.findall(r"[a-z]+|\d+", name.lower())
-    present = set(words)
-    feet = [foot for foot, short in _SHORT.items() if short & present]
-    for ends, letter in ((_FRONT, "F"), (_REAR, "R")):
-        sides = [side for side in ("right", "left") if side in present]
-        if ends & present and len(sides) == 1:
-            feet.append(letter + sides[0][0].upper())
-    joints = [joint for joint, known in _WORDS.items() if known & present]
-    if joints == ["hip"] and "y" in present:  # hip_x abducts and hip_y swings
-        joints = ["thigh"]
-    if not joints:
-        joints = [_NUMBERS[word] for word in words[-1:] if word in _NUMBERS]
-    return (feet[0], joints[0]) if len(feet) == len(joints) == 1 else None
 
 
 def joint_order(names: Sequence[str], wanted: Sequence[str] | None = None) -> list[int]:
@@ -78,10 +36,12 @@ def joint_order(names: Sequence[str], wanted: Sequence[str] | None = None) -> li
         for name in wanted:
             if name not in names:
                 raise InputError(f"no joint '{name}' in the messages; {nearest(name, names)}")
+            if list(wanted).count(name) > 1:
+                raise InputError(f"joint '{name}' stands twice among the joint names")
         return [list(names).index(name) for name in wanted]
-    found: dict[tuple[str, str], int] = {}
+    found: dict[tuple[int, int], int] = {}
     for i, name in enumerate(names):
-        place = recognise(name)
+        place = joint_place(name)
         if place is None:
             raise InputError(
                 f"joint '{name[:60]}' is not known; expected twelve named like {NAMES[0]}, or say "
@@ -90,14 +50,18 @@ def joint_order(names: Sequence[str], wanted: Sequence[str] | None = None) -> li
         if place in found:
             raise InputError(
                 f"joints '{names[found[place]][:60]}' and '{name[:60]}' both look like the "
-                f"{' '.join(place)}; say which twelve are meant (joint_names)"
+                f"{_named(place)}; say which twelve are meant (joint_names)"
             )
         found[place] = i
-    order = [(foot, joint) for foot in FEET for joint in JOINTS]
+    order = [(foot, joint) for foot in range(len(FEET)) for joint in range(len(JOINTS))]
     for place in order:
         if place not in found:
             raise InputError(
-                f"{len(names)} joints, and none for the {' '.join(place)}; expected twelve, named "
+                f"{len(names)} joints, and none for the {_named(place)}; expected twelve, named "
                 f"like {NAMES[0]}"
             )
     return [found[place] for place in order]
+
+
+def _named(place: tuple[int, int]) -> str:
+    return f"{FEET[place[0]]} {JOINTS[place[1]]}"

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.robot.joint_log import FEET, JOINTS, JointLog
+from terraphi.robot.joint_names import JOINT_NAMES
 from terraphi.robot.logs.block import Array, Block
 from terraphi.robot.logs.cdr import HEADERS, Definitions, Order, byte_order, layout
 
@@ -129,7 +130,11 @@ def message_dtype(order: Order = "<") -> np.dtype[np.void]:
     return dtype.newbyteorder(order)
 
 
-def decode(messages: Sequence[bytes], recorded: NDArray[np.int64]) -> Block:
+def decode(
+    messages: Sequence[bytes],
+    recorded: NDArray[np.int64],
+    motors: Sequence[str] = JOINT_NAMES,
+) -> Block:
     """Decode a batch of messages.
 
     Parameters
@@ -138,6 +143,8 @@ def decode(messages: Sequence[bytes], recorded: NDArray[np.int64]) -> Block:
         Serialised messages.
     recorded
         When each was recorded [ns], shape [message].
+    motors
+        Which joint each of the first twelve motors moves, as ``FOOT_JOINT``.
 
     Returns
     -------
@@ -154,7 +161,10 @@ def decode(messages: Sequence[bytes], recorded: NDArray[np.int64]) -> Block:
         dropped[MALFORMED] = len(sound) - len(messages)
     table = np.frombuffer(b"".join(messages), dtype=message_dtype(order))
     shape = (len(table), len(FEET), len(JOINTS))
-    values: dict[str, Array] = {name: table["motor"][name].reshape(shape) for name in _MOTOR}
+    places = [list(motors).index(name) for name in JOINT_NAMES]
+    values: dict[str, Array] = {
+        name: table["motor"][name][:, places].reshape(shape) for name in _MOTOR
+    }
     values |= {name: table[name] for name in _BODY}
     return Block(table["tick"].astype(np.int64), values, recorded, dropped)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from terraphi.errors import InputError, nearest
 from terraphi.robot.joint_log import JointLog
+from terraphi.robot.joint_names import JOINT_NAMES
 from terraphi.robot.logs import jointstate, lowstate, npz_file
 from terraphi.robot.logs.block import Block
 from terraphi.robot.logs.collect import Collector, Precision
@@ -30,6 +31,7 @@ def read_log(
     *,
     topic: str | None = None,
     joint_names: Sequence[str] | None = None,
+    motors: Sequence[str] = JOINT_NAMES,
     precision: Precision = "double",
 ) -> JointLog:
     """Read what a walking robot recorded.
@@ -46,6 +48,9 @@ def read_log(
     joint_names
         Names of the twelve joints in JointState messages, FR, FL, RR, RL × hip, thigh, calf, where
         they are not named like ``FR_hip_joint`` or ``RF_HAA``.
+    motors
+        Which joint each of the first twelve motors of a LowState moves, as ``FR_hip``: a robot's
+        :attr:`~terraphi.robot.model.Quadruped.joint_order`.
     precision
         Of everything but time: ``single`` is what LowState messages hold, and halves the memory.
 
@@ -71,7 +76,7 @@ def read_log(
         with ExitStack() as stack:
             kind, source = _sniff(path, stack)
             if isinstance(source, list):
-                return _read_bag(path, kind, source, topic, joint_names, precision)
+                return _read_bag(path, kind, source, topic, (joint_names, motors), precision)
             if topic is not None:
                 raise InputError(f"{path}: a {kind} file has no topics; leave '{topic}' out")
             collector = Collector(path, "time_s" if kind == "csv" else "time", precision)
@@ -117,7 +122,7 @@ def _read_bag(
     kind: str,
     storages: list[Storage],
     topic: str | None,
-    joint_names: Sequence[str] | None,
+    names: tuple[Sequence[str] | None, Sequence[str]],
     precision: Precision,
 ) -> JointLog:
     present = [(storage, storage.topics()) for storage in storages]
@@ -125,13 +130,14 @@ def _read_bag(
         raise InputError(f"{path}: cut off or damaged before its first message; copy it again")
     chosen = _choose(path, [t for _, topics in present for t in topics], topic)
     low = chosen.plain_type == _LOW_STATE
+    joint_names, motors = names
     decoder = jointstate.JointStateDecoder(joint_names)
     collector = Collector(path, "tick" if low else "header stamp", precision)
     for storage, topics in present:
         wanted = [t for t in topics if (t.name, t.type) == (chosen.name, chosen.type)]
         for messages, recorded in storage.batches(wanted) if wanted else ():
             if low:
-                collector.add(lowstate.decode(messages, recorded))
+                collector.add(lowstate.decode(messages, recorded, motors))
             else:
                 for block in decoder.decode(messages, recorded):
                     collector.add(block)

@@ -1,0 +1,50 @@
+"""Names of joints as people write them, in descriptions of robots and in logs."""
+
+from __future__ import annotations
+
+import pytest
+
+from terraphi.robot.joint_log import FEET, JOINTS
+from terraphi.robot.joint_names import JOINT_NAMES, joint_place
+
+
+@pytest.mark.parametrize(
+    ("name", "meaning"),
+    [
+        ("FR_hip_joint", "FR hip"),
+        ("FR_thigh", "FR thigh"),
+        ("go2/RL_calf_joint", "RL calf"),
+        ("rr_calf_joint", "RR calf"),
+        ("LF_HAA", "FL hip"),
+        ("RH_KFE", "RR calf"),
+        ("lh_hfe", "RL thigh"),
+        ("LR_upper_leg", "RL thigh"),
+        ("BL_hip", "RL hip"),
+        ("FL_abad", "FL hip"),
+        ("front_left_hip_x", "FL hip"),
+        ("rear_right_hip_y", "RR thigh"),
+        ("fore_left_knee_pitch", "FL calf"),
+        ("hind_left_knee", "RL calf"),
+        ("FL_hip_roll_joint", "FL hip"),
+        ("FL_hip_pitch_joint", "FL thigh"),
+        ("fl_hip_fe", "FL thigh"),
+        ("fr.hx", "FR hip"),
+        ("FL_2", "FL calf"),
+        ("LFHAA", "FL hip"),
+        ("frontleft_hip", "FL hip"),
+        ("FR_FL_hip", None),
+        ("FR_foot", None),
+        ("FL_hip_rotor_joint", None),
+        ("arm_joint", None),
+        ("FL_foot_joint", None),
+        ("hip", None),
+        ("", None),
+    ],
+)
+def test_names_of_joints(name: str, meaning: str | None) -> None:
+    place = joint_place(name)
+    assert (place and f"{FEET[place[0]]} {JOINTS[place[1]]}") == meaning
+
+
+def test_every_joint_has_a_place_of_its_own() -> None:
+    assert [joint_place(name) for name in JOINT_NAMES] == [divmod(k, 3) for k in range(12)]
