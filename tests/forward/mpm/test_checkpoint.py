@@ -325,8 +325,8 @@ def test_a_damaged_file_is_no_checkpoint(scenario, whole, tmp_path, caplog, dama
 
 def test_what_a_kill_left_unfinished_goes(scenario, tmp_path) -> None:
     kept = Checkpoint(tmp_path / "x.nc.checkpoint")
-    left = tmp_path / ".x.nc.checkpoint.abc123.checkpoint"
-    other = tmp_path / ".x.nc.abc123.nc"
+    left = tmp_path / ".x.nc.checkpoint.abc_1234.checkpoint"
+    other = tmp_path / ".x.nc.abc_1234.nc"
     for file in (left, other):
         file.write_bytes(b"half")
     stopped(scenario, kept, 1)
