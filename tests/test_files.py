@@ -73,6 +73,7 @@ def refusal(tmp_path: Path, content: str | bytes) -> str:
         ),
         (HEADER + "80,1,2\n0,1,2\n-80,1,2\n", ["theta_deg decreases", "sort"]),
         (HEADER + "-1.48,1,2\n0,1,2\n1.48,1,2\n", ["1.48", "radians", "degrees are expected"]),
+        (",,\n,,\n", ["the file is empty", "theta_deg,Fx_N,Fz_N"]),
         ("\n \n" + HEADER.replace("Fx_N", "F_N") + "-80,1,2\n", ["line 3", "'F_N'"]),
         (b"\x89HDF\r\n\x1a\n" + bytes(range(256)), ["not a text file", "UTF-8"]),
         (bytes(range(1, 32)) * 40, ["line 1", "unexpected column"]),

@@ -182,10 +182,10 @@ def read_force_table(path: Path) -> FloatArray:
         raise InputError(f"{path}: not a text file; a CSV in UTF-8 is expected") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    if not text.strip():
-        raise InputError(f"{path}: the file is empty; expected columns {','.join(CSV_COLUMNS)}")
     lines = _cells(path, text)
-    place, names = next((n, row) for n, row in lines if any(cell.strip() for cell in row))
+    place, names = next(((n, row) for n, row in lines if any(c.strip() for c in row)), (0, []))
+    if not names:
+        raise InputError(f"{path}: the file is empty; expected columns {','.join(CSV_COLUMNS)}")
     header = [name.strip() for name in names]
     _check_header(f"{path}, line {place}", header)
     order = [header.index(name) for name in CSV_COLUMNS]

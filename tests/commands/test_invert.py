@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import arviz
@@ -59,14 +60,23 @@ def test_an_answer_takes_the_place_of_another_kind_and_is_utf8(
     (tmp_path / "answer").mkdir()
     for name in ("corner.png", "mine.txt"):
         (tmp_path / "answer" / name).write_text("old")
+    written = []
+    write = Path.write_text
+
+    def spy(path: Path, text: str, encoding: str | None = None) -> int:
+        written.append((path.suffix, encoding))
+        return write(path, text, encoding=encoding)
+
     # Whatever the locale says.
-    monkeypatch.setattr("locale.getpreferredencoding", lambda *_: "ascii")
+    monkeypatch.setattr(Path, "write_text", spy)
     ran = terraphi("invert", "a.csv", "--library", "rft3d", "--out", "answer")
     assert ran.status == 0, ran.err
     made = {path.name for path in (tmp_path / "answer").iterdir()}
     assert made == {"answer.json", "posterior.nc", "figure.png", "mine.txt"}
     answer = (tmp_path / "answer" / "answer.json").read_bytes().decode("utf-8")
     assert json.loads(answer)["library"] == "rft3d"
+    assert (".json", "utf-8") in written
+    assert {encoding for _, encoding in written} == {"utf-8"}
 
 
 def test_a_prior_makes_the_density_a_parameter(terraphi, histories) -> None:

@@ -142,6 +142,32 @@ def test_a_wrong_model_is_not_believed_though_the_interval_widens(
     assert sum(answer.budget.shares.values()) == pytest.approx(1.0)
 
 
+def test_noise_of_a_record_that_is_read_again_is_that_of_what_was_read() -> None:
+    dense, coarse = (
+        np.radians(np.arange(-89.0, 89.01, 0.25)),
+        np.radians(np.arange(-88.0, 88.1, 3.0)),
+    )
+    theta = np.linspace(-85.0, 85.0, 40)
+    rng = np.random.default_rng(5)
+    drawn = np.array(
+        [
+            ForceHistory(dense, rng.standard_normal((dense.size, 2)))
+            .as_read_at(coarse)
+            .observation()
+            .Fx
+            for _ in range(3000)
+        ]
+    )
+    covariance = window_covariance(dense, theta, read_at=coarse)
+    assert np.sqrt(np.diag(covariance)) == pytest.approx(drawn.std(axis=0), rel=0.08)
+    sums = covariance.sum(axis=1)
+    assert np.median(sums) == pytest.approx(np.median(np.cov(drawn.T).sum(axis=1)), rel=0.25)
+    # Read where it was read, nothing is done to it.
+    np.testing.assert_array_equal(
+        window_covariance(coarse, theta, read_at=coarse), window_covariance(coarse, theta)
+    )
+
+
 @settings(max_examples=15, deadline=None)
 @given(st.floats(1.0, 3.0), st.integers(12, 400))
 def test_window_covariance_is_positive_definite_and_falls_with_readings(

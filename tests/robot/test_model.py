@@ -176,6 +176,16 @@ def test_what_a_hip_hangs_on_counts_as_part_of_the_trunk(tmp_path: Path) -> None
     robot = Quadruped.load(written(tmp_path, mounted(), "mounted.urdf"))
     assert robot.legs.RL.hip == pytest.approx((-0.19, 0.1, 0.05))
     assert robot.imu == pytest.approx((0.0, 0.0, 0.1))
+    # What the trunk itself is fixed to does not matter, however it is turned.
+    world = (
+        '<link name="world"/><joint name="w" type="fixed"><parent link="world"/>'
+        '<child link="trunk"/><origin xyz="1 2 3" rpy="0 0 1"/></joint></robot>'
+    )
+    fixed = Quadruped.load(written(tmp_path, mounted().replace("</robot>", world), "fixed.urdf"))
+    assert fixed.legs == robot.legs
+    loop = world.replace('"world"/><child link="trunk"', '"FR_mount"/><child link="trunk"')
+    with pytest.raises(InputError, match="hangs on itself by way of"):
+        Quadruped.load(written(tmp_path, mounted().replace("</robot>", loop), "loop.urdf"))
     with pytest.raises(InputError, match="joint 'FR_mount_joint' has a rotated origin"):
         Quadruped.load(written(tmp_path, mounted("0 0 0.3"), "turned.urdf"))
     apart = re.sub(

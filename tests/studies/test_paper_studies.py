@@ -147,6 +147,6 @@ def test_an_angle_that_the_leg_does_not_come_to_is_told(tmp_path, monkeypatch) -
         observe.kept.append(None)
 
     monkeypatch.setattr(snapshots, "simulate", stops_early)
-    with pytest.raises(InputError, match="does not come to -30 deg"):
+    with pytest.raises(InputError, match="has 1 moments for the leg angles -90, -30 deg"):
         snapshots.moments(Scenario.model_validate(COARSE), (-90.0, -30.0), tmp_path)
     assert not list(tmp_path.iterdir())

@@ -61,10 +61,11 @@ def certified(
     origin = {key: known.get(key) for key in ("replicates", "replicates_hash")}
     if replicates is not None:
         library = with_replicates(library, replicates)
-        more = len(library.replicates) > len(replicates.cases)
-        named = [origin["replicates"]] if more and origin["replicates"] else []
+        given = {case.scenario.hash for case in replicates.cases}
+        kept = any(case.scenario.hash not in given for case in library.replicates)
+        named = (origin["replicates"] or "").split(", ") if kept else []
         origin = {
-            "replicates": ", ".join(dict.fromkeys([*named, replicates.name])),
+            "replicates": ", ".join(dict.fromkeys([*filter(None, named), replicates.name])),
             "replicates_hash": hash_of(library.replicates),
         }
     for leg in library.legs:

@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from terraphi.documents import parse_toml
 from terraphi.errors import InputError
 from terraphi.history import WINDOW_DEG
+from terraphi.readings import is_dense, shares
 
 FloatArray = NDArray[np.float64]
 
@@ -75,7 +76,9 @@ class Noise:
         return cls((sigma, sigma))
 
 
-def window_covariance(position: FloatArray, theta_deg: FloatArray) -> FloatArray:
+def window_covariance(
+    position: FloatArray, theta_deg: FloatArray, *, read_at: FloatArray | None = None
+) -> FloatArray:
     """Covariance of the window means of independent readings of unit variance [-].
 
     Parameters
@@ -84,26 +87,39 @@ def window_covariance(position: FloatArray, theta_deg: FloatArray) -> FloatArray
         Leg angles of the readings [rad], increasing, shape [sample].
     theta_deg
         Centres of the windows [deg], shape [window], as in :meth:`ForceHistory.observation`.
+    read_at
+        Leg angles at which the record was read again before its windows were taken [rad], as by
+        :meth:`ForceHistory.as_read_at`; ``None`` if it was not.
 
     Returns
     -------
     ndarray
         Shape [window, window]; positive definite.
     """
-    return _window_covariance(position.tobytes(), theta_deg.tobytes())
+    again = b"" if read_at is None else read_at.tobytes()
+    return _window_covariance(position.tobytes(), theta_deg.tobytes(), again)
 
 
 @functools.lru_cache(maxsize=16)
-def _window_covariance(position: bytes, angles: bytes) -> FloatArray:
-    x, theta_deg = np.frombuffer(position), np.frombuffer(angles)
-    centre = np.radians(theta_deg)
+def _window_covariance(position: bytes, angles: bytes, again: bytes) -> FloatArray:
+    x, theta_deg, readings = (np.frombuffer(part) for part in (position, angles, again))
     half = np.radians(WINDOW_DEG) / (theta_deg.size - 1)
-    low, high = np.maximum(centre - half, x[0]), np.minimum(centre + half, x[-1])
-    weights = (_hats(high, x) - _hats(low, x)) / (high - low)[:, None]
+    if readings.size == 0 or is_dense(readings) or np.array_equal(x, readings):
+        weights = _means(np.radians(theta_deg), half, x)
+    else:
+        windows = _means(np.radians(theta_deg), half, readings)
+        weights = windows @ _means(readings, 0.5 * shares(readings), x)
     covariance: FloatArray = weights @ weights.T
     covariance += RIDGE * np.trace(covariance) / theta_deg.size * np.eye(theta_deg.size)
     covariance.setflags(write=False)
     return covariance
+
+
+def _means(centre: FloatArray, half: float | FloatArray, x: FloatArray) -> FloatArray:
+    """Weights of samples in the means around some places, shape [place, sample]."""
+    low, high = np.maximum(centre - half, x[0]), np.minimum(centre + half, x[-1])
+    weights: FloatArray = (_hats(high, x) - _hats(low, x)) / (high - low)[:, None]
+    return weights
 
 
 def _hats(at: FloatArray, x: FloatArray) -> FloatArray:

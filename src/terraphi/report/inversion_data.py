@@ -113,6 +113,8 @@ def load(path: Path) -> Saved:
     sound = len(vectors[0]) == len(vectors[1]) == 2 * len(theta) and len(draws) >= 10
     told = np.zeros((2, len(theta))) if share is None else share
     sound = sound and told.shape == (2, len(theta))
+    if readings is not None:
+        sound = sound and len(readings) > 1 and bool((np.diff(readings) > 0.0).all())
     if not sound or not all(np.isfinite(v).all() for v in (*vectors, theta, draws, told)):
         raise InputError(f"{posterior}: its arrays do not fit each other; make it again")
     saved = Saved(answer, draws, theta, vectors[0], vectors[1], share, readings)

@@ -203,11 +203,12 @@ def _notes(
     criteria: Criteria,
 ) -> list[str]:
     notes = list(forces.provenance.get("assumed", ()))
-    heading = forces.provenance.get("heading_deg")
-    if forces.frame == "world" and heading is not None and abs(heading) > ASKEW_DEG:
+    headings = forces.provenance.get("headings_deg")
+    if forces.frame == "world" and headings and max(map(abs, headings)) > ASKEW_DEG:
+        low, _, high = headings
         notes.append(
-            f"the robot heads {heading:.0f}° from the world's x, along which Fx counts; frame "
-            "'heading' counts it along the robot"
+            f"the robot heads {low:.0f} to {high:.0f}° from the world's x, along which Fx counts; "
+            "frame 'heading' counts it along the robot"
         )
     counts = forces.saturated.sum(axis=0).tolist()
     limited = [f"{foot} ({n})" for foot, n in zip(FEET, counts, strict=True) if n]

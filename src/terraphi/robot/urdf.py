@@ -131,26 +131,30 @@ def _hips(
 ) -> tuple[str, dict[str, tuple[float, ...]]]:
     """The link that all legs hang on, and the places of the hips in its frame [m].
 
-    That is the link that the hips themselves hang on, or the one that their mounts are fixed to.
+    That is the link that the hips themselves hang on, or the first that all mounts are fixed to.
     """
     above = {joint.child: joint for joint in joints if joint.kind == "fixed"}
-    trunks = {foot: chain[0].parent for foot, chain in chains.items()}
-    places = {foot: chain[0].place for foot, chain in chains.items()}
-    if len(set(trunks.values())) > 1:
-        for foot, trunk in trunks.items():
-            while trunk in above:
-                mount = above[trunk]
-                if not np.allclose(mount.rotation, np.eye(3), atol=1e-6):
-                    raise InputError(
-                        f"{source}: joint '{mount.name}' has a rotated origin (rpy); legs whose "
-                        "frames are parallel at zero angles are expected"
-                    )
-                trunk, places[foot] = mount.parent, mount.place + places[foot]
-            trunks[foot] = trunk
-    if len(set(trunks.values())) > 1:
-        listed = ", ".join(f"{foot} on '{link}'" for foot, link in trunks.items())
+    ways = {foot: [chain[0].parent] for foot, chain in chains.items()}
+    for way in ways.values():
+        while way[-1] in above:
+            way.append(above[way[-1]].parent)
+    common = [link for link in ways["FR"] if all(link in way for way in ways.values())]
+    if not common:
+        listed = ", ".join(f"{foot} on '{way[-1]}'" for foot, way in ways.items())
         raise InputError(f"{source}: the legs hang on several links ({listed}); one is expected")
-    return trunks["FR"], {foot: tuple(place.tolist()) for foot, place in places.items()}
+    trunk, places = common[0], {}
+    for foot, way in ways.items():
+        place = chains[foot][0].place
+        for link in way[: way.index(trunk)]:
+            mount = above[link]
+            if not np.allclose(mount.rotation, np.eye(3), atol=1e-6):
+                raise InputError(
+                    f"{source}: joint '{mount.name}' has a rotated origin (rpy); legs whose frames "
+                    "are parallel at zero angles are expected"
+                )
+            place = mount.place + place
+        places[foot] = tuple(place.tolist())
+    return trunk, places
 
 
 def _leg(
@@ -233,9 +237,17 @@ def _check_tree(joints: list[_Joint], links: Mapping[str, object], source: str) 
                 f"{source}: link '{joint.child}' hangs on more than one joint, or on itself; a "
                 "tree of links is expected"
             )
-    moved = set(children)
-    if len(moved) == len(links) and links:
-        raise InputError(f"{source}: every link hangs on another; a tree of links is expected")
+    above = {joint.child: joint.parent for joint in joints}
+    for link in links:
+        seen, at = {link}, link
+        while at in above:
+            at = above[at]
+            if at in seen:
+                raise InputError(
+                    f"{source}: link '{link}' hangs on itself by way of '{at}'; a tree of links is "
+                    "expected"
+                )
+            seen.add(at)
 
 
 def _numbers(element: ET.Element | None, key: str, default: str) -> FloatArray:

@@ -110,8 +110,9 @@ def moments(
     simulate(scenario, progress=progress, observe=observer)
     if len(observer.kept) < len(theta_deg):
         raise InputError(
-            f"the leg does not come to {theta_deg[len(observer.kept)]:g} deg; ask for angles that "
-            "its motion passes"
+            f"the simulation has {len(observer.kept)} moments for the leg angles "
+            f"{', '.join(f'{angle:g}' for angle in theta_deg)} deg; ask for angles that its motion "
+            "passes, farther apart"
         )
     arrays = {
         f"{i}_{name}": np.asarray(value)

@@ -15,7 +15,12 @@ from terraphi.forward import simulate
 from terraphi.history import ForceHistory
 from terraphi.inference.joint import JointInversion, Trial, invert_jointly
 from terraphi.inference.joint.answer import Summary
-from terraphi.inference.joint.inversion import DILATION, _plane_strain, _window_noise
+from terraphi.inference.joint.inversion import (
+    DILATION,
+    _density_of,
+    _plane_strain,
+    _window_noise,
+)
 from terraphi.inference.joint.likelihood import LegLikelihood
 from terraphi.inference.joint.prior import Marginal
 from terraphi.inference.joint.target import Target
@@ -182,6 +187,43 @@ def test_a_history_of_another_model_is_named_and_not_believed_blindly(
     assert found.warnings == (said,)
     assert said in found.verdict.reason
     assert found.as_dict()["warnings"] == [said]
+
+
+def test_records_read_at_other_angles_are_told(two_parameters, trial) -> None:
+    whole = trial("straight", noise=0.0).history
+    every, later = (np.radians(np.arange(start, 88.0, 2.0)) for start in (-87.9, -86.9))
+    rough = np.radians(np.r_[-87.0:60.0:0.25, 66.0:87.0:0.25])
+    one, other, gap, dense = (
+        Trial(whole.as_read_at(at), "straight", name)
+        for name, at in (
+            ("one", every),
+            ("other", later),
+            ("gap", rough),
+            ("dense", whole.position),
+        )
+    )
+    data = training(two_parameters, "straight")
+    (pair,) = grouped([one, other, dense])
+    assert pair.readings.size < 90
+    (said,) = [w for w in warnings_on(pair, data, 1650.0) if "other angles" in w]
+    assert said.startswith(("one is read at other angles", "other is read at other angles"))
+    # The record with the fewest readings decides, not the one with the widest gap.
+    (mixed,) = grouped([gap, one])
+    assert np.diff(np.degrees(mixed.readings)) == pytest.approx(2.0)
+    (same,) = grouped([one, replace(one, history=one.history.scaled(1.01)), dense])
+    assert same.read_twice == []
+    assert not any("other angles" in w for w in warnings_on(same, data, 1650.0))
+
+
+def test_a_density_that_is_assumed_is_compared_with_the_simulated_one(two_parameters) -> None:
+    data = training(two_parameters, "straight")
+    light = two_parameters.cases[0].scenario.replace(**{**TRUTH, DENSITY: 1500.0})
+    (group,) = grouped([Trial(simulate(light), "straight", "light")])
+    assert _density_of({}, data) == 1650.0
+    (said,) = warnings_on(group, data, _density_of({}, data))
+    assert "simulated with a density of 1500 kg/m³ and is inverted with 1650" in said
+    free = {DENSITY: Marginal(1400.0, 1700.0)}
+    assert warnings_on(group, data, _density_of(free, data)) == []
 
 
 def test_noise_that_is_told_is_of_each_force(trial) -> None:

@@ -72,7 +72,8 @@ class JointInversion:
     draws
         Of the parameters, and then of noise and discrepancy as far as they were inferred.
     noise_N, amplitude
-        Draws of the noise of a window mean [N] and the relative size of the discrepancy [-].
+        Draws of the noise of a window mean of the noisier force [N], and of the relative size of
+        the discrepancy [-].
     marginal
         Summary of each parameter.
     conditional

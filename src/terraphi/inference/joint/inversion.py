@@ -128,8 +128,11 @@ def invert_jointly(
             "seconds": time.perf_counter() - began,
         }
         answer = _answer(groups, library, target, draws, about, assumed)
-    known = _fixed(marginals, DENSITY)
-    warnings = [w for g, d in zip(groups, data, strict=True) for w in warnings_on(g, d, known)]
+    warnings = [
+        said
+        for group, d in zip(groups, data, strict=True)
+        for said in warnings_on(group, d, _density_of(marginals, d))
+    ]
     verdict = replace(answer.verdict, reason=" ".join([answer.verdict.reason, *warnings]))
     return replace(answer, verdict=verdict, warnings=tuple(warnings))
 
@@ -168,6 +171,13 @@ def _checked(
     return found
 
 
+def _density_of(marginals: Mapping[str, Marginal], data: Training) -> float | None:
+    """Density that a leg is inverted with [kg/m3], known or assumed; ``None`` if it is inferred."""
+    if DENSITY in marginals:
+        return _fixed(marginals, DENSITY)
+    return data.scenario.soil.density
+
+
 def _fixed(marginals: Mapping[str, Marginal], key: str) -> float | None:
     """Value of a parameter that is known; ``None`` if it is not one, or inferred."""
     known = marginals.get(key)
@@ -185,7 +195,9 @@ def _window_noise(
     if noise.sigma_N is None:
         return None, (1.0, 1.0)
     shares = [
-        np.median(window_covariance(t.history.position, o.theta_deg).sum(axis=1))
+        np.median(
+            window_covariance(t.history.position, o.theta_deg, read_at=g.readings).sum(axis=1)
+        )
         for g in groups
         for t, o in zip(g.trials, g.observations, strict=True)
     ]

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from terraphi.design_surrogate import Training
 from terraphi.errors import InputError
-from terraphi.history import ForceHistory, Observation
+from terraphi.history import WINDOW_DEG, ForceHistory, Observation
 from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
+from terraphi.readings import DENSE_DEG, is_dense
 from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
@@ -68,11 +69,25 @@ class Repeats:
 
     @property
     def readings(self) -> FloatArray:
-        """Leg angles of the coarsest record, where all have forces [rad], shape [sample]."""
+        """Leg angles of the record with the fewest readings in the window, shape [sample].
+
+        Those where all have forces [rad].
+        """
         low = max(float(t.history.position[0]) for t in self.trials)
         high = min(float(t.history.position[-1]) for t in self.trials)
         records = [t.history.between(low, high).position for t in self.trials]
-        return max(records, key=lambda position: float(np.diff(position).max(initial=0.0)))
+        return min(records, key=_engaged)
+
+    @property
+    def read_twice(self) -> list[Trial]:
+        """Coarse records that are compared at other angles than their own."""
+        common = self.readings
+        own = [t.history.between(common[0], common[-1]).position for t in self.trials]
+        return [
+            trial
+            for trial, position in zip(self.trials, own, strict=True)
+            if not (is_dense(position) or np.array_equal(position, common))
+        ]
 
     @property
     def vectors(self) -> FloatArray:
@@ -81,7 +96,7 @@ class Repeats:
 
 
 def grouped(trials: Sequence[Trial]) -> list[Repeats]:
-    """Trials by leg; all are observed where each of that leg has forces, and as the coarsest is.
+    """Trials by leg; all are observed where each of that leg has forces, and where the coarsest is.
 
     Parameters
     ----------
@@ -113,6 +128,11 @@ def grouped(trials: Sequence[Trial]) -> list[Repeats]:
         cut = tuple(t.history.as_read_at(bare.readings).observation() for t in same)
         found.append(Repeats(leg, same, cut))
     return found
+
+
+def _engaged(position: FloatArray) -> int:
+    """Readings within the engaged window."""
+    return int(np.count_nonzero(np.abs(position) <= np.radians(WINDOW_DEG)))
 
 
 def common_density(trials: Sequence[Trial]) -> tuple[float | None, bool]:
@@ -173,9 +193,14 @@ def warnings_on(repeats: Repeats, training: Training, density: float | None) -> 
     training
         What the library holds of it.
     density
-        Density that is taken as known [kg/m3]; ``None`` if it is inferred.
+        Density that the trials are inverted with [kg/m3]; ``None`` if it is inferred.
     """
-    found = []
+    found = [
+        f"{trial.source or 'A history'} is read at other angles than another history of leg "
+        f"{repeats.leg}, more than {DENSE_DEG:g}° apart: the angle found may be off by some tenths "
+        "of a degree."
+        for trial in repeats.read_twice
+    ]
     curves = training.forces
     if density is not None:
         curves = curves * (density / training.density)[:, None]
