@@ -289,11 +289,22 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path) -> None:
     (tmp_path / "p.toml").write_text(SLOW_PLAN)
     command = [sys.executable, "-m", "terraphi.cli", "library", "build", "p.toml", "--out", "l.nc"]
     started = subprocess.Popen(
-        [*command, "--workers", "1"], cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True
+        [*command, "--workers", "1", "--checkpoint-every", "0"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
     )
-    time.sleep(4.0)
+    kept = tmp_path / "l.nc.cases"
+    for _ in range(1200):  # until a worker is at work on a case
+        if list(kept.glob("[0-9a-f]*.checkpoint")):
+            break
+        time.sleep(0.05)
+    else:
+        pytest.fail("no worker came to a checkpoint")
     started.kill()
-    started.communicate(timeout=120)  # the workers hold the pipe as long as they live
+    # The workers hold the pipe as long as they live: here, for a part of what a case takes.
+    started.communicate(timeout=120)
+    assert not list(kept.glob("*.nc"))
 
 
 @pytest.mark.parametrize("words", [[], ["library"]])
