@@ -26,7 +26,7 @@ from terraphi.files import (
     replacing,
     write_netcdf,
 )
-from terraphi.readings import check_readings, is_dense, shares
+from terraphi.readings import between, check_readings, is_read_again, shares
 
 FloatArray = NDArray[np.float64]
 
@@ -150,9 +150,7 @@ class ForceHistory:
 
     def between(self, low: float, high: float) -> ForceHistory:
         """Samples of this history at positions from low to high, in the unit of ``position``."""
-        # Degrees turned to radians and back may miss an end by a rounding error.
-        slack = 1e-9 * (1.0 + np.abs(self.position))
-        inside = (self.position >= low - slack) & (self.position <= high + slack)
+        inside = between(self.position, low, high)
         return replace(self, position=self.position[inside], force=self.force[inside])
 
     def as_read_at(self, readings: FloatArray | None) -> ForceHistory:
@@ -176,9 +174,8 @@ class ForceHistory:
         """
         if readings is None:
             return self
-        own = self.between(readings[0], readings[-1])
-        if is_dense(readings) or np.array_equal(own.position, readings):
-            return own
+        if not is_read_again(self.position, readings):
+            return self.between(readings[0], readings[-1])
         seen = (readings >= self.position[0]) & (readings <= self.position[-1])
         force = self.means(readings[seen], 0.5 * shares(readings)[seen])
         return replace(self, position=readings[seen], force=force)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +21,7 @@ from terraphi.documents import shipped_file
 from terraphi.errors import InputError
 from terraphi.files import open_netcdf, positions, write_netcdf
 from terraphi.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
-from terraphi.plan import Plan, describe
+from terraphi.plan import Plan, describe, value_of
 from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
@@ -188,8 +188,7 @@ class Library:
                 f"library '{self.name}' has the friction angles {phi.tolist()} for leg '{leg}'; "
                 "an inversion needs at least three, each once"
             )
-        own = {"soil.friction_angle_deg": phi[0], "numerics.seed": 0}
-        if len({case.scenario.replace(**own).hash for case in chosen}) > 1:
+        if differ_beyond(chosen, ["soil.friction_angle_deg"]):
             raise InputError(
                 f"library '{self.name}' varies more than the friction angle of leg '{leg}'; this "
                 "inversion knows one parameter"
@@ -363,6 +362,12 @@ class Library:
 def hash_of(cases: Sequence[Case]) -> str:
     """SHA-256 of the hashes of some cases, hexadecimal."""
     return hashlib.sha256("".join(case.scenario.hash for case in cases).encode()).hexdigest()
+
+
+def differ_beyond(cases: Sequence[Case], keys: Iterable[str]) -> bool:
+    """Whether the scenarios of some cases differ in more than these keys and the particle seed."""
+    same = {key: value_of(cases[0].scenario, key) for key in keys}
+    return len({unseeded(case.scenario.replace(**same)) for case in cases}) > 1
 
 
 def unseeded(scenario: Scenario) -> str:

@@ -23,6 +23,25 @@ def is_dense(readings: FloatArray) -> bool:
     return bool(np.degrees(np.diff(readings).max()) <= DENSE_DEG + 1e-9)
 
 
+def between(position: FloatArray, low: float, high: float) -> NDArray[np.bool_]:
+    """Which positions lie between two others, ends included; same unit, shape [sample]."""
+    # Degrees turned to radians and back may miss an end by a rounding error.
+    slack = 1e-9 * (1.0 + np.abs(position))
+    return np.asarray((position >= low - slack) & (position <= high + slack))
+
+
+def is_read_again(position: FloatArray, readings: FloatArray) -> bool:
+    """Whether samples have to be averaged anew to be seen as from a record with other readings.
+
+    Parameters
+    ----------
+    position, readings
+        Leg angles [rad], increasing, shape [sample] each.
+    """
+    own = position[between(position, readings[0], readings[-1])]
+    return not (is_dense(readings) or np.array_equal(own, readings))
+
+
 def shares(readings: FloatArray) -> FloatArray:
     """Part of the path that each reading is the mean over [rad], shape [sample].
 

@@ -166,6 +166,11 @@ def test_noise_of_a_record_that_is_read_again_is_that_of_what_was_read() -> None
     np.testing.assert_array_equal(
         window_covariance(coarse, theta, read_at=coarse), window_covariance(coarse, theta)
     )
+    # Nor if it was read beyond the ends that it shares with another.
+    longer = np.radians(np.arange(-100.0, 100.1, 3.0))
+    np.testing.assert_array_equal(
+        window_covariance(longer, theta, read_at=longer[2:-2]), window_covariance(longer, theta)
+    )
 
 
 @settings(max_examples=15, deadline=None)

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 DEFAULT_LIBRARY = "quick-plane-strain"
 DEFAULT_LIKELIHOOD = "calibrated"
 DEFAULT_SAMPLER = "quadrature"
+ALL_FIGURES = ("figure.png", "corner.png")
+"""Pictures that an inversion of any kind may leave in its folder."""
 
 
 @click.command()
@@ -195,9 +197,6 @@ def legs_of(legs: Sequence[str], measured: Sequence[Measurement]) -> list[str]:
             "or once for each history in their order"
         )
     return list(legs)
-
-
-ALL_FIGURES = ("figure.png", "corner.png")
 
 
 def save_inversion(inversion: Inversion, place: Path) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from terraphi.errors import InputError
 from terraphi.history import OBSERVATION_ANGLES, WINDOW_DEG
-from terraphi.library import Library
+from terraphi.library import Library, differ_beyond
 from terraphi.plan import value_of
 from terraphi.scenario import Scenario
 
@@ -146,8 +146,7 @@ def training(library: Library, leg: str, *, readings: FloatArray | None = None) 
             f"library '{library.name}' has {len(chosen)} cases of leg '{leg}'; at least "
             f"{FEWEST_CASES} are needed"
         )
-    same = {**{k: value_of(first, k) for k in bounds}, "numerics.seed": 0}
-    if len({c.scenario.replace(**same).hash for c in chosen}) > 1:
+    if differ_beyond(chosen, bounds):
         raise InputError(
             f"library '{library.name}' varies more than {', '.join(bounds)}: its cases of leg "
             f"'{leg}' differ in what is no number, and would count as scatter; build one for each"

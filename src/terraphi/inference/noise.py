@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from terraphi.documents import parse_toml
 from terraphi.errors import InputError
 from terraphi.history import WINDOW_DEG
-from terraphi.readings import is_dense, shares
+from terraphi.readings import is_read_again, shares
 
 FloatArray = NDArray[np.float64]
 
@@ -104,11 +104,11 @@ def window_covariance(
 def _window_covariance(position: bytes, angles: bytes, again: bytes) -> FloatArray:
     x, theta_deg, readings = (np.frombuffer(part) for part in (position, angles, again))
     half = np.radians(WINDOW_DEG) / (theta_deg.size - 1)
-    if readings.size == 0 or is_dense(readings) or np.array_equal(x, readings):
-        weights = _means(np.radians(theta_deg), half, x)
-    else:
+    if readings.size and is_read_again(x, readings):
         windows = _means(np.radians(theta_deg), half, readings)
         weights = windows @ _means(readings, 0.5 * shares(readings), x)
+    else:
+        weights = _means(np.radians(theta_deg), half, x)
     covariance: FloatArray = weights @ weights.T
     covariance += RIDGE * np.trace(covariance) / theta_deg.size * np.eye(theta_deg.size)
     covariance.setflags(write=False)

@@ -136,7 +136,7 @@ def section(path: Path, *, robot: str = "go2") -> Section:
         shown = Forces.read(path)
         compared, why_not = _from_its_log(shown, robot)
     else:
-        compared, why_not = comparison(path, robot=robot)
+        compared, why_not = comparison(path, robot=Quadruped.load(robot))
         if not compared:
             raise InputError(why_not)
         shown = compared["momentum_observer" if "momentum_observer" in compared else "quasi_static"]
@@ -158,14 +158,13 @@ def _notes(summary: Mapping[str, Any]) -> list[str]:
 
 
 def comparison(
-    path: Path, *, robot: str, frame: Any = None, topic: str | None = None
+    path: Path, *, robot: Quadruped, frame: Any = None, topic: str | None = None
 ) -> tuple[dict[str, Forces], str]:
     """What every estimator makes of a log, and of the last that could not, why.
 
     In the frame of the world if none is named, or of the body where the log has no attitude.
     """
-    body = Quadruped.load(robot)
-    log = read_log(path, topic=topic, motors=body.joint_order, precision="single")
+    log = read_log(path, topic=topic, motors=robot.joint_order, precision="single")
     log = replace(log, report={"source": str(path), **log.report})
     chosen: Any = frame or ("body" if log.quaternion is None else "world")
     found: dict[str, Forces] = {}
@@ -173,7 +172,7 @@ def comparison(
     for estimator in ESTIMATORS:
         try:
             found[estimator] = Forces.of(
-                analyse(log, robot=body, estimator=estimator, frame=chosen)
+                analyse(log, robot=robot, estimator=estimator, frame=chosen)
             )
         except InputError as error:
             why_not = f"{path}: {error}"
@@ -188,11 +187,12 @@ def _from_its_log(shown: Forces, robot: str) -> tuple[dict[str, Forces], str]:
     if not source or not Path(str(source)).exists():
         return {}, f"the log that they come from is not at hand; {how}"
     try:
-        if Quadruped.load(robot).name != known.get("robot"):
+        body = Quadruped.load(robot)
+        if body.name != known.get("robot"):
             return {}, f"they are of the robot '{known.get('robot')}'; name it with --robot"
         log = known["log"]
         frame, topic = shown.summary["frame"], log.get("topic")
-        found = comparison(Path(str(source)), robot=robot, frame=frame, topic=topic)
+        found = comparison(Path(str(source)), robot=body, frame=frame, topic=topic)
         others = next(iter(found[0].values()), None)
         if others is not None and others.summary["samples"] != shown.summary["samples"]:
             return {}, f"the log that lies there now is another; {how}"

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.design_surrogate import Training
 from terraphi.errors import InputError
-from terraphi.history import WINDOW_DEG, ForceHistory, Observation
+from terraphi.history import ForceHistory, Observation
 from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
-from terraphi.readings import DENSE_DEG, is_dense
+from terraphi.readings import DENSE_DEG, is_dense, is_read_again
 from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
@@ -67,7 +68,7 @@ class Repeats:
     trials: tuple[Trial, ...]
     observations: tuple[Observation, ...]
 
-    @property
+    @cached_property
     def readings(self) -> FloatArray:
         """Leg angles of the record with the fewest readings in the window, shape [sample].
 
@@ -75,18 +76,18 @@ class Repeats:
         """
         low = max(float(t.history.position[0]) for t in self.trials)
         high = min(float(t.history.position[-1]) for t in self.trials)
-        records = [t.history.between(low, high).position for t in self.trials]
-        return min(records, key=_engaged)
+        records = [t.history.between(low, high) for t in self.trials]
+        return min(records, key=lambda record: len(record.engaged().position)).position
 
     @property
     def read_twice(self) -> list[Trial]:
         """Coarse records that are compared at other angles than their own."""
         common = self.readings
-        own = [t.history.between(common[0], common[-1]).position for t in self.trials]
         return [
             trial
-            for trial, position in zip(self.trials, own, strict=True)
-            if not (is_dense(position) or np.array_equal(position, common))
+            for trial in self.trials
+            if is_read_again(trial.history.position, common)
+            and not is_dense(trial.history.between(common[0], common[-1]).position)
         ]
 
     @property
@@ -128,11 +129,6 @@ def grouped(trials: Sequence[Trial]) -> list[Repeats]:
         cut = tuple(t.history.as_read_at(bare.readings).observation() for t in same)
         found.append(Repeats(leg, same, cut))
     return found
-
-
-def _engaged(position: FloatArray) -> int:
-    """Readings within the engaged window."""
-    return int(np.count_nonzero(np.abs(position) <= np.radians(WINDOW_DEG)))
 
 
 def common_density(trials: Sequence[Trial]) -> tuple[float | None, bool]:

@@ -76,7 +76,7 @@ def read_log(
         with ExitStack() as stack:
             kind, source = _sniff(path, stack)
             if isinstance(source, list):
-                return _read_bag(path, kind, source, topic, (joint_names, motors), precision)
+                return _read_bag(path, kind, source, topic, joint_names, motors, precision)
             if topic is not None:
                 raise InputError(f"{path}: a {kind} file has no topics; leave '{topic}' out")
             collector = Collector(path, "time_s" if kind == "csv" else "time", precision)
@@ -122,7 +122,8 @@ def _read_bag(
     kind: str,
     storages: list[Storage],
     topic: str | None,
-    names: tuple[Sequence[str] | None, Sequence[str]],
+    joint_names: Sequence[str] | None,
+    motors: Sequence[str],
     precision: Precision,
 ) -> JointLog:
     present = [(storage, storage.topics()) for storage in storages]
@@ -130,7 +131,6 @@ def _read_bag(
         raise InputError(f"{path}: cut off or damaged before its first message; copy it again")
     chosen = _choose(path, [t for _, topics in present for t in topics], topic)
     low = chosen.plain_type == _LOW_STATE
-    joint_names, motors = names
     decoder = jointstate.JointStateDecoder(joint_names)
     collector = Collector(path, "tick" if low else "header stamp", precision)
     for storage, topics in present:
