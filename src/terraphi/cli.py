@@ -173,6 +173,12 @@ def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
 )
 @click.option("--frame", default="world", show_default=True, help="world, heading or body.")
 @click.option("--topic", help="Topic of a bag; the only fitting one if not given.")
+@click.option(
+    "--joint-names",
+    metavar="NAME,...",
+    help="A bag's twelve JointState names, where they do not tell by themselves: FR, FL, RR, RL, "
+    "each hip, thigh, calf.",
+)
 @click.option("--out", type=click.Path(path_type=Path), help="NetCDF file to make.")
 @click.option("--figures", type=click.Path(path_type=Path), help="Folder for two figures.")
 @json_option
@@ -182,6 +188,7 @@ def forces(
     estimator: Any,
     frame: Any,
     topic: str | None,
+    joint_names: str | None,
     out: Path | None,
     figures: Path | None,
     as_json: bool,
@@ -198,7 +205,15 @@ def forces(
 
     if out is not None:
         writable(out)
-    found = analyse(log, robot=robot, estimator=estimator, frame=frame, topic=topic)
+    names = joint_names and [name.strip() for name in joint_names.split(",")]
+    found = analyse(
+        log,
+        robot=robot,
+        estimator=estimator,
+        frame=frame,
+        topic=topic,
+        joint_names=names or None,
+    )
     if out is not None:
         write_forces(found, out)
     if figures is not None:

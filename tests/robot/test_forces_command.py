@@ -14,7 +14,7 @@ import xarray as xr
 
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.kinematics import jacobian
-from terraphi.robot.logs import write_csv, write_mcap, write_npz, write_rosbag2
+from terraphi.robot.logs import jointstate, write_csv, write_mcap, write_npz, write_rosbag2
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import analyse
 from terraphi.robot.stance import Criteria, find_stances
@@ -62,6 +62,8 @@ def test_file_and_figures(terraphi: Terraphi, tmp_path: Path) -> None:
         (("log.npz", "--estimator", "observer"), "momentum_observer"),
         (("log.npz", "--frame", "earth"), "world"),
         (("log.npz", "--topic", "/lowstate"), "topic"),
+        (("log.npz", "--joint-names", "a,b"), "2 joint names given; 12 are expected"),
+        (("log.npz", "--joint-names", "a,b,c,d,e,f,g,h,i,j,k,l"), "leave the joint names out"),
         (("log.npz", "--out", "no/f.nc"), "no such folder"),
     ],
 )
@@ -72,6 +74,27 @@ def test_unusable_words(args: tuple[str, ...], word: str, terraphi: Terraphi, tm
     assert word in err
     assert len(err.strip().splitlines()) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["log.npz"]
+
+
+def test_joints_with_names_that_do_not_tell(
+    terraphi: Terraphi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_rosbag2("told", trotting(), message="jointstate")
+    monkeypatch.setattr(jointstate, "NAMES", [f"m{i}" for i in range(12)])
+    write_rosbag2("bag", trotting(), message="jointstate")
+    status, _, err = terraphi("forces", "bag", "--frame", "body")
+    assert status == 2
+    assert "'m0' is not known" in err
+    assert "--joint-names" in err
+    names = ", ".join(f"m{i}" for i in range(12))
+    ran = terraphi("forces", "bag", "--frame", "body", "--joint-names", names, "--json")
+    told = terraphi("forces", "told", "--frame", "body", "--json")
+    assert (ran.status, told.status) == (0, 0)
+    assert json.loads(ran.out)["feet"] == json.loads(told.out)["feet"]
+    write_rosbag2("low", trotting())
+    status, _, err = terraphi("forces", "low", "--joint-names", names)
+    assert status == 2
+    assert "leave the joint names out" in err
 
 
 def test_world_frame_without_an_attitude_is_refused(terraphi: Terraphi) -> None:

@@ -45,12 +45,13 @@ def joint_order(names: Sequence[str], wanted: Sequence[str] | None = None) -> li
         if place is None:
             raise InputError(
                 f"joint '{name[:60]}' is not known; expected twelve named like {NAMES[0]}, or say "
-                "which they are (joint_names)"
+                "which twelve are meant (--joint-names; in Python joint_names)"
             )
         if place in found:
             raise InputError(
                 f"joints '{names[found[place]][:60]}' and '{name[:60]}' both look like the "
-                f"{_named(place)}; say which twelve are meant (joint_names)"
+                f"{_named(place)}; say which twelve are meant (--joint-names; in Python "
+                "joint_names)"
             )
         found[place] = i
     order = [(foot, joint) for foot in range(len(FEET)) for joint in range(len(JOINTS))]

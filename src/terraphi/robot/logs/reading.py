@@ -69,7 +69,10 @@ def read_log(
     """
     path = Path(path)
     if joint_names is not None and len(joint_names) != len(NAMES):
-        raise InputError(f"{len(joint_names)} joint names given; {len(NAMES)} are expected")
+        raise InputError(
+            f"{len(joint_names)} joint names given; {len(NAMES)} are expected, in the order "
+            f"{', '.join(JOINT_NAMES)}"
+        )
     if path.name == "metadata.yaml":
         path = path.parent
     try:
@@ -79,6 +82,10 @@ def read_log(
                 return _read_bag(path, kind, source, topic, joint_names, motors, precision)
             if topic is not None:
                 raise InputError(f"{path}: a {kind} file has no topics; leave '{topic}' out")
+            if joint_names is not None:
+                raise InputError(
+                    f"{path}: {kind} names its joints itself; leave the joint names out"
+                )
             collector = Collector(path, "time_s" if kind == "csv" else "time", precision)
             for block in source(path):
                 collector.add(block)
@@ -131,6 +138,11 @@ def _read_bag(
         raise InputError(f"{path}: cut off or damaged before its first message; copy it again")
     chosen = _choose(path, [t for _, topics in present for t in topics], topic)
     low = chosen.plain_type == _LOW_STATE
+    if low and joint_names is not None:
+        raise InputError(
+            f"{path}, topic '{chosen.name}': {lowstate.TYPE} numbers its motors and has no names; "
+            "leave the joint names out"
+        )
     decoder = jointstate.JointStateDecoder(joint_names)
     collector = Collector(path, "tick" if low else "header stamp", precision)
     for storage, topics in present:
