@@ -190,11 +190,23 @@ def open_forces(source: str | Path) -> Measurement:
     )
 
 
+def medium_and_leg(name: str) -> tuple[str, str]:
+    """The two parts of a shipped measurement's name: ``yuma`` and ``straight``.
+
+    Parameters
+    ----------
+    name
+        ``li2013:MEDIUM/LEG``.
+    """
+    medium, _, leg = name.partition(":")[2].partition("/")
+    return medium, leg
+
+
 def _shipped(name: str, kind: str = "") -> tuple[ForceHistory, _Medium, LegShape, str]:
     """History of a kind, medium, leg and citation of a shipped measurement."""
     if name not in names():
         raise InputError(f"no shipped measurement '{name}'; {nearest(name, names())}")
-    medium, _, shape = name.partition(":")[2].partition("/")
+    medium, shape = medium_and_leg(name)
     table = parse_toml(shipped_file(COLLECTION, "media", ".toml"), _Media)
     history = ForceHistory.from_csv(shipped_file(COLLECTION, f"{medium}-{shape}{kind}", ".csv"))
     provenance = {**history.provenance, "measurement": name, "source": table.citation}

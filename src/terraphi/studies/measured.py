@@ -20,7 +20,7 @@ from terraphi.errors import InputError
 from terraphi.inference.answer import Inversion
 from terraphi.inference.inversion import invert
 from terraphi.library import Library
-from terraphi.measurements import Measurement, measurement, names
+from terraphi.measurements import Measurement, measurement, medium_and_leg, names
 from terraphi.studies import Study, page
 from terraphi.studies.pictures import measured_figure
 
@@ -108,7 +108,7 @@ def _answer(library: str, one: Measurement, found: Inversion) -> dict[str, Any]:
     return {
         "library": library,
         "yield": found.convention,
-        "medium": one.name.partition(":")[2].partition("/")[0],
+        "medium": medium_and_leg(one.name)[0],
         "leg": one.leg,
         "phi_median_deg": found.phi.median,
         "ci95_deg": list(found.phi.ci95),

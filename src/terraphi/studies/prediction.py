@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
-from terraphi.measurements import Measurement, measurement, names
+from terraphi.measurements import Measurement, measurement, medium_and_leg, names
 from terraphi.plan import Plan, Step
 from terraphi.plots import BLUE, ORANGE, Curve
 from terraphi.scenario import Scenario
@@ -131,7 +131,7 @@ def sands() -> dict[str, dict[str, Measurement]]:
     found: dict[str, dict[str, Measurement]] = {}
     for name in names():
         one = measurement(name)
-        found.setdefault(name.partition(":")[2].partition("/")[0], {})[one.leg] = one
+        found.setdefault(medium_and_leg(name)[0], {})[one.leg] = one
     return {m: legs for m, legs in found.items() if CALIBRATED_ON in legs}
 
 
