@@ -91,12 +91,12 @@ def test_a_worker_killed_in_the_middle_costs_nothing(local: LocalCluster, tmp_pa
         while len(list(cases_folder(file).glob("*.checkpoint"))) < 2:
             time.sleep(0.02)
         busy = [w for w in local.scheduler.workers.values() if w.processing]
-        with Cluster(local.scheduler_address) as other:
-            killed.append(other._client.run(os.getpid, workers=[busy[0].address])[busy[0].address])
+        killed.append(pids[busy[0].address])
         os.kill(killed[0], signal.SIGKILL)
 
     with Cluster(local.scheduler_address) as running:
         assert running.workers == 2
+        pids = running._client.run(os.getpid)  # now: to ask them later takes as long as a case
         submit = running.executor.submit
 
         def counting(fn: Any, /, scenario: str, *more: Any) -> Any:
