@@ -26,6 +26,7 @@ from terraphi import cluster as clusters
 from terraphi.build import build, cases_folder
 from terraphi.cluster import Cluster, pool
 from terraphi.errors import InputError
+from terraphi.forward.watch import Checkpoint
 from terraphi.history import ForceHistory
 from terraphi.library import Library
 from terraphi.plan import Plan
@@ -81,27 +82,41 @@ def names(folder: Path) -> list[str]:
 # -- nothing is lost -----------------------------------------------------------------------------
 
 
-def test_a_worker_killed_in_the_middle_costs_nothing(local: LocalCluster, tmp_path: Path) -> None:
+def test_a_worker_killed_in_the_middle_costs_nothing(
+    local: LocalCluster, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     plan, file = coarse_plan(4), tmp_path / "x.nc"
+    notes = tmp_path_factory.mktemp("notes")
     killed: list[int] = []
     submitted: list[str] = []
+    over = threading.Event()
 
     def kill_one() -> None:
-        """Kill a worker as soon as both have kept something, in the middle of a case that is."""
-        while len(list(cases_folder(file).glob("*.checkpoint"))) < 2:
-            time.sleep(0.02)
-        busy = [w for w in local.scheduler.workers.values() if w.processing]
-        killed.append(pids[busy[0].address])
-        os.kill(killed[0], signal.SIGKILL)
+        """Kill a worker whose case has kept something: that of a finished case stays a while."""
+        while not killed and not over.wait(0.01):
+            for note in notes.iterdir():
+                kept = note.read_text()
+                if kept and Path(kept).is_file():
+                    os.kill(int(note.name), signal.SIGKILL)
+                    killed.append(int(note.name))
+                    break
 
     with Cluster(local.scheduler_address) as running:
         assert running.workers == 2
-        pids = running._client.run(os.getpid)  # now: to ask them later takes as long as a case
         submit = running.executor.submit
 
-        def counting(fn: Any, /, scenario: str, *more: Any) -> Any:
+        def counting(fn: Any, /, scenario: str, checkpoint: Checkpoint) -> Any:
+            def noted(scenario: str, checkpoint: Checkpoint) -> Any:
+                """Which process is at which case, for as long as it is."""
+                note = notes / str(os.getpid())
+                note.write_text(str(checkpoint.path))
+                try:
+                    return fn(scenario, checkpoint)
+                finally:
+                    note.write_text("")
+
             submitted.append(scenario)
-            return submit(fn, scenario, *more)
+            return submit(noted, scenario, checkpoint)
 
         running.executor.submit = counting  # type: ignore[method-assign]
         looks: list[int] = []
@@ -114,6 +129,7 @@ def test_a_worker_killed_in_the_middle_costs_nothing(local: LocalCluster, tmp_pa
             progress=lambda done, _: looks.append(done),
             checkpoint_every=0.0,
         )
+        over.set()
         killer.join()
     assert len(killed) == 1
     assert len(submitted) == len(set(submitted)) == 4
