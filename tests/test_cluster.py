@@ -46,6 +46,7 @@ def local() -> Iterator[LocalCluster]:
         processes=True,
         host=HOST,
         dashboard_address=None,
+        scheduler_kwargs={"dashboard_address": f"{HOST}:0"},  # its HTTP server, or 8787 it is
         silence_logs=logging.CRITICAL,
     ) as running:
         yield running
