@@ -221,7 +221,8 @@ def recovery_figure(
     right.plot(truth_deg, median_deg - truth_deg, "o", ms=4, color=ORANGE, label="median")
     right.set_xlabel("true φ [deg]")
     right.set_ylabel("inferred - true φ [deg]")
-    right.legend(fontsize="small", frameon=False)
+    above = (0.5, 1.0)
+    right.legend(fontsize="small", frameon=False, loc="lower center", bbox_to_anchor=above, ncols=3)
     return figure
 
 

@@ -111,6 +111,10 @@ def test_surrogate_says_where_no_length_can_be_seen() -> None:
     length = residual_correlation_length_deg(theta, smooth)
     assert length == pytest.approx(6.0, abs=1.0)
     assert surrogate._unresolved(theta, smooth, length) == []
+    kernel = 0.6 * np.exp(-0.5 * ((theta[:, None] - theta) / 20.0) ** 2) + 0.4 * np.eye(40)
+    both = rough @ np.linalg.cholesky(kernel).T
+    (told,) = surrogate._unresolved(theta, both, 4.0)
+    assert "correlated farther than a length of 4.0° says" in told
     lags, rho = residual_autocorrelation(theta, smooth)
     assert (lags[0], rho[0]) == (0.0, 1.0)
 

@@ -35,8 +35,6 @@ STUDIES = {
 
 PAPER_LIBRARY = "paper"
 """Library by which the paper's own studies are repeated."""
-TRUTHS_LIBRARY = "quick-paper"
-"""The like, coarser and sped up, by which those are repeated that need truths to try it with."""
 
 Beside = tuple[str, str, str]
 """A line of a table ``ours | paper``: what, ours, the paper's."""

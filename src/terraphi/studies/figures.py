@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from terraphi.scenario import Scenario
-from terraphi.studies import TRUTHS_LIBRARY, Study, benchmark, phi_sensitivity, recovery, surrogate
+from terraphi.studies import PAPER_LIBRARY, Study, benchmark, phi_sensitivity, recovery, surrogate
 from terraphi.studies.pictures import legs_figure
 from terraphi.studies.snapshots import Moment, moments, snapshots_figure
 
@@ -37,7 +37,7 @@ WHAT = {
 
 def run(
     *,
-    library: str = TRUTHS_LIBRARY,
+    library: str = PAPER_LIBRARY,
     build: Path | None = None,
     progress: Callable[[float, float], None] | None = None,
 ) -> Study:

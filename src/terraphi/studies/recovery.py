@@ -19,7 +19,7 @@ from terraphi.inference.posterior import ensemble, tabulated
 from terraphi.inference.residual import PaperLikelihood
 from terraphi.library import Library
 from terraphi.plots import recovery_figure
-from terraphi.studies import Beside, Study
+from terraphi.studies import PAPER_LIBRARY, Beside, Study
 from terraphi.studies.pictures import Walkers, walkers_figure
 from terraphi.surrogate import LegSurrogate
 
@@ -38,7 +38,7 @@ PAPER = {
 """What Xu & Wang print."""
 
 
-def run(*, library: str = "quick-plane-strain") -> Study:
+def run(*, library: str = PAPER_LIBRARY) -> Study:
     """Invert every case of the library's truths, shipped as ``NAME-truths``.
 
     Parameters

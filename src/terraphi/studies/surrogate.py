@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from terraphi.errors import InputError
 from terraphi.inference.residual import residual_autocorrelation, residual_correlation_length_deg
 from terraphi.library import Curves, Library
-from terraphi.studies import TRUTHS_LIBRARY, Beside, Study
+from terraphi.studies import PAPER_LIBRARY, Beside, Study
 from terraphi.studies.pictures import autocorrelation_figure, slices_figure, surfaces_figure
 from terraphi.surrogate import LegSurrogate
 
@@ -25,6 +25,8 @@ LEG = "straight"
 ANGLES_DEG = (-50.0, -25.0, 0.0)
 """Leg angles at which held-out errors are told [deg]: from the peak of F_z to that of F_x."""
 PAPER_LENGTH_DEG = 6.0
+TELLING_ERRORS = 4.0
+"""An autocorrelation beyond the fitted one is told from so many standard errors on."""
 FORCES = ("Fx", "Fz")
 
 
@@ -49,7 +51,7 @@ class HeldOut(NamedTuple):
         return np.vstack([left / np.ptp(force, axis=1, keepdims=True) for left, force in parts])
 
 
-def run(*, library: str = TRUTHS_LIBRARY) -> Study:
+def run(*, library: str = PAPER_LIBRARY) -> Study:
     """Fit the surrogate and ask it for cases that it has not seen.
 
     Parameters
@@ -123,10 +125,20 @@ def _over_all(angles: int, nrmsd: dict[str, float]) -> str:
 
 
 def _unresolved(theta: FloatArray, residuals: FloatArray, length_deg: float) -> list[str]:
-    """A warning where the leg angles are too far apart to show a correlation length."""
+    """Warnings where leg angles are too far apart to show a length, or one is not all there is."""
     lags, rho = residual_autocorrelation(theta, residuals)
     if length_deg > 0.5 * lags[1]:
-        return []
+        kernel = np.exp(-0.5 * (lags / length_deg) ** 2)
+        # Bartlett: scatter of an estimated autocorrelation beyond the length of the true one.
+        scatter = np.sqrt((1.0 + 2.0 * np.sum(kernel[1:] ** 2)) / residuals.size)
+        most = int(np.argmax(rho - kernel))
+        if rho[most] - kernel[most] < TELLING_ERRORS * scatter:
+            return []
+        sentence = (
+            f"The residuals are correlated farther than a length of {length_deg:.1f}° says: by "
+            f"{rho[most]:.2f} at {lags[most]:.1f}°."
+        )
+        return [sentence]
     sentence = (
         f"The residuals are not correlated between neighbouring leg angles, {lags[1]:.1f}° apart "
         f"(autocorrelation {rho[1]:+.2f}): {length_deg:.1f}° is the least that such angles can "
