@@ -111,7 +111,8 @@ print(
 print(f"{answer.verdict.verdict}: {answer.verdict.reason}")
 
 # %%
-# The model does not explain the measurement at any friction angle, and the verdict says so.
+# The best friction angle is the library's last, and even there the model does not explain the
+# measurement; the verdict says so.
 # Beside the paper's own numbers, in percent of the measured range:
 
 benchmark = studies.run("benchmark")
