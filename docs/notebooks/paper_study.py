@@ -111,8 +111,7 @@ print(
 print(f"{answer.verdict.verdict}: {answer.verdict.reason}")
 
 # %%
-# The best friction angle is the library's last, and even there the model does not explain the
-# measurement; the verdict says so.
+# The model explains the measurement at no friction angle of the library, and the verdict says so.
 # Beside the paper's own numbers, in percent of the measured range:
 
 benchmark = studies.run("benchmark")
