@@ -283,7 +283,7 @@ def test_unknown_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         Library.load("qqqqqq")
 
 
-@pytest.mark.parametrize("name", ["quick-paper", "quick-plane-strain"])
+@pytest.mark.parametrize("name", ["quick-paper", "quick-plane-strain", "paper"])
 def test_truths_differ_from_their_library_in_angle_and_seed_alone(name: str) -> None:
     library, truths = Plan.load(name), Plan.load(f"{name}-truths")
     same_seed = truths.scenario.replace(**{"numerics.seed": library.scenario.numerics.seed})

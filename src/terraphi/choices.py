@@ -16,6 +16,8 @@ from terraphi.library import replicates_in
 
 FEWEST_ANGLES = 3
 """Friction angles that an inversion needs."""
+TRY_OTHERS = ("-truths", "-jaky", "-half")
+"""Endings of the names of shipped libraries that are there to try others, however many angles."""
 WIDEST_STEP_DEG = 5.0
 """Step between friction angles above which a library is there to test others [deg]."""
 
@@ -26,6 +28,7 @@ def offered() -> Mapping[str, frozenset[str]]:
     found = {
         name: legs_of(shipped_file("libraries", name, ".nc"))
         for name in shipped_names("libraries", ".nc")
+        if not name.endswith(TRY_OTHERS)
     }
     return {name: legs for name, legs in found.items() if legs}
 
@@ -39,8 +42,8 @@ def offered_legs() -> list[str]:
 def legs_of(path: Path) -> frozenset[str]:
     """Legs for which a library has a grid of friction angles, each once and nothing else varied.
 
-    Only the scenarios are read, which is quick. Truths to try a library with, replicates of it
-    and variants with a few angles far apart can be told by their angles: they are no grid.
+    Only the scenarios are read, which is quick. Replicates of a library and variants with a few
+    angles far apart can be told by their angles: they are no grid.
 
     Parameters
     ----------

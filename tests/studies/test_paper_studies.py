@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,7 +13,7 @@ import pytest
 from terraphi import studies
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
-from terraphi.inference.residual import residual_autocorrelation, residual_correlation_length_deg
+from terraphi.inference.residual import residual_correlation_length_deg
 from terraphi.library import Library
 from terraphi.scenario import Scenario
 from terraphi.studies import k0, phi_sensitivity, snapshots, surrogate
@@ -101,22 +102,28 @@ def test_surrogate_predicts_what_it_has_not_seen() -> None:
     assert set(found.figures) == {"surfaces", "slices", "residuals"}
 
 
-def test_surrogate_says_where_no_length_can_be_seen() -> None:
+def test_surrogate_says_how_well_one_length_describes_the_residuals() -> None:
     theta = np.linspace(-85.0, 85.0, 40)
-    rough = np.random.default_rng(0).normal(size=(30, 40))
-    length = residual_correlation_length_deg(theta, rough)
-    assert "not a length that was measured" in surrogate._unresolved(theta, rough, length)[0]
-    kernel = np.exp(-0.5 * ((theta[:, None] - theta) / 6.0) ** 2) + 1e-9 * np.eye(40)
-    smooth = rough @ np.linalg.cholesky(kernel).T
-    length = residual_correlation_length_deg(theta, smooth)
-    assert length == pytest.approx(6.0, abs=1.0)
-    assert surrogate._unresolved(theta, smooth, length) == []
-    kernel = 0.6 * np.exp(-0.5 * ((theta[:, None] - theta) / 20.0) ** 2) + 0.4 * np.eye(40)
-    both = rough @ np.linalg.cholesky(kernel).T
-    (told,) = surrogate._unresolved(theta, both, 4.0)
-    assert "correlated farther than a length of 4.0° says" in told
-    lags, rho = residual_autocorrelation(theta, smooth)
-    assert (lags[0], rho[0]) == (0.0, 1.0)
+    rough = np.random.default_rng(0).normal(size=(3000, 40))
+    apart = theta[:, None] - theta
+
+    def about(kernel) -> tuple[float, list[str]]:
+        drawn = rough @ np.linalg.cholesky(kernel + 1e-9 * np.eye(40)).T
+        length = residual_correlation_length_deg(theta, drawn)
+        return length, surrogate._about_the_length(theta, drawn, length)
+
+    length, (least, fit) = about(np.eye(40))
+    assert f"{length:.1f}° is the least that leg angles 4.4° apart can give" in least
+    assert "not a length that was measured" in least
+    length, (fit,) = about(np.exp(-0.5 * (apart / 6.0) ** 2))
+    assert length == pytest.approx(6.0, abs=0.1)
+    assert "by up to 0.0" in fit
+    # Part of it reaches far: at two steps the short part has gone, and 0.3 of the long one is left.
+    length, (fit,) = about(0.7 * np.eye(40) + 0.3 * np.exp(-0.5 * (apart / 40.0) ** 2))
+    off, at, theirs = (float(n) for n in re.findall(r"[+-]?\d+\.\d+", fit))
+    assert at == 8.7
+    assert theirs == pytest.approx(0.3 * np.exp(-0.5 * (at / 40.0) ** 2), abs=0.03)
+    assert off == pytest.approx(theirs - np.exp(-0.5 * (at / length) ** 2), abs=0.011)
 
 
 COARSE = {

@@ -40,9 +40,11 @@ def recovery() -> studies.Study:
 
 def test_recovery_finds_fresh_off_grid_simulations(recovery: studies.Study) -> None:
     data = recovery.data
-    assert len(data["cases"]) >= 6
-    assert data["abs_error_deg"]["median"] <= 0.3
-    assert data["inside95"] == len(data["cases"])
+    assert len(data["cases"]) == 14
+    # What Xu & Wang print, on truths of the same angles.
+    assert data["abs_error_deg"]["median"] <= 0.09
+    assert data["abs_error_deg"]["max"] <= 0.73
+    assert data["inside68"] == len(data["cases"])
 
 
 def test_recovery_samplers_agree(recovery: studies.Study) -> None:

@@ -46,7 +46,8 @@ def run(
     Parameters
     ----------
     library
-        Name of a shipped library of three legs that has truths.
+        Name of a shipped library that has truths, ``NAME-truths``. Legs at 35° that it lacks are
+        taken from ``NAME-legs``.
     build
         Folder that keeps the particles of the three simulations that the snapshots are taken from,
         sped up at least :data:`SNAPSHOT_SPEED_UP` times; without, they are simulated anew each

@@ -25,8 +25,6 @@ LEG = "straight"
 ANGLES_DEG = (-50.0, -25.0, 0.0)
 """Leg angles at which held-out errors are told [deg]: from the peak of F_z to that of F_x."""
 PAPER_LENGTH_DEG = 6.0
-TELLING_ERRORS = 4.0
-"""An autocorrelation beyond the fitted one is told from so many standard errors on."""
 FORCES = ("Fx", "Fz")
 
 
@@ -112,7 +110,7 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
                 *residual_autocorrelation(theta, residuals), length, PAPER_LENGTH_DEG
             ),
         },
-        notes=[_over_all(theta.size, nrmsd), *_unresolved(theta, residuals, length)],
+        notes=[_over_all(theta.size, nrmsd), *_about_the_length(theta, residuals, length)],
         beside_paper=_beside_paper(length),
     )  # fmt: skip
 
@@ -124,27 +122,22 @@ def _over_all(angles: int, nrmsd: dict[str, float]) -> str:
     )
 
 
-def _unresolved(theta: FloatArray, residuals: FloatArray, length_deg: float) -> list[str]:
-    """Warnings where leg angles are too far apart to show a length, or one is not all there is."""
+def _about_the_length(theta: FloatArray, residuals: FloatArray, length_deg: float) -> list[str]:
+    """How well one correlation length describes the residuals; and if the angles cannot show it."""
     lags, rho = residual_autocorrelation(theta, residuals)
-    if length_deg > 0.5 * lags[1]:
-        kernel = np.exp(-0.5 * (lags / length_deg) ** 2)
-        # Bartlett: scatter of an estimated autocorrelation beyond the length of the true one.
-        scatter = np.sqrt((1.0 + 2.0 * np.sum(kernel[1:] ** 2)) / residuals.size)
-        most = int(np.argmax(rho - kernel))
-        if rho[most] - kernel[most] < TELLING_ERRORS * scatter:
-            return []
-        sentence = (
-            f"The residuals are correlated farther than a length of {length_deg:.1f}° says: by "
-            f"{rho[most]:.2f} at {lags[most]:.1f}°."
-        )
-        return [sentence]
-    sentence = (
-        f"The residuals are not correlated between neighbouring leg angles, {lags[1]:.1f}° apart "
-        f"(autocorrelation {rho[1]:+.2f}): {length_deg:.1f}° is the least that such angles can "
-        "give, and not a length that was measured."
+    kernel = np.exp(-0.5 * (lags / length_deg) ** 2)
+    most = int(np.argmax(np.abs(rho - kernel)))
+    fit = (
+        "An autocorrelation of that length differs from the residuals' by up to "
+        f"{abs(rho[most] - kernel[most]):.2f}: at {lags[most]:.1f}° theirs is {rho[most]:+.2f}."
     )
-    return [sentence]
+    if length_deg > 0.5 * lags[1]:
+        return [fit]
+    least = (
+        f"{length_deg:.1f}° is the least that leg angles {lags[1]:.1f}° apart can give, and not a "
+        "length that was measured."
+    )
+    return [least, fit]
 
 
 def held_out(library: str) -> HeldOut:
