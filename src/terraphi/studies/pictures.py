@@ -170,12 +170,15 @@ def surfaces_figure(surrogate: LegSurrogate, held_out_deg: FloatArray, conventio
     -------
     matplotlib.figure.Figure
     """
+    from matplotlib.ticker import MaxNLocator
+
     figure = _figure(8.8, 3.9)
     phi = np.linspace(*surrogate.phi_bounds_deg, 201)
     surfaces = np.hsplit(surrogate.predict(phi), 2)
     for axes, force, values in zip(figure.subplots(1, 2), ("Fx", "Fz"), surfaces, strict=True):
         shown = axes.contourf(surrogate.theta_deg, phi, values, 24, cmap=COLOURS)
         axes.contour(surrogate.theta_deg, phi, values, [0.0], colors="white", linewidths=1.2)
+        axes.plot([], color="white", lw=1.2, label="no force")
         axes.hlines(held_out_deg, -WINDOW_DEG, WINDOW_DEG, color=ORANGE, lw=1.0, ls="--",
                     label="held out")  # fmt: skip
         axes.plot(np.full(surrogate.Fx.phi_deg.size, -WINDOW_DEG), surrogate.Fx.phi_deg, ">",
@@ -183,9 +186,12 @@ def surfaces_figure(surrogate: LegSurrogate, held_out_deg: FloatArray, conventio
         axes.set_xticks(np.arange(-80, 81, 40))
         axes.set_xlabel("leg angle θ [deg]")
         axes.set_ylabel(PHI_LABEL[convention])
-        figure.colorbar(shown, ax=axes, format="%.1f").set_label(AXIS_LABEL[force])
+        bar = figure.colorbar(
+            shown, ax=axes, format="%g", ticks=MaxNLocator(8, steps=[1, 2, 5, 10])
+        )
+        bar.set_label(AXIS_LABEL[force])
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, facecolor="0.75")
     return figure
 
 
