@@ -158,9 +158,7 @@ def snapshots_figure(legs: Mapping[str, tuple[Scenario, Sequence[Moment]]]) -> F
     for axes in panels[-1]:
         axes.set_xlabel("x [mm], forward")
     bar = figure.colorbar(shown, ax=panels, shrink=0.6, aspect=40, extend="max")
-    bar.set_label(
-        "speed of the soil over that of the leg's tip\n(pale: lifted out, its weight taken)"
-    )
+    bar.set_label("speed of the soil over that of the leg's tip\n(pale: faded by the relief)")
     return figure
 
 
