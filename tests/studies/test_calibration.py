@@ -198,7 +198,7 @@ def test_numbers_that_other_pages_quote_are_those_of_the_page() -> None:
             f"2 and 5 % of the peak, {two['not believed']} and {five['not believed']} of them are",
         ),
         "README.md": (
-            f"Of {clean['cases']} fresh simulations off the library's grid",
+            f"Of {clean['cases']} fresh simulations off the default library's grid",
             f"the median error is {clean[error]}, and {clean[inside]} are inside",
             f"their 68 % intervals of ± {half}",
         ),

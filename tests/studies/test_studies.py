@@ -45,6 +45,8 @@ def test_recovery_finds_fresh_off_grid_simulations(recovery: studies.Study) -> N
     assert data["abs_error_deg"]["median"] <= 0.09
     assert data["abs_error_deg"]["max"] <= 0.73
     assert data["inside68"] == len(data["cases"])
+    told = f"are recovered to {data['abs_error_deg']['max']:.2f}° and better"
+    assert told in (Path(__file__).parents[2] / "README.md").read_text()
 
 
 def test_recovery_samplers_agree(recovery: studies.Study) -> None:
