@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -82,11 +81,22 @@ def test_k0_compares_two_libraries_that_differ_in_it_alone() -> None:
 def test_k0_needs_a_companion_of_every_case(monkeypatch) -> None:
     jaky, half = (Library.load(f"quick-k0-{end}") for end in ("jaky", "half"))
     short = replace(half, cases=half.cases[:-1])
-    monkeypatch.setattr(
-        k0, "Library", SimpleNamespace(load=lambda n: jaky if n.endswith("jaky") else short)
-    )
+    monkeypatch.setattr(k0, "companion", lambda _, role: jaky if role == "jaky" else short)
     with pytest.raises(InputError, match=r"'quick-k0-jaky' has 3 cases and 'quick-k0-half' 2"):
         k0.run(library="quick-k0")
+
+
+@pytest.mark.parametrize(
+    ("study", "library", "known"),
+    [
+        ("recovery", "rft3d", "paper, quick-paper, quick-plane-strain$"),
+        ("recovery", "paper-legs", "'paper-legs-truths' is shipped.*paper"),
+        ("k0", "paper", "quick-k0$"),
+    ],
+)
+def test_a_library_without_its_companion_is_told_which_have_one(study, library, known) -> None:
+    with pytest.raises(InputError, match=f"library '{library}': no .*{known}"):
+        studies.run(study, library=library)
 
 
 def test_surrogate_predicts_what_it_has_not_seen() -> None:

@@ -16,6 +16,8 @@ from terraphi.files import folder, replacing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from terraphi.library import Library
+
 STUDIES = {
     "calibration": "intervals: how often they hold the truth, and how narrow they are",
     "benchmark": "three legs: our models beside the forces measured in Yuma sand",
@@ -129,6 +131,27 @@ def page(
         f"![{picture}]({figure})",
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def companion(library: str, role: str) -> Library:
+    """The shipped library ``LIBRARY-ROLE``: truths of a library, or one of a pair.
+
+    Raises
+    ------
+    InputError
+        If none of that name is shipped.
+    """
+    from terraphi.documents import shipped_names
+    from terraphi.library import Library
+
+    shipped, ending = shipped_names("libraries", ".nc"), f"-{role}"
+    if library + ending not in shipped:
+        known = [name.removesuffix(ending) for name in shipped if name.endswith(ending)]
+        raise InputError(
+            f"library '{library}': no '{library}{ending}' is shipped, which this study needs; take "
+            f"one of {', '.join(known)}"
+        )
+    return Library.load(library + ending)
 
 
 def run(

@@ -89,7 +89,8 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
             _row(leg, name, deviations[leg].get(name), peaks[leg][name]) for name in peaks[leg]
         ]
     return Study(
-        title=f"Forces at φ = {PHI_DEG:g}° ({convention}) and measured in Yuma sand ({library})",
+        title=f"Forces at φ = {PHI_DEG:g}° ({convention}) and measured in Yuma sand, "
+        f"library '{library}'",
         header=("leg", "model", "NRMSD Fz", "NRMSD Fx", "peak Fz", "peak Fx"),
         rows=rows,
         data={

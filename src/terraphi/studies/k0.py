@@ -13,9 +13,9 @@ import numpy as np
 
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
-from terraphi.library import Case, Library
+from terraphi.library import Case
 from terraphi.plots import BLUE, ORANGE, Curve, comparison_figure
-from terraphi.studies import Study
+from terraphi.studies import Study, companion
 from terraphi.studies.benchmark import means_of
 
 LIBRARIES = "quick-k0"
@@ -45,7 +45,7 @@ def run(*, library: str = LIBRARIES) -> Study:
     InputError
         If a library is missing, or they differ in more than K0.
     """
-    jaky, half = (Library.load(f"{library}-{name}") for name in ("jaky", "half"))
+    jaky, half = (companion(library, name) for name in ("jaky", "half"))
     if len(jaky.cases) != len(half.cases):
         raise InputError(
             f"'{jaky.name}' has {len(jaky.cases)} cases and '{half.name}' {len(half.cases)}; build "
@@ -64,7 +64,10 @@ def run(*, library: str = LIBRARIES) -> Study:
     worst = int(np.argmax(changes))
     convention = jaky.cases[0].scenario.convention
     return Study(
-        title=f"Largest change of a history from K0 = 1 - sin φ to 0.5 (φ: {convention})",
+        title=(
+            f"Largest change of a history from K0 = 1 - sin φ to 0.5, libraries '{library}-jaky' "
+            f"and '{library}-half' (φ: {convention})"
+        ),
         header=("φ", "1 - sin φ", "change of Fz", "change of Fx"),
         rows=[
             (

@@ -19,7 +19,7 @@ from terraphi.inference.posterior import ensemble, tabulated
 from terraphi.inference.residual import PaperLikelihood
 from terraphi.library import Library
 from terraphi.plots import recovery_figure
-from terraphi.studies import PAPER_LIBRARY, Beside, Study
+from terraphi.studies import PAPER_LIBRARY, Beside, Study, companion
 from terraphi.studies.pictures import Walkers, walkers_figure
 from terraphi.surrogate import LegSurrogate
 
@@ -62,7 +62,7 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
         If there is no such library, or none of its truths.
     """
     trained = Library.load(library)
-    truths = Library.load(f"{library}-truths")
+    truths = companion(library, "truths")
     convention = trained.cases[0].scenario.convention
     cases: list[dict[str, Any]] = []
     shown: tuple[ForceHistory, Inversion, float] | None = None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from terraphi.errors import InputError
 from terraphi.inference.residual import residual_autocorrelation, residual_correlation_length_deg
 from terraphi.library import Curves, Library
-from terraphi.studies import PAPER_LIBRARY, Beside, Study
+from terraphi.studies import PAPER_LIBRARY, Beside, Study, companion
 from terraphi.studies.pictures import autocorrelation_figure, slices_figure, surfaces_figure
 from terraphi.surrogate import LegSurrogate
 
@@ -79,7 +79,7 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
     nrmsd = {force: 100.0 * float(value) for force, value in zip(FORCES, rms, strict=True)}
     return Study(
         title=f"Surrogate of library '{library}' ({convention}), leg {LEG}, on cases held out",
-        header=("force", "leg angle", "median error", "largest error"),
+        header=("force", "leg angle", "median relative error", "largest"),
         rows=[
             (
                 error["force"],
@@ -146,7 +146,7 @@ def held_out(library: str) -> HeldOut:
     Raises InputError if there is no such library or it has no truths of the straight leg.
     """
     curves = Library.load(library).curves(LEG)
-    cases = [c for c in Library.load(f"{library}-truths").cases if c.scenario.leg.shape == LEG]
+    cases = [c for c in companion(library, "truths").cases if c.scenario.leg.shape == LEG]
     whole = [(c.scenario.soil.friction_angle_deg, c.history) for c in cases if c.history]
     if not whole:
         raise InputError(f"library '{library}-truths' has no leg '{LEG}'")
