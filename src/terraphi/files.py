@@ -101,6 +101,15 @@ def writable(path: Path) -> None:
         raise InputError(f"{path.parent}: no permission to write; choose another place")
 
 
+def makeable(path: Path) -> None:
+    """Refuse a folder that could not be made, before any work is done for it."""
+    there = next(place for place in (path, *path.absolute().parents) if place.exists())
+    if not there.is_dir():
+        raise InputError(f"{there}: is a file; name a folder")
+    if not os.access(there, os.W_OK):
+        raise InputError(f"{there}: no permission to write; choose another place")
+
+
 def folder(path: Path) -> Path:
     """Make a folder for results if it is not there."""
     try:

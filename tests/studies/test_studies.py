@@ -62,3 +62,14 @@ def test_recovery_summary_follows_from_its_cases(recovery: studies.Study) -> Non
     halves = [0.5 * (c["ci68"][1] - c["ci68"][0]) for c in cases]
     assert recovery.data["ci68_half_width_deg"]["median"] == pytest.approx(np.median(halves))
     assert len(recovery.rows) == len(cases)
+
+
+def test_a_place_that_cannot_be_made_is_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setattr("terraphi.studies.k0.run", lambda **_: pytest.fail("it computes"))
+    for place in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(InputError, match="file: is a file; name a folder"):
+            studies.run("k0", out=place)
+    assert (tmp_path / "file").read_text() == "mine"

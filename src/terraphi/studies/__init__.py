@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from terraphi.errors import InputError, nearest
-from terraphi.files import folder, replacing
+from terraphi.files import folder, makeable, replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -180,7 +180,7 @@ def run(
     Raises
     ------
     InputError
-        If there is no such study, or the study has no such option.
+        If there is no such study, the study has no such option, or the folder cannot be made.
     """
     if name not in STUDIES:
         raise InputError(f"unknown study '{name}'; {nearest(name, STUDIES)}")
@@ -192,5 +192,7 @@ def run(
             raise InputError(f"study '{name}' has no option '{option}'; leave it out")
     services = {"out": out, "progress": progress}
     given |= {service: value for service, value in services.items() if service in known}
+    if out is not None:
+        makeable(out)
     study: Study = module.run(**given)
     return replace(study, name=name)
