@@ -91,14 +91,18 @@ def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
         temporary.write_bytes(buffer.getvalue())
 
 
+def _permitted(place: Path) -> None:
+    if not os.access(place, os.W_OK):
+        raise InputError(f"{place}: no permission to write; choose another place")
+
+
 def writable(path: Path) -> None:
     """Refuse a file that could not be written, before any work is done for it."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():
         raise InputError(f"{path.parent}: no such folder; make it first")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path.parent}: no permission to write; choose another place")
+    _permitted(path.parent)
 
 
 def makeable(path: Path) -> None:
@@ -106,8 +110,7 @@ def makeable(path: Path) -> None:
     there = next(place for place in (path, *path.absolute().parents) if place.exists())
     if not there.is_dir():
         raise InputError(f"{there}: is a file; name a folder")
-    if not os.access(there, os.W_OK):
-        raise InputError(f"{there}: no permission to write; choose another place")
+    _permitted(there)
 
 
 def folder(path: Path) -> Path:
@@ -116,8 +119,7 @@ def folder(path: Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be made a folder ({error.strerror})") from error
-    if not os.access(path, os.W_OK):
-        raise InputError(f"{path}: no permission to write; choose another place")
+    _permitted(path)
     return path
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from terraphi import studies
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
-from terraphi.inference.residual import residual_correlation_length_deg
+from terraphi.inference.residual import residual_autocorrelation, residual_correlation_length_deg
 from terraphi.library import Library
 from terraphi.scenario import Scenario
 from terraphi.studies import k0, phi_sensitivity, snapshots, surrogate
@@ -33,6 +34,14 @@ def test_phi_sensitivity_tells_peaks_over_phi() -> None:
     printed = {line["what"]: line["paper"] for line in data["beside_paper"]}
     assert printed["peaks Fz / Fx at 25°"] == "8.6 / 10.2 N"
     assert set(found.figures) == {"forces", "peaks"}
+    paper = {"Fz": {25.0: 8.6, 45.0: 14.0}, "Fx": {25.0: 10.2, 45.0: 15.5}}
+    shares = [
+        100.0 * data[f"peak_{force}_N"][phi.index(at)] / peak
+        for force, peaks in paper.items()
+        for at, peak in peaks.items()
+    ]
+    told = f"are {min(shares):.0f} to {max(shares):.0f} % of the paper's"
+    assert told in (Path(__file__).parents[2] / "README.md").read_text()
 
 
 def test_phi_sensitivity_needs_its_leg() -> None:
@@ -134,6 +143,8 @@ def test_surrogate_says_how_well_one_length_describes_the_residuals() -> None:
     assert at == 8.7
     assert theirs == pytest.approx(0.3 * np.exp(-0.5 * (at / 40.0) ** 2), abs=0.03)
     assert off == pytest.approx(theirs - np.exp(-0.5 * (at / length) ** 2), abs=0.011)
+    lags, rho = residual_autocorrelation(theta, rough)
+    assert (lags[0], rho[0]) == (0.0, 1.0)
 
 
 COARSE = {
