@@ -18,6 +18,7 @@ import pytest
 
 from terraphi.cli import main
 from terraphi.measurements import measurement
+from terraphi.studies import STUDIES
 
 Terraphi = Callable[..., Any]
 
@@ -53,6 +54,24 @@ def test_help_names_every_command(terraphi: Terraphi) -> None:
 )
 def test_help_of_every_command_has_an_example(command: str, terraphi: Terraphi) -> None:
     assert "Example: terraphi " + command in terraphi(*command.split(), "--help").out
+
+
+def test_study_without_a_name_lists_them(terraphi: Terraphi) -> None:
+    ran = terraphi("study")
+    assert ran.status == 0
+    listed = json.loads(terraphi("study", "--json").out)["studies"]
+    assert listed.keys() == STUDIES.keys()
+    for name, entry in listed.items():
+        (line,) = [line for line in ran.out.splitlines() if line.split()[:1] == [name]]
+        assert entry["what"] in line
+        assert line.rstrip().endswith(entry["takes"])
+        assert name in terraphi("study", "--help").out
+
+
+def test_study_says_what_it_wrote(terraphi: Terraphi, tmp_path: Path) -> None:
+    ran = terraphi("study", "k0", "--library", "quick-k0", "--out", str(tmp_path / "k0"))
+    assert ran.out.splitlines()[-1] == f"Written: {tmp_path}/k0/data.json, k0.png"
+    assert {path.name for path in (tmp_path / "k0").iterdir()} == {"data.json", "k0.png"}
 
 
 def test_invert_prints_the_answer_as_json(terraphi: Terraphi) -> None:

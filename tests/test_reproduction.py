@@ -63,6 +63,18 @@ def test_shipped_libraries_record_what_their_bits_rest_on(name: str) -> None:
         )
 
 
+def test_a_long_case_says_so_before_it_is_checked() -> None:
+    quick = small()
+    assert "simulates a case again and compares" in account(quick)["sentence"]
+    long = []
+    for case in quick.cases:
+        assert case.history is not None
+        seconds = {"provenance": {**case.history.provenance, "seconds": {"all": 1800.0}}}
+        long.append(case._replace(history=replace(case.history, **seconds)))
+    found = account(replace(quick, cases=tuple(long)))
+    assert "again (it took 30 minutes there) and compares" in found["sentence"]
+
+
 def test_what_is_the_same_here_is_expected_again() -> None:
     library = small()
     found = account(library)

@@ -33,6 +33,13 @@ def offered() -> Mapping[str, frozenset[str]]:
     return {name: legs for name, legs in found.items() if legs}
 
 
+def is_there_to_try_others(name: str) -> bool:
+    """Whether a name is that of a shipped library which :func:`offered` leaves out."""
+    return name in shipped_names("libraries", ".nc") and (
+        name.endswith(TRY_OTHERS) or not legs_of(shipped_file("libraries", name, ".nc"))
+    )
+
+
 def offered_legs() -> list[str]:
     """Legs that some offered library has."""
     some = frozenset[str]().union(*offered().values())

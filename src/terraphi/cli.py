@@ -10,13 +10,7 @@ from typing import Any
 
 import click
 
-from terraphi.commands import (
-    cluster_option,
-    json_option,
-    library_names,
-    shipped,
-    study_names,
-)
+from terraphi.commands import json_option, shipped
 from terraphi.commands.app import app
 from terraphi.commands.calibrate import library_calibrate
 from terraphi.commands.doctor import doctor
@@ -25,14 +19,13 @@ from terraphi.commands.keys import keys
 from terraphi.commands.library import library
 from terraphi.commands.report import report
 from terraphi.commands.simulate import simulate
+from terraphi.commands.study import study
 from terraphi.commands.suggest import library_suggest
 from terraphi.console import (
     ignore_interrupts,
     print_forces,
     print_inversion,
     print_json,
-    print_table,
-    progress_bar,
 )
 from terraphi.errors import InputError, SimulationError
 
@@ -102,6 +95,7 @@ def demo(out: Path, as_json: bool) -> None:
 cli.add_command(invert)
 cli.add_command(simulate)
 cli.add_command(library)
+cli.add_command(study)
 cli.add_command(report)
 cli.add_command(app)
 cli.add_command(keys)
@@ -110,50 +104,6 @@ cli.add_command(doctor)
 
 library.add_command(library_calibrate)
 library.add_command(library_suggest)
-
-
-@cli.command()
-@click.argument("name", shell_complete=study_names)
-@click.option(
-    "--library",
-    help="Library to use instead of the study's own.",
-    shell_complete=library_names,
-)
-@click.option("--only", help="Family of problems, for verification.")
-@click.option("--quick", is_flag=True, default=None, help="Coarse and fast, for verification.")
-@click.option(
-    "--build",
-    type=click.Path(path_type=Path),
-    help="Folder: simulate what the study lacks, and keep it there; not for all.",
-)
-@click.option("--workers", type=click.IntRange(min=1), help="Processes; 1 if not given.")
-@cluster_option
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for data.json and figures.")
-@json_option
-def study(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
-    """Run the study NAME, one of those below.
-
-    The paper's own: benchmark, phi_sensitivity, k0, surrogate, recovery, and figures, which draws
-    all of them. Of measured sand: measured, prediction. Of the model: calibration, design,
-    reading, sensitivity, resolution, verification.
-
-    Example: terraphi study recovery --out recovery
-    """
-    from terraphi import studies
-
-    compiles = name == "verification" or options["build"] is not None
-    with progress_bar("computing", compiles=compiles) as report:
-        found = studies.run(name, out=out, progress=report, **options)
-    if out is not None:
-        found.save(out)
-    if as_json:
-        print_json(found.everything())
-        return
-    print_table(found.header, found.rows, title=found.title)
-    if found.beside_paper:
-        print_table(("", "ours", "Xu & Wang"), found.beside_paper)
-    for note in found.notes:
-        click.echo(note)
 
 
 @cli.command()

@@ -8,6 +8,7 @@ rested on; here that is compared with what is at hand, and on request the case i
 from __future__ import annotations
 
 import hashlib
+import statistics
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,8 @@ WORDS = {
 }
 """Names for people, where the recorded ones are not for them."""
 _LONGEST = 24
+_LONG_S = 90.0
+"""Time of a case that one wants to know of before one simulates it again [s]."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +160,10 @@ def rebuild(
 def _sentence(library: Library, different: tuple[str, ...]) -> str:
     """Whether the same bits can be expected of a build here, and how to check."""
     file = library.name if library.name in shipped_names("libraries", ".nc") else "FILE.nc"
-    check = f"'terraphi library show {file} --check' simulates a case again and compares"
+    check = (
+        f"'terraphi library show {file} --check' simulates a case again{_lasting(library)} and "
+        "compares"
+    )
     if different:
         return f"other bits may come out here ({'; '.join(different)}); {check}"
     if library.name in shipped_names("plans", ".toml"):
@@ -168,6 +174,16 @@ def _sentence(library: Library, different: tuple[str, ...]) -> str:
                 f"{check}"
             )
     return f"its plan gives the same bits here; {check}"
+
+
+def _lasting(library: Library) -> str:
+    """How long a case took, where it was long."""
+    seconds = statistics.median(
+        case.history.provenance.get("seconds", {}).get("all", 0.0)
+        for case in library.cases
+        if case.history is not None
+    )
+    return "" if seconds < _LONG_S else f" (it took {seconds / 60.0:.0f} minutes there)"
 
 
 def _short(value: Any) -> str:

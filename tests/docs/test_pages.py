@@ -77,6 +77,24 @@ def test_the_counts_of_the_verification_are_those_of_its_page() -> None:
         assert found.findall(page.read_text(encoding="utf-8")) == [counts], page.name
 
 
+def test_the_paper_number_by_number_is_what_the_studies_print() -> None:
+    page = DOCS / "explanation" / "paper.md"
+    text = page.read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (.+) \| `(\w+)` \| (.+) \| (.+) \| .+ \|$", text, re.M)
+    printed: dict[str, list[list[str]]] = {}
+    for line in (line for block in blocks_of(page) for line in block.lines):
+        if line.startswith("$ "):
+            printed[(command := line)] = []
+        elif len(cells := re.split(r"\s{2,}", line.strip())) == 3:
+            printed[command].append(cells)
+    told = {f"$ terraphi study {study}" for _, study, _, _ in rows}
+    assert told == {"$ terraphi study " + s for s in
+                    ("phi_sensitivity", "k0", "benchmark", "surrogate", "recovery")}  # fmt: skip
+    for command in told:
+        mine = [[what, ours, paper] for what, s, ours, paper in rows if command.endswith(s)]
+        assert sorted(mine) == sorted(printed[command])
+
+
 # -- the pages hang together ---------------------------------------------------------------------
 
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")

@@ -34,6 +34,8 @@ def test_phi_sensitivity_tells_peaks_over_phi() -> None:
     printed = {line["what"]: line["paper"] for line in data["beside_paper"]}
     assert printed["peaks Fz / Fx at 25°"] == "8.6 / 10.2 N"
     assert set(found.figures) == {"forces", "peaks"}
+    # A band of two cells around a leg of 6.4 mm touches the soil at -81°, by its outline.
+    assert data["theta_engages_deg"] == pytest.approx([-81.0] * len(phi), abs=0.5)
     paper = {"Fz": {25.0: 8.6, 45.0: 14.0}, "Fx": {25.0: 10.2, 45.0: 15.5}}
     shares = [
         100.0 * data[f"peak_{force}_N"][phi.index(at)] / peak
@@ -42,6 +44,13 @@ def test_phi_sensitivity_tells_peaks_over_phi() -> None:
     ]
     told = f"are {min(shares):.0f} to {max(shares):.0f} % of the paper's"
     assert told in (Path(__file__).parents[2] / "README.md").read_text()
+
+
+def test_phi_sensitivity_says_when_its_angles_are_not_the_papers() -> None:
+    notes = {name: studies.run("phi_sensitivity", library=name).notes for name in
+             ("quick-paper", "quick-plane-strain")}  # fmt: skip
+    assert not any("not the paper's" in note for note in notes["quick-paper"])
+    assert any("of 'plane_strain' are not the paper's" in n for n in notes["quick-plane-strain"])
 
 
 def test_phi_sensitivity_needs_its_leg() -> None:

@@ -32,11 +32,18 @@ def test_benchmark_has_every_leg_and_model() -> None:
         ours = found.data["nrmsd_percent"][leg]["rft2d"]
         assert (ours["Fz"], ours["Fx"]) == pytest.approx((fz, fx), abs=2.0)
     assert set(found.figures) == {f"benchmark-{leg}" for leg in ("straight", "c", "reversed_c")}
+    lift = [p["rft3d"]["Fz_N"] / p["measured"]["Fz_N"] for p in found.data["peaks"].values()]
+    assert f"{min(lift):.1f} to {max(lift):.1f} times the measured" in found.notes[0]
 
 
 @pytest.fixture(scope="module")
-def recovery() -> studies.Study:
-    return studies.run("recovery")
+def reported() -> list[tuple[float, float]]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def recovery(reported: list[tuple[float, float]]) -> studies.Study:
+    return studies.run("recovery", progress=lambda done, total: reported.append((done, total)))
 
 
 def test_recovery_finds_fresh_off_grid_simulations(recovery: studies.Study) -> None:
@@ -53,6 +60,15 @@ def test_recovery_finds_fresh_off_grid_simulations(recovery: studies.Study) -> N
 def test_recovery_samplers_agree(recovery: studies.Study) -> None:
     for case in recovery.data["cases"]:
         assert case["medians_apart_in_errors"] < 3.0, case["phi_true_deg"]
+    errors = max(case["medians_apart_in_errors"] for case in recovery.data["cases"])
+    (note,) = recovery.notes
+    assert f"within {errors:.1f} Monte-Carlo errors" in note
+
+
+def test_recovery_says_how_far_it_is(
+    recovery: studies.Study, reported: list[tuple[float, float]]
+) -> None:
+    assert reported == [(done, len(recovery.rows)) for done in range(1, len(recovery.rows) + 1)]
 
 
 def test_recovery_summary_follows_from_its_cases(recovery: studies.Study) -> None:

@@ -63,13 +63,17 @@ def section(folder: Path) -> Section:
         kind="study",
         title=name or folder.resolve().name,
         headline=headline(name, data),
-        reason=STUDIES.get(name, "")[:1].upper() + STUDIES.get(name, "")[1:],
+        reason=_sentence(STUDIES[name].what) if name in STUDIES else "",
         parts=parts,
         provenance={
             "result": folder.resolve().name,
             **{key: data[key] for key in ("library", "plan", "software") if key in data},
         },
     )
+
+
+def _sentence(words: str) -> str:
+    return words[:1].upper() + words[1:]
 
 
 def _data(path: Path) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from terraphi.errors import InputError, nearest
 from terraphi.files import folder, makeable, replacing
@@ -18,21 +18,50 @@ if TYPE_CHECKING:
 
     from terraphi.library import Library
 
+
+class Outline(NamedTuple):
+    """What a study looks at, and how long that takes on one core, roughly."""
+
+    what: str
+    takes: str
+
+
 STUDIES = {
-    "calibration": "intervals: how often they hold the truth, and how narrow they are",
-    "benchmark": "three legs: our models beside the forces measured in Yuma sand",
-    "measured": "friction angles of the measured sands, by every library, and the verdicts",
-    "prediction": "calibrated on the straight leg: the C and the reversed C foretold",
-    "recovery": "friction angles of fresh simulations, inferred with a library",
-    "phi_sensitivity": "forces and their peaks against the friction angle",
-    "k0": "what the stress at rest does to a history",
-    "surrogate": "the surrogate between the library's angles, and its residuals",
-    "figures": "the figures of the paper's simulations and inversions, ready to print",
-    "design": "libraries built evenly, and in the order that is suggested",
-    "verification": "problems with known answers, by the code that the leg uses",
-    "reading": "what the paper's text leaves open, against the forces that it prints",
-    "resolution": "from preset paper-1 to resolved, and whether that has arrived",
-    "sensitivity": "what moves the simulated forces: one setting changed at a time",
+    "benchmark": Outline(
+        "three legs: our models beside the forces measured in Yuma sand", "seconds"
+    ),
+    "phi_sensitivity": Outline("forces and their peaks against the friction angle", "seconds"),
+    "k0": Outline("what the stress at rest does to a history", "seconds"),
+    "surrogate": Outline(
+        "the surrogate between the library's angles, and its residuals", "seconds"
+    ),
+    "recovery": Outline(
+        "friction angles of fresh simulations, inferred with a library", "half a minute"
+    ),
+    "figures": Outline(
+        "the figures of the paper's simulations and inversions, ready to print", "13 minutes"
+    ),
+    "measured": Outline(
+        "friction angles of the measured sands, by every library, and the verdicts",
+        "half a minute",
+    ),
+    "prediction": Outline(
+        "calibrated on the straight leg: the C and the reversed C foretold", "seconds"
+    ),
+    "calibration": Outline(
+        "intervals: how often they hold the truth, and how narrow they are", "1 to 2 minutes"
+    ),
+    "design": Outline("libraries built evenly, and in the order that is suggested", "a minute"),
+    "reading": Outline(
+        "what the paper's text leaves open, against the forces that it prints", "seconds"
+    ),
+    "sensitivity": Outline(
+        "what moves the simulated forces: one setting changed at a time", "seconds"
+    ),
+    "resolution": Outline(
+        "from preset paper-1 to resolved, and whether that has arrived", "seconds"
+    ),
+    "verification": Outline("problems with known answers, by the code that the leg uses", "VERIF"),
 }
 
 PAPER_LIBRARY = "paper"
@@ -87,17 +116,22 @@ class Study:
         more = {"study": self.name, "notes": list(self.notes), "beside_paper": table}
         return {**self.data, **{key: value for key, value in more.items() if value}}
 
-    def save(self, out: Path) -> None:
-        """Write ``data.json``, documents and figures (PNG) into a folder, made if need be."""
+    def save(self, out: Path) -> tuple[str, ...]:
+        """Write ``data.json``, documents and figures (PNG) into a folder, made if need be.
+
+        Returns the names of the files.
+        """
         from terraphi import plots
 
         place = folder(out)
         data = json.dumps(self.everything(), indent=2, ensure_ascii=False)
-        for name, text in {"data.json": data, **self.documents}.items():
+        texts = {"data.json": data, **self.documents}
+        for name, text in texts.items():
             with replacing(place / name) as temporary:
                 temporary.write_text(text, encoding="utf-8")
         for name, figure in self.figures.items():
             plots.save(figure, place / f"{name}.png", dpi=self.dpi)
+        return *texts, *(f"{name}.png" for name in self.figures)
 
 
 def page(

@@ -14,14 +14,16 @@ from terraphi.history import ForceHistory
 from terraphi.library import Library
 from terraphi.studies import PAPER_LIBRARY, Beside, Study
 from terraphi.studies.pictures import histories_figure, peaks_figure
+from terraphi.studies.reading import (
+    PAPER_ANGLES_DEG,
+    PAPER_ENGAGEMENT_DEG,
+    PAPER_PEAKS_N,
+    engagement_deg,
+)
 
 FloatArray = NDArray[np.float64]
 
 LEG = "straight"
-PAPER_PEAKS = {25.0: (8.6, 10.2), 45.0: (14.0, 15.5)}
-"""Friction angle [deg] to the peaks of F_z and F_x that Xu & Wang print [N]."""
-PAPER_ANGLES = (-50.0, 0.0)
-"""Leg angles of the peaks of F_z and F_x that they print, about [deg]."""
 
 
 def run(*, library: str = PAPER_LIBRARY) -> Study:
@@ -36,9 +38,9 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
     -------
     Study
         ``data``: ``library``, ``yield``, ``phi_deg``; ``peak_Fz_N``, ``peak_Fx_N``,
-        ``theta_peak_Fz_deg``, ``theta_peak_Fx_deg``, a value for each; ``peaks_increase`` by
-        force; ``share_of_angles_monotone`` by force: of the 40 leg angles, how many have a force
-        that moves one way as the friction angle grows. Two figures.
+        ``theta_peak_Fz_deg``, ``theta_peak_Fx_deg``, ``theta_engages_deg``, a value for each;
+        ``peaks_increase`` by force; ``share_of_angles_monotone`` by force: of the 40 leg angles,
+        how many have a force that moves one way as the friction angle grows. Two figures.
 
     Raises
     ------
@@ -57,6 +59,7 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
         "peak_Fx_N": [peak.Fx for peak in peaks],
         "theta_peak_Fz_deg": [peak.theta_Fz_deg for peak in peaks],
         "theta_peak_Fx_deg": [peak.theta_Fx_deg for peak in peaks],
+        "theta_engages_deg": [engagement_deg(history) for history in histories.values()],
     }
     data["peaks_increase"] = {
         force: bool(np.all(np.diff(data[f"peak_{force}_N"]) > 0.0)) for force in ("Fz", "Fx")
@@ -78,9 +81,9 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
         data=data,
         figures={
             "forces": histories_figure(histories, data["yield"]),
-            "peaks": peaks_figure(data, PAPER_PEAKS),
+            "peaks": peaks_figure(data, PAPER_PEAKS_N),
         },
-        notes=[_monotone(data)],
+        notes=[_monotone(data), *_about_convention(data["yield"])],
         beside_paper=_beside_paper(data),
     )
 
@@ -109,6 +112,13 @@ def _share_monotone(histories: list[ForceHistory], force: str) -> float:
     return float(np.mean(np.all(steps > 0.0, axis=0) | np.all(steps < 0.0, axis=0)))
 
 
+def _about_convention(convention: object) -> list[str]:
+    """A remark if an angle here is not what Xu & Wang mean by it."""
+    if convention == "paper":
+        return []
+    return [f"Angles of '{convention}' are not the paper's; forces at the same number differ."]
+
+
 def _monotone(data: dict[str, object]) -> str:
     rises, shares = data["peaks_increase"], data["share_of_angles_monotone"]
     assert isinstance(rises, dict)
@@ -123,18 +133,27 @@ def _monotone(data: dict[str, object]) -> str:
 
 def _beside_paper(data: dict[str, list[float]]) -> list[Beside]:
     lines: list[Beside] = []
-    for phi, printed in PAPER_PEAKS.items():
+    for phi, printed in PAPER_PEAKS_N.items():
         if phi not in data["phi_deg"]:
             continue
         i = data["phi_deg"].index(phi)
         ours = f"{data['peak_Fz_N'][i]:.1f} / {data['peak_Fx_N'][i]:.1f} N"
-        lines.append((f"peaks Fz / Fx at {phi:g}°", ours, f"{printed[0]:.1f} / {printed[1]:.1f} N"))
+        paper = f"{printed['Fz']:.1f} / {printed['Fx']:.1f} N"
+        lines.append((f"peaks Fz / Fx at {phi:g}°", ours, paper))
     angles = [np.median(data[f"theta_peak_{force}_deg"]) for force in ("Fz", "Fx")]
     lines.append(
         (
             "leg angle of the peaks Fz / Fx (ours: median)",
             f"{angles[0]:.0f} / {angles[1]:.0f}°",
-            f"about {PAPER_ANGLES[0]:.0f} / {PAPER_ANGLES[1]:.0f}°",
+            f"about {PAPER_ANGLES_DEG['Fz']:.0f} / {PAPER_ANGLES_DEG['Fx']:.0f}°",
+        )
+    )
+    engages = np.median(data["theta_engages_deg"])
+    lines.append(
+        (
+            "leg angle of first resistance (ours: median)",
+            f"{engages:.0f}°",
+            f"about {PAPER_ENGAGEMENT_DEG:.0f}°",
         )
     )
     return lines

@@ -83,7 +83,7 @@ def histories_figure(histories: Mapping[float, ForceHistory], convention: str) -
     return figure
 
 
-def peaks_figure(data: Mapping[str, Any], printed: Mapping[float, tuple[float, float]]) -> Figure:
+def peaks_figure(data: Mapping[str, Any], printed: Mapping[float, Mapping[str, float]]) -> Figure:
     """Peak forces, and the leg angles at which they occur, over the friction angle.
 
     Parameters
@@ -91,7 +91,7 @@ def peaks_figure(data: Mapping[str, Any], printed: Mapping[float, tuple[float, f
     data
         As study ``phi_sensitivity`` returns it.
     printed
-        Friction angle [deg] to the paper's peaks of F_z and F_x [N].
+        Friction angle [deg] to the paper's peaks, ``Fz`` and ``Fx`` [N].
 
     Returns
     -------
@@ -99,15 +99,14 @@ def peaks_figure(data: Mapping[str, Any], printed: Mapping[float, tuple[float, f
     """
     figure = _figure(8.4, 3.4)
     left, right = figure.subplots(1, 2)
-    looks = {"Fz": (BLUE, "o", 0), "Fx": (ORANGE, "s", 1)}
-    for force, (colour, marker, column) in looks.items():
+    for force, (colour, marker) in {"Fz": (BLUE, "o"), "Fx": (ORANGE, "s")}.items():
         name = f"${force[0]}_{force[1]}$"
         left.plot(
             data["phi_deg"], data[f"peak_{force}_N"], f"{marker}-", color=colour, ms=4,
             label=f"peak {name}",
         )  # fmt: skip
         left.plot(
-            list(printed), [both[column] for both in printed.values()], marker, color="none",
+            list(printed), [peaks[force] for peaks in printed.values()], marker, color="none",
             mec=colour, ms=7, label=f"peak {name}, Xu & Wang",
         )  # fmt: skip
         right.plot(
