@@ -14,6 +14,7 @@ from terraphi.forward import simulate
 from terraphi.history import ForceHistory
 from terraphi.inference.inversion import AngleSummary, Inversion, invert, plane_strain_summary
 from terraphi.library import Library
+from terraphi.measurements import measurement
 from terraphi.scenario import Scenario
 from terraphi.soil import plane_strain_friction_angle_deg
 
@@ -206,6 +207,14 @@ def test_a_history_of_another_model_is_told_apart(library: Library) -> None:
     assert "model = mpm (rft)" in by_law.warnings[0]
 
 
+def test_forces_that_leave_phi_as_unknown_as_it_was_are_remarked_on(library: Library) -> None:
+    found = invert(measurement("li2013:yuma/straight").history, library=Library.load("paper"))
+    (remark,) = found.warnings
+    assert remark.startswith("These forces hardly tell φ")
+    assert np.ptp(found.phi.ci68) > 0.6 * 20.0
+    assert found.verdict.reason.endswith(remark)
+
+
 def test_another_gravity_is_another_model(library: Library) -> None:
     scenario = library.cases[0].scenario.replace(**{"bed.gravity": 1.62})
     found = invert(simulate(scenario), library=library)
@@ -248,10 +257,10 @@ def bare(history: ForceHistory, *, Fx: float = 1.0, Fz: float = 1.0) -> ForceHis
 
 
 def test_a_slip_of_the_unit_is_asked_about(history: ForceHistory, library: Library) -> None:
-    (large,) = invert(bare(history, Fx=1e3, Fz=1e3), library=library).warnings
+    large, *_ = invert(bare(history, Fx=1e3, Fz=1e3), library=library).warnings
     assert "times that of the library's largest curve: are the forces in newtons?" in large
     answer = invert(bare(history, Fx=1e-3, Fz=1e-3), library=library)
-    (small,) = answer.warnings
+    small, *_ = answer.warnings
     assert "the library's smallest curve" in small
     assert small in answer.verdict.reason
     assert invert(bare(history), library=library).warnings == ()

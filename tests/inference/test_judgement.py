@@ -7,7 +7,12 @@ import pytest
 from scipy.stats import norm
 
 from terraphi.inference.fit import Fit
-from terraphi.inference.judgement import EDGE_DENSITY, edge_densities, judge_calibrated
+from terraphi.inference.judgement import (
+    EDGE_DENSITY,
+    edge_densities,
+    judge_calibrated,
+    uninformed,
+)
 from terraphi.inference.posterior import Posterior, ensemble, quadrature, tabulated
 from terraphi.inference.verdict import Verdict
 
@@ -41,6 +46,16 @@ def judged(posterior: Posterior, fit: Fit) -> Verdict:
 def test_verdict(mean: float, sigma: float, fit: Fit, verdict: str, edge: str | None) -> None:
     found = judged(normal(mean, sigma), fit)
     assert (found.verdict, found.edge) == (verdict, edge)
+
+
+def test_a_posterior_that_is_nearly_the_prior_is_remarked_on() -> None:
+    # A uniform posterior has the prior's 68 %; a normal one in the middle has 2 sigma, cut at 35°.
+    uniform = quadrature(lambda phi: np.zeros_like(phi), BOUNDS, nodes=2001)
+    (remark,) = uninformed(uniform)
+    assert "the 68 % interval is 68% of the library's span wide" in remark
+    assert uninformed(normal(32.5, 30.0)) != []
+    assert uninformed(normal(32.5, 9.0)) == []
+    assert uninformed(normal(16.0, 1.0)) == []
 
 
 def test_a_misfit_whose_posterior_reaches_an_edge_says_so() -> None:

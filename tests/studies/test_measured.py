@@ -18,7 +18,7 @@ from terraphi.studies import measured
 def answer(medium: str, leg: str, phi: float, repose: float | None) -> dict[str, Any]:
     return {
         "library": "x", "yield": "paper", "medium": medium, "leg": leg, "phi_median_deg": phi,
-        "ci95_deg": [phi - 1.0, phi + 1.0], "phi_plane_strain_deg": None,
+        "told_by_forces": True, "ci95_deg": [phi - 1.0, phi + 1.0], "phi_plane_strain_deg": None,
         "nrmsd_percent": {"Fx": 3.0, "Fz": 4.0}, "verdict": "misfit", "reason": "because",
         "angle_of_repose_deg": repose,
     }  # fmt: skip
@@ -49,6 +49,9 @@ def test_order_counts_pairs_on_the_same_leg_that_have_an_angle_of_repose() -> No
     assert mixed.data["off_repose_deg"]["x"] == [-2.0, -2.0]
     assert alone.data["spread_deg"]["x"] == {}
     assert "lie apart" not in alone.notes[1]
+    assert "hardly tell" not in alone.notes[1]
+    blind = measured._study([{**answers[0], "told_by_forces": False}, answers[1]])
+    assert "in 1 of 2 the forces hardly tell φ" in blind.notes[1]
 
 
 def test_every_measured_history_is_answered_as_invert_answers_it() -> None:

@@ -20,7 +20,7 @@ from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts
 from terraphi.inference.covariance import Budget, budget_of
 from terraphi.inference.fit import Fit, fit_without_discrepancy
 from terraphi.inference.hypotheses import Problem
-from terraphi.inference.judgement import judge_calibrated
+from terraphi.inference.judgement import judge_calibrated, uninformed
 from terraphi.inference.library import prepare, single_threaded
 from terraphi.inference.noise import Noise, shape_of, window_covariance
 from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature, tabulated
@@ -138,6 +138,7 @@ def invert(
     warnings = [
         *filter(None, [unlike(history, found.scenario, leg)]),
         *doubts(history, observation, curves, used),
+        *uninformed(found.posterior),
     ]
     verdict = replace(found.verdict, reason=" ".join([found.verdict.reason, *warnings]))
     return Inversion(

@@ -18,6 +18,9 @@ AT_EDGE = 0.9
 """The same, above which the posterior counts as being at the edge, and a misfit as its sign [-]."""
 EDGE_WIDTH = 1e-3
 """Width over which it is taken, of the library's span [-]."""
+UNINFORMED = 0.6
+"""Width of the 68 % interval above which a posterior is hardly the forces' doing, of that span [-];
+0.68 is the prior's."""
 
 
 def judge_calibrated(
@@ -62,6 +65,25 @@ def judge_calibrated(
         f"{SMALLEST_PROBABILITY:g}), and the odds of a model discrepancy are "
         f"{_odds(fit.log10_odds)} (limit {LARGEST_ODDS:.0f}:1).",
     )
+
+
+def uninformed(posterior: Posterior) -> list[str]:
+    """A remark if the forces left the friction angle about as unknown as the library has it.
+
+    Parameters
+    ----------
+    posterior
+        Posterior under a uniform prior, whose 68 % interval is 68 % of the span wide.
+    """
+    (first, last), (low, high) = posterior.interval(0.68), posterior.bounds_deg
+    share = (last - first) / (high - low)
+    if share < UNINFORMED:
+        return []
+    remark = (
+        f"These forces hardly tell φ: the 68 % interval is {share:.0%} of the library's span wide, "
+        "and would be 68 % of it without them, so the median is little more than its middle."
+    )
+    return [remark]
 
 
 def _edge(

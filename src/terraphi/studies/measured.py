@@ -19,6 +19,7 @@ from terraphi.documents import shipped_names
 from terraphi.errors import InputError
 from terraphi.inference.answer import Inversion
 from terraphi.inference.inversion import invert
+from terraphi.inference.judgement import uninformed
 from terraphi.library import Library
 from terraphi.measurements import Measurement, measurement, medium_and_leg, names
 from terraphi.studies import Study, page
@@ -64,11 +65,12 @@ def run(
     -------
     Study
         ``data``: ``answers`` (list of ``library``, ``yield``, ``medium``, ``leg``,
-        ``phi_median_deg``, ``ci95_deg``, ``phi_plane_strain_deg``, ``nrmsd_percent``, ``verdict``,
-        ``reason``, ``angle_of_repose_deg``), ``spread_deg`` between legs by library and medium,
-        where there are several, ``verdicts`` by library, and for the media with an angle of repose
-        ``order`` and ``off_repose_deg``, the least and the largest offset of a median from it by
-        library, of its equivalent in plane strain where there is one.
+        ``phi_median_deg``, ``told_by_forces``, ``ci95_deg``, ``phi_plane_strain_deg``,
+        ``nrmsd_percent``, ``verdict``, ``reason``, ``angle_of_repose_deg``), ``spread_deg``
+        between legs by library and medium, where there are several, ``verdicts`` by library, and
+        for the media with an angle of repose ``order`` and ``off_repose_deg``, the least and the
+        largest offset of a median from it by library, of its equivalent in plane strain where
+        there is one.
 
     Raises
     ------
@@ -111,6 +113,7 @@ def _answer(library: str, one: Measurement, found: Inversion) -> dict[str, Any]:
         "medium": medium_and_leg(one.name)[0],
         "leg": one.leg,
         "phi_median_deg": found.phi.median,
+        "told_by_forces": not uninformed(found.posterior),
         "ci95_deg": list(found.phi.ci95),
         "phi_plane_strain_deg": plane.median if plane else None,
         "nrmsd_percent": {force: 100.0 * value for force, value in found.nrmsd.items()},
@@ -218,6 +221,9 @@ def _note(
             f"; {order['right']} of {order['of']} pairs of media on one leg come out in the order "
             "of their angles of repose"
         )
+    blind = sum(not answer["told_by_forces"] for answer in answers)
+    if blind:
+        said += f"; in {blind} of {len(answers)} the forces hardly tell φ"
     if off:
         converted = answers[0]["yield"] != "plane_strain" and any(
             a["phi_plane_strain_deg"] is not None for a in answers
