@@ -333,3 +333,15 @@ def test_gradient_of_the_splines_brings_the_load_on_a_footing_down() -> None:
 def test_weaker_soil_pushes_a_wall_with_less() -> None:
     strong, weak = (limit_loads.push_wall(phi, 0.0, 10).checks[0].obtained for phi in (35.0, 25.0))
     assert weak / strong == pytest.approx(2.464 / 3.690, rel=0.1)
+
+
+def test_the_figure_of_the_walls_is_over_what_their_checks_expect(monkeypatch) -> None:
+    # ψ = 0 lies between Davis's reduced angle and Rankine, and was drawn over Rankine.
+    weight = 0.5 * limit_scenarios.DENSITY * 9.81 * limit_scenarios.WALL_HEIGHT**2
+    davis = limit_values.passive_pressure(limit_values.davis(35.0), 0.0)
+    middle = 0.5 * (0.95 * davis + 1.05 * 3.690)
+    force = np.full((40, 2), [-weight * middle, 0.0])
+    monkeypatch.setattr(limit_loads, "_run", lambda *_: (np.linspace(0.0, 1.0, 40), force))
+    found = limit_loads.push_wall(35.0, 0.0, 10, flow="dilation").curves
+    assert found["last"] == pytest.approx(1.0, rel=1e-3)
+    assert found["y"] == pytest.approx([1.0] * 20, rel=1e-3)

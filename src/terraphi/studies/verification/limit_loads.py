@@ -107,7 +107,7 @@ def push_wall(
         source=source,
         cause=_wall_cause(scheme, floor),
     )
-    return Outcome([check], _curves("wall", check, across, exact, place / FIRST_UNIT, pressure))
+    return Outcome([check], _curves("wall", check, across, expected, place / FIRST_UNIT, pressure))
 
 
 def _wall_cause(scheme: str, floor: str) -> str:
@@ -229,12 +229,12 @@ def _footing_cause(load: str, scheme: str) -> str:
 
 
 def _curves(
-    kind: str, check: Check, across: int, exact: Any, place: np.ndarray, found: np.ndarray
+    kind: str, check: Check, across: int, expected: Any, place: np.ndarray, found: np.ndarray
 ) -> dict[str, Any]:
-    """What the figure needs of a run: the force over the exact one."""
-    last = check.obtained / (check.expected if kind == "moved" else float(exact))
+    """What the figure needs of a run: the force over that which is expected along its path."""
+    last = check.obtained / check.expected
     about = {"kind": kind, "case": check.case, "across": across, "last": last}
-    return about | _curve(place, found / exact)
+    return about | _curve(place, found / expected)
 
 
 def tasks(quick: bool) -> list[Task]:
