@@ -65,7 +65,15 @@ def test_study_without_a_name_lists_them(terraphi: Terraphi) -> None:
         (line,) = [line for line in ran.out.splitlines() if line.split()[:1] == [name]]
         assert entry["what"] in line
         assert line.rstrip().endswith(entry["takes"])
+        assert re.fullmatch(r"seconds|(half )?a minute|\d+ (to \d+ )?minutes", entry["takes"])
         assert name in terraphi("study", "--help").out
+
+
+@pytest.mark.parametrize("option", [("--out", "x"), ("--only", "elements"), ("--quick",)])
+def test_an_option_of_no_study_is_refused(option: tuple[str, ...], terraphi: Terraphi) -> None:
+    ran = terraphi("study", *option)
+    assert (ran.status, ran.out) == (2, "")
+    assert f"{option[0]}: of which study?" in ran.err
 
 
 def test_study_says_what_it_wrote(terraphi: Terraphi, tmp_path: Path) -> None:

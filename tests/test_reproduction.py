@@ -67,12 +67,15 @@ def test_a_long_case_says_so_before_it_is_checked() -> None:
     quick = small()
     assert "simulates a case again and compares" in account(quick)["sentence"]
     long = []
-    for case in quick.cases:
+    for number, case in enumerate(quick.cases, start=1):
         assert case.history is not None
-        seconds = {"provenance": {**case.history.provenance, "seconds": {"all": 1800.0}}}
+        lasted = {"all": 1800.0 * number}
+        seconds = {"provenance": {**case.history.provenance, "seconds": lasted}}
         long.append(case._replace(history=replace(case.history, **seconds)))
     found = account(replace(quick, cases=tuple(long)))
-    assert "again (it took 30 minutes there) and compares" in found["sentence"]
+    assert (
+        f"again (they took 30 to {30 * len(long)} minutes there) and compares" in found["sentence"]
+    )
 
 
 def test_what_is_the_same_here_is_expected_again() -> None:

@@ -8,7 +8,6 @@ rested on; here that is compared with what is at hand, and on request the case i
 from __future__ import annotations
 
 import hashlib
-import statistics
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -30,8 +29,8 @@ WORDS = {
 }
 """Names for people, where the recorded ones are not for them."""
 _LONGEST = 24
-_LONG_S = 90.0
-"""Time of a case that one wants to know of before one simulates it again [s]."""
+_LONG_MINUTES = 1.5
+"""Time of a case that one wants to know of before one simulates it again."""
 
 
 @dataclass(frozen=True)
@@ -177,13 +176,15 @@ def _sentence(library: Library, different: tuple[str, ...]) -> str:
 
 
 def _lasting(library: Library) -> str:
-    """How long a case took, where it was long."""
-    seconds = statistics.median(
-        case.history.provenance.get("seconds", {}).get("all", 0.0)
+    """How long the cases took, where that was long."""
+    minutes = [
+        case.history.provenance.get("seconds", {}).get("all", 0.0) / 60.0
         for case in library.cases
         if case.history is not None
-    )
-    return "" if seconds < _LONG_S else f" (it took {seconds / 60.0:.0f} minutes there)"
+    ]
+    if max(minutes, default=0.0) < _LONG_MINUTES:
+        return ""
+    return f" (they took {min(minutes):.0f} to {max(minutes):.0f} minutes there)"
 
 
 def _short(value: Any) -> str:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import norm, truncnorm
 
-from terraphi.inference.information import information_share
+from terraphi.inference.information import information_gain_bits, information_share
+from terraphi.inference.posterior import ensemble, quadrature, tabulated
 from terraphi.inference.residual import PaperLikelihood
 
 THETA = np.linspace(-85.0, 85.0, 12)
@@ -23,6 +25,22 @@ def information(angles: int) -> np.ndarray:
         slope = SLOPE[half][:angles]
         found.append(slope @ np.linalg.solve(covariance, slope))
     return np.array(found)
+
+
+@pytest.mark.parametrize(("mean", "sigma"), [(30.0, 2.0), (30.0, 0.2), (15.0, 3.0)])
+def test_gain_is_the_entropy_that_is_lost(mean: float, sigma: float) -> None:
+    low, high = 15.0, 50.0
+    exact = truncnorm((low - mean) / sigma, (high - mean) / sigma, mean, sigma).entropy()
+    expected = (np.log(high - low) - exact) / np.log(2.0)
+    posterior = quadrature(lambda phi: norm.logpdf(phi, mean, sigma), (low, high))
+    assert information_gain_bits(posterior) == pytest.approx(expected, abs=2e-3)
+
+
+def test_gain_of_draws_is_that_of_their_density() -> None:
+    table = tabulated(lambda phi: norm.logpdf(phi, 30.0, 6.0), (15.0, 50.0))
+    draws = ensemble(table, (15.0, 50.0), seed=1)
+    exact = quadrature(lambda phi: norm.logpdf(phi, 30.0, 6.0), (15.0, 50.0))
+    assert information_gain_bits(draws) == pytest.approx(information_gain_bits(exact), abs=0.05)
 
 
 def test_each_angle_adds_what_the_dense_matrices_say() -> None:

@@ -49,13 +49,18 @@ def test_verdict(mean: float, sigma: float, fit: Fit, verdict: str, edge: str | 
 
 
 def test_a_posterior_that_is_nearly_the_prior_is_remarked_on() -> None:
-    # A uniform posterior has the prior's 68 %; a normal one in the middle has 2 sigma, cut at 35°.
     uniform = quadrature(lambda phi: np.zeros_like(phi), BOUNDS, nodes=2001)
     (remark,) = uninformed(uniform)
-    assert "the 68 % interval is 68% of the library's span wide" in remark
+    assert "they add 0.00 bits" in remark
     assert uninformed(normal(32.5, 30.0)) != []
     assert uninformed(normal(32.5, 9.0)) == []
     assert uninformed(normal(16.0, 1.0)) == []
+    # A wide interval is not all: two peaks far apart tell that all between them is not so.
+    peaks = quadrature(
+        lambda phi: np.logaddexp(norm.logpdf(phi, 17.0, 0.5), norm.logpdf(phi, 48.0, 0.5)), BOUNDS
+    )
+    assert np.ptp(peaks.interval(0.68)) > 0.8 * np.ptp(BOUNDS)
+    assert uninformed(peaks) == []
 
 
 def test_a_misfit_whose_posterior_reaches_an_edge_says_so() -> None:

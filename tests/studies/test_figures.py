@@ -27,19 +27,25 @@ def test_every_figure_has_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
         def __getattr__(self, other: str) -> Any:
             return getattr(benchmark, other)
 
-        def run(self, *, library: str) -> Study:
+        def run(self, *, library: str, progress: Any = None) -> Study:
+            if progress is not None:
+                progress(1, 2)
             drawn = {each: Figure() for each in names[self.name]}
-            return Study("", (), (), {"library": library}, drawn, beside_paper=[("a", "b", "c")])
+            beside = {"notes": [self.name], "beside_paper": [("a", "b", "c")]}
+            return Study("", (), (), {"library": library}, drawn, **beside)
 
     benchmark = figures.benchmark
     for name in names:
         monkeypatch.setattr(figures, name, Part(name))
     monkeypatch.setattr(figures, "moments", lambda *_, **__: [])
     monkeypatch.setattr(figures, "snapshots_figure", lambda legs: Figure())
-    found = figures.run()
+    told: list[float] = []
+    found = figures.run(progress=lambda done, total: told.append(done / total))
+    assert told == pytest.approx([0.025])
     assert set(found.figures) == set(figures.WHAT)
     assert found.dpi == 300
     assert len(found.beside_paper) == 4
+    assert found.notes == list(names)
     assert set(found.data) == {"library", *names}
 
 

@@ -51,7 +51,8 @@ def test_order_counts_pairs_on_the_same_leg_that_have_an_angle_of_repose() -> No
     assert "lie apart" not in alone.notes[1]
     assert "hardly tell" not in alone.notes[1]
     blind = measured._study([{**answers[0], "told_by_forces": False}, answers[1]])
-    assert "in 1 of 2 the forces hardly tell φ" in blind.notes[1]
+    assert "in 1 of 2, counted all the same, the forces hardly tell φ" in blind.notes[1]
+    assert [row[-1] for row in blind.rows] == ["misfit, hardly tells φ", "misfit"]
 
 
 def test_every_measured_history_is_answered_as_invert_answers_it() -> None:

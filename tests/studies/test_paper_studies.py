@@ -16,6 +16,7 @@ from terraphi.history import ForceHistory
 from terraphi.inference.residual import residual_autocorrelation, residual_correlation_length_deg
 from terraphi.library import Library
 from terraphi.scenario import Scenario
+from terraphi.soil import Soil, YieldCriterion
 from terraphi.studies import k0, phi_sensitivity, snapshots, surrogate
 
 
@@ -91,9 +92,32 @@ def test_k0_compares_two_libraries_that_differ_in_it_alone() -> None:
     assert data["cases"][0]["k0_jaky"] == pytest.approx(1.0 - np.sin(np.radians(25.0)))
     (line,) = found.beside_paper
     assert line[2] == "below 0.5 %"
+    # By hand: K0 = 0.5 needs α = 1/3, which the paper's α reaches at 42.2°; 1 - sin φ never does.
+    (note,) = found.notes
+    assert note.startswith("At 9 of 11 angles, 25 to 41°, both stresses at rest lie beyond")
     jaky = Library.load("quick-k0-jaky")
     with pytest.raises(InputError, match="differ in more than K0"):
         k0._pair(jaky.cases[0], jaky.cases[1])
+
+
+@pytest.mark.parametrize(
+    ("criterion", "phi", "given", "beyond"),
+    [
+        ("paper", 42.1, 0.5, True),
+        ("paper", 42.3, 0.5, False),
+        ("paper", 60.0, None, True),
+        # Mohr-Coulomb: Rankine's active stress is below both.
+        ("plane_strain", 30.0, 0.34, False),
+        ("plane_strain", 30.0, 0.33, True),
+        ("plane_strain", 30.0, None, False),
+        ("plane_strain", 30.0, 3.1, True),
+    ],
+)
+def test_stresses_at_rest_that_no_soil_can_carry(
+    criterion: YieldCriterion, phi: float, given: float | None, beyond: bool
+) -> None:
+    soil = Soil(friction_angle_deg=phi, yield_criterion=criterion, k0=given)
+    assert k0.yields_at_rest(soil) is beyond
 
 
 def test_k0_needs_a_companion_of_every_case(monkeypatch) -> None:

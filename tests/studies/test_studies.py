@@ -62,7 +62,7 @@ def test_recovery_samplers_agree(recovery: studies.Study) -> None:
         assert case["medians_apart_in_errors"] < 3.0, case["phi_true_deg"]
     errors = max(case["medians_apart_in_errors"] for case in recovery.data["cases"])
     (note,) = recovery.notes
-    assert f"within {errors:.1f} Monte-Carlo errors" in note
+    assert f"by up to {errors:.1f} Monte-Carlo errors" in note
 
 
 def test_recovery_says_how_far_it_is(

@@ -98,7 +98,6 @@ def invert(
 
     Example: terraphi invert straight.csv c.csv --leg straight --leg c --prior density=1500:1700
     """
-    from terraphi.choices import is_there_to_try_others
     from terraphi.design_surrogate.training import is_of_several
     from terraphi.files import folder
     from terraphi.library import Library
@@ -107,12 +106,6 @@ def invert(
     measured = [open_forces(source) for source in forces]
     shapes = legs_of(legs, measured)
     chosen = Library.load(library)
-    if is_there_to_try_others(library):
-        click.echo(
-            f"terraphi: library '{library}' is shipped to try others, not to invert with; "
-            "'terraphi library list' has those that are",
-            err=True,
-        )
     joint = len(measured) > 1 or bool(prior) or is_of_several(chosen)
     made: tuple[str, ...]
     if joint:

@@ -14,6 +14,7 @@ from terraphi.commands import (
     study_names,
 )
 from terraphi.console import print_json, print_table, progress_bar
+from terraphi.errors import InputError
 
 
 @click.command()
@@ -46,6 +47,9 @@ def study(name: str | None, out: Path | None, as_json: bool, **options: Any) -> 
     from terraphi import studies
 
     if name is None:
+        given = [key for key, value in {"out": out, **options}.items() if value is not None]
+        if given:
+            raise InputError(f"--{given[0]}: of which study? 'terraphi study' alone lists them")
         _list(as_json=as_json)
         return
     compiles = name == "verification" or options["build"] is not None

@@ -1,4 +1,4 @@
-"""Which angles of a force history tell the friction angle.
+"""How much a force history tells of the friction angle, and which of its angles do.
 
 A history sweeps through its angles in order. What each one adds to those before it follows from
 the derivative of the forces with respect to φ, made white by the Cholesky factor of the residual
@@ -10,9 +10,35 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["information_share"]
+from terraphi.inference.posterior import Posterior
+
+__all__ = ["information_gain_bits", "information_share"]
 
 FloatArray = NDArray[np.float64]
+
+
+BINS = 20
+"""In which draws are counted."""
+
+
+def information_gain_bits(posterior: Posterior) -> float:
+    """What the forces add to the uniform prior: the relative entropy of the posterior [bit].
+
+    Halving the range of what may be is one bit.
+
+    Parameters
+    ----------
+    posterior
+        By quadrature, or by draws, which are counted in :data:`BINS` bins.
+    """
+    low, high = posterior.bounds_deg
+    if posterior.density is None:
+        counts, _ = np.histogram(posterior.phi_deg, bins=BINS, range=(low, high))
+        share = counts[counts > 0] / counts.sum()
+        return float(np.sum(share * np.log2(share * BINS)))
+    ratio = posterior.density * (high - low)
+    gain = ratio * np.log2(np.where(ratio > 0.0, ratio, 1.0))
+    return float(np.trapezoid(gain, posterior.phi_deg)) / (high - low)
 
 
 def information_share(covariance: ArrayLike, slope: ArrayLike) -> FloatArray:

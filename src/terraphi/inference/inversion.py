@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.choices import there_to_try_others
 from terraphi.errors import InputError, nearest
 from terraphi.history import ForceHistory, Observation
 from terraphi.inference.answer import AngleSummary, Inversion, plane_strain_summary
@@ -139,6 +140,7 @@ def invert(
         *filter(None, [unlike(history, found.scenario, leg)]),
         *doubts(history, observation, curves, used),
         *uninformed(found.posterior),
+        *there_to_try_others(library.name),
     ]
     verdict = replace(found.verdict, reason=" ".join([found.verdict.reason, *warnings]))
     return Inversion(

@@ -8,6 +8,7 @@ import numpy as np
 
 from terraphi.inference.fit import LARGEST_ODDS, SMALLEST_PROBABILITY, Fit
 from terraphi.inference.hypotheses import AMPLITUDES
+from terraphi.inference.information import information_gain_bits
 from terraphi.inference.posterior import Posterior
 from terraphi.inference.verdict import Verdict
 
@@ -18,9 +19,9 @@ AT_EDGE = 0.9
 """The same, above which the posterior counts as being at the edge, and a misfit as its sign [-]."""
 EDGE_WIDTH = 1e-3
 """Width over which it is taken, of the library's span [-]."""
-UNINFORMED = 0.6
-"""Width of the 68 % interval above which a posterior is hardly the forces' doing, of that span [-];
-0.68 is the prior's."""
+UNINFORMED_BITS = 0.1
+"""Information below which a posterior is hardly the forces' doing: a range smaller by 7 % has that
+much."""
 
 
 def judge_calibrated(
@@ -73,15 +74,14 @@ def uninformed(posterior: Posterior) -> list[str]:
     Parameters
     ----------
     posterior
-        Posterior under a uniform prior, whose 68 % interval is 68 % of the span wide.
+        Posterior under a uniform prior.
     """
-    (first, last), (low, high) = posterior.interval(0.68), posterior.bounds_deg
-    share = (last - first) / (high - low)
-    if share < UNINFORMED:
+    gain = information_gain_bits(posterior)
+    if gain >= UNINFORMED_BITS:
         return []
     remark = (
-        f"These forces hardly tell φ: the 68 % interval is {share:.0%} of the library's span wide, "
-        "and would be 68 % of it without them, so the median is little more than its middle."
+        f"These forces hardly tell φ: they add {gain:.2f} bits to a uniform prior over the library "
+        f"(limit {UNINFORMED_BITS:g}), so that the median is not theirs."
     )
     return [remark]
 

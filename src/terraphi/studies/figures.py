@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from terraphi.scenario import Scenario
@@ -21,6 +22,8 @@ SNAPSHOTS_DEG = (-60.0, -30.0, 0.0, 40.0)
 SNAPSHOT_SPEED_UP = 10.0
 """Least speed-up of the simulations that are run for the snapshots alone; at the true speed the
 three would take over an hour, for forces that differ by 3 to 4 % (docs/sensitivity.md)."""
+SNAPSHOTS_SHARE = 0.95
+"""Share of the time that those three simulations take, roughly."""
 DOTS_PER_INCH = 300
 WHAT = {
     "forces-phi": "forces against the leg angle at every friction angle",
@@ -53,7 +56,7 @@ def run(
         sped up at least :data:`SNAPSHOT_SPEED_UP` times; without, they are simulated anew each
         time.
     progress
-        Called with the number of figures drawn, counting parts, and of all.
+        Called with the share of the work that is done, and 1.
 
     Returns
     -------
@@ -66,10 +69,17 @@ def run(
     InputError
         As the studies; and if the folder cannot be written.
     """
+
+    def tell(done: float, total: float, *, first: float, last: float) -> None:
+        if progress is not None:
+            progress(first + (last - first) * done / total, 1.0)
+
+    begun = partial(tell, first=0.0, last=1.0 - SNAPSHOTS_SHARE)
     parts = {
         module.__name__.rpartition(".")[2]: module.run(library=library)
-        for module in (phi_sensitivity, benchmark, surrogate, recovery)
+        for module in (phi_sensitivity, benchmark, surrogate)
     }
+    parts["recovery"] = recovery.run(library=library, progress=begun)
     legs = {leg: benchmark.curves_of(library, leg) for leg in LEGS}
     figures = {
         "forces-phi": parts["phi_sensitivity"].figures["forces"],
@@ -80,7 +90,9 @@ def run(
         "residuals": parts["surrogate"].figures["residuals"],
         "walkers": parts["recovery"].figures["walkers"],
         "recovery": parts["recovery"].figures["recovery"],
-        "snapshots": snapshots_figure(_particles(library, build, len(WHAT), progress)),
+        "snapshots": snapshots_figure(
+            _particles(library, build, partial(tell, first=1.0 - SNAPSHOTS_SHARE, last=1.0))
+        ),
     }
     return Study(
         title=f"Figures from library '{library}'",
@@ -88,6 +100,7 @@ def run(
         rows=[(f"{name}.png", what) for name, what in WHAT.items()],
         data={"library": library, **{name: part.everything() for name, part in parts.items()}},
         figures=figures,
+        notes=[note for part in parts.values() for note in part.notes],
         beside_paper=[line for part in parts.values() for line in part.beside_paper],
         dpi=DOTS_PER_INCH,
     )
@@ -96,8 +109,7 @@ def run(
 def _particles(
     library: str,
     place: Path | None,
-    figures: int,
-    progress: Callable[[float, float], None] | None,
+    progress: Callable[[float, float], None],
 ) -> dict[str, tuple[Scenario, list[Moment]]]:
     """Scenario and moments of each leg at 35°."""
     cases = {leg: sped_up(benchmark.case_at(library, leg).scenario) for leg in LEGS}
@@ -106,8 +118,7 @@ def _particles(
         for number, (leg, scenario) in enumerate(cases.items()):
 
             def tell(fraction: float, number: int = number) -> None:
-                if progress is not None:
-                    progress(figures - 1 + (number + fraction) / len(LEGS), figures)
+                progress(number + fraction, len(LEGS))
 
             kept = place or Path(passing)
             found[leg] = scenario, moments(scenario, SNAPSHOTS_DEG, kept, progress=tell)

@@ -7,6 +7,7 @@ Two libraries of the same cases, particles included, that differ in K0 alone. Ch
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,11 @@ from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.library import Case
 from terraphi.plots import BLUE, ORANGE, Curve, comparison_figure
+from terraphi.soil import Soil
 from terraphi.studies import Study, companion
 from terraphi.studies.benchmark import means_of
 
-LIBRARIES = "quick-k0"
+LIBRARIES = "k0"
 """Common beginning of the names of the two shipped libraries."""
 PAPER_LIMIT_PERCENT = 0.5
 FORCES = ("Fz", "Fx")
@@ -83,6 +85,7 @@ def run(*, library: str = LIBRARIES) -> Study:
             "max_relative_change": max(changes),
             "cases": cases,
         },
+        notes=_about_yield(jaky.cases, half.cases),
         figures={"k0": _figure(cases[worst]["phi_deg"], convention, *pairs[worst])},
         beside_paper=[
             (
@@ -92,6 +95,30 @@ def run(*, library: str = LIBRARIES) -> Study:
             )
         ],
     )
+
+
+def _about_yield(jaky: Sequence[Case], half: Sequence[Case]) -> list[str]:
+    """Where neither stress at rest can be carried, so that soon little of either is left."""
+    both = [
+        one.scenario.soil.friction_angle_deg
+        for one, other in zip(jaky, half, strict=True)
+        if yields_at_rest(one.scenario.soil) and yields_at_rest(other.scenario.soil)
+    ]
+    if not both:
+        return []
+    where = f"{len(both)} of {len(jaky)} angles, {min(both):g} to {max(both):g}°"
+    beyond = "both stresses at rest lie beyond the yield surface"
+    return [f"At {where}, {beyond}, to which the first step takes them back."]
+
+
+def yields_at_rest(soil: Soil) -> bool:
+    """Whether the stress at rest lies beyond the yield surface, in the plane and without cohesion.
+
+    Its principal stresses are σ and K0 σ, so that it does if |1 - K0| / (1 + K0) exceeds the sine
+    of the friction angle that acts there.
+    """
+    sine = math.sin(math.radians(soil.plane_strain_friction_angle_deg))
+    return abs(1.0 - soil.k0_at_rest) / (1.0 + soil.k0_at_rest) > sine
 
 
 def relative_change(before: ForceHistory, after: ForceHistory) -> dict[str, float]:

@@ -200,7 +200,7 @@ def _row(answer: Mapping[str, Any]) -> tuple[str, ...]:
         f"{low:.1f} to {high:.1f}",
         f"{answer['nrmsd_percent']['Fz']:.0f} %",
         f"{answer['nrmsd_percent']['Fx']:.0f} %",
-        answer["verdict"],
+        answer["verdict"] + ("" if answer["told_by_forces"] else ", hardly tells φ"),
     )
 
 
@@ -223,7 +223,7 @@ def _note(
         )
     blind = sum(not answer["told_by_forces"] for answer in answers)
     if blind:
-        said += f"; in {blind} of {len(answers)} the forces hardly tell φ"
+        said += f"; in {blind} of {len(answers)}, counted all the same, the forces hardly tell φ"
     if off:
         converted = answers[0]["yield"] != "plane_strain" and any(
             a["phi_plane_strain_deg"] is not None for a in answers

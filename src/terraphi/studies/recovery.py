@@ -130,7 +130,7 @@ def _about_emcee(cases: list[dict[str, Any]]) -> str:
     apart = max(abs(case["emcee_median_deg"] - case["phi_median_deg"]) for case in cases)
     errors = max(case["medians_apart_in_errors"] for case in cases)
     return (
-        f"All by quadrature; emcee's medians are within {apart:.3f}° of these, and within "
+        f"All by quadrature; emcee's medians differ from these by up to {apart:.3f}°, and by up to "
         f"{errors:.1f} Monte-Carlo errors."
     )
 
