@@ -61,7 +61,9 @@ STUDIES = {
     "resolution": Outline(
         "from preset paper-1 to resolved, and whether that has arrived", "seconds"
     ),
-    "verification": Outline("problems with known answers, by the code that the leg uses", "25 minutes"),
+    "verification": Outline(
+        "problems with known answers, by the code that the leg uses", "half an hour"
+    ),
 }
 
 PAPER_LIBRARY = "paper"
