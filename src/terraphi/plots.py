@@ -106,7 +106,8 @@ def _draw_forces(axes: Axes, inversion: Inversion, component: str) -> None:
     )
     finish_force_axes(axes, component)
     deviation = 100.0 * inversion.nrmsd[component]
-    axes.set_title(f"{inversion.source}: NRMSD {deviation:.1f} %", fontsize=10)
+    what = inversion.source if component == "Fx" else f"library {inversion.library}"
+    axes.set_title(f"{what}: NRMSD {deviation:.1f} %", fontsize=10)
 
 
 def finish_force_axes(axes: Axes, component: str) -> None:
@@ -187,17 +188,15 @@ def comparison_figure(title: str, curves: Sequence[Curve]) -> Figure:
     return figure
 
 
-def recovery_figure(
-    truth_deg: FloatArray, median_deg: FloatArray, ci68_deg: FloatArray, ci95_deg: FloatArray
-) -> Figure:
-    """Inferred over true friction angles, and their errors with intervals.
+def recovery_figure(cases: Sequence[Mapping[str, Any]], convention: str) -> Figure:
+    """Inferred over true friction angles, and their errors, with intervals.
 
     Parameters
     ----------
-    truth_deg, median_deg
-        [deg], shape [case].
-    ci68_deg, ci95_deg
-        Intervals [deg], shape [case, 2].
+    cases
+        ``phi_true_deg``, ``phi_median_deg``, ``ci68``, ``ci95`` and ``verdict`` of each.
+    convention
+        What the friction angle means.
 
     Returns
     -------
@@ -205,24 +204,27 @@ def recovery_figure(
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    ends = np.array([truth_deg.min() - 1.0, truth_deg.max() + 1.0])
-    left.plot(ends, ends, color=GREY, lw=0.8)
-    left.plot(truth_deg, median_deg, "o", color=BLUE)
-    left.set_xlabel("true φ [deg]")
-    left.set_ylabel("inferred φ, median [deg]")
-    right.axhline(0.0, color=GREY, lw=0.8)
-    for interval, width, name in ((ci95_deg, 1.2, "95 %"), (ci68_deg, 4.0, "68 %")):
-        right.vlines(
-            truth_deg, *(interval - truth_deg[:, None]).T, color=BLUE, lw=width, alpha=0.5,
-            label=f"{name} interval",
-        )  # fmt: skip
-    right.plot(truth_deg, median_deg - truth_deg, "o", ms=4, color=ORANGE, label="median")
-    right.set_xlabel("true φ [deg]")
-    right.set_ylabel("inferred - true φ [deg]")
-    above = (0.5, 1.0)
-    right.legend(fontsize="small", frameon=False, loc="lower center", bbox_to_anchor=above, ncols=3)
+    truth, median = (np.array([c[f"phi_{key}_deg"] for c in cases]) for key in ("true", "median"))
+    believed = np.array([case["verdict"] == "consistent" for case in cases])
+    ends = np.array([truth.min() - 1.0, truth.max() + 1.0])
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    for axes, base, line in zip(
+        figure.subplots(1, 2), (np.zeros_like(truth), truth), (ends, np.zeros(2)), strict=True
+    ):
+        axes.plot(ends, line, color=GREY, lw=0.8)
+        for key, width, name in (("ci95", 1.2, "95 %"), ("ci68", 4.0, "68 %")):
+            low, high = np.array([case[key] for case in cases]).T - base
+            axes.vlines(truth, low, high, color=BLUE, lw=width, alpha=0.5, label=f"{name} interval")
+        looks = ((believed, ORANGE, "median"), (~believed, "white", "median, not consistent"))
+        for some, face, name in looks:
+            axes.plot(
+                truth[some], (median - base)[some], "o", ms=4, mec=ORANGE, mfc=face, label=name
+            )
+        axes.set_xlabel(f"true {PHI_LABEL[convention]}")
+    figure.axes[0].set_ylabel("inferred friction angle [deg]")
+    figure.axes[1].set_ylabel("inferred less true [deg]")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 

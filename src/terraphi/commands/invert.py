@@ -189,14 +189,16 @@ def legs_of(legs: Sequence[str], measured: Sequence[Measurement]) -> list[str]:
             raise InputError(f"unknown leg '{leg}'; {nearest(leg, LEG_SHAPES)}")
     if not legs:
         return [m.leg for m in measured]
-    if len(legs) == 1:
-        return [legs[0] for _ in measured]
-    if len(legs) != len(measured):
+    shapes = [legs[0] for _ in measured] if len(legs) == 1 else list(legs)
+    if len(shapes) != len(measured):
         raise InputError(
             f"there are {len(measured)} histories and {len(legs)} legs; give --leg once for all, "
             "or once for each history in their order"
         )
-    return list(legs)
+    for leg, one in zip(shapes, measured, strict=True):
+        if one.source and leg != one.leg:
+            raise InputError(f"{one.name}: was measured on leg '{one.leg}'; drop --leg {leg}")
+    return shapes
 
 
 def save_inversion(inversion: Inversion, place: Path) -> tuple[str, ...]:

@@ -30,8 +30,8 @@ def judge_calibrated(
     """Judge an inversion: by whether an edge cuts the posterior off, and by the fit.
 
     Out of range if the density at an edge of the library is not small; but a misfit, unless the
-    density is largest there, if the best fit without a discrepancy is not one that scatter and
-    noise explain: a wider library would not help. Else consistent.
+    density is largest there and tells something at all, if the best fit without a discrepancy is
+    not one that scatter and noise explain: a wider library would not help. Else consistent.
 
     Parameters
     ----------
@@ -48,9 +48,10 @@ def judge_calibrated(
     cut = max(densities) > EDGE_DENSITY
     clause = _misfit(fit, residual_nrmsd) if fit.misfit else ""
     at_low, edge = _edge(posterior, densities, convention)
-    if cut and not (clause and max(densities) < AT_EDGE):
+    limit = AT_EDGE if clause else EDGE_DENSITY
+    if max(densities) > limit and not (clause and uninformed(posterior)):
         reason = (
-            f"The posterior is cut off by the {edge} (limit {EDGE_DENSITY:.0%}), so the friction "
+            f"The posterior is cut off by the {edge} (limit {limit:.0%}), so the friction "
             f"angle may lie {'below' if at_low else 'above'} it"
         )
         reason += f"; moreover, {clause}." if clause else "."

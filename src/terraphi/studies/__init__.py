@@ -184,8 +184,8 @@ def companion(library: str, role: str) -> Library:
     if library + ending not in shipped:
         known = [name.removesuffix(ending) for name in shipped if name.endswith(ending)]
         raise InputError(
-            f"library '{library}': no '{library}{ending}' is shipped, which this study needs; take "
-            f"one of {', '.join(known)}"
+            f"library '{library}': no '{library}{ending}' is shipped, which this study needs; "
+            f"those that have one: {', '.join(known)}"
         )
     return Library.load(library + ending)
 

@@ -26,6 +26,9 @@ FloatArray = NDArray[np.float64]
 LEG = "straight"
 
 
+ANOTHER_ANGLE = "Not beside the paper's forces, whose friction angles mean something else."
+
+
 def run(*, library: str = PAPER_LIBRARY) -> Study:
     """Peaks of the straight leg's histories over the friction angle.
 
@@ -67,6 +70,7 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
     data["share_of_angles_monotone"] = {
         force: _share_monotone(list(histories.values()), force) for force in ("Fz", "Fx")
     }
+    comparable = data["yield"] == "paper"
     return Study(
         title=f"Peak forces against φ ({data['yield']}), leg {LEG}, library '{library}'",
         header=("φ", "peak Fz", "peak Fx"),
@@ -81,10 +85,12 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
         data=data,
         figures={
             "forces": histories_figure(histories, data["yield"]),
-            "peaks": peaks_figure(data, PAPER_PEAKS_N),
+            "peaks": peaks_figure(
+                data, *((PAPER_PEAKS_N, PAPER_ANGLES_DEG) if comparable else ({}, {}))
+            ),
         },
-        notes=[_monotone(data), *_about_convention(data["yield"])],
-        beside_paper=_beside_paper(data),
+        notes=[_monotone(data), *([] if comparable else [ANOTHER_ANGLE])],
+        beside_paper=_beside_paper(data) if comparable else (),
     )
 
 
@@ -110,13 +116,6 @@ def _share_monotone(histories: list[ForceHistory], force: str) -> float:
     seen = [history.observation() for history in histories]
     steps = np.diff(np.stack([o.Fx if force == "Fx" else o.Fz for o in seen]), axis=0)
     return float(np.mean(np.all(steps > 0.0, axis=0) | np.all(steps < 0.0, axis=0)))
-
-
-def _about_convention(convention: object) -> list[str]:
-    """A remark if an angle here is not what Xu & Wang mean by it."""
-    if convention == "paper":
-        return []
-    return [f"Angles of '{convention}' are not the paper's; forces at the same number differ."]
 
 
 def _monotone(data: dict[str, object]) -> str:

@@ -83,7 +83,11 @@ def histories_figure(histories: Mapping[float, ForceHistory], convention: str) -
     return figure
 
 
-def peaks_figure(data: Mapping[str, Any], printed: Mapping[float, Mapping[str, float]]) -> Figure:
+def peaks_figure(
+    data: Mapping[str, Any],
+    printed: Mapping[float, Mapping[str, float]],
+    printed_at: Mapping[str, float],
+) -> Figure:
     """Peak forces, and the leg angles at which they occur, over the friction angle.
 
     Parameters
@@ -91,7 +95,9 @@ def peaks_figure(data: Mapping[str, Any], printed: Mapping[float, Mapping[str, f
     data
         As study ``phi_sensitivity`` returns it.
     printed
-        Friction angle [deg] to the paper's peaks, ``Fz`` and ``Fx`` [N].
+        Friction angle [deg] to the paper's peaks, ``Fz`` and ``Fx`` [N]; may be empty.
+    printed_at
+        Leg angles of those peaks [deg], about, by force; may be empty.
 
     Returns
     -------
@@ -105,13 +111,17 @@ def peaks_figure(data: Mapping[str, Any], printed: Mapping[float, Mapping[str, f
             data["phi_deg"], data[f"peak_{force}_N"], f"{marker}-", color=colour, ms=4,
             label=f"peak {name}",
         )  # fmt: skip
-        left.plot(
-            list(printed), [peaks[force] for peaks in printed.values()], marker, color="none",
-            mec=colour, ms=7, label=f"peak {name}, Xu & Wang",
-        )  # fmt: skip
+        if printed:
+            left.plot(
+                list(printed), [peaks[force] for peaks in printed.values()], marker, color="none",
+                mec=colour, ms=7, label=f"peak {name}, Xu & Wang",
+            )  # fmt: skip
         right.plot(
             data["phi_deg"], data[f"theta_peak_{force}_deg"], f"{marker}-", color=colour, ms=4
         )
+        if force in printed_at:
+            about = f"peak {name}, Xu & Wang, about"
+            right.axhline(printed_at[force], color=colour, lw=1.0, ls=":", label=about)
     left.set_ylim(bottom=0.0)
     left.set_ylabel("peak force [N]")
     right.set_ylabel("leg angle of the peak [deg]")
@@ -227,7 +237,7 @@ def slices_figure(
             i = index + row * surrogate.theta_deg.size
             axes.fill_between(
                 phi, mean[:, i] - 2.0 * spread[:, i], mean[:, i] + 2.0 * spread[:, i], color=GREY,
-                alpha=0.35, lw=0, label="± 2 standard deviations",
+                alpha=0.35, lw=0, label="± 2 standard deviations of the curve",
             )  # fmt: skip
             axes.plot(phi, mean[:, i], color="black", lw=1.0, label="surrogate")
             for name, (angles, values) in points.items():
@@ -331,9 +341,13 @@ def measured_figure(answers: Sequence[Mapping[str, Any]]) -> Figure:
     libraries = list(dict.fromkeys(answer["library"] for answer in answers))
     media = list(dict.fromkeys(answer["medium"] for answer in answers))
     looks = {"straight": ("o", BLUE), "c": ("s", ORANGE), "reversed_c": ("^", GREEN)}
-    figure = Figure(figsize=(3.2 * len(libraries) + 0.6, 4.2), layout="constrained")
-    panels = figure.subplots(1, len(libraries), sharey=True, squeeze=False)[0]
-    for axes, library in zip(panels, libraries, strict=True):
+    columns = min(len(libraries), 3)
+    rows = -(-len(libraries) // columns)
+    figure = Figure(figsize=(3.2 * columns + 0.6, 3.6 * rows + 0.6), layout="constrained")
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for axes in panels[len(libraries) :]:
+        axes.remove()
+    for axes, library in zip(panels, libraries, strict=False):
         shown = [answer for answer in answers if answer["library"] == library]
         for place, medium in enumerate(media):
             if repose[medium] is not None:
@@ -356,10 +370,10 @@ def measured_figure(answers: Sequence[Mapping[str, Any]]) -> Figure:
         axes.set_xticks(range(len(media)), media, rotation=30, ha="right")
         axes.set_xlim(-0.5, len(media) - 0.5)
         axes.grid(axis="y", lw=0.4)
-    panels[0].set_ylabel("friction angle [deg], 95 %")
+    figure.supylabel("friction angle [deg], 95 %", fontsize=10)
     panels[0].plot([], [], "o", color=GREY, mfc="white", ms=5, label="misfit or out of range")
     panels[0].plot([], [], "x", color=GREY, ms=5, label="median as it acts in plane strain")
     panels[0].plot([], [], color=GREY, lw=1.5, label="angle of repose")
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     return figure

@@ -288,7 +288,12 @@ def study_of(
             row[OURS] = nrmsd_percent(measured.history, scaled)
             curves.setdefault(medium, {})[leg] = [
                 Curve("measured, Li et al. 2013", measured.history, ORANGE, ""),
-                Curve(OURS, scaled, BLUE),
+                Curve(
+                    f"{OURS}, φ = {fits[medium].phi_deg:.1f}°, μ = {fits[medium].friction:.2f}: "
+                    f"fitted to the {CALIBRATED_ON} leg, the others foretold",
+                    scaled,
+                    BLUE,
+                ),
             ]
         if medium == "yuma":
             row |= others[leg]

@@ -94,12 +94,7 @@ def run(
         rows=[_row(case) for case in cases],
         data={"library": library, "yield": convention, "cases": cases, **summary},
         figures={
-            "recovery": recovery_figure(
-                np.array([case["phi_true_deg"] for case in cases]),
-                np.array([case["phi_median_deg"] for case in cases]),
-                np.array([case["ci68"] for case in cases]),
-                np.array([case["ci95"] for case in cases]),
-            ),
+            "recovery": recovery_figure(cases, convention),
             "walkers": walkers_figure(_walkers(trained, *shown), convention),
         },
         notes=[_about_emcee(cases)],

@@ -110,7 +110,11 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
                 *residual_autocorrelation(theta, residuals), length, PAPER_LENGTH_DEG
             ),
         },
-        notes=[_over_all(theta.size, nrmsd), *_about_the_length(theta, residuals, length)],
+        notes=[
+            _over_all(theta.size, nrmsd),
+            _about_the_spread(found),
+            *_about_the_length(theta, residuals, length),
+        ],
         beside_paper=_beside_paper(length),
     )  # fmt: skip
 
@@ -119,6 +123,20 @@ def _over_all(angles: int, nrmsd: dict[str, float]) -> str:
     return (
         f"Over all {angles} leg angles the held-out forces deviate by {nrmsd['Fx']:.2f} % (Fx) and "
         f"{nrmsd['Fz']:.2f} % (Fz) of their peak-to-peak, root mean square."
+    )
+
+
+def _about_the_spread(found: HeldOut) -> str:
+    """How many held-out forces the surrogate's own standard deviation covers."""
+    curve = found.surrogate.predict_variance(found.phi_deg)
+    angles = found.curves.theta_deg.size
+    noise = np.repeat([found.surrogate.Fx.noise_std, found.surrogate.Fz.noise_std], angles)
+    off = np.abs(found.truth - found.predicted)
+    inside = float(np.mean(off < 2.0 * np.sqrt(curve + noise**2)))
+    return (
+        f"{inside:.0%} of them lie within two standard deviations, the surrogate's noise included, "
+        f"of 95 % to be expected; of the curve alone, as drawn, "
+        f"{float(np.mean(off < 2.0 * np.sqrt(curve))):.0%}."
     )
 
 
