@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import arviz
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from terraphi.design_surrogate import DesignSurrogate, training
 from terraphi.errors import InputError
@@ -17,7 +19,9 @@ from terraphi.inference.joint import JointInversion, Trial, invert_jointly
 from terraphi.inference.joint.answer import Summary
 from terraphi.inference.joint.inversion import (
     DILATION,
+    NOT_TO_BE_USED,
     _density_of,
+    _judge,
     _plane_strain,
     _window_noise,
 )
@@ -28,6 +32,7 @@ from terraphi.inference.joint.trials import grouped, warnings_on
 from terraphi.inference.noise import Noise
 from terraphi.joint_plots import corner_figure, fits_figure
 from terraphi.library import Library
+from terraphi.measurements import measurement
 from terraphi.scenario import Scenario
 from terraphi.soil import plane_strain_friction_angle_deg
 
@@ -162,6 +167,41 @@ def test_forces_that_no_parameters_explain_are_a_misfit(two_parameters, trial) -
     c = trial("c")
     found = invert_jointly([Trial(c.history, "straight", "passed off")], library=two_parameters)
     assert found.verdict.verdict in ("misfit", "out_of_range")
+
+
+@pytest.mark.parametrize(
+    ("mean", "off", "verdict"),
+    [
+        (18.0, 0.45, "misfit"),  # loose poppy seeds: 65 % of the density at the edge
+        (18.0, 0.02, "out_of_range"),
+        (15.0, 0.45, "out_of_range"),
+        (30.0, 0.45, "misfit"),
+        (30.0, 0.02, "consistent"),
+    ],
+)
+@pytest.mark.parametrize("discrepancy", [True, False])
+def test_an_edge_that_a_misfit_only_reaches_is_a_misfit(
+    mean: float, off: float, verdict: str, discrepancy: bool
+) -> None:
+    draws = norm(mean, 3.2).ppf(np.linspace(0.0001, 0.9999, 40001))
+    draws = draws[draws > 15.0][:, None]
+    priors = {PHI: Marginal(15.0, 50.0)}
+    target = SimpleNamespace(keys=(PHI,), priors=priors, discrepancy=discrepancy)
+    found = _judge(target, draws, SimpleNamespace(kinds={PHI: "fixed"}), ("sand.csv", off))
+    assert found.verdict == verdict
+    assert (NOT_TO_BE_USED in found.reason) is (off > 0.1 and discrepancy)
+
+
+@pytest.mark.slow
+def test_three_legs_that_no_angle_fits_are_not_to_be_used() -> None:
+    legs = ("straight", "c", "reversed_c")
+    sands = [measurement(f"li2013:poppy_loose/{leg}") for leg in legs]
+    trials = [Trial(sand.history, sand.leg, sand.name) for sand in sands]
+    found = invert_jointly(trials, library=Library.load("resolved"), density=638.0)
+    assert found.verdict.verdict == "misfit"
+    assert NOT_TO_BE_USED in found.verdict.reason
+    # docs/how-to/several.md
+    assert found.marginal[PHI].median == pytest.approx(18.0, abs=0.6)
 
 
 def test_a_history_of_another_model_is_named_and_not_believed_blindly(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -32,6 +31,7 @@ from terraphi.inference.joint.trials import (
     grouped,
     warnings_on,
 )
+from terraphi.inference.judgement import AT_EDGE, EDGE_DENSITY
 from terraphi.inference.noise import Noise, window_covariance
 from terraphi.inference.posterior import Posterior, quadrature
 from terraphi.inference.verdict import Verdict, nrmsd
@@ -46,9 +46,13 @@ SLOPE_STEP = 1e-3
 """Step of differences over a parameter, of its prior standard deviation [-]."""
 EDGE = 0.02
 """Width of an edge of a prior, of its span [-]."""
-EDGE_DENSITY = math.exp(-2.0)
-"""Density there, over the largest, from which on an edge cuts a posterior off [-]."""
 NRMSD_LIMIT = 0.10
+NOT_TO_BE_USED = (
+    "A discrepancy of that size, taken for independent of the parameters, draws them towards small "
+    "forces and narrows their intervals: do not use them. One history, for φ alone, is inverted "
+    "with such errors allowed for."
+)
+"""What a misfit does to a joint inversion: docs/inference.md, "A model that is far off"."""
 
 
 def invert_jointly(
@@ -318,9 +322,15 @@ def _worst(groups: Sequence[Repeats], misfits: Sequence[Mapping[str, float]]) ->
 def _judge(
     target: Target, flat: FloatArray, identifiability: Identifiability, worst: tuple[str, float]
 ) -> Verdict:
-    """Out of range if an edge cuts off a parameter that was learnt; misfit if forces deviate."""
+    """Out of range if an edge cuts off a parameter that was learnt; misfit if forces deviate.
+
+    As with one history, a posterior that reaches an edge is a misfit's, unless it is at the edge.
+    """
     source, largest = worst
     deviation = f"the best curve deviates from {source} by {largest:.1%}"
+    misfit = largest > NRMSD_LIMIT
+    caution = f" {NOT_TO_BE_USED}" if misfit and target.discrepancy else ""
+    limit = AT_EDGE if misfit else EDGE_DENSITY
     for i, key in enumerate(target.keys):
         prior, values = target.priors[key], flat[:, i]
         if identifiability.kinds[key] == "open":
@@ -328,7 +338,7 @@ def _judge(
         counts, _ = np.histogram(values, bins=round(1.0 / EDGE), range=(prior.low, prior.high))
         cuts = zip(prior.cut_off, (counts[0], counts[-1]), strict=True)
         ends = [count / counts.max() if cut else 0.0 for cut, count in cuts]
-        if max(ends) > EDGE_DENSITY:
+        if max(ends) > limit:
             at_low = ends[0] >= ends[1]
             name, unit = label(key)
             return Verdict(
@@ -336,13 +346,11 @@ def _judge(
                 "low" if at_low else "high",
                 f"The posterior of {name} is cut off at {prior.low if at_low else prior.high:g} "
                 f"{unit}, where its density is {max(ends):.0%} of its largest (limit "
-                f"{EDGE_DENSITY:.0%}); {deviation} of peak-to-peak.",
+                f"{limit:.0%}); {deviation} of peak-to-peak.{caution}",
             )
-    if largest > NRMSD_LIMIT:
-        return Verdict(
-            "misfit", None,
-            f"No parameters fit: {deviation} of peak-to-peak (limit {NRMSD_LIMIT:.0%}).",
-        )  # fmt: skip
+    if misfit:
+        limits = f"{deviation} of peak-to-peak (limit {NRMSD_LIMIT:.0%})"
+        return Verdict("misfit", None, f"No parameters fit: {limits}.{caution}")
     return Verdict(
         "consistent", None,
         f"No edge of the priors cuts off what was learnt, and {deviation} of peak-to-peak at most "
