@@ -41,6 +41,20 @@ def test_a_library_that_tries_others_is_remarked_on(terraphi) -> None:
     assert "try others" not in terraphi("invert", "li2013:yuma/straight", "--library", "rft3d").out
 
 
+def test_a_shipped_record_keeps_its_leg(terraphi, histories) -> None:
+    alone = terraphi("invert", "li2013:yuma/straight", "--leg", "c")
+    assert (alone.status, alone.out) == (2, "")
+    assert "--leg c: li2013:yuma/straight was measured on leg 'straight'; drop it" in alone.err
+    both = terraphi("invert", "c.csv", "li2013:yuma/straight", "--leg", "c", "--library", "rft3d")
+    assert both.status == 2
+    assert "give --leg for each history, in their order" in both.err
+    named = ("--leg", "c", "--leg", "straight")
+    ran = terraphi(
+        "invert", "c.csv", "li2013:yuma/straight", *named, "--library", "rft3d", "--json"
+    )
+    assert {trial["leg"] for trial in json.loads(ran.out)["histories"]} == {"c", "straight"}
+
+
 def test_several_histories_are_one_data_set(terraphi, histories, tmp_path) -> None:
     ran = terraphi(
         "invert", "a.csv", "b.csv", "c.csv", *LEGS, "--library", "rft3d", "--discrepancy", "none",

@@ -48,6 +48,18 @@ def test_verdict(mean: float, sigma: float, fit: Fit, verdict: str, edge: str | 
     assert (found.verdict, found.edge) == (verdict, edge)
 
 
+def test_a_flat_posterior_of_a_misfit_is_a_misfit() -> None:
+    flat = normal(32.5, 40.0)
+    assert min(edge_densities(flat)) > 0.9
+    assert judged(flat, BAD).verdict == "misfit"
+    assert judged(flat, GOOD).verdict == "out_of_range"
+
+
+def test_the_limit_that_counted_is_told() -> None:
+    assert "(limit 90%)" in judged(normal(15.0, 2.0), BAD).reason
+    assert "(limit 14%)" in judged(normal(15.0, 2.0), GOOD).reason
+
+
 def test_a_posterior_that_is_nearly_the_prior_is_remarked_on() -> None:
     uniform = quadrature(lambda phi: np.zeros_like(phi), BOUNDS, nodes=2001)
     (remark,) = uninformed(uniform)

@@ -182,6 +182,22 @@ def test_surrogate_says_how_well_one_length_describes_the_residuals() -> None:
     assert (lags[0], rho[0]) == (0.0, 1.0)
 
 
+def test_surrogate_counts_what_its_spread_covers() -> None:
+    # Made-up forces at the surrogate's curve plus its own noise: 95.4 % within two of it.
+    found = surrogate.held_out("quick-paper")
+    phi = np.linspace(20.0, 45.0, 200)
+    predicted, curve = found.surrogate.predict(phi), found.surrogate.predict_variance(phi)
+    noise = np.repeat([found.surrogate.Fx.noise_std, found.surrogate.Fz.noise_std],
+                      found.curves.theta_deg.size)  # fmt: skip
+    errors = np.random.default_rng(0).standard_normal(predicted.shape)
+    for scale, expected in ((np.sqrt(curve + noise**2), 95), (2.0 * np.sqrt(curve + noise**2), 68)):
+        note = surrogate._about_the_spread(
+            found._replace(phi_deg=phi, truth=predicted + scale * errors, predicted=predicted)
+        )
+        told = float(re.match(r"(\d+)% of the held-out forces", note)[1])
+        assert told == pytest.approx(expected, abs=1.0)
+
+
 COARSE = {
     "numerics": {"cells": 32, "speed_up": 20.0, "time_step": 5e-5, "contact_band_cells": 0.5},
     "bed": {"left": 0.010, "floor": 0.010, "width": 0.280, "height": 0.160},

@@ -197,7 +197,8 @@ def legs_of(legs: Sequence[str], measured: Sequence[Measurement]) -> list[str]:
         )
     for leg, one in zip(shapes, measured, strict=True):
         if one.source and leg != one.leg:
-            raise InputError(f"{one.name}: was measured on leg '{one.leg}'; drop --leg {leg}")
+            remedy = "give --leg for each history, in their order" if measured[1:] else "drop it"
+            raise InputError(f"--leg {leg}: {one.name} was measured on leg '{one.leg}'; {remedy}")
     return shapes
 
 

@@ -28,7 +28,7 @@ class Verdict:
     ----------
     verdict
         ``"consistent"``, ``"misfit"`` (no angle reproduces the forces) or ``"out_of_range"`` (the
-        posterior is cut off by an edge of the library, whatever the misfit).
+        posterior is cut off by an edge of the library, and more than a misfit would do by itself).
     edge
         Which edge cuts it off; None unless out of range.
     reason

@@ -289,8 +289,9 @@ def study_of(
             curves.setdefault(medium, {})[leg] = [
                 Curve("measured, Li et al. 2013", measured.history, ORANGE, ""),
                 Curve(
-                    f"{OURS}, φ = {fits[medium].phi_deg:.1f}°, μ = {fits[medium].friction:.2f}: "
-                    f"fitted to the {CALIBRATED_ON} leg, the others foretold",
+                    f"{OURS}, φ = {fits[medium].phi_deg:.1f}° ({scenario.convention}), μ = "
+                    f"{fits[medium].friction:.2f}: fitted to the {CALIBRATED_ON} leg, the others "
+                    "foretold",
                     scaled,
                     BLUE,
                 ),

@@ -134,8 +134,8 @@ def _about_the_spread(found: HeldOut) -> str:
     off = np.abs(found.truth - found.predicted)
     inside = float(np.mean(off < 2.0 * np.sqrt(curve + noise**2)))
     return (
-        f"{inside:.0%} of them lie within two standard deviations, the surrogate's noise included, "
-        f"of 95 % to be expected; of the curve alone, as drawn, "
+        f"{inside:.0%} of the held-out forces lie within two standard deviations, the surrogate's "
+        "noise included, where 95 % should; of the curve alone, as drawn, "
         f"{float(np.mean(off < 2.0 * np.sqrt(curve))):.0%}."
     )
 

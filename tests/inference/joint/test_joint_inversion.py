@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -179,17 +180,22 @@ def test_forces_that_no_parameters_explain_are_a_misfit(two_parameters, trial) -
         (30.0, 0.02, "consistent"),
     ],
 )
-@pytest.mark.parametrize("discrepancy", [True, False])
 def test_an_edge_that_a_misfit_only_reaches_is_a_misfit(
-    mean: float, off: float, verdict: str, discrepancy: bool
+    mean: float, off: float, verdict: str
 ) -> None:
     draws = norm(mean, 3.2).ppf(np.linspace(0.0001, 0.9999, 40001))
     draws = draws[draws > 15.0][:, None]
     priors = {PHI: Marginal(15.0, 50.0)}
-    target = SimpleNamespace(keys=(PHI,), priors=priors, discrepancy=discrepancy)
+    target = SimpleNamespace(keys=(PHI,), priors=priors)
     found = _judge(target, draws, SimpleNamespace(kinds={PHI: "fixed"}), ("sand.csv", off))
     assert found.verdict == verdict
-    assert (NOT_TO_BE_USED in found.reason) is (off > 0.1 and discrepancy)
+    assert (NOT_TO_BE_USED in found.reason) is (verdict == "misfit")
+    assert ("the edge of φ at 15 deg" in found.reason) is (mean < 20.0)
+    # Ends of the normal density, halfway into the edge's bin of 0.7°.
+    density = min(norm.pdf(15.35, mean, 3.2) / norm.pdf(mean, mean, 3.2), 1.0)
+    if mean < 20.0:
+        told = float(re.search(r"density is (\d+)%", found.reason)[1]) / 100.0
+        assert told == pytest.approx(density, abs=0.03)
 
 
 @pytest.mark.slow

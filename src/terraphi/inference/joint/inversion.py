@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,11 +48,10 @@ EDGE = 0.02
 """Width of an edge of a prior, of its span [-]."""
 NRMSD_LIMIT = 0.10
 NOT_TO_BE_USED = (
-    "A discrepancy of that size, taken for independent of the parameters, draws them towards small "
-    "forces and narrows their intervals: do not use them. One history, for φ alone, is inverted "
-    "with such errors allowed for."
+    "Do not use these parameters: intervals of a joint inversion do not allow for a model that is "
+    "this far off."
 )
-"""What a misfit does to a joint inversion: docs/inference.md, "A model that is far off"."""
+"""Said of a misfit. Intervals of one history do allow for it: docs/inference.md."""
 
 
 def invert_jointly(
@@ -329,30 +328,32 @@ def _judge(
     source, largest = worst
     deviation = f"the best curve deviates from {source} by {largest:.1%}"
     misfit = largest > NRMSD_LIMIT
-    caution = f" {NOT_TO_BE_USED}" if misfit and target.discrepancy else ""
     limit = AT_EDGE if misfit else EDGE_DENSITY
-    for i, key in enumerate(target.keys):
-        prior, values = target.priors[key], flat[:, i]
-        if identifiability.kinds[key] == "open":
-            continue
-        counts, _ = np.histogram(values, bins=round(1.0 / EDGE), range=(prior.low, prior.high))
-        cuts = zip(prior.cut_off, (counts[0], counts[-1]), strict=True)
-        ends = [count / counts.max() if cut else 0.0 for cut, count in cuts]
-        if max(ends) > limit:
-            at_low = ends[0] >= ends[1]
-            name, unit = label(key)
-            return Verdict(
-                "out_of_range",
-                "low" if at_low else "high",
-                f"The posterior of {name} is cut off at {prior.low if at_low else prior.high:g} "
-                f"{unit}, where its density is {max(ends):.0%} of its largest (limit "
-                f"{limit:.0%}); {deviation} of peak-to-peak.{caution}",
-            )
+    learnt = [i for i, key in enumerate(target.keys) if identifiability.kinds[key] != "open"]
+    edges = [_edge(target.keys[i], target.priors[target.keys[i]], flat[:, i]) for i in learnt]
+    density, side, edge = max(edges, default=(0.0, None, ""))
+    if side is not None and density > limit:
+        reason = f"The posterior is cut off by {edge} (limit {limit:.0%}); {deviation}"
+        return Verdict("out_of_range", side, f"{reason} of peak-to-peak.")
     if misfit:
-        limits = f"{deviation} of peak-to-peak (limit {NRMSD_LIMIT:.0%})"
-        return Verdict("misfit", None, f"No parameters fit: {limits}.{caution}")
+        reach = f"; the posterior reaches {edge}" if density > EDGE_DENSITY else ""
+        limits = f"{deviation} of peak-to-peak (limit {NRMSD_LIMIT:.0%}){reach}"
+        return Verdict("misfit", None, f"No parameters fit: {limits}. {NOT_TO_BE_USED}")
     return Verdict(
         "consistent", None,
         f"No edge of the priors cuts off what was learnt, and {deviation} of peak-to-peak at most "
         f"(limit {NRMSD_LIMIT:.0%}).",
     )  # fmt: skip
+
+
+def _edge(
+    key: str, prior: Marginal, values: FloatArray
+) -> tuple[float, Literal["low", "high"], str]:
+    """Density at the edge of a prior where it is larger, over the largest; which, and in words."""
+    counts, _ = np.histogram(values, bins=round(1.0 / EDGE), range=(prior.low, prior.high))
+    cuts = zip(prior.cut_off, (counts[0], counts[-1]), strict=True)
+    low, high = (float(count / counts.max()) if cut else 0.0 for cut, count in cuts)
+    name, unit = label(key)
+    at = prior.low if low >= high else prior.high
+    words = f"the edge of {name} at {at:g} {unit}, where its density is {max(low, high):.0%} of its"
+    return max(low, high), "low" if low >= high else "high", f"{words} largest"

@@ -18,13 +18,14 @@ def recovery(data: Mapping[str, Any]) -> list[Part]:
     truth = np.array([case["phi_true_deg"] for case in cases], dtype=np.float64)
     median = np.array([case["phi_median_deg"] for case in cases], dtype=np.float64)
     ends = [float(truth.min()) - 1.0, float(truth.max()) + 1.0]
+    of = fig.phi_label(data.get("yield"))
     over = Plot(
         title="Inferred over true friction angle",
         traces=[
             fig.line(ends, ends, "equal", "@grey", dash="dot"),
             fig.points(truth, median, "median", "@blue"),
         ],
-        layout=fig.layout("true φ [deg]", "inferred φ [deg]"),
+        layout=fig.layout(f"true {of}", f"inferred {of}"),
     )
     traces = []
     for level, width in (("ci95", 1.5), ("ci68", 5)):
@@ -46,7 +47,7 @@ def recovery(data: Mapping[str, Any]) -> list[Part]:
     errors = Plot(
         title="Errors with their intervals",
         traces=traces,
-        layout=fig.layout("true φ [deg]", "inferred − true φ [deg]"),
+        layout=fig.layout(f"true {of}", "inferred − true [deg]"),
     )
     rows = [
         (
