@@ -210,5 +210,7 @@ def _shipped(name: str, kind: str = "") -> tuple[ForceHistory, _Medium, LegShape
     table = parse_toml(shipped_file(COLLECTION, "media", ".toml"), _Media)
     history = ForceHistory.from_csv(shipped_file(COLLECTION, f"{medium}-{shape}{kind}", ".csv"))
     provenance = {**history.provenance, "measurement": name, "source": table.citation}
+    if table.media[medium].density is not None:
+        provenance["density_kg_m3"] = table.media[medium].density
     leg = next(known for known in LEG_SHAPES if known == shape)
     return replace(history, provenance=provenance), table.media[medium], leg, table.citation

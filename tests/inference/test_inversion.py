@@ -272,6 +272,15 @@ def test_a_turned_sign_is_asked_about(name: str, history: ForceHistory, library:
     assert warning.startswith(f"{name} runs against the library's (-1.00 correlation)")
 
 
+def test_a_density_unlike_the_measured_one_is_told(library: Library) -> None:
+    poppy, yuma = (measurement(f"li2013:{sand}/straight") for sand in ("poppy_loose", "yuma"))
+    said = invert(poppy.history, library=library, density=1650.0).warnings
+    assert any("measured at a density of 638 kg/m³ and is inverted with 1650" in s for s in said)
+    assert invert(poppy.history, library=library, density=638.0).warnings == ()
+    # That of Yuma sand is not reported: nothing is known to differ from.
+    assert invert(yuma.history, library=library, density=1500.0).warnings == ()
+
+
 def test_a_density_unlike_the_simulated_one_is_told(
     history: ForceHistory, library: Library
 ) -> None:

@@ -145,10 +145,12 @@ def doubts(
                 "right? Fx points forward and Fz up, as forces on the leg."
             )
     made_by = scenario_of(history)
-    if density and made_by and abs(made_by.soil.density - density) > 1e-6 * density:
+    how = "simulated with" if made_by else "measured at"
+    own = made_by.soil.density if made_by else history.provenance.get("density_kg_m3")
+    if density and own and abs(own - density) > 1e-6 * density:
         found.append(
-            f"The history was simulated with a density of {made_by.soil.density:g} kg/m³ and is "
-            f"inverted with {density:g} kg/m³."
+            f"The history was {how} a density of {own:g} kg/m³ and is inverted with "
+            f"{density:g} kg/m³."
         )
     return found
 
