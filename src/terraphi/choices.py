@@ -25,22 +25,19 @@ WIDEST_STEP_DEG = 5.0
 @cache
 def offered() -> Mapping[str, frozenset[str]]:
     """Shipped libraries that can be inverted with, and the legs that each can do so for."""
-    found = {name: _legs_offered(name) for name in shipped_names("libraries", ".nc")}
+    found = {
+        name: legs_of(shipped_file("libraries", name, ".nc"))
+        for name in shipped_names("libraries", ".nc")
+        if not name.endswith(TRY_OTHERS)
+    }
     return {name: legs for name, legs in found.items() if legs}
 
 
-@cache
-def _legs_offered(name: str) -> frozenset[str]:
-    if name.endswith(TRY_OTHERS):
-        return frozenset()
-    return legs_of(shipped_file("libraries", name, ".nc"))
-
-
 def there_to_try_others(name: str) -> list[str]:
-    """A remark if a shipped library is not among those :func:`offered`; none if it is no such."""
-    if name not in shipped_names("libraries", ".nc") or _legs_offered(name):
-        return []
-    return [f"Library '{name}' is shipped to try others, not to invert with."]
+    """A remark if a shipped library could be inverted with, and is there to try others."""
+    if name.endswith(TRY_OTHERS) and name in shipped_names("libraries", ".nc"):
+        return [f"Library '{name}' is shipped to try others, not to invert with."]
+    return []
 
 
 def offered_legs() -> list[str]:

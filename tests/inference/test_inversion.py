@@ -257,10 +257,11 @@ def bare(history: ForceHistory, *, Fx: float = 1.0, Fz: float = 1.0) -> ForceHis
 
 
 def test_a_slip_of_the_unit_is_asked_about(history: ForceHistory, library: Library) -> None:
-    large, *_ = invert(bare(history, Fx=1e3, Fz=1e3), library=library).warnings
+    large, blind = invert(bare(history, Fx=1e3, Fz=1e3), library=library).warnings
+    assert blind.startswith("These forces hardly tell φ")
     assert "times that of the library's largest curve: are the forces in newtons?" in large
     answer = invert(bare(history, Fx=1e-3, Fz=1e-3), library=library)
-    small, *_ = answer.warnings
+    (small,) = answer.warnings
     assert "the library's smallest curve" in small
     assert small in answer.verdict.reason
     assert invert(bare(history), library=library).warnings == ()

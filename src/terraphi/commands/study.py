@@ -7,12 +7,7 @@ from typing import Any
 
 import click
 
-from terraphi.commands import (
-    cluster_option,
-    json_option,
-    library_names,
-    study_names,
-)
+from terraphi.commands import cluster_option, json_option, library_names, study_names
 from terraphi.console import print_json, print_table, progress_bar
 from terraphi.errors import InputError
 

@@ -16,7 +16,6 @@ __all__ = ["information_gain_bits", "information_share"]
 
 FloatArray = NDArray[np.float64]
 
-
 BINS = 20
 """In which draws are counted."""
 

@@ -13,7 +13,7 @@ from terraphi.errors import InputError
 from terraphi.report.parts import Part, Pictures, Section, Table, Text, pairs
 from terraphi.report.study_headlines import headline
 from terraphi.report.study_plots import known_plots
-from terraphi.studies import STUDIES
+from terraphi.studies import STUDIES, capitalised
 
 WIDEST_PICTURE = 1400
 """Width of a picture in the page [px]."""
@@ -63,17 +63,13 @@ def section(folder: Path) -> Section:
         kind="study",
         title=name or folder.resolve().name,
         headline=headline(name, data),
-        reason=_sentence(STUDIES[name].what) if name in STUDIES else "",
+        reason=capitalised(STUDIES[name].what) if name in STUDIES else "",
         parts=parts,
         provenance={
             "result": folder.resolve().name,
             **{key: data[key] for key in ("library", "plan", "software") if key in data},
         },
     )
-
-
-def _sentence(words: str) -> str:
-    return words[:1].upper() + words[1:]
 
 
 def _data(path: Path) -> dict[str, Any]:

@@ -169,6 +169,11 @@ def page(
     return "\n\n".join(parts) + "\n"
 
 
+def capitalised(words: str) -> str:
+    """Words with a capital in front, and nothing else changed."""
+    return words[:1].upper() + words[1:]
+
+
 def companion(library: str, role: str) -> Library:
     """The shipped library ``LIBRARY-ROLE``: truths of a library, or one of a pair.
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.library import Library
-from terraphi.studies import PAPER_LIBRARY, Beside, Study
+from terraphi.studies import PAPER_LIBRARY, Beside, Study, capitalised
 from terraphi.studies.pictures import histories_figure, peaks_figure
 from terraphi.studies.reading import (
     PAPER_ANGLES_DEG,
@@ -24,8 +24,6 @@ from terraphi.studies.reading import (
 FloatArray = NDArray[np.float64]
 
 LEG = "straight"
-
-
 ANOTHER_ANGLE = "Not beside the paper's forces, whose friction angles mean something else."
 
 
@@ -86,7 +84,9 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
         figures={
             "forces": histories_figure(histories, data["yield"]),
             "peaks": peaks_figure(
-                data, *((PAPER_PEAKS_N, PAPER_ANGLES_DEG) if comparable else ({}, {}))
+                data,
+                PAPER_PEAKS_N if comparable else {},
+                PAPER_ANGLES_DEG if comparable else {},
             ),
         },
         notes=[_monotone(data), *([] if comparable else [ANOTHER_ANGLE])],
@@ -127,7 +127,7 @@ def _monotone(data: dict[str, object]) -> str:
         f"and {force} itself moves one way at {shares[force]:.0%} of the leg angles"
         for force in ("Fz", "Fx")
     ]
-    return f"{words[0][0].upper()}{words[0][1:]}; {words[1]}."
+    return f"{capitalised('; '.join(words))}."
 
 
 def _beside_paper(data: dict[str, list[float]]) -> list[Beside]:

@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from terraphi.studies import capitalised
 from terraphi.studies.sensitivity_cases import (
     FORCES,
     Group,
@@ -150,7 +151,7 @@ def _limit(group: Group, tolerance: Tolerance) -> Conclusion:
             f"{bound} {safe.label}, which deviates from {reference.label} by "
             f"{both(group.deviation(safe))}, its peaks by {moved(reference, safe)}{far}"
         )
-    return Conclusion(f"{_sentence(name)}: {said}.", numbers)
+    return Conclusion(f"{capitalised(name)}: {said}.", numbers)
 
 
 def _convergence(group: Group, tolerance: Tolerance) -> Conclusion:
@@ -181,7 +182,7 @@ def _convergence(group: Group, tolerance: Tolerance) -> Conclusion:
             )
             more += f" (the base: {past:+.0f} %)"
     return Conclusion(
-        f"{_sentence(group.setting.name)}: the forces {verdict} at {coarse.label}; at "
+        f"{capitalised(group.setting.name)}: the forces {verdict} at {coarse.label}; at "
         f"{finest.label} the peaks differ by {moved(coarse, finest)} and the histories by "
         f"{both(apart)}{more}.",
         {
@@ -232,7 +233,7 @@ def _share(group: Group, tolerance: Tolerance) -> Conclusion:
     what = "makes" if off else f"less that of {least.label} makes"
     within = "; within the tolerance" if _within(share, tolerance.peak) else ""
     return Conclusion(
-        f"{_sentence(group.setting.name)}: {base.label} {what} {both(share)} of the peak force "
+        f"{capitalised(group.setting.name)}: {base.label} {what} {both(share)} of the peak force "
         f"({peaks}{within}).",
         {"share_percent": share, "against": least.label},
     )
@@ -250,7 +251,7 @@ def _effect(group: Group, tolerance: Tolerance) -> Conclusion:
     matters = not _within(moves, tolerance.peak)
     verdict = "moves the peaks" if matters else "moves the peaks by no more than the tolerance"
     return Conclusion(
-        f"{_sentence(group.setting.name)}: {verdict}, most at {most.label}: by "
+        f"{capitalised(group.setting.name)}: {verdict}, most at {most.label}: by "
         f"{moved(base, most)}, to {most.peak('Fz'):.2f} and {most.peak('Fx'):.2f} N; the history "
         f"deviates by {both(group.deviation(most))}.",
         {"matters": matters, "most": most.label, "peak_change_percent": moves},
@@ -268,10 +269,6 @@ def both(percent: Percent) -> str:
 def moved(before: Simulated, after: Simulated) -> str:
     """Changes of both peaks, with their signs."""
     return " / ".join(f"{change(before, after, force):+.1f}" for force in FORCES) + " %"
-
-
-def _sentence(words: str) -> str:
-    return words[:1].upper() + words[1:]
 
 
 def _within(percent: Percent, tolerance: Percent) -> bool:

@@ -329,8 +329,11 @@ def _judge(
     deviation = f"the best curve deviates from {source} by {largest:.1%}"
     misfit = largest > NRMSD_LIMIT
     limit = AT_EDGE if misfit else EDGE_DENSITY
-    learnt = [i for i, key in enumerate(target.keys) if identifiability.kinds[key] != "open"]
-    edges = [_edge(target.keys[i], target.priors[target.keys[i]], flat[:, i]) for i in learnt]
+    edges = [
+        _edge(key, target.priors[key], flat[:, i])
+        for i, key in enumerate(target.keys)
+        if identifiability.kinds[key] != "open"
+    ]
     density, side, edge = max(edges, default=(0.0, None, ""))
     if side is not None and density > limit:
         reason = f"The posterior is cut off by {edge} (limit {limit:.0%}); {deviation}"
