@@ -20,7 +20,7 @@ from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.packing import LANES, aligned_zeros, pack
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.relief import fading_of
-from terraphi.forward.mpm.scalar import empty_audit, stepping_of
+from terraphi.forward.mpm.scalar import empty_audit, empty_reaction, stepping_of
 from terraphi.forward.mpm.solver import path_of_steps
 from terraphi.forward.mpm.sweep import laws_of
 from terraphi.scenario import Scenario
@@ -71,7 +71,7 @@ def seconds(advance: Callable[..., int], scenario: Scenario, steps: int) -> tupl
         fading_of(scenario),
         stepping_of(scenario),
     )
-    grid, impulse, audit = empty_grid(scenario), np.zeros((1, 2)), empty_audit()
+    grid, impulse, audit = empty_grid(scenario), empty_reaction(1), empty_audit()
     began = time.process_time()
     advance(soil, grid, *constants, poses, turned, bins, impulse, audit)
     return len(soil.mass), time.process_time() - began

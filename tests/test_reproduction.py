@@ -37,12 +37,16 @@ def changed(library: Library, **provenance: Any) -> Library:
 @pytest.mark.parametrize(
     "name", ["rft3d", pytest.param("quick-k0-half", marks=pytest.mark.slow)], ids=str
 )
-def test_a_shipped_case_comes_out_again_to_the_last_bit(name: str) -> None:
-    again = rebuild(Library.load(name), 1)
-    if again.differences and not again.same:
-        pytest.skip(again.sentence)  # another machine or compiler: other bits are right
-    assert again.same, again.sentence
-    assert again.sentence.endswith("the same to the last bit.")
+def test_a_shipped_case_comes_out_again(name: str) -> None:
+    """To rounding anywhere, and to the last bit of another run on this machine."""
+    shipped = Library.load(name)
+    again = rebuild(shipped, 1)
+    assert again.largest_change < 1e-9, again.sentence
+    case = shipped.cases[0]
+    here = replace(shipped, cases=(case._replace(history=simulate(case.scenario)),))
+    once_more = rebuild(here, 1)
+    assert once_more.same, once_more.sentence
+    assert once_more.sentence.endswith("the same to the last bit.")
 
 
 @pytest.mark.parametrize("name", ["rft3d", "quick-k0-half", "quick-k0-jaky"])
@@ -54,7 +58,11 @@ def test_shipped_libraries_record_what_their_bits_rest_on(name: str) -> None:
     assert all(len(digest) == 64 for digest in found["cases"].values())
     for case in library.cases:
         assert case.history is not None
-        assert case.history.provenance["rests_on"].keys() == rests_on(case.scenario).keys()
+        # What was made before NumPy's instructions were recorded lacks them.
+        assert (
+            case.history.provenance["rests_on"].keys() | {"numpy_instructions"}
+            >= rests_on(case.scenario).keys()
+        )
     assert [s.hash for s in Plan.load(name).cases()] == [c.scenario.hash for c in library.cases]
     if found["expected"]:
         assert (

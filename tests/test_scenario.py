@@ -231,6 +231,7 @@ OTHER: dict[str, Any] = {
     "numerics.contact": "surface",
     "numerics.dilatation": "cell",
     "numerics.gradient": "spline",
+    "numerics.stress_rate": "none",
     "rft.medium": "poppy_loose",
 }
 

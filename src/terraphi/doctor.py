@@ -120,13 +120,13 @@ def _kernels() -> Iterator[Check]:
     try:
         from terraphi.forward.mpm import packets
         from terraphi.forward.mpm.checkpoint import rests_on
+        from terraphi.forward.mpm.packing import register_bits
     except Exception as error:  # whatever the compiler says, and it says it in many ways
         yield Check("kernels", "problem", f"cannot be loaded: {error}")
         return
     known = rests_on("packets")
-    bits = known["vector_lanes"] * 64
     yield Check("processor", "ok", f"{known['processor']} ({platform.machine()})")
-    yield Check("vectors", "ok", f"{known['vector_lanes']} doubles, {bits} bits")
+    yield _vectors(register_bits())
     place = _cache_of(packets.march)
     if not os.access(place if place.exists() else place.parent, os.W_OK):
         found = (
@@ -138,6 +138,20 @@ def _kernels() -> Iterator[Check]:
     else:
         found = f"empty, in {place}: the first simulation compiles its kernels, once"
         yield Check("cache", "note", found)
+
+
+SLOWER = {256: 1.0, 128: 1.0}
+"""Time of a simulation by width of the vectors [bit], over that with 512 bits (measured)."""
+
+
+def _vectors(bits: int) -> Check:
+    """How wide the vectors are that simulations use, and what that costs."""
+    found = f"{bits} bits, {bits // 64} doubles at a time"
+    if bits not in SLOWER:
+        return Check("vectors", "ok", found)
+    lacks = "AVX-512" if bits == 256 else "AVX2"
+    found += f": without {lacks} simulations take about {SLOWER[bits]:.1f} times as long"
+    return Check("vectors", "note", found)
 
 
 def kernels_are_compiled() -> bool:

@@ -26,6 +26,7 @@ WORDS = {
     "processor_features": "features of the processor",
     "vector_lanes": "doubles in a vector",
     "libc": "C library",
+    "numpy_instructions": "vector instructions of NumPy",
 }
 """Names for people, where the recorded ones are not for them."""
 _LONGEST = 24

@@ -24,6 +24,7 @@ ADDED_LATER: dict[str, Any] = {
     "numerics.remap_interval": 0.0,
     "numerics.dilatation": "particle",
     "numerics.gradient": "mls",
+    "numerics.stress_rate": "jaumann",
 }
 """Dotted key to the value that leaves a scenario as it was before the option existed."""
 PAPER_DAMPING_RATE = -math.log(0.997) / 8e-6
@@ -146,7 +147,8 @@ class Numerics(Section):
         value alone, whose smoothing at every step acts like a viscosity.
     contact
         ``nodes``: the nodes of the grid near the leg take its velocity; ``surface``: the material
-        points press on its true surface.
+        points press on its true surface; ``unbalanced``: near nodes as in the public prototype of
+        Xu & Wang, which counts more force than it applies (``unbalanced_contact.py``).
     contact_band_cells
         Nodes closer to the leg than this many cells are in contact [-].
     remap_interval
@@ -161,6 +163,9 @@ class Numerics(Section):
         Velocity gradient that the stress follows: ``mls``, by moving least squares, as the transfer
         has it; ``spline``, that of the interpolated velocity itself. They differ where the velocity
         is curved: next to the edge of a plate ``mls`` is the stiffer.
+    stress_rate
+        How stress turns with the soil: ``jaumann``, with its spin; ``none``, not at all, as in the
+        public prototype of Xu & Wang.
     particle_volume
         Volume of a particle: ``fixed``, that at the start, V₀; ``updated``, J V₀ by the
         deformation's determinant J.
@@ -176,21 +181,22 @@ class Numerics(Section):
     damping_rate: float = Field(PAPER_DAMPING_RATE, ge=0)
     damping_order: Literal["after_contact", "before_contact"] = "after_contact"
     transfer: Literal["apic", "pic"] = "apic"
-    contact: Literal["nodes", "surface"] = "nodes"
+    contact: Literal["nodes", "surface", "unbalanced"] = "nodes"
     contact_band_cells: float = Field(2.0, ge=0)
     remap_interval: float = Field(0.0, ge=0)
     dilatation: Literal["particle", "cell"] = "particle"
     gradient: Literal["mls", "spline"] = "mls"
+    stress_rate: Literal["jaumann", "none"] = "jaumann"
     particle_volume: Literal["fixed", "updated"] = "fixed"
 
     @model_validator(mode="after")
     def _phases_where_needed(self) -> Self:
         for name, value, usual in (
-            ("contact", self.contact, "nodes"),
-            ("dilatation", self.dilatation, "particle"),
-            ("gradient", self.gradient, "mls"),
+            ("contact", self.contact, ("nodes", "unbalanced")),
+            ("dilatation", self.dilatation, ("particle",)),
+            ("gradient", self.gradient, ("mls",)),
         ):
-            if value != usual and self.remap_interval == 0.0:
+            if value not in usual and self.remap_interval == 0.0:
                 raise ValueError(
                     f"{name} = '{value}' needs a grid that keeps its velocities for a while; "
                     "set remap_interval above 0, as to 20 time steps"
@@ -199,6 +205,11 @@ class Numerics(Section):
             raise ValueError(
                 f"particles_per_cell_side = {self.particles_per_cell_side} makes the penalty of "
                 "contact = 'surface' too stiff for a particle's mass; at most 3 are stable"
+            )
+        if self.contact == "unbalanced" and self.remap_interval > 0.0:
+            raise ValueError(
+                "contact = 'unbalanced' counts its force where the grid takes new velocities at "
+                "every step; set remap_interval = 0, or contact = 'nodes'"
             )
         if self.transfer == "pic" and self.remap_interval > 0.0:
             raise ValueError(

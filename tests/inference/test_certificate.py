@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,9 +100,23 @@ def test_more_replicates_come_in_addition(alone: Library, seeds: Library) -> Non
     assert len(with_replicates(both, seeds).replicates) == len(seeds.cases)
 
 
+def assert_alike(one: Any, other: Any) -> None:
+    """Nested numbers agree to a thousandth, and all else exactly."""
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key in one:
+            assert_alike(one[key], other[key])
+    elif isinstance(one, list):
+        for a, b in zip(one, other, strict=True):
+            assert_alike(a, b)
+    else:
+        assert one == (pytest.approx(other, rel=1e-3) if isinstance(one, float) else other)
+
+
 def test_calibrated_again_a_library_keeps_its_replicates_and_says_whose_they_are() -> None:
     shipped = Library.load(NAME)
     again = certified(shipped, worlds=200)
-    assert again.calibration["legs"] == shipped.calibration["legs"]
+    # Optima of another processor: the same as far as they are determined.
+    assert_alike(again.calibration["legs"], shipped.calibration["legs"])
     for key in ("replicates", "replicates_hash"):
         assert again.calibration[key] == shipped.calibration[key] is not None

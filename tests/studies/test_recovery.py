@@ -14,8 +14,9 @@ from terraphi.surrogate import LegSurrogate
 def errors(library: str, shortest_theta_length_deg: float) -> NDArray[np.float64]:
     """Error of the median and ends of the 95 % interval less the truth [deg], [truth, 3]."""
     curves = Library.load(library).curves("straight")
+    # Several starts: from a single one the rounding of the processor decides which optimum is met.
     surrogate = LegSurrogate.fit(
-        *curves[:4], shortest_theta_length_deg=shortest_theta_length_deg, restarts=1
+        *curves[:4], shortest_theta_length_deg=shortest_theta_length_deg, restarts=4
     )
     found = []
     for case in Library.load(f"{library}-truths").cases:

@@ -155,8 +155,8 @@ def rests_on(scenario: Scenario) -> dict[str, Any]:
     -------
     dict
         For the material point method the kernel and its source, the packages, the C library, the
-        processor and the width of its vectors; for resistive force theory NumPy, the C library and
-        the type of the processor. JSON-able.
+        processor and the width of its vectors; for resistive force theory NumPy and its vector
+        instructions, the C library and the type of the processor. JSON-able.
     """
     if scenario.model == "mpm":
         from terraphi.forward.mpm import checkpoint
@@ -166,7 +166,16 @@ def rests_on(scenario: Scenario) -> dict[str, Any]:
         "numpy": package_version("numpy"),
         "libc": " ".join(platform.libc_ver()),
         "processor": platform.machine(),
+        "numpy_instructions": " ".join(_vector_instructions()),
     }
+
+
+def _vector_instructions() -> list[str]:
+    """Sets of vector instructions that NumPy uses here, beyond those it was built for."""
+    import numpy as np
+
+    found = np.show_config(mode="dicts") or {}
+    return list(found.get("SIMD Extensions", {}).get("found", []))
 
 
 def _model(

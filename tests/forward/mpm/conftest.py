@@ -13,7 +13,14 @@ from terraphi.forward.mpm.bed import Grid, Particles, empty_grid, geostatic_bed
 from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.relief import fading_of
-from terraphi.forward.mpm.scalar import Audit, Stepping, advance, empty_audit, stepping_of
+from terraphi.forward.mpm.scalar import (
+    Audit,
+    Stepping,
+    advance,
+    empty_audit,
+    empty_reaction,
+    stepping_of,
+)
 from terraphi.forward.mpm.solver import path_of_steps
 from terraphi.scenario import Scenario
 
@@ -57,7 +64,7 @@ def take_steps(
 ) -> Stepped:
     """Advance a bed by some steps of its scenario."""
     soil = geostatic_bed(scenario) if soil is None else soil
-    grid, audit, impulse = empty_grid(scenario), empty_audit(), np.zeros((1, 2))
+    grid, audit, impulse = empty_grid(scenario), empty_audit(), empty_reaction(1)
     poses, turned, bins = path_of_steps(scenario, np.arange(count), 1)
     lost = advance(
         soil,
@@ -78,7 +85,7 @@ def take_steps(
 def run_blocks(kernel, scenario, blocks, *, soil=None):
     """Run blocks of steps with a kernel; soil, grid, audit, impulse, lost."""
     soil = geostatic_bed(scenario) if soil is None else soil
-    grid, audit, impulse = empty_grid(scenario), empty_audit(), np.zeros((3, 2))
+    grid, audit, impulse = empty_grid(scenario), empty_audit(), empty_reaction(3)
     constants = (
         material_of(scenario.soil),
         intruder_of(scenario.leg),

@@ -275,8 +275,13 @@ def lane_calls(scenario):
     ],
 )
 def test_lanes_become_vectors(coarse, name):
-    """Besides the loop in vectors there is one in single steps, for what is left over: nothing."""
+    """Besides the loop in vectors there is one in single steps, for what is left over: nothing.
+
+    The compiler writes that one down once or, if it is short, up to three times. A loop that it
+    could not put into vectors would be there in single steps alone.
+    """
     used = register_use(*lane_calls(coarse())[name])
-    wide = used["zmm" if LANES == 8 else "ymm"]
-    assert wide > 0.5 * used["single"], used
-    assert wide > 10 * used["ymm" if LANES == 8 else "zmm"], used
+    names = {512: "zmm", 256: "ymm", 128: "xmm"}
+    wide = used[names.pop(packing.register_bits())]
+    assert wide > 0.25 * used["single"] > 0, used
+    assert all(wide > 10 * used[other] for other in names.values()), used

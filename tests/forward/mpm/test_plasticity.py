@@ -331,6 +331,11 @@ def turned_by(angle: float, steps: int) -> tuple[float, ...]:
     return stress
 
 
+def test_stress_can_be_told_not_to_turn():
+    stress = (-1e3, -4e3, 700.0, -2e3)
+    assert jaumann_predictor(stress, (0.0, 1.0, -1.0, 0.0), 0.1, 1e7, 1e7, 0.0) == stress
+
+
 def test_stress_turns_with_the_material():
     """R σ Rᵀ with dR/dt = W R; error per step of second order, so of first order in all."""
     turn = np.array([[math.cos(1.2), math.sin(1.2)], [-math.sin(1.2), math.cos(1.2)]])

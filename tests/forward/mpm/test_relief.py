@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from terraphi.forward.mpm.relief import Fading, faded, fading_of
+from terraphi.forward.mpm.relief import Fading, decay, faded, fading_of
 from terraphi.forward.mpm.solver import path_of_steps
 from terraphi.scenario import Scenario
 
@@ -17,7 +17,7 @@ FADING = Fading(distance=0.020, rate=2.0, least=0.05)
 def after(turns: int, turned: float, *, dx: float = 0.03) -> float:
     weight = 1.0
     for _ in range(turns):
-        weight = faded(weight, dx, 0.0, turned, FADING)
+        weight = faded(weight, dx, 0.0, decay(turned, FADING), FADING)
     return weight
 
 
@@ -28,14 +28,15 @@ def test_decays_by_the_angle_turned_whatever_the_step():
 
 def test_never_falls_below_the_least_weight():
     assert after(1000, 0.01) == 0.05
-    assert faded(0.05, 0.03, 0.0, 0.1, FADING) == 0.05
+    assert faded(0.05, 0.03, 0.0, decay(0.1, FADING), FADING) == 0.05
 
 
 def test_only_far_particles_after_the_vertical_fade():
-    assert faded(0.8, 0.0199, 0.0, 0.1, FADING) == 0.8
-    assert faded(0.8, 0.012, 0.016, 0.1, FADING) == 0.8  # exactly 20 mm is not beyond it
-    assert faded(0.8, 0.0, -0.0201, 0.1, FADING) < 0.8
-    assert faded(0.8, 0.03, 0.0, 0.0, FADING) == 0.8
+    factor = decay(0.1, FADING)
+    assert faded(0.8, 0.0199, 0.0, factor, FADING) == 0.8
+    assert faded(0.8, 0.012, 0.016, factor, FADING) == 0.8  # exactly 20 mm is not beyond it
+    assert faded(0.8, 0.0, -0.0201, factor, FADING) < 0.8
+    assert faded(0.8, 0.03, 0.0, decay(0.0, FADING), FADING) == 0.8
 
 
 def test_switched_off_by_option_or_without_rotation():

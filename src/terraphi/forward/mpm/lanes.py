@@ -34,7 +34,7 @@ from terraphi.forward.mpm.packing import (
     Index,
 )
 from terraphi.forward.mpm.plasticity import Cone, jaumann_predictor, return_to_cone
-from terraphi.forward.mpm.relief import Fading, faded
+from terraphi.forward.mpm.relief import Fading, decay, faded
 from terraphi.forward.mpm.transfer import weights
 
 Three = tuple[float, float, float]
@@ -84,6 +84,8 @@ class Laws(NamedTuple):
     """1 if volumes follow the deformation, else 0."""
     averaging: float
     """1 if volumetric strain rate and mean stress are those of whole cells, else 0."""
+    turning: float
+    """1 if stress turns with the soil's spin, else 0."""
 
 
 @kernel
@@ -173,7 +175,12 @@ def follow_grid(
             )
             stress = (state[at + SXX], state[at + SZZ], state[at + SXZ], state[at + SYY])
             trial = jaumann_predictor(
-                stress, gradient, laws.time_step, laws.lame_lambda, laws.shear_modulus
+                stress,
+                gradient,
+                laws.time_step,
+                laws.lame_lambda,
+                laws.shear_modulus,
+                laws.turning,
             )
             stress = return_to_cone(trial, laws.cone)
             fx += vx * laws.cells_per_velocity
@@ -227,6 +234,7 @@ def fade(
         Δx [m].
     """
     wide_vectors()
+    factor = decay(turned, fading)
     for layer in range(layers):
         for lane in range(lanes):
             at, start = (first + layer) * FIELDS + lane, (first + layer) * ORIGINS + lane
@@ -234,7 +242,7 @@ def fade(
             dx = (state[at + OFFSET_X] - origin[start + START_X]) * cell_size
             dz = (state[at + OFFSET_Z] - origin[start + START_Z]) * cell_size
             weight = origin[start + WEIGHT]
-            new = faded(weight, dx, dz, turned, fading)
+            new = faded(weight, dx, dz, factor, fading)
             kept = new / weight
             lost = state[at + MASS] * (kept - 1.0)
             origin[start + WEIGHT] = new

@@ -32,7 +32,13 @@ from terraphi.forward.mpm.rows import (
     to_momenta,
     update_rows,
 )
-from terraphi.forward.mpm.scalar import Audit, Stepping, close_books, write_books
+from terraphi.forward.mpm.scalar import (
+    Audit,
+    Stepping,
+    close_books,
+    enter_reaction,
+    write_books,
+)
 from terraphi.forward.mpm.sweep import Memory, memory_for, settle
 
 IntArray = NDArray[np.int64]
@@ -286,8 +292,8 @@ def take_steps(
             at = (now, then, shift, material, intruder, stepping, pose, impulses)
             press_near(packets, soil, near, *at)
         update_rows(then, used, intruder, stepping, poses[step], impulses)
-        impulse[bins[step], 0] -= impulses[1, 0] - before_x
-        impulse[bins[step], 1] -= impulses[1, 1] - before_z
+        given = (impulses[1, 0] - before_x, impulses[1, 1] - before_z)
+        enter_reaction(impulse, bins[step], given, given)
         part_of_step = 0.5 if step + 1 == last else 1.0
         carry_rows(then, shift, used, stepping.time_step * part_of_step)
         here = 1 - here

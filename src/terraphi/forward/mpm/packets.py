@@ -33,6 +33,7 @@ from terraphi.forward.mpm.scalar import (
     Audit,
     Stepping,
     close_books,
+    enter_reaction,
     update_grid,
     update_particles,
     write_books,
@@ -98,10 +99,8 @@ def advance(
     if lost >= 0:
         return lost
     now = grids[last % 2]
-    lost = last_half(
-        soil, now, material, *constants[1:4], poses[last], turned[last], audit, impulses, momentum
-    )
-    impulse[bins[last]] -= impulses[1]
+    end = (poses[last], turned[last], bins[last])
+    lost = last_half(soil, now, material, *constants[1:4], *end, impulse, audit, impulses, momentum)
     for nodes, padded in zip(grid, now, strict=True):
         nodes[:] = padded[:, : nodes.shape[1]]
     return lost
@@ -171,9 +170,8 @@ def march(
         now, then = grids[step % 2], grids[(step + 1) % 2]
         close_books(audit, impulses, momentum)
         impulses[:] = 0.0
-        update_rows(now, used, intruder, stepping, poses[step], impulses)
-        impulse[bins[step], 0] -= impulses[1, 0]
-        impulse[bins[step], 1] -= impulses[1, 1]
+        counted = update_rows(now, used, intruder, stepping, poses[step], impulses)
+        enter_reaction(impulse, bins[step], counted, (impulses[1, 0], impulses[1, 1]))
         clear_rows(then, used)
         lost, swept = sweep(
             packets, soil, now, then, memory, laws, fading, turned[step], impulses, lanes
@@ -198,6 +196,8 @@ def last_half(
     stepping: Stepping,
     pose: FloatArray,
     turned: float,
+    bin_: int,
+    impulse: FloatArray,
     audit: Audit,
     impulses: FloatArray,
     momentum: tuple[float, float],
@@ -206,9 +206,9 @@ def last_half(
 
     Parameters
     ----------
-    soil, now, material, intruder, fading, stepping, audit, impulses, momentum
+    soil, now, material, intruder, fading, stepping, impulse, audit, impulses, momentum
         As in :func:`march`.
-    pose, turned
+    pose, turned, bin_
         Those of the step.
 
     Returns
@@ -218,7 +218,8 @@ def last_half(
     """
     close_books(audit, impulses, momentum)
     impulses[:] = 0.0
-    update_grid(now, intruder, stepping, pose, impulses)
+    counted = update_grid(now, intruder, stepping, pose, impulses)
+    enter_reaction(impulse, bin_, counted, (impulses[1, 0], impulses[1, 1]))
     lost = update_particles(soil, now, material, fading, stepping, turned, impulses)
     if lost < 0:
         write_books(audit, impulses, momentum)

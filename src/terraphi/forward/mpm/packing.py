@@ -32,18 +32,30 @@ Index: TypeAlias = Any
 ZERO, ONE = np.uint64(0), np.uint64(1)
 
 
-def lane_count() -> int:
-    """Doubles in a vector register of this machine, or rather of what the compiler may use of it.
+def register_bits() -> int:
+    """Width of a vector register of this machine, or rather of what the compiler may use of it.
 
     Returns
     -------
     int
-        8 with AVX-512, else 4 (which a machine with narrower registers works off in two halves).
+        512 with AVX-512, 256 with AVX, else 128 [bit].
     """
     features = getattr(numba.config, "CPU_FEATURES", None)
     if features is None:
         features = llvmlite.binding.get_host_cpu_features().flatten()
-    return 8 if "+avx512f" in features else 4
+    # A processor that was chosen by name, NUMBA_CPU_NAME, brings features that are not listed.
+    name = getattr(numba.config, "CPU_NAME", None) or ""
+    if "+avx512f" in features or name == "x86-64-v4":
+        return 512
+    return 256 if "+avx" in features or name == "x86-64-v3" else 128
+
+
+def lane_count() -> int:
+    """Doubles in a packet [-]: those of a register, and at least 4.
+
+    A machine with narrower registers works off a packet in two halves.
+    """
+    return max(register_bits() // 64, 4)
 
 
 # Where a field of lane 0 stands in a packet, for the compiler a constant.

@@ -27,8 +27,15 @@ from terraphi.forward.mpm.bed import Grid, Particles
 from terraphi.forward.mpm.compiled import kernel
 from terraphi.forward.mpm.contact import Intruder, Pose, pose_of
 from terraphi.forward.mpm.plasticity import Material, jaumann_predictor, return_mapping
-from terraphi.forward.mpm.relief import Fading, faded
-from terraphi.forward.mpm.scalar import Audit, Stepping, close_books, update_grid, write_books
+from terraphi.forward.mpm.relief import Fading, decay, faded
+from terraphi.forward.mpm.scalar import (
+    Audit,
+    Stepping,
+    close_books,
+    enter_reaction,
+    update_grid,
+    write_books,
+)
 from terraphi.forward.mpm.spline_gradient import spline_gradient, spline_stress_to_grid
 from terraphi.forward.mpm.surface_contact import push_particle, radius_of, touch
 from terraphi.forward.mpm.transfer import (
@@ -115,8 +122,8 @@ def advance(
         if stepping.surface:
             press(soil, grid, shift, material, intruder, stepping, pose_of(poses[step]), impulses)
         update_grid(grid, intruder, stepping, poses[step], impulses)
-        impulse[bins[step], 0] -= impulses[1, 0] - before_x
-        impulse[bins[step], 1] -= impulses[1, 1] - before_z
+        given = (impulses[1, 0] - before_x, impulses[1, 1] - before_z)
+        enter_reaction(impulse, bins[step], given, given)
         last = (step + 1) % stepping.phase == 0 or step + 1 == poses.shape[0]
         time_step = stepping.time_step * (0.5 if last else 1.0)
         carry(grid, shift, time_step)
@@ -195,7 +202,12 @@ def strain(
             dxx, dzz = dxx + excess, dzz + excess
         stress = (soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2], soil.stress[p, 3])
         trial = jaumann_predictor(
-            stress, (dxx, dxz, dzx, dzz), time_step, material.lame_lambda, material.shear_modulus
+            stress,
+            (dxx, dxz, dzx, dzz),
+            time_step,
+            material.lame_lambda,
+            material.shear_modulus,
+            stepping.turning,
         )
         stress = return_mapping(trial, material)
         for c in range(4):
@@ -350,6 +362,7 @@ def move(
     """
     low = 0.5 * stepping.cell_size
     high = (grid.mass.shape[0] - 2.5) * stepping.cell_size
+    factor = decay(turned, fading)
     for p in range(soil.mass.size):
         x, z = soil.position[p, 0], soil.position[p, 1]
         if stepping.spline_gradient:
@@ -365,7 +378,7 @@ def move(
         soil.position[p, 0] = x
         soil.position[p, 1] = z
         weight = soil.weight[p]
-        new = faded(weight, x - soil.start[p, 0], z - soil.start[p, 1], turned, fading)
+        new = faded(weight, x - soil.start[p, 0], z - soil.start[p, 1], factor, fading)
         if new != weight:
             soil.weight[p] = new
             impulses[4, 0] += (new - weight) * soil.mass[p] * soil.velocity[p, 0]

@@ -67,7 +67,12 @@ def material_of(soil: Soil) -> Material:
 
 @kernel
 def jaumann_predictor(
-    stress: Four, gradient: Four, time_step: float, lame_lambda: float, shear_modulus: float
+    stress: Four,
+    gradient: Four,
+    time_step: float,
+    lame_lambda: float,
+    shear_modulus: float,
+    turning: float = 1.0,
 ) -> Four:
     """Trial stress after one step of hypoelasticity with the Jaumann rate.
 
@@ -81,6 +86,8 @@ def jaumann_predictor(
         Δt [s].
     lame_lambda, shear_modulus
         λ, G [Pa].
+    turning
+        Factor on the spin W: 1, or 0 for stress that does not turn with the soil [-].
 
     Returns
     -------
@@ -91,7 +98,7 @@ def jaumann_predictor(
     dxx = gradient[0] * time_step
     dzz = gradient[3] * time_step
     dxz = 0.5 * (gradient[1] + gradient[2]) * time_step
-    spin = 0.5 * (gradient[1] - gradient[2]) * time_step
+    spin = 0.5 * turning * (gradient[1] - gradient[2]) * time_step
     volumetric = lame_lambda * (dxx + dzz)
     turn = 2.0 * spin * sxz
     return (

@@ -28,8 +28,24 @@ def fading_of(scenario: Scenario) -> Fading:
 
 
 @kernel
-def faded(weight: float, dx: float, dz: float, turned: float, fading: Fading) -> float:
+def decay(turned: float, fading: Fading) -> float:
+    """Factor on the weights of particles that are far, exp(-rate |Δθ|) [-].
+
+    Parameters
+    ----------
+    turned
+        |Δθ| of the step once θ > 0 [rad], zero before.
+    fading
+        :class:`Fading`.
+    """
+    return math.exp(-fading.rate * turned)
+
+
+@kernel
+def faded(weight: float, dx: float, dz: float, factor: float, fading: Fading) -> float:
     """Weight of a particle after a step, q ← max(q_min, q exp(-rate |Δθ|)) once it is far.
+
+    Without branches and calls, so that it can be done to many particles at once.
 
     Parameters
     ----------
@@ -37,8 +53,8 @@ def faded(weight: float, dx: float, dz: float, turned: float, fading: Fading) ->
         q [-].
     dx, dz
         Displacement since the start [m].
-    turned
-        |Δθ| of the step once θ > 0 [rad], zero before.
+    factor
+        :func:`decay` of the step [-].
     fading
         :class:`Fading`.
 
@@ -47,6 +63,5 @@ def faded(weight: float, dx: float, dz: float, turned: float, fading: Fading) ->
     float
         q [-].
     """
-    if turned > 0.0 and math.sqrt(dx * dx + dz * dz) > fading.distance:
-        return max(fading.least, weight * math.exp(-fading.rate * turned))
-    return weight
+    less = max(fading.least, weight * factor)
+    return less if math.sqrt(dx * dx + dz * dz) > fading.distance else weight

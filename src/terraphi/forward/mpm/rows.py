@@ -15,6 +15,7 @@ from terraphi.forward.mpm.compiled import kernel, wide_vectors
 from terraphi.forward.mpm.contact import Intruder, Pose, against_leg, against_walls, pose_of
 from terraphi.forward.mpm.packing import LANES, ONE, ZERO, FloatArray, Index, aligned_zeros
 from terraphi.forward.mpm.scalar import Stepping
+from terraphi.forward.mpm.unbalanced_contact import against_leg_unbalanced
 
 
 def padded_grid(rows: int) -> Grid:
@@ -59,7 +60,7 @@ def update_rows(
     stepping: Stepping,
     pose: FloatArray,
     impulses: FloatArray,
-) -> None:
+) -> tuple[float, float]:
     """Turn momenta into velocities and apply gravity, leg, walls and damping, in that order.
 
     Parameters
@@ -70,7 +71,13 @@ def update_rows(
         Rows that may hold mass.
     intruder, stepping, pose, impulses
         As in :func:`~terraphi.forward.mpm.scalar.update_grid`.
+
+    Returns
+    -------
+    tuple
+        What the contact counts as given by the leg (x, z) [kg/s].
     """
+    counted_x, counted_z = 0.0, 0.0
     mass, vx, vz = flat(grid.mass), flat(grid.vx), flat(grid.vz)
     columns = np.uint64(grid.mass.shape[1])
     leg = pose_of(pose)
@@ -82,8 +89,13 @@ def update_rows(
         z = float(j) * stepping.cell_size
         accelerate(mass, vx, vz, row, columns, stepping, impulses)
         if low <= j < high:
-            push_aside(mass, vx, vz, row, left, right, z, intruder, leg, stepping, impulses)
+            counted = push_aside(
+                mass, vx, vz, row, left, right, z, intruder, leg, stepping, impulses
+            )
+            counted_x += counted[0]
+            counted_z += counted[1]
         hold_back(mass, vx, vz, row, columns, z, stepping, impulses)
+    return counted_x, counted_z
 
 
 @kernel
@@ -131,18 +143,31 @@ def push_aside(
     leg: Pose,
     stepping: Stepping,
     impulses: FloatArray,
-) -> None:
-    """Contact with the leg in the columns from ``left`` to before ``right``."""
+) -> tuple[float, float]:
+    """Contact with the leg in the columns from ``left`` to before ``right``.
+
+    Returns what it counts as given by the leg (x, z) [kg/s].
+    """
+    counted_x, counted_z = 0.0, 0.0
     for i in range(left, right):
         at = row + i
         if mass[at] <= 0.0:
             continue
         x = float(i) * stepping.cell_size
         px, pz = vx[at], vz[at]
-        nx, nz = against_leg(px, pz, x, z, intruder, stepping.band, leg)
+        if stepping.unbalanced:
+            nx, nz, cx, cz = against_leg_unbalanced(
+                px, pz, x, z, intruder, stepping.band, stepping.cell_size, leg
+            )
+        else:
+            nx, nz = against_leg(px, pz, x, z, intruder, stepping.band, leg)
+            cx, cz = nx - px, nz - pz
         impulses[1, 0] += mass[at] * (nx - px)
         impulses[1, 1] += mass[at] * (nz - pz)
+        counted_x += mass[at] * cx
+        counted_z += mass[at] * cz
         vx[at], vz[at] = nx, nz
+    return counted_x, counted_z
 
 
 @kernel

@@ -15,8 +15,9 @@ from terraphi.forward.mpm.bed import Grid, Particles
 from terraphi.forward.mpm.compiled import kernel
 from terraphi.forward.mpm.contact import Intruder, against_leg, against_walls, pose_of
 from terraphi.forward.mpm.plasticity import Material, jaumann_predictor, return_mapping
-from terraphi.forward.mpm.relief import Fading, faded
+from terraphi.forward.mpm.relief import Fading, decay, faded
 from terraphi.forward.mpm.transfer import grid_to_particle, particles_to_grid
+from terraphi.forward.mpm.unbalanced_contact import against_leg_unbalanced
 from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
@@ -60,6 +61,10 @@ class Stepping(NamedTuple):
     """Whether stresses follow the mean volumetric strain rate of a cell."""
     spline_gradient: bool
     """Whether stresses follow the gradient of the splines, rather than that of the transfer."""
+    unbalanced: bool
+    """Whether the leg counts more force than it applies, as in the paper's prototype."""
+    turning: float
+    """1 if stress turns with the soil's spin, else 0."""
 
 
 def stepping_of(scenario: Scenario) -> Stepping:
@@ -83,6 +88,8 @@ def stepping_of(scenario: Scenario) -> Stepping:
         surface=numerics.contact == "surface",
         mean_dilatation=numerics.dilatation == "cell",
         spline_gradient=numerics.gradient == "spline",
+        unbalanced=numerics.contact == "unbalanced",
+        turning=1.0 if numerics.stress_rate == "jaumann" else 0.0,
     )
 
 
@@ -143,7 +150,7 @@ def advance(
     bins
         History bin of each step, shape [step].
     impulse
-        Impulse of the soil on the leg (x, z) [kg/s], added to; shape [bin, 2].
+        As :func:`empty_reaction` makes it, added to.
     audit
         :class:`Audit`, updated.
 
@@ -158,14 +165,41 @@ def advance(
         momentum = particles_to_grid(soil, grid, stepping.cell_size, stepping.time_step)
         close_books(audit, impulses, momentum)
         impulses[:] = 0.0
-        update_grid(grid, intruder, stepping, poses[step], impulses)
-        impulse[bins[step], 0] -= impulses[1, 0]
-        impulse[bins[step], 1] -= impulses[1, 1]
+        counted = update_grid(grid, intruder, stepping, poses[step], impulses)
+        enter_reaction(impulse, bins[step], counted, (impulses[1, 0], impulses[1, 1]))
         lost = update_particles(soil, grid, material, fading, stepping, turned[step], impulses)
         if lost >= 0:
             return lost
         write_books(audit, impulses, momentum)
     return -1
+
+
+def empty_reaction(bins: int) -> FloatArray:
+    """Impulse of the soil on the leg in each bin of a history, before the first step [kg/s].
+
+    Parameters
+    ----------
+    bins
+        Number of bins.
+
+    Returns
+    -------
+    ndarray
+        (x, z) as the contact counts it, and (x, z) as it was applied to the soil, shape [bin, 4].
+        The two differ for ``contact = "unbalanced"`` alone.
+    """
+    return np.zeros((bins, 4))
+
+
+@kernel
+def enter_reaction(
+    impulse: FloatArray, bin_: int, counted: tuple[float, float], applied: tuple[float, float]
+) -> None:
+    """Add the reaction to what the leg gave the soil in a step, counted and applied [kg/s]."""
+    impulse[bin_, 0] -= counted[0]
+    impulse[bin_, 1] -= counted[1]
+    impulse[bin_, 2] -= applied[0]
+    impulse[bin_, 3] -= applied[1]
 
 
 @kernel
@@ -191,7 +225,7 @@ def write_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float
 @kernel
 def update_grid(
     grid: Grid, intruder: Intruder, stepping: Stepping, pose: FloatArray, impulses: FloatArray
-) -> None:
+) -> tuple[float, float]:
     """Turn momenta into velocities and apply gravity, leg, walls and damping, in that order.
 
     Damping comes before the leg instead where :class:`Stepping` says so.
@@ -206,8 +240,14 @@ def update_grid(
         One row of the poses.
     impulses
         Filled with what each of gravity, leg, walls and damping gave the soil [kg/s].
+
+    Returns
+    -------
+    tuple
+        What the contact counts as given by the leg (x, z) [kg/s].
     """
     leg_pose = pose_of(pose)
+    counted_x, counted_z = 0.0, 0.0
     for j in range(grid.mass.shape[0]):
         for i in range(grid.mass.shape[1]):
             mass = grid.mass[j, i]
@@ -220,9 +260,17 @@ def update_grid(
 
             x, z = i * stepping.cell_size, j * stepping.cell_size
             px, pz = vx, vz
-            vx, vz = against_leg(vx, vz, x, z, intruder, stepping.band, leg_pose)
+            if stepping.unbalanced:
+                vx, vz, cx, cz = against_leg_unbalanced(
+                    vx, vz, x, z, intruder, stepping.band, stepping.cell_size, leg_pose
+                )
+            else:
+                vx, vz = against_leg(vx, vz, x, z, intruder, stepping.band, leg_pose)
+                cx, cz = vx - px, vz - pz
             impulses[1, 0] += mass * (vx - px)
             impulses[1, 1] += mass * (vz - pz)
+            counted_x += mass * cx
+            counted_z += mass * cz
 
             px, pz = vx, vz
             vx, vz = against_walls(
@@ -234,6 +282,7 @@ def update_grid(
             vx, vz = damped(vx, vz, mass, stepping.damping_after, impulses)
             grid.vx[j, i] = vx
             grid.vz[j, i] = vz
+    return counted_x, counted_z
 
 
 @kernel
@@ -276,11 +325,17 @@ def update_particles(
     low = 0.5 * stepping.cell_size
     high = (grid.mass.shape[0] - 2.5) * stepping.cell_size
     time_step = stepping.time_step
+    factor = decay(turned, fading)
     for p in range(soil.mass.size):
         vx, vz, gradient = grid_to_particle(soil, grid, p, stepping.cell_size)
         stress = (soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2], soil.stress[p, 3])
         trial = jaumann_predictor(
-            stress, gradient, time_step, material.lame_lambda, material.shear_modulus
+            stress,
+            gradient,
+            time_step,
+            material.lame_lambda,
+            material.shear_modulus,
+            stepping.turning,
         )
         stress = return_mapping(trial, material)
         for c in range(4):
@@ -300,7 +355,7 @@ def update_particles(
         soil.position[p, 1] = z
 
         weight = soil.weight[p]
-        new = faded(weight, x - soil.start[p, 0], z - soil.start[p, 1], turned, fading)
+        new = faded(weight, x - soil.start[p, 0], z - soil.start[p, 1], factor, fading)
         if new != weight:
             soil.weight[p] = new
             impulses[4, 0] += (new - weight) * soil.mass[p] * vx

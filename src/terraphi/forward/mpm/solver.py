@@ -130,11 +130,13 @@ def simulate(
         **_books(scenario, state),
         "seconds": seconds,
     }
+    if scenario.numerics.contact == "unbalanced":
+        provenance |= _applied(scenario, state)
     if keeper.resumed_at:
         provenance["resumed_at_step"] = keeper.resumed_at
     return ForceHistory(
         bin_centres(scenario.motion),
-        state.impulse / (state.held * scenario.numerics.time_step)[:, None] * scenario.leg.width,
+        _mean_force(scenario, state.impulse[:, :2], state.held),
         coordinate=scenario.motion.coordinate,
         provenance=provenance,
     )
@@ -191,6 +193,33 @@ def _account(scenario: Scenario, blocks: _Blocks, keeper: Keeper, whole: State, 
         scenario, whole, failed - whole.step, lambda count: blocks.take(copy_of(whole), count)
     )
     return found.sentence(step_count(scenario)) + keeper.last_resort(whole)
+
+
+def _mean_force(scenario: Scenario, impulse: FloatArray, held: FloatArray) -> FloatArray:
+    """Mean force [N] of impulses per width [kg/s] over steps held, shape [bin, axis]."""
+    return impulse / (held * scenario.numerics.time_step)[:, None] * scenario.leg.width
+
+
+APPLIED_BINS = 10
+"""Bins of the history over which the applied force is averaged: a degree of a rotation."""
+
+
+def _applied(scenario: Scenario, state: State) -> dict[str, Any]:
+    """What the leg applied to the soil where its contact counts something else; JSON-able."""
+    edges = np.arange(0, len(state.held), APPLIED_BINS)
+    held = np.add.reduceat(state.held, edges)
+    position = np.add.reduceat(bin_centres(scenario.motion) * state.held, edges) / held
+    force = _mean_force(scenario, np.add.reduceat(state.impulse[:, 2:], edges), held)
+    return {
+        "momentum": "not balanced by design: the contact counts more than it applies",
+        "counted_impulse_kg_m_s": (state.impulse[:, :2].sum(axis=0) * scenario.leg.width).tolist(),
+        "applied_impulse_kg_m_s": (state.impulse[:, 2:].sum(axis=0) * scenario.leg.width).tolist(),
+        "applied_force": {
+            "position": position.tolist(),
+            "x_N": force[:, 0].tolist(),
+            "z_N": force[:, 1].tolist(),
+        },
+    }
 
 
 def _books(scenario: Scenario, state: State) -> dict[str, Any]:

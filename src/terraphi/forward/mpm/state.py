@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.forward.mpm.bed import Particles, geostatic_bed
-from terraphi.forward.mpm.scalar import Audit, empty_audit
+from terraphi.forward.mpm.scalar import Audit, empty_audit, empty_reaction
 from terraphi.motion import bin_centres
 from terraphi.scenario import Scenario
 
@@ -23,7 +23,8 @@ class State(NamedTuple):
     audit: Audit
     """The soil's momentum so far."""
     impulse: FloatArray
-    """Impulse of the soil on the leg (x, z) [kg/s], shape [bin, 2]."""
+    """Impulse of the soil on the leg, as :func:`~terraphi.forward.mpm.scalar.empty_reaction` has
+    it."""
     held: FloatArray
     """Number of steps in each bin [-], shape [bin]."""
     step: int
@@ -33,7 +34,7 @@ class State(NamedTuple):
 def first_state(scenario: Scenario) -> State:
     """State before the first step."""
     bins = len(bin_centres(scenario.motion))
-    return State(geostatic_bed(scenario), empty_audit(), np.zeros((bins, 2)), np.zeros(bins), 0)
+    return State(geostatic_bed(scenario), empty_audit(), empty_reaction(bins), np.zeros(bins), 0)
 
 
 def copy_of(state: State) -> State:

@@ -123,7 +123,12 @@ def strain(
             gradient = (cxx, motion[moves + CXZ], motion[moves + CZX], czz)
             stress = (state[at + SXX], state[at + SZZ], state[at + SXZ], state[at + SYY])
             trial = jaumann_predictor(
-                stress, gradient, laws.time_step, laws.lame_lambda, laws.shear_modulus
+                stress,
+                gradient,
+                laws.time_step,
+                laws.lame_lambda,
+                laws.shear_modulus,
+                laws.turning,
             )
             stress = return_to_cone(trial, laws.cone)
             growth = laws.stretching * (cxx + czz) * laws.time_step

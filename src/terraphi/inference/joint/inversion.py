@@ -250,7 +250,7 @@ def _answer(
         conditional={k: _conditional(target, best, i) for i, k in enumerate(target.keys)},
         best=named,
         identifiability=identifiability,
-        expected_sd=_expected(groups, target, best, named, sd),
+        expected_sd=_expected(groups, target, (np.median(noise), np.median(amplitude)), named, sd),
         fits=fits,
         nrmsd=tuple(misfits),
         verdict=_judge(target, flat, identifiability, _worst(groups, misfits)),
@@ -292,12 +292,16 @@ def _conditional(target: Target, best: FloatArray, i: int) -> Summary:
 def _expected(
     groups: Sequence[Repeats],
     target: Target,
-    best: FloatArray,
+    errors: tuple[np.floating[Any], np.floating[Any]],
     named: Mapping[str, float],
     prior_sd: Sequence[float],
 ) -> dict[str, FloatArray]:
-    """Standard deviations that each leg alone and all would leave, by linearisation."""
-    noise, amplitude = (float(v[0]) for v in target.errors(best[None]))
+    """Standard deviations that each leg alone and all would leave, by linearisation.
+
+    ``errors`` are the sizes of noise and discrepancy to reckon with: their medians, because those
+    of a single draw change with its luck.
+    """
+    noise, amplitude = map(float, errors)
     steps = [SLOPE_STEP * sd for sd in prior_sd]
     by_leg = {
         group.leg: leg.information(named, target.keys, steps, noise=noise, amplitude=amplitude)

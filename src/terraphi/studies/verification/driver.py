@@ -18,7 +18,13 @@ from terraphi.forward.mpm.bed import Grid, Particles, empty_grid
 from terraphi.forward.mpm.contact import Intruder, intruder_of
 from terraphi.forward.mpm.plasticity import Material, material_of
 from terraphi.forward.mpm.relief import Fading, fading_of
-from terraphi.forward.mpm.scalar import Audit, Stepping, empty_audit, stepping_of
+from terraphi.forward.mpm.scalar import (
+    Audit,
+    Stepping,
+    empty_audit,
+    empty_reaction,
+    stepping_of,
+)
 from terraphi.forward.mpm.solver import KERNELS, Kernel, path_of_steps
 from terraphi.scenario import Scenario
 from terraphi.workers import heartbeat
@@ -151,7 +157,7 @@ def advance(
         If a particle leaves the grid.
     """
     take = KERNELS[kernel][rig.stepping.phase > 0]
-    impulse = np.zeros((1, 2))
+    impulse = empty_reaction(1)
     done = 0
     while done < steps:
         count = 1 if body_force is not None else min(BLOCK, steps - done)
@@ -173,7 +179,7 @@ def advance(
         if lost >= 0:
             raise SimulationError(f"particle {lost} left the grid before step {done + count}")
         done += count
-    return np.array(impulse[0])
+    return np.array(impulse[0, :2])
 
 
 def block_of(
@@ -255,7 +261,7 @@ def follow(
         heartbeat(0.0)
         steps = np.arange(begin, min(begin + BLOCK, first + count))
         poses, turned, bins = path_of_steps(scenario, steps, 1)
-        impulse = np.zeros((1, 2))
+        impulse = empty_reaction(1)
         lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
         if lost >= 0:
             raise SimulationError(f"particle {lost} left the grid by step {steps[-1]}")

@@ -23,6 +23,7 @@ import numpy as np
 
 from terraphi.errors import SimulationError
 from terraphi.forward.mpm.bed import geostatic_bed
+from terraphi.forward.mpm.scalar import empty_reaction
 from terraphi.forward.mpm.solver import KERNELS, path_of_steps, step_count
 from terraphi.motion import bin_centres
 from terraphi.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
@@ -67,7 +68,7 @@ def push(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     rig = rig_of(scenario).changed(left=scenario.bed.soil_span[0])
     take = KERNELS["packets"][rig.stepping.phase > 0]
     places = bin_centres(scenario.motion)
-    impulse, held = np.zeros((len(places), 2)), np.zeros(len(places))
+    impulse, held = empty_reaction(len(places)), np.zeros(len(places))
     steps, block = step_count(scenario), 50 * rig.stepping.phase
     for begin in range(0, steps, block):
         heartbeat(0.0)
@@ -77,7 +78,7 @@ def push(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
         lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
         if lost >= 0:
             raise SimulationError(f"particle {lost} left the grid by step {indices[-1]}")
-    return places, impulse / (held * scenario.numerics.time_step)[:, None]
+    return places, impulse[:, :2] / (held * scenario.numerics.time_step)[:, None]
 
 
 def push_plate(
