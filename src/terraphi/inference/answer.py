@@ -80,6 +80,9 @@ class Inversion:
         Sentences on why the answer may not be what was asked for; the verdict's reason has them.
     likelihood
         Name of the likelihood.
+    data
+        What was found in the record before the inversion: readings (``rows``), how many were
+        ``left_out``, and the ``defects`` that they show; JSON-able.
     budget
         Where the interval comes from; ``None`` under the paper's likelihood.
     provenance
@@ -104,6 +107,7 @@ class Inversion:
     verdict: Verdict
     likelihood: str
     warnings: tuple[str, ...] = ()
+    data: Mapping[str, Any] = field(default_factory=dict)
     budget: Budget | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -118,6 +122,7 @@ class Inversion:
             "reason": self.verdict.reason,
             "edge": self.verdict.edge,
             "warnings": list(self.warnings),
+            "data": dict(self.data),
             "nrmsd": dict(self.nrmsd),
             "density_kg_m3": self.density,
             "density_assumed": self.density_assumed,

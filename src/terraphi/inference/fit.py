@@ -114,7 +114,7 @@ def _best(problem: Problem, without: Hypotheses) -> tuple[float, int, float, flo
     phi = float(np.interp(where, np.arange(len(problem.leg.phi_deg)), problem.leg.phi_deg))
     # The size of the scatter is not known: the probability is its average over all sizes.
     residual = problem.data - surrogate.predict([phi])[0]
-    base = surrogate.covariance(phi) + without.noise[best] ** 2 * problem.noise_shape
+    base = problem.leg.known(phi) + without.noise[best] ** 2 * problem.noise_shape
     sizes, log_p = surrogate.scatter.sizes
     total = base + sizes[:, None, None] * surrogate.scatter.covariance(phi)
     chi2, _ = gaussian_parts(total, np.broadcast_to(residual, (len(sizes), residual.size)))
@@ -132,7 +132,7 @@ def _odds(problem: Problem, phi: float, noise: float) -> tuple[float, float, flo
     low, high = surrogate.phi_bounds_deg
     slope = problem.leg.slope(phi)
     free = FREEDOM * (high - low)
-    base = surrogate.covariance(phi) + free**2 * np.outer(slope, slope)
+    base = problem.leg.known(phi) + free**2 * np.outer(slope, slope)
     scatter = surrogate.scatter.covariance(phi)
     residual = problem.data - surrogate.predict([phi])[0]
 

@@ -65,8 +65,13 @@ class Problem:
 
     @property
     def spans(self) -> FloatArray:
-        """Peak-to-peak of each force of the data [N], shape [2]."""
-        spans: FloatArray = np.ptp(self.data.reshape(2, -1), axis=1)
+        """Peak-to-peak of each force of the data [N], shape [2].
+
+        Of forces far smaller than any of the library's, half that of its smallest curve: errors of
+        the model do not shrink with a unit.
+        """
+        model = np.ptp(self.leg.mean.reshape(len(self.leg.mean), 2, -1), axis=2).min(axis=0)
+        spans: FloatArray = np.maximum(np.ptp(self.data.reshape(2, -1), axis=1), 0.5 * model)
         return spans
 
     def noise_levels(self, relative: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -19,6 +19,8 @@ from terraphi.inference.answer import AngleSummary, Inversion, plane_strain_summ
 from terraphi.inference.calibrated import CalibratedLikelihood
 from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
 from terraphi.inference.covariance import Budget, budget_of
+from terraphi.inference.defects import inspect_record, touches_soil_deg
+from terraphi.inference.explanation import explain
 from terraphi.inference.fit import Fit, fit_without_discrepancy
 from terraphi.inference.hypotheses import Problem
 from terraphi.inference.judgement import judge_calibrated, uninformed
@@ -126,6 +128,9 @@ def invert(
     """
     _check_options(likelihood, sampler, noise, discrepancy)
     began = time.perf_counter()
+    library.curves(leg)  # refuses a leg that it does not have, before anything is said of the data
+    inspection = inspect_record(history, touches_deg=touches_soil_deg(library, leg))
+    history = inspection.history
     observation, how = history.observation(), {"sampler": sampler, "seed": seed}
     if likelihood == "paper":
         found = _by_paper(history, observation, library, leg, density, how)
@@ -137,12 +142,16 @@ def invert(
     used = found.scenario.soil.density if density is None else density
     curves = used / found.scenario.soil.density * found.curves
     warnings = [
+        *inspection.sentences,
         *filter(None, [unlike(history, found.scenario, leg)]),
         *doubts(history, observation, curves, used),
         *uninformed(found.posterior),
         *there_to_try_others(library.name),
     ]
-    verdict = replace(found.verdict, reason=" ".join([found.verdict.reason, *warnings]))
+    verdict = found.verdict
+    if inspection.spoilt:
+        verdict = Verdict("misfit", None, f"The record is damaged. {verdict.reason}")
+    verdict = replace(verdict, reason=" ".join([verdict.reason, *warnings]))
     return Inversion(
         source=source or str(history.provenance.get("file", "")),
         observation=observation,
@@ -156,6 +165,7 @@ def invert(
         plane_strain_reason=why_not,
         density=used,
         density_assumed=density is None or density_assumed,
+        data=inspection.as_dict(),
         best=found.best,
         band=found.band,
         nrmsd=found.nrmsd,
@@ -220,12 +230,14 @@ def _by_paper(
     posterior = _sample(log_p, surrogate.phi_bounds_deg, **how)
     core = time.perf_counter() - began
     phi, best, band, deviation = _curves(posterior, surrogate, observation, scale)
+    nodes = np.linspace(*surrogate.phi_bounds_deg, NODES)
     verdict = judge(
         posterior,
         bounds_deg=surrogate.phi_bounds_deg,
         step_deg=surrogate.phi_step_deg,
         residual_nrmsd=deviation,
         convention=scenario.convention,
+        explanation=explain(observation.vector, surrogate.predict(nodes, scale=scale), nodes),
     )
     vectors = np.hstack([curves.Fx, curves.Fz])
     return _Found(posterior, phi, best, band, deviation, verdict, None, scenario, vectors, core)
@@ -252,7 +264,7 @@ def _calibrated(
     began = time.perf_counter()
     likelihood = CalibratedLikelihood(
         Problem(
-            leg=prepared,
+            leg=prepared.read_for(observation.vector / scale),
             data=observation.vector / scale,
             noise_shape=shape,
             noise_sigma=None if sigma is None else sigma / scale,
@@ -265,7 +277,11 @@ def _calibrated(
     fit: Fit = fit_without_discrepancy(likelihood.problem, likelihood.without, scale=scale)
     budget = budget_of(likelihood, phi.median, fit, scale=scale)
     verdict = judge_calibrated(
-        posterior, fit, residual_nrmsd=deviation, convention=scenario.convention
+        posterior,
+        fit,
+        residual_nrmsd=deviation,
+        convention=scenario.convention,
+        explanation=explain(observation.vector, scale * prepared.mean, prepared.phi_deg),
     )
     vectors = np.hstack([prepared.curves.Fx, prepared.curves.Fz])
     return _Found(posterior, phi, best, band, deviation, verdict, budget, scenario, vectors, core)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from terraphi.inference.explanation import Explanation
 from terraphi.inference.fit import LARGEST_ODDS, SMALLEST_PROBABILITY, Fit
 from terraphi.inference.hypotheses import AMPLITUDES
 from terraphi.inference.information import information_gain_bits
@@ -25,13 +26,18 @@ much."""
 
 
 def judge_calibrated(
-    posterior: Posterior, fit: Fit, *, residual_nrmsd: Mapping[str, float], convention: str
+    posterior: Posterior,
+    fit: Fit,
+    *,
+    residual_nrmsd: Mapping[str, float],
+    convention: str,
+    explanation: Explanation,
 ) -> Verdict:
     """Judge an inversion: by whether an edge cuts the posterior off, and by the fit.
 
-    Out of range if the density at an edge of the library is not small; but a misfit, unless the
-    density is largest there and tells something at all, if the best fit without a discrepancy is
-    not one that scatter and noise explain: a wider library would not help. Else consistent.
+    A misfit if the best fit without a discrepancy is not one that scatter and noise explain: a
+    wider library would not help. But out of range if an angle beyond the library's end would
+    explain the forces, or if they fit and the density at an edge is not small. Else consistent.
 
     Parameters
     ----------
@@ -43,13 +49,16 @@ def judge_calibrated(
         Deviation of the model at the median from the data, by force, fractions [-].
     convention
         What the friction angle means.
+    explanation
+        What would explain forces that do not fit.
     """
     densities = edge_densities(posterior)
     cut = max(densities) > EDGE_DENSITY
     clause = _misfit(fit, residual_nrmsd) if fit.misfit else ""
     at_low, edge = _edge(posterior, densities, convention)
     limit = AT_EDGE if clause else EDGE_DENSITY
-    if max(densities) > limit and not (clause and uninformed(posterior)):
+    beyond = not clause or explanation.beyond == ("low" if at_low else "high")
+    if max(densities) > limit and beyond:
         reason = (
             f"The posterior is cut off by the {edge} (limit {limit:.0%}), so the friction "
             f"angle may lie {'below' if at_low else 'above'} it"
@@ -58,7 +67,8 @@ def judge_calibrated(
         return Verdict("out_of_range", "low" if at_low else "high", reason)
     if clause:
         reach = f"; the posterior reaches the {edge}" if cut else ""
-        return Verdict("misfit", None, f"No friction angle fits: {clause}{reach}.")
+        question = f" {explanation.question}" if explanation.question else ""
+        return Verdict("misfit", None, f"No friction angle fits: {clause}{reach}.{question}")
     return Verdict(
         "consistent",
         None,

@@ -8,11 +8,12 @@ the library's own force unit; an inversion divides by the ratio of densities ins
 from __future__ import annotations
 
 import functools
+import hashlib
 import weakref
 from collections import OrderedDict
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,9 +22,9 @@ from threadpoolctl import ThreadpoolController
 
 from terraphi.errors import InputError
 from terraphi.history import WINDOW_DEG
+from terraphi.inference.reading import Reading, learn_reading, nothing_open
 from terraphi.joint_surrogate import JointKernel, JointSurrogate
 from terraphi.library import Curves, Library
-from terraphi.readings import is_dense
 from terraphi.scatter import Scatter, estimate
 
 FloatArray = NDArray[np.float64]
@@ -69,7 +70,12 @@ class PreparedLeg:
     mean
         Forces there [N], shape [node, 2 theta].
     covariance, scatter
-        Of the surrogate, and of the particle scatter [N^2], shape [node, 2 theta, 2 theta].
+        Of what the surrogate and the readings leave open, and of the particle scatter [N^2], shape
+        [node, 2 theta, 2 theta].
+    reading
+        What readings at points leave open.
+    opened
+        The same of one record, by :meth:`read_for` [N^2], shape [2 theta, 2 theta].
     """
 
     surrogate: JointSurrogate
@@ -78,17 +84,45 @@ class PreparedLeg:
     mean: FloatArray = field(repr=False)
     covariance: FloatArray = field(repr=False)
     scatter: FloatArray = field(repr=False)
+    reading: Reading = field(repr=False)
+    opened: FloatArray = field(repr=False)
     _spectra: OrderedDict[bytes, Spectra] = field(default_factory=OrderedDict, repr=False)
 
     @classmethod
-    def of(cls, surrogate: JointSurrogate, curves: Curves) -> PreparedLeg:
-        """Evaluate a surrogate at the nodes."""
+    def of(
+        cls, surrogate: JointSurrogate, curves: Curves, reading: Reading | None = None
+    ) -> PreparedLeg:
+        """Evaluate a surrogate at the nodes; ``None``: readings leave nothing open."""
         phi = np.linspace(*surrogate.phi_bounds_deg, NODES)
         variance = surrogate.standard_variance(phi)
         left = surrogate.scatter.sigma(phi)[:, :, None] * surrogate.basis
         right = left.transpose(0, 2, 1)
-        covariance = (left * variance[:, None, :]) @ right
-        return cls(surrogate, curves, phi, surrogate.predict(phi), covariance, left @ right)
+        covariance, mean = (left * variance[:, None, :]) @ right, surrogate.predict(phi)
+        reading = reading or nothing_open(mean.shape[1])
+        none = np.zeros(covariance.shape[1:])
+        return cls(surrogate, curves, phi, mean, covariance, left @ right, reading, none)
+
+    def read_for(self, data: FloatArray) -> PreparedLeg:
+        """The same for one record, with what its readings leave open.
+
+        That is taken at the angle whose forces are nearest, for all angles alike: it grows with
+        the friction angle, and how rough a record is would else be evidence of its angle.
+
+        Parameters
+        ----------
+        data
+            Its observation vector [N], shape [2 theta].
+        """
+        if not self.reading.moment.any():
+            return self
+        near = int(np.square(self.mean - data).sum(axis=1).argmin())
+        opened = self.reading.covariance(self.phi_deg[[near]], self.mean[[near]])[0]
+        total = self.covariance + opened
+        return replace(self, covariance=total, opened=opened, _spectra=OrderedDict())
+
+    def known(self, phi_deg: float) -> FloatArray:
+        """Covariance of surrogate and readings at a friction angle [N^2], [2 theta, 2 theta]."""
+        return self.surrogate.covariance(phi_deg) + self.opened
 
     def slope(self, phi_deg: float) -> FloatArray:
         """Derivative of the forces with respect to the friction angle [N/deg], shape [2 theta]."""
@@ -180,11 +214,11 @@ def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -
     Parameters
     ----------
     library
-        Simulations over the friction angle. Scatter and hyperparameters that it carries are used;
-        otherwise, and for records with fewer than two readings in a window, they are estimated
-        from its curves.
+        Simulations over the friction angle. Scatter and hyperparameters that it carries are used,
+        otherwise they are estimated from its curves.
     leg, readings
-        As in :meth:`Library.curves`.
+        As in :meth:`Library.curves`. What the readings leave open of the path is part of the
+        covariance (`reading`).
 
     Raises
     ------
@@ -196,17 +230,23 @@ def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -
     if known and known[0]() is library:
         return known[1]
     curves = library.curves(leg, readings=readings)
-    prepared = PreparedLeg.of(surrogate_of(library, leg, curves, readings=readings), curves)
+    surrogate = surrogate_of(library, leg, curves, readings=readings)
+    reading = None
+    if readings is not None:
+        # Scatter that was learnt from curves read like the record has what they leave of the path.
+        learnt = is_sparse(readings, curves.theta_deg)
+        reading = learn_reading(library, leg, readings, path=not learnt)
+    prepared = PreparedLeg.of(surrogate, curves, reading)
     _KNOWN[key] = (weakref.ref(library), prepared)
     _forget_oldest(_KNOWN)
     return prepared
 
 
 def _sampling(readings: FloatArray | None) -> bytes:
-    """What tells how curves are seen; records that are read densely differ by their ends alone."""
+    """What tells how curves are seen; a record may have a million readings."""
     if readings is None:
         return b""
-    return np.round(readings[[0, -1]] if is_dense(readings) else readings, 9).tobytes()
+    return hashlib.sha256(np.round(readings, 9).tobytes()).digest()
 
 
 def surrogate_of(
@@ -225,8 +265,7 @@ def surrogate_of(
                 "calibrate it again (terraphi library calibrate)"
             ) from error
         # Its scatter is that of means over many readings, and few leave more of it.
-        sparse = readings is not None and _fewest(readings, curves.theta_deg) < ENOUGH
-        if not sparse and np.allclose(scatter.theta_deg, curves.theta_deg, atol=1e-6):
+        if not is_sparse(readings, curves.theta_deg) and np.allclose(scatter.theta_deg, curves.theta_deg, atol=1e-6):
             means, repeats = _means(curves, again)
             return JointSurrogate.fit(
                 curves.phi_deg, curves.theta_deg, means, scatter, kernel=kernel, repeats=repeats
@@ -234,11 +273,13 @@ def surrogate_of(
     return learn(curves, again)
 
 
-def _fewest(readings: FloatArray, theta_deg: FloatArray) -> int:
-    """Fewest readings that the mean of a window is taken over."""
+def is_sparse(readings: FloatArray | None, theta_deg: FloatArray) -> bool:
+    """Whether some window means are over too few readings [rad]; centres of the windows [deg]."""
+    if readings is None:
+        return False
     half = WINDOW_DEG / (theta_deg.size - 1)
     found = np.searchsorted(np.degrees(readings), [theta_deg - half, theta_deg + half])
-    return int(np.diff(found, axis=0).min())
+    return bool(np.diff(found, axis=0).min() < ENOUGH)
 
 
 def learn(curves: Curves, replicates: Sequence[tuple[float, FloatArray]] = ()) -> JointSurrogate:

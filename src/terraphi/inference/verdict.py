@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from terraphi.inference.explanation import Explanation
 from terraphi.inference.posterior import Posterior
 from terraphi.inference.residual import peak_to_peak
 
@@ -79,11 +80,13 @@ def judge(
     convention: str = "",
     nrmsd_limit: float = 0.10,
     edge_mass_limit: float = 0.05,
+    explanation: Explanation | None = None,
 ) -> Verdict:
     """Judge an inversion by where its posterior lies and how well its median fits.
 
-    Out of range if more than ``edge_mass_limit`` of the mass lies within half a library step of an
-    edge; else a misfit if either force deviates by more than ``nrmsd_limit``; else consistent.
+    A misfit if either force deviates by more than ``nrmsd_limit``, unless an angle beyond an edge
+    of the library would explain that; else out of range if more than ``edge_mass_limit`` of the
+    mass lies within half a library step of an edge; else consistent.
 
     Parameters
     ----------
@@ -99,6 +102,8 @@ def judge(
         What the friction angle means, named beside every angle in the reason.
     nrmsd_limit, edge_mass_limit
         Largest deviation and largest mass near an edge that are accepted, fractions [-].
+    explanation
+        What would explain forces that do not fit; ``None``: nothing was looked for.
 
     Raises
     ------
@@ -120,8 +125,10 @@ def judge(
     of = f" ({convention})" if convention else ""
     low_mass, high_mass = posterior.mass(low, low + margin), posterior.mass(high - margin, high)
     misfit = _describe_misfit(residual_nrmsd, nrmsd_limit)
-    if max(low_mass, high_mass) > edge_mass_limit:
-        at_low = low_mass >= high_mass
+    at_low = low_mass >= high_mass
+    explained = explanation or Explanation()
+    beyond = not misfit or explained.beyond == ("low" if at_low else "high")
+    if max(low_mass, high_mass) > edge_mass_limit and beyond:
         mass, edge_deg = (low_mass, low) if at_low else (high_mass, high)
         reason = (
             f"{_percent(mass)} of the posterior mass lies within {margin:g}° of the "
@@ -135,7 +142,8 @@ def judge(
         reason += f"; moreover, {misfit}." if misfit else "."
         return Verdict("out_of_range", "low" if at_low else "high", reason)
     if misfit:
-        return Verdict("misfit", None, f"No friction angle fits: {misfit}.")
+        question = f" {explained.question}" if explained.question else ""
+        return Verdict("misfit", None, f"No friction angle fits: {misfit}.{question}")
     return Verdict(
         "consistent",
         None,

@@ -1,0 +1,384 @@
+"""What a damaged sensor leaves in a record: looked for before an angle is inferred from it.
+
+Each defect is one that no leg in soil makes. What hides a few readings (dropouts, held values,
+spikes, a short clipped top) is left out, and the library is then read at the readings that are
+left. What hides too much is refused. What shifts many readings (a step, an offset in air) is left
+in, for nobody knows which of them are right, and makes any answer a misfit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.errors import InputError
+from terraphi.history import WINDOW_DEG, ForceHistory
+from terraphi.library import Library
+from terraphi.readings import WIDEST_GAP_DEG
+
+FloatArray = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+NEAR = 5
+"""Readings to either side that a reading is compared with."""
+LOADED = 0.05
+"""Force over the largest above which a reading of exactly zero is a dropout [-]."""
+FEWEST_HELD = 3
+"""Equal readings in a row that may be a held value."""
+QUANTA = 5.0
+"""Steps of the record's resolution that a value must change by after it was held [-]."""
+BY_CHANCE = 1e-3
+"""Runs of equal readings that a coarse record may have by chance."""
+SPIKE = (8.0, 1.0)
+"""Deviation from the running median that is a spike: of its usual size, and of the range of 98 % of
+all readings [-]."""
+STEP, TIMES_ROUGH, STEP_DEG = 0.2, 3.0, 3.0
+"""Jump between two readings that is a step: of peak-to-peak and of the range of the readings to
+either side [-], over that much of the path [deg]."""
+FLAT = 0.02
+"""Rise, of peak-to-peak, that a clipped top must hide for it to be told from a rounded one [-]."""
+COARSE_DEG = 2.0
+"""Spacing of readings above which no steps are looked for [deg]."""
+FINE, CRESTS_DEG = 5e-4, 3.0
+"""Resolution, of peak-to-peak [-], below which three equal largest readings that far apart [deg] are
+clipped crests: a round top of a coarser record has as many."""
+WORTH_DEG = 5.0
+"""Path next to a flat top from which its slope is taken [deg]."""
+OFFSET = 0.05
+"""Mean force in air, of peak-to-peak, above which a record is refused [-]."""
+IN_AIR, MARGIN_DEG = 0.005, 3.0
+"""Force over the largest below which a simulated leg counts as in air [-], and how much further from
+the soil a measured one has to be [deg]."""
+MOST_LEFT_OUT = 0.5
+"""Share of readings that may be left out [-]."""
+WORDS = {
+    "dropout": "readings of exactly zero under load",
+    "held": "held values",
+    "spike": "spikes",
+    "clipped": "a flat top at the largest force, as of a saturated sensor",
+    "step": "a step, after which the zero is another",
+    "offset": "a force on the leg in air",
+}
+
+
+@dataclass(frozen=True)
+class Defect:
+    """Readings that are not to be believed.
+
+    Attributes
+    ----------
+    code
+        A key of :data:`WORDS`.
+    force
+        ``"Fx"``, ``"Fz"`` or ``"both"``.
+    rows
+        How many readings.
+    theta_deg
+        First and last leg angle [deg].
+    size_N
+        Of a step or an offset [N].
+    """
+
+    code: str
+    force: str
+    rows: int
+    theta_deg: tuple[float, float]
+    size_N: float | None = None
+
+    @property
+    def left_out(self) -> bool:
+        """Whether its readings are left out."""
+        return self.size_N is None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and words."""
+        treatment = "left out" if self.left_out else "kept"
+        return {**vars(self), "theta_deg": list(self.theta_deg), "treatment": treatment}
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        low, high = self.theta_deg
+        if self.size_N is not None:
+            return (
+                f"{self.force} shows {WORDS[self.code]}: {self.size_N:.2g} N between {low:.1f} and "
+                f"{high:.1f}°. Mend the record."
+            )
+        force = "" if self.force == "both" else f" of {self.force}"
+        where = f"between {low:.1f} and {high:.1f}°" if high > low else f"at {low:.1f}°"
+        return f"{self.rows} readings left out: {WORDS[self.code]}{force} {where}."
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """A record without the readings that are not to be believed.
+
+    Attributes
+    ----------
+    history
+        What is left.
+    rows
+        Readings within the window before.
+    defects
+        What was left out, and why.
+    """
+
+    history: ForceHistory
+    rows: int
+    defects: tuple[Defect, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The ``data`` part of an answer."""
+        return {
+            "rows": self.rows,
+            "left_out": sum(d.rows for d in self.defects if d.left_out),
+            "defects": [d.as_dict() for d in self.defects],
+        }
+
+    @property
+    def sentences(self) -> list[str]:
+        """For people."""
+        return [d.sentence for d in self.defects]
+
+    @property
+    def spoilt(self) -> str:
+        """What makes any answer a misfit, for people; empty if nothing does."""
+        return " ".join(d.sentence for d in self.defects if not d.left_out)
+
+
+def inspect_record(
+    history: ForceHistory, *, touches_deg: tuple[float, float] | None = None
+) -> Inspection:
+    """Look for what a damaged sensor leaves, and leave it out.
+
+    Parameters
+    ----------
+    history
+        Forces over the leg angle.
+    touches_deg
+        Leg angles between which the leg may touch the soil [deg]; what is read beyond them is read
+        in air. ``None``: not known.
+
+    Raises
+    ------
+    InputError
+        If too little would be left of the record.
+    """
+    inside = np.abs(history.theta_deg) <= WINDOW_DEG
+    theta, force = history.theta_deg[inside], np.stack([history.Fx, history.Fz], axis=1)[inside]
+    if len(theta) < 4 * NEAR or not np.ptp(force, axis=0).all():
+        return Inspection(history, len(theta))
+    bad = np.zeros(len(theta), dtype=bool)
+    defects = []
+    for code, name, found in _found(theta, force):
+        fresh = found & ~bad
+        if fresh.any():
+            bad |= found
+            where = theta[fresh]
+            defects.append(Defect(code, name, int(fresh.sum()), (where[0], where[-1])))
+    _refuse_what_is_lost(theta, bad, defects)
+    defects += _steps(theta[~bad], force[~bad])
+    if touches_deg is not None:
+        defects += _offsets(history, np.ptp(force[~bad], axis=0), touches_deg)
+    if not bad.any():
+        return Inspection(history, len(theta), tuple(defects))
+    kept = np.ones(len(history.position), dtype=bool)
+    kept[np.flatnonzero(inside)[bad]] = False
+    left = replace(history, position=history.position[kept], force=history.force[kept])
+    return Inspection(left, len(theta), tuple(defects))
+
+
+def touches_soil_deg(library: Library, leg: str) -> tuple[float, float]:
+    """Leg angles between which a leg may touch the soil [deg], by a library's own curves.
+
+    Parameters
+    ----------
+    library
+        Simulations of that leg.
+    leg
+        Its shape.
+    """
+    low, high = np.inf, -np.inf
+    for case in library.cases:
+        if case.history is not None and case.scenario.leg.shape == leg:
+            size = np.hypot(case.history.Fx, case.history.Fz)
+            loaded = case.history.theta_deg[size > IN_AIR * size.max()]
+            low, high = min(low, loaded[0]), max(high, loaded[-1])
+    return float(low) - MARGIN_DEG, float(high) + MARGIN_DEG
+
+
+def _found(theta: FloatArray, force: FloatArray) -> list[tuple[str, str, Mask]]:
+    """Code, force and readings of each kind of defect that there may be."""
+    both = (force == 0.0).all(axis=1)
+    size = np.hypot(*force.T)
+    every = [("dropout", "both", both & _loaded(size, both))]
+    for name, values in zip(("Fx", "Fz"), force.T, strict=True):
+        zero = (values == 0.0) & ~both
+        every.append(("dropout", name, zero & _loaded(values, zero | both)))
+    for name, values in zip(("Fx", "Fz"), force.T, strict=True):
+        known = ~every[0][2] & (values != 0.0)
+        every += [
+            ("clipped", name, _flat_top(theta, values, known)),
+            ("held", name, _held(values)),
+            ("spike", name, _spikes(values, known)),
+        ]
+    return every
+
+
+def _loaded(values: FloatArray, zero: Mask) -> Mask:
+    """Where the nearest readings to either side that are not zero show a load, and the same one.
+
+    A leg that enters the soil comes from zeros, and a force that changes its sign passes zero.
+    """
+    where = np.flatnonzero(~zero)
+    after = np.searchsorted(where, np.arange(len(values)))
+    padded = np.concatenate([[0.0], values[where], [0.0]])
+    before, behind = padded[after], padded[after + 1]
+    least = np.minimum(np.abs(before), np.abs(behind))
+    load = max(LOADED * np.abs(values).max(), QUANTA * _resolution(values))
+    loaded: Mask = (before * behind > 0.0) & (least > load)
+    return loaded
+
+
+def _resolution(values: FloatArray) -> float:
+    """Smallest change between two readings, 0 if there is none."""
+    changes = np.abs(np.diff(values))
+    some = changes[changes > 1e-12 * np.abs(values).max()]
+    return float(some.min()) if some.size else 0.0
+
+
+def _held(values: FloatArray) -> Mask:
+    """Repetitions of a value that then jumps, where the record resolves far smaller changes."""
+    steps = np.abs(np.diff(values))
+    changes, resolution = steps[steps > 0.0], _resolution(values)
+    if not changes.size:
+        return np.zeros(len(values), dtype=bool)
+    # A coarse record repeats itself by chance: runs count if so long a one hardly comes about.
+    repeats = resolution / (resolution + 2.0 * float(np.median(changes)))
+    shortest = 1.0 + np.log(len(values) / BY_CHANCE) / -np.log(repeats)
+    starts = np.flatnonzero(np.append(True, steps > 0.0))
+    ends = np.append(starts[1:], len(values))
+    held = np.zeros(len(values), dtype=bool)
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        if end - start < max(FEWEST_HELD, shortest) or end == len(values):
+            continue
+        loaded = abs(values[start]) > LOADED * np.ptp(values)
+        if loaded and steps[end - 1] > QUANTA * resolution:
+            held[start + 1 : end] = True
+    return held
+
+
+def _spikes(values: FloatArray, known: Mask) -> Mask:
+    """Single readings far from all about them."""
+    where = np.flatnonzero(known)
+    found = np.zeros(len(values), dtype=bool)
+    if where.size < 4 * NEAR:
+        return found
+    windows = np.lib.stride_tricks.sliding_window_view(values[where], 2 * NEAR + 1)
+    middle = values[where][NEAR:-NEAR]
+    apart = np.abs(middle - np.median(windows, axis=1))
+    # Of a rough stretch all readings lie apart.
+    usual = np.median(np.abs(windows - np.median(windows, axis=1)[:, None]), axis=1)
+    times, share = SPIKE
+    spike = (apart > times * usual) & (apart > share * np.ptp(np.percentile(values, [1, 99])))
+    found[where[NEAR:-NEAR][spike]] = True
+    return found
+
+
+def _flat_top(theta: FloatArray, values: FloatArray, known: Mask) -> Mask:
+    """The stretch over which a force stays at its very largest, or least, and should not."""
+    found = np.zeros(len(values), dtype=bool)
+    span, resolution = float(np.ptp(values)), _resolution(values)
+    for sign in (1.0, -1.0):
+        top = sign * values
+        at = np.flatnonzero(known & (top >= top[known].max() - 1e-9 * span))
+        if at.size < FEWEST_HELD or top[at[0]] < 0.25 * span:
+            continue
+        first, last = int(at[0]), int(at[-1])
+        if resolution < FINE * span and theta[last] - theta[first] > CRESTS_DEG:
+            # So finely resolved, readings of a rough record do not meet at the top by chance.
+            found[first : last + 1] = True
+            continue
+        if at.size < 0.5 * known[first : last + 1].sum():
+            continue
+        slopes = [
+            _slope(theta, top, known & (theta >= theta[first] - WORTH_DEG) & (theta < theta[first])),
+            -_slope(theta, top, known & (theta > theta[last]) & (theta <= theta[last] + WORTH_DEG)),
+        ]
+        # Were the force to go on rising from either side, and fall off halfway.
+        hidden = 0.25 * (theta[last] - theta[first]) * float(np.mean(slopes))
+        if min(slopes) > 0.0 and hidden > max(FLAT * span, QUANTA * resolution):
+            found[first : last + 1] = True
+    return found
+
+
+def _slope(theta: FloatArray, values: FloatArray, which: Mask) -> float:
+    """Slope of a straight line through some readings [N/deg]; 0 if they are too few."""
+    if which.sum() < 2:
+        return 0.0
+    return float(np.polyfit(theta[which], values[which], 1)[0])
+
+
+def _refuse_what_is_lost(theta: FloatArray, bad: Mask, defects: list[Defect]) -> None:
+    """Refuse a record of which too little is left."""
+    if not bad.any():
+        return
+    what = " ".join(d.sentence.replace("left out", "are damaged") for d in defects)
+    if bad.mean() > MOST_LEFT_OUT:
+        raise InputError(f"{bad.mean():.0%} of the readings are damaged: {what} Mend the record.")
+    ends = np.concatenate([[-WINDOW_DEG], theta[~bad], [WINDOW_DEG]])
+    gaps = np.diff(ends)
+    widest = int(gaps.argmax())
+    if gaps[widest] > WIDEST_GAP_DEG:
+        raise InputError(
+            f"no undamaged reading between {ends[widest]:.1f} and {ends[widest + 1]:.1f} deg, and "
+            f"gaps of up to {WIDEST_GAP_DEG:g} deg are accepted: {what}"
+        )
+
+
+def _steps(theta: FloatArray, force: FloatArray) -> list[Defect]:
+    """Where the zero of a force moved in the middle of the stroke."""
+    found = []
+    for name, values in zip(("Fx", "Fz"), force.T, strict=True):
+        spacing = float(np.median(np.diff(theta)))
+        near = max(NEAR, round(STEP_DEG / spacing))
+        # Of a record that is read every few degrees, all forces are steps.
+        if len(values) < 4 * near or spacing > COARSE_DEG:
+            continue
+        windows = np.lib.stride_tricks.sliding_window_view(values, 2 * near)
+        before, after = windows[:, :near], windows[:, near:]
+        jump = np.abs(np.median(after, axis=1) - np.median(before, axis=1))
+        rough = np.maximum(np.ptp(before, axis=1), np.ptp(after, axis=1))
+        rough = np.maximum(rough, 2.0 * QUANTA * _resolution(values) / TIMES_ROUGH)
+        step = (jump > STEP * np.ptp(values)) & (jump > TIMES_ROUGH * rough)
+        # A leg that meets or leaves the soil jumps as well, from or to nothing.
+        low = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1))
+        step &= low > LOADED * np.ptp(values)
+        # So does a force across a gap.
+        path = theta[2 * near - 1 :] - theta[: len(theta) - 2 * near + 1]
+        step &= path < 1.5 * np.median(path)
+        if step.any():
+            at = int(np.argmax(jump * step)) + near
+            where = (float(theta[at - 1]), float(theta[at]))
+            found.append(Defect("step", name, len(values) - at, where, float(jump[at - near])))
+    return found
+
+
+def _offsets(
+    history: ForceHistory, span: FloatArray, touches_deg: tuple[float, float]
+) -> list[Defect]:
+    """Where a force is not zero although the leg is in air."""
+    theta, found = history.theta_deg, []
+    force = np.stack([history.Fx, history.Fz], axis=1)
+    for air in (theta < touches_deg[0], theta > touches_deg[1]):
+        if air.sum() < NEAR:
+            continue
+        mean = force[air].mean(axis=0)
+        for axis in np.flatnonzero(np.abs(mean) > OFFSET * span):
+            where = (float(theta[air][0]), float(theta[air][-1]))
+            name, rows = ("Fx", "Fz")[int(axis)], int(air.sum())
+            found.append(Defect("offset", name, rows, where, float(mean[axis])))
+    return found

@@ -1,0 +1,151 @@
+"""Damage put into whole records is found, and whole records are left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from terraphi.errors import InputError
+from terraphi.history import ForceHistory
+from terraphi.inference.defects import inspect_record, touches_soil_deg
+from terraphi.inference.inversion import invert
+from terraphi.library import Library
+from terraphi.measurements import measurement
+
+RNG = np.random.default_rng(3)
+IN_AIR = (-88.0, 120.0)
+
+
+@pytest.fixture(scope="module", name="library")
+def _library() -> Library:
+    return Library.load("quick-plane-strain")
+
+
+def truth(every: int = 10) -> ForceHistory:
+    whole = Library.load("quick-plane-strain-truths").cases[4].history
+    assert whole is not None
+    return replace(whole, position=whole.position[::every], force=whole.force[::every])
+
+
+PHI = 33.97
+
+
+def codes(history: ForceHistory) -> list[tuple[str, str]]:
+    return [(d.code, d.force) for d in inspect_record(history, touches_deg=IN_AIR).defects]
+
+
+@pytest.mark.parametrize("medium", ["yuma", "poppy_loose", "glass03_close", "glass03_close"])
+@pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
+def test_measured_records_are_whole(library: Library, medium: str, leg: str) -> None:
+    record = measurement(f"li2013:{medium}/{leg}").history
+    inspection = inspect_record(record, touches_deg=touches_soil_deg(library, leg))
+    assert inspection.history is record
+    assert inspection.defects == ()
+
+
+@pytest.mark.parametrize("name", ["quick-plane-strain", "resolved", "rft3d"])
+@pytest.mark.parametrize("every", [1, 5, 10, 40])
+@pytest.mark.parametrize("digits", [None, 3])
+def test_simulated_records_are_whole(name: str, every: int, digits: int | None) -> None:
+    library = Library.load(name)
+    damaged = []
+    for case in library.cases:
+        assert case.history is not None
+        force = case.history.force[::every]
+        force = force if digits is None else np.round(force, digits)
+        history = replace(case.history, position=case.history.position[::every], force=force)
+        touches = touches_soil_deg(library, case.scenario.leg.shape)
+        damaged += inspect_record(history, touches_deg=touches).defects
+    # Of up to 45 records; read every 4° the coarse library's own spikes stand alone.
+    assert sum(d.rows for d in damaged) <= (4 if every == 40 else 1)
+
+
+@pytest.mark.parametrize("every", [1, 10])
+@pytest.mark.parametrize("share", [0.1, 0.2, 0.3])
+def test_dropouts_are_left_out_and_the_angle_stays(
+    library: Library, every: int, share: float
+) -> None:
+    whole = truth(every)
+    lost = RNG.random(len(whole.position)) < share
+    zeroed = replace(whole, force=np.where(lost[:, None], 0.0, whole.force))
+    inspection = inspect_record(zeroed, touches_deg=IN_AIR)
+    loaded = lost & (np.abs(whole.theta_deg) < 30.0)  # deep in the soil, whatever the threshold
+    gone = np.setdiff1d(whole.theta_deg, inspection.history.theta_deg)
+    assert np.isin(whole.theta_deg[loaded], gone).all()
+    assert {d.code for d in inspection.defects} == {"dropout"}
+    answer = invert(zeroed, library=library)
+    assert answer.data["left_out"] == sum(d.rows for d in inspection.defects) > 0
+    assert answer.phi.ci95[0] < PHI < answer.phi.ci95[1]
+    assert "exactly zero under load" in answer.verdict.reason
+
+
+def test_dropouts_of_one_force() -> None:
+    whole = truth()
+    force = whole.force.copy()
+    at = np.flatnonzero(np.abs(whole.theta_deg + 40.0) < 10.0)[::3]
+    force[at, 1] = 0.0
+    (defect,) = inspect_record(replace(whole, force=force)).defects
+    assert (defect.code, defect.force, defect.rows) == ("dropout", "Fz", len(at))
+
+
+def test_held_values_and_spikes() -> None:
+    whole = truth(1)
+    force = whole.force.copy()
+    at = int(np.searchsorted(whole.theta_deg, -40.0))
+    force[at : at + 50, 0] = force[at, 0]
+    (defect,) = inspect_record(replace(whole, force=force)).defects
+    assert (defect.code, defect.force, defect.rows) == ("held", "Fx", 49)
+    assert defect.theta_deg == pytest.approx(tuple(whole.theta_deg[[at + 1, at + 49]]))
+    force = whole.force.copy()
+    force[at, 1] *= 10.0
+    (defect,) = inspect_record(replace(whole, force=force)).defects
+    assert (defect.code, defect.force, defect.rows) == ("spike", "Fz", 1)
+
+
+@pytest.mark.parametrize("every", [1, 10])
+def test_a_clipped_top_is_left_out_if_short_and_refused_if_not(every: int) -> None:
+    whole = truth(every)
+    for share in (0.5, 0.8):
+        top = share * whole.force.max(axis=0)
+        with pytest.raises(InputError, match="a flat top at the largest force"):
+            inspect_record(replace(whole, force=np.minimum(whole.force, top)))
+    smooth = whole.means(np.radians(np.arange(-130.0, 130.0)), np.radians(3.0))
+    record = ForceHistory(np.radians(np.arange(-130.0, 130.0)), smooth)
+    assert inspect_record(record).defects == ()
+    clipped = record.force.copy()
+    clipped[:, 1] = np.minimum(clipped[:, 1], 0.9 * clipped[:, 1].max())
+    (defect,) = inspect_record(replace(record, force=clipped)).defects
+    assert (defect.code, defect.force) == ("clipped", "Fz")
+
+
+def test_an_offset_in_air_makes_a_misfit(library: Library) -> None:
+    whole = truth()
+    moved = replace(whole, force=whole.force + [0.0, 0.1 * np.ptp(whole.Fz)])
+    assert ("offset", "Fz") in codes(moved)
+    drifting = whole.force + np.linspace(0.0, 0.2, len(whole.position))[:, None] * [0.0, 20.0]
+    assert ("offset", "Fz") in codes(replace(whole, force=drifting))
+    answer = invert(moved, library=library)
+    assert answer.verdict.verdict == "misfit"
+    assert answer.verdict.reason.startswith("The record is damaged.")
+    assert "kept" in {d["treatment"] for d in answer.data["defects"]}
+
+
+def test_a_step_in_the_stroke_makes_a_misfit() -> None:
+    theta = np.arange(-90.0, 90.5, 0.5)
+    smooth = np.cos(np.radians(theta))[:, None] * [6.0, 4.0]
+    record = ForceHistory(np.radians(theta), smooth)
+    assert inspect_record(record).defects == ()
+    force = smooth + np.where(theta > 12.0, 2.5, 0.0)[:, None] * [0.0, 1.0]
+    (defect,) = inspect_record(replace(record, force=force)).defects
+    assert (defect.code, defect.force) == ("step", "Fz")
+    assert defect.theta_deg == pytest.approx((12.0, 12.5), abs=0.6)
+
+
+def test_most_of_a_record_must_be_left() -> None:
+    whole = truth()
+    force = whole.force.copy()
+    force[np.arange(len(force)) % 5 != 0] = 0.0
+    with pytest.raises(InputError, match="of the readings are damaged"):
+        inspect_record(replace(whole, force=force))

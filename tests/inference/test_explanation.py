@@ -1,0 +1,97 @@
+"""Slips are asked about where they explain a record, and a wider library where one would help."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from terraphi.history import ForceHistory
+from terraphi.inference.explanation import SLIPS, Explanation, explain
+from terraphi.inference.inversion import invert
+from terraphi.library import Library
+from terraphi.measurements import measurement
+
+THETA = np.linspace(-85.0, 85.0, 40)
+PHI = np.linspace(20.0, 40.0, 81)
+
+
+def curves(phi: np.ndarray) -> np.ndarray:
+    """Lift early and thrust late, both growing by 5 % a degree, the lift's peak moving."""
+    size = np.exp(0.05 * (phi - 30.0))[:, None]
+    fx = 4.0 * np.exp(-np.square((THETA + 10.0) / 30.0)) * np.ones_like(size)
+    fz = 6.0 * np.exp(-np.square((THETA + 45.0 + phi[:, None] - 30.0) / 25.0)) - 1.5 * (THETA > 10)
+    return size * np.hstack([fx, fz])
+
+
+def slip(question: str, forces: np.ndarray) -> np.ndarray:
+    """The record that a slip makes of the right one: the inverse of what sets it right."""
+    right = SLIPS[question](np.ones((2, 1)))
+    if question.startswith(("Are Fx", "Does theta")):
+        return SLIPS[question](forces)
+    return forces / right
+
+
+@pytest.mark.parametrize("question", SLIPS)
+def test_each_slip_is_asked_about(question: str) -> None:
+    record = slip(question, curves(np.array([31.0])).reshape(2, -1)).ravel()
+    assert explain(record, curves(PHI), PHI) == Explanation(question=question)
+
+
+@pytest.mark.parametrize(("phi", "end"), [(14.0, "low"), (17.0, "low"), (43.0, "high")])
+def test_an_angle_beyond_the_library(phi: float, end: str) -> None:
+    assert explain(curves(np.array([phi]))[0], curves(PHI), PHI) == Explanation(beyond=end)
+
+
+def test_what_nothing_explains() -> None:
+    rng = np.random.default_rng(0)
+    assert explain(curves(np.array([31.0]))[0], curves(PHI), PHI) == Explanation()
+    assert explain(rng.normal(size=80), curves(PHI), PHI) == Explanation()
+    assert explain(rng.normal(size=80).cumsum(), curves(PHI), PHI) == Explanation()
+
+
+@pytest.fixture(scope="module", name="library")
+def _library() -> Library:
+    return Library.load("quick-plane-strain")
+
+
+def records() -> dict[str, ForceHistory]:
+    whole = Library.load("quick-plane-strain-truths").cases[4].history
+    assert whole is not None
+    bare = replace(whole, provenance={})
+    rng, force = np.random.default_rng(1), whole.force
+    return {
+        "exchanged": replace(bare, force=force[:, ::-1]),
+        "pounds-force": replace(bare, force=force / 4.448),
+        "kilonewtons": replace(bare, force=force / 1000.0),
+        "backwards": replace(bare, force=force[::-1], position=-bare.position[::-1]),
+        "sign of Fz": replace(bare, force=force * [1.0, -1.0]),
+        "times four": replace(bare, position=4.0 * bare.position),
+        "walk": replace(bare, force=0.2 * rng.normal(size=force.shape).cumsum(axis=0)),
+        "noise": replace(bare, force=3.0 * rng.normal(size=force.shape)),
+    }
+
+
+@pytest.mark.parametrize("likelihood", ["calibrated", "paper"])
+@pytest.mark.parametrize("name", records())
+def test_a_wrong_record_is_a_misfit_and_not_out_of_range(
+    library: Library, name: str, likelihood: str
+) -> None:
+    answer = invert(records()[name], library=library, likelihood=likelihood)
+    assert answer.verdict.verdict == "misfit"
+    assert answer.verdict.edge is None
+    asked = [question for question in SLIPS if question in answer.verdict.reason]
+    assert all(name in question for question in asked)
+    assert bool(asked) == (name not in {"times four", "walk", "noise"})
+    if likelihood == "calibrated":
+        assert answer.phi.ci95[1] - answer.phi.ci95[0] > 1.0
+
+
+@pytest.mark.parametrize("medium", ["yuma", "poppy_loose", "glass03_close"])
+@pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
+def test_nobody_is_asked_about_a_right_record(library: Library, medium: str, leg: str) -> None:
+    record = measurement(f"li2013:{medium}/{leg}").history
+    answer = invert(record, library=library, leg=leg)
+    assert not any(question in answer.verdict.reason for question in SLIPS)
+    assert answer.verdict.verdict == "misfit"

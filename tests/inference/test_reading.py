@@ -1,0 +1,84 @@
+"""What readings leave open: against errors of records that were read at every phase."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from terraphi.history import ForceHistory
+from terraphi.inference.inversion import invert
+from terraphi.inference.library import prepare
+from terraphi.inference.reading import learn_reading, nothing_open, reading_errors
+from terraphi.library import Library
+
+RIPPLE = 1.25
+"""Period of a made-up ripple [deg]."""
+
+
+def rippled(phase: float = 0.0) -> ForceHistory:
+    theta = np.arange(-100.0, 100.05, 0.1)
+    smooth = np.cos(np.radians(theta))
+    ripple = 0.05 * np.sin(2.0 * np.pi * (theta / RIPPLE + phase))
+    return ForceHistory(np.radians(theta), np.stack([4.0 * smooth, 6.0 * (smooth + ripple)], axis=1))
+
+
+def test_errors_are_those_of_the_ripple_at_all_phases() -> None:
+    """Readings as far apart as the period of a ripple meet it at one phase."""
+    readings = np.radians(np.arange(-95.0, 95.1, RIPPLE))
+    about, around = reading_errors(rippled(), readings)
+    lift = about[:, 40:]
+    # Point readings show amplitude times sine of the phase; means over 1 of 1.25° keep a part.
+    kept = np.sin(np.pi / RIPPLE) / (np.pi / RIPPLE)
+    expected = (1.0 - kept) * 6.0 * 0.05 / np.sqrt(2.0)
+    assert np.sqrt(np.mean(np.square(lift[:, 2:-2]))) == pytest.approx(expected, rel=0.15)
+    assert np.ptp(lift.mean(axis=1)) > expected  # all windows together, up and down
+    assert np.abs(about[:, :40]).max() < 0.01 * expected
+    assert np.abs(around).max() < 6.0 * 0.05
+
+
+def test_a_dense_record_leaves_nothing_open() -> None:
+    library = Library.load("rft3d")
+    own = library.cases[0].history
+    assert own is not None
+    found = learn_reading(library, "straight", own.position)
+    assert not found.moment.any()
+    assert not nothing_open(4).covariance(np.array([30.0]), np.ones((1, 4))).any()
+    prepared = prepare(library, "straight", readings=own.position)
+    assert prepared.read_for(prepared.mean[3]) is prepared
+
+
+def test_covariance_grows_with_the_spacing_and_with_the_force() -> None:
+    library = Library.load("quick-plane-strain")
+    sizes = []
+    for degrees in (0.2, 1.0, 2.0):
+        readings = np.radians(np.arange(-95.0, 95.0, degrees))
+        prepared = prepare(library, "straight", readings=readings)
+        weak, strong = (prepared.read_for(prepared.mean[i]).opened for i in (20, 250))
+        assert np.linalg.eigvalsh(strong).min() > -1e-12 * np.trace(strong)
+        assert np.trace(strong) > 4.0 * np.trace(weak)
+        sizes.append(np.trace(weak))
+    assert sizes[0] < 0.1 * sizes[1] < sizes[2]
+
+
+@pytest.mark.parametrize("every", [10, 20])
+def test_intervals_hold_the_truth_at_every_phase(every: int) -> None:
+    """Without the covariance of the readings 95 % intervals held 30 to 40 % of these truths."""
+    library = Library.load("quick-plane-strain")
+    inside, consistent = [], []
+    for case in Library.load("quick-plane-strain-fourteen").cases[1:14:4]:
+        truth = case.scenario.soil.friction_angle_deg
+        assert case.history is not None
+        for phase in range(0, every, every // 5):
+            whole = case.history
+            record = replace(
+                whole, position=whole.position[phase::every], force=whole.force[phase::every]
+            )
+            answer = invert(record, library=library)
+            inside.append(answer.phi.ci95[0] <= truth <= answer.phi.ci95[1])
+            consistent.append(answer.verdict.verdict == "consistent")
+            assert answer.budget is not None
+            assert answer.budget.shares["readings"] > 0.1
+    assert np.mean(inside) > 0.8
+    assert np.mean(consistent) > 0.8
