@@ -17,6 +17,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "terraphi"
 ROOMS = [
     "errors",
     "files",
+    "force_table",
     "vtk",
     "documents",
     "soil",

@@ -34,7 +34,27 @@ UNUSABLE = 2
 DEMO_SOURCES = ("li2013:yuma/straight", "li2013:glass03_close/straight")
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+class Commands(click.Group):
+    """All commands; an empty word is refused before one of them takes it for a folder or a name."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """The words that are left for a command."""
+        before = ""
+        for word in args:
+            name, given, value = word.partition("=")
+            if not word.strip():
+                name = before if before.startswith("-") else "an argument"
+            elif not (given and not value.strip() and word.startswith("--")):
+                before = word
+                continue
+            raise click.UsageError(f"{name} is empty; give it a value, or leave it out")
+        return super().parse_args(ctx, args)
+
+
+@click.group(
+    cls=Commands,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(package_name="terraphi")
 def cli() -> None:
     """Friction angle of soil, with its uncertainty, from the forces on a leg that moved through it.

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 from terraphi.app.work import JOB, PAGE, REFUSED
 from terraphi.choices import offered, offered_legs
 from terraphi.errors import InputError
+from terraphi.files import plain_number
 from terraphi.report.page import asset, template
 
 if TYPE_CHECKING:
@@ -232,7 +233,7 @@ def _number(query: dict[str, str], key: str, unit: str) -> float | None:
     if not query.get(key):
         return None
     try:
-        return float(query[key])
+        return plain_number(query[key])
     except ValueError:
         raise RefusedError(400, f"{key}: a number in {unit} is expected") from None
 

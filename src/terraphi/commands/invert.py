@@ -9,8 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from terraphi.commands import completed, json_option, leg_names, library_names
-from terraphi.console import as_text, print_inversion, print_joint_inversion, print_json
+from terraphi.commands import Float, IntRange, completed, json_option, leg_names, library_names
+from terraphi.console import (
+    as_text,
+    print_inversion,
+    print_joint_inversion,
+    print_json,
+    warnings_shown,
+)
 from terraphi.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,7 +43,7 @@ ALL_FIGURES = ("figure.png", "corner.png")
     help="Shape of the leg: straight, c, reversed_c or plate; once for all, or once each.",
     shell_complete=leg_names,
 )
-@click.option("--density", type=float, help="Bulk density of the soil [kg/m³].")
+@click.option("--density", type=Float(), help="Bulk density of the soil [kg/m³].")
 @click.option(
     "--library",
     default=DEFAULT_LIBRARY,
@@ -67,9 +73,7 @@ ALL_FIGURES = ("figure.png", "corner.png")
     "--sampler",
     help=f"quadrature (exact, φ alone) or emcee.  [default: {DEFAULT_SAMPLER}; emcee if joint]",
 )
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of emcee."
-)
+@click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of emcee.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -103,7 +107,8 @@ def invert(
     from terraphi.library import Library
     from terraphi.measurements import open_forces
 
-    measured = [open_forces(source) for source in forces]
+    with warnings_shown():
+        measured = [open_forces(source) for source in forces]
     shapes = legs_of(legs, measured)
     chosen = Library.load(library)
     joint = len(measured) > 1 or bool(prior) or is_of_several(chosen)

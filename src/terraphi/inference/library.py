@@ -8,6 +8,7 @@ the library's own force unit; an inversion divides by the ratio of densities ins
 from __future__ import annotations
 
 import functools
+import hashlib
 import weakref
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -36,7 +37,9 @@ STEP_DEG = 0.05
 ENOUGH = 2
 """Readings in every window from which on a mean scatters as that over the whole window."""
 REMEMBERED = 8
-"""Prepared legs that are kept, and decompositions of each."""
+"""Prepared legs that are kept, each some 30 MB."""
+DECOMPOSED = 3
+"""Decompositions that are kept, each some 100 MB: records with other readings need other ones."""
 
 
 class Spectrum(NamedTuple):
@@ -78,7 +81,6 @@ class PreparedLeg:
     mean: FloatArray = field(repr=False)
     covariance: FloatArray = field(repr=False)
     scatter: FloatArray = field(repr=False)
-    _spectra: OrderedDict[bytes, Spectra] = field(default_factory=OrderedDict, repr=False)
 
     @classmethod
     def of(cls, surrogate: JointSurrogate, curves: Curves) -> PreparedLeg:
@@ -105,11 +107,12 @@ class PreparedLeg:
         shape
             W, the noise covariance of unit size [-], positive definite, [2 theta, 2 theta].
         """
-        key = np.round(shape, 9).tobytes()
-        if key not in self._spectra:
-            self._spectra[key] = Spectra(self, shape)
-        _forget_oldest(self._spectra)
-        return self._spectra[key]
+        # A leg stays, and its identity with it, for as long as its decompositions do.
+        key = (id(self), np.round(shape, 9).tobytes())
+        found = _SPECTRA.pop(key, None) or Spectra(self, shape)
+        _SPECTRA[key] = found
+        _forget_oldest(_SPECTRA, DECOMPOSED)
+        return found
 
 
 class Spectra:
@@ -172,6 +175,7 @@ def _threads() -> ThreadpoolController:
 
 _Key = tuple[int, str, bytes]
 _KNOWN: OrderedDict[_Key, tuple[weakref.ref[Library], PreparedLeg]] = OrderedDict()
+_SPECTRA: OrderedDict[tuple[int, bytes], Spectra] = OrderedDict()
 
 
 def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -> PreparedLeg:
@@ -198,7 +202,7 @@ def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -
     curves = library.curves(leg, readings=readings)
     prepared = PreparedLeg.of(surrogate_of(library, leg, curves, readings=readings), curves)
     _KNOWN[key] = (weakref.ref(library), prepared)
-    _forget_oldest(_KNOWN)
+    _forget_oldest(_KNOWN, REMEMBERED)
     return prepared
 
 
@@ -206,7 +210,8 @@ def _sampling(readings: FloatArray | None) -> bytes:
     """What tells how curves are seen; records that are read densely differ by their ends alone."""
     if readings is None:
         return b""
-    return np.round(readings[[0, -1]] if is_dense(readings) else readings, 9).tobytes()
+    told = np.round(readings[[0, -1]] if is_dense(readings) else readings, 9)
+    return hashlib.sha256(told.tobytes()).digest()
 
 
 def surrogate_of(
@@ -269,6 +274,6 @@ def _means(
     return means, repeats
 
 
-def _forget_oldest(kept: OrderedDict[Any, Any]) -> None:
-    while len(kept) > REMEMBERED:
+def _forget_oldest(kept: OrderedDict[Any, Any], most: int) -> None:
+    while len(kept) > most:
         kept.popitem(last=False)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from terraphi.documents import shipped_names
 from terraphi.errors import InputError
-from terraphi.files import CSV_COLUMNS, column_names
+from terraphi.force_table import CSV_COLUMNS, column_names
 from terraphi.report import page
 from terraphi.report.parts import Section
 
