@@ -347,3 +347,39 @@ def test_no_words_show_the_help(words: list[str], monkeypatch, capsys) -> None:
     assert out.startswith("Usage: terraphi")
     assert "Example:" in out
     assert not err
+
+
+WAITING_BUILD = """
+import importlib, pathlib, time
+from terraphi.plan import Plan
+building = importlib.import_module("terraphi.build")
+simulate = building.simulate
+def waiting(*args, **options):
+    while not pathlib.Path("go").exists():
+        time.sleep(0.02)
+    return simulate(*args, **options)
+building.simulate = waiting
+building.build(Plan.load("p.toml"), "l.nc")
+"""
+
+
+def test_a_second_build_is_refused_and_the_first_one_ends_well(tmp_path: Path) -> None:
+    (tmp_path / "p.toml").write_text(PLAN)
+    started = {"cwd": tmp_path, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    first = subprocess.Popen([sys.executable, "-c", WAITING_BUILD], **started)
+    kept = tmp_path / "l.nc.cases"
+    try:
+        while not kept.is_dir() and first.poll() is None:
+            time.sleep(0.02)
+        build = ("library", "build", "p.toml", "--out", "l.nc", "--workers", "1")
+        second = subprocess.Popen([sys.executable, "-m", "terraphi.cli", *build], **started)
+        said = second.communicate(timeout=120)
+        assert_refused((second.returncode, *said), "another build is at work here; wait for it")
+        assert len(said[1].splitlines()) == 1
+        assert list(kept.iterdir()) == []  # there, although nothing is in it yet
+        (tmp_path / "go").touch()
+        said = first.communicate(timeout=120)
+    finally:
+        first.kill()
+    assert (first.returncode, said) == (0, ("", ""))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["go", "l.nc", "p.toml"]

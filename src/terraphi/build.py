@@ -15,7 +15,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -82,14 +82,19 @@ def cases_folder(path: Path) -> Path:
 
 
 def kept_cases(path: Path) -> Path | None:
-    """Folder with what is left of a build that has ended; ``None``, and removed, if empty."""
+    """Folder with what is left of a build that has ended; ``None``, and removed, if empty.
+
+    That of another build which is at work is left alone, empty or not.
+    """
     folder = cases_folder(path)
-    _remove_if_empty(folder)
+    if folder.is_dir():
+        with suppress(InputError), held(folder):
+            _remove_if_empty(folder)
     return folder if folder.is_dir() else None
 
 
 def _remove_if_empty(folder: Path) -> None:
-    """Remove a folder in which nothing was kept."""
+    """Remove a folder in which nothing was kept; for whoever holds it."""
     if folder.is_dir() and not any(folder.iterdir()):
         folder.rmdir()
 
@@ -155,7 +160,7 @@ def build(
         for file in set(folder.iterdir()) if folder.is_dir() else ():
             if file.stem not in failures:
                 file.unlink(missing_ok=True)
-    kept_cases(path)
+        _remove_if_empty(folder)
     return library
 
 
@@ -186,8 +191,23 @@ def held(folder: Path) -> Iterator[None]:
     InputError
         If another holds it, or it cannot be made.
     """
+    handle = _locked(folder)
+    while not _is_at(folder, handle):  # another build removed it as it ended
+        os.close(handle)
+        handle = _locked(folder)
+    try:
+        yield
+    finally:
+        os.close(handle)
+
+
+def _locked(folder: Path) -> int:
+    """A lock on a folder, which is made if it is not there; ends with the handle."""
     made_folder(folder)
-    handle = os.open(folder, os.O_RDONLY)
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except FileNotFoundError:
+        return _locked(folder)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -197,10 +217,15 @@ def held(folder: Path) -> Iterator[None]:
         ) from error
     except OSError as error:  # a file system without locks
         log.info("%s cannot be locked (%s); let no other build use it", folder, error)
+    return handle
+
+
+def _is_at(folder: Path, handle: int) -> bool:
+    """Whether an open folder is still the one of its name."""
     try:
-        yield
-    finally:
-        os.close(handle)
+        return os.path.samestat(folder.stat(), os.fstat(handle))
+    except FileNotFoundError:
+        return False
 
 
 def simulate_cases(
