@@ -18,6 +18,8 @@ ROOMS = [
     "errors",
     "files",
     "force_table",
+    "outputs",
+    "holding",
     "vtk",
     "documents",
     "soil",

@@ -81,7 +81,11 @@ def test_an_option_of_no_study_is_refused(option: tuple[str, ...], terraphi: Ter
 def test_study_says_what_it_wrote(terraphi: Terraphi, tmp_path: Path) -> None:
     ran = terraphi("study", "k0", "--library", "quick-k0", "--out", str(tmp_path / "k0"))
     assert ran.out.splitlines()[-1] == f"Written: {tmp_path}/k0/data.json, k0.png"
-    assert {path.name for path in (tmp_path / "k0").iterdir()} == {"data.json", "k0.png"}
+    assert {path.name for path in (tmp_path / "k0").iterdir()} == {
+        "data.json",
+        "k0.png",
+        "manifest.json",
+    }
 
 
 def test_invert_prints_the_answer_as_json(terraphi: Terraphi) -> None:
@@ -111,6 +115,7 @@ def test_invert_writes_answer_posterior_and_figure(
         "answer.json",
         "posterior.nc",
         "figure.png",
+        "manifest.json",
     }
     answer = json.loads((tmp_path / "o" / "answer.json").read_text())
     shipped = terraphi("invert", "li2013:poppy_loose/straight", "--library", "rft3d", "--json")

@@ -14,7 +14,7 @@ from terraphi.commands import json_option, shipped
 from terraphi.commands.app import app
 from terraphi.commands.calibrate import library_calibrate
 from terraphi.commands.doctor import doctor
-from terraphi.commands.invert import DEFAULT_LIBRARY, invert, save_inversion
+from terraphi.commands.invert import DEFAULT_LIBRARY, MADE, invert, save_inversion
 from terraphi.commands.keys import keys
 from terraphi.commands.library import library
 from terraphi.commands.report import report
@@ -31,6 +31,7 @@ from terraphi.errors import InputError, SimulationError
 
 UNUSABLE = 2
 """Exit status when the input could not be used."""
+DEMO_FIGURE = "demo.png"
 DEMO_SOURCES = ("li2013:yuma/straight", "li2013:glass03_close/straight")
 
 
@@ -78,11 +79,16 @@ def demo(out: Path, as_json: bool) -> None:
     Example: terraphi demo
     """
     from terraphi import plots
-    from terraphi.files import folder
     from terraphi.inference.inversion import invert as run
     from terraphi.library import Library
     from terraphi.measurements import open_forces
+    from terraphi.outputs import check_folder, filling
 
+    names = [source.partition(":")[2].replace("/", "-") for source in DEMO_SOURCES]
+    answers = [out.joinpath(name) for name in names]
+    check_folder(out, names=[DEMO_FIGURE])
+    for place in answers:
+        check_folder(place, names=MADE)
     library = Library.load(DEFAULT_LIBRARY)
     found = []
     for source in DEMO_SOURCES:
@@ -97,10 +103,9 @@ def demo(out: Path, as_json: bool) -> None:
                 source=source,
             )
         )
-    picture = folder(out) / "demo.png"
-    plots.save(plots.inversions_figure(found), picture)
-    names = [source.partition(":")[2].replace("/", "-") for source in DEMO_SOURCES]
-    answers = [folder(out.joinpath(name)) for name in names]
+    with filling(out, last=DEMO_FIGURE) as made:
+        plots.save(plots.inversions_figure(found), made.joinpath(DEMO_FIGURE))
+    picture = out.joinpath(DEMO_FIGURE)
     for inversion, place in zip(found, answers, strict=True):
         save_inversion(inversion, place)
     if as_json:
@@ -168,13 +173,15 @@ def forces(
     Example: terraphi forces walk.mcap --out forces.nc
     """
     from terraphi import plots
-    from terraphi.files import folder, writable
+    from terraphi.outputs import check_file, check_folder, filling
     from terraphi.robot import plots as pictures
     from terraphi.robot.results import analyse
-    from terraphi.robot.results_file import write_forces
+    from terraphi.robot.results_file import KIND, write_forces
 
     if out is not None:
-        writable(out)
+        check_file(out, kind=KIND)
+    if figures is not None:
+        check_folder(figures, names=["forces.png", "stance.png"])
     names = joint_names and [name.strip() for name in joint_names.split(",")]
     found = analyse(
         log,
@@ -187,9 +194,9 @@ def forces(
     if out is not None:
         write_forces(found, out)
     if figures is not None:
-        place = folder(figures)
-        plots.save(pictures.forces_figure(found), place / "forces.png")
-        plots.save(pictures.stance_figure(found), place / "stance.png")
+        with filling(figures, last="stance.png") as made:
+            plots.save(pictures.forces_figure(found), made / "forces.png")
+            plots.save(pictures.stance_figure(found), made / "stance.png")
     if as_json:
         print_json(found.summary())
         return

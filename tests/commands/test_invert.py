@@ -72,7 +72,7 @@ def test_several_histories_are_one_data_set(terraphi, histories, tmp_path) -> No
     assert answer["likelihood"] == "joint"
     assert set(answer["expected_sd"]) == {"straight", "c", "all"}
     made = {path.name for path in (tmp_path / "answer").iterdir()}
-    assert made == {"answer.json", "posterior.nc", "figure.png", "corner.png"}
+    assert made == {"answer.json", "posterior.nc", "figure.png", "corner.png", "manifest.json"}
     assert json.loads((tmp_path / "answer" / "answer.json").read_text()) == answer
     assert "posterior" in arviz.from_netcdf(tmp_path / "answer" / "posterior.nc")
 
@@ -80,9 +80,11 @@ def test_several_histories_are_one_data_set(terraphi, histories, tmp_path) -> No
 def test_an_answer_takes_the_place_of_another_kind_and_is_utf8(
     terraphi, histories, tmp_path, monkeypatch
 ) -> None:
-    (tmp_path / "answer").mkdir()
-    for name in ("corner.png", "mine.txt"):
-        (tmp_path / "answer" / name).write_text("old")
+    joint = ("a.csv", "c.csv", "--leg", "straight", "--leg", "c")
+    ran = terraphi("invert", *joint, "--library", "rft3d", "--out", "answer")
+    assert ran.status == 0, ran.err
+    assert (tmp_path / "answer" / "corner.png").exists()
+    (tmp_path / "answer" / "mine.txt").write_text("old")
     written = []
     write = Path.write_text
 
@@ -95,7 +97,7 @@ def test_an_answer_takes_the_place_of_another_kind_and_is_utf8(
     ran = terraphi("invert", "a.csv", "--library", "rft3d", "--out", "answer")
     assert ran.status == 0, ran.err
     made = {path.name for path in (tmp_path / "answer").iterdir()}
-    assert made == {"answer.json", "posterior.nc", "figure.png", "mine.txt"}
+    assert made == {"answer.json", "posterior.nc", "figure.png", "manifest.json", "mine.txt"}
     answer = (tmp_path / "answer" / "answer.json").read_bytes().decode("utf-8")
     assert json.loads(answer)["library"] == "rft3d"
     assert (".json", "utf-8") in written

@@ -25,11 +25,11 @@ def library_calibrate(
 
     Example: terraphi library calibrate mine.nc --replicates seeds.nc --out calibrated.nc
     """
-    from terraphi.files import writable
     from terraphi.inference.certificate import certified
     from terraphi.library import Library
+    from terraphi.outputs import check_file
 
-    writable(out)
+    check_file(out, kind="library")
     others = Library.load(replicates) if replicates else None
     with progress_bar("checking") as report:
         made = certified(Library.load(name), others, seed=seed, progress=report)

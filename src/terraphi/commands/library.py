@@ -59,9 +59,14 @@ def library_build(
     """
     from terraphi.build import build, kept_cases
     from terraphi.cluster import pool
+    from terraphi.files import makeable
+    from terraphi.outputs import check_file
     from terraphi.plan import Plan
 
     chosen = Plan.load(plan)
+    if out.exists():
+        check_file(out, kind="library")
+    makeable(out.parent)
     compiles = cluster is None and any(case.model == "mpm" for case in chosen.cases())
     try:
         with (

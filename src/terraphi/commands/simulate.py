@@ -65,15 +65,18 @@ def simulate(
     Example: terraphi simulate quick --out quick.nc
     """
     from terraphi.files import writable
+    from terraphi.outputs import check_file
     from terraphi.plausibility import doubts
     from terraphi.scenario import Scenario
 
     chosen = Scenario.load(scenario)
     if out is not None and out.suffix != ".nc":
         raise InputError(f"{out}: a history is written as NetCDF; name it {out.stem}.nc")
-    for file in (out, animate, checkpoint):
+    for file, kind in ((out, "force history"), (animate, "")):
         if file is not None:
-            writable(file)
+            check_file(file, kind=kind)
+    if checkpoint is not None:
+        writable(checkpoint)
     if animate is not None:
         from terraphi.animation import check_animation
 
