@@ -250,12 +250,100 @@ def test_unusable_words(args: tuple[str, ...], words: tuple[str, ...], terraphi,
         ("[numerics]\ntime_step = 1e-3", ("time_step = 0.001", "CFL limit of 1.65e-05 s")),
         ("[motion]\nhip = [0.05, 0.19]", ("leaves the domain",)),
         ("soil = = 1", ("not valid TOML", "line 1")),
+        ("a = " + "[" * 5000 + "]" * 5000, ("nested hundreds deep",)),
+        (".".join(["a"] * 3000) + " = 1", ("nested hundreds deep",)),
+        (".".join(["a"] * 300) + " = 1", ("nested hundreds deep",)),
+        ("a = 1" + "0" * 5000, ("not valid TOML", "4300 digits")),
+        ("[motion]\nstop_deg = 1e308", ("motion.stop_deg = 1e+308 is out of all proportion",)),
+        ("[motion]\nstop_deg = 1e13", ("ask for 1e+14 samples; at most 1e+06",)),
+        ("[motion]\nrate = 1e-300", ("motion.rate = 1e-300 is out of all proportion",)),
+        ("[numerics]\ntime_step = 1e-14", ("steps; at most 1e+11",)),
+        ("[numerics]\nremap_interval = 1e308", ("numerics.remap_interval = 1e+308",)),
+        ('model = "rft"\n[rft]\npanels = 10000000000000', ("rft.panels", "100000")),
     ],
 )
 def test_unusable_scenarios(toml: str, words: tuple[str, ...], terraphi, tmp_path) -> None:
     (tmp_path / "s.toml").write_text(toml)
     assert_refused(terraphi("simulate", "s.toml", "--out", "h.nc"), "s.toml", *words)
     assert [p.name for p in tmp_path.iterdir()] == ["s.toml"]
+
+
+class OurMistakeError(Exception):
+    """Nobody expects it."""
+
+
+def test_an_error_of_ours_is_one_sentence_and_its_traceback_is_in_the_log(
+    terraphi: Terraphi, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def mistaken(*_: object, **__: object) -> None:
+        raise OurMistakeError("two\nlines")
+
+    monkeypatch.setattr("terraphi.scenario.Scenario.load", mistaken)
+    ran = terraphi("simulate", "quick")
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err == (
+        "terraphi: an error of terraphi itself (OurMistakeError: two lines); please report it with "
+        "the command that you ran and what it prints as 'terraphi -v ...'\n"
+    )
+    assert "in mistaken" in caplog.text
+
+
+def test_the_traceback_is_printed_when_asked_for(tmp_path: Path) -> None:
+    code = (
+        "import sys, terraphi.scenario, terraphi.cli; "
+        "terraphi.scenario.Scenario.load = lambda name: 1 / 0; "
+        "sys.argv = ['terraphi', *sys.argv[1:], 'simulate', 'quick']; terraphi.cli.main()"
+    )
+    for words, tracebacks in ((["-v"], 1), ([], 0)):
+        done = subprocess.run(
+            [sys.executable, "-c", code, *words], capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stdout) == (1, "")
+        assert done.stderr.count("Traceback") == tracebacks
+        assert "(ZeroDivisionError: division by zero); please report it" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "words"),
+    [
+        (MemoryError("Unable to allocate 9 TiB"), 2, "more memory than there is (Unable to alloc"),
+        (ModuleNotFoundError("No module named 'h5netcdf'"), 1, "'h5netcdf'; install terraphi"),
+    ],
+)
+def test_what_a_machine_lacks_is_one_sentence(
+    error: Exception, status: int, words: str, terraphi: Terraphi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lacking(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("terraphi.scenario.Scenario.load", lacking)
+    ran = terraphi("simulate", "quick")
+    assert (ran.status, ran.out) == (status, "")
+    assert words in ran.err
+    assert ran.err.count("\n") == 1
+
+
+def test_documents_from_pipes_and_what_cannot_come_from_one(tmp_path: Path) -> None:
+    scenario = b'model = "rft"\ndimensions = 3\n'
+    command = [sys.executable, "-m", "terraphi.cli"]
+    done = subprocess.run(
+        [*command, "simulate", "-", "--json"], input=scenario, capture_output=True, check=True
+    )
+    assert json.loads(done.stdout)["samples"] == 2700
+    os.mkfifo(tmp_path / "pipe")
+    for words in (
+        ("invert", "li2013:yuma/c", "--library", "pipe"),
+        ("forces", "pipe"),
+        ("report", "pipe", "--out", "r.html"),
+    ):
+        refused = subprocess.run(
+            [*command, *words], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert_refused(
+            (refused.returncode, refused.stdout, refused.stderr),
+            "pipe: a pipe",
+            "save it to a file",
+        )
 
 
 def test_library_files_that_are_not_whole(terraphi: Terraphi, tmp_path) -> None:

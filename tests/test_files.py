@@ -195,6 +195,31 @@ def test_a_netcdf_of_somebody_else_of_another_kind_or_schema(tmp_path: Path) -> 
     assert "schema version four" in netcdf_refusal(file)
 
 
+@pytest.mark.parametrize("error", [ImportError("no h5netcdf"), MemoryError(), AttributeError("?")])
+def test_what_is_no_damage_is_not_called_that(
+    tmp_path: Path, error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "x.nc"
+    write_netcdf(dataset(), file)
+
+    def fails(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(xr, "open_dataset", fails)
+    with pytest.raises(type(error)):
+        open_netcdf(file, kind="thing", schema=3)
+
+
+def test_a_package_that_is_missing_is_not_called_damage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "x.nc"
+    write_netcdf(dataset(), file)
+    monkeypatch.setitem(sys.modules, "h5netcdf", None)
+    with pytest.raises(ImportError, match="h5netcdf"):
+        open_netcdf(file, kind="thing", schema=3)
+
+
 def test_a_missing_netcdf(tmp_path: Path) -> None:
     assert "no such file" in netcdf_refusal(tmp_path / "absent.nc")
     assert "no such file" in netcdf_refusal(tmp_path)

@@ -26,11 +26,15 @@ from terraphi.console import (
     print_forces,
     print_inversion,
     print_json,
+    show_log,
 )
 from terraphi.errors import InputError, SimulationError
 
 UNUSABLE = 2
 """Exit status when the input could not be used."""
+OURS = 1
+"""Exit status when something is wrong with the program."""
+log = logging.getLogger("terraphi")
 DEMO_FIGURE = "demo.png"
 DEMO_SOURCES = ("li2013:yuma/straight", "li2013:glass03_close/straight")
 
@@ -57,11 +61,16 @@ class Commands(click.Group):
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(package_name="terraphi")
-def cli() -> None:
+@click.option(
+    "-v", "--verbose", is_flag=True, help="Print the log, and the traceback of an error of ours."
+)
+def cli(verbose: bool) -> None:
     """Friction angle of soil, with its uncertainty, from the forces on a leg that moved through it.
 
     Example: terraphi invert li2013:yuma/straight
     """
+    if verbose:
+        show_log()
 
 
 @cli.command()
@@ -204,12 +213,15 @@ def forces(
 
 
 def main() -> None:
-    """Run the command line; every expected failure is one sentence and exit status 2."""
+    """Run the command line; every expected failure is one sentence and exit status 2.
+
+    An error of the program itself is one sentence too, with status 1; its traceback is in the log.
+    """
     for stream in (sys.stdout, sys.stderr):
         # An angle in the wrong letters beats no angle on a terminal that lacks φ.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    logging.getLogger("terraphi").addHandler(logging.NullHandler())
+    log.addHandler(logging.NullHandler())
     try:
         cli.main(prog_name="terraphi", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as asked:
@@ -227,6 +239,26 @@ def main() -> None:
     except OSError as error:
         click.echo(f"terraphi: the system refused ({error}); nothing more was written", err=True)
         sys.exit(UNUSABLE)
+    except MemoryError as error:
+        why = f" ({error})" if str(error) else ""
+        click.echo(
+            f"terraphi: this needs more memory than there is{why}; give less, or ask for a coarser "
+            "grid",
+            err=True,
+        )
+        sys.exit(UNUSABLE)
+    except ImportError as error:
+        click.echo(f"terraphi: {error}; install terraphi and its packages again", err=True)
+        sys.exit(OURS)
+    except Exception as error:
+        log.exception("an error of terraphi itself")
+        what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        click.echo(
+            f"terraphi: an error of terraphi itself ({what}); please report it with the command "
+            "that you ran and what it prints as 'terraphi -v ...'",
+            err=True,
+        )
+        sys.exit(OURS)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import io
 import os
 import sys
 import tempfile
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +18,9 @@ from numpy.typing import NDArray
 from terraphi.errors import InputError
 
 FloatArray = NDArray[np.float64]
+
+DAMAGE = (EOFError, LookupError, OSError, RuntimeError, ValueError)
+"""What the HDF5 stack raises on a damaged file."""
 
 
 @contextmanager
@@ -176,6 +180,45 @@ def folder(path: Path) -> Path:
     return path
 
 
+@contextmanager
+def damage_told(sentence: str, *more: type[Exception]) -> Iterator[None]:
+    """Say so where a NetCDF is damaged.
+
+    Parameters
+    ----------
+    sentence
+        What to say.
+    *more
+        What is raised besides, where a file is of ours by its looks, and its content is not.
+
+    Raises
+    ------
+    InputError
+        For whatever the HDF5 stack raises on damage. That a package is missing, or memory, is none,
+        and nor is a mistake of ours.
+    """
+    import h5netcdf  # noqa: F401 - xarray would say that it does not know the format
+
+    kinds: tuple[type[Exception], ...] = (*DAMAGE, *more)
+    try:
+        yield
+    except InputError:
+        raise
+    except kinds as error:
+        _forget(error)
+        raise InputError(sentence) from error
+
+
+def _forget(error: Exception) -> None:
+    """Close what an error has left open, now, and without the remarks that h5netcdf then makes."""
+    before = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        traceback.clear_frames(error.__traceback__)
+    finally:
+        sys.unraisablehook = before
+
+
 def open_netcdf(path: Path, *, kind: str, schema: int) -> Any:
     """Load a NetCDF of ours into memory, or say in one sentence why it cannot be.
 
@@ -200,14 +243,9 @@ def open_netcdf(path: Path, *, kind: str, schema: int) -> Any:
     import xarray as xr
 
     check_is_file(path)
-    try:
-        with xr.open_dataset(path, engine="h5netcdf") as opened:
-            dataset = opened.load()
-    except Exception as error:  # the HDF5 stack raises OSError, KeyError, ValueError and more
-        raise InputError(
-            f"{path}: not a whole NetCDF file (truncated, or of another format); build or "
-            "copy it again"
-        ) from error
+    why = "not a whole NetCDF file (truncated, or of another format); build or copy it again"
+    with damage_told(f"{path}: {why}"), xr.open_dataset(path, engine="h5netcdf") as opened:
+        dataset = opened.load()
     if dataset.attrs.get("terraphi_file") != kind:
         raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi")
     found = dataset.attrs.get("terraphi_schema")
