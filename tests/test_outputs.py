@@ -15,7 +15,7 @@ from terraphi.outputs import MANIFEST, check_file, check_folder, filling
 
 
 def fill(place: Path, **content: str) -> None:
-    with filling(place, last="z.txt") as made:
+    with filling(place, kind="test", last="z.txt") as made:
         for name, text in content.items():
             (made / f"{name}.txt").write_text(text)
 
@@ -36,7 +36,7 @@ def test_a_folder_of_ours_is_filled_anew(tmp_path: Path) -> None:
 
 
 def test_an_empty_folder_is_taken(tmp_path: Path) -> None:
-    check_folder(tmp_path)
+    check_folder(tmp_path, kind="test")
     fill(tmp_path, a="1")
     assert contents(tmp_path) == {"a.txt": "1"}
 
@@ -46,17 +46,23 @@ def test_a_folder_of_others_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds what terraphi did not write, such as 'a\.txt'"):
         fill(tmp_path, a="1")
     assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
-    check_folder(tmp_path, besides=["a.txt"])
+    check_folder(tmp_path, kind="test", besides=["a.txt"])
     (tmp_path / MANIFEST).write_text('{"name": "an extension of a browser"}')
     with pytest.raises(InputError, match="did not write"):
-        check_folder(tmp_path)
+        check_folder(tmp_path, kind="test")
+
+
+def test_results_of_another_command_are_left_alone(tmp_path: Path) -> None:
+    fill(tmp_path, a="1")
+    with pytest.raises(InputError, match=r"holds the results of another command \(test\); name"):
+        check_folder(tmp_path, kind="another")
 
 
 def test_a_file_of_others_in_a_folder_of_ours_is_left_alone(tmp_path: Path) -> None:
     fill(tmp_path / "o", a="1", z="2")
     (tmp_path / "o" / "b.txt").write_text("theirs")
     with pytest.raises(InputError, match=r"b\.txt: is not one of terraphi's; move it away"):
-        check_folder(tmp_path / "o", names=["b.txt"])
+        check_folder(tmp_path / "o", kind="test", names=["b.txt"])
     with pytest.raises(InputError, match=r"b\.txt: is not one of terraphi's"):
         fill(tmp_path / "o", b="3")
     assert contents(tmp_path / "o") == {"a.txt": "1", "z.txt": "2", "b.txt": "theirs"}
@@ -83,7 +89,7 @@ def test_what_fails_leaves_things_as_they_were(tmp_path: Path, there: str | None
         fill(place, a="1", z="2")
 
     def interrupted() -> None:
-        with filling(place, last="z.txt") as made:
+        with filling(place, kind="test", last="z.txt") as made:
             (made / "a.txt").write_text("3")
             raise KeyboardInterrupt
 

@@ -14,7 +14,7 @@ from terraphi.commands import json_option, shipped
 from terraphi.commands.app import app
 from terraphi.commands.calibrate import library_calibrate
 from terraphi.commands.doctor import doctor
-from terraphi.commands.invert import DEFAULT_LIBRARY, MADE, invert, save_inversion
+from terraphi.commands.invert import DEFAULT_LIBRARY, KIND, MADE, invert, save_inversion
 from terraphi.commands.keys import keys
 from terraphi.commands.library import library
 from terraphi.commands.report import report
@@ -95,9 +95,9 @@ def demo(out: Path, as_json: bool) -> None:
 
     names = [source.partition(":")[2].replace("/", "-") for source in DEMO_SOURCES]
     answers = [out.joinpath(name) for name in names]
-    check_folder(out, names=[DEMO_FIGURE])
+    check_folder(out, kind="demo", names=[DEMO_FIGURE])
     for place in answers:
-        check_folder(place, names=MADE)
+        check_folder(place, kind=KIND, names=MADE)
     library = Library.load(DEFAULT_LIBRARY)
     found = []
     for source in DEMO_SOURCES:
@@ -112,7 +112,7 @@ def demo(out: Path, as_json: bool) -> None:
                 source=source,
             )
         )
-    with filling(out, last=DEMO_FIGURE) as made:
+    with filling(out, kind="demo", last=DEMO_FIGURE) as made:
         plots.save(plots.inversions_figure(found), made.joinpath(DEMO_FIGURE))
     picture = out.joinpath(DEMO_FIGURE)
     for inversion, place in zip(found, answers, strict=True):
@@ -184,13 +184,13 @@ def forces(
     from terraphi import plots
     from terraphi.outputs import check_file, check_folder, filling
     from terraphi.robot import plots as pictures
+    from terraphi.robot import results_file
     from terraphi.robot.results import analyse
-    from terraphi.robot.results_file import KIND, write_forces
 
     if out is not None:
-        check_file(out, kind=KIND)
+        check_file(out, kind=results_file.KIND)
     if figures is not None:
-        check_folder(figures, names=["forces.png", "stance.png"])
+        check_folder(figures, kind="forces", names=["forces.png", "stance.png"])
     names = joint_names and [name.strip() for name in joint_names.split(",")]
     found = analyse(
         log,
@@ -201,9 +201,9 @@ def forces(
         joint_names=names or None,
     )
     if out is not None:
-        write_forces(found, out)
+        results_file.write_forces(found, out)
     if figures is not None:
-        with filling(figures, last="stance.png") as made:
+        with filling(figures, kind="forces", last="stance.png") as made:
             plots.save(pictures.forces_figure(found), made / "forces.png")
             plots.save(pictures.stance_figure(found), made / "stance.png")
     if as_json:

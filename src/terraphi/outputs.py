@@ -10,9 +10,10 @@ import contextlib
 import hashlib
 import json
 import tempfile
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 from terraphi.errors import InputError
 from terraphi.files import folder, makeable, replacing, writable
@@ -27,6 +28,13 @@ _NEAR_AN_END = 1 << 14
 
 Files = dict[str, list[str]]
 """Name of a file to the digests that it may have."""
+
+
+class Manifest(NamedTuple):
+    """What a folder of results says of itself."""
+
+    kind: str
+    files: Files
 
 
 def check_file(path: Path, *, kind: str = "") -> None:
@@ -78,13 +86,17 @@ def _is_ours(path: Path, kind: str) -> bool:
     return bool(found == kind)
 
 
-def check_folder(path: Path, *, names: Collection[str] = (), besides: Collection[str] = ()) -> None:
+def check_folder(
+    path: Path, *, kind: str, names: Collection[str] = (), besides: Collection[str] = ()
+) -> None:
     """Refuse a folder that could not be made, or is another's, before any work is done for it.
 
     Parameters
     ----------
     path
         The folder to be.
+    kind
+        Of the results, for people: ``inversion``.
     names
         Files that will be written there.
     besides
@@ -94,13 +106,13 @@ def check_folder(path: Path, *, names: Collection[str] = (), besides: Collection
     ------
     InputError
         If it cannot be made or written to; if it is neither new nor empty nor has a manifest; or if
-        a file that would be replaced was not written by this program.
+        it holds other results, or a file that would be replaced is not as this program wrote it.
     """
     makeable(path)
     if not path.is_dir():
         return
-    ours = _manifest(path)
-    if ours is None:
+    manifest = _manifest(path)
+    if manifest is None:
         others = sorted(entry.name for entry in path.iterdir() if entry.name not in besides)
         if others:
             raise InputError(
@@ -108,6 +120,11 @@ def check_folder(path: Path, *, names: Collection[str] = (), besides: Collection
                 "an empty folder"
             )
         return
+    if manifest.files and manifest.kind != kind:
+        raise InputError(
+            f"{path}: holds the results of another command ({manifest.kind}); name another folder"
+        )
+    ours = manifest.files
     for name in {*ours, *names}:
         file = path / name
         if not file.exists() or (file.is_file() and _digest(file) in ours.get(name, ())):
@@ -117,13 +134,15 @@ def check_folder(path: Path, *, names: Collection[str] = (), besides: Collection
 
 
 @contextmanager
-def filling(path: Path, *, last: str, besides: Collection[str] = ()) -> Iterator[Path]:
+def filling(path: Path, *, kind: str, last: str, besides: Collection[str] = ()) -> Iterator[Path]:
     """A folder to write results into, which then take the place of earlier ones.
 
     Parameters
     ----------
     path
         The folder of the results.
+    kind
+        As in :func:`check_folder`.
     last
         The file that comes last: where it stands, all that it speaks of does.
     besides
@@ -139,20 +158,20 @@ def filling(path: Path, *, last: str, besides: Collection[str] = ()) -> Iterator
     InputError
         As :func:`check_folder` does.
     """
-    check_folder(path, besides=besides)
+    check_folder(path, kind=kind, besides=besides)
     was_there = path.is_dir()
-    ours = _manifest(folder(path))
-    if ours is None:
-        _write_manifest(path, {})  # so that it is ours even if this process is killed
+    before = _manifest(folder(path))
+    if before is None:
+        _write_manifest(path, Manifest(kind, {}))  # so that it is ours even if we are killed
     try:
         with tempfile.TemporaryDirectory(dir=path, prefix=".unfinished-") as unfinished:
             made = Path(unfinished)
             yield made
             new = {file.name: [_digest(file)] for file in made.iterdir()}
-            check_folder(path, names=new)
-            _take_over(path, made, ours or {}, new, last)
+            check_folder(path, kind=kind, names=new)
+            _take_over(path, made, before.files if before else {}, Manifest(kind, new), last)
     except BaseException:
-        if ours is None and _manifest(path) == {}:
+        if before is None and _manifest(path) == (kind, {}):
             path.joinpath(MANIFEST).unlink()
             if not was_there:
                 with contextlib.suppress(OSError):  # somebody keeps something there by now
@@ -160,31 +179,34 @@ def filling(path: Path, *, last: str, besides: Collection[str] = ()) -> Iterator
         raise
 
 
-def _take_over(path: Path, made: Path, old: Files, new: Files, last: str) -> None:
+def _take_over(path: Path, made: Path, old: Files, wanted: Manifest, last: str) -> None:
     """Put new files in the place of old ones; whatever it is cut off at, the manifest is right."""
+    new = wanted.files
     every = {name: [*old.get(name, ()), *new.get(name, ())] for name in {**old, **new}}
-    _write_manifest(path, every)
+    _write_manifest(path, wanted._replace(files=every))
     for name in sorted(old, key=lambda name: name != last):
         if name == last or name not in new:
             path.joinpath(name).unlink(missing_ok=True)
     for name in sorted(new, key=lambda name: name == last):
         made.joinpath(name).replace(path / name)
-    _write_manifest(path, new)
+    _write_manifest(path, wanted)
 
 
-def _manifest(path: Path) -> Files | None:
+def _manifest(path: Path) -> Manifest | None:
     """Our files in a folder; ``None`` if it has no manifest of ours."""
     try:
         content = json.loads(path.joinpath(MANIFEST).read_text(encoding="utf-8"))
         if content["terraphi_file"] != "manifest":
             return None
-        return {Path(str(n)).name: [str(d) for d in ds] for n, ds in content["files"].items()}
+        files = {Path(str(n)).name: [str(d) for d in ds] for n, ds in content["files"].items()}
+        return Manifest(str(content["kind"]), files)
     except (OSError, AttributeError, KeyError, RecursionError, TypeError, ValueError):
         return None
 
 
-def _write_manifest(path: Path, files: Mapping[str, list[str]]) -> None:
-    content = {"terraphi_file": "manifest", "files": dict(sorted(files.items()))}
+def _write_manifest(path: Path, manifest: Manifest) -> None:
+    files = dict(sorted(manifest.files.items()))
+    content = {"terraphi_file": "manifest", "kind": manifest.kind, "files": files}
     with replacing(path / MANIFEST) as temporary:
         temporary.write_text(json.dumps(content, indent=2), encoding="utf-8")
 

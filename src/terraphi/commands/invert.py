@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 DEFAULT_LIBRARY = "quick-plane-strain"
 DEFAULT_LIKELIHOOD = "calibrated"
 DEFAULT_SAMPLER = "quadrature"
-ANSWER = "answer.json"
+KIND, ANSWER = "inversion", "answer.json"
 MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
 """Files that an inversion of any kind may leave in its folder."""
 
@@ -108,7 +108,7 @@ def invert(
     from terraphi.outputs import check_folder
 
     if out is not None:
-        check_folder(out, names=MADE)
+        check_folder(out, kind=KIND, names=MADE)
     with warnings_shown():
         measured = [open_forces(source) for source in forces]
     shapes = legs_of(legs, measured)
@@ -233,7 +233,7 @@ def _save(
     from terraphi import plots
     from terraphi.outputs import filling
 
-    with filling(place, last=ANSWER) as made:
+    with filling(place, kind=KIND, last=ANSWER) as made:
         found.to_netcdf(made / "posterior.nc")
         for name, draw in figures.items():
             plots.save(draw(), made.joinpath(name))

@@ -127,7 +127,9 @@ class Study:
 
         data = json.dumps(self.everything(), indent=2, ensure_ascii=False)
         texts = {"data.json": data, **self.documents}
-        with filling(out, last="data.json", besides=[kept_in(self.name)]) as made:
+        with filling(
+            out, kind=f"study {self.name}", last="data.json", besides=[kept_in(self.name)]
+        ) as made:
             for name, text in texts.items():
                 (made / name).write_text(text, encoding="utf-8")
             for name, figure in self.figures.items():
@@ -238,6 +240,6 @@ def run(
     services = {"out": out, "progress": progress}
     given |= {service: value for service, value in services.items() if service in known}
     if out is not None:
-        check_folder(out, names=["data.json"], besides=[kept_in(name)])
+        check_folder(out, kind=f"study {name}", names=["data.json"], besides=[kept_in(name)])
     study: Study = module.run(**given)
     return replace(study, name=name)
