@@ -17,6 +17,9 @@ SOURCE = Path(__file__).parents[1] / "src" / "terraphi"
 ROOMS = [
     "errors",
     "files",
+    "force_table",
+    "outputs",
+    "holding",
     "vtk",
     "documents",
     "soil",

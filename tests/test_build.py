@@ -17,10 +17,11 @@ from typing import Any
 
 import pytest
 
-from terraphi.build import build, cases_folder, held
+from terraphi.build import build, cases_folder
 from terraphi.errors import InputError
 from terraphi.forward import MODEL_VERSIONS, Checkpoint, simulate
 from terraphi.history import ForceHistory
+from terraphi.holding import held
 from terraphi.library import Case, Library
 from terraphi.plan import Plan
 from terraphi.scenario import Scenario

@@ -81,7 +81,11 @@ def test_an_option_of_no_study_is_refused(option: tuple[str, ...], terraphi: Ter
 def test_study_says_what_it_wrote(terraphi: Terraphi, tmp_path: Path) -> None:
     ran = terraphi("study", "k0", "--library", "quick-k0", "--out", str(tmp_path / "k0"))
     assert ran.out.splitlines()[-1] == f"Written: {tmp_path}/k0/data.json, k0.png"
-    assert {path.name for path in (tmp_path / "k0").iterdir()} == {"data.json", "k0.png"}
+    assert {path.name for path in (tmp_path / "k0").iterdir()} == {
+        "data.json",
+        "k0.png",
+        "manifest.json",
+    }
 
 
 def test_invert_prints_the_answer_as_json(terraphi: Terraphi) -> None:
@@ -111,6 +115,7 @@ def test_invert_writes_answer_posterior_and_figure(
         "answer.json",
         "posterior.nc",
         "figure.png",
+        "manifest.json",
     }
     answer = json.loads((tmp_path / "o" / "answer.json").read_text())
     shipped = terraphi("invert", "li2013:poppy_loose/straight", "--library", "rft3d", "--json")
@@ -245,12 +250,100 @@ def test_unusable_words(args: tuple[str, ...], words: tuple[str, ...], terraphi,
         ("[numerics]\ntime_step = 1e-3", ("time_step = 0.001", "CFL limit of 1.65e-05 s")),
         ("[motion]\nhip = [0.05, 0.19]", ("leaves the domain",)),
         ("soil = = 1", ("not valid TOML", "line 1")),
+        ("a = " + "[" * 5000 + "]" * 5000, ("nested hundreds deep",)),
+        (".".join(["a"] * 3000) + " = 1", ("nested hundreds deep",)),
+        (".".join(["a"] * 300) + " = 1", ("nested hundreds deep",)),
+        ("a = 1" + "0" * 5000, ("not valid TOML", "4300 digits")),
+        ("[motion]\nstop_deg = 1e308", ("motion.stop_deg = 1e+308 is out of all proportion",)),
+        ("[motion]\nstop_deg = 1e13", ("ask for 1e+14 samples; at most 1e+06",)),
+        ("[motion]\nrate = 1e-300", ("motion.rate = 1e-300 is out of all proportion",)),
+        ("[numerics]\ntime_step = 1e-14", ("steps; at most 1e+11",)),
+        ("[numerics]\nremap_interval = 1e308", ("numerics.remap_interval = 1e+308",)),
+        ('model = "rft"\n[rft]\npanels = 10000000000000', ("rft.panels", "100000")),
     ],
 )
 def test_unusable_scenarios(toml: str, words: tuple[str, ...], terraphi, tmp_path) -> None:
     (tmp_path / "s.toml").write_text(toml)
     assert_refused(terraphi("simulate", "s.toml", "--out", "h.nc"), "s.toml", *words)
     assert [p.name for p in tmp_path.iterdir()] == ["s.toml"]
+
+
+class OurMistakeError(Exception):
+    """Nobody expects it."""
+
+
+def test_an_error_of_ours_is_one_sentence_and_its_traceback_is_in_the_log(
+    terraphi: Terraphi, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def mistaken(*_: object, **__: object) -> None:
+        raise OurMistakeError("two\nlines")
+
+    monkeypatch.setattr("terraphi.scenario.Scenario.load", mistaken)
+    ran = terraphi("simulate", "quick")
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err == (
+        "terraphi: an error of terraphi itself (OurMistakeError: two lines); please report it with "
+        "the command that you ran and what it prints as 'terraphi -v ...'\n"
+    )
+    assert "in mistaken" in caplog.text
+
+
+def test_the_traceback_is_printed_when_asked_for(tmp_path: Path) -> None:
+    code = (
+        "import sys, terraphi.scenario, terraphi.cli; "
+        "terraphi.scenario.Scenario.load = lambda name: 1 / 0; "
+        "sys.argv = ['terraphi', *sys.argv[1:], 'simulate', 'quick']; terraphi.cli.main()"
+    )
+    for words, tracebacks in ((["-v"], 1), ([], 0)):
+        done = subprocess.run(
+            [sys.executable, "-c", code, *words], capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stdout) == (1, "")
+        assert done.stderr.count("Traceback") == tracebacks
+        assert "(ZeroDivisionError: division by zero); please report it" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "words"),
+    [
+        (MemoryError("Unable to allocate 9 TiB"), 2, "more memory than there is (Unable to alloc"),
+        (ModuleNotFoundError("No module named 'h5netcdf'"), 1, "'h5netcdf'; install terraphi"),
+    ],
+)
+def test_what_a_machine_lacks_is_one_sentence(
+    error: Exception, status: int, words: str, terraphi: Terraphi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lacking(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("terraphi.scenario.Scenario.load", lacking)
+    ran = terraphi("simulate", "quick")
+    assert (ran.status, ran.out) == (status, "")
+    assert words in ran.err
+    assert ran.err.count("\n") == 1
+
+
+def test_documents_from_pipes_and_what_cannot_come_from_one(tmp_path: Path) -> None:
+    scenario = b'model = "rft"\ndimensions = 3\n'
+    command = [sys.executable, "-m", "terraphi.cli"]
+    done = subprocess.run(
+        [*command, "simulate", "-", "--json"], input=scenario, capture_output=True, check=True
+    )
+    assert json.loads(done.stdout)["samples"] == 2700
+    os.mkfifo(tmp_path / "pipe")
+    for words in (
+        ("invert", "li2013:yuma/c", "--library", "pipe"),
+        ("forces", "pipe"),
+        ("report", "pipe", "--out", "r.html"),
+    ):
+        refused = subprocess.run(
+            [*command, *words], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert_refused(
+            (refused.returncode, refused.stdout, refused.stderr),
+            "pipe: a pipe",
+            "save it to a file",
+        )
 
 
 def test_library_files_that_are_not_whole(terraphi: Terraphi, tmp_path) -> None:
@@ -347,3 +440,39 @@ def test_no_words_show_the_help(words: list[str], monkeypatch, capsys) -> None:
     assert out.startswith("Usage: terraphi")
     assert "Example:" in out
     assert not err
+
+
+WAITING_BUILD = """
+import importlib, pathlib, time
+from terraphi.plan import Plan
+building = importlib.import_module("terraphi.build")
+simulate = building.simulate
+def waiting(*args, **options):
+    while not pathlib.Path("go").exists():
+        time.sleep(0.02)
+    return simulate(*args, **options)
+building.simulate = waiting
+building.build(Plan.load("p.toml"), "l.nc")
+"""
+
+
+def test_a_second_build_is_refused_and_the_first_one_ends_well(tmp_path: Path) -> None:
+    (tmp_path / "p.toml").write_text(PLAN)
+    started = {"cwd": tmp_path, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    first = subprocess.Popen([sys.executable, "-c", WAITING_BUILD], **started)
+    kept = tmp_path / "l.nc.cases"
+    try:
+        while not kept.is_dir() and first.poll() is None:
+            time.sleep(0.02)
+        build = ("library", "build", "p.toml", "--out", "l.nc", "--workers", "1")
+        second = subprocess.Popen([sys.executable, "-m", "terraphi.cli", *build], **started)
+        said = second.communicate(timeout=120)
+        assert_refused((second.returncode, *said), "another build is at work here; wait for it")
+        assert len(said[1].splitlines()) == 1
+        assert list(kept.iterdir()) == []  # there, although nothing is in it yet
+        (tmp_path / "go").touch()
+        said = first.communicate(timeout=120)
+    finally:
+        first.kill()
+    assert (first.returncode, said) == (0, ("", ""))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["go", "l.nc", "p.toml"]

@@ -1,4 +1,4 @@
-"""Files written whole or not at all; every unusable table refused with its place and a remedy."""
+"""Files written whole or not at all, and read with a sentence for whatever is wrong."""
 
 from __future__ import annotations
 
@@ -12,103 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from terraphi.errors import InputError
-from terraphi.files import open_netcdf, read_force_table, replacing, write_netcdf
-
-HEADER = "theta_deg,Fx_N,Fz_N\n"
-NINE = "".join(f"{theta},1.0,2.0\n" for theta in range(-80, 81, 20))
-
-
-def refusal(tmp_path: Path, content: str | bytes) -> str:
-    """The sentence with which a table is refused, after the file's name."""
-    file = tmp_path / "forces.csv"
-    file.write_bytes(content if isinstance(content, bytes) else content.encode())
-    with pytest.raises(InputError) as caught:
-        read_force_table(file)
-    message = str(caught.value)
-    assert message.startswith(str(file))
-    assert "\n" not in message
-    assert message.isprintable()
-    assert len(message) < 400
-    return message.removeprefix(str(file))
-
-
-# -- reading tables ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        ("", ["empty", "theta_deg,Fx_N,Fz_N"]),
-        ("theta_deg;Fx_N;Fz_N\n1,5;2,0;3,0\n", ["line 1", "semicolons", "commas are expected"]),
-        ("theta_deg\tFx_N\tFz_N\n", ["line 1", "tabs"]),
-        (" \n\n", ["empty"]),
-        (HEADER, ["no numbers under the header"]),
-        ("theta_deg,Fx_N\n1,2\n", ["line 1", "'Fz_N' is missing", "theta_deg,Fx_N,Fz_N"]),
-        ("theta_deg,Fx_N,FzN\n1,2,3\n", ["line 1", "'FzN'", "did you mean 'Fz_N'?"]),
-        ("theta,Fx_N,Fz_N\n1,2,3\n", ["line 1", "'theta'", "did you mean 'theta_deg'?"]),
-        ("theta_deg,Fx_N,Fz_N,Fy_N\n1,2,3,4\n", ["line 1", "unexpected column 'Fy_N'"]),
-        ("theta_deg,Fx_N,Fx_N,Fz_N\n1,2,3,4\n", ["line 1", "'Fx_N' stands twice"]),
-        (NINE, ["line 1", "unexpected column '-80'", "theta_deg,Fx_N,Fz_N"]),
-        (HEADER + "-80,1,2\n\n-60,abc,2\n", ["line 4", "Fx_N = 'abc'", "not a number"]),
-        (HEADER + "-80,1,2\n-60,,2\n", ["line 3", "Fx_N = ''", "not a number"]),
-        (HEADER + "-80,1,nan\n", ["line 2", "Fz_N = nan", "not finite", "remove"]),
-        (HEADER + "-80,-inf,1\n", ["line 2", "Fx_N = -inf", "not finite"]),
-        (HEADER + "-80,1e999,1\n", ["line 2", "Fx_N = 1e999", "not finite"]),
-        (HEADER + "-80,1,2\n-60,1\n", ["line 3", "2 cells", "theta_deg,Fx_N,Fz_N"]),
-        (HEADER + "-80,1,2,3\n", ["line 2", "4 cells"]),
-        (HEADER + '-80,"1,2\n-60,1,2\n', ["not a row of a CSV"]),
-        (HEADER + '-80,"' + "1" * 200_000 + '",2\n', ["line 2", "not a row of a CSV"]),
-        (HEADER + "-80," + "x" * 5000 + ",2\n", ["line 2", "Fx_N = 'xxx", "not a number"]),
-        (
-            HEADER + "-80,1,2\n-60,1,2\n-70,1,2\n0,1,2\n",
-            ["line 4", "theta_deg = -70 falls below the value before (-60)", "sort"],
-        ),
-        (
-            HEADER + "-80,1,2\n-60,1,2\n-60,1,2\n",
-            ["line 4", "theta_deg = -60 repeats", "average repeats"],
-        ),
-        (HEADER + "80,1,2\n0,1,2\n-80,1,2\n", ["theta_deg decreases", "sort"]),
-        (HEADER + "-1.48,1,2\n0,1,2\n1.48,1,2\n", ["1.48", "radians", "degrees are expected"]),
-        (",,\n,,\n", ["the file is empty", "theta_deg,Fx_N,Fz_N"]),
-        ("\n \n" + HEADER.replace("Fx_N", "F_N") + "-80,1,2\n", ["line 3", "'F_N'"]),
-        (b"\x89HDF\r\n\x1a\n" + bytes(range(256)), ["not a text file", "UTF-8"]),
-        (bytes(range(1, 32)) * 40, ["line 1", "unexpected column"]),
-        (b"\x00" * 4096, ["line 1", "unexpected column"]),
-    ],
-)
-def test_unusable_tables(tmp_path: Path, content: str | bytes, said: list[str]) -> None:
-    message = refusal(tmp_path, content)
-    for part in said:
-        assert part in message
-
-
-@settings(max_examples=50, deadline=None)
-@given(garbage=st.binary(max_size=300))
-def test_garbage_is_refused_and_never_a_surprise(
-    tmp_path_factory: pytest.TempPathFactory, garbage: bytes
-) -> None:
-    refusal(tmp_path_factory.getbasetemp(), garbage)
-
-
-def test_missing_tables(tmp_path: Path) -> None:
-    for place in (tmp_path / "absent.csv", tmp_path):
-        with pytest.raises(InputError, match="no such file"):
-            read_force_table(place)
-
-
-def test_columns_come_in_any_order_with_quotes_spaces_and_a_byte_order_mark(
-    tmp_path: Path,
-) -> None:
-    file = tmp_path / "x.csv"
-    file.write_bytes(b'\xef\xbb\xbf"Fz_N", theta_deg ,"Fx_N"\r\n3,-10,"2"\r\n\r\n 5 ,+1e1, 4 \r\n')
-    assert read_force_table(file).tolist() == [[-10.0, 2.0, 3.0], [10.0, 4.0, 5.0]]
-    file.write_text("\n,,\ntheta_deg,Fx_N,Fz_N\n-10,2,3\n10,4,5\n")
-    assert read_force_table(file).tolist() == [[-10.0, 2.0, 3.0], [10.0, 4.0, 5.0]]
-
+from terraphi.files import open_netcdf, replacing, write_netcdf
 
 # -- writing -----------------------------------------------------------------------------------
 
@@ -287,6 +193,31 @@ def test_a_netcdf_of_somebody_else_of_another_kind_or_schema(tmp_path: Path) -> 
     assert "reads version 3" in message
     write_netcdf(dataset(terraphi_schema="four"), file)
     assert "schema version four" in netcdf_refusal(file)
+
+
+@pytest.mark.parametrize("error", [ImportError("no h5netcdf"), MemoryError(), AttributeError("?")])
+def test_what_is_no_damage_is_not_called_that(
+    tmp_path: Path, error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "x.nc"
+    write_netcdf(dataset(), file)
+
+    def fails(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(xr, "open_dataset", fails)
+    with pytest.raises(type(error)):
+        open_netcdf(file, kind="thing", schema=3)
+
+
+def test_a_package_that_is_missing_is_not_called_damage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "x.nc"
+    write_netcdf(dataset(), file)
+    monkeypatch.setitem(sys.modules, "h5netcdf", None)
+    with pytest.raises(ImportError, match="h5netcdf"):
+        open_netcdf(file, kind="thing", schema=3)
 
 
 def test_a_missing_netcdf(tmp_path: Path) -> None:

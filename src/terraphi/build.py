@@ -8,14 +8,12 @@ that broke down.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import logging
-import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -28,6 +26,7 @@ from terraphi.files import replacing
 from terraphi.forward import Checkpoint, model_version, simulate, software
 from terraphi.forward.watch import EVERY
 from terraphi.history import ForceHistory
+from terraphi.holding import held
 from terraphi.library import Case, Library, unseeded
 from terraphi.plan import Plan, describe
 from terraphi.scenario import Scenario
@@ -82,14 +81,19 @@ def cases_folder(path: Path) -> Path:
 
 
 def kept_cases(path: Path) -> Path | None:
-    """Folder with what is left of a build that has ended; ``None``, and removed, if empty."""
+    """Folder with what is left of a build that has ended; ``None``, and removed, if empty.
+
+    That of another build which is at work is left alone, empty or not.
+    """
     folder = cases_folder(path)
-    _remove_if_empty(folder)
+    if folder.is_dir():
+        with suppress(InputError), held(folder):
+            _remove_if_empty(folder)
     return folder if folder.is_dir() else None
 
 
 def _remove_if_empty(folder: Path) -> None:
-    """Remove a folder in which nothing was kept."""
+    """Remove a folder in which nothing was kept; for whoever holds it."""
     if folder.is_dir() and not any(folder.iterdir()):
         folder.rmdir()
 
@@ -132,6 +136,8 @@ def build(
         case at all succeeded.
     """
     path = Path(path)
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is a folder or a device; name a file")
     # A file that is not a library of ours is not for us to overwrite.
     before = Library.load(path) if path.exists() else None
     folder = cases_folder(path)
@@ -155,7 +161,7 @@ def build(
         for file in set(folder.iterdir()) if folder.is_dir() else ():
             if file.stem not in failures:
                 file.unlink(missing_ok=True)
-    kept_cases(path)
+        _remove_if_empty(folder)
     return library
 
 
@@ -175,32 +181,6 @@ def _with_what_was_learnt(library: Library, before: Library) -> Library:
     whole = len(kept) == len(before.replicates)
     calibration = before.calibration if same and whole else {}
     return replace(library, replicates=kept, calibration=calibration)
-
-
-@contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """Keep other builds out of a folder of cases; a build that is killed lets go of it.
-
-    Raises
-    ------
-    InputError
-        If another holds it, or it cannot be made.
-    """
-    made_folder(folder)
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        os.close(handle)
-        raise InputError(
-            f"{folder}: another build is at work here; wait for it, or stop it and run this again"
-        ) from error
-    except OSError as error:  # a file system without locks
-        log.info("%s cannot be locked (%s); let no other build use it", folder, error)
-    try:
-        yield
-    finally:
-        os.close(handle)
 
 
 def simulate_cases(

@@ -14,7 +14,7 @@ from terraphi.commands import json_option, shipped
 from terraphi.commands.app import app
 from terraphi.commands.calibrate import library_calibrate
 from terraphi.commands.doctor import doctor
-from terraphi.commands.invert import DEFAULT_LIBRARY, invert, save_inversion
+from terraphi.commands.invert import DEFAULT_LIBRARY, KIND, MADE, invert, save_inversion
 from terraphi.commands.keys import keys
 from terraphi.commands.library import library
 from terraphi.commands.report import report
@@ -26,21 +26,51 @@ from terraphi.console import (
     print_forces,
     print_inversion,
     print_json,
+    show_log,
 )
 from terraphi.errors import InputError, SimulationError
 
 UNUSABLE = 2
 """Exit status when the input could not be used."""
+OURS = 1
+"""Exit status when something is wrong with the program."""
+log = logging.getLogger("terraphi")
+DEMO_FIGURE = "demo.png"
 DEMO_SOURCES = ("li2013:yuma/straight", "li2013:glass03_close/straight")
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+class Commands(click.Group):
+    """All commands; an empty word is refused before one of them takes it for a folder or a name."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """The words that are left for a command."""
+        before = ""
+        for word in args:
+            name, given, value = word.partition("=")
+            if not word.strip():
+                name = before if before.startswith("-") else "an argument"
+            elif not (given and not value.strip() and word.startswith("--")):
+                before = word
+                continue
+            raise click.UsageError(f"{name} is empty; give it a value, or leave it out")
+        return super().parse_args(ctx, args)
+
+
+@click.group(
+    cls=Commands,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(package_name="terraphi")
-def cli() -> None:
+@click.option(
+    "-v", "--verbose", is_flag=True, help="Print the log, and the traceback of an error of ours."
+)
+def cli(verbose: bool) -> None:
     """Friction angle of soil, with its uncertainty, from the forces on a leg that moved through it.
 
     Example: terraphi invert li2013:yuma/straight
     """
+    if verbose:
+        show_log()
 
 
 @cli.command()
@@ -58,11 +88,16 @@ def demo(out: Path, as_json: bool) -> None:
     Example: terraphi demo
     """
     from terraphi import plots
-    from terraphi.files import folder
     from terraphi.inference.inversion import invert as run
     from terraphi.library import Library
     from terraphi.measurements import open_forces
+    from terraphi.outputs import check_folder, filling
 
+    names = [source.partition(":")[2].replace("/", "-") for source in DEMO_SOURCES]
+    answers = [out.joinpath(name) for name in names]
+    check_folder(out, kind="demo", names=[DEMO_FIGURE])
+    for place in answers:
+        check_folder(place, kind=KIND, names=MADE)
     library = Library.load(DEFAULT_LIBRARY)
     found = []
     for source in DEMO_SOURCES:
@@ -77,10 +112,9 @@ def demo(out: Path, as_json: bool) -> None:
                 source=source,
             )
         )
-    picture = folder(out) / "demo.png"
-    plots.save(plots.inversions_figure(found), picture)
-    names = [source.partition(":")[2].replace("/", "-") for source in DEMO_SOURCES]
-    answers = [folder(out.joinpath(name)) for name in names]
+    with filling(out, kind="demo", last=DEMO_FIGURE) as made:
+        plots.save(plots.inversions_figure(found), made.joinpath(DEMO_FIGURE))
+    picture = out.joinpath(DEMO_FIGURE)
     for inversion, place in zip(found, answers, strict=True):
         save_inversion(inversion, place)
     if as_json:
@@ -148,13 +182,15 @@ def forces(
     Example: terraphi forces walk.mcap --out forces.nc
     """
     from terraphi import plots
-    from terraphi.files import folder, writable
+    from terraphi.outputs import check_file, check_folder, filling
     from terraphi.robot import plots as pictures
+    from terraphi.robot import results_file
     from terraphi.robot.results import analyse
-    from terraphi.robot.results_file import write_forces
 
     if out is not None:
-        writable(out)
+        check_file(out, kind=results_file.KIND)
+    if figures is not None:
+        check_folder(figures, kind="forces", names=["forces.png", "stance.png"])
     names = joint_names and [name.strip() for name in joint_names.split(",")]
     found = analyse(
         log,
@@ -165,11 +201,11 @@ def forces(
         joint_names=names or None,
     )
     if out is not None:
-        write_forces(found, out)
+        results_file.write_forces(found, out)
     if figures is not None:
-        place = folder(figures)
-        plots.save(pictures.forces_figure(found), place / "forces.png")
-        plots.save(pictures.stance_figure(found), place / "stance.png")
+        with filling(figures, kind="forces", last="stance.png") as made:
+            plots.save(pictures.forces_figure(found), made / "forces.png")
+            plots.save(pictures.stance_figure(found), made / "stance.png")
     if as_json:
         print_json(found.summary())
         return
@@ -177,12 +213,15 @@ def forces(
 
 
 def main() -> None:
-    """Run the command line; every expected failure is one sentence and exit status 2."""
+    """Run the command line; every expected failure is one sentence and exit status 2.
+
+    An error of the program itself is one sentence too, with status 1; its traceback is in the log.
+    """
     for stream in (sys.stdout, sys.stderr):
         # An angle in the wrong letters beats no angle on a terminal that lacks φ.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    logging.getLogger("terraphi").addHandler(logging.NullHandler())
+    log.addHandler(logging.NullHandler())
     try:
         cli.main(prog_name="terraphi", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as asked:
@@ -200,6 +239,26 @@ def main() -> None:
     except OSError as error:
         click.echo(f"terraphi: the system refused ({error}); nothing more was written", err=True)
         sys.exit(UNUSABLE)
+    except MemoryError as error:
+        why = f" ({error})" if str(error) else ""
+        click.echo(
+            f"terraphi: this needs more memory than there is{why}; give less, or ask for a coarser "
+            "grid",
+            err=True,
+        )
+        sys.exit(UNUSABLE)
+    except ImportError as error:
+        click.echo(f"terraphi: {error}; install terraphi and its packages again", err=True)
+        sys.exit(OURS)
+    except Exception as error:
+        log.exception("an error of terraphi itself")
+        what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        click.echo(
+            f"terraphi: an error of terraphi itself ({what}); please report it with the command "
+            "that you ran and what it prints as 'terraphi -v ...'",
+            err=True,
+        )
+        sys.exit(OURS)
 
 
 if __name__ == "__main__":

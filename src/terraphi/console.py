@@ -202,11 +202,21 @@ def warnings_shown() -> Iterator[None]:
             click.echo(f"terraphi: {record.getMessage()}", err=True)
 
     handler, log = Printing(logging.WARNING), logging.getLogger("terraphi")
+    if log.level == logging.DEBUG:  # all of it is shown already
+        handler.setLevel(logging.CRITICAL)
     log.addHandler(handler)
     try:
         yield
     finally:
         log.removeHandler(handler)
+
+
+def show_log() -> None:
+    """Print the log on standard error from now on."""
+    log, handler = logging.getLogger("terraphi"), logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+    log.addHandler(handler)
+    log.setLevel(logging.DEBUG)
 
 
 def ignore_interrupts() -> None:

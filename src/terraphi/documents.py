@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from terraphi.errors import InputError, nearest, sentence_from_validation
+from terraphi.files import read_bytes
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -83,7 +84,7 @@ def parse_toml(path: Path, model: type[Model]) -> Model:
     Parameters
     ----------
     path
-        The file.
+        The file, a pipe, or ``-`` for standard input.
     model
         The pydantic model that it must fill.
 
@@ -96,17 +97,35 @@ def parse_toml(path: Path, model: type[Model]) -> Model:
     InputError
         One sentence with file, key, what was found and what is expected.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a text file; TOML in UTF-8 is expected") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from error
+    content = toml_content(text, path)
     try:
         return strictly(content, model)
     except ValidationError as error:
+        if error.errors()[0]["type"] == "json_invalid":  # what TOML has, JSON has but for its depth
+            raise _too_deep(path) from error
         raise InputError(sentence_from_validation(error, str(path), model)) from error
+    except RecursionError as error:
+        raise _too_deep(path) from error
+
+
+def toml_content(text: str, path: Path) -> dict[str, Any]:
+    """Content of a TOML document; raises InputError, with the name of its file, if it has none."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise _too_deep(path) from error
+    except ValueError as error:  # of an integer with thousands of digits
+        reason = str(error).partition(";")[0]
+        raise InputError(f"{path}: not valid TOML: {reason}") from error
+
+
+def _too_deep(path: Path) -> InputError:
+    return InputError(
+        f"{path}: tables or arrays are nested hundreds deep; a few levels are expected"
+    )

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import io
-import math
 import os
+import sys
 import tempfile
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.errors import InputError, nearest
+from terraphi.errors import InputError
 
 FloatArray = NDArray[np.float64]
 
-CSV_COLUMNS = ("theta_deg", "Fx_N", "Fz_N")
+DAMAGE = (EOFError, LookupError, OSError, RuntimeError, ValueError)
+"""What the HDF5 stack raises on a damaged file."""
 
 
 @contextmanager
@@ -62,6 +63,62 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+
+
+def is_there(path: Path) -> bool:
+    """Whether something can be read at a place: a file, a pipe, or ``-``, standard input."""
+    return str(path) == "-" or (path.exists() and not path.is_dir())
+
+
+def read_bytes(path: Path) -> bytes:
+    """All of a file, of a pipe, or of standard input (``-``).
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it cannot be read.
+    """
+    if not is_there(path):
+        raise InputError(f"{path}: no such file")
+    try:
+        return sys.stdin.buffer.read() if str(path) == "-" else path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def check_is_file(path: Path, expected: str = "") -> None:
+    """Refuse a place whose file has to lie on a disk, as it is read here and there.
+
+    Parameters
+    ----------
+    path
+        The place.
+    expected
+        What should be there, for people.
+
+    Raises
+    ------
+    InputError
+        If it is a pipe or standard input, or there is no file.
+    """
+    if path.is_file():
+        return
+    if is_there(path):
+        raise InputError(f"{path}: a pipe, which is read only once; save it to a file, and name it")
+    raise InputError(f"{path}: no such file{expected and '; expected '}{expected}")
+
+
+def plain_number(text: str) -> float:
+    """A number in the letters that people and programs agree on; Python's ``float`` takes more.
+
+    Raises
+    ------
+    ValueError
+        If it is none, as ``1_000`` and full-width digits are none.
+    """
+    if "_" in text or not text.isascii():
+        raise ValueError(f"'{text}' is not a number")
+    return float(text)
 
 
 def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
@@ -123,6 +180,45 @@ def folder(path: Path) -> Path:
     return path
 
 
+@contextmanager
+def damage_told(sentence: str, *more: type[Exception]) -> Iterator[None]:
+    """Say so where a NetCDF is damaged.
+
+    Parameters
+    ----------
+    sentence
+        What to say.
+    *more
+        What is raised besides, where a file is of ours by its looks, and its content is not.
+
+    Raises
+    ------
+    InputError
+        For whatever the HDF5 stack raises on damage. That a package is missing, or memory, is none,
+        and nor is a mistake of ours.
+    """
+    import h5netcdf  # noqa: F401 - xarray would say that it does not know the format
+
+    kinds: tuple[type[Exception], ...] = (*DAMAGE, *more)
+    try:
+        yield
+    except InputError:
+        raise
+    except kinds as error:
+        _forget(error)
+        raise InputError(sentence) from error
+
+
+def _forget(error: Exception) -> None:
+    """Close what an error has left open, now, and without the remarks that h5netcdf then makes."""
+    before = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        traceback.clear_frames(error.__traceback__)
+    finally:
+        sys.unraisablehook = before
+
+
 def open_netcdf(path: Path, *, kind: str, schema: int) -> Any:
     """Load a NetCDF of ours into memory, or say in one sentence why it cannot be.
 
@@ -146,16 +242,10 @@ def open_netcdf(path: Path, *, kind: str, schema: int) -> Any:
     """
     import xarray as xr
 
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        with xr.open_dataset(path, engine="h5netcdf") as opened:
-            dataset = opened.load()
-    except Exception as error:  # the HDF5 stack raises OSError, KeyError, ValueError and more
-        raise InputError(
-            f"{path}: not a whole NetCDF file (truncated, or of another format); build or "
-            "copy it again"
-        ) from error
+    check_is_file(path)
+    why = "not a whole NetCDF file (truncated, or of another format); build or copy it again"
+    with damage_told(f"{path}: {why}"), xr.open_dataset(path, engine="h5netcdf") as opened:
+        dataset = opened.load()
     if dataset.attrs.get("terraphi_file") != kind:
         raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi")
     found = dataset.attrs.get("terraphi_schema")
@@ -165,135 +255,6 @@ def open_netcdf(path: Path, *, kind: str, schema: int) -> Any:
             "build it again with this version"
         )
     return dataset
-
-
-def read_force_table(path: Path) -> FloatArray:
-    """Read a CSV with exactly the columns ``theta_deg,Fx_N,Fz_N``, in any order.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    ndarray
-        Columns θ [deg], Fx [N], Fz [N], θ increasing; shape [row, 3].
-
-    Raises
-    ------
-    InputError
-        If anything is wrong with the file; the message names the line.
-    """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file; a CSV in UTF-8 is expected") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    lines = _cells(path, text)
-    place, names = next(((n, row) for n, row in lines if any(c.strip() for c in row)), (0, []))
-    if not names:
-        raise InputError(f"{path}: the file is empty; expected columns {','.join(CSV_COLUMNS)}")
-    header = [name.strip() for name in names]
-    _check_header(f"{path}, line {place}", header)
-    order = [header.index(name) for name in CSV_COLUMNS]
-    rows: list[list[float]] = []
-    numbers: list[int] = []
-    for number, row in lines:
-        if any(cell.strip() for cell in row):
-            rows.append(_read_row(path, number, row, header, order))
-            numbers.append(number)
-    if not rows:
-        raise InputError(f"{path}: no numbers under the header; expected a row for each angle")
-    table = np.array(rows, dtype=np.float64)
-    return _ordered(path, table, numbers)
-
-
-def column_names(path: Path) -> list[str]:
-    """Words of a CSV's first line, whatever the file may be; raises OSError if there is none."""
-    with path.open("rb") as stream:
-        first = stream.readline(4096).decode("utf-8-sig", errors="replace")
-    return [name.strip() for name in first.split(",")]
-
-
-def _cells(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
-    """Line number and cells of each row of a CSV."""
-    lines = csv.reader(text.splitlines(), strict=True)
-    try:
-        for row in lines:
-            yield lines.line_num, row
-    except csv.Error as error:
-        raise InputError(
-            f"{path}, line {lines.line_num}: not a row of a CSV ({error}); mend its quotes"
-        ) from error
-
-
-def _check_header(place: str, header: list[str]) -> None:
-    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
-        if mark in header[0]:
-            raise InputError(
-                f"{place}: columns are separated by {name}; commas are expected, and points "
-                "in numbers"
-            )
-    expected = ",".join(CSV_COLUMNS)
-    for name in header:
-        if name not in CSV_COLUMNS:
-            known = f"expected exactly {expected}"
-            raise InputError(
-                f"{place}: unexpected column {name[:40]!r} ({nearest(name, CSV_COLUMNS)}); {known}"
-            )
-        if header.count(name) > 1:
-            raise InputError(f"{place}: column '{name}' stands twice; expected {expected}")
-    for name in CSV_COLUMNS:
-        if name not in header:
-            raise InputError(f"{place}: column '{name}' is missing; expected {expected}")
-
-
-def _read_row(
-    path: Path, line: int, row: list[str], header: list[str], order: list[int]
-) -> list[float]:
-    if len(row) != len(header):
-        raise InputError(f"{path}, line {line}: {len(row)} cells, expected {','.join(header)}")
-    values = []
-    for index in order:
-        cell = row[index].strip()
-        try:
-            value = float(cell)
-        except ValueError as error:
-            raise InputError(
-                f"{path}, line {line}: {header[index]} = {cell[:40]!r} is not a number; "
-                "correct it or remove the row"
-            ) from error
-        if not math.isfinite(value):
-            raise InputError(
-                f"{path}, line {line}: {header[index]} = {cell} is not finite; remove the row"
-            )
-        values.append(value)
-    return values
-
-
-def _ordered(path: Path, table: FloatArray, numbers: list[int]) -> FloatArray:
-    theta = table[:, 0]
-    if len(theta) > 1 and np.all(np.diff(theta) < 0):
-        raise InputError(
-            f"{path}: theta_deg decreases; sort the rows so that it increases "
-            "(theta grows in time, and the leg moves down where it is negative)"
-        )
-    for i in np.flatnonzero(np.diff(theta) <= 0)[:1].tolist():
-        what = "repeats" if theta[i + 1] == theta[i] else "falls below"
-        raise InputError(
-            f"{path}, line {numbers[i + 1]}: theta_deg = {theta[i + 1]:g} {what} the value before "
-            f"({theta[i]:g}); it must increase strictly: sort the rows and average repeats"
-        )
-    if np.abs(theta).max() < 7.0:
-        raise InputError(
-            f"{path}: the largest |theta_deg| is {np.abs(theta).max():.2f}; these look like "
-            "radians, degrees are expected"
-        )
-    return table
 
 
 def positions(dataset: Any) -> FloatArray:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.errors import InputError
+from terraphi.outputs import SIGNATURE
 from terraphi.plots import BLUE, ORANGE
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def recording(figure: Figure, path: Path, lasts: list[int]) -> Iterator[Callable
         return
     from matplotlib.animation import FFMpegWriter
 
-    writer = FFMpegWriter(fps=FRAMES_PER_SECOND)
+    writer = FFMpegWriter(fps=FRAMES_PER_SECOND, metadata={"comment": SIGNATURE})
     shown = iter(lasts)
 
     def show() -> None:
@@ -85,7 +86,13 @@ def _recording_gif(figure: Figure, path: Path, lasts: list[int]) -> Iterator[Cal
 
     yield grab
     frames[0].save(
-        path, "GIF", save_all=True, append_images=frames[1:], duration=lasts[: len(frames)], loop=0
+        path,
+        "GIF",
+        save_all=True,
+        append_images=frames[1:],
+        duration=lasts[: len(frames)],
+        loop=0,
+        comment=SIGNATURE.encode(),
     )
 
 

@@ -6,7 +6,6 @@ forward; the force is the soil's on the leg.
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Mapping
@@ -18,14 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.errors import InputError
-from terraphi.files import (
-    CSV_COLUMNS,
-    open_netcdf,
-    positions,
-    read_force_table,
-    replacing,
-    write_netcdf,
-)
+from terraphi.files import open_netcdf, positions, write_netcdf
+from terraphi.force_table import read_force_table, write_force_table
 from terraphi.readings import between, check_readings, is_read_again, shares
 
 FloatArray = NDArray[np.float64]
@@ -302,7 +295,7 @@ class ForceHistory:
         Parameters
         ----------
         path
-            The file.
+            The file, a pipe, or ``-`` for standard input.
 
         Returns
         -------
@@ -313,19 +306,18 @@ class ForceHistory:
         InputError
             If anything is wrong with the file; the message names the line.
         """
-        table = read_force_table(Path(path))
-        theta = table[:, 0]
-        provenance = {"file": Path(path).name}
-        return cls(np.radians(theta), table[:, 1:].copy(), provenance=provenance)
+        values, provenance = read_force_table(Path(path))
+        name = "standard input" if str(path) == "-" else Path(path).name
+        known = {**provenance, "file": name}
+        return cls(np.radians(values[:, 0]), values[:, 1:].copy(), provenance=known)
 
     def to_csv(self, path: Path | str) -> None:
-        """Write ``theta_deg,Fx_N,Fz_N``; raises InputError if the place cannot be written."""
-        rows = np.stack([self.theta_deg, self.Fx, self.Fz], axis=1)
-        with replacing(Path(path)) as temporary, temporary.open("w", newline="") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(CSV_COLUMNS)
-            # Twelve digits keep neighbouring angles apart and hide the round-off of radians.
-            writer.writerows([f"{t:.12g}", f"{x:.6g}", f"{z:.6g}"] for t, x, z in rows.tolist())
+        """Write ``theta_deg,Fx_N,Fz_N``, and the provenance in a comment before it.
+
+        Raises InputError if the place cannot be written.
+        """
+        known = {key: value for key, value in self.provenance.items() if key != "file"}
+        write_force_table(Path(path), np.stack([self.theta_deg, self.Fx, self.Fz], axis=1), known)
 
     def to_netcdf(self, path: Path | str) -> None:
         """Write a self-describing NetCDF-4; raises InputError if the place cannot be written."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from terraphi.documents import shipped_file
 from terraphi.errors import InputError
-from terraphi.files import open_netcdf, positions, write_netcdf
+from terraphi.files import is_there, open_netcdf, positions, write_netcdf
 from terraphi.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.plan import Plan, describe, value_of
 from terraphi.scenario import Scenario
@@ -323,7 +323,7 @@ class Library:
             If there is no such library, or the file is not a whole one of this schema.
         """
         path = Path(source)
-        if path.suffix != ".nc" and not path.is_file():
+        if path.suffix != ".nc" and not is_there(path):
             path = shipped_file("libraries", str(source), ".nc")
         data = open_netcdf(path, kind="library", schema=SCHEMA)
         try:

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from terraphi.documents import parse_toml, shipped_file, shipped_names
 from terraphi.errors import InputError, nearest, sentence_from_validation
+from terraphi.files import is_there
 from terraphi.history import ForceHistory
 from terraphi.leg import LEG_SHAPES, LegShape
 from terraphi.scenario import Scenario
@@ -145,13 +146,14 @@ def open_forces(source: str | Path) -> Measurement:
     ----------
     source
         ``li2013:MEDIUM/LEG``; a NetCDF (``.nc``) that this package wrote; or a CSV with exactly
-        the columns ``theta_deg,Fx_N,Fz_N``.
+        the columns ``theta_deg,Fx_N,Fz_N``: a file, a pipe, or ``-`` for standard input.
 
     Returns
     -------
     Measurement
-        Of a simulated history leg and density are those of its scenario; of a CSV nothing is
-        known, and the leg is taken to be straight.
+        Of a simulated history leg and density are those of its scenario, of a shipped measurement
+        in a CSV those of the measurement. Of any other CSV nothing is known, and the leg is taken
+        to be straight.
 
     Raises
     ------
@@ -159,30 +161,35 @@ def open_forces(source: str | Path) -> Measurement:
         If there is no such name, or the file cannot be used or is not a function of θ.
     """
     text, path = str(source), Path(source)
-    if not path.is_file():
+    if not is_there(path):
         if text.startswith(f"{COLLECTION}:"):
             return measurement(text)
         if not path.suffix and nearest(text, names()).startswith("did"):
             raise InputError(
                 f"'{text}' is neither a file nor a shipped measurement; {nearest(text, names())}"
             )
-    if path.suffix != ".nc":
-        return Measurement(name=text, history=ForceHistory.from_csv(path), leg="straight")
-    history = ForceHistory.from_netcdf(path)
+    named = "standard input" if text == "-" else text
+    if path.suffix == ".nc":
+        history, remedy = ForceHistory.from_netcdf(path), "simulate it again"
+    else:
+        history, remedy = ForceHistory.from_csv(path), "remove that comment for its forces alone"
     if history.coordinate != "theta":
         raise InputError(
             f"{path}: forces over {history.coordinate}, expected forces over the leg angle theta"
         )
+    shipped = history.provenance.get("measurement")
+    if shipped in names():
+        return replace(measurement(str(shipped)), name=named, history=history)
     made_by = history.provenance.get("scenario")
     if made_by is None:
-        return Measurement(name=text, history=history, leg="straight")
+        return Measurement(name=named, history=history, leg="straight")
     try:
         scenario = Scenario.model_validate(made_by)
     except ValidationError as error:
         sentence = sentence_from_validation(error, f"{path}, scenario", Scenario)
-        raise InputError(sentence) from error
+        raise InputError(f"{sentence}; {remedy}") from error
     return Measurement(
-        name=text,
+        name=named,
         history=history,
         leg=scenario.leg.shape,
         medium=f"simulated ({scenario.model})",

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, m
 
 from terraphi.documents import parse_toml, shipped_file
 from terraphi.errors import InputError, sentence_from_validation
+from terraphi.files import is_there
 from terraphi.scenario import Scenario
 
 BASE = "base"
@@ -249,7 +250,7 @@ class Plan(BaseModel):
         InputError
             If the file is missing, not TOML, has an unknown key or a value that cannot be.
         """
-        if Path(source).suffix != ".toml" and not Path(source).is_file():
+        if Path(source).suffix != ".toml" and not is_there(Path(source)):
             source = shipped_file("plans", str(source), ".toml")
         plan = parse_toml(Path(source), cls)
         plan.cases()

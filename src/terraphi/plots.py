@@ -101,9 +101,8 @@ def _draw_forces(axes: Axes, inversion: Inversion, component: str) -> None:
         label="curves within the 95 % interval",
     )  # fmt: skip
     axes.plot(seen.theta_deg, inversion.best[part], color=BLUE, label="curve at the median")
-    axes.plot(
-        seen.theta_deg, data, "o", ms=3.5, color=ORANGE, mec="black", mew=0.4, label="measured"
-    )
+    label = inversion.origin
+    axes.plot(seen.theta_deg, data, "o", ms=3.5, color=ORANGE, mec="black", mew=0.4, label=label)
     finish_force_axes(axes, component)
     deviation = 100.0 * inversion.nrmsd[component]
     what = inversion.source if component == "Fx" else f"library {inversion.library}"

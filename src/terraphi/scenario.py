@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -15,6 +16,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from terraphi.documents import parse_toml, shipped_file, strictly
+from terraphi.files import is_there
 from terraphi.leg import Leg, frame_axes
 from terraphi.motion import Motion, Rotation, bin_centres
 from terraphi.setting import (
@@ -36,6 +38,12 @@ most, soil up to 1.15; see tests/forward/mpm."""
 LONGEST_TRAVEL = 0.1
 """Cells that the leg may travel while the grid keeps its velocities [-]: the particles' places on
 the grid are held meanwhile."""
+
+
+LEAST, LARGEST = 1e-15, 1e15
+"""Sizes of numbers, in SI or degrees, that can be computed with."""
+MOST_SAMPLES, MOST_STEPS = 1e6, 1e11
+"""Largest numbers of samples in a history, and of steps to it: months of work."""
 
 
 class Scenario(Section):
@@ -64,6 +72,23 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _can_be_simulated(self) -> Self:
+        try:
+            self._check()
+        except (ArithmeticError, MemoryError) as error:
+            raise ValueError(
+                f"some number is too large or too small to compute with ({error}); "
+                "'terraphi keys' lists what is usual"
+            ) from error
+        return self
+
+    def _check(self) -> None:
+        for key, value in _numbers(self.model_dump()):
+            if value and not LEAST <= abs(value) <= LARGEST:
+                raise ValueError(
+                    f"{key} = {value:g} is out of all proportion; sizes from {LEAST:g} to "
+                    f"{LARGEST:g} can be computed with"
+                )
+        self._check_extent()
         if self.model == "mpm":
             if self.dimensions == 3:
                 raise ValueError(
@@ -77,7 +102,19 @@ class Scenario(Section):
             self._check_leg_stays_inside()
         else:
             self._check_resistive_bed()
-        return self
+
+    def _check_extent(self) -> None:
+        low, high = self.motion.span
+        counts = [("samples", (high - low) / self.motion.bin_width, MOST_SAMPLES)]
+        if self.model == "mpm":
+            numerics = self.numerics
+            steps = self.motion.duration / numerics.speed_up / numerics.time_step
+            counts.append(("steps", steps, MOST_STEPS))
+        for name, count, most in counts:
+            if count > most:
+                raise ValueError(
+                    f"motion and numerics ask for {count:.3g} {name}; at most {most:g} are computed"
+                )
 
     def _check_resistive_bed(self) -> None:
         if self.bed.surcharge > 0.0:
@@ -262,9 +299,19 @@ class Scenario(Section):
         InputError
             If the file is missing, not TOML, has an unknown key or a value that cannot be.
         """
-        if Path(source).suffix != ".toml" and not Path(source).is_file():
+        if Path(source).suffix != ".toml" and not is_there(Path(source)):
             source = shipped_file("scenarios", str(source), ".toml")
         return parse_toml(Path(source), cls)
+
+
+def _numbers(content: dict[str, Any], above: str = "") -> Iterator[tuple[str, float]]:
+    """Dotted keys and values of all numbers that are not whole, those in lists too."""
+    for key, value in content.items():
+        if isinstance(value, dict):
+            yield from _numbers(value, f"{above}{key}.")
+        for number in value if isinstance(value, list | tuple) else (value,):
+            if isinstance(number, float):
+                yield above + key, number
 
 
 def _section(place: dict[str, Any], name: str) -> dict[str, Any]:

@@ -259,4 +259,4 @@ class Resistive(Section):
         "glass3_close",
     ] = "generic"
     scale: float = Field(1.0, gt=0)
-    panels: int = Field(200, ge=10)
+    panels: int = Field(200, ge=10, le=100_000)

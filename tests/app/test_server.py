@@ -189,6 +189,55 @@ def test_too_much_is_refused_whether_it_is_announced_or_not(served: Served, plac
     assert list(places.iterdir()) == []
 
 
+@contextlib.contextmanager
+def waiting(seconds: float) -> Iterator[Served]:
+    """An app that waits so long for more of a file, and logs what goes wrong."""
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        served = application(most_idle_seconds=seconds)
+        running = uvicorn.Server(
+            uvicorn.Config(served, log_config=None, log_level="warning", lifespan="off")
+        )
+        thread = threading.Thread(target=running.run, kwargs={"sockets": [bound]})
+        thread.start()
+        while not running.started:
+            time.sleep(0.01)
+        yield Served(bound.getsockname()[1])
+        running.should_exit = True
+        thread.join()
+
+
+def begun(served: Served) -> socket.socket:
+    """A connection on which a part of a file was sent."""
+    head = f"POST /report?{urlencode(USUAL)} HTTP/1.1\r\nHost: 127.0.0.1\r\nx-terraphi: 1\r\n"
+    sending = socket.create_connection(("127.0.0.1", served.port), timeout=60)
+    sending.sendall(f"{head}Content-Length: 100000\r\n\r\ntheta_deg,Fx".encode())
+    return sending
+
+
+def test_a_file_of_which_no_more_comes_is_given_up(places: Path, caplog) -> None:
+    with waiting(0.2) as served, begun(served) as sending:
+        answer = http.client.HTTPResponse(sending)
+        answer.begin()
+        refused = json.loads(answer.read())["refused"]
+        assert answer.status == 408
+        assert refused == "mine.csv: nothing of it came for 0.2 s; drop it again"
+    assert list(places.iterdir()) == []
+    assert caplog.messages == []
+
+
+def test_who_breaks_off_leaves_no_traceback(places: Path, caplog) -> None:
+    with waiting(60.0) as served:
+        sending = begun(served)
+        while not list(places.iterdir()):  # until it is being received
+            time.sleep(0.005)
+        sending.close()
+        while list(places.iterdir()):
+            time.sleep(0.005)
+        assert served.ask("GET", "/").status == 200
+    assert caplog.messages == []
+
+
 def test_another_site_can_neither_send_nor_name_us(served: Served, forces: bytes) -> None:
     query = urlencode(USUAL)
     assert served.ask("POST", f"/report?{query}", forces).status == 403

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -70,7 +72,7 @@ def test_several_histories_are_one_data_set(terraphi, histories, tmp_path) -> No
     assert answer["likelihood"] == "joint"
     assert set(answer["expected_sd"]) == {"straight", "c", "all"}
     made = {path.name for path in (tmp_path / "answer").iterdir()}
-    assert made == {"answer.json", "posterior.nc", "figure.png", "corner.png"}
+    assert made == {"answer.json", "posterior.nc", "figure.png", "corner.png", "manifest.json"}
     assert json.loads((tmp_path / "answer" / "answer.json").read_text()) == answer
     assert "posterior" in arviz.from_netcdf(tmp_path / "answer" / "posterior.nc")
 
@@ -78,9 +80,11 @@ def test_several_histories_are_one_data_set(terraphi, histories, tmp_path) -> No
 def test_an_answer_takes_the_place_of_another_kind_and_is_utf8(
     terraphi, histories, tmp_path, monkeypatch
 ) -> None:
-    (tmp_path / "answer").mkdir()
-    for name in ("corner.png", "mine.txt"):
-        (tmp_path / "answer" / name).write_text("old")
+    joint = ("a.csv", "c.csv", "--leg", "straight", "--leg", "c")
+    ran = terraphi("invert", *joint, "--library", "rft3d", "--out", "answer")
+    assert ran.status == 0, ran.err
+    assert (tmp_path / "answer" / "corner.png").exists()
+    (tmp_path / "answer" / "mine.txt").write_text("old")
     written = []
     write = Path.write_text
 
@@ -93,7 +97,7 @@ def test_an_answer_takes_the_place_of_another_kind_and_is_utf8(
     ran = terraphi("invert", "a.csv", "--library", "rft3d", "--out", "answer")
     assert ran.status == 0, ran.err
     made = {path.name for path in (tmp_path / "answer").iterdir()}
-    assert made == {"answer.json", "posterior.nc", "figure.png", "mine.txt"}
+    assert made == {"answer.json", "posterior.nc", "figure.png", "manifest.json", "mine.txt"}
     answer = (tmp_path / "answer" / "answer.json").read_bytes().decode("utf-8")
     assert json.loads(answer)["library"] == "rft3d"
     assert (".json", "utf-8") in written
@@ -158,3 +162,75 @@ def test_suggest_refuses_what_it_does_not_know(terraphi) -> None:
         ran = terraphi("library", "suggest", *args)
         assert ran.status == 2
         assert words in ran.err
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("--library", ""), "--library is empty"),
+        (("--out", ""), "--out is empty"),
+        (("--out=",), "--out is empty"),
+        (("--noise", " "), "--noise is empty"),
+        (("",), "an argument is empty"),
+        (("--density", "1_650"), "'1_650' is not a number"),
+        (("--density", "\uff11\uff16\uff15\uff10"), "is not a number"),
+        (("--density", "nan"), "'nan' is not a number"),
+        (("--seed", "1_0"), "'1_0' is not a number"),
+        (("--noise", "1_0"), "noise = '1_0': give newtons"),
+        (("--prior", "density=1_500:1700"), "expected KEY=LOW:HIGH"),
+        (("--noise", "50"), "noise = 50 N: all Fx of the record lies within 0.014 to 9.01 N"),
+        (("--noise", "50", "--prior", "density=1550:1750"), "noise = 50 N: all Fx of the record"),
+    ],
+)
+def test_words_that_only_python_would_read(terraphi, tmp_path, args, words) -> None:
+    ran = terraphi("invert", "li2013:yuma/straight", "--library", "rft3d", *args)
+    assert (ran.status, ran.out) == (2, "")
+    assert words in ran.err
+    assert ran.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_simulation_is_not_called_measured(terraphi, tmp_path) -> None:
+    scenario = {"model": "rft", "dimensions": 3, "leg": {"friction": 0.4}}
+    made = simulate(Scenario.model_validate(scenario))
+    made.to_netcdf(tmp_path / "s.nc")
+    made.to_csv(tmp_path / "s.csv")
+    ran = [
+        terraphi("invert", name, "--library", "rft3d", "--json", "--out", name.replace(".", "-"))
+        for name in ("s.nc", "s.csv")
+    ]
+    (one, other) = (json.loads(r.out) for r in ran)
+    # A CSV has six digits of the forces.
+    assert other["phi_deg"]["median"] == pytest.approx(one["phi_deg"]["median"], abs=1e-3)
+    assert one["error_budget"]["discrepancy"] == other["error_budget"]["discrepancy"] == "none"
+    for answer in (one, other):
+        assert (
+            answer["provenance"]["simulation"]["scenario_hash"] == made.provenance["scenario_hash"]
+        )
+    assert not other["density_assumed"]
+    assert terraphi("report", "s-csv", "--out", "r.html").status == 0
+    page = (tmp_path / "r.html").read_text()
+    assert "simulated minus curve at the median" in page
+    assert "measured minus" not in page
+
+
+def test_a_comment_that_does_not_belong_is_said(terraphi, histories, tmp_path) -> None:
+    text = (tmp_path / "a.csv").read_text()
+    (tmp_path / "a.csv").write_text(text.replace('deg": 31.0', 'deg": 41.0'))
+    ran = terraphi("invert", "a.csv", "--library", "rft3d", "--json")
+    assert ran.status == 0
+    assert ran.err.startswith(
+        "terraphi: a.csv, line 1: the comment on where these forces come from"
+    )
+    assert ran.err.count("\n") == 1
+    assert "simulation" not in json.loads(ran.out)["provenance"]
+
+
+def test_forces_from_standard_input_and_from_a_pipe(histories, tmp_path) -> None:
+    told = [sys.executable, "-m", "terraphi.cli", "invert", "-", "--library", "rft3d", "--json"]
+    done = subprocess.run(
+        told, cwd=tmp_path, input=(tmp_path / "a.csv").read_bytes(), capture_output=True, check=True
+    )
+    answer = json.loads(done.stdout)
+    assert answer["source"] == "standard input"
+    assert answer["leg"] == "straight"

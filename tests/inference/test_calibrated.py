@@ -217,3 +217,30 @@ def test_paper_likelihood_takes_no_noise(
 ) -> None:
     with pytest.raises(InputError, match="neither noise nor discrepancy"):
         invert(truths[0][1], library=library, likelihood="paper", noise=0.1)
+
+
+@pytest.mark.parametrize("read_at", [None, np.radians(np.arange(-88.0, 89.0, 2.0))])
+def test_noise_of_a_long_record_is_reckoned_in_parts(
+    read_at: np.ndarray | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Seven readings at a time, with nothing remembered, give what all at once do."""
+    x, theta = np.radians(np.linspace(-90.0, 90.0, 400)), np.linspace(-85.0, 85.0, 40)
+    expected = window_covariance(x, theta, read_at=read_at)
+    monkeypatch.setattr("terraphi.inference.noise.MOST_READINGS", 7)
+    found = window_covariance(x, theta, read_at=read_at)
+    assert found is not expected
+    assert found == pytest.approx(expected, rel=1e-12, abs=1e-18)
+
+
+def test_decompositions_that_are_kept_are_few() -> None:
+    """Each is some 100 MB, and records with other readings need other ones."""
+    from terraphi.inference import library as legs
+
+    prepared = legs.prepare(Library.load("rft3d"), "straight")
+    shapes = [(1.0 + 0.1 * i) * np.eye(prepared.mean.shape[1]) for i in range(5)]
+    first = prepared.spectra(shapes[0])
+    assert prepared.spectra(shapes[0]) is first
+    for shape in shapes[1:]:
+        prepared.spectra(shape)
+    assert len(legs._SPECTRA) == legs.DECOMPOSED
+    assert prepared.spectra(shapes[0]) is not first

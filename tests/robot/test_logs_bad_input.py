@@ -140,6 +140,16 @@ def test_csv_with_a_header_only(tmp_path: Path) -> None:
     refused(path, "no samples")
 
 
+def test_a_comma_too_many_in_one_line_and_too_few_in_another(tmp_path: Path) -> None:
+    def edit(text: str) -> str:
+        lines = text.splitlines(keepends=True)
+        lines[3], lines[5] = lines[3].replace(",", ",,", 1), lines[5].replace(",", "", 1)
+        return "".join(lines)
+
+    found = helpers.read_again(edit_csv(tmp_path / "log.csv", edit))
+    assert found.report["dropped"] == {"line with the wrong number of cells": 2}
+
+
 def test_csv_keeps_its_sound_lines(tmp_path: Path) -> None:
     def edit(text: str) -> str:
         lines = text.splitlines()

@@ -369,7 +369,7 @@ def test_the_command_builds_then_answers(small: Plan, terraphi: Terraphi, tmp_pa
     assert status == 0, err
     assert json.loads(out)["missing"] == []
     names = {path.name for path in (tmp_path / "o").iterdir()}
-    assert names == {"data.json", "sensitivity.md"} | {
+    assert names == {"data.json", "manifest.json", "sensitivity.md"} | {
         f"sensitivity{end}.png" for end in ("", "-friction_angle_deg", "-panels")
     }
     status, out, err = terraphi(*build)

@@ -79,7 +79,8 @@ def test_data_documents_and_figures(found: studies.Study, tmp_path: Path) -> Non
     assert verdicts.count("pass") == found.data["passed"]
     found.save(tmp_path)
     written = {file.name for file in tmp_path.iterdir()}
-    assert written == {"data.json", "verification.md", *(f"{n}.png" for n in found.figures)}
+    pictures = {f"{name}.png" for name in found.figures}
+    assert written == {"data.json", "manifest.json", "verification.md", *pictures}
 
 
 # -- the page ------------------------------------------------------------------------------------

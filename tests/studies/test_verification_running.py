@@ -289,7 +289,8 @@ def test_command_writes_page_and_data(tmp_path: Path, monkeypatch) -> None:
     assert ran.exit_code == 0, ran.output
     assert "1 checks pass, 1 miss" in ran.output
     assert done == [2, 5]
-    assert {file.name for file in out.iterdir()} == {"data.json", "verification.md"}
+    made = {file.name for file in out.iterdir()}
+    assert made == {"data.json", "verification.md", "manifest.json"}
     printed = command("verification", "--only", "waves", "--quick", "--json")
     assert json.loads(printed.output) == json.loads((out / "data.json").read_text())
 

@@ -20,11 +20,12 @@ import tempfile
 from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from terraphi.app.work import JOB, PAGE, REFUSED
 from terraphi.choices import offered, offered_legs
 from terraphi.errors import InputError
+from terraphi.files import plain_number
 from terraphi.report.page import asset, template
 
 if TYPE_CHECKING:
@@ -40,6 +41,8 @@ MOST_SECONDS = 180.0
 """Longest time for one file [s]."""
 MOST_PAGES = 8
 """Pages that are kept, in memory."""
+MOST_IDLE_SECONDS = 30.0
+"""Longest time between two parts of a file, and for the page to end once it is asked to [s]."""
 LONGEST_NAME = 80
 """Letters of a file's name that are shown."""
 SUFFIXES = (".csv", ".npz", ".mcap", ".db3")
@@ -47,6 +50,16 @@ KINDS = ("auto", "forces", "log")
 NUMBERS = {"density": "kg/m³", "noise": "N"}
 """Numbers that may be given, and their units."""
 HEADER = "x-terraphi"
+
+
+class Limits(NamedTuple):
+    """Of one file."""
+
+    bytes: int
+    seconds: float
+    """For all work on it [s]."""
+    idle_seconds: float
+    """Between two parts of it as it comes in [s]."""
 
 
 class RefusedError(Exception):
@@ -79,7 +92,9 @@ def serve(port: int = PORT, *, ready: Callable[[str], None] = lambda _: None) ->
     served = application()
     with _bound(port) as ours:
         ready(f"http://{HOST}:{ours.getsockname()[1]}")
-        configured = uvicorn.Config(served, log_level="warning", server_header=False)
+        configured = uvicorn.Config(
+            served, log_level="warning", server_header=False, timeout_graceful_shutdown=1
+        )
         with contextlib.suppress(KeyboardInterrupt):
             uvicorn.Server(configured).run(sockets=[ours])
 
@@ -106,13 +121,20 @@ def _missing() -> InputError:
     )
 
 
-def application(*, most_bytes: int = MOST_BYTES, most_seconds: float = MOST_SECONDS) -> Starlette:
+def application(
+    *,
+    most_bytes: int = MOST_BYTES,
+    most_seconds: float = MOST_SECONDS,
+    most_idle_seconds: float = MOST_IDLE_SECONDS,
+) -> Starlette:
     """The application.
 
     Parameters
     ----------
     most_bytes, most_seconds
         Largest file, and longest time for one [s].
+    most_idle_seconds
+        Longest time for which nothing of a file comes in [s].
 
     Raises
     ------
@@ -134,11 +156,15 @@ def application(*, most_bytes: int = MOST_BYTES, most_seconds: float = MOST_SECO
     async def home(_: Request) -> Response:
         return HTMLResponse(front, headers={**_HEADERS, "content-security-policy": policy})
 
+    limits = Limits(most_bytes, most_seconds, most_idle_seconds)
+
     async def report(request: Request) -> Response:
         try:
-            html = await page_of(request, one_at_a_time, most_bytes, most_seconds)
+            html = await page_of(request, one_at_a_time, limits)
         except RefusedError as refused:
             return JSONResponse({"refused": str(refused)}, refused.status, headers=_HEADERS)
+        except asyncio.CancelledError:  # by Ctrl-C, after which nobody waits for anything
+            return JSONResponse({"refused": "the app was ended"}, 503, headers=_HEADERS)
         name = secrets.token_urlsafe(16)
         pages[name] = html
         while len(pages) > MOST_PAGES:
@@ -190,20 +216,18 @@ def front_page(most_bytes: int) -> tuple[str, str]:
     return html, policy
 
 
-async def page_of(
-    request: Request, one_at_a_time: asyncio.Lock, most_bytes: int, most_seconds: float
-) -> str:
+async def page_of(request: Request, one_at_a_time: asyncio.Lock, limits: Limits) -> str:
     """HTML that a request's file comes to; raises RefusedError."""
     if request.headers.get(HEADER) != "1":
         raise RefusedError(403, "only this app's own page may send files")
     job = job_of(dict(request.query_params))
     with tempfile.TemporaryDirectory(prefix="terraphi-app-") as place:
         folder = Path(place)
-        await _received(request, folder / job["file"], job["name"], most_bytes)
+        await _received(request, folder / job["file"], job["name"], limits)
         (folder / JOB).write_text(json.dumps(job), encoding="utf-8")
         async with one_at_a_time:
             try:
-                await _worked(folder, most_seconds)
+                await _worked(folder, limits.seconds)
             except RefusedError as late:
                 raise RefusedError(late.status, f"{job['name']}: {late}") from None
         if (folder / PAGE).is_file():
@@ -232,7 +256,7 @@ def _number(query: dict[str, str], key: str, unit: str) -> float | None:
     if not query.get(key):
         return None
     try:
-        return float(query[key])
+        return plain_number(query[key])
     except ValueError:
         raise RefusedError(400, f"{key}: a number in {unit} is expected") from None
 
@@ -246,19 +270,31 @@ def shown_name(text: str) -> str:
     return plain or "file"
 
 
-async def _received(request: Request, path: Path, name: str, most_bytes: int) -> None:
-    """Write what comes in to a file, and stop when it is too much."""
-    too_large = RefusedError(413, f"{name}: larger than {most_bytes / 1e6:g} MB")
+async def _received(request: Request, path: Path, name: str, limits: Limits) -> None:
+    """Write what comes in to a file, and stop when it is too much or nothing more comes."""
+    from starlette.requests import ClientDisconnect
+
+    too_large = RefusedError(413, f"{name}: larger than {limits.bytes / 1e6:g} MB")
     announced = request.headers.get("content-length", "0")
-    if announced.isdigit() and int(announced) > most_bytes:
+    if announced.isdigit() and int(announced) > limits.bytes:
         raise too_large
-    size = 0
+    size, parts = 0, request.stream()
     with path.open("wb") as stream:
-        async for part in request.stream():
-            size += len(part)
-            if size > most_bytes:
-                raise too_large
-            stream.write(part)
+        try:
+            while True:
+                async with asyncio.timeout(limits.idle_seconds):
+                    part = await anext(parts, b"")
+                if not part:
+                    return
+                size += len(part)
+                if size > limits.bytes:
+                    raise too_large
+                stream.write(part)
+        except TimeoutError:
+            idle = f"{name}: nothing of it came for {limits.idle_seconds:g} s; drop it again"
+            raise RefusedError(408, idle) from None
+        except ClientDisconnect:
+            raise RefusedError(400, f"{name}: broken off by who sent it") from None
 
 
 async def _worked(folder: Path, most_seconds: float) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from terraphi.errors import InputError
-from terraphi.files import CSV_COLUMNS, column_names
+from terraphi.force_table import CSV_COLUMNS, column_names
 from terraphi.report.parts import Section
 
 JOB, PAGE, REFUSED = "job.json", "page.html", "refused.txt"

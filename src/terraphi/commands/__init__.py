@@ -2,11 +2,56 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
+
+
+def _check_plain(
+    kind: click.ParamType[Any], value: Any, param: click.Parameter | None, ctx: click.Context | None
+) -> None:
+    """Refuse numbers that only Python reads, as ``1_000``, and what is not finite."""
+    from terraphi.files import plain_number
+
+    if not isinstance(value, str):
+        return
+    try:
+        finite = math.isfinite(plain_number(value))
+    except ValueError:
+        finite = False
+    if not finite:
+        kind.fail(f"{value[:40]!r} is not a number, as 1000 and 0.25 are", param, ctx)
+
+
+class Float(click.types.FloatParamType):
+    """A number on the command line, in the letters that our files have."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """The number."""
+        _check_plain(self, value, param, ctx)
+        return super().convert(value, param, ctx)
+
+
+class FloatRange(click.FloatRange):
+    """The same within bounds."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """The number."""
+        _check_plain(self, value, param, ctx)
+        return super().convert(value, param, ctx)
+
+
+class IntRange(click.IntRange):
+    """The same of whole numbers."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """The number."""
+        _check_plain(self, value, param, ctx)
+        return super().convert(value, param, ctx)
+
 
 EVERY_SECONDS = 20.0
 """Least time between two checkpoints [s]."""
@@ -14,7 +59,7 @@ EVERY_SECONDS = 20.0
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 checkpoint_every_option = click.option(
     "--checkpoint-every",
-    type=click.FloatRange(min=0.0),
+    type=FloatRange(min=0.0),
     default=EVERY_SECONDS,
     show_default=True,
     metavar="SECONDS",

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import click
 
+from terraphi.commands import IntRange
+
 
 @click.command()
 @click.option(
     "--port",
-    type=click.IntRange(min=1, max=65535),
+    type=IntRange(min=1, max=65535),
     default=8321,
     show_default=True,
     help="Port on 127.0.0.1.",

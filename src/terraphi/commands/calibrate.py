@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from terraphi.commands import json_option
+from terraphi.commands import IntRange, json_option
 from terraphi.console import print_json, print_table, progress_bar, words
 
 
@@ -14,7 +14,7 @@ from terraphi.console import print_json, print_table, progress_bar, words
 @click.argument("name")
 @click.option("--replicates", help="Library of some of its cases under other particle seeds.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file to make.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed.")
+@click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed.")
 @json_option
 def library_calibrate(
     name: str, replicates: str | None, out: Path, seed: int, as_json: bool
@@ -25,11 +25,11 @@ def library_calibrate(
 
     Example: terraphi library calibrate mine.nc --replicates seeds.nc --out calibrated.nc
     """
-    from terraphi.files import writable
     from terraphi.inference.certificate import certified
     from terraphi.library import Library
+    from terraphi.outputs import check_file
 
-    writable(out)
+    check_file(out, kind="library")
     others = Library.load(replicates) if replicates else None
     with progress_bar("checking") as report:
         made = certified(Library.load(name), others, seed=seed, progress=report)

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from terraphi.commands import completed, json_option, leg_names, library_names
-from terraphi.console import as_text, print_inversion, print_joint_inversion, print_json
+from terraphi.commands import Float, IntRange, completed, json_option, leg_names, library_names
+from terraphi.console import (
+    as_text,
+    print_inversion,
+    print_joint_inversion,
+    print_json,
+    warnings_shown,
+)
 from terraphi.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,8 +29,9 @@ if TYPE_CHECKING:
 DEFAULT_LIBRARY = "quick-plane-strain"
 DEFAULT_LIKELIHOOD = "calibrated"
 DEFAULT_SAMPLER = "quadrature"
-ALL_FIGURES = ("figure.png", "corner.png")
-"""Pictures that an inversion of any kind may leave in its folder."""
+KIND, ANSWER = "inversion", "answer.json"
+MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
+"""Files that an inversion of any kind may leave in its folder."""
 
 
 @click.command()
@@ -37,7 +43,7 @@ ALL_FIGURES = ("figure.png", "corner.png")
     help="Shape of the leg: straight, c, reversed_c or plate; once for all, or once each.",
     shell_complete=leg_names,
 )
-@click.option("--density", type=float, help="Bulk density of the soil [kg/m³].")
+@click.option("--density", type=Float(), help="Bulk density of the soil [kg/m³].")
 @click.option(
     "--library",
     default=DEFAULT_LIBRARY,
@@ -67,9 +73,7 @@ ALL_FIGURES = ("figure.png", "corner.png")
     "--sampler",
     help=f"quadrature (exact, φ alone) or emcee.  [default: {DEFAULT_SAMPLER}; emcee if joint]",
 )
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of emcee."
-)
+@click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of emcee.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -99,21 +103,24 @@ def invert(
     Example: terraphi invert straight.csv c.csv --leg straight --leg c --prior density=1500:1700
     """
     from terraphi.design_surrogate.training import is_of_several
-    from terraphi.files import folder
     from terraphi.library import Library
     from terraphi.measurements import open_forces
+    from terraphi.outputs import check_folder
 
-    measured = [open_forces(source) for source in forces]
+    if out is not None:
+        check_folder(out, kind=KIND, names=MADE)
+    with warnings_shown():
+        measured = [open_forces(source) for source in forces]
     shapes = legs_of(legs, measured)
     chosen = Library.load(library)
     joint = len(measured) > 1 or bool(prior) or is_of_several(chosen)
     made: tuple[str, ...]
     if joint:
         found = jointly(measured, shapes, chosen, prior=prior, **options)
-        made = () if out is None else save_joint_inversion(found, folder(out))
+        made = () if out is None else save_joint_inversion(found, out)
     else:
         found = alone(measured[0], shapes[0], chosen, **options)
-        made = () if out is None else save_inversion(found, folder(out))
+        made = () if out is None else save_inversion(found, out)
     if as_json:
         print_json(found.as_dict())
         return
@@ -224,19 +231,11 @@ def _save(
     found: Inversion | JointInversion, place: Path, figures: Mapping[str, Callable[[], Figure]]
 ) -> tuple[str, ...]:
     from terraphi import plots
-    from terraphi.files import replacing
+    from terraphi.outputs import filling
 
-    # The answer comes last: where it stands, all that it speaks of does.
-    names = ("posterior.nc", *figures, "answer.json")
-    with tempfile.TemporaryDirectory(dir=place, prefix=".unfinished-") as unfinished:
-        made = Path(unfinished)
+    with filling(place, kind=KIND, last=ANSWER) as made:
         found.to_netcdf(made / "posterior.nc")
         for name, draw in figures.items():
             plots.save(draw(), made.joinpath(name))
-        with replacing(made / "answer.json") as temporary:
-            temporary.write_text(as_text(found.as_dict()), encoding="utf-8")
-        for name in ("answer.json", *ALL_FIGURES):  # of an earlier inversion, joint or not
-            place.joinpath(name).unlink(missing_ok=True)
-        for name in names:
-            made.joinpath(name).replace(place.joinpath(name))
-    return "answer.json", *names[:-1]
+        made.joinpath(ANSWER).write_text(as_text(found.as_dict()), encoding="utf-8")
+    return ANSWER, "posterior.nc", *figures

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from terraphi.commands import (
+    IntRange,
     checkpoint_every_option,
     cluster_option,
     json_option,
@@ -38,7 +39,7 @@ def library() -> None:
 @library.command("build")
 @click.argument("plan", shell_complete=shipped("plans", ".toml"))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file to make.")
-@click.option("--workers", type=click.IntRange(min=1), help="Processes; all cores if not given.")
+@click.option("--workers", type=IntRange(min=1), help="Processes; all cores if not given.")
 @cluster_option
 @checkpoint_every_option
 @json_option
@@ -58,9 +59,14 @@ def library_build(
     """
     from terraphi.build import build, kept_cases
     from terraphi.cluster import pool
+    from terraphi.files import makeable
+    from terraphi.outputs import check_file
     from terraphi.plan import Plan
 
     chosen = Plan.load(plan)
+    if out.exists():
+        check_file(out, kind="library")
+    makeable(out.parent)
     compiles = cluster is None and any(case.model == "mpm" for case in chosen.cases())
     try:
         with (
@@ -139,7 +145,7 @@ def _list(found: Sequence[Mapping[str, Any]], title: str) -> None:
 @click.option(
     "--case",
     "number",
-    type=click.IntRange(min=1),
+    type=IntRange(min=1),
     default=1,
     show_default=True,
     help="Which case to check, in the plan's order.",

@@ -36,7 +36,7 @@ def report(
 
     Example: terraphi report answer --out report.html
     """
-    from terraphi.files import writable
+    from terraphi.outputs import check_file
     from terraphi.report.page import write
     from terraphi.report.recognise import sections
 
@@ -45,7 +45,7 @@ def report(
             f"{out}: a report is a page in HTML; name it .html, and print it from a browser if "
             "you want a PDF"
         )
-    writable(out)
+    check_file(out)
     found = sections(results, library=library, robot=robot)
     size = write(found, out)
     if as_json:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from terraphi.commands import checkpoint_every_option, json_option, shipped
+from terraphi.commands import IntRange, checkpoint_every_option, json_option, shipped
 from terraphi.console import (
     ignore_interrupts,
     print_json,
@@ -33,7 +33,7 @@ file_type = click.Path(path_type=Path)
 @click.option("--animate", type=file_type, help="A .gif or .mp4 of particles and growing forces.")
 @click.option(
     "--frames",
-    type=click.IntRange(min=2),
+    type=IntRange(min=2),
     default=100,
     show_default=True,
     help="Frames of the fields and the animation, one each 2000 steps at most.",
@@ -65,15 +65,18 @@ def simulate(
     Example: terraphi simulate quick --out quick.nc
     """
     from terraphi.files import writable
+    from terraphi.outputs import check_file
     from terraphi.plausibility import doubts
     from terraphi.scenario import Scenario
 
     chosen = Scenario.load(scenario)
     if out is not None and out.suffix != ".nc":
         raise InputError(f"{out}: a history is written as NetCDF; name it {out.stem}.nc")
-    for file in (out, animate, checkpoint):
+    for file, kind in ((out, "force history"), (animate, "")):
         if file is not None:
-            writable(file)
+            check_file(file, kind=kind)
+    if checkpoint is not None:
+        writable(checkpoint)
     if animate is not None:
         from terraphi.animation import check_animation
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from terraphi.commands import cluster_option, json_option, library_names, study_names
+from terraphi.commands import IntRange, cluster_option, json_option, library_names, study_names
 from terraphi.console import print_json, print_table, progress_bar
 from terraphi.errors import InputError
 
@@ -26,7 +26,7 @@ from terraphi.errors import InputError
     type=click.Path(path_type=Path),
     help="Folder: simulate what the study lacks, and keep it there; not for all.",
 )
-@click.option("--workers", type=click.IntRange(min=1), help="Processes; 1 if not given.")
+@click.option("--workers", type=IntRange(min=1), help="Processes; 1 if not given.")
 @cluster_option
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for data.json and figures.")
 @json_option

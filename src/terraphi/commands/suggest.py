@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import click
 
-from terraphi.commands import json_option, leg_names, library_names
+from terraphi.commands import FloatRange, IntRange, json_option, leg_names, library_names
 from terraphi.console import print_json, print_table
 
 
 @click.command("suggest")
 @click.argument("name", shell_complete=library_names)
 @click.option(
-    "--count", type=click.IntRange(1, 64), default=1, show_default=True, help="Number of points."
+    "--count", type=IntRange(1, 64), default=1, show_default=True, help="Number of points."
 )
 @click.option(
     "--leg", help="Leg that will be inverted; all together if not given.", shell_complete=leg_names
@@ -19,10 +19,10 @@ from terraphi.console import print_json, print_table
 @click.option("--parameter", help="Key of the parameter whose variance counts; all if not given.")
 @click.option(
     "--noise",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FloatRange(min=0.0, min_open=True),
     help="Noise of a window mean to expect [N]; 1 % of the peak-to-peak if not given.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed.")
+@click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed.")
 @json_option
 def library_suggest(
     name: str,

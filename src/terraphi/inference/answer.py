@@ -111,6 +111,11 @@ class Inversion:
     budget: Budget | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def origin(self) -> str:
+        """What its forces are, in a word: ``measured`` or ``simulated``."""
+        return "simulated" if "simulation" in self.provenance else "measured"
+
     def as_dict(self) -> dict[str, Any]:
         """Answer as the command line prints it with ``--json``."""
         equivalent = self.phi_plane_strain

@@ -170,7 +170,7 @@ def scenario_of(history: ForceHistory) -> Scenario | None:
     except ValidationError as error:
         raise InputError(
             "the history carries a scenario that this version of terraphi cannot read; simulate it "
-            "again, or give its forces alone (CSV)"
+            "again, or give its forces alone (a CSV without its comment)"
         ) from error
 
 

@@ -175,6 +175,7 @@ def invert(
         budget=found.budget,
         provenance={
             **_provenance(library),
+            **_origin(history),
             "seconds": time.perf_counter() - began,
             "core_seconds": found.core_seconds,
         },
@@ -259,6 +260,7 @@ def _calibrated(
     check_same_setup(history, scenario)
     scale = 1.0 if density is None else density / scenario.soil.density
     noise, discrepancy = errors
+    noise.check_against(history)
     discrepancy = discrepancy or _default_discrepancy(history, scenario, leg)
     shape, sigma = shape_of(noise, window_covariance(history.position, observation.theta_deg))
     began = time.perf_counter()
@@ -316,6 +318,14 @@ def _curves(
 def _versions() -> dict[str, str]:
     """Versions of the software at work here."""
     return {name: importlib.metadata.version(name) for name in _SOFTWARE}
+
+
+def _origin(history: ForceHistory) -> dict[str, Any]:
+    """What a history that was simulated says of its simulation; empty for any other."""
+    if "scenario" not in history.provenance:
+        return {}
+    known = ("scenario_hash", "model_version", "seed")
+    return {"simulation": {key: history.provenance.get(key) for key in known}}
 
 
 def _provenance(library: Library) -> dict[str, Any]:

@@ -37,7 +37,9 @@ STEP_DEG = 0.05
 ENOUGH = 2
 """Readings in every window from which on a mean scatters as that over the whole window."""
 REMEMBERED = 8
-"""Prepared legs that are kept, and decompositions of each."""
+"""Prepared legs that are kept, each some 30 MB."""
+DECOMPOSED = 3
+"""Decompositions that are kept, each some 100 MB: records with other readings need other ones."""
 
 
 class Spectrum(NamedTuple):
@@ -86,7 +88,6 @@ class PreparedLeg:
     scatter: FloatArray = field(repr=False)
     reading: Reading = field(repr=False)
     opened: FloatArray = field(repr=False)
-    _spectra: OrderedDict[bytes, Spectra] = field(default_factory=OrderedDict, repr=False)
 
     @classmethod
     def of(
@@ -118,7 +119,7 @@ class PreparedLeg:
         near = int(np.square(self.mean - data).sum(axis=1).argmin())
         opened = self.reading.covariance(self.phi_deg[[near]], self.mean[[near]])[0]
         total = self.covariance + opened
-        return replace(self, covariance=total, opened=opened, _spectra=OrderedDict())
+        return replace(self, covariance=total, opened=opened)
 
     def known(self, phi_deg: float) -> FloatArray:
         """Covariance of surrogate and readings at a friction angle [N^2], [2 theta, 2 theta]."""
@@ -139,11 +140,12 @@ class PreparedLeg:
         shape
             W, the noise covariance of unit size [-], positive definite, [2 theta, 2 theta].
         """
-        key = np.round(shape, 9).tobytes()
-        if key not in self._spectra:
-            self._spectra[key] = Spectra(self, shape)
-        _forget_oldest(self._spectra)
-        return self._spectra[key]
+        # A leg stays, and its identity with it, for as long as its decompositions do.
+        key = (id(self), np.round(shape, 9).tobytes())
+        found = _SPECTRA.pop(key, None) or Spectra(self, shape)
+        _SPECTRA[key] = found
+        _forget_oldest(_SPECTRA, DECOMPOSED)
+        return found
 
 
 class Spectra:
@@ -206,6 +208,7 @@ def _threads() -> ThreadpoolController:
 
 _Key = tuple[int, str, bytes]
 _KNOWN: OrderedDict[_Key, tuple[weakref.ref[Library], PreparedLeg]] = OrderedDict()
+_SPECTRA: OrderedDict[tuple[int, bytes], Spectra] = OrderedDict()
 
 
 def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -> PreparedLeg:
@@ -238,7 +241,7 @@ def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -
         reading = learn_reading(library, leg, readings, path=not learnt)
     prepared = PreparedLeg.of(surrogate, curves, reading)
     _KNOWN[key] = (weakref.ref(library), prepared)
-    _forget_oldest(_KNOWN)
+    _forget_oldest(_KNOWN, REMEMBERED)
     return prepared
 
 
@@ -310,6 +313,6 @@ def _means(
     return means, repeats
 
 
-def _forget_oldest(kept: OrderedDict[Any, Any]) -> None:
-    while len(kept) > REMEMBERED:
+def _forget_oldest(kept: OrderedDict[Any, Any], most: int) -> None:
+    while len(kept) > most:
         kept.popitem(last=False)

@@ -17,7 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from terraphi.documents import parse_toml
 from terraphi.errors import InputError
-from terraphi.history import WINDOW_DEG
+from terraphi.files import is_there, plain_number
+from terraphi.history import WINDOW_DEG, ForceHistory
 from terraphi.readings import is_read_again, shares
 
 FloatArray = NDArray[np.float64]
@@ -25,6 +26,9 @@ FloatArray = NDArray[np.float64]
 INFERRED = "inferred"
 LARGEST_N = 1e5
 """Noise that is accepted [N], as much as the largest force."""
+MOST_READINGS = 4096
+"""Readings whose weights are held at a time, and largest record whose covariance is remembered: a
+million readings would fill gigabytes."""
 RIDGE = 1e-3
 """Added to the noise covariance, of its mean variance [-]: coarse records make it singular."""
 
@@ -61,10 +65,10 @@ class Noise:
         if given is None or given == INFERRED:
             return cls()
         try:
-            sigma = float(str(given))
+            sigma = plain_number(str(given))
         except ValueError:
             path = Path(str(given))
-            if path.suffix != ".toml" and not path.is_file():
+            if path.suffix != ".toml" and not is_there(path):
                 raise InputError(
                     f"noise = '{given}': give newtons, a TOML file with sigma_Fx_N and "
                     f"sigma_Fz_N, or '{INFERRED}'"
@@ -74,6 +78,29 @@ class Noise:
         if not 0.0 <= sigma <= LARGEST_N:
             raise InputError(f"noise = {given} N; 0 to {LARGEST_N:g} N is accepted")
         return cls((sigma, sigma))
+
+    def check_against(self, history: ForceHistory) -> None:
+        """Refuse noise that a record cannot have, as one reading would err by more than all differ.
+
+        Parameters
+        ----------
+        history
+            The record.
+
+        Raises
+        ------
+        InputError
+            If a standard deviation is larger than what the force spans within the window.
+        """
+        for axis, sigma in zip("xz", self.sigma_N or (), strict=False):
+            force = getattr(history.engaged(), f"F{axis}")
+            low, high = float(force.min()), float(force.max())
+            if sigma > high - low:
+                raise InputError(
+                    f"noise = {sigma:g} N: all F{axis} of the record lies within {low:.3g} to "
+                    f"{high:.3g} N; at most {high - low:.3g} N, the standard deviation of one "
+                    "reading, is accepted"
+                )
 
 
 def window_covariance(
@@ -97,41 +124,56 @@ def window_covariance(
         Shape [window, window]; positive definite.
     """
     again = b"" if read_at is None else read_at.tobytes()
-    return _window_covariance(position.tobytes(), theta_deg.tobytes(), again)
+    remembered = position.size <= MOST_READINGS
+    compute = _window_covariance if remembered else _window_covariance.__wrapped__
+    return compute(position.tobytes(), theta_deg.tobytes(), again)
 
 
 @functools.lru_cache(maxsize=16)
 def _window_covariance(position: bytes, angles: bytes, again: bytes) -> FloatArray:
     x, theta_deg, readings = (np.frombuffer(part) for part in (position, angles, again))
-    half = np.radians(WINDOW_DEG) / (theta_deg.size - 1)
-    if readings.size and is_read_again(x, readings):
-        windows = _means(np.radians(theta_deg), half, readings)
-        weights = windows @ _means(readings, 0.5 * shares(readings), x)
-    else:
-        weights = _means(np.radians(theta_deg), half, x)
-    covariance: FloatArray = weights @ weights.T
+    centre, half = np.radians(theta_deg), np.radians(WINDOW_DEG) / (theta_deg.size - 1)
+    twice = bool(readings.size) and is_read_again(x, readings)
+    windows = _means(centre, half, readings) if twice else None
+    covariance: FloatArray = np.zeros((centre.size, centre.size))
+    for first in range(0, x.size, MOST_READINGS):
+        part = slice(first, first + MOST_READINGS)
+        if windows is not None:
+            weights = windows @ _means(readings, 0.5 * shares(readings), x, part)
+            covariance += weights @ weights.T
+        else:
+            ends = x[max(first - 1, 0)], x[min(part.stop, x.size - 1)]
+            (meet,) = np.nonzero((centre + half >= ends[0]) & (centre - half <= ends[1]))
+            weights = _means(centre[meet], half, x, part)
+            covariance[np.ix_(meet, meet)] += weights @ weights.T
     covariance += RIDGE * np.trace(covariance) / theta_deg.size * np.eye(theta_deg.size)
     covariance.setflags(write=False)
     return covariance
 
 
-def _means(centre: FloatArray, half: float | FloatArray, x: FloatArray) -> FloatArray:
-    """Weights of samples in the means around some places, shape [place, sample]."""
+def _means(
+    centre: FloatArray, half: float | FloatArray, x: FloatArray, part: slice = slice(None)
+) -> FloatArray:
+    """Weights of samples, or of a part of them, in means around places, shape [place, sample]."""
     low, high = np.maximum(centre - half, x[0]), np.minimum(centre + half, x[-1])
-    weights: FloatArray = (_hats(high, x) - _hats(low, x)) / (high - low)[:, None]
+    weights: FloatArray = (_hats(high, x, part) - _hats(low, x, part)) / (high - low)[:, None]
     return weights
 
 
-def _hats(at: FloatArray, x: FloatArray) -> FloatArray:
+def _hats(at: FloatArray, x: FloatArray, part: slice) -> FloatArray:
     """Integral from x[0] to given places of each sample's hat function, shape [place, sample]."""
-    width = np.diff(x)
-    passed = np.clip((at[:, None] - x[:-1]) / width, 0.0, 1.0)
+    first, last, _ = part.indices(x.size)
+    # With the neighbours on either side, whose panels reach into the part.
+    begin = max(first - 1, 0)
+    near = x[begin : last + 1]
+    width = np.diff(near)
+    passed = np.clip((at[:, None] - near[:-1]) / width, 0.0, 1.0)
     rising = 0.5 * width * np.square(passed)
     falling = width * (passed - 0.5 * np.square(passed))
-    total = np.zeros((at.size, x.size))
+    total = np.zeros((at.size, near.size))
     total[:, 1:] += rising
     total[:, :-1] += falling
-    return total
+    return total[:, first - begin : last - begin]
 
 
 def shape_of(noise: Noise, windows: FloatArray) -> tuple[FloatArray, float | None]:

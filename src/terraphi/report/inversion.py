@@ -151,6 +151,11 @@ def _apart(answer: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
+def _origin(answer: Mapping[str, Any]) -> str:
+    """What its forces are, in a word."""
+    return "simulated" if "simulation" in answer.get("provenance", {}) else "measured"
+
+
 def _median(angle: Mapping[str, Any], fewest: int = 1) -> str:
     return f"{angle['median']:.{decimals(angle['ci68'], fewest)}f}"
 
@@ -189,7 +194,7 @@ def _numbers(answer: Mapping[str, Any]) -> Table:
         note=(
             f"Leg {answer['leg']}, library {answer['library']}, density "
             f"{answer['density_kg_m3']:g} kg/m³{assumed}. The curve at the median deviates from "
-            f"the measured forces by {misfit} of their peak-to-peak."
+            f"the {_origin(answer)} forces by {misfit} of their peak-to-peak."
         ),
     )
 
@@ -238,7 +243,7 @@ def _forces(saved: Saved, again: Again | None, why_not: str) -> list[Part]:
             traces.append(fig.band(saved.theta_deg, low, high, within, "@blue/0.3"))
         traces += [
             fig.line(saved.theta_deg, saved.best[part], "curve at the median", "@blue"),
-            fig.points(saved.theta_deg, saved.data[part], "measured", "@orange"),
+            fig.points(saved.theta_deg, saved.data[part], _origin(saved.answer), "@orange"),
         ]
         deviation = 100.0 * saved.answer["nrmsd"][name]
         plots.append(
@@ -272,7 +277,7 @@ def _residuals(saved: Saved) -> Plot:
             }
         )
     return Plot(
-        title="Residuals: measured minus curve at the median",
+        title=f"Residuals: {_origin(saved.answer)} minus curve at the median",
         traces=traces,
         layout=fig.layout(fig.THETA, "residual [% of peak-to-peak]", xaxis=fig.DEGREES),
     )

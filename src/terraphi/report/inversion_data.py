@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.errors import InputError
+from terraphi.files import damage_told
 from terraphi.inference.information import information_share
 from terraphi.inference.library import prepare
 from terraphi.inference.residual import PaperLikelihood
@@ -89,7 +90,8 @@ def load(path: Path) -> Saved:
         return _checked(Saved(_answer(answer_file), *(np.empty(0),) * 4), answer_file)
     import xarray as xr
 
-    try:
+    why = f"{posterior}: not a whole posterior as 'terraphi invert --out' writes it; make it again"
+    with damage_told(why, AttributeError, TypeError):
         with xr.open_datatree(posterior, engine="h5netcdf") as opened:
             tree = opened.load()
         vectors = [
@@ -105,11 +107,6 @@ def load(path: Path) -> Saved:
         if "reading_deg" in tree["observed_data"]:
             readings = np.radians(_array(tree, "observed_data/reading_deg"))
         answer = json.loads(tree.attrs["answer"])
-    except Exception as error:  # the HDF5 stack raises OSError, KeyError, ValueError and more
-        raise InputError(
-            f"{posterior}: not a whole posterior as 'terraphi invert --out' writes it; make it "
-            "again"
-        ) from error
     sound = len(vectors[0]) == len(vectors[1]) == 2 * len(theta) and len(draws) >= 10
     told = np.zeros((2, len(theta))) if share is None else share
     sound = sound and told.shape == (2, len(theta))

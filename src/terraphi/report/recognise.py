@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from terraphi.documents import shipped_names
 from terraphi.errors import InputError
-from terraphi.files import CSV_COLUMNS, column_names
+from terraphi.files import check_is_file, damage_told
+from terraphi.force_table import CSV_COLUMNS, column_names
 from terraphi.report import page
 from terraphi.report.parts import Section
 
@@ -47,6 +48,7 @@ def recognise(source: str) -> Result:
         if source in shipped_names("libraries", ".nc"):
             return Result("library", path)
         raise InputError(f"{source}: no such file or folder, nor a shipped library; {EXPECTED}")
+    check_is_file(path)
     if path.suffix == ".nc":
         return Result(_kind_of_netcdf(path), path)
     if path.name == "data.json":
@@ -98,13 +100,9 @@ def _kind_of_folder(path: Path) -> Kind:
 def _kind_of_netcdf(path: Path) -> Kind:
     import xarray as xr
 
-    try:
-        with xr.open_dataset(path, engine="h5netcdf") as opened:
-            kind = str(opened.attrs.get("terraphi_file"))
-    except Exception as error:  # the HDF5 stack raises OSError, KeyError, ValueError and more
-        raise InputError(
-            f"{path}: not a whole NetCDF file (truncated, or of another format)"
-        ) from error
+    why = f"{path}: not a whole NetCDF file (truncated, or of another format)"
+    with damage_told(why), xr.open_dataset(path, engine="h5netcdf") as opened:
+        kind = str(opened.attrs.get("terraphi_file"))
     known = {
         "inversion": "inversion",
         "library": "library",

@@ -7,7 +7,6 @@ of Unitree's quadrupeds and of most others with twelve joints.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from terraphi.documents import toml_content
 from terraphi.errors import InputError, nearest, sentence_from_validation
+from terraphi.files import is_there, read_bytes
 from terraphi.robot.joint_log import FEET, JOINTS
 from terraphi.robot.joint_names import JOINT_NAMES
 
@@ -242,7 +243,7 @@ class Quadruped(_Part):
         (0.0, 0.0955, 0.0)
         """
         path = Path(source)
-        if not path.suffix and not path.is_file():
+        if not path.suffix and not is_there(path):
             if path.name not in cls.names():
                 hint = nearest(path.name, cls.names())
                 raise InputError(f"'{source}' is neither a file nor a shipped robot; {hint}")
@@ -254,10 +255,7 @@ class Quadruped(_Part):
 
             content = document_from_urdf(text, str(path))
         else:
-            try:
-                content = tomllib.loads(text)
-            except tomllib.TOMLDecodeError as error:
-                raise InputError(f"{path}: not valid TOML: {error}") from error
+            content = toml_content(text, path)
         return cls.from_document(content, str(path))
 
     @classmethod
@@ -270,11 +268,7 @@ class Quadruped(_Part):
 
 
 def _text(path: Path) -> str:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a text file; TOML or URDF in UTF-8 is expected") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error

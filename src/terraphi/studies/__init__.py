@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from terraphi.errors import InputError, nearest
-from terraphi.files import folder, makeable, replacing
+from terraphi.outputs import check_folder, filling
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -125,15 +125,21 @@ class Study:
         """
         from terraphi import plots
 
-        place = folder(out)
         data = json.dumps(self.everything(), indent=2, ensure_ascii=False)
         texts = {"data.json": data, **self.documents}
-        for name, text in texts.items():
-            with replacing(place / name) as temporary:
-                temporary.write_text(text, encoding="utf-8")
-        for name, figure in self.figures.items():
-            plots.save(figure, place / f"{name}.png", dpi=self.dpi)
+        with filling(
+            out, kind=f"study {self.name}", last="data.json", besides=[kept_in(self.name)]
+        ) as made:
+            for name, text in texts.items():
+                (made / name).write_text(text, encoding="utf-8")
+            for name, figure in self.figures.items():
+                plots.save(figure, made / f"{name}.png", dpi=self.dpi)
         return *texts, *(f"{name}.png" for name in self.figures)
+
+
+def kept_in(name: str) -> str:
+    """Name of the folder, beside a long study's results, of what is finished of it."""
+    return f"{name}.tasks"
 
 
 def page(
@@ -234,6 +240,6 @@ def run(
     services = {"out": out, "progress": progress}
     given |= {service: value for service, value in services.items() if service in known}
     if out is not None:
-        makeable(out)
+        check_folder(out, kind=f"study {name}", names=["data.json"], besides=[kept_in(name)])
     study: Study = module.run(**given)
     return replace(study, name=name)

@@ -15,11 +15,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from terraphi.build import finished_cases, held, simulate_cases
+from terraphi.build import finished_cases, simulate_cases
 from terraphi.cluster import pool
 from terraphi.documents import shipped_folder
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory, Peaks
+from terraphi.holding import held
 from terraphi.plan import Plan, Variant, label
 from terraphi.plots import (
     BLUE,

@@ -15,6 +15,7 @@ import os
 import platform
 import time
 import zipfile
+from pathlib import Path
 from typing import Any
 
 import llvmlite.binding
@@ -34,6 +35,7 @@ from terraphi.scenario import Scenario
 
 log = logging.getLogger(__name__)
 
+_ARCHIVE = b"PK\x03\x04"
 SCHEMA = 1
 """Version of the layout of a checkpoint."""
 DEAREST = 0.01
@@ -89,7 +91,8 @@ class Keeper:
         try:
             state, head = self._read()
         except _MisfitError as error:
-            if self._where.named:
+            # A checkpoint that was cut off still begins as one: another's file is left alone.
+            if self._where.named or not _begins_as_archive(path):
                 raise InputError(f"{path}: {error}; remove it, or name another file") from error
             log.warning("%s: %s; it is ignored, and the simulation starts anew", path, error)
             return None
@@ -194,6 +197,12 @@ class Keeper:
 
 class _MisfitError(ValueError):
     """A file is no checkpoint of this run; the message says why."""
+
+
+def _begins_as_archive(path: Path) -> bool:
+    """Whether a file is empty, or begins as what NumPy writes."""
+    with path.open("rb") as stream:
+        return stream.read(len(_ARCHIVE)) in (b"", _ARCHIVE)
 
 
 def fitting(scenario: Scenario, kernel: str) -> dict[str, Any]:

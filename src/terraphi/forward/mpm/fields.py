@@ -21,6 +21,10 @@ from terraphi.vtk import Data, read_series, write_points, write_polygon, write_s
 FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
+NOTE = "scenario "
+"""How the note in a series of ours begins."""
+FRAME = "_[0-9][0-9][0-9][0-9].vtu"
+"""How the name of a frame ends."""
 PARTICLES, LEG = "particles", "leg"
 """Names of the two series: ``particles.pvd``, ``leg.pvd`` and their frames."""
 
@@ -44,14 +48,29 @@ class FieldSeries:
     Raises
     ------
     InputError
-        If the folder cannot be made.
+        If the folder cannot be made, or files of these names are there and not ours.
     """
 
     def __init__(self, folder: Path, scenario: Scenario, *, frames: int) -> None:
         self._folder = made_folder(folder)
         self._steps = frame_steps(step_count(scenario), frames, block=block_length(scenario))
-        self._note = f"scenario {scenario.hash}, frame of each step {self._steps}"
+        self._note = f"{NOTE}{scenario.hash}, frame of each step {self._steps}"
         self._known: dict[int, float] | None = None
+        self._check_what_is_there()
+
+    def _check_what_is_there(self) -> None:
+        """Refuse to take the place of files that no simulation wrote."""
+        note = ""
+        with contextlib.suppress(InputError):  # no series yet, or somebody else's
+            note = read_series(self.particles)[1]
+        if note.startswith(NOTE):
+            return
+        patterns = [f"{name}{end}" for name in (PARTICLES, LEG) for end in (FRAME, ".pvd")]
+        for file in (file for pattern in patterns for file in self._folder.glob(pattern)):
+            raise InputError(
+                f"{file}: is there, and of no series that terraphi wrote; name another folder, or "
+                "move it away"
+            )
 
     @property
     def particles(self) -> Path:
@@ -96,8 +115,9 @@ class FieldSeries:
         with contextlib.suppress(InputError):  # no series yet, or somebody else's
             frames, note = read_series(self.particles)
         for name in (PARTICLES, LEG):  # of a process that was killed
-            for file in self._folder.glob(f".{name}*"):
-                file.unlink(missing_ok=True)
+            for begin in (f".{name}{FRAME}.", f".{name}.pvd."):
+                for file in self._folder.glob(f"{begin}*"):
+                    file.unlink(missing_ok=True)
         wanted = {k: before for k, before in enumerate(self._steps) if before < step}
         there = {name: time for time, name in frames} if note == self._note else {}
         names = {k: self._frame(PARTICLES, k).name for k in wanted}
@@ -124,7 +144,7 @@ class FieldSeries:
     def _clear(self, kept: set[str]) -> None:
         """Remove the frames of another run, which the new series would not list."""
         for name in (PARTICLES, LEG):
-            for file in self._folder.glob(f"{name}_[0-9][0-9][0-9][0-9].vtu"):
+            for file in self._folder.glob(f"{name}{FRAME}"):
                 if file.name not in kept:
                     file.unlink(missing_ok=True)
 

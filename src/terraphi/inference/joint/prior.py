@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from terraphi.design_surrogate.training import DENSITY
 from terraphi.errors import InputError, nearest
+from terraphi.files import plain_number
 from terraphi.inference.checks import DENSITIES
 
 FloatArray = NDArray[np.float64]
@@ -138,11 +139,11 @@ def _parsed(text: str, value: str, within: Marginal | None) -> Marginal:
     """A prior as a person wrote it; a normal one is cut off where the library ends."""
     try:
         if ":" in value:
-            low, high = (float(part) for part in value.split(":"))
+            low, high = (plain_number(part) for part in value.split(":"))
             if low < high:
                 return Marginal(low, high)
         elif "+-" in value:
-            mean, sd = (float(part) for part in value.split("+-"))
+            mean, sd = (plain_number(part) for part in value.split("+-"))
             if sd > 0.0:
                 low, high = mean - FAR * sd, mean + FAR * sd
                 if within is not None:
@@ -150,7 +151,7 @@ def _parsed(text: str, value: str, within: Marginal | None) -> Marginal:
                 if low < high:
                     return Marginal(low, high, (mean, sd))
         else:
-            return Marginal(float(value), float(value))
+            return Marginal(plain_number(value), plain_number(value))
     except ValueError:
         pass
     raise InputError(

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from terraphi.errors import InputError, nearest
+from terraphi.files import check_is_file
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.joint_names import JOINT_NAMES
 from terraphi.robot.logs import jointstate, lowstate, npz_file
@@ -103,8 +104,7 @@ def _sniff(
         storages = open_bag(path, stack)
         inner = "mcap" if isinstance(storages[0], McapFile) else "sqlite3"
         return f"rosbag2 ({inner})", storages
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; expected {FORMATS}")
+    check_is_file(path, FORMATS)
     with path.open("rb") as stream:
         magic = stream.read(64)
     if not magic:
