@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import io
-import logging
 import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from terraphi.commands import json_option, shipped
+from terraphi.commands import json_option, shipped, tells_as_much_as_asked
 from terraphi.commands.app import app
 from terraphi.commands.calibrate import library_calibrate
 from terraphi.commands.doctor import doctor
@@ -23,6 +22,7 @@ from terraphi.commands.study import study
 from terraphi.commands.suggest import library_suggest
 from terraphi.console import (
     ignore_interrupts,
+    listen,
     print_forces,
     print_inversion,
     print_json,
@@ -176,13 +176,16 @@ def forces(
     print_forces(found.summary())
 
 
+tells_as_much_as_asked(cli)
+
+
 def main() -> None:
     """Run the command line; every expected failure is one sentence and exit status 2."""
     for stream in (sys.stdout, sys.stderr):
         # An angle in the wrong letters beats no angle on a terminal that lacks φ.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    logging.getLogger("terraphi").addHandler(logging.NullHandler())
+    listen()
     try:
         cli.main(prog_name="terraphi", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as asked:

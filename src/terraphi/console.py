@@ -193,20 +193,39 @@ def words(value: Any) -> str:
     return str(value)
 
 
-@contextmanager
-def warnings_shown() -> Iterator[None]:
-    """Print what our own code warns of on standard error."""
+class _OnStandardError(logging.Handler):
+    """Prints what our own code logs; at the level of debugging with the name of who says it."""
 
-    class Printing(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            click.echo(f"terraphi: {record.getMessage()}", err=True)
+    def emit(self, record: logging.LogRecord) -> None:
+        who = record.name if record.levelno <= logging.DEBUG else "terraphi"
+        click.echo(f"{who}: {record.getMessage()}", err=True)
 
-    handler, log = Printing(logging.WARNING), logging.getLogger("terraphi")
-    log.addHandler(handler)
-    try:
-        yield
-    finally:
+
+def listen(level: int = logging.WARNING) -> None:
+    """Print on standard error what our own code logs from a level on, and nothing below it.
+
+    Parameters
+    ----------
+    level
+        As the module logging has it. Above ``WARNING`` neither notes nor progress are shown.
+    """
+    log = logging.getLogger("terraphi")
+    for handler in [h for h in log.handlers if isinstance(h, _OnStandardError)]:
         log.removeHandler(handler)
+    log.addHandler(_OnStandardError(level))
+    log.setLevel(level if level < logging.WARNING else logging.NOTSET)
+
+
+def quiet() -> bool:
+    """Whether only errors are wanted."""
+    handlers = logging.getLogger("terraphi").handlers
+    return any(isinstance(h, _OnStandardError) and h.level > logging.WARNING for h in handlers)
+
+
+def note(sentence: str) -> None:
+    """Say something on standard error that is no result, unless only errors are wanted."""
+    if not quiet():
+        click.echo(f"terraphi: {sentence}", err=True)
 
 
 def ignore_interrupts() -> None:
@@ -218,7 +237,7 @@ def ignore_interrupts() -> None:
 def progress_bar(
     description: str, *, compiles: bool = False
 ) -> Iterator[Callable[[float, float], None]]:
-    """Progress with the time left on standard error, where that is a terminal.
+    """Time left, time spent and share done on standard error, where that is a terminal.
 
     Parameters
     ----------
@@ -236,23 +255,23 @@ def progress_bar(
     from rich.progress import (
         BarColumn,
         Progress,
-        TaskProgressColumn,
         TextColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
 
-    if not sys.stderr.isatty():
+    if quiet() or not sys.stderr.isatty():
         yield lambda _done, _total: None
         return
     compiling = compiles and not _kernels_are_compiled()
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
+        TextColumn("{task.description}:"),
         TimeRemainingColumn(),
+        TextColumn("left,"),
+        TimeElapsedColumn(),
+        TextColumn("spent,"),
+        TextColumn("{task.percentage:.0f}% done"),
+        BarColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("compiling, once" if compiling else "starting", total=None)

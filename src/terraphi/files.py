@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi import netcdf
 from terraphi.errors import InputError, nearest
+from terraphi.netcdf import Contents
 
 FloatArray = NDArray[np.float64]
 
@@ -123,7 +125,7 @@ def folder(path: Path) -> Path:
     return path
 
 
-def open_netcdf(path: Path, *, kind: str, schema: int) -> Any:
+def open_netcdf(path: Path, *, kind: str, schema: int) -> Contents:
     """Load a NetCDF of ours into memory, or say in one sentence why it cannot be.
 
     Parameters
@@ -137,20 +139,18 @@ def open_netcdf(path: Path, *, kind: str, schema: int) -> Any:
 
     Returns
     -------
-    xarray.Dataset
+    Contents
+        Reads like an ``xarray.Dataset``.
 
     Raises
     ------
     InputError
         If the file is missing, not a NetCDF, truncated, of another kind or schema.
     """
-    import xarray as xr
-
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
-        with xr.open_dataset(path, engine="h5netcdf") as opened:
-            dataset = opened.load()
+        dataset = netcdf.read(path)
     except Exception as error:  # the HDF5 stack raises OSError, KeyError, ValueError and more
         raise InputError(
             f"{path}: not a whole NetCDF file (truncated, or of another format); build or "

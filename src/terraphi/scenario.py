@@ -6,6 +6,7 @@ The defaults are those of the paper's benchmark (Xu & Wang): a straight leg, Yum
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 from pathlib import Path
@@ -148,16 +149,7 @@ class Scenario(Section):
             )
 
     def _check_leg_stays_inside(self) -> None:
-        times = np.linspace(0.0, self.motion.duration, 541)
-        poses = self.motion.poses(times)
-        along, motion = frame_axes(poses.theta)
-        line, margin = self.leg.extremities()
-        points = (
-            poses.hip[:, None, :]
-            + line[None, :, :1] * along[:, None, :]
-            + line[None, :, 1:] * motion[:, None, :]
-        )
-        low, high = points.min(axis=(0, 1)) - margin, points.max(axis=(0, 1)) + margin
+        low, high = _extent_of_path(self.motion, self.leg)
         room_low = [self.bed.left, self.bed.floor]
         room_high = [self.bed.left + self.bed.width, self.numerics.domain]
         if self.motion.kind == "translation":
@@ -265,6 +257,22 @@ class Scenario(Section):
         if Path(source).suffix != ".toml" and not Path(source).is_file():
             source = shipped_file("scenarios", str(source), ".toml")
         return parse_toml(Path(source), cls)
+
+
+@functools.lru_cache(maxsize=64)
+def _extent_of_path(motion: Motion, leg: Leg) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Least and largest x and z [m] that a leg covers; the cases of a library mostly share it."""
+    times = np.linspace(0.0, motion.duration, 541)
+    poses = motion.poses(times)
+    along, ahead = frame_axes(poses.theta)
+    line, margin = leg.extremities()
+    points = (
+        poses.hip[:, None, :]
+        + line[None, :, :1] * along[:, None, :]
+        + line[None, :, 1:] * ahead[:, None, :]
+    )
+    low, high = points.min(axis=(0, 1)) - margin, points.max(axis=(0, 1)) + margin
+    return tuple(low.tolist()), tuple(high.tolist())
 
 
 def _section(place: dict[str, Any], name: str) -> dict[str, Any]:

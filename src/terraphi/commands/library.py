@@ -17,6 +17,7 @@ from terraphi.commands import (
 )
 from terraphi.console import (
     ignore_interrupts,
+    note,
     print_json,
     print_library,
     print_pairs,
@@ -68,7 +69,7 @@ def library_build(
             progress_bar("simulating", compiles=compiles) as report,
         ):
             if running.workers == 0:
-                click.echo(f"terraphi: {cluster} has no workers yet; the build waits", err=True)
+                note(f"{cluster} has no workers yet; the build waits")
             made = build(
                 chosen,
                 out,
@@ -88,8 +89,6 @@ def library_build(
     except InputError:
         kept_cases(out)
         raise
-    for case, failure in made.failures.items():
-        click.echo(f"failed: {case}: {failure}", err=True)
     print_library(made, as_json=as_json)
 
 

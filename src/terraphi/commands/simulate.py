@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,6 @@ from terraphi.console import (
     print_json,
     print_pairs,
     progress_bar,
-    warnings_shown,
 )
 from terraphi.errors import InputError
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from terraphi.history import ForceHistory
     from terraphi.scenario import Scenario
 
+log = logging.getLogger(__name__)
 file_type = click.Path(path_type=Path)
 
 
@@ -81,7 +82,7 @@ def simulate(
     kept = kept_state(chosen, checkpoint, out or animate or fields, checkpoint_every)
     series = field_series(chosen, fields, animate, frames)
     for doubt in doubts(chosen):
-        click.echo(f"terraphi: {doubt}", err=True)
+        log.warning(doubt)
     history = run(chosen, kept, series)
     if out is not None:
         history.to_netcdf(out)
@@ -147,10 +148,7 @@ def run(scenario: Scenario, kept: Checkpoint | None, series: FieldSeries | None)
     from terraphi import forward
 
     try:
-        with (
-            warnings_shown(),
-            progress_bar("simulating", compiles=scenario.model == "mpm") as report,
-        ):
+        with progress_bar("simulating", compiles=scenario.model == "mpm") as report:
             return forward.simulate(
                 scenario,
                 progress=lambda fraction: report(fraction, 1.0),

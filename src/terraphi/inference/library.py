@@ -8,6 +8,7 @@ the library's own force unit; an inversion divides by the ratio of densities ins
 from __future__ import annotations
 
 import functools
+import logging
 import weakref
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -27,6 +28,7 @@ from terraphi.readings import is_dense
 from terraphi.scatter import Scatter, estimate
 
 FloatArray = NDArray[np.float64]
+log = logging.getLogger(__name__)
 
 NODES = 281
 """Nodes over phi, between which chi-square and log-determinant are splines: intervals are right to
@@ -228,9 +230,11 @@ def surrogate_of(
         sparse = readings is not None and _fewest(readings, curves.theta_deg) < ENOUGH
         if not sparse and np.allclose(scatter.theta_deg, curves.theta_deg, atol=1e-6):
             means, repeats = _means(curves, again)
+            log.info("library %s, leg %s: surrogate as its calibration has it", library.name, leg)
             return JointSurrogate.fit(
                 curves.phi_deg, curves.theta_deg, means, scatter, kernel=kernel, repeats=repeats
             )
+    log.info("library %s, leg %s: fitting a surrogate, as none fits", library.name, leg)
     return learn(curves, again)
 
 
