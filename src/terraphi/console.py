@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from terraphi.library import Library
 
 
-NARROW_DEG = 0.1
-"""Width of the 68 % interval below which angles are shown with another digit [deg]."""
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?( ?[%°]| N)?")
 
 
@@ -36,6 +34,9 @@ def print_json(data: Any) -> None:
 
 def print_inversion(inversion: Inversion) -> None:
     """A small table, then the verdict in words."""
+    from terraphi.inference.answer import NARROW_DEG
+    from terraphi.inference.information import MOST_WITHOUT_FORCE
+
     angles = [(f"φ, {inversion.convention} [deg]", inversion.phi)]
     if inversion.phi_plane_strain and inversion.convention != "plane_strain":
         angles.append(("φ, equivalent in plane strain [deg]", inversion.phi_plane_strain))
@@ -62,6 +63,9 @@ def print_inversion(inversion: Inversion) -> None:
         shares = inversion.budget.shares.items()
         parts = ", ".join(f"{name.replace('_', ' ')} {share:.0%}" for name, share in shares)
         click.echo(f"Variance of φ: {parts}.")
+        told = inversion.budget.information_without_force
+        if told > MOST_WITHOUT_FORCE:
+            click.echo(f"Told of φ by angles at which the measured force is zero: {told:.0%}.")
     verdict = inversion.verdict
     click.secho(f"Verdict: {verdict.verdict.replace('_', ' ')}. {verdict.reason}\n", bold=True)
 
