@@ -26,6 +26,7 @@ ROOMS = [
     "setting",
     "scenario",
     "plausibility",
+    "forecast",
     "readings",
     "history",
     "measurements",

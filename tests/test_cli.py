@@ -294,7 +294,7 @@ def test_interrupted_build_leaves_one_sentence_and_no_process(
     (tmp_path / "p.toml").write_text(SLOW_PLAN)
     command = [sys.executable, "-m", "terraphi.cli", "library", "build", "p.toml", "--out", "l.nc"]
     started = subprocess.Popen(
-        [*command, "--workers", "1"],
+        [*command, "--workers", "1", "--quiet"],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

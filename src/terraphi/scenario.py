@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import sys
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -17,7 +18,7 @@ from pydantic import Field, model_validator
 
 from terraphi.documents import parse_toml, shipped_file, strictly
 from terraphi.leg import Leg, frame_axes
-from terraphi.motion import Motion, Rotation, bin_centres
+from terraphi.motion import Motion, Rotation, bin_count
 from terraphi.setting import (
     ADDED_LATER,
     Bed,
@@ -140,7 +141,7 @@ class Scenario(Section):
     def _check_every_bin_is_visited(self) -> None:
         rate = self.motion.top_coordinate_rate * self.numerics.speed_up
         low, high = self.motion.span
-        longest = (high - low) / len(bin_centres(self.motion)) / rate
+        longest = (high - low) / bin_count(self.motion) / rate
         if self.numerics.time_step > longest:
             raise ValueError(
                 f"numerics.time_step = {self.numerics.time_step:g} s passes over whole bins of the "
@@ -262,7 +263,7 @@ class Scenario(Section):
 @functools.lru_cache(maxsize=64)
 def _extent_of_path(motion: Motion, leg: Leg) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Least and largest x and z [m] that a leg covers; the cases of a library mostly share it."""
-    times = np.linspace(0.0, motion.duration, 541)
+    times = np.linspace(0.0, min(motion.duration, sys.float_info.max), 541)
     poses = motion.poses(times)
     along, ahead = frame_axes(poses.theta)
     line, margin = leg.extremities()

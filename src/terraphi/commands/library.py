@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -26,6 +27,12 @@ from terraphi.console import (
     words,
 )
 from terraphi.errors import InputError
+
+if TYPE_CHECKING:
+    from terraphi.forecast import Forecast
+    from terraphi.plan import Plan
+
+log = logging.getLogger(__name__)
 
 
 @click.group()
@@ -60,16 +67,25 @@ def library_build(
     from terraphi.build import build, kept_cases
     from terraphi.cluster import pool
     from terraphi.plan import Plan
+    from terraphi.plausibility import doubts
+    from terraphi.workers import available_cores
 
     chosen = Plan.load(plan)
-    compiles = cluster is None and any(case.model == "mpm" for case in chosen.cases())
+    cases = chosen.cases()
+    compiles = cluster is None and any(case.model == "mpm" for case in cases)
+    expected = foreseen(chosen, 1 if cluster is not None else workers or available_cores())
+    asked = dict.fromkeys(doubt for case in cases for doubt in doubts(case))
     try:
         with (
             pool(workers, cluster) as running,
             progress_bar("simulating", compiles=compiles) as report,
         ):
+            for doubt in asked:
+                log.warning(doubt)
             if running.workers == 0:
                 note(f"{cluster} has no workers yet; the build waits")
+            cores = running.workers or 1
+            note(expected.sentence(cores))
             made = build(
                 chosen,
                 out,
@@ -89,7 +105,22 @@ def library_build(
     except InputError:
         kept_cases(out)
         raise
-    print_library(made, as_json=as_json)
+    if as_json:
+        print_json({**made.summary(), "forecast": expected.as_dict(cores)})
+        return
+    print_library(made, as_json=False)
+
+
+def foreseen(plan: Plan, cores: int) -> Forecast:
+    """What the build will take, on so many cores of this machine; refused if it cannot fit."""
+    from terraphi.forecast import forecast, refuse_too_many
+    from terraphi.forward import register_bits
+
+    plan.refuse_what_cannot_fit()
+    cases = plan.cases()
+    expected = forecast(cases, register_bits=register_bits(cases))
+    refuse_too_many(expected, cores, f"plan '{plan.name}'")
+    return expected
 
 
 @library.command("list")

@@ -11,6 +11,7 @@ import click
 from terraphi.commands import checkpoint_every_option, json_option, shipped
 from terraphi.console import (
     ignore_interrupts,
+    note,
     print_json,
     print_pairs,
     progress_bar,
@@ -18,6 +19,7 @@ from terraphi.console import (
 from terraphi.errors import InputError
 
 if TYPE_CHECKING:
+    from terraphi.forecast import Forecast
     from terraphi.forward import Checkpoint
     from terraphi.forward.mpm.fields import FieldSeries
     from terraphi.history import ForceHistory
@@ -70,6 +72,7 @@ def simulate(
     from terraphi.scenario import Scenario
 
     chosen = Scenario.load(scenario)
+    expected = foreseen(chosen, scenario)
     if out is not None and out.suffix != ".nc":
         raise InputError(f"{out}: a history is written as NetCDF; name it {out.stem}.nc")
     for file in (out, animate, checkpoint):
@@ -83,6 +86,7 @@ def simulate(
     series = field_series(chosen, fields, animate, frames)
     for doubt in doubts(chosen):
         log.warning(doubt)
+    note(expected.sentence())
     history = run(chosen, kept, series)
     if out is not None:
         history.to_netcdf(out)
@@ -98,9 +102,21 @@ def simulate(
         **{name: str(path) for name, path in made.items() if path is not None},
     }
     if as_json:
-        print_json(summary)
+        print_json({**summary, "forecast": expected.as_dict()})
         return
     print_pairs(summary)
+
+
+def foreseen(scenario: Scenario, source: str) -> Forecast:
+    """What the simulation will take; one that cannot fit is refused by the name of its file."""
+    from terraphi.forecast import forecast, refuse_what_cannot_fit
+    from terraphi.forward import register_bits
+
+    try:
+        refuse_what_cannot_fit(scenario)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+    return forecast([scenario], register_bits=register_bits([scenario]))
 
 
 def kept_state(

@@ -177,7 +177,6 @@ class _Blocks:
         path = path_of_steps(self._scenario, np.arange(state.step, state.step + count), bins)
         lost = self._advance(state.soil, *self._constants, *path, state.impulse, state.audit)
         state.held[:] += np.bincount(path[2], minlength=bins)
-        log.debug("steps %d to %d taken", state.step, state.step + count)
         return state._replace(step=state.step + count), lost
 
 
