@@ -17,7 +17,7 @@ A comment before a block says more of it::
 
 In what is shown, a line ``...`` stands for any lines. Decimal numbers may differ by one in their
 last digit, numbers that were drawn by 2 % or five in their last digit; everything else must be the
-same, but for the width of blanks and rules.
+same, but for the width of blanks and rules. Forecasts, which are of the machine, are left out.
 """
 
 from __future__ import annotations
@@ -49,6 +49,7 @@ RUN = {"console", "python"}
 INERT = {"text", ""}
 """Languages of blocks that are no code: pictures, formats, and what code prints."""
 
+FORECAST = re.compile(r"terraphi: forecast: ")
 _FENCE = re.compile(r"^(?P<fence>`{3,})(?P<info>.*)$")
 _COMMENT = re.compile(r"^<!-- (?P<word>file|exit|slow|drawn|in|not run)(?:: (?P<value>.*))? -->$")
 _TOKEN = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?|─+|[^\s\d─]+")
@@ -318,7 +319,7 @@ def _terraphi(words: list[str]) -> tuple[int, list[str]]:
 
 
 def _lines(text: str) -> list[str]:
-    lines = [line.rstrip() for line in text.rstrip().split("\n")]
+    lines = [line.rstrip() for line in text.rstrip().split("\n") if not FORECAST.match(line)]
     return lines if any(lines) else []
 
 

@@ -16,6 +16,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "terraphi"
 # Rooms that are planned and not built yet hold their place.
 ROOMS = [
     "errors",
+    "netcdf",
     "files",
     "force_table",
     "outputs",
@@ -28,6 +29,7 @@ ROOMS = [
     "setting",
     "scenario",
     "plausibility",
+    "forecast",
     "readings",
     "history",
     "measurements",
@@ -220,6 +222,29 @@ def test_import_stays_light(module: str) -> None:
     code = f"import sys, {module}; print(*sorted({HEAVY!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+@pytest.mark.parametrize(
+    ("words", "heavy"),
+    [
+        # Nothing that calculates, for what is asked of the command line itself.
+        (["--help"], {*HEAVY, "numpy", "pydantic", "rich"}),
+        (["study", "list"], HEAVY),
+        # SciPy's splines bring its optimisers along; statistics and tables are nobody's business.
+        (["invert", "li2013:yuma/straight"], {*HEAVY, "dask", "scipy.stats"} - {"h5py", "scipy"}),
+    ],
+    ids=" ".join,
+)
+def test_a_command_loads_only_what_it_needs(words: list[str], heavy: set[str]) -> None:
+    code = (
+        "import sys; from terraphi.cli import main\n"
+        "try:\n    main()\n"
+        f"finally:\n    print('loaded:', *sorted({heavy!r} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1].split() == ["loaded:"]
 
 
 # The checks themselves, on small cases whose answer is known.

@@ -56,9 +56,11 @@ def test_help_of_every_command_has_an_example(command: str, terraphi: Terraphi) 
     assert "Example: terraphi " + command in terraphi(*command.split(), "--help").out
 
 
-def test_study_without_a_name_lists_them(terraphi: Terraphi) -> None:
-    ran = terraphi("study")
+def test_studies_are_listed_with_and_without_the_word(terraphi: Terraphi) -> None:
+    ran = terraphi("study", "list")
     assert ran.status == 0
+    assert ran == terraphi("study")
+    assert terraphi("study", "list", "--json") == terraphi("study", "--json")
     listed = json.loads(terraphi("study", "--json").out)["studies"]
     assert listed.keys() == STUDIES.keys()
     for name, entry in listed.items():
@@ -385,7 +387,7 @@ def test_interrupted_build_leaves_one_sentence_and_no_process(
     (tmp_path / "p.toml").write_text(SLOW_PLAN)
     command = [sys.executable, "-m", "terraphi.cli", "library", "build", "p.toml", "--out", "l.nc"]
     started = subprocess.Popen(
-        [*command, "--workers", "1"],
+        [*command, "--workers", "1", "--quiet"],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -33,7 +33,7 @@ from terraphi.plan import Plan
 from terraphi.workers import heartbeat
 
 HOST = "127.0.0.1"
-BUILD = ("library", "build", "p.toml", "--out", "l.nc")
+BUILD = ("library", "build", "p.toml", "--out", "l.nc", "--quiet")
 
 
 @pytest.fixture(scope="module")

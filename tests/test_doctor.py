@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -29,6 +30,18 @@ def test_this_installation_is_sound(terraphi) -> None:
     for name in shipped_names("libraries", ".nc"):
         assert "cases" in checks[f"library {name}"]
     assert checks["vectors"].split()[0] in {"512", "256", "128"}
+
+
+@pytest.mark.parametrize(("bits", "state"), [(512, "ok"), (256, "note"), (128, "note")])
+def test_narrow_vectors_are_told_with_what_they_cost(bits: int, state: str, monkeypatch) -> None:
+    monkeypatch.setattr("terraphi.forward.mpm.packing.register_bits", lambda: bits)
+    check = found()["vectors"]
+    assert check.state == state
+    assert check.found.startswith(f"{bits} bits, {bits // 64} doubles at a time")
+    if state == "note":
+        factor = float(re.search(r"about ([\d.]+) times as long", check.found)[1])
+        # Half or a quarter of the doubles at a time, and less of the rest of a step.
+        assert 1.0 < factor < 512 / bits
 
 
 def test_people_are_told_in_words(terraphi) -> None:

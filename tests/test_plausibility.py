@@ -27,11 +27,26 @@ def test_shipped_plans_raise_no_question(name: str) -> None:
         ("soil.density", 16500.0, ["density = 16500", "kg/m³"]),
         ("soil.youngs_modulus", 20.0, ["youngs_modulus = 20", "in pascals"]),
         ("leg.width", 25.4, ["width = 25.4", "in metres"]),
+        ("leg.friction", 1e9, ["friction = 1e+09", "a coefficient"]),
+        ("soil.cohesion", 1e9, ["cohesion = 1e+09", "in pascals"]),
+        ("numerics.time_step", 1e-308, ["time_step = 1e-308", "in seconds"]),
     ],
 )
 def test_a_number_in_another_unit(key: str, value: float, words: list[str]) -> None:
     (doubt,) = doubts(Scenario.load("quick").replace(**{key: value}))
     assert all(word in doubt for word in words)
+
+
+def test_a_leg_in_millimetres() -> None:
+    # The material point method refuses it; resistive force theory has no walls.
+    long = Scenario.load("quick").replace(model="rft", **{"leg.chord": 76.2})
+    assert any("leg.chord = 76.2 is unusual: it is in metres" in doubt for doubt in doubts(long))
+
+
+def test_a_translation_is_not_asked_for_its_rate() -> None:
+    motion = {"kind": "translation", "start": [0.15, 0.3], "velocity": [0.0, -0.1], "distance": 0.1}
+    scenario = Scenario(model="rft").replace(motion=motion)
+    assert not any("rate" in doubt for doubt in doubts(scenario))
 
 
 def test_a_leg_that_never_touches() -> None:

@@ -221,9 +221,11 @@ def simulate_cases(
     Raises
     ------
     InputError
-        If the folder cannot be written or a worker was killed.
+        If the folder cannot be written, a worker was killed, or a case could never be held or
+        finished here.
     """
     wanted = plan.cases()
+    plan.refuse_what_cannot_fit()
     made_folder(folder)
     there = {**known, **finished_cases(folder)}
     finished = {s.hash: there[s.hash] for s in wanted if s.hash in there}

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from terraphi.commands import json_option, shipped
+from terraphi.commands import json_option, shipped, tells_as_much_as_asked
 from terraphi.commands.app import app
 from terraphi.commands.calibrate import library_calibrate
 from terraphi.commands.doctor import doctor
@@ -23,10 +23,10 @@ from terraphi.commands.study import study
 from terraphi.commands.suggest import library_suggest
 from terraphi.console import (
     ignore_interrupts,
+    listen,
     print_forces,
     print_inversion,
     print_json,
-    show_log,
 )
 from terraphi.errors import InputError, SimulationError
 
@@ -61,16 +61,11 @@ class Commands(click.Group):
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(package_name="terraphi")
-@click.option(
-    "-v", "--verbose", is_flag=True, help="Print the log, and the traceback of an error of ours."
-)
-def cli(verbose: bool) -> None:
+def cli() -> None:
     """Friction angle of soil, with its uncertainty, from the forces on a leg that moved through it.
 
     Example: terraphi invert li2013:yuma/straight
     """
-    if verbose:
-        show_log()
 
 
 @cli.command()
@@ -212,6 +207,9 @@ def forces(
     print_forces(found.summary())
 
 
+tells_as_much_as_asked(cli)
+
+
 def main() -> None:
     """Run the command line; every expected failure is one sentence and exit status 2.
 
@@ -221,7 +219,7 @@ def main() -> None:
         # An angle in the wrong letters beats no angle on a terminal that lacks φ.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    log.addHandler(logging.NullHandler())
+    listen()
     try:
         cli.main(prog_name="terraphi", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as asked:
@@ -251,7 +249,7 @@ def main() -> None:
         click.echo(f"terraphi: {error}; install terraphi and its packages again", err=True)
         sys.exit(OURS)
     except Exception as error:
-        log.exception("an error of terraphi itself")
+        log.info("the traceback:", exc_info=True)
         what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         click.echo(
             f"terraphi: an error of terraphi itself ({what}); please report it with the command "

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from terraphi.library import Library
 
 
-NARROW_DEG = 0.1
-"""Width of the 68 % interval below which angles are shown with another digit [deg]."""
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?( ?[%°]| N)?")
 
 
@@ -36,6 +34,9 @@ def print_json(data: Any) -> None:
 
 def print_inversion(inversion: Inversion) -> None:
     """A small table, then the verdict in words."""
+    from terraphi.inference.answer import NARROW_DEG
+    from terraphi.inference.information import MOST_WITHOUT_FORCE
+
     angles = [(f"φ, {inversion.convention} [deg]", inversion.phi)]
     if inversion.phi_plane_strain and inversion.convention != "plane_strain":
         angles.append(("φ, equivalent in plane strain [deg]", inversion.phi_plane_strain))
@@ -62,6 +63,9 @@ def print_inversion(inversion: Inversion) -> None:
         shares = inversion.budget.shares.items()
         parts = ", ".join(f"{name.replace('_', ' ')} {share:.0%}" for name, share in shares)
         click.echo(f"Variance of φ: {parts}.")
+        told = inversion.budget.information_without_force
+        if told > MOST_WITHOUT_FORCE:
+            click.echo(f"Told of φ by angles at which the measured force is zero: {told:.0%}.")
     verdict = inversion.verdict
     click.secho(f"Verdict: {verdict.verdict.replace('_', ' ')}. {verdict.reason}\n", bold=True)
 
@@ -193,30 +197,41 @@ def words(value: Any) -> str:
     return str(value)
 
 
-@contextmanager
-def warnings_shown() -> Iterator[None]:
-    """Print what our own code warns of on standard error."""
+class _OnStandardError(logging.Handler):
+    """Prints what our own code logs; at the level of debugging with the name of who says it."""
 
-    class Printing(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            click.echo(f"terraphi: {record.getMessage()}", err=True)
+    def emit(self, record: logging.LogRecord) -> None:
+        who = record.name if record.levelno <= logging.DEBUG else "terraphi"
+        click.echo(f"{who}: {record.getMessage()}", err=True)
+        if record.exc_info and record.exc_info[0]:
+            click.echo(logging.Formatter().formatException(record.exc_info), err=True)
 
-    handler, log = Printing(logging.WARNING), logging.getLogger("terraphi")
-    if log.level == logging.DEBUG:  # all of it is shown already
-        handler.setLevel(logging.CRITICAL)
-    log.addHandler(handler)
-    try:
-        yield
-    finally:
+
+def listen(level: int = logging.WARNING) -> None:
+    """Print on standard error what our own code logs from a level on, and nothing below it.
+
+    Parameters
+    ----------
+    level
+        As the module logging has it. Above ``WARNING`` neither notes nor progress are shown.
+    """
+    log = logging.getLogger("terraphi")
+    for handler in [h for h in log.handlers if isinstance(h, _OnStandardError)]:
         log.removeHandler(handler)
+    log.addHandler(_OnStandardError(level))
+    log.setLevel(level if level < logging.WARNING else logging.NOTSET)
 
 
-def show_log() -> None:
-    """Print the log on standard error from now on."""
-    log, handler = logging.getLogger("terraphi"), logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
-    log.addHandler(handler)
-    log.setLevel(logging.DEBUG)
+def quiet() -> bool:
+    """Whether only errors are wanted."""
+    handlers = logging.getLogger("terraphi").handlers
+    return any(isinstance(h, _OnStandardError) and h.level > logging.WARNING for h in handlers)
+
+
+def note(sentence: str) -> None:
+    """Say something on standard error that is no result, unless only errors are wanted."""
+    if not quiet():
+        click.echo(f"terraphi: {sentence}", err=True)
 
 
 def ignore_interrupts() -> None:
@@ -228,7 +243,7 @@ def ignore_interrupts() -> None:
 def progress_bar(
     description: str, *, compiles: bool = False
 ) -> Iterator[Callable[[float, float], None]]:
-    """Progress with the time left on standard error, where that is a terminal.
+    """Time left, time spent and share done on standard error, where that is a terminal.
 
     Parameters
     ----------
@@ -246,23 +261,23 @@ def progress_bar(
     from rich.progress import (
         BarColumn,
         Progress,
-        TaskProgressColumn,
         TextColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
 
-    if not sys.stderr.isatty():
+    if quiet() or not sys.stderr.isatty():
         yield lambda _done, _total: None
         return
     compiling = compiles and not _kernels_are_compiled()
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
+        TextColumn("{task.description}:"),
         TimeRemainingColumn(),
+        TextColumn("left,"),
+        TimeElapsedColumn(),
+        TextColumn("spent,"),
+        TextColumn("{task.percentage:.0f}% done"),
+        BarColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("compiling, once" if compiling else "starting", total=None)

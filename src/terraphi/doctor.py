@@ -16,6 +16,7 @@ from packaging.requirements import Requirement
 from terraphi import measurements
 from terraphi.documents import shipped_names
 from terraphi.errors import InputError
+from terraphi.forecast import SLOWER
 from terraphi.library import Library
 from terraphi.plan import Plan
 from terraphi.scenario import Scenario
@@ -140,14 +141,10 @@ def _kernels() -> Iterator[Check]:
         yield Check("cache", "note", found)
 
 
-SLOWER = {256: 1.0, 128: 1.0}
-"""Time of a simulation by width of the vectors [bit], over that with 512 bits (measured)."""
-
-
 def _vectors(bits: int) -> Check:
     """How wide the vectors are that simulations use, and what that costs."""
     found = f"{bits} bits, {bits // 64} doubles at a time"
-    if bits not in SLOWER:
+    if bits == max(SLOWER):
         return Check("vectors", "ok", found)
     lacks = "AVX-512" if bits == 256 else "AVX2"
     found += f": without {lacks} simulations take about {SLOWER[bits]:.1f} times as long"

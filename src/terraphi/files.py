@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi import netcdf
 from terraphi.errors import InputError
+from terraphi.netcdf import Contents
 
 FloatArray = NDArray[np.float64]
 
@@ -219,7 +221,7 @@ def _forget(error: Exception) -> None:
         sys.unraisablehook = before
 
 
-def open_netcdf(path: Path, *, kind: str, schema: int) -> Any:
+def open_netcdf(path: Path, *, kind: str, schema: int) -> Contents:
     """Load a NetCDF of ours into memory, or say in one sentence why it cannot be.
 
     Parameters
@@ -233,19 +235,18 @@ def open_netcdf(path: Path, *, kind: str, schema: int) -> Any:
 
     Returns
     -------
-    xarray.Dataset
+    Contents
+        Reads like an ``xarray.Dataset``.
 
     Raises
     ------
     InputError
         If the file is missing, not a NetCDF, truncated, of another kind or schema.
     """
-    import xarray as xr
-
     check_is_file(path)
     why = "not a whole NetCDF file (truncated, or of another format); build or copy it again"
-    with damage_told(f"{path}: {why}"), xr.open_dataset(path, engine="h5netcdf") as opened:
-        dataset = opened.load()
+    with damage_told(f"{path}: {why}"):
+        dataset = netcdf.read(path)
     if dataset.attrs.get("terraphi_file") != kind:
         raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi")
     found = dataset.attrs.get("terraphi_schema")

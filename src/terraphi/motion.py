@@ -87,7 +87,8 @@ class Rotation(_Motion):
         step, change = np.diff(theta), np.diff(rate)
         flat = change == 0.0
         slope = np.where(flat, 1.0, change / step)
-        spans = np.where(flat, step / rate[:-1], np.log1p(change / rate[:-1]) / slope)
+        with np.errstate(over="ignore"):  # as slow a motion has no end
+            spans = np.where(flat, step / rate[:-1], np.log1p(change / rate[:-1]) / slope)
         return np.concatenate([[0.0], np.cumsum(spans)])
 
     @property
@@ -267,8 +268,15 @@ Motion = Annotated[
 ]
 
 
+def bin_count(motion: Motion) -> int:
+    """Number of history bins of a motion; none is made for it."""
+    low, high = motion.span
+    # No history has as many bins as the largest integer; to say so it needs a number.
+    return max(1, round(min((high - low) / motion.bin_width, float(2**62))))
+
+
 def bin_centres(motion: Motion) -> FloatArray:
     """Centres of the history bins of a motion [rad or m], shape [bin]."""
     low, high = motion.span
-    count = max(1, round((high - low) / motion.bin_width))
+    count = bin_count(motion)
     return low + (np.arange(count) + 0.5) * (high - low) / count

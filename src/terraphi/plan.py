@@ -9,6 +9,7 @@ steps, each of which changes some keys of the scenario before it or of the base.
 from __future__ import annotations
 
 import itertools
+import math
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
@@ -17,8 +18,11 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, m
 from terraphi.documents import parse_toml, shipped_file
 from terraphi.errors import InputError, sentence_from_validation
 from terraphi.files import is_there
+from terraphi.forecast import refuse_what_cannot_fit
 from terraphi.scenario import Scenario
 
+MOST_CASES = 100_000
+"""Cases that a plan may have: of more, the scenarios alone would fill the memory."""
 BASE = "base"
 PRESET = "preset"
 
@@ -168,8 +172,9 @@ class Plan(BaseModel):
         Raises
         ------
         InputError
-            If a key to change does not exist or a value cannot be.
+            If a key to change does not exist, a value cannot be, or there are too many.
         """
+        self._refuse_too_many()
         if not self.combined_keys:
             return [variant.scenario for variant in self.variants()]
         for key, values in self.sweep.items():
@@ -193,6 +198,41 @@ class Plan(BaseModel):
                 changes["numerics.seed"] = seed + i
             found.append(self._changed(table, changes))
         return found
+
+    @property
+    def count(self) -> int:
+        """Number of cases; none of them is made for it."""
+        if self.combined_keys:
+            points = self.sample.count + len(self.sample.also) if self.sample else 1
+            return math.prod(map(len, self.sweep.values())) * points
+        changed = sum(map(len, self.one_at_a_time.values()))
+        return 1 + changed + len(self.steps) + len(self.presets)
+
+    def refuse_what_cannot_fit(self) -> None:
+        """Refuse a plan of which a case could not be held or finished, before any is begun.
+
+        Raises
+        ------
+        InputError
+            Names the case, the key that is to blame, and what to do.
+        """
+        for scenario in self.cases():
+            try:
+                refuse_what_cannot_fit(scenario)
+            except InputError as error:
+                case = describe(self, scenario)
+                raise InputError(f"plan '{self.name}', {case}: {error}") from error
+
+    def _refuse_too_many(self) -> None:
+        if self.count <= MOST_CASES:
+            return
+        values = {**self.one_at_a_time, **self.sweep}
+        longest = max(values, key=lambda key: len(values[key]), default="sample")
+        most = f"; most values stand under '{longest}', {len(values[longest])}" if values else ""
+        raise InputError(
+            f"plan '{self.name}': {self.count:,} cases, and at most {MOST_CASES:,} are possible"
+            f"{most}; drop some, or let a [sample] fill the same box with fewer"
+        )
 
     @property
     def combined_keys(self) -> tuple[str, ...]:

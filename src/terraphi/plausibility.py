@@ -12,12 +12,22 @@ from terraphi.scenario import Scenario
 POSES = 361
 """Moments of the motion at which the leg is looked at."""
 LIMITS = {
-    "soil.friction_angle_deg": (5.0, 60.0, "degrees"),
-    "soil.density": (500.0, 5000.0, "kg/m³"),
-    "soil.youngs_modulus": (1e5, 1e10, "pascals"),
-    "leg.width": (1e-3, 1.0, "metres"),
+    "soil.friction_angle_deg": (5.0, 60.0, "in degrees"),
+    "soil.density": (500.0, 5000.0, "in kg/m³"),
+    "soil.youngs_modulus": (1e5, 1e10, "in pascals"),
+    "soil.cohesion": (0.0, 1e6, "in pascals"),
+    "leg.chord": (5e-3, 2.0, "in metres"),
+    "leg.half_thickness": (1e-4, 0.1, "in metres"),
+    "leg.width": (1e-3, 1.0, "in metres"),
+    "leg.friction": (0.0, 2.0, "a coefficient"),
+    "motion.rate": (1e-3, 100.0, "in rad/s"),
+    "bed.width": (1e-2, 10.0, "in metres"),
+    "bed.height": (1e-3, 10.0, "in metres"),
+    "bed.surcharge": (0.0, 1e6, "in pascals"),
+    "numerics.time_step": (1e-8, 1e-2, "in seconds"),
+    "numerics.speed_up": (0.1, 1e3, "a factor"),
 }
-"""Least and largest value that nobody would wonder at, and the unit."""
+"""Least and largest value that nobody would wonder at, and what it is."""
 
 
 def doubts(scenario: Scenario) -> list[str]:
@@ -37,11 +47,11 @@ def doubts(scenario: Scenario) -> list[str]:
 
 
 def _of_size(scenario: Scenario) -> Iterator[str]:
-    for key, (least, most, unit) in LIMITS.items():
+    for key, (least, most, what) in LIMITS.items():
         part, name = key.split(".")
-        value = getattr(getattr(scenario, part), name)
-        if not least <= value <= most:
-            yield f"{key} = {value:g} is unusual: it is in {unit}, mostly {least:g} to {most:g}"
+        value = getattr(getattr(scenario, part), name, None)  # a translation has no rate
+        if value is not None and not least <= value <= most:
+            yield f"{key} = {value:g} is unusual: it is {what}, mostly {least:g} to {most:g}"
 
 
 def _of_place(scenario: Scenario) -> Iterator[str]:

@@ -6,8 +6,10 @@ The defaults are those of the paper's benchmark (Xu & Wang): a straight leg, Yum
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -18,7 +20,7 @@ from pydantic import Field, model_validator
 from terraphi.documents import parse_toml, shipped_file, strictly
 from terraphi.files import is_there
 from terraphi.leg import Leg, frame_axes
-from terraphi.motion import Motion, Rotation, bin_centres
+from terraphi.motion import Motion, Rotation, bin_count
 from terraphi.setting import (
     ADDED_LATER,
     Bed,
@@ -176,7 +178,7 @@ class Scenario(Section):
     def _check_every_bin_is_visited(self) -> None:
         rate = self.motion.top_coordinate_rate * self.numerics.speed_up
         low, high = self.motion.span
-        longest = (high - low) / len(bin_centres(self.motion)) / rate
+        longest = (high - low) / bin_count(self.motion) / rate
         if self.numerics.time_step > longest:
             raise ValueError(
                 f"numerics.time_step = {self.numerics.time_step:g} s passes over whole bins of the "
@@ -185,16 +187,7 @@ class Scenario(Section):
             )
 
     def _check_leg_stays_inside(self) -> None:
-        times = np.linspace(0.0, self.motion.duration, 541)
-        poses = self.motion.poses(times)
-        along, motion = frame_axes(poses.theta)
-        line, margin = self.leg.extremities()
-        points = (
-            poses.hip[:, None, :]
-            + line[None, :, :1] * along[:, None, :]
-            + line[None, :, 1:] * motion[:, None, :]
-        )
-        low, high = points.min(axis=(0, 1)) - margin, points.max(axis=(0, 1)) + margin
+        low, high = _extent_of_path(self.motion, self.leg)
         room_low = [self.bed.left, self.bed.floor]
         room_high = [self.bed.left + self.bed.width, self.numerics.domain]
         if self.motion.kind == "translation":
@@ -312,6 +305,22 @@ def _numbers(content: dict[str, Any], above: str = "") -> Iterator[tuple[str, fl
         for number in value if isinstance(value, list | tuple) else (value,):
             if isinstance(number, float):
                 yield above + key, number
+
+
+@functools.lru_cache(maxsize=64)
+def _extent_of_path(motion: Motion, leg: Leg) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Least and largest x and z [m] that a leg covers; the cases of a library mostly share it."""
+    times = np.linspace(0.0, min(motion.duration, sys.float_info.max), 541)
+    poses = motion.poses(times)
+    along, ahead = frame_axes(poses.theta)
+    line, margin = leg.extremities()
+    points = (
+        poses.hip[:, None, :]
+        + line[None, :, :1] * along[:, None, :]
+        + line[None, :, 1:] * ahead[:, None, :]
+    )
+    low, high = points.min(axis=(0, 1)) - margin, points.max(axis=(0, 1)) + margin
+    return tuple(low.tolist()), tuple(high.tolist())
 
 
 def _section(place: dict[str, Any], name: str) -> dict[str, Any]:

@@ -36,7 +36,7 @@ def codes(history: ForceHistory) -> list[tuple[str, str]]:
     return [(d.code, d.force) for d in inspect_record(history, touches_deg=IN_AIR).defects]
 
 
-@pytest.mark.parametrize("medium", ["yuma", "poppy_loose", "glass03_close", "glass03_close"])
+@pytest.mark.parametrize("medium", ["yuma", "poppy_loose", "glass03_close"])
 @pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
 def test_measured_records_are_whole(library: Library, medium: str, leg: str) -> None:
     record = measurement(f"li2013:{medium}/{leg}").history
@@ -122,7 +122,7 @@ def test_a_clipped_top_is_left_out_if_short_and_refused_if_not(every: int) -> No
 
 def test_an_offset_in_air_makes_a_misfit(library: Library) -> None:
     whole = truth()
-    moved = replace(whole, force=whole.force + [0.0, 0.1 * np.ptp(whole.Fz)])
+    moved = replace(whole, force=whole.force + np.array([0.0, 0.1 * np.ptp(whole.Fz)]))
     assert ("offset", "Fz") in codes(moved)
     drifting = whole.force + np.linspace(0.0, 0.2, len(whole.position))[:, None] * [0.0, 20.0]
     assert ("offset", "Fz") in codes(replace(whole, force=drifting))

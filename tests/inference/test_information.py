@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import norm, truncnorm
 
-from terraphi.inference.information import information_gain_bits, information_share
+from terraphi.inference.information import (
+    information_gain_bits,
+    information_share,
+    share_without_force,
+    without_force,
+)
 from terraphi.inference.posterior import ensemble, quadrature, tabulated
 from terraphi.inference.residual import PaperLikelihood
 
@@ -76,3 +81,14 @@ def test_forces_that_err_together_are_told_angle_by_angle() -> None:
 def test_a_slope_that_says_nothing_is_refused(slope: np.ndarray) -> None:
     with pytest.raises(ValueError, match="slope"):
         information_share(PaperLikelihood(DATA, THETA).covariance, slope)
+
+
+def test_what_angles_without_force_told_is_counted() -> None:
+    force = np.array([0.0, 0.004, 1.0, 0.2])
+    lifted = np.array([0.004, 0.0, 0.0, -0.5])
+    data = np.r_[force, lifted]
+    # The third angle has no vertical force and is none of them; nor is one of a force downwards.
+    assert without_force(data).tolist() == [True, True, False, False]
+    assert without_force(-1000.0 * data).tolist() == [True, True, False, False]
+    share = np.array([[0.1, 0.0, 0.3, 0.1], [0.2, 0.05, 0.15, 0.1]])
+    assert share_without_force(share, data) == pytest.approx(0.35)

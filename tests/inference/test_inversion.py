@@ -99,6 +99,15 @@ def test_soil_beyond_the_library_is_out_of_range(
     assert beyond.verdict.edge == edge
 
 
+def test_an_answer_at_a_prompt_fits_in_ten_lines(found: Inversion) -> None:
+    lines = repr(found).splitlines()
+    assert len(lines) <= 10
+    assert max(map(len, lines)) <= 100
+    told = repr(found)
+    for word in (found.leg, found.library, found.verdict.verdict, f"{found.phi.median:.2f}"):
+        assert word in told
+
+
 def test_answer_has_the_keys_that_programs_rely_on(found: Inversion) -> None:
     answer = json.loads(json.dumps(found.as_dict(), allow_nan=False))
     assert set(answer["phi_deg"]) == {"median", "ci68", "ci95", "yield"}

@@ -21,7 +21,8 @@ def rippled(phase: float = 0.0) -> ForceHistory:
     theta = np.arange(-100.0, 100.05, 0.1)
     smooth = np.cos(np.radians(theta))
     ripple = 0.05 * np.sin(2.0 * np.pi * (theta / RIPPLE + phase))
-    return ForceHistory(np.radians(theta), np.stack([4.0 * smooth, 6.0 * (smooth + ripple)], axis=1))
+    force = np.stack([4.0 * smooth, 6.0 * (smooth + ripple)], axis=1)
+    return ForceHistory(np.radians(theta), force)
 
 
 def test_errors_are_those_of_the_ripple_at_all_phases() -> None:

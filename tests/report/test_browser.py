@@ -116,6 +116,20 @@ def test_nothing_hangs_over_the_edge(width: int, opened: Open, inverted: list[Se
     assert seen.sound()
 
 
+@pytest.mark.parametrize("width", [390, 768, 1280])
+def test_no_button_covers_a_legend(width: int, opened: Open, inverted: list[Section]) -> None:
+    seen = opened(inverted, viewport={"width": width, "height": 800})
+    bars, legends = seen.page.evaluate(
+        "['.modebar', '.legend'].map(part => [...document.querySelectorAll('.drawing')].map("
+        "d => d.querySelector(part).getBoundingClientRect()))"
+    )
+    assert len(bars) > 3
+    for bar, legend in zip(bars, legends, strict=True):
+        assert bar["height"] > 10
+        assert bar["bottom"] <= legend["top"]
+    assert seen.sound()
+
+
 def test_a_table_that_goes_on_says_so(opened: Open, inverted: list[Section]) -> None:
     seen = opened(inverted * 2, viewport={"width": 390, "height": 800}, is_mobile=True)
     table = "document.querySelector('.overview .scroll')"

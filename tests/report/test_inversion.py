@@ -253,6 +253,22 @@ def test_the_budget_of_an_answer_that_has_one_is_told(
     assert table.rows == [("noise", "25 %"), ("particle scatter", "75 %"), ("x", "–")]
 
 
+def test_a_calibrated_answer_that_fits_has_its_certificate(tmp_path: Path) -> None:
+    library = Library.load("quick-plane-strain")
+    history = Library.load("quick-plane-strain-truths").cases[0].history
+    assert history is not None
+    found = invert(history, library=library)
+    found.to_netcdf(tmp_path / "posterior.nc")
+    assert found.verdict.verdict == "consistent"
+    page = section(tmp_path)
+    certificate = next(p for p in page.parts if p.title.startswith("Certificate"))
+    assert isinstance(certificate, Table)
+    assert certificate.header == ("", "straight")
+    told = plots(page)["Which angles told the friction angle"]
+    assert "Beware" not in told.note
+    assert told.layout["shapes"] == []
+
+
 def test_a_curve_that_is_not_the_librarys_costs_the_band(inversion_folder: Path) -> None:
     saved = load(inversion_folder)
     other = replace(saved, best=saved.best * 1.1)
@@ -274,6 +290,18 @@ def test_a_calibrated_answer_has_its_own_band_and_budget(tmp_path: Path) -> None
     np.testing.assert_allclose(floor[::-1], found.band[0, 40:], rtol=1e-3, atol=1e-4)
     titles = [part.title for part in page.parts]
     assert "What the width of the interval comes from" in titles
-    certificate = next(p for p in page.parts if p.title.startswith("Certificate"))
-    assert isinstance(certificate, Table)
-    assert certificate.header == ("", "straight")
+    # The record's leg touches the soil later than the model's: no angle explains that.
+    assert found.verdict.verdict == "misfit"
+    assert not any(part.title.startswith("Certificate") for part in page.parts)
+    none = next(part for part in page.parts if part.title == "No certificate")
+    assert isinstance(none, Text)
+    assert "does not apply" in none.paragraphs[0]
+    told = plots(page)["Which angles told the friction angle"]
+    size = np.hypot(found.observation.Fx, found.observation.Fz)
+    silent = size < 0.01 * size.max()
+    assert silent.sum() == len(told.layout["shapes"]) == 3
+    angles = found.observation.theta_deg[silent]
+    for shape, theta in zip(told.layout["shapes"], angles, strict=True):
+        assert shape["x0"] < theta < shape["x1"]
+    part = sum(np.array(bars["y"])[silent].sum() for bars in told.traces[:2])
+    assert f"Beware: {part:.0f}% comes from the shaded angles" in told.note

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
+
+from terraphi.console import listen
 
 
 def _check_plain(
@@ -67,6 +70,42 @@ checkpoint_every_option = click.option(
 )
 
 
+def _listen(context: click.Context, parameter: click.Parameter, value: int) -> int:
+    """Set what is told on standard error; wherever in a command the option stands."""
+    if value:
+        opposite = context.meta.setdefault("terraphi.loudness", parameter.name) != parameter.name
+        if opposite:
+            raise click.UsageError("--verbose and --quiet are opposites; give one of them")
+        if parameter.name == "quiet":
+            listen(logging.ERROR)
+        else:
+            listen(logging.INFO if value == 1 else logging.DEBUG)
+    return value
+
+
+def tells_as_much_as_asked(command: click.Command) -> None:
+    """Give a command, and those in it, the options on what is told on standard error."""
+    more = [
+        click.Option(
+            ["-v", "--verbose"],
+            count=True,
+            expose_value=False,
+            callback=_listen,
+            help="Tell on standard error what is being done; -vv: in detail.",
+        ),
+        click.Option(
+            ["-q", "--quiet"],
+            is_flag=True,
+            expose_value=False,
+            callback=_listen,
+            help="Tell nothing there but errors: no warnings, no progress.",
+        ),
+    ]
+    command.params.extend(more)
+    for inner in command.commands.values() if isinstance(command, click.Group) else ():
+        tells_as_much_as_asked(inner)
+
+
 def completed(
     names: Callable[[], Iterable[str]], *, files: bool = False
 ) -> Callable[[Any, Any, str], list[CompletionItem]]:
@@ -100,7 +139,7 @@ def _legs() -> Iterable[str]:
 def _studies() -> Iterable[str]:
     from terraphi.studies import STUDIES
 
-    return STUDIES
+    return ["list", *STUDIES]
 
 
 leg_names = completed(_legs)

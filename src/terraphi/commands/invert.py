@@ -14,7 +14,6 @@ from terraphi.console import (
     print_inversion,
     print_joint_inversion,
     print_json,
-    warnings_shown,
 )
 from terraphi.errors import InputError
 
@@ -109,8 +108,7 @@ def invert(
 
     if out is not None:
         check_folder(out, kind=KIND, names=MADE)
-    with warnings_shown():
-        measured = [open_forces(source) for source in forces]
+    measured = [open_forces(source) for source in forces]
     shapes = legs_of(legs, measured)
     chosen = Library.load(library)
     joint = len(measured) > 1 or bool(prior) or is_of_several(chosen)

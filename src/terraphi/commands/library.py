@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,6 +19,7 @@ from terraphi.commands import (
 )
 from terraphi.console import (
     ignore_interrupts,
+    note,
     print_json,
     print_library,
     print_pairs,
@@ -26,6 +28,12 @@ from terraphi.console import (
     words,
 )
 from terraphi.errors import InputError
+
+if TYPE_CHECKING:
+    from terraphi.forecast import Forecast
+    from terraphi.plan import Plan
+
+log = logging.getLogger(__name__)
 
 
 @click.group()
@@ -62,19 +70,28 @@ def library_build(
     from terraphi.files import makeable
     from terraphi.outputs import check_file
     from terraphi.plan import Plan
+    from terraphi.plausibility import doubts
+    from terraphi.workers import available_cores
 
     chosen = Plan.load(plan)
     if out.exists():
         check_file(out, kind="library")
     makeable(out.parent)
-    compiles = cluster is None and any(case.model == "mpm" for case in chosen.cases())
+    cases = chosen.cases()
+    compiles = cluster is None and any(case.model == "mpm" for case in cases)
+    expected = foreseen(chosen, 1 if cluster is not None else workers or available_cores())
+    asked = dict.fromkeys(doubt for case in cases for doubt in doubts(case))
     try:
         with (
             pool(workers, cluster) as running,
             progress_bar("simulating", compiles=compiles) as report,
         ):
+            for doubt in asked:
+                log.warning(doubt)
             if running.workers == 0:
-                click.echo(f"terraphi: {cluster} has no workers yet; the build waits", err=True)
+                note(f"{cluster} has no workers yet; the build waits")
+            cores = running.workers or 1
+            note(expected.sentence(cores))
             made = build(
                 chosen,
                 out,
@@ -94,9 +111,22 @@ def library_build(
     except InputError:
         kept_cases(out)
         raise
-    for case, failure in made.failures.items():
-        click.echo(f"failed: {case}: {failure}", err=True)
-    print_library(made, as_json=as_json)
+    if as_json:
+        print_json({**made.summary(), "forecast": expected.as_dict(cores)})
+        return
+    print_library(made, as_json=False)
+
+
+def foreseen(plan: Plan, cores: int) -> Forecast:
+    """What the build will take, on so many cores of this machine; refused if it cannot fit."""
+    from terraphi.forecast import forecast, refuse_too_many
+    from terraphi.forward import register_bits
+
+    plan.refuse_what_cannot_fit()
+    cases = plan.cases()
+    expected = forecast(cases, register_bits=register_bits(cases))
+    refuse_too_many(expected, cores, f"plan '{plan.name}'")
+    return expected
 
 
 @library.command("list")

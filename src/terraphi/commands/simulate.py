@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,19 +11,21 @@ import click
 from terraphi.commands import IntRange, checkpoint_every_option, json_option, shipped
 from terraphi.console import (
     ignore_interrupts,
+    note,
     print_json,
     print_pairs,
     progress_bar,
-    warnings_shown,
 )
 from terraphi.errors import InputError
 
 if TYPE_CHECKING:
+    from terraphi.forecast import Forecast
     from terraphi.forward import Checkpoint
     from terraphi.forward.mpm.fields import FieldSeries
     from terraphi.history import ForceHistory
     from terraphi.scenario import Scenario
 
+log = logging.getLogger(__name__)
 file_type = click.Path(path_type=Path)
 
 
@@ -70,6 +73,7 @@ def simulate(
     from terraphi.scenario import Scenario
 
     chosen = Scenario.load(scenario)
+    expected = foreseen(chosen, scenario)
     if out is not None and out.suffix != ".nc":
         raise InputError(f"{out}: a history is written as NetCDF; name it {out.stem}.nc")
     for file, kind in ((out, "force history"), (animate, "")):
@@ -84,7 +88,8 @@ def simulate(
     kept = kept_state(chosen, checkpoint, out or animate or fields, checkpoint_every)
     series = field_series(chosen, fields, animate, frames)
     for doubt in doubts(chosen):
-        click.echo(f"terraphi: {doubt}", err=True)
+        log.warning(doubt)
+    note(expected.sentence())
     history = run(chosen, kept, series)
     if out is not None:
         history.to_netcdf(out)
@@ -100,9 +105,21 @@ def simulate(
         **{name: str(path) for name, path in made.items() if path is not None},
     }
     if as_json:
-        print_json(summary)
+        print_json({**summary, "forecast": expected.as_dict()})
         return
     print_pairs(summary)
+
+
+def foreseen(scenario: Scenario, source: str) -> Forecast:
+    """What the simulation will take; one that cannot fit is refused by the name of its file."""
+    from terraphi.forecast import forecast, refuse_what_cannot_fit
+    from terraphi.forward import register_bits
+
+    try:
+        refuse_what_cannot_fit(scenario)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+    return forecast([scenario], register_bits=register_bits([scenario]))
 
 
 def kept_state(
@@ -150,10 +167,7 @@ def run(scenario: Scenario, kept: Checkpoint | None, series: FieldSeries | None)
     from terraphi import forward
 
     try:
-        with (
-            warnings_shown(),
-            progress_bar("simulating", compiles=scenario.model == "mpm") as report,
-        ):
+        with progress_bar("simulating", compiles=scenario.model == "mpm") as report:
             return forward.simulate(
                 scenario,
                 progress=lambda fraction: report(fraction, 1.0),

@@ -11,6 +11,9 @@ from terraphi.commands import IntRange, cluster_option, json_option, library_nam
 from terraphi.console import print_json, print_table, progress_bar
 from terraphi.errors import InputError
 
+LIST = "list"
+"""In the place of a study's name: which there are."""
+
 
 @click.command()
 @click.argument("name", required=False, shell_complete=study_names)
@@ -31,7 +34,7 @@ from terraphi.errors import InputError
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for data.json and figures.")
 @json_option
 def study(name: str | None, out: Path | None, as_json: bool, **options: Any) -> None:
-    """Run the study NAME; without one, list them with how long they take.
+    """Run the study NAME; list, or no name, lists them with how long they take.
 
     The paper's own: benchmark, phi_sensitivity, k0, surrogate, recovery, and figures, which draws
     all of them. Of measured sand: measured, prediction. Of the model: calibration, design,
@@ -41,10 +44,10 @@ def study(name: str | None, out: Path | None, as_json: bool, **options: Any) -> 
     """
     from terraphi import studies
 
-    if name is None:
+    if name is None or name == LIST:
         given = [key for key, value in {"out": out, **options}.items() if value is not None]
         if given:
-            raise InputError(f"--{given[0]}: of which study? 'terraphi study' alone lists them")
+            raise InputError(f"--{given[0]}: of which study? 'terraphi study list' lists them")
         _list(as_json=as_json)
         return
     compiles = name == "verification" or options["build"] is not None

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol
 
 from terraphi.errors import InputError
+from terraphi.forecast import refuse_what_cannot_fit
 from terraphi.forward.watch import Checkpoint, Observer, Snapshot
 from terraphi.history import ForceHistory
 from terraphi.scenario import Scenario
@@ -28,6 +29,7 @@ __all__ = [
     "Snapshot",
     "model_version",
     "package_version",
+    "register_bits",
     "rests_on",
     "simulate",
     "software",
@@ -92,12 +94,13 @@ def simulate(
     Raises
     ------
     InputError
-        If the model cannot do this scenario or has nothing to observe, or a checkpoint that a
-        person named does not fit.
+        If the model cannot do this scenario or has nothing to observe, a checkpoint that a person
+        named does not fit, or this machine could not hold or finish the simulation.
     SimulationError
         If the solution breaks down; the message says at which step and particle, the likely cause
         and where the last good state is kept.
     """
+    refuse_what_cannot_fit(scenario)
     if observe is not None and scenario.model != "mpm":
         raise InputError(
             f"model = '{scenario.model}' has no particles to look at; set model = 'mpm'"
@@ -168,6 +171,21 @@ def rests_on(scenario: Scenario) -> dict[str, Any]:
         "processor": platform.machine(),
         "numpy_instructions": " ".join(_vector_instructions()),
     }
+
+
+def register_bits(scenarios: Iterable[Scenario]) -> int:
+    """Width of the vectors that simulations use here [bit]; 512 where none of them needs any.
+
+    Parameters
+    ----------
+    scenarios
+        What would be simulated.
+    """
+    if all(scenario.model != "mpm" for scenario in scenarios):
+        return 512
+    from terraphi.forward.mpm import packing
+
+    return packing.register_bits()
 
 
 def _vector_instructions() -> list[str]:

@@ -24,6 +24,8 @@ __all__ = ["AngleSummary", "Inversion", "plane_strain_summary"]
 
 FloatArray = NDArray[np.float64]
 
+NARROW_DEG = 0.1
+"""Width of the 68 % interval below which angles are shown with another digit [deg]."""
 QUADRATURE_DRAWS = (4, 1000)
 """Chains and draws that stand for a posterior by quadrature in a file."""
 
@@ -35,6 +37,13 @@ class AngleSummary:
     median: float
     ci68: tuple[float, float]
     ci95: tuple[float, float]
+
+    def __str__(self) -> str:
+        """Median and intervals [deg], with the digits that the narrower one deserves."""
+        width = self.ci68[1] - self.ci68[0]
+        digits = 3 if width < NARROW_DEG else 2
+        spans = (f"{low:.{digits}f} to {high:.{digits}f}" for low, high in (self.ci68, self.ci95))
+        return "{:.{}f} deg, 68 %: {}, 95 %: {}".format(self.median, digits, *spans)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
@@ -115,6 +124,22 @@ class Inversion:
     def origin(self) -> str:
         """What its forces are, in a word: ``measured`` or ``simulated``."""
         return "simulated" if "simulation" in self.provenance else "measured"
+
+    def __repr__(self) -> str:
+        """What a person at a prompt wants to see; :meth:`as_dict` has all numbers."""
+        assumed = ", assumed" if self.density_assumed else ""
+        equal = self.phi_plane_strain if self.convention != "plane_strain" else None
+        deviation = " and ".join(f"{share:.1%} ({name})" for name, share in self.nrmsd.items())
+        lines = (
+            f"Inversion of {self.source or 'a force history'}",
+            f"  leg {self.leg}, library {self.library}, density {self.density:g} kg/m³{assumed}",
+            f"  {self.likelihood} likelihood, {self.posterior.sampler}",
+            f"  φ ({self.convention}): {self.phi}",
+            f"  φ, equivalent in plane strain: {equal}" if equal else "",
+            f"  deviation of the best curve: {deviation} of peak-to-peak",
+            f"  verdict: {self.verdict.verdict}; why: .verdict.reason",
+        )
+        return "\n".join(filter(None, lines))
 
     def as_dict(self) -> dict[str, Any]:
         """Answer as the command line prints it with ``--json``."""

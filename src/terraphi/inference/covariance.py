@@ -13,7 +13,7 @@ from terraphi.inference import registration
 from terraphi.inference.calibrated import CalibratedLikelihood
 from terraphi.inference.fit import Fit
 from terraphi.inference.hypotheses import Problem
-from terraphi.inference.information import information_share
+from terraphi.inference.information import information_share, share_without_force
 
 FloatArray = NDArray[np.float64]
 
@@ -80,6 +80,8 @@ class Budget:
     information
         What each angle adds to the information on φ of those before it [-], of Fx and Fz, shape
         [2, theta].
+    information_without_force
+        Share of it from angles at which no force was measured [-].
     sigma_N
         Standard deviation of each term at each window [N], shape [2 theta].
     noise_N
@@ -94,6 +96,7 @@ class Budget:
 
     shares: Mapping[str, float]
     information: FloatArray
+    information_without_force: float
     sigma_N: Mapping[str, FloatArray]
     noise_N: float
     discrepancy_of_peak: float
@@ -105,6 +108,7 @@ class Budget:
         """Plain numbers, without those of each window."""
         return {
             "shares": dict(self.shares),
+            "information_without_force": self.information_without_force,
             "noise": self.noise,
             "noise_N": self.noise_N,
             "discrepancy": self.discrepancy,
@@ -141,9 +145,11 @@ def budget_of(
     direction = np.linalg.solve(total, slope)
     parts = {name: float(direction @ term @ direction) for name, term in terms.items()}
     whole = sum(parts.values())
+    told = information_share(total, slope)
     return Budget(
         shares={name: part / whole for name, part in parts.items()},
-        information=information_share(total, slope),
+        information=told,
+        information_without_force=share_without_force(told, problem.data),
         sigma_N={name: scale * np.sqrt(np.diag(term)) for name, term in terms.items()},
         noise_N=scale * float(np.sqrt(noise_variance)),
         discrepancy_of_peak=float(np.sqrt(weights @ np.square(used.amplitude))),

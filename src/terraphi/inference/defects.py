@@ -43,15 +43,15 @@ FLAT = 0.02
 COARSE_DEG = 2.0
 """Spacing of readings above which no steps are looked for [deg]."""
 FINE, CRESTS_DEG = 5e-4, 3.0
-"""Resolution, of peak-to-peak [-], below which three equal largest readings that far apart [deg] are
-clipped crests: a round top of a coarser record has as many."""
+"""Resolution, of peak-to-peak [-], below which three equal largest readings that far apart [deg]
+are clipped crests: a round top of a coarser record has as many."""
 WORTH_DEG = 5.0
 """Path next to a flat top from which its slope is taken [deg]."""
 OFFSET = 0.05
 """Mean force in air, of peak-to-peak, above which a record is refused [-]."""
 IN_AIR, MARGIN_DEG = 0.005, 3.0
-"""Force over the largest below which a simulated leg counts as in air [-], and how much further from
-the soil a measured one has to be [deg]."""
+"""Force over the largest below which a simulated leg counts as in air [-], and how much further
+from the soil a measured one has to be [deg]."""
 MOST_LEFT_OUT = 0.5
 """Share of readings that may be left out [-]."""
 WORDS = {
@@ -304,10 +304,9 @@ def _flat_top(theta: FloatArray, values: FloatArray, known: Mask) -> Mask:
             continue
         if at.size < 0.5 * known[first : last + 1].sum():
             continue
-        slopes = [
-            _slope(theta, top, known & (theta >= theta[first] - WORTH_DEG) & (theta < theta[first])),
-            -_slope(theta, top, known & (theta > theta[last]) & (theta <= theta[last] + WORTH_DEG)),
-        ]
+        before = (theta >= theta[first] - WORTH_DEG) & (theta < theta[first])
+        behind = (theta > theta[last]) & (theta <= theta[last] + WORTH_DEG)
+        slopes = _slope(theta, top, known & before), -_slope(theta, top, known & behind)
         # Were the force to go on rising from either side, and fall off halfway.
         hidden = 0.25 * (theta[last] - theta[first]) * float(np.mean(slopes))
         if min(slopes) > 0.0 and hidden > max(FLAT * span, QUANTA * resolution):

@@ -12,12 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from terraphi.inference.posterior import Posterior
 
-__all__ = ["information_gain_bits", "information_share"]
+__all__ = ["information_gain_bits", "information_share", "share_without_force", "without_force"]
 
 FloatArray = NDArray[np.float64]
 
 BINS = 20
 """In which draws are counted."""
+ZERO_FORCE = 0.01
+"""Measured force that counts as none, of the largest [-]."""
+MOST_WITHOUT_FORCE = 0.1
+"""Share of the information from angles without force that a reader is told of [-]."""
 
 
 def information_gain_bits(posterior: Posterior) -> float:
@@ -73,3 +77,36 @@ def information_share(covariance: ArrayLike, slope: ArrayLike) -> FloatArray:
         raise ValueError("slope is zero at every angle; the forces do not depend on phi")
     shares: FloatArray = (added / added.sum()).reshape(-1, 2).T
     return shares
+
+
+def without_force(data: ArrayLike) -> NDArray[np.bool_]:
+    """Angles at which no force was measured, such as those before the leg touches the soil.
+
+    Parameters
+    ----------
+    data
+        The observation vector [Fx, Fz] [N], shape [2 theta].
+
+    Returns
+    -------
+    ndarray of bool
+        Where the force is below :data:`ZERO_FORCE` of the largest, shape [theta].
+    """
+    size = np.hypot(*np.asarray(data, dtype=np.float64).reshape(2, -1))
+    found: NDArray[np.bool_] = size < ZERO_FORCE * size.max()
+    return found
+
+
+def share_without_force(share: FloatArray, data: ArrayLike) -> float:
+    """Part of the information that comes from angles at which no force was measured [-].
+
+    A model that has a force there learns of φ from where the soil begins, not from its strength.
+
+    Parameters
+    ----------
+    share
+        As from :func:`information_share`, shape [2, theta].
+    data
+        As in :func:`without_force`.
+    """
+    return float(share[:, without_force(data)].sum())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.metadata
+import logging
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -44,6 +45,7 @@ __all__ = [
 ]
 
 FloatArray = NDArray[np.float64]
+log = logging.getLogger(__name__)
 Likelihood = Literal["calibrated", "paper"]
 Sampler = Literal["quadrature", "emcee"]
 LIKELIHOODS: tuple[Likelihood, ...] = ("calibrated", "paper")
@@ -297,6 +299,7 @@ def _sample(
     seed: int,
     nodes: int = 4001,
 ) -> Posterior:
+    log.info("sampling φ over %g to %g deg by %s", *bounds_deg, sampler)
     if sampler == "emcee":
         table = tabulated(log_p, bounds_deg, nodes=nodes)
         return ensemble(table, bounds_deg, seed=seed)

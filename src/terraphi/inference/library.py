@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import logging
 import weakref
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -28,6 +29,7 @@ from terraphi.library import Curves, Library
 from terraphi.scatter import Scatter, estimate
 
 FloatArray = NDArray[np.float64]
+log = logging.getLogger(__name__)
 
 NODES = 281
 """Nodes over phi, between which chi-square and log-determinant are splines: intervals are right to
@@ -268,11 +270,14 @@ def surrogate_of(
                 "calibrate it again (terraphi library calibrate)"
             ) from error
         # Its scatter is that of means over many readings, and few leave more of it.
-        if not is_sparse(readings, curves.theta_deg) and np.allclose(scatter.theta_deg, curves.theta_deg, atol=1e-6):
+        same_windows = np.allclose(scatter.theta_deg, curves.theta_deg, atol=1e-6)
+        if same_windows and not is_sparse(readings, curves.theta_deg):
             means, repeats = _means(curves, again)
+            log.info("library %s, leg %s: surrogate as its calibration has it", library.name, leg)
             return JointSurrogate.fit(
                 curves.phi_deg, curves.theta_deg, means, scatter, kernel=kernel, repeats=repeats
             )
+    log.info("library %s, leg %s: fitting a surrogate, as none fits", library.name, leg)
     return learn(curves, again)
 
 

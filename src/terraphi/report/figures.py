@@ -145,5 +145,20 @@ def vertical(x: float, colour: str, *, dash: str = "dot") -> dict[str, Any]:
     }
 
 
+def shade(low: float, high: float) -> dict[str, Any]:
+    """A grey ground between two places of the abscissa."""
+    return {
+        "type": "rect",
+        "x0": low,
+        "x1": high,
+        "y0": 0,
+        "y1": 1,
+        "yref": "paper",
+        "layer": "below",
+        "line": {"width": 0},
+        "fillcolor": "@grey/0.25",
+    }
+
+
 DEGREES = {"tick0": 0, "dtick": 30, "range": [-90, 90]}
 """Axis of the leg angle over the engaged window."""

@@ -10,12 +10,18 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.inference.information import (
+    MOST_WITHOUT_FORCE,
+    ZERO_FORCE,
+    share_without_force,
+    without_force,
+)
 from terraphi.inference.residual import peak_to_peak
 from terraphi.report import figures as fig
 from terraphi.report.certificate import certificate_of, certificate_parts
 from terraphi.report.density import smooth_density
 from terraphi.report.inversion_data import Again, Saved, load, recomputed
-from terraphi.report.parts import Part, Plot, Section, Status, Table, decimals, number
+from terraphi.report.parts import Part, Plot, Section, Status, Table, Text, decimals, number
 
 FloatArray = NDArray[np.float64]
 
@@ -74,7 +80,7 @@ def section(path: Path, *, library: str | None = None) -> Section:
         parts.append(_information(saved, share))
     parts.append(_numbers(answer))
     if again is not None:
-        parts += certificate_parts(again.library, leg=str(answer["leg"]))
+        parts += _certificate(answer, again)
     parts += [*_budget(answer), _convergence(answer)]
     status, badge = _belief(answer, again)
     about = {key: answer[key] for key in ("source", "leg", "library", "likelihood", "sampler")}
@@ -104,6 +110,18 @@ def _belief(answer: Mapping[str, Any], again: Again | None) -> tuple[Status, str
     if answer["likelihood"] != "calibrated":
         return "doubtful", OTHER_LIKELIHOOD
     return status, ""
+
+
+def _certificate(answer: Mapping[str, Any], again: Again) -> list[Part]:
+    """The library's certificate, but for forces of which it says nothing."""
+    leg, library = str(answer["leg"]), again.library
+    if answer["verdict"] != "misfit" or leg not in certificate_of(library):
+        return certificate_parts(library, leg=leg)
+    why = (
+        f"That of library {library.name} does not apply: it was earned with forces that the "
+        "library's own model made, and no friction angle of that model explains these."
+    )
+    return [Text("No certificate", (why,), wide=False)]
 
 
 def headline(answer: Mapping[str, Any]) -> str:
@@ -298,6 +316,14 @@ def _information(saved: Saved, share: FloatArray) -> Plot:
                  yaxis="y2", hovertemplate="θ = %{x:.0f}°: %{y:.0f} % so far")
     )  # fmt: skip
     parts = 100.0 * share.sum(axis=1)
+    nothing = share_without_force(share, saved.data)
+    doubt = (
+        f" Beware: {nothing:.0%} comes from the shaded angles, where the measured force is zero "
+        f"(below {ZERO_FORCE:.0%} of its largest): the model has a force there, and what these "
+        "angles tell is where the soil begins, not how strong it is."
+        if nothing > MOST_WITHOUT_FORCE
+        else ""
+    )
     return Plot(
         title=INFORMATION,
         traces=traces,
@@ -306,6 +332,7 @@ def _information(saved: Saved, share: FloatArray) -> Plot:
             "information added [%]",
             xaxis=fig.DEGREES,
             barmode="stack",
+            shapes=_shaded(saved) if doubt else [],
             yaxis2={
                 "overlaying": "y", "side": "right", "range": [0, 105], "showgrid": False,
                 "tickvals": [0, 25, 50, 75, 100],
@@ -316,9 +343,18 @@ def _information(saved: Saved, share: FloatArray) -> Plot:
         note=(
             f"Fx gave {parts[0]:.0f} %, Fz {parts[1]:.0f} %; half of all was in by θ = "
             f"{middle:.0f}°. What each angle adds to the Fisher information of those before it, "
-            "by the model's slope and the likelihood's covariance."
+            f"by the model's slope and the likelihood's covariance.{doubt}"
         ),
     )  # fmt: skip
+
+
+def _shaded(saved: Saved) -> list[dict[str, Any]]:
+    """A shade behind each angle at which no force was measured."""
+    half = 0.5 * float(np.diff(saved.theta_deg).mean())
+    return [
+        fig.shade(theta - half, theta + half)
+        for theta in saved.theta_deg[without_force(saved.data)].tolist()
+    ]
 
 
 def _budget(answer: Mapping[str, Any]) -> list[Part]:

@@ -60,6 +60,18 @@ def loose(two_parameters, trial) -> JointInversion:
     )
 
 
+def test_an_answer_at_a_prompt_fits_in_ten_lines(both) -> None:
+    lines = repr(both).splitlines()
+    assert len(lines) <= 10
+    assert max(map(len, lines)) <= 100
+    for key in both.keys:
+        assert sum(both.axis_name(key) in line for line in lines) == 1
+    many = {f"soil.{i}": next(iter(both.marginal.values())) for i in range(20)}
+    more = replace(both, marginal=many, conditional=many)
+    assert len(repr(more).splitlines()) <= 10
+    assert "16 more" in repr(more)
+
+
 def test_truths_are_within_three_standard_deviations(straight, both, loose) -> None:
     for found in (straight, both, loose):
         assert found.draws.converged

@@ -22,6 +22,8 @@ from terraphi.inference.verdict import Verdict
 FloatArray = NDArray[np.float64]
 
 PHI = "soil.friction_angle_deg"
+MOST_NAMED = 5
+"""Parameters that a representation has room for."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +124,25 @@ class JointInversion:
     discrepancy: str
     warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """What a person at a prompt wants to see; :meth:`as_dict` has all numbers."""
+        count, legs = sum(len(g.trials) for g in self.groups), ", ".join(g.leg for g in self.groups)
+        named = [
+            f"  {self.axis_name(key)}: {one.median:{self.digits(key)}}, 68 %: "
+            + " to ".join(f"{end:{self.digits(key)}}" for end in one.ci68)
+            for key, one in self.marginal.items()
+        ]
+        if len(named) > MOST_NAMED:
+            named[MOST_NAMED - 1 :] = [f"  and {len(named) - MOST_NAMED + 1} more, in .marginal"]
+        lines = (
+            f"JointInversion of {count} {'history' if count == 1 else 'histories'}, legs {legs}",
+            f"  library {self.library} ({self.convention})",
+            *named,
+            f"  converged: {'yes' if self.draws.converged else 'no'}",
+            f"  verdict: {self.verdict.verdict}; why: .verdict.reason",
+        )
+        return "\n".join(lines)
 
     def axis_name(self, key: str) -> str:
         """Name of a parameter for people, with its unit, and φ with its convention."""
