@@ -16,11 +16,12 @@ PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test test-slow docs bench lint format install clean distclean
+.PHONY: help demo test test-processors test-slow docs bench lint format install clean distclean
 
 help:
 	@echo 'make demo       friction angle from a measured force history, and a picture in demo-output/'
 	@echo 'make test       lint, type-check and test (minutes)'
+	@echo 'make test-processors  the numerical tests as on lesser processors (x86 alone)'
 	@echo 'make test-slow  the checks that take longer'
 	@echo 'make docs       the documentation, in docs/_build/html/index.html'
 	@echo 'make bench      speed of kernels, surrogate and inversions, as lines of name and value'
@@ -33,6 +34,16 @@ demo: $(RUN)
 
 test: lint
 	$(BIN)/pytest -n $(WORKERS)
+
+# The numerical tests as on processors with AVX2 at most, and with neither: Numba and OpenBLAS are
+# held to those. Nothing else than x86 knows these names.
+NUMERICAL := tests/forward/mpm tests/test_gaussian_process.py tests/test_joint_surrogate.py \
+	tests/inference/test_posterior.py tests/inference/test_certificate.py
+test-processors: $(DEV)
+	NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Haswell \
+		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL)
+	NUMBA_CPU_NAME=x86-64 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Nehalem \
+		$(BIN)/pytest -n $(WORKERS) tests/forward/mpm/test_packets.py tests/forward/mpm/test_phases.py
 
 test-slow: $(DEV)
 	$(BIN)/pytest -n $(WORKERS) -m slow

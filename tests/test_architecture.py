@@ -233,7 +233,7 @@ def test_import_stays_light(module: str) -> None:
         # SciPy's splines bring its optimisers along; statistics and tables are nobody's business.
         (["invert", "li2013:yuma/straight"], {*HEAVY, "dask", "scipy.stats"} - {"h5py", "scipy"}),
     ],
-    ids=" ".join,
+    ids=["help", "study-list", "invert"],
 )
 def test_a_command_loads_only_what_it_needs(words: list[str], heavy: set[str]) -> None:
     code = (

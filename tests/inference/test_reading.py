@@ -83,3 +83,21 @@ def test_intervals_hold_the_truth_at_every_phase(every: int) -> None:
             assert answer.budget.shares["readings"] > 0.1
     assert np.mean(inside) > 0.8
     assert np.mean(consistent) > 0.8
+
+
+@pytest.mark.parametrize(
+    ("name", "percent"),
+    [("quick-plane-strain", (5, 9)), ("quick-paper", (1.5, 3)), ("k4-plane-strain", (2.5, 4.5)),
+     ("resolved", (2.5, 5)), ("paper", (0.4, 0.8))],
+)  # fmt: skip
+def test_ripple_of_the_libraries(name: str, percent: tuple[float, float]) -> None:
+    """As docs/inference.md has it."""
+    found = []
+    for case in Library.load(name).cases:
+        if case.scenario.leg.shape == "straight" and case.history is not None:
+            inside = np.radians(np.arange(-72.0, 72.0, 0.1))
+            fine, wide = (case.history.means(inside, np.radians(h)) for h in (0.25, 1.5))
+            found.append((fine - wide).std(axis=0) / np.ptp(wide, axis=0))
+    low, high = percent
+    assert (100.0 * np.median(found, axis=0) > low).all()
+    assert (100.0 * np.median(found, axis=0) < high).all()
