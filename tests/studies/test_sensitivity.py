@@ -203,7 +203,7 @@ def test_peaks_on_a_line_over_the_cell_size_have_a_limit() -> None:
     said = conclusion(CELLS, line)
     # A limit has three significant figures at best: the means over 1° take 0.005 %.
     assert said.numbers["limit_N"] == pytest.approx({"Fz": 3.0, "Fx": 1.5}, rel=1e-3)
-    assert "F_z lie on a straight line to 3.00 N at size 0 (the base: +67 %)" in said.sentence
+    assert "F_z lie on a straight line to 3.00 N at size 0 (the base: +67 %, +" in said.sentence
     bent = conclusion(CELLS, {**line, 64: history(1.0)})
     assert set(bent.numbers["limit_N"].values()) == {None}
     few = conclusion(CELLS, {96: line[96]})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
@@ -12,6 +13,7 @@ import pytest
 
 from terraphi import studies
 from terraphi.forward.mpm import plasticity
+from terraphi.scenario import Scenario
 from terraphi.soil import Soil
 from terraphi.studies import verification
 from terraphi.studies.verification import element, limit_loads, limit_scenarios, limit_values
@@ -46,21 +48,23 @@ def checks_of(found: studies.Study, family: str) -> list[Check]:
 
 
 KNOWN_MISSES = {
-    ("Column collapse", "run-out (d − d0)/d0"): 1.1,
-    ("Bed at rest under its own weight", "dσ_v/d(depth)/ρg, whole bed"): 1.018,
-    ("Elastic soil loaded by its own weight", "settlement of the surface [µm]"): 7.778,
-    ("Bed between walls", "order of the displacement"): 1.05,
-    ("Bed between walls", "order of the velocity"): 0.98,
-    ("Bed between walls", "order of the stress of nodes"): 0.91,
-    ("Bed between walls", "order of the stress of particles"): 0.71,
+    ("Column collapse", "run-out (d − d0)/d0, farthest particle", ""): 1.215,
+    ("Strip footing", "N_γ, first geometry", "preset"): 7.408,
+    ("Bed at rest under its own weight", "dσ_v/d(depth)/ρg, whole bed", ""): 1.018,
+    ("Elastic soil loaded by its own weight", "settlement of the surface [µm]", ""): 7.778,
+    ("Bed between walls", "order of the displacement", ""): 1.05,
+    ("Bed between walls", "order of the velocity", ""): 0.98,
+    ("Bed between walls", "order of the stress of nodes", ""): 0.91,
+    ("Bed between walls", "order of the stress of particles", ""): 0.71,
 }
-"""What the one-sided walls cost, and how much: no more, and if less, strike it out."""
+"""What the one-sided walls cost, a footing with the settings of the preset, and a column on ten
+cells, and how much: no more, and if less, strike it out."""
 
 
 @pytest.mark.parametrize("family", verification.FAMILIES)
 def test_quick_tier_passes_but_for_what_is_known(found: studies.Study, family: str) -> None:
     for check in checks_of(found, family):
-        known = KNOWN_MISSES.get((check.problem, check.quantity))
+        known = KNOWN_MISSES.get((check.problem, check.quantity, check.settings))
         if known is None:
             assert check.passed, check
         else:
@@ -74,9 +78,12 @@ def test_data_documents_and_figures(found: studies.Study, tmp_path: Path) -> Non
     text = found.documents["verification.md"]
     for name in found.figures:
         assert f"![{name}]({name}.png)" in text
-    verdicts = re.findall(r"\| (pass|\*\*MISS\*\*(?: \[\d+\])?) \|$", text, re.M)
-    assert len(verdicts) == len(found.rows) == found.data["passed"] + found.data["missed"]
-    assert verdicts.count("pass") == found.data["passed"]
+    misses = re.findall(r"\| \*\*MISS\*\*", text)
+    assert len(misses) == found.data["missed"]
+    assert len(found.rows) == found.data["passed"] + found.data["missed"]
+    rows = found.data["rows"]
+    assert len(rows) == len(found.rows)
+    assert sum(row["passed"] for row in rows) == found.data["passed"]
     found.save(tmp_path)
     written = {file.name for file in tmp_path.iterdir()}
     pictures = {f"{name}.png" for name in found.figures}
@@ -98,7 +105,7 @@ def test_page_is_that_of_the_full_tier_and_of_all_families() -> None:
 
 def test_every_miss_on_the_page_has_a_cause() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    assert not re.findall(r"\*\*MISS\*\* \|", text)
+    assert not re.findall(r"\*\*MISS\*\*[^|\[]*\|", text)
     # What the document says of a miss that nobody has looked into; a cause may well be half known.
     assert "Cause: not known" not in text
 
@@ -280,6 +287,60 @@ def test_exact_limit_loads_are_those_of_the_tables() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("phi_deg", "delta_deg", "printed"),
+    [
+        (10.0, 5.0, 1.56),
+        (10.0, 10.0, 1.66),
+        (20.0, 10.0, 2.55),
+        (20.0, 20.0, 3.04),
+        (30.0, 15.0, 4.62),
+        (30.0, 30.0, 6.55),
+        (40.0, 20.0, 9.69),
+        (40.0, 40.0, 18.2),
+    ],
+)
+def test_slip_lines_give_the_table_of_sokolovskii(
+    phi_deg: float, delta_deg: float, printed: float
+) -> None:
+    """The whole force on an upright wall, of which K_p is the horizontal part."""
+    delta = math.radians(delta_deg)
+    found = limit_values.passive_pressure(phi_deg, math.tan(delta)) / math.cos(delta)
+    assert found == pytest.approx(printed, rel=5e-3)
+
+
+def test_slip_lines_at_the_friction_of_the_leg_and_at_none() -> None:
+    at_leg = [limit_values.passive_pressure(phi, 0.35) for phi in (25.0, 35.0, 45.0)]
+    np.testing.assert_allclose(at_leg, [3.712, 6.502, 12.583], rtol=2e-4)
+    for phi in (25.0, 30.0, 35.0, 40.0, 45.0):
+        almost = limit_values.passive_pressure(phi, 1e-6)
+        assert almost == pytest.approx(limit_values.passive_pressure(phi, 0.0), rel=1e-5)
+
+
+def test_degrees_of_a_limit_load_are_those_of_the_angle_that_has_it() -> None:
+    # Rankine: d ln tan²(45° + φ/2)/dφ = 2/cos φ.
+    slope = limit_values.per_degree(lambda phi: limit_values.passive_pressure(phi, 0.0), 35.0)
+    rankine = math.radians(2.0 / math.cos(math.radians(35.0)))
+    assert slope == pytest.approx(rankine, rel=1e-3)
+    stronger = limit_values.passive_pressure(36.0, 0.0)
+    check = Check(
+        problem="", case="", quantity="", expected=limit_values.passive_pressure(35.0, 0.0),
+        obtained=stronger, tolerance=0.05, per_degree=slope,
+    )  # fmt: skip
+    assert check.deviation_deg == pytest.approx(1.0, abs=0.01)
+    assert check.as_dict()["deviation_deg"] == pytest.approx(1.0, abs=0.01)
+    assert math.isnan(dataclasses.replace(check, per_degree=0.0).deviation_deg)
+    for phi in (25.0, 30.0, 35.0, 40.0):
+        # N_γ rises by a sixth to a fifth a degree, and by more at larger angles.
+        assert 0.14 < limit_values.n_gamma_per_degree(phi, "smooth") < 0.21
+
+
+def test_wall_rougher_than_its_soil_holds_no_more_than_the_soil() -> None:
+    rough = limit_values.passive_pressure(25.0, math.tan(math.radians(25.0)))
+    assert limit_values.passive_pressure(25.0, 0.5) == pytest.approx(rough, rel=1e-9)
+    assert limit_values.passive_pressure(25.0, 0.45) < rough
+
+
 def test_wall_that_moves_takes_in_soil_and_meets_the_weakest_wedge() -> None:
     """The formula is the force of a wedge with that soil on it, which no other plane undercuts."""
     height, moved = 1.0, 0.06
@@ -297,12 +358,74 @@ def test_wall_that_moves_takes_in_soil_and_meets_the_weakest_wedge() -> None:
         assert forces.min() == pytest.approx(limit_values.moved_pressure(phi_deg, moved), rel=4e-3)
 
 
+@pytest.mark.parametrize("of", ["wall", "footing"])
+def test_settings_of_the_preset_are_all_of_them(of: str) -> None:
+    if of == "wall":
+        found = limit_scenarios.wall_scenario(35.0, 0.5, 20, settings="preset", beneath=True)
+    else:
+        found = limit_scenarios.footing_scenario(
+            35.0, "rough", 20, load="weight", settings="preset"
+        )
+    preset = Scenario.load("resolved")
+    sizes = {"domain", "cells", "time_step", "remap_interval", "speed_up"}
+    for name in type(preset.numerics).model_fields.keys() - sizes:
+        assert getattr(found.numerics, name) == getattr(preset.numerics, name), name
+    ours, theirs = (
+        (
+            s.soil.p_wave_speed * s.numerics.time_step / s.numerics.cell_size,
+            s.numerics.remap_interval / s.numerics.time_step,
+        )
+        for s in (found, preset)
+    )
+    assert ours == pytest.approx(theirs, rel=1e-6)
+    assert found.numerics.speed_up == 1.0
+
+
+def test_toe_of_a_rough_wall_has_soil_beneath() -> None:
+    wall = limit_scenarios.wall_scenario(35.0, 0.35, 20, settings="preset", beneath=True)
+    toe = wall.motion.start[1] - wall.leg.chord
+    assert wall.bed.surface - toe == pytest.approx(limit_scenarios.WALL_HEIGHT)
+    assert toe - wall.bed.floor == pytest.approx(0.3 * limit_scenarios.WALL_HEIGHT)
+    front = wall.motion.start[0] + wall.leg.half_thickness
+    assert front == pytest.approx(wall.bed.soil_span[0])
+
+
+def test_load_that_still_moves_where_it_is_read_is_noted() -> None:
+    path = np.linspace(0.0, 1.0, 200)
+    assert limit_loads.unrest(np.minimum(path * 4.0, 1.0) + 0.1 * np.sin(2000.0 * path)) == ""
+    assert "by 12%" in limit_loads.unrest(1.0 + 0.8 * (path - 0.5))
+
+
+def test_full_tier_has_the_preset_first_at_all_angles_and_frictions() -> None:
+    tasks = [t for t in limit_loads.tasks(False) if t.arguments.get("settings") == "preset"]
+    walls = {
+        (t.arguments["phi_deg"], t.arguments["friction"])
+        for t in tasks
+        if t.function is limit_loads.push_wall
+    }
+    assert walls == {(phi, mu) for phi in (25.0, 30.0, 35.0, 40.0) for mu in (0.0, 0.35, 0.5)}
+    feet = {
+        (t.arguments["phi_deg"], t.arguments["base"], t.arguments["load"])
+        for t in tasks
+        if t.function is limit_loads.press_footing
+    }
+    angles = (25.0, 30.0, 35.0, 40.0)
+    assert {(phi, base, "weight") for phi in angles for base in ("smooth", "rough")} <= feet
+    assert {(phi, "smooth", "cohesion") for phi in angles} <= feet
+
+
+def test_no_check_holds_a_moving_wall_against_the_first_geometry() -> None:
+    moving = [t for t in limit_loads.tasks(False) if t.function is limit_loads.move_wall]
+    assert moving
+    assert all("friction" not in t.arguments for t in moving)
+
+
 def test_limit_loads_are_read_before_the_plate_has_moved() -> None:
     """Path and stiffness follow from the load: the same for every friction angle, and tiny."""
     wall = limit_scenarios.wall_scenario(35.0, 0.35, 10)
     assert wall.motion.distance == pytest.approx(1.5e-4 * limit_scenarios.WALL_HEIGHT)
     toe = 6.502 * 1650.0 * 9.81 * 0.1
-    assert wall.soil.youngs_modulus == pytest.approx(1e5 * toe)
+    assert wall.soil.youngs_modulus == pytest.approx(1e5 * toe, rel=1e-4)
     for load, gravity in (("weight", 9.81), ("cohesion", 0.0), ("dead weight", 0.303)):
         foot = limit_scenarios.footing_scenario(25.0, "rough", 10, load=load)
         assert foot.motion.distance == pytest.approx(1.5e-4 * limit_scenarios.FOOTING_WIDTH)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import pytest
 
 from terraphi.scenario import Scenario
@@ -14,10 +17,27 @@ def test_smooth_plate_meets_rankine(phi_deg: float, exact: float) -> None:
     assert limit_values.passive_pressure(phi_deg, 0.0) == pytest.approx(exact, abs=1e-3)
 
 
-def test_rough_plate_has_slip_lines_or_none() -> None:
-    assert limit_values.passive_pressure(35.0, 0.35) == 6.502
-    with pytest.raises(KeyError):
-        limit_values.passive_pressure(30.0, 0.35)
+def test_rough_plate_on_a_smooth_floor_is_held_against_rankine(monkeypatch) -> None:
+    """The bed may slide: V-shaped wedge, each half ½ γh² tan(45° + φ/2), rising at half that."""
+    weight = 0.5 * 1650.0 * 9.81 * DEPTH**2
+    force = np.full((100, 2), [-3.690 * weight, 0.0])
+    monkeypatch.setattr(plate, "push", lambda _: (np.linspace(0.0, 1.5e-3, 100), force))
+    slope = math.tan(math.radians(45.0 + 35.0 / 2.0))
+    wedge = 2.0 * slope * (0.5 * slope)
+    (check,) = plate.push_plate(35.0, 0.35).checks
+    assert check.expected == pytest.approx(wedge, rel=1e-9)
+    assert check.deviation == pytest.approx(0.0, abs=1e-3)
+    (beneath,) = plate.push_plate(35.0, 0.35, beneath=12, floor="rough").checks
+    assert beneath.expected == pytest.approx(6.502, abs=1e-3)
+
+
+def test_settings_say_which_dilatation(monkeypatch) -> None:
+    monkeypatch.setattr(plate, "push", lambda _: (np.linspace(0, 1.5e-3, 100), np.ones((100, 2))))
+    names = [
+        plate.push_plate(35.0, 0.0, dilatation=kind).checks[0].settings
+        for kind in ("cell", "particle")
+    ]
+    assert names == ["preset", "preset, dilatation by particle"]
 
 
 def test_numerics_are_those_of_the_leg() -> None:

@@ -218,6 +218,41 @@ def test_checks_of_a_problem_stand_together() -> None:
     assert text.index("third") < text.index("**Wall**")
 
 
+def test_settings_stand_side_by_side_and_the_presets_first() -> None:
+    text = written(
+        check_of(settings="nodes", source="Rankine", resolution="20 cells"),
+        check_of(obtained=3.0, settings="preset", cause="stiff", resolution="20 cells"),
+        check_of(case="rough", settings="nodes", note="loose", resolution="20 cells"),
+        check_of(case="rough", settings="preset", resolution="40 cells", per_degree=0.05),
+    )
+    rows = [line for line in text.splitlines() if line.startswith("|")]
+    assert "| problem | quantity | resolution | expected | allowed | preset | nodes |" in rows
+    first = "| **Column**<br>smooth | K [1] | 20 cells | 2 | ±6 % | **MISS** +50 % [2] | +5 % |"
+    assert first in rows
+    assert "| rough | K | 20 cells | 2 | ±6 % |  | +5 % [3] |" in rows
+    assert "| rough | K | 40 cells | 2 | ±6 % | +5 %, +1.0° |  |" in rows
+    assert "1. Rankine.\n2. stiff.\n3. loose." in text
+    assert "  - Column, smooth, settings: preset, 20 cells: K (3, not 2)" in text
+
+
+@pytest.mark.parametrize(("obtained", "text"), [(4.06, "+103 %"), (3.98, "+99 %"), (2.0, "0 ")])
+def test_deviations_beyond_all_are_no_powers_of_ten(obtained: float, text: str) -> None:
+    assert f"| {text}" in written(check_of(obtained=obtained))
+
+
+def test_rows_for_machines_are_those_of_all_families() -> None:
+    checks = [check_of(settings="preset"), check_of(obtained=1.0, relative=False)]
+    data = data_of({"columns": made_up()}, {"columns": {"all": Outcome(checks)}}, quick=True)
+    first, second = data["rows"]
+    assert first["family"] == "columns"
+    assert first["problem"] == "Column"
+    assert first["settings"] == "preset"
+    assert first["deviation_percent"] == pytest.approx(5.0)
+    assert first["passed"] is True
+    assert second["deviation_percent"] is None
+    assert second["deviation"] == pytest.approx(-1.0)
+
+
 def test_table_for_a_terminal() -> None:
     families = {"columns": made_up()}
     checks = [check_of(), check_of(obtained=1e-9, relative=False)]

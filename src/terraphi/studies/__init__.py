@@ -62,7 +62,7 @@ STUDIES = {
         "from preset paper-1 to resolved, and whether that has arrived", "seconds"
     ),
     "verification": Outline(
-        "problems with known answers, by the code that the leg uses", "half an hour"
+        "problems with known answers, by the code that the leg uses", "45 to 60 minutes"
     ),
 }
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.library import Library
 from terraphi.studies import PAPER_LIBRARY, Beside, Study, capitalised
+from terraphi.studies.degrees import LEG, histories_of
 from terraphi.studies.pictures import histories_figure, peaks_figure
 from terraphi.studies.reading import (
     PAPER_ANGLES_DEG,
@@ -23,7 +23,6 @@ from terraphi.studies.reading import (
 
 FloatArray = NDArray[np.float64]
 
-LEG = "straight"
 ANOTHER_ANGLE = "Not beside the paper's forces, whose friction angles mean something else."
 
 
@@ -92,23 +91,6 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
         notes=[_monotone(data), *([] if comparable else [ANOTHER_ANGLE])],
         beside_paper=_beside_paper(data) if comparable else (),
     )
-
-
-def histories_of(library: Library) -> dict[float, ForceHistory]:
-    """Friction angle [deg] to the straight leg's history, in increasing order.
-
-    Raises InputError if there is none, or the legs do not rotate.
-    """
-    found = {
-        case.scenario.soil.friction_angle_deg: case.history
-        for case in library.cases
-        if case.history is not None and case.scenario.leg.shape == LEG
-    }
-    if not found:
-        raise InputError(f"library '{library.name}' has no leg '{LEG}'; it has {library.legs}")
-    if any(history.coordinate != "theta" for history in found.values()):
-        raise InputError(f"library '{library.name}' is one of translations; this needs rotations")
-    return {phi: found[phi] for phi in sorted(found)}
 
 
 def _share_monotone(histories: list[ForceHistory], force: str) -> float:

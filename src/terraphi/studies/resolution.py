@@ -19,7 +19,7 @@ from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.plan import BASE, Plan, Variant
 from terraphi.plots import waterfall_figure
-from terraphi.studies import Study, page
+from terraphi.studies import Study, degrees, page
 from terraphi.studies.sensitivity import finished_for, missing_from, simulate_missing
 
 PLANS = ("waterfall", "resolution")
@@ -91,7 +91,8 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         ``data``: ``waterfall`` (list of ``step``, ``peaks_N``, ``change_N``), ``resolved``
         (``peaks_N``: mean over the seeds, ``seed_scatter_percent``), ``halved`` (by step:
         ``peaks_N``, ``change_percent``, ``within_5_percent``, ``mean_change_percent``: that of the
-        mean over the path) and ``missing``.
+        mean over the path; both also as ``change_deg`` and ``mean_change_deg``, in degrees of the
+        friction angle), ``percent_per_degree`` by force, and ``missing``.
 
     Raises
     ------
@@ -123,7 +124,8 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         _level(finished[v.scenario.hash]) for v in _seeds(halved) if v.scenario.hash in finished
     ]
     for v in others:
-        changes[v.key]["mean_change_percent"] = _percent(_level(finished[v.scenario.hash]), levels)
+        percent = _percent(_level(finished[v.scenario.hash]), levels)
+        changes[v.key] |= {"mean_change_percent": percent, "mean_change_deg": _degrees(percent)}
     missing = [v.key for p in (way, halved) for v, _ in missing_from(p, finished)]
     apart = [_percent(level, levels) for level in levels]
     resolved = {
@@ -136,11 +138,12 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         "waterfall": steps,
         "resolved": resolved,
         "halved": changes,
+        "percent_per_degree": {f: 100.0 * degrees.rise_of()[f] for f in FORCES},
         "missing": missing,
     }
     rows = _rows(steps, resolved, changes)
     notes = _notes(data)
-    written = page(TITLE, METHOD, notes, HEADER, rows, "resolution.png", PICTURE)
+    written = page(TITLE, _method(), notes, HEADER, rows, "resolution.png", PICTURE)
     return Study(
         title=TITLE,
         header=HEADER,
@@ -190,11 +193,16 @@ def _percent(
     }
 
 
+def _degrees(percent: Mapping[str, float]) -> dict[str, float]:
+    return {f: degrees.in_degrees(percent[f], f) for f in FORCES}
+
+
 def _change(peaks: Mapping[str, float], mean: Mapping[str, float]) -> dict[str, Any]:
     percent = {f: 100.0 * (peaks[f] / mean[f] - 1.0) for f in FORCES}
     return {
         "peaks_N": dict(peaks),
         "change_percent": percent,
+        "change_deg": _degrees(percent),
         "within_5_percent": all(abs(v) <= TOLERANCE_PERCENT for v in percent.values()),
     }
 
@@ -219,12 +227,14 @@ def _rows(
         )
     )
     for name, change in changes.items():
-        peaks, percent = change["peaks_N"], change["change_percent"]
+        peaks, percent, turned = (
+            change[key] for key in ("peaks_N", "change_percent", "change_deg")
+        )
         rows.append(
             (
                 f"resolved, {name}",
                 *(f"{peaks[f]:.2f} N" for f in FORCES),
-                *(f"{percent[f]:+.1f} %" for f in FORCES),
+                *(f"{percent[f]:+.1f} %, {turned[f]:+.1f}°" for f in FORCES),
             )
         )
     return rows
@@ -249,7 +259,8 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         apart = data["resolved"]["mean_scatter_percent"]
         moved = ", ".join(
             f"{name} {change['mean_change_percent']['Fz']:+.1f} / "
-            f"{change['mean_change_percent']['Fx']:+.1f} %"
+            f"{change['mean_change_percent']['Fx']:+.1f} % "
+            f"({degrees.worth(change['mean_change_percent'])})"
             for name, change in data["halved"].items()
         )
         notes.append(
@@ -264,16 +275,33 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
     return notes
 
 
-METHOD = (
-    "Straight leg, φ = 35°, speed-up 10, peaks of 1° means. Each row of the first part adds a "
-    "change to all before it; each of the second changes preset `resolved` by itself. Plans: "
-    "`waterfall` and `resolution`. Run again: `terraphi study resolution`.\n\n"
-    "One run stands against the mean over the seeds, so that a change of a peak no larger than a "
-    "few times the scatter is not told from it; the means over the path are the better witness.\n\n"
-    "What the grid still holds of the force falls about in proportion to Δx: if halving it takes "
-    "7 to 9 %, some 15 to 20 % is the grid's. The same contact and cells push a rough plate that "
-    "has soil of associated flow beneath its toe with a tenth more than the exact passive force, "
-    "and lie on a line that leads to it (`terraphi study verification --only plate`). The gradient "
-    "of the splines does not take it away; phases three times as long take a little."
-)
+GRIDS_SHARE_PERCENT = (15.0, 20.0)
+"""What the grid may hold of the forces of ``resolved``, judged from the halved cells [%]."""
+
+
+def _method() -> str:
+    low, high = GRIDS_SHARE_PERCENT
+    by_force = ", ".join(
+        f"{-degrees.in_degrees(-low, f):.1f} to {-degrees.in_degrees(-high, f):.1f}° by {words}"
+        for f, words in (("Fz", "F_z"), ("Fx", "F_x"))
+    )
+    return (
+        "Straight leg, φ = 35°, speed-up 10, peaks of 1° means. Each row of the first part adds a "
+        "change to all before it; each of the second changes preset `resolved` by itself. Plans: "
+        "`waterfall` and `resolution`. Run again: `terraphi study resolution`.\n\n"
+        f"{degrees.said()}\n\n"
+        "One run stands against the mean over the seeds, so that a change of a peak no larger "
+        "than a few times the scatter is not told from it; the means over the path are the better "
+        "witness.\n\n"
+        "What the grid still holds of the force falls about in proportion to Δx: if halving it "
+        f"takes 7 to 9 %, some {low:g} to {high:g} % is the grid's. A friction angle inferred from "
+        f"forces without it is too low by as much as that is worth: {by_force}. The same contact "
+        "and cells push a rough plate that has soil of associated flow beneath its toe with a "
+        "tenth more than the exact passive force "
+        f"({degrees.in_degrees(10.0, 'Fx'):.1f}° by F_x), and lie on a line that leads to it "
+        "(`terraphi study verification --only plate`). The gradient of the splines does not take "
+        "it away; phases three times as long take a little."
+    )
+
+
 PICTURE = "peaks along the way, and what is left of them when things are halved"

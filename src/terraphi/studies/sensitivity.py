@@ -32,7 +32,7 @@ from terraphi.plots import (
     sensitivity_figure,
 )
 from terraphi.scenario import Scenario
-from terraphi.studies import Study, page
+from terraphi.studies import PAPER_LIBRARY, Study, degrees, page
 from terraphi.studies.sensitivity_cases import (
     FORCES,
     Group,
@@ -266,7 +266,8 @@ def _method(plan: Plan) -> str:
         "deviation from the reference, in percent of the reference's peak-to-peak; the reference "
         "is the row of its group without one, the finest value where there is a finest, the base "
         "elsewhere. Sentences follow from the table by the rules written in "
-        "`terraphi.studies.sensitivity_rules`. Percentages are for F_z / F_x."
+        "`terraphi.studies.sensitivity_rules`. Percentages are for F_z / F_x. "
+        + degrees.said(PAPER_LIBRARY)
     )
 
 

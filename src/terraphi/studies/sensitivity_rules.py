@@ -12,7 +12,8 @@ The rules, by the kind of setting:
     Converged if, from the base to the finest value tried, both the peaks and the histories differ
     by no more than the tolerance, in both forces. Where the base itself is the finest, it is the
     next coarser value that is judged so. If three peaks or more lie on a straight line over the
-    step size, to within the tolerance, its end at zero estimates their limit.
+    step size, to within the tolerance, its end at zero estimates their limit. What differs is given
+    in degrees of the friction angle too (:mod:`terraphi.studies.degrees`).
 ``share``
     The part of the base's peak that goes when the setting is switched off, or, where that is not
     simulated yet, turned down as far as it was.
@@ -30,7 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from terraphi.studies import capitalised
+from terraphi.studies import PAPER_LIBRARY, capitalised, degrees
 from terraphi.studies.sensitivity_cases import (
     FORCES,
     Group,
@@ -180,16 +181,21 @@ def _convergence(group: Group, tolerance: Tolerance) -> Conclusion:
             more += (
                 f"; the peaks of {SIGNS[force]} lie on a straight line to {value:.2f} N at size 0"
             )
-            more += f" (the base: {past:+.0f} %)"
+            turned = degrees.in_degrees(past, force, library=PAPER_LIBRARY)
+            more += f" (the base: {past:+.0f} %, {turned:+.1f}°)"
     return Conclusion(
         f"{capitalised(group.setting.name)}: the forces {verdict} at {coarse.label}; at "
-        f"{finest.label} the peaks differ by {moved(coarse, finest)} and the histories by "
+        f"{finest.label} the peaks differ by {moved(coarse, finest)} "
+        f"({degrees.worth(moves, library=PAPER_LIBRARY)}) and the histories by "
         f"{both(apart)}{more}.",
         {
             "converged": peaks and histories,
             "peaks_converged": peaks,
             "from_to": [coarse.label, finest.label],
             "peak_change_percent": moves,
+            "peak_change_deg": {
+                f: degrees.in_degrees(moves[f], f, library=PAPER_LIBRARY) for f in FORCES
+            },
             "nrmsd_percent": apart,
             "trend": trend,
             "limit_N": limit,

@@ -45,6 +45,9 @@ class Check:
         What a reader should know besides.
     cause
         Why it misses, if it does; printed in the verdict of a miss alone.
+    settings
+        Which numerics, where a problem is solved with several: ``preset`` for those of preset
+        ``resolved``, else a name.
     """
 
     problem: str
@@ -59,6 +62,8 @@ class Check:
     source: str = ""
     note: str = ""
     cause: str = ""
+    settings: str = ""
+    per_degree: float = 0.0
 
     @property
     def deviation(self) -> float:
@@ -67,6 +72,12 @@ class Check:
         if not math.isfinite(difference):
             return math.nan
         return difference / abs(self.expected) if self.relative else difference
+
+    @property
+    def deviation_deg(self) -> float:
+        """By how much φ would have to differ for the force obtained [deg]; nan if no such force."""
+        ratio = self.obtained / self.expected if self.per_degree else math.nan
+        return math.log(ratio) / self.per_degree if ratio > 0.0 else math.nan
 
     @property
     def passed(self) -> bool:
@@ -79,9 +90,18 @@ class Check:
         return bool(abs(deviation) <= self.tolerance)
 
     def as_dict(self) -> dict[str, Any]:
-        """Fields, deviation and verdict, JSON-able: a number that is none becomes null."""
+        """Fields, deviation and verdict, JSON-able: a number that is none becomes null.
+
+        ``deviation_percent`` is null where deviations are not relative, ``deviation_deg`` where
+        the expected value is no force that rises with φ.
+        """
         content = dataclasses.asdict(self)
-        content |= {"deviation": self.deviation, "passed": self.passed}
+        content |= {
+            "deviation": self.deviation,
+            "deviation_percent": 100.0 * self.deviation if self.relative else math.nan,
+            "deviation_deg": self.deviation_deg,
+            "passed": self.passed,
+        }
         return {
             key: None if isinstance(value, float) and not math.isfinite(value) else value
             for key, value in content.items()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from terraphi.forward import software
@@ -20,6 +20,11 @@ HEADER = (
     "resolution",
     "verdict",
 )
+ROW = (
+    *("problem", "case", "settings", "quantity", "resolution", "expected", "obtained"),
+    *("deviation", "deviation_percent", "deviation_deg", "passed"),
+)
+"""What a machine needs of a check."""
 SHORT_HEADER = ("problem", "quantity", "expected", "obtained", "deviation", "verdict")
 _SIGN = {"equal": "±", "at_most": "up to +", "at_least": "down to −"}
 
@@ -37,11 +42,14 @@ one family; `--quick` is a coarse version that takes seconds.
 
 **{passed} checks pass, {missed} miss.** A check passes if obtained less expected is within what was
 allowed beforehand, relative to what is expected where that is given in percent. A miss stays in the
-table, with what is known of its cause. Tier: {tier}. Computed with {software}."""
+table, with what is known of its cause. All are in one list, `rows` of `data.json` and of `--json`.
+Tier: {tier}. Computed with {software}."""
 
 _CLOSING = """\
 Numbers in brackets refer to the list below a table: where the expected value comes from, what else
-should be known, why something misses."""
+should be known, why something misses. Where a problem is solved with several settings of the
+numerics, each has a column of deviations; `preset` are those of preset `resolved`. Degrees beside a
+deviation say which other φ has the force that was obtained, by the exact solution."""
 
 
 def data_of(
@@ -61,8 +69,9 @@ def data_of(
     Returns
     -------
     dict
-        ``tier``, ``software``, ``passed``, ``missed`` and ``families``: by name, ``checks`` (see
-        :class:`~terraphi.studies.verification.check.Check`) and ``curves`` by task.
+        ``tier``, ``software``, ``passed``, ``missed``; ``families``: by name, ``checks`` (see
+        :class:`~terraphi.studies.verification.check.Check`) and ``curves`` by task; and ``rows``,
+        the checks of all families in one list, with the :data:`ROW` alone and ``family``.
     """
     content: dict[str, dict[str, Any]] = {
         name: {
@@ -77,6 +86,11 @@ def data_of(
         "software": software(Scenario()),
         "passed": sum(verdicts),
         "missed": len(verdicts) - sum(verdicts),
+        "rows": [
+            {"family": name} | {key: check[key] for key in ROW}
+            for name, family in content.items()
+            for check in family["checks"]
+        ],
         "families": content,
     }
 
@@ -85,7 +99,9 @@ def table(data: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Rows for a terminal under :data:`SHORT_HEADER`."""
     return [
         (
-            f"{check.problem}: {check.case}".replace("`", ""),
+            ", ".join(
+                filter(None, (f"{check.problem}: {check.case}".replace("`", ""), check.settings))
+            ),
             *_numbers(check)[:4],
             "pass" if check.passed else "MISS",
         )
@@ -146,7 +162,8 @@ def _misses(families: Mapping[str, Family], data: Mapping[str, Any]) -> list[str
     for name in families:
         for check in map(Check.from_dict, data["families"][name]["checks"]):
             if not check.passed:
-                where = ", ".join(filter(None, (check.problem, check.case, check.resolution)))
+                of = f"settings: {check.settings}" if check.settings else ""
+                where = ", ".join(filter(None, (check.problem, check.case, of, check.resolution)))
                 found = f"{check.quantity} ({number(check.obtained)}, not {number(check.expected)})"
                 by_cause.setdefault(check.cause or "not known", []).append(f"{where}: {found}")
     if not by_cause:
@@ -168,8 +185,12 @@ def _section(checks: Sequence[Check]) -> str:
             footnotes.append(text)
         return f" [{footnotes.index(text) + 1}]"
 
-    rows, before = [], ""
+    rows: list[tuple[str, ...]] = []
+    before = ""
     problems = list(dict.fromkeys(check.problem for check in checks))
+    if any(check.settings for check in checks):
+        header, rows = _by_settings(checks, problems, mark)
+        return "\n\n".join(filter(None, (_grid(header, rows), _numbered(footnotes))))
     for check in sorted(checks, key=lambda check: problems.index(check.problem)):
         # The source stands at the problem if all of it has the same, else at each quantity.
         sources = {other.source for other in checks if other.problem == check.problem}
@@ -181,8 +202,53 @@ def _section(checks: Sequence[Check]) -> str:
         quantity, *numbers = _numbers(check)
         verdict = "pass" if check.passed else f"**MISS**{mark(check.cause)}"
         rows.append((name, quantity + own, *numbers, check.resolution, verdict))
-    lines = [f"{number}. {text}." for number, text in enumerate(footnotes, start=1)]
-    return "\n\n".join(filter(None, (_grid(HEADER, rows), "\n".join(lines))))
+    return "\n\n".join(filter(None, (_grid(HEADER, rows), _numbered(footnotes))))
+
+
+def _numbered(footnotes: Sequence[str]) -> str:
+    return "\n".join(f"{number}. {text}." for number, text in enumerate(footnotes, start=1))
+
+
+def _by_settings(
+    checks: Sequence[Check], problems: Sequence[str], mark: Callable[[str], str]
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Header and rows of problems that several settings solve: a column each, the preset's first.
+
+    A cell has the deviation, in degrees of φ too where it is that of a force, and the verdict if
+    that is a miss.
+    """
+    columns = sorted(dict.fromkeys(check.settings for check in checks), key=_preset_first)
+    found: dict[tuple[str, ...], dict[str, Check]] = {}
+    for check in sorted(checks, key=lambda check: problems.index(check.problem)):
+        key = (check.problem, check.case, check.quantity, check.resolution)
+        found.setdefault(key, {})[check.settings] = check
+    rows: list[tuple[str, ...]] = []
+    before = ""
+    for (problem, case, quantity, resolution), by_settings in found.items():
+        one = next(iter(by_settings.values()))
+        head = f"**{problem}**" if problem != before else ""
+        before = problem
+        _, expected, _, _, allowed = _numbers(one)
+        of = quantity + mark(one.source)
+        cells = [_cell(by_settings.get(settings), mark) for settings in columns]
+        name = "<br>".join(filter(None, (head, case)))
+        rows.append((name, of, resolution, expected, allowed, *cells))
+    return ("problem", "quantity", "resolution", "expected", "allowed", *columns), rows
+
+
+def _preset_first(settings: str) -> bool:
+    return settings != "preset"
+
+
+def _cell(check: Check | None, mark: Callable[[str], str]) -> str:
+    if check is None:
+        return ""
+    deviation = _difference(check.deviation, check.relative, signed=True)
+    if not math.isnan(check.deviation_deg):
+        deviation += f", {check.deviation_deg:+.1f}°"
+    if check.passed:
+        return deviation + mark(check.note)
+    return f"**MISS** {deviation}{mark(check.note)}{mark(check.cause)}"
 
 
 def _numbers(check: Check) -> tuple[str, ...]:
@@ -215,5 +281,6 @@ def _difference(value: float, relative: bool, *, signed: bool = False) -> str:
         return "none"
     sign = "+" if signed and value else ""
     if relative and abs(value) >= 1e-5:
-        return f"{100.0 * value:{sign}.2g} %"
+        digits = ".0f" if abs(value) >= 0.995 else ".2g"
+        return f"{100.0 * value:{sign}{digits}} %"
     return f"{value:{sign}.2g}"

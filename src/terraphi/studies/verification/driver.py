@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.errors import SimulationError
-from terraphi.forward.mpm.bed import Grid, Particles, empty_grid
+from terraphi.forward.mpm.bed import Grid, Particles, empty_grid, geostatic_bed
 from terraphi.forward.mpm.contact import Intruder, intruder_of
 from terraphi.forward.mpm.plasticity import Material, material_of
 from terraphi.forward.mpm.relief import Fading, fading_of
@@ -25,7 +25,8 @@ from terraphi.forward.mpm.scalar import (
     empty_reaction,
     stepping_of,
 )
-from terraphi.forward.mpm.solver import KERNELS, Kernel, path_of_steps
+from terraphi.forward.mpm.solver import KERNELS, Kernel, path_of_steps, step_count
+from terraphi.motion import bin_centres
 from terraphi.scenario import Scenario
 from terraphi.workers import heartbeat
 
@@ -265,3 +266,34 @@ def follow(
         lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
         if lost >= 0:
             raise SimulationError(f"particle {lost} left the grid by step {steps[-1]}")
+
+
+def push(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
+    """Move the plate, with a smooth wall in line with its front behind the soil beneath it.
+
+    Parameters
+    ----------
+    scenario
+        A plate at the soil's left edge, upright, that moves to the right.
+
+    Returns
+    -------
+    displacement, force
+        [m], shape [bin], and force of the soil on the plate (x, z) per metre [N/m], shape [bin, 2].
+    """
+    soil = geostatic_bed(scenario)
+    # A scenario keeps its leg between the walls; the plate's own place is behind this one.
+    rig = rig_of(scenario).changed(left=scenario.bed.soil_span[0])
+    take = KERNELS["packets"][rig.stepping.phase > 0]
+    places = bin_centres(scenario.motion)
+    impulse, held = empty_reaction(len(places)), np.zeros(len(places))
+    steps, block = step_count(scenario), 50 * max(rig.stepping.phase, 20)
+    for begin in range(0, steps, block):
+        heartbeat(0.0)
+        indices = np.arange(begin, min(begin + block, steps))
+        poses, turned, bins = path_of_steps(scenario, indices, len(places))
+        held += np.bincount(bins, minlength=len(places))
+        lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
+        if lost >= 0:
+            raise SimulationError(f"particle {lost} left the grid by step {indices[-1]}")
+    return places, impulse[:, :2] / (held * scenario.numerics.time_step)[:, None]

@@ -1,101 +1,134 @@
-"""Pictures of the limit loads: force over displacement, and how loads go with the cells."""
+"""Pictures of the limit loads: found over exact against φ, and force over displacement."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from terraphi.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
-from terraphi.studies.verification.check import Outcome
+from terraphi.studies.verification.check import Check, Outcome
+from terraphi.studies.verification.limit_scenarios import PRESET
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+LOOKS = {
+    PRESET: ("black", "-", "o"),
+    "nodes": (BLUE, "--", "s"),
+    "nodes, phases, splines": (GREEN, "-.", "^"),
+    "surface": (ORANGE, ":", "D"),
+    "nodes, phases": (PURPLE, ":", "v"),
+}
+"""Colour, line and marker of the settings; the preset's first."""
+_ANGLE = re.compile(r"φ = ([0-9.]+)°, ")
+
 
 def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
-    """Force over displacement on the finest grids, and limit loads over cells.
+    """Loads over the exact ones against φ, a panel a problem; and the preset's along its path."""
+    checks = [check for outcome in outcomes.values() for check in outcome.checks]
+    drawn = {"verification-limit-loads": _against_angle(checks)} if checks else {}
+    runs = [o.curves for o in outcomes.values() if o.curves.get("settings") == PRESET]
+    if runs:
+        drawn["verification-limit-paths"] = _along_path(runs)
+    return drawn
 
-    Each over the load that its check expects: the exact one, or the middle of two bounds.
-    """
+
+def _against_angle(checks: Sequence[Check]) -> Figure:
+    """A panel for each problem that the preset's settings solve: the finest grid of each."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MultipleLocator
+
+    of_preset = {_problem(check) for check in checks if check.settings == PRESET}
+    names = list(dict.fromkeys(_problem(c) for c in checks if _problem(c) in of_preset))
+    columns = min(3, len(names))
+    rows = -(-len(names) // columns)
+    figure = Figure(figsize=(4.2 * columns, 3.4 * rows + 0.6), layout="constrained")
+    panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    for axes, name in zip(panels.flat, names, strict=False):
+        for settings, (colour, line, marker) in LOOKS.items():
+            points = _finest([c for c in checks if c.settings == settings and _problem(c) == name])
+            if points:
+                angles, ratios = zip(*points, strict=True)
+                axes.plot(
+                    angles, ratios, line, color=colour, marker=marker, ms=4, lw=1.2, label=settings
+                )
+        within = next(check.tolerance for check in checks if _problem(check) == name)
+        axes.axhspan(1.0 - within, 1.0 + within, color=GREY, alpha=0.25, lw=0)
+        _dress(axes, name, "φ [deg]")
+        axes.xaxis.set_major_locator(MultipleLocator(5.0))
+    for axes in panels.flat[len(names) :]:
+        axes.remove()
+    for axes in panels[:, 0]:
+        axes.set_ylabel("limit load / exact")
+    _legend(figure)
+    return figure
+
+
+def _problem(check: Check) -> str:
+    """A problem without its angle: what a panel is about."""
+    return f"{check.problem}: {_ANGLE.sub('', check.case)}".replace(", associated", "")
+
+
+def _finest(checks: Sequence[Check]) -> list[tuple[float, float]]:
+    """φ [deg] and load over the exact one, on the grid with most cells at each φ."""
+    found: dict[float, tuple[int, float]] = {}
+    for check in checks:
+        angle = _ANGLE.search(check.case)
+        cells = int(check.resolution.rpartition("=")[2])
+        if angle and cells > found.get(float(angle[1]), (0, 0.0))[0]:
+            found[float(angle[1])] = (cells, check.obtained / check.expected)
+    return sorted((phi, ratio) for phi, (_, ratio) in found.items())
+
+
+def _along_path(runs: Sequence[Mapping[str, Any]]) -> Figure:
+    """Force over the exact one along the path, with the preset's settings, on the finest grid."""
     from matplotlib.figure import Figure
 
-    runs = [outcome.curves for outcome in outcomes.values()]
-    most = max((run["across"] for run in runs), default=0)
-    titles = (
-        (("wall",), "passive wall", "displacement / (h q_u/E)"),
-        (("N_q", "N_γ"), "strip footing", "settlement / (B q_u/E)"),
-        (("moved",), "passive wall that moves", "displacement / h"),
-    )
-    finest = [run for run in runs if run["across"] == most]
-    drawn = [t for t in titles if any(run["kind"] in t[0] for run in finest)]
-    several = _on_several_grids([run for run in runs if run["kind"] != "moved"])
-    count = len(drawn) + bool(several)
-    if not count:
-        return {}
-    columns = min(2, count)
-    rows = -(-count // columns)
-    figure = Figure(figsize=(5.5 * columns, 5.5 * rows), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False)
-    for axes, (kinds, title, label) in zip(panels.flat, drawn, strict=False):
-        shown = [run for run in finest if run["kind"] in kinds]
-        for run, look in zip(shown, _looks(), strict=False):
-            # Means over 2.5 % of the path: contact is noisy where a plate moves far.
+    most = {kind: max(r["across"] for r in runs if r["kind"] == kind) for kind in _kinds(runs)}
+    figure = Figure(figsize=(0.6 + 4.6 * len(most), 5.0), layout="constrained")
+    panels = figure.subplots(1, len(most), sharey=True, squeeze=False)[0]
+    for axes, (kind, cells) in zip(panels, most.items(), strict=True):
+        shown = [run for run in runs if run["kind"] == kind and run["across"] == cells]
+        for n, run in enumerate(shown):
+            colour = (BLUE, ORANGE, GREEN, PURPLE)[n % 4]
+            # Means over 2.5 % of the path: contact is noisy.
             place, ratio = (
                 np.array(run[key])[: len(run[key]) // 5 * 5].reshape(-1, 5).mean(axis=1)
                 for key in ("x", "y")
             )
-            axes.plot(place, ratio, lw=1.2, label=_short(run["case"]), **look)
-        _dress(axes, f"{title}, {most} cells", label)
-        axes.set_ylim(0.0, 1.8)
-    if several:
-        _over_cells(panels.flat[len(drawn)], several)
-    for axes in panels.flat[count:]:
-        axes.remove()
-    for axes in panels[:, 0]:
-        axes.set_ylabel("force / expected limit load")
-    return {"verification-limit-loads": figure}
+            line = ("-", "--", ":")[n // 4 % 3]
+            label = run["case"].replace(", associated", "")
+            axes.plot(place, ratio, line, color=colour, lw=1.2, label=label)
+        title = "passive wall" if kind == "wall" else f"strip footing, {kind}"
+        _dress(axes, f"{title}, {cells} cells", "displacement / (size q_u/E)")
+        axes.legend(fontsize=6, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.14))
+    panels[0].set_ylabel("force / exact limit load")
+    return figure
 
 
-def _on_several_grids(runs: list[Mapping[str, Any]]) -> dict[str, list[tuple[int, float]]]:
-    """Number of cells and limit load, by case, of what was computed on more than one grid."""
-    found: dict[str, list[tuple[int, float]]] = {}
-    for run in runs:
-        found.setdefault(_short(run["case"]), []).append((run["across"], run["last"]))
-    return {case: sorted(points) for case, points in found.items() if len(points) > 1}
-
-
-def _over_cells(axes: Axes, several: Mapping[str, list[tuple[int, float]]]) -> None:
-    """Limit loads over the number of cells."""
-    for (case, points), look in zip(several.items(), _looks(), strict=False):
-        cells, ratios = zip(*points, strict=True)
-        axes.plot(cells, ratios, marker="o", ms=3, lw=1.0, label=case, **look)
-    _dress(axes, "convergence", "cells along h or B")
-    axes.set_xscale("log", base=2)
-    axes.set_xticks([10, 20, 40], ["10", "20", "40"])
-
-
-def _looks() -> itertools.cycle[dict[str, Any]]:
-    """Line styles and colours."""
-    lines = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
-    styles = itertools.product(lines, (BLUE, ORANGE, GREEN, PURPLE))
-    return itertools.cycle([{"ls": style, "color": colour} for style, colour in styles])
-
-
-def _short(case: str) -> str:
-    for of_most in ("associated, ", "rough floor, ", "contact: "):
-        case = case.replace(of_most, "")
-    return case.replace("ψ = 0", "ψ = 0 (mid of bounds)")
+def _kinds(runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    return list(dict.fromkeys(run["kind"] for run in runs))
 
 
 def _dress(axes: Axes, title: str, label: str) -> None:
     axes.axhline(1.0, color=GREY, lw=1.0)
-    axes.set_title(title, fontsize=10)
+    axes.set_title(title, fontsize=8)
     axes.set_xlabel(label)
     axes.grid(lw=0.4)
-    if axes.get_legend_handles_labels()[0]:
-        below = (0.0, -0.12)
-        axes.legend(fontsize=6, frameon=False, loc="upper left", bbox_to_anchor=below, ncols=2)
+
+
+def _legend(figure: Figure) -> None:
+    """One for all panels."""
+    entries = {
+        label: line
+        for axes in figure.axes
+        for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        list(entries.values()), list(entries), fontsize=8, frameon=False, ncols=len(entries),
+        loc="outside upper center",
+    )  # fmt: skip

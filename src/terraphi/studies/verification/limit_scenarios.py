@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from terraphi.scenario import Scenario
@@ -27,14 +28,18 @@ PACE, PACE_OF_DEAD_WEIGHT = 0.05, 0.01
 """ρ c v of a plate over its limit pressure. Dead weight is heavy, and swings for long if pushed."""
 HEAVY = 20.0
 """Dead weight over γ B: N_γ then gives 1.5 to 2.6 % of the load."""
-SCHEMES: dict[str, dict[str, Any]] = {
+PRESET = "preset"
+"""Name of the settings of preset ``resolved``: contact, phases, dilatation, gradient, particles."""
+SETTINGS: dict[str, dict[str, Any]] = {
     "nodes": {"contact_band_cells": 0.5},
     "nodes, phases": {"contact_band_cells": 0.5, "phase": 20},
     "nodes, phases, splines": {"contact_band_cells": 0.5, "phase": 20, "gradient": "spline"},
     "surface": {"contact": "surface", "phase": 20},
 }
-"""Contact with the nodes within half a cell, or on the true surface; a transfer at every step, or
-every 20 steps, with strain by least squares or by the gradient of the splines."""
+"""Other settings. Contact with the nodes within half a cell, or on the true surface; a transfer at
+every step, or every 20 steps, with strain by least squares or by the gradient of the splines."""
+BENEATH = 3
+"""Soil beneath the toe of a rough wall, if there is any, is the wall's height over this."""
 
 
 @dataclass(frozen=True)
@@ -91,9 +96,17 @@ def drive_at_first(pressure: float, length: float, pace: float = PACE) -> Drive:
     )
 
 
-def _numerics(scheme: str, cell: float, cells: int, drive: Drive) -> dict[str, Any]:
-    options = dict(SCHEMES[scheme])
-    time_step = drive.courant * cell / math.sqrt(drive.stiffness * MODULUS_RATIO / DENSITY)
+@cache
+def _preset() -> Scenario:
+    return Scenario.load("resolved")
+
+
+def _numerics(settings: str, cell: float, cells: int, drive: Drive) -> dict[str, Any]:
+    wave = math.sqrt(drive.stiffness * MODULUS_RATIO / DENSITY)
+    if settings == PRESET:
+        return _numerics_of_preset(cell, cells, wave)
+    options = dict(SETTINGS[settings])
+    time_step = drive.courant * cell / wave
     if "phase" in options:
         options["remap_interval"] = options.pop("phase") * time_step
     return {
@@ -103,6 +116,20 @@ def _numerics(scheme: str, cell: float, cells: int, drive: Drive) -> dict[str, A
         "damping_rate": 0.0,
         "particle_jitter": drive.jitter,
         **options,
+    }
+
+
+def _numerics_of_preset(cell: float, cells: int, wave: float) -> dict[str, Any]:
+    """All of preset ``resolved`` but the size of things: Courant number and steps a phase too."""
+    soil, numerics = _preset().soil, _preset().numerics
+    courant = numerics.time_step * soil.p_wave_speed / numerics.cell_size
+    time_step = courant * cell / wave
+    return numerics.model_dump() | {
+        "domain": cells * cell,
+        "cells": cells,
+        "time_step": time_step,
+        "remap_interval": round(numerics.remap_interval / numerics.time_step) * time_step,
+        "speed_up": 1.0,
     }
 
 
@@ -123,8 +150,9 @@ def wall_scenario(
     across: int,
     *,
     flow: str = "associated",
-    scheme: str = "nodes",
+    settings: str = "nodes",
     floor: str = "rough",
+    beneath: bool = False,
     drive: Drive | None = None,
 ) -> Scenario:
     """A plate that pushes a bed in front of it.
@@ -137,10 +165,13 @@ def wall_scenario(
         h/Δx.
     flow
         ``associated``, or ``dilation`` for ψ = 0.
-    scheme
-        One of :data:`SCHEMES`.
+    settings
+        :data:`PRESET` or one of :data:`SETTINGS`.
     floor
         ``rough`` or ``smooth``.
+    beneath
+        Whether there is soil between toe and floor. It needs a smooth wall behind it, in line with
+        the plate's front, as :func:`~terraphi.studies.verification.driver.push` adds it.
     drive
         Soil's stiffness and plate's path; ``None``: to the limit in the first geometry.
 
@@ -155,20 +186,23 @@ def wall_scenario(
     # A hair beyond the nodes, which then hold the soil behind them.
     thick, left, bottom = 4 * cell, (3 + 1e-6) * cell, (3 + 1e-6) * cell
     front = left + 2 * thick + 2 * cell
-    cells = math.ceil((front + (4.0 if friction == 0.0 else 5.0) * WALL_HEIGHT) / cell) + 3
+    below = across // BENEATH * cell if beneath else 0.0
+    length = (4.0 if friction == 0.0 else 5.0 if phi_deg <= 35.0 else 6.0) * WALL_HEIGHT
+    cells = math.ceil((front + length) / cell) + 3
     return Scenario.model_validate(
         {
             "soil": _soil(phi_deg, flow, drive),
             "leg": {
                 "shape": "plate",
-                "chord": 2 * WALL_HEIGHT + bottom,
+                # Through the floor, where no soil is beneath.
+                "chord": 2 * WALL_HEIGHT + (0.0 if beneath else bottom),
                 "half_thickness": thick,
                 "width": 1.0,
                 "friction": friction,
             },
             "motion": {
                 "kind": "translation",
-                "start": [front - thick, bottom + 2 * WALL_HEIGHT],
+                "start": [front - thick, bottom + below + 2 * WALL_HEIGHT],
                 "velocity": [drive.speed, 0.0],
                 "distance": drive.path,
                 "bin_width": drive.path / 200,
@@ -177,11 +211,11 @@ def wall_scenario(
                 "left": left,
                 "floor": bottom,
                 "width": (cells - 3) * cell - left,
-                "height": WALL_HEIGHT,
+                "height": WALL_HEIGHT + below,
                 "soil_left": front,
                 "floor_friction": floor,
             },
-            "numerics": _numerics(scheme, cell, cells, drive),
+            "numerics": _numerics(settings, cell, cells, drive),
         }
     )
 
@@ -198,8 +232,17 @@ def _loading(phi_deg: float, base: str, load: str) -> tuple[float, dict[str, flo
     return pressure, {"gravity": light, "surcharge": CONFINEMENT}, 0.0
 
 
+def _bed_of_footing(phi_deg: float, load: str) -> tuple[float, float]:
+    """Width and depth of the bed over B, beyond what the exact mechanism takes in."""
+    sizes = {
+        "weight": ((25.0, 4.0, 1.5), (35.0, 6.0, 2.0), (40.0, 8.0, 2.6)),
+        "pressure": ((25.0, 5.0, 1.75), (35.0, 8.0, 2.5), (40.0, 10.5, 3.2)),
+    }["weight" if load == "weight" else "pressure"]
+    return next((wide, deep) for most, wide, deep in sizes if phi_deg <= most)
+
+
 def footing_scenario(
-    phi_deg: float, base: str, across: int, *, load: str, scheme: str = "nodes"
+    phi_deg: float, base: str, across: int, *, load: str, settings: str = "nodes"
 ) -> Scenario:
     """Half a strip footing that is pressed into a bed, as far as to its limit load.
 
@@ -213,18 +256,15 @@ def footing_scenario(
         B/Δx.
     load
         ``weight`` of the soil for N_γ; for N_q its ``cohesion``, or a ``dead weight`` on it.
-    scheme
-        One of :data:`SCHEMES`.
+    settings
+        As in :func:`wall_scenario`.
 
     Returns
     -------
     Scenario
     """
-    cell, gentle = FOOTING_WIDTH / across, phi_deg < 30.0
-    if load == "weight":
-        wide, deep = (4.0, 1.5) if gentle else (6.0, 2.0)
-    else:
-        wide, deep = (5.0, 1.75) if gentle else (8.0, 2.5)
+    cell = FOOTING_WIDTH / across
+    wide, deep = _bed_of_footing(phi_deg, load)
     thick, left, bottom = 4 * cell, (4 + 1e-6) * cell, (3 + 1e-6) * cell
     height, width = round(deep * across) * cell, wide * FOOTING_WIDTH
     cells = max(
@@ -258,6 +298,6 @@ def footing_scenario(
                 "height": height,
                 **weights,
             },
-            "numerics": _numerics(scheme, cell, cells, drive),
+            "numerics": _numerics(settings, cell, cells, drive),
         }
     )

@@ -8,7 +8,8 @@ therefore that of each particle (mean dilatation is for flow at constant volume)
 Under the toe lies the floor, or some cells of soil as under the leg, which in its deep bed never
 meets the floor. A smooth plate needs no soil there: Rankine's wedge rises from the toe. From that
 of a rough one the exact slip lines first go down and forward, so that a floor at the toe makes
-another problem of it. Soil beneath has a smooth wall behind it, in line with the plate, where the
+another problem of it: a smooth one lets the soil beside the plate slide on, and a rough plate then
+meets Rankine's force. Soil beneath has a smooth wall behind it, in line with the plate, where the
 leg has soil. The force is read once the limit is mobilised and before the geometry has changed.
 """
 
@@ -21,18 +22,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from terraphi.errors import SimulationError
-from terraphi.forward.mpm.bed import geostatic_bed
-from terraphi.forward.mpm.scalar import empty_reaction
-from terraphi.forward.mpm.solver import KERNELS, path_of_steps, step_count
-from terraphi.motion import bin_centres
 from terraphi.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 from terraphi.scenario import Scenario
 from terraphi.studies.verification.check import Check, Family, Outcome, Task
-from terraphi.studies.verification.driver import rig_of
-from terraphi.studies.verification.limit_values import passive_pressure
+from terraphi.studies.verification.driver import push
+from terraphi.studies.verification.limit_scenarios import PRESET
+from terraphi.studies.verification.limit_values import passive_pressure, passive_source, per_degree
 from terraphi.studies.verification.plate_scenario import CELLS, DEPTH, SIDE, plate_scenario
-from terraphi.workers import heartbeat
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,37 +44,12 @@ TOLERANCE = 0.05
 SWING = 0.25
 """Scatter of forces over 1 % of the path above which their mean says little [-]."""
 GRIDS = (128, 192, 256)
-
-
-def push(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
-    """Move the plate, with a smooth wall in line with its front behind the soil beneath it.
-
-    Parameters
-    ----------
-    scenario
-        Of :func:`plate_scenario`.
-
-    Returns
-    -------
-    displacement, force
-        [m], shape [bin], and force of the soil on the plate (x, z) per metre [N/m], shape [bin, 2].
-    """
-    soil = geostatic_bed(scenario)
-    # A scenario keeps its leg between the walls; the plate's own place is behind this one.
-    rig = rig_of(scenario).changed(left=scenario.bed.soil_span[0])
-    take = KERNELS["packets"][rig.stepping.phase > 0]
-    places = bin_centres(scenario.motion)
-    impulse, held = empty_reaction(len(places)), np.zeros(len(places))
-    steps, block = step_count(scenario), 50 * rig.stepping.phase
-    for begin in range(0, steps, block):
-        heartbeat(0.0)
-        indices = np.arange(begin, min(begin + block, steps))
-        poses, turned, bins = path_of_steps(scenario, indices, len(places))
-        held += np.bincount(bins, minlength=len(places))
-        lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
-        if lost >= 0:
-            raise SimulationError(f"particle {lost} left the grid by step {indices[-1]}")
-    return places, impulse[:, :2] / (held * scenario.numerics.time_step)[:, None]
+SLIDES = (
+    "for a rough plate too: on a smooth floor at the toe the soil beside the plate may go with it "
+    "and a wedge farther on be heaved, which takes Rankine's force; and his stresses, without "
+    "friction on the plate, are a lower bound"
+)
+"""Why a rough plate on a smooth floor meets no more than a smooth one."""
 
 
 def push_plate(
@@ -107,14 +78,16 @@ def push_plate(
         phi_deg, friction, cells,
         beneath=beneath, floor=floor, dilatation=dilatation, path=window[1],
     )  # fmt: skip
-    exact = passive_pressure(phi_deg, friction)
+    slides = friction > 0.0 and floor == "smooth" and not beneath
+    counted = 0.0 if slides else friction
+    exact, source = passive_pressure(phi_deg, counted), passive_source(counted)
+    if slides:
+        source += ", " + SLIDES
     place, pressure = _pressure(scenario)
     under = f"{floor} floor at the toe"
     if beneath:
         under = f"soil beneath the toe, {floor} floor {beneath} cells down"
     case = f"φ = {phi_deg:g}°, μ = {friction:g}, {under}"
-    if dilatation == "cell":
-        case += ", mean dilatation"
     over = pressure[(place >= window[0]) & (place <= window[1])]
     scatter = float(over.std() / over.mean())
     note = f"associated flow, 15.2 mm/s; forces over 1 % of the path scatter by {scatter:.0%}"
@@ -123,18 +96,19 @@ def push_plate(
     check = Check(
         problem="Plate with the leg's contact",
         case=case,
+        settings=PRESET if dilatation == "cell" else "preset, dilatation by particle",
         quantity=f"K_p, mean over {1e3 * window[0]:g} to {1e3 * window[1]:g} mm",
         expected=exact,
         obtained=_mean(place, pressure, window),
         tolerance=TOLERANCE,
         resolution=_resolution(scenario),
-        source="K_p = tan²(45° + φ/2) (Rankine)"
-        if friction == 0.0
-        else "slip lines, δ = 19.29°, horizontal part",
+        source=source,
         note=note,
-        cause=_cause(friction, beneath, floor, dilatation),
+        cause=_cause(beneath, floor, dilatation),
+        per_degree=per_degree(lambda phi: passive_pressure(phi, counted), phi_deg),
     )
-    run = {"case": case, "cells": cells} | _curve(place, pressure / exact)
+    drawn = case + (", mean dilatation" if dilatation == "cell" else "")
+    run = {"case": drawn, "cells": cells} | _curve(place, pressure / exact)
     return Outcome([check], {"runs": [run]})
 
 
@@ -160,6 +134,7 @@ def compare_speeds(phi_deg: float = 35.0, speed_up: float = 10.0) -> Outcome:
     check = Check(
         problem="Plate with the leg's contact",
         case=f"φ = {phi_deg:g}°, μ = 0, smooth floor at the toe, {speed_up:g} times as fast",
+        settings="preset, dilatation by particle",
         quantity=f"K_p, mean over {1e3 * FAR[0]:g} to {1e3 * FAR[1]:g} mm",
         expected=found[0][0],
         obtained=found[1][0],
@@ -169,6 +144,7 @@ def compare_speeds(phi_deg: float = 35.0, speed_up: float = 10.0) -> Outcome:
         note="later than the others, because the sudden start of a fast plate is a blow: "
         "ρ c v is several times the passive pressure until its waves have died away",
         cause="the waves of the sudden start have not died away at that displacement",
+        per_degree=per_degree(lambda phi: passive_pressure(phi, 0.0), phi_deg),
     )
     names = ("", f", × {speed_up:g}")
     runs = [
@@ -227,7 +203,7 @@ def _resolution(scenario: Scenario) -> str:
     return f"Δx = 0.30/{SIDE / cell:.0f} m, h/Δx = {DEPTH / cell:.1f}"
 
 
-def _cause(friction: float, beneath: int, floor: str, dilatation: str) -> str:
+def _cause(beneath: int, floor: str, dilatation: str) -> str:
     if dilatation == "cell":
         return "mean dilatation is for flow at constant volume; soil that dilates stiffens with it"
     if beneath:
@@ -239,11 +215,6 @@ def _cause(friction: float, beneath: int, floor: str, dilatation: str) -> str:
         return (
             "at the toe the plate pushes particles that the floor's nodes hold: contact on the "
             "surface and a floor to which soil sticks cannot both be had in one cell"
-        )
-    if friction > 0.0:
-        return (
-            "with a rough plate the slip lines of the exact solution leave the toe downward; a "
-            "smooth floor at the toe is another problem, on which the whole bed may slide"
         )
     return "slip is spread over some cells, and waves of the start remain"
 
