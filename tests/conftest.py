@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from hypothesis import settings
+
+# A busy machine is no error.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 
 def pytest_configure() -> None:
@@ -26,6 +31,14 @@ class Ran(NamedTuple):
     status: int
     out: str
     err: str
+
+
+@pytest.fixture(autouse=True)
+def _as_loud_as_at_first() -> Iterator[None]:
+    """What one test asks to be told, another does not."""
+    yield
+    if "terraphi.console" in sys.modules:
+        sys.modules["terraphi.console"].listen()
 
 
 @pytest.fixture

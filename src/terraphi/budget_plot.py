@@ -13,7 +13,15 @@ from terraphi.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LOOKS = ((GREEN, "-"), (BLUE, "--"), (ORANGE, "-"), (GREY, "--"), (PURPLE, "-"), ("black", ":"))
+LOOKS = (
+    (GREEN, "-"),
+    (BLUE, "--"),
+    (ORANGE, "-"),
+    (BLUE, ":"),
+    (GREY, "--"),
+    (PURPLE, "-"),
+    ("black", ":"),
+)
 """Colour and line of each term, in the budget's order."""
 
 

@@ -44,8 +44,6 @@ the grid are held meanwhile."""
 
 LEAST, LARGEST = 1e-15, 1e15
 """Sizes of numbers, in SI or degrees, that can be computed with."""
-MOST_SAMPLES, MOST_STEPS = 1e6, 1e11
-"""Largest numbers of samples in a history, and of steps to it: months of work."""
 
 
 class Scenario(Section):
@@ -90,7 +88,6 @@ class Scenario(Section):
                     f"{key} = {value:g} is out of all proportion; sizes from {LEAST:g} to "
                     f"{LARGEST:g} can be computed with"
                 )
-        self._check_extent()
         if self.model == "mpm":
             if self.dimensions == 3:
                 raise ValueError(
@@ -104,19 +101,6 @@ class Scenario(Section):
             self._check_leg_stays_inside()
         else:
             self._check_resistive_bed()
-
-    def _check_extent(self) -> None:
-        low, high = self.motion.span
-        counts = [("samples", (high - low) / self.motion.bin_width, MOST_SAMPLES)]
-        if self.model == "mpm":
-            numerics = self.numerics
-            steps = self.motion.duration / numerics.speed_up / numerics.time_step
-            counts.append(("steps", steps, MOST_STEPS))
-        for name, count, most in counts:
-            if count > most:
-                raise ValueError(
-                    f"motion and numerics ask for {count:.3g} {name}; at most {most:g} are computed"
-                )
 
     def _check_resistive_bed(self) -> None:
         if self.bed.surcharge > 0.0:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from terraphi.inference.explanation import Explanation
 from terraphi.inference.fit import Fit
 from terraphi.inference.judgement import (
     EDGE_DENSITY,
@@ -25,9 +26,14 @@ def normal(mean: float, sigma: float) -> Posterior:
     return quadrature(lambda phi: norm.logpdf(phi, mean, sigma), BOUNDS, nodes=2001)
 
 
-def judged(posterior: Posterior, fit: Fit) -> Verdict:
-    nrmsd = {"Fx": 0.2, "Fz": 0.1}
-    return judge_calibrated(posterior, fit, residual_nrmsd=nrmsd, convention="plane_strain")
+def judged(posterior: Posterior, fit: Fit, beyond: str | None = None) -> Verdict:
+    return judge_calibrated(
+        posterior,
+        fit,
+        residual_nrmsd={"Fx": 0.2, "Fz": 0.1},
+        convention="plane_strain",
+        explanation=Explanation(beyond=beyond),
+    )
 
 
 @pytest.mark.parametrize(
@@ -38,14 +44,21 @@ def judged(posterior: Posterior, fit: Fit) -> Verdict:
         (16.0, 1.0, GOOD, "out_of_range", "low"),
         (49.0, 1.0, GOOD, "out_of_range", "high"),
         (18.0, 2.0, BAD, "misfit", None),
-        (15.0, 2.0, BAD, "out_of_range", "low"),
-        (55.0, 2.0, BAD, "out_of_range", "high"),
+        (15.0, 2.0, BAD, "misfit", None),
+        (55.0, 2.0, BAD, "misfit", None),
         (18.0, 1.2, GOOD, "consistent", None),
     ],
 )
 def test_verdict(mean: float, sigma: float, fit: Fit, verdict: str, edge: str | None) -> None:
     found = judged(normal(mean, sigma), fit)
     assert (found.verdict, found.edge) == (verdict, edge)
+
+
+def test_a_misfit_that_an_angle_beyond_the_edge_explains_is_out_of_range() -> None:
+    for mean, end in ((15.0, "low"), (55.0, "high")):
+        assert judged(normal(mean, 2.0), BAD, end).edge == end
+    assert judged(normal(15.0, 2.0), BAD, "high").verdict == "misfit"
+    assert judged(normal(30.0, 2.0), BAD, "high").verdict == "misfit"
 
 
 def test_a_flat_posterior_of_a_misfit_is_a_misfit() -> None:
@@ -56,7 +69,7 @@ def test_a_flat_posterior_of_a_misfit_is_a_misfit() -> None:
 
 
 def test_the_limit_that_counted_is_told() -> None:
-    assert "(limit 90%)" in judged(normal(15.0, 2.0), BAD).reason
+    assert "(limit 90%)" in judged(normal(15.0, 2.0), BAD, "low").reason
     assert "(limit 14%)" in judged(normal(15.0, 2.0), GOOD).reason
 
 

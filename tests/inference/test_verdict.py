@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from terraphi.inference.explanation import Explanation
 from terraphi.inference.posterior import Posterior, quadrature
 from terraphi.inference.verdict import Verdict, judge, nrmsd
 
@@ -22,8 +23,18 @@ def at(mean: float, std: float = 0.5) -> Posterior:
     return quadrature(lambda phi: -0.5 * ((phi - mean) / std) ** 2, BOUNDS)
 
 
-def judged(posterior: Posterior, residual_nrmsd: dict[str, float] | None = None) -> Verdict:
-    return judge(posterior, bounds_deg=BOUNDS, step_deg=2.0, residual_nrmsd=residual_nrmsd or GOOD)
+def judged(
+    posterior: Posterior,
+    residual_nrmsd: dict[str, float] | None = None,
+    explanation: Explanation | None = None,
+) -> Verdict:
+    return judge(
+        posterior,
+        bounds_deg=BOUNDS,
+        step_deg=2.0,
+        residual_nrmsd=residual_nrmsd or GOOD,
+        explanation=explanation,
+    )
 
 
 def test_good_fit_inside_the_library_is_consistent() -> None:
@@ -56,7 +67,8 @@ def test_pile_up_at_an_edge_is_out_of_range(mean: float, edge: str, words: str) 
 
 
 def test_misfit_at_an_edge_is_mentioned() -> None:
-    verdict = judged(at(46.0), BAD)
+    assert judged(at(46.0), BAD).verdict == "misfit"
+    verdict = judged(at(46.0), BAD, explanation=Explanation(beyond="high"))
     assert verdict.verdict == "out_of_range"
     assert "moreover" in verdict.reason
     assert "14.2 % (Fx)" in verdict.reason

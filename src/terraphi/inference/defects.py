@@ -49,7 +49,7 @@ WORTH_DEG = 5.0
 """Path next to a flat top from which its slope is taken [deg]."""
 OFFSET = 0.05
 """Mean force in air, of peak-to-peak, above which a record is refused [-]."""
-IN_AIR, MARGIN_DEG = 0.005, 3.0
+IN_AIR, MARGIN_DEG = 0.005, 5.0
 """Force over the largest below which a simulated leg counts as in air [-], and how much further
 from the soil a measured one has to be [deg]."""
 MOST_LEFT_OUT = 0.5
@@ -375,7 +375,7 @@ def _offsets(
     for air in (theta < touches_deg[0], theta > touches_deg[1]):
         if air.sum() < NEAR:
             continue
-        mean = force[air].mean(axis=0)
+        mean = np.median(force[air], axis=0)  # a hip a little low meets the soil before
         for axis in np.flatnonzero(np.abs(mean) > OFFSET * span):
             where = (float(theta[air][0]), float(theta[air][-1]))
             name, rows = ("Fx", "Fz")[int(axis)], int(air.sum())

@@ -20,7 +20,7 @@ from terraphi.inference.answer import AngleSummary, Inversion, plane_strain_summ
 from terraphi.inference.calibrated import CalibratedLikelihood
 from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
 from terraphi.inference.covariance import Budget, budget_of
-from terraphi.inference.defects import inspect_record, touches_soil_deg
+from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
 from terraphi.inference.explanation import explain
 from terraphi.inference.fit import Fit, fit_without_discrepancy
 from terraphi.inference.hypotheses import Problem
@@ -142,18 +142,7 @@ def invert(
             found = _calibrated(history, observation, library, leg, density, errors, how)
     equivalent, why_not = plane_strain_summary(found.phi, found.scenario)
     used = found.scenario.soil.density if density is None else density
-    curves = used / found.scenario.soil.density * found.curves
-    warnings = [
-        *inspection.sentences,
-        *filter(None, [unlike(history, found.scenario, leg)]),
-        *doubts(history, observation, curves, used),
-        *uninformed(found.posterior),
-        *there_to_try_others(library.name),
-    ]
-    verdict = found.verdict
-    if inspection.spoilt:
-        verdict = Verdict("misfit", None, f"The record is damaged. {verdict.reason}")
-    verdict = replace(verdict, reason=" ".join([verdict.reason, *warnings]))
+    verdict, warnings = _told(found, inspection, observation, library, leg, used)
     return Inversion(
         source=source or str(history.provenance.get("file", "")),
         observation=observation,
@@ -182,6 +171,29 @@ def invert(
             "core_seconds": found.core_seconds,
         },
     )
+
+
+def _told(
+    found: _Found,
+    inspection: Inspection,
+    observation: Observation,
+    library: Library,
+    leg: str,
+    density: float,
+) -> tuple[Verdict, list[str]]:
+    """The verdict with all remarks, and these alone; of a spoilt record it is a misfit."""
+    history, verdict = inspection.history, found.verdict
+    curves = density / found.scenario.soil.density * found.curves
+    warnings = [
+        *inspection.sentences,
+        *filter(None, [unlike(history, found.scenario, leg)]),
+        *doubts(history, observation, curves, density),
+        *uninformed(found.posterior),
+        *there_to_try_others(library.name),
+    ]
+    if inspection.spoilt:
+        verdict = Verdict("misfit", None, f"The record is damaged. {verdict.reason}")
+    return replace(verdict, reason=" ".join([verdict.reason, *warnings])), warnings
 
 
 def _check_options(

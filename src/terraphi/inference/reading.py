@@ -29,6 +29,8 @@ FloatArray = NDArray[np.float64]
 
 MOST_SHIFTS = 10
 """Shifts of the readings within their spacing that are tried at most."""
+FEWEST_FOR_GROWTH = 3
+"""Cases over phi from which on the size of errors may grow."""
 WHITE = 0.5
 """Variance that is added at each window by itself, of that learnt [-]: a few dozen curves that
 share one grid show fewer patterns than there are."""
@@ -110,7 +112,12 @@ def learn_reading(
     phi = np.array([case.scenario.soil.friction_angle_deg for case in chosen])[1:-1]
     about = about[1:-1]
     total = np.square(about).mean(axis=(1, 2)) + np.square(beside).mean(axis=(1, 2))
-    b, a = np.polyfit(phi, np.log(total), 1)
+    # A slope needs more than a few cases; and a path that nothing touches has no error.
+    degree = 1 if len(phi) >= FEWEST_FOR_GROWTH else 0
+    a, b = np.polynomial.polynomial.polyfit(phi, np.log(np.maximum(total, 1e-30)), degree)[
+        [0, degree]
+    ]
+    b *= degree
     root = np.exp(0.5 * (a + b * phi))[:, None, None]
     moment = _second_moment(about / root) + _second_moment(beside / root)
     return Reading(moment + WHITE * np.diag(np.diag(moment)), np.array([a, b]))
