@@ -50,6 +50,18 @@ def test_a_dense_record_leaves_nothing_open() -> None:
     assert prepared.read_for(prepared.mean[3]) is prepared
 
 
+def test_a_library_that_hardly_reaches_beyond_the_window_will_do() -> None:
+    library = Library.load("rft3d")
+    cut = [
+        case._replace(history=case.history.between(*np.radians([-86.0, 86.0])))
+        for case in library.cases
+        if case.history is not None
+    ]
+    short = replace(library, cases=tuple(cut))
+    readings = np.radians(np.arange(-88.0, 88.01, 4.0))
+    assert learn_reading(short, "straight", readings).moment.any()
+
+
 def test_covariance_grows_with_the_spacing_and_with_the_force() -> None:
     library = Library.load("quick-plane-strain")
     sizes = []

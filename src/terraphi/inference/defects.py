@@ -8,6 +8,7 @@ in, for nobody knows which of them are right, and makes any answer a misfit.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,6 +27,8 @@ NEAR = 5
 """Readings to either side that a reading is compared with."""
 LOADED = 0.05
 """Force over the largest above which a reading of exactly zero is a dropout [-]."""
+NOTHING = (0.01, 0.2)
+"""Force that is nearly nothing, and one about it that is a large one, over the largest [-]."""
 FEWEST_HELD = 3
 """Equal readings in a row that may be a held value."""
 QUANTA = 5.0
@@ -40,6 +43,8 @@ STEP, TIMES_ROUGH, STEP_DEG = 0.2, 3.0, 3.0
 either side [-], over that much of the path [deg]."""
 FLAT = 0.02
 """Rise, of peak-to-peak, that a clipped top must hide for it to be told from a rounded one [-]."""
+STEP_SPACING_DEG = 0.1
+"""Spacing of the readings that are looked at for steps, where there are more [deg]."""
 COARSE_DEG = 2.0
 """Spacing of readings above which no steps are looked for [deg]."""
 FINE, CRESTS_DEG = 5e-4, 3.0
@@ -47,15 +52,15 @@ FINE, CRESTS_DEG = 5e-4, 3.0
 are clipped crests: a round top of a coarser record has as many."""
 WORTH_DEG = 5.0
 """Path next to a flat top from which its slope is taken [deg]."""
-OFFSET = 0.05
-"""Mean force in air, of peak-to-peak, above which a record is refused [-]."""
+OFFSET, SURE = 0.05, 4.0
+"""Median force in air above which the zero is off: of peak-to-peak, and in standard errors [-]."""
 IN_AIR, MARGIN_DEG = 0.005, 5.0
 """Force over the largest below which a simulated leg counts as in air [-], and how much further
 from the soil a measured one has to be [deg]."""
 MOST_LEFT_OUT = 0.5
 """Share of readings that may be left out [-]."""
 WORDS = {
-    "dropout": "readings of exactly zero under load",
+    "dropout": "readings of zero under load",
     "held": "held values",
     "spike": "spikes",
     "clipped": "a flat top at the largest force, as of a saturated sensor",
@@ -109,7 +114,8 @@ class Defect:
             )
         force = "" if self.force == "both" else f" of {self.force}"
         where = f"between {low:.1f} and {high:.1f}°" if high > low else f"at {low:.1f}°"
-        return f"{self.rows} readings left out: {WORDS[self.code]}{force} {where}."
+        readings = "1 reading" if self.rows == 1 else f"{self.rows} readings"
+        return f"{readings} left out: {WORDS[self.code]}{force} {where}."
 
 
 @dataclass(frozen=True)
@@ -191,8 +197,10 @@ def inspect_record(
     return Inspection(left, len(theta), tuple(defects))
 
 
-def touches_soil_deg(library: Library, leg: str) -> tuple[float, float]:
+def touches_soil_deg(library: Library, leg: str) -> tuple[float, float] | None:
     """Leg angles between which a leg may touch the soil [deg], by a library's own curves.
+
+    ``None`` for a leg that it does not have.
 
     Parameters
     ----------
@@ -207,14 +215,14 @@ def touches_soil_deg(library: Library, leg: str) -> tuple[float, float]:
             size = np.hypot(case.history.Fx, case.history.Fz)
             loaded = case.history.theta_deg[size > IN_AIR * size.max()]
             low, high = min(low, loaded[0]), max(high, loaded[-1])
-    return float(low) - MARGIN_DEG, float(high) + MARGIN_DEG
+    return None if high < low else (float(low) - MARGIN_DEG, float(high) + MARGIN_DEG)
 
 
 def _found(theta: FloatArray, force: FloatArray) -> list[tuple[str, str, Mask]]:
     """Code, force and readings of each kind of defect that there may be."""
     both = (force == 0.0).all(axis=1)
-    size = np.hypot(*force.T)
-    every = [("dropout", "both", both & _loaded(size, both))]
+    loaded = _loaded(force[:, 0], both) | _loaded(force[:, 1], both)
+    every = [("dropout", "both", (both & loaded) | _sudden_nothing(np.hypot(*force.T)))]
     for name, values in zip(("Fx", "Fz"), force.T, strict=True):
         zero = (values == 0.0) & ~both
         every.append(("dropout", name, zero & _loaded(values, zero | both)))
@@ -226,6 +234,25 @@ def _found(theta: FloatArray, force: FloatArray) -> list[tuple[str, str, Mask]]:
             ("spike", name, _spikes(values, known)),
         ]
     return every
+
+
+def _sudden_nothing(size: FloatArray) -> Mask:
+    """Readings of nearly nothing amid a large force: dropouts of a sensor that is not quite tared.
+
+    Parameters
+    ----------
+    size
+        Of the force [N], shape [sample].
+    """
+    nothing, lots = (share * size.max() for share in NOTHING)
+    where = np.flatnonzero(size > nothing)
+    if where.size < 2 * NEAR:
+        return np.zeros(len(size), dtype=bool)
+    after = np.searchsorted(where, np.arange(len(size)))
+    padded = np.concatenate([np.zeros(NEAR), size[where], np.zeros(NEAR)])
+    about = padded[after[:, None] + np.arange(2 * NEAR)].reshape(len(size), 2, NEAR)
+    sudden: Mask = (size <= nothing) & (np.median(about, axis=2).min(axis=1) > lots)
+    return sudden
 
 
 def _loaded(values: FloatArray, zero: Mask) -> Mask:
@@ -326,7 +353,9 @@ def _refuse_what_is_lost(theta: FloatArray, bad: Mask, defects: list[Defect]) ->
     if not bad.any():
         return
     what = " ".join(d.sentence.replace("left out", "are damaged") for d in defects)
-    if bad.mean() > MOST_LEFT_OUT:
+    held = sum(d.rows for d in defects if d.code == "held")
+    # A slow sensor in a fast log holds every value; what it has read is as good as ever.
+    if bad.sum() - held > MOST_LEFT_OUT * (len(bad) - held):
         raise InputError(f"{bad.mean():.0%} of the readings are damaged: {what} Mend the record.")
     ends = np.concatenate([[-WINDOW_DEG], theta[~bad], [WINDOW_DEG]])
     gaps = np.diff(ends)
@@ -338,10 +367,13 @@ def _refuse_what_is_lost(theta: FloatArray, bad: Mask, defects: list[Defect]) ->
         )
 
 
-def _steps(theta: FloatArray, force: FloatArray) -> list[Defect]:
+def _steps(theta_deg: FloatArray, force: FloatArray) -> list[Defect]:
     """Where the zero of a force moved in the middle of the stroke."""
     found = []
-    for name, values in zip(("Fx", "Fz"), force.T, strict=True):
+    for name, whole in zip(("Fx", "Fz"), force.T, strict=True):
+        # A million readings show a step no better than a few thousand.
+        every = max(1, int(STEP_SPACING_DEG / float(np.median(np.diff(theta_deg)))))
+        theta, values = theta_deg[::every], whole[::every]
         spacing = float(np.median(np.diff(theta)))
         near = max(NEAR, round(STEP_DEG / spacing))
         # Of a record that is read every few degrees, all forces are steps.
@@ -362,7 +394,8 @@ def _steps(theta: FloatArray, force: FloatArray) -> list[Defect]:
         if step.any():
             at = int(np.argmax(jump * step)) + near
             where = (float(theta[at - 1]), float(theta[at]))
-            found.append(Defect("step", name, len(values) - at, where, float(jump[at - near])))
+            rows = len(whole) - at * every
+            found.append(Defect("step", name, rows, where, float(jump[at - near])))
     return found
 
 
@@ -376,7 +409,10 @@ def _offsets(
         if air.sum() < NEAR:
             continue
         mean = np.median(force[air], axis=0)  # a hip a little low meets the soil before
-        for axis in np.flatnonzero(np.abs(mean) > OFFSET * span):
+        # More than the noise of so many readings makes of none.
+        spread = 1.4826 * np.median(np.abs(force[air] - mean), axis=0)
+        least = np.maximum(OFFSET * span, SURE * 1.2533 * spread / math.sqrt(air.sum()))
+        for axis in np.flatnonzero(np.abs(mean) > least):
             where = (float(theta[air][0]), float(theta[air][-1]))
             name, rows = ("Fx", "Fz")[int(axis)], int(air.sum())
             found.append(Defect("offset", name, rows, where, float(mean[axis])))

@@ -133,7 +133,10 @@ def invert(
     library.curves(leg)  # refuses a leg that it does not have, before anything is said of the data
     inspection = inspect_record(history, touches_deg=touches_soil_deg(library, leg))
     history = inspection.history
-    observation, how = history.observation(), {"sampler": sampler, "seed": seed}
+    try:
+        observation, how = history.observation(), {"sampler": sampler, "seed": seed}
+    except InputError as error:
+        raise InputError(" ".join([f"{error}.", *inspection.sentences]).rstrip(".")) from error
     if likelihood == "paper":
         found = _by_paper(history, observation, library, leg, density, how)
     else:
@@ -192,7 +195,8 @@ def _told(
         *there_to_try_others(library.name),
     ]
     if inspection.spoilt:
-        verdict = Verdict("misfit", None, f"The record is damaged. {verdict.reason}")
+        why = verdict.reason if verdict.verdict == "misfit" else "No angle is to be believed."
+        verdict = Verdict("misfit", None, f"The record is damaged. {why}")
     return replace(verdict, reason=" ".join([verdict.reason, *warnings])), warnings
 
 

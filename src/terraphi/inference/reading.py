@@ -146,8 +146,11 @@ def reading_errors(history: ForceHistory, readings: FloatArray) -> tuple[FloatAr
     count = max(round(spacing / bin_), 1)
     # Whole bins, where there are any: what lies between them is interpolated, and smoother.
     shifts = np.unique(np.linspace(0.0, count, MOST_SHIFTS, endpoint=False).round()) * bin_
+    # As far as the curve reaches: a shift back by the rest of the spacing meets the same phase.
+    low, high = seen[0] - history.position[0], history.position[-1] - seen[-1]
+    both_ways = np.where(shifts <= high + 1e-9, shifts, shifts - count * bin_)
     about, around = [], []
-    for shift in shifts:
+    for shift in both_ways[both_ways >= -low - 1e-9]:
         moved = replace(history, position=history.position - shift)
         force = [np.interp(seen, moved.position, column) for column in history.force.T]
         points = replace(history, position=seen, force=np.stack(force, axis=1))

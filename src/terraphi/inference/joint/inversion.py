@@ -17,6 +17,7 @@ from terraphi.design_surrogate.training import DENSITY, parameters
 from terraphi.errors import InputError, nearest
 from terraphi.forward import package_version
 from terraphi.inference.answer import AngleSummary, plane_strain_summary
+from terraphi.inference.defects import inspect_record, touches_soil_deg
 from terraphi.inference.joint.answer import PHI, JointInversion, Summary
 from terraphi.inference.joint.identifiability import Identifiability, label
 from terraphi.inference.joint.likelihood import JointLikelihood, LegLikelihood
@@ -97,6 +98,10 @@ def invert_jointly(
             f"unknown discrepancy '{discrepancy}'; {nearest(discrepancy, DISCREPANCIES)}"
         )
     began = time.perf_counter()
+    inspections = [
+        inspect_record(t.history, touches_deg=touches_soil_deg(library, t.leg)) for t in trials
+    ]
+    trials = [replace(t, history=i.history) for t, i in zip(trials, inspections, strict=True)]
     groups = grouped(trials)
     varied = parameters(library)
     given, assumed = _with_density(trials, varied, prior, density)
@@ -136,7 +141,16 @@ def invert_jointly(
         for group, d in zip(groups, data, strict=True)
         for said in warnings_on(group, d, _density_of(marginals, d))
     ]
-    verdict = replace(answer.verdict, reason=" ".join([answer.verdict.reason, *warnings]))
+    damage = [
+        f"{trial.source}: {said}" if trial.source else said
+        for trial, inspection in zip(trials, inspections, strict=True)
+        for said in inspection.sentences
+    ]
+    warnings = [*damage, *warnings]
+    verdict = answer.verdict
+    if any(inspection.spoilt for inspection in inspections):
+        verdict = Verdict("misfit", None, "A record is damaged. " + NOT_TO_BE_USED)
+    verdict = replace(verdict, reason=" ".join([verdict.reason, *warnings]))
     return replace(answer, verdict=verdict, warnings=tuple(warnings))
 
 
