@@ -290,7 +290,8 @@ def _held(values: FloatArray) -> Mask:
     ends = np.append(starts[1:], len(values))
     held = np.zeros(len(values), dtype=bool)
     for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        if end - start < max(FEWEST_HELD, shortest) or end == len(values):
+        # A value that does not change up to an end of the record is that of a leg in air.
+        if end - start < max(FEWEST_HELD, shortest) or start == 0 or end == len(values):
             continue
         loaded = abs(values[start]) > LOADED * np.ptp(values)
         if loaded and steps[end - 1] > QUANTA * resolution:
