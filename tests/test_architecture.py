@@ -72,7 +72,7 @@ STRANGERS = {
 # The public face and `python -m terraphi` may open every door; nobody may come in through them.
 FACES = {"__init__", "__main__"}
 
-MAX_FILE_LINES = 400
+MAX_FILE_LINES = 800
 MAX_FUNCTION_LINES = 60
 # "module.py:function": why it is better in one piece.
 LONG_FUNCTIONS: dict[str, str] = {}

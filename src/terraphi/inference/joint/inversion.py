@@ -17,7 +17,7 @@ from terraphi.design_surrogate.training import DENSITY, parameters
 from terraphi.errors import InputError, nearest
 from terraphi.forward import package_version
 from terraphi.inference.answer import AngleSummary, plane_strain_summary
-from terraphi.inference.defects import inspect_record, touches_soil_deg
+from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
 from terraphi.inference.joint.answer import PHI, JointInversion, Summary
 from terraphi.inference.joint.identifiability import Identifiability, label
 from terraphi.inference.joint.likelihood import JointLikelihood, LegLikelihood
@@ -98,10 +98,7 @@ def invert_jointly(
             f"unknown discrepancy '{discrepancy}'; {nearest(discrepancy, DISCREPANCIES)}"
         )
     began = time.perf_counter()
-    inspections = [
-        inspect_record(t.history, touches_deg=touches_soil_deg(library, t.leg)) for t in trials
-    ]
-    trials = [replace(t, history=i.history) for t, i in zip(trials, inspections, strict=True)]
+    trials, inspections = _looked_at(trials, library)
     groups = grouped(trials)
     varied = parameters(library)
     given, assumed = _with_density(trials, varied, prior, density)
@@ -141,17 +138,35 @@ def invert_jointly(
         for group, d in zip(groups, data, strict=True)
         for said in warnings_on(group, d, _density_of(marginals, d))
     ]
-    damage = [
+    warnings = [*_damage(trials, inspections), *warnings]
+    return _told(answer, warnings, spoilt=any(i.spoilt for i in inspections))
+
+
+def _told(answer: JointInversion, warnings: Sequence[str], *, spoilt: bool) -> JointInversion:
+    """The answer with all remarks; of a spoilt record it is a misfit."""
+    verdict = answer.verdict
+    if spoilt:
+        verdict = Verdict("misfit", None, "A record is damaged. " + NOT_TO_BE_USED)
+    verdict = replace(verdict, reason=" ".join([verdict.reason, *warnings]))
+    return replace(answer, verdict=verdict, warnings=tuple(warnings))
+
+
+def _damage(trials: Sequence[Trial], inspections: Sequence[Inspection]) -> list[str]:
+    """What was left out of each trial."""
+    return [
         f"{trial.source}: {said}" if trial.source else said
         for trial, inspection in zip(trials, inspections, strict=True)
         for said in inspection.sentences
     ]
-    warnings = [*damage, *warnings]
-    verdict = answer.verdict
-    if any(inspection.spoilt for inspection in inspections):
-        verdict = Verdict("misfit", None, "A record is damaged. " + NOT_TO_BE_USED)
-    verdict = replace(verdict, reason=" ".join([verdict.reason, *warnings]))
-    return replace(answer, verdict=verdict, warnings=tuple(warnings))
+
+
+def _looked_at(trials: Sequence[Trial], library: Library) -> tuple[list[Trial], list[Inspection]]:
+    """Trials without the readings that are not to be believed, and what was found in each."""
+    found = [
+        inspect_record(t.history, touches_deg=touches_soil_deg(library, t.leg)) for t in trials
+    ]
+    left = [replace(t, history=i.history) for t, i in zip(trials, found, strict=True)]
+    return left, found
 
 
 def _with_density(
