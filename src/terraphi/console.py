@@ -118,13 +118,10 @@ def _parameter_row(found: JointInversion, key: str) -> tuple[str, ...]:
     )
 
 
-def print_library(found: Library, *, as_json: bool) -> None:
+def print_library(found: Library) -> None:
     """Summary of a library."""
     summary = found.summary()
-    if as_json:
-        print_json(summary)
-    else:
-        print_pairs(summary | {"phi_deg": " to ".join(map(words, summary["phi_deg"]))})
+    print_pairs(summary | {"phi_deg": " to ".join(map(words, summary["phi_deg"]))})
 
 
 def print_forces(summary: dict[str, Any]) -> None:

@@ -114,7 +114,7 @@ def library_build(
     if as_json:
         print_json({**made.summary(), "forecast": expected.as_dict(cores)})
         return
-    print_library(made, as_json=False)
+    print_library(made)
 
 
 def foreseen(plan: Plan, cores: int) -> Forecast:
@@ -202,7 +202,7 @@ def library_show(name: str, check: bool, number: int, as_json: bool) -> None:
         checked = {"checked": again.as_dict()} if again else {}
         print_json({**found.summary(), "bits": {**bits, **checked}})
         return
-    print_library(found, as_json=False)
+    print_library(found)
     print_pairs({"bits rest on": bits["rests_on"], "digest": bits["digest"]})
     click.echo(f"Bits: {bits['sentence']}.")
     if again is not None:

@@ -130,7 +130,6 @@ def invert(
     """
     _check_options(likelihood, sampler, noise, discrepancy)
     began = time.perf_counter()
-    library.curves(leg)  # refuses a leg that it does not have, before anything is said of the data
     inspection = inspect_record(history, touches_deg=touches_soil_deg(library, leg))
     history = inspection.history
     try:
