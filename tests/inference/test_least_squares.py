@@ -41,7 +41,7 @@ def test_residuals_change_along_the_slope_alone() -> None:
     rng = np.random.default_rng(3)
     slope, best, residual = rng.normal(size=8), rng.normal(size=8), rng.normal(size=(8, 3))
     shift = least_squares.shift_of(slope, np.array([1.0, 2.0]))
-    found = least_squares.about(residual, best, slope, shift)
+    found = least_squares.refitted(residual, best, slope, shift)
     assert shift @ found == pytest.approx(shift @ residual)
     assert np.linalg.matrix_rank(np.column_stack([slope, found - best[:, None]])) == 1
 

@@ -32,7 +32,7 @@ def means(shift_deg: float) -> np.ndarray:
 def test_offset_and_slope_give_the_shifted_means() -> None:
     model = means(0.0)
     for shift, about in ((0.1, 0.0), (1.1, 1.0), (-2.1, -2.0)):
-        offset, slope = registration.about(model, THETA, about)
+        offset, slope = registration.windows_about(model, THETA, about)
         # Two and more windows from the ends, where the spline knows no forces beyond.
         inner = np.r_[3:37, 43:77]
         found = (model + offset - shift * slope)[inner]
@@ -41,7 +41,7 @@ def test_offset_and_slope_give_the_shifted_means() -> None:
 
 
 def test_likeliest_shift_is_the_one_that_was_made() -> None:
-    offset, slope = registration.about(means(0.0), THETA, 0.0)
+    offset, slope = registration.windows_about(means(0.0), THETA, 0.0)
     spread = registration.REGISTRATION_DEG**2 * np.outer(slope, slope)
     found = registration.likeliest(slope, 1e-6 * np.eye(80) + spread, means(0.3) - means(0.0))
     assert found == pytest.approx(0.3, abs=0.02)

@@ -25,7 +25,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference import least_squares, registration
 from terraphi.inference.hypotheses import (
     COARSE_NOISE,
     LARGEST_BESIDE,
@@ -39,7 +38,9 @@ from terraphi.inference.hypotheses import (
     log_sum,
     scanned,
 )
+from terraphi.inference.least_squares import refitted, shift_of, taken_apart
 from terraphi.inference.library import single_threaded
+from terraphi.inference.registration import REGISTRATION_DEG, likeliest, windows_about
 
 FloatArray = NDArray[np.float64]
 
@@ -207,12 +208,12 @@ class _Frame:
         leg = problem.leg
         self.problem, self.node, self.shift_deg = problem, node, shift_deg
         mean = leg.mean[node]
-        self.offset, self.slope = registration.about(mean, leg.surrogate.theta_deg, shift_deg)
-        variance = registration.REGISTRATION_DEG**2
+        self.offset, self.slope = windows_about(mean, leg.surrogate.theta_deg, shift_deg)
+        variance = REGISTRATION_DEG**2
         self.base = leg.covariance[node] + variance * np.outer(self.slope, self.slope)
         self.scatter = leg.scatter[node]
         over_phi = leg.slope(float(leg.phi_deg[node]))
-        self.over_phi = over_phi, least_squares.shift_of(over_phi, problem.spans)
+        self.over_phi = over_phi, shift_of(over_phi, problem.spans)
         self._apart: dict[float, FloatArray] = {}
 
     def residual(self, node: NDArray[np.intp] | int) -> FloatArray:
@@ -225,7 +226,7 @@ class _Frame:
         shape = self.problem.discrepancy_shape(length)
         if given.amplitude[h] > LARGEST_BESIDE:
             if length not in self._apart:
-                self._apart[length] = least_squares.taken_apart(shape, *self.over_phi)
+                self._apart[length] = taken_apart(shape, *self.over_phi)
             shape = self._apart[length]
         found: FloatArray = given.amplitude[h] ** 2 * shape
         return found
@@ -245,7 +246,7 @@ def _next_frame(found: Hypotheses, frame: _Frame) -> _Frame:
     h, where = found.best
     below = min(int(where), len(frame.problem.leg.phi_deg) - 2)
     residual = frame.residual(np.array([below, below + 1])) @ [1.0 + below - where, where - below]
-    shift = registration.likeliest(frame.slope, frame.covariance(found, h), residual)
+    shift = likeliest(frame.slope, frame.covariance(found, h), residual)
     return _Frame(frame.problem, round(where), shift)
 
 
@@ -254,7 +255,7 @@ def _frozen(given: Hypotheses, frame: _Frame, nodes: NDArray[np.intp]) -> Hypoth
     from scipy.linalg.lapack import dpotrf, dtrtrs
 
     residual = frame.residual(nodes)
-    fitted = least_squares.about(residual, frame.residual(frame.node), *frame.over_phi)
+    fitted = refitted(residual, frame.residual(frame.node), *frame.over_phi)
     right, wrong = np.asfortranarray(residual), np.asfortranarray(fitted)
     chi2, volume = np.empty((2, len(given.noise), len(nodes)))
     for h in range(len(given.noise)):

@@ -16,7 +16,7 @@ from terraphi.library import Library, hash_of, unseeded
 
 FloatArray = NDArray[np.float64]
 
-REPLICATES = 5000
+WORLD_COUNT = 5000
 OTHER_SEEDS = 4
 """Seeds after the certificate's own with which the ranks are looked at again."""
 
@@ -25,7 +25,7 @@ def certified(
     library: Library,
     replicates: Library | None = None,
     *,
-    worlds: int = REPLICATES,
+    worlds: int = WORLD_COUNT,
     seed: int = 0,
     progress: Callable[[float, float], None] | None = None,
 ) -> Library:

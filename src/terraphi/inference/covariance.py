@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference import registration
 from terraphi.inference.calibrated import CalibratedLikelihood
 from terraphi.inference.fit import Fit
 from terraphi.inference.hypotheses import Problem
 from terraphi.inference.information import information_share, share_without_force
+from terraphi.inference.registration import REGISTRATION_DEG, windows_about
 
 FloatArray = NDArray[np.float64]
 
@@ -55,8 +55,8 @@ def covariance_terms(
     phi = np.array([phi_deg])
     left = surrogate.scatter.sigma(phi)[0][:, None] * surrogate.basis
     interpolation, library = (part[0] for part in surrogate.standard_terms(phi))
-    along = registration.about(surrogate.predict(phi)[0], surrogate.theta_deg, 0.0)[1]
-    off = float(problem.discrepancy) * registration.REGISTRATION_DEG**2
+    along = windows_about(surrogate.predict(phi)[0], surrogate.theta_deg, 0.0)[1]
+    off = float(problem.discrepancy) * REGISTRATION_DEG**2
     return {
         "interpolation": (left * interpolation) @ left.T,
         "library_scatter": (left * library) @ left.T,

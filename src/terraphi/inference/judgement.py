@@ -75,7 +75,7 @@ def judge_calibrated(
         f"Scatter and noise explain the residual: its chi-square is {fit.chi2:.0f} with "
         f"{fit.freedom} degrees of freedom (probability {fit.probability:.2f}, limit "
         f"{SMALLEST_PROBABILITY:g}), and the odds of a model discrepancy are "
-        f"{_odds(fit.log10_odds)} (limit {LARGEST_ODDS:.0f}:1).",
+        f"{_odds_in_words(fit.log10_odds)} (limit {LARGEST_ODDS:.0f}:1).",
     )
 
 
@@ -137,7 +137,7 @@ def _misfit(fit: Fit, residual_nrmsd: Mapping[str, float]) -> str:
         clauses.append(
             f"the residual follows the leg angle as noise does not: the odds of a model "
             f"discrepancy of {_amplitude(fit.amplitude)} of the peak-to-peak are "
-            f"{_odds(fit.log10_odds)} (limit {LARGEST_ODDS:.0f}:1)"
+            f"{_odds_in_words(fit.log10_odds)} (limit {LARGEST_ODDS:.0f}:1)"
         )
     deviations = " and ".join(
         f"{100 * residual_nrmsd[name]:.1f} % ({name})" for name in ("Fx", "Fz")
@@ -155,7 +155,7 @@ def _amplitude(amplitude: float) -> str:
     return f"about {amplitude:.0%}"
 
 
-def _odds(log10_odds: float) -> str:
+def _odds_in_words(log10_odds: float) -> str:
     """Odds in words."""
     if log10_odds > 4.0:
         return f"1e{log10_odds:.0f}:1"

@@ -58,7 +58,7 @@ def taken_apart(covariance: FloatArray, slope: FloatArray, shift: FloatArray) ->
     return apart
 
 
-def about(
+def refitted(
     residual: FloatArray, best: FloatArray, slope: FloatArray, shift: FloatArray
 ) -> FloatArray:
     """Residuals with nothing but their part along the slope changed.

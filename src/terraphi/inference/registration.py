@@ -20,7 +20,7 @@ REGISTRATION_DEG = 1.0
 """Prior standard deviation t of an error of the leg angle where the model may be wrong [deg]."""
 
 
-def about(
+def windows_about(
     forces: FloatArray, theta_deg: FloatArray, shift_deg: float
 ) -> tuple[FloatArray, FloatArray]:
     """Offset c and slope s of window means about a shift.

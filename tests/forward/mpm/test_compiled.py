@@ -162,3 +162,27 @@ def test_folder_that_the_user_chose_for_the_cache_is_looked_after_as_well(
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(chosen))
     compiled._drop_stale_cache()
     assert not any(file.exists() for file in made)
+
+
+LAW = '"""A law."""\n\nfrom a import MU\n\n\ndef law(x):\n    """Return it."""\n    return MU * x  # by Coulomb\n'
+STEP = "from a.law import law\n\n\ndef step(x):\n    return x - law(x)\n"
+
+
+def digest_of(folder, **sources):
+    folder.mkdir()
+    for name, text in sources.items():
+        (folder / f"{name}.py").write_text(text)
+    return compiled._digest_of_model(folder.glob("*.py"))
+
+
+def test_code_that_moves_to_another_file_keeps_its_digest(tmp_path):
+    before = digest_of(tmp_path / "a", law=LAW, step=STEP)
+    moved = STEP.replace("a.law", "b.friction")
+    assert digest_of(tmp_path / "b", friction=LAW, whole=moved) == before
+    assert digest_of(tmp_path / "c", one=LAW + STEP) == before
+
+
+def test_code_that_does_something_else_has_another_digest(tmp_path):
+    before = digest_of(tmp_path / "a", law=LAW, step=STEP)
+    assert digest_of(tmp_path / "b", law=LAW.replace("MU * x", "x * MU"), step=STEP) != before
+    assert digest_of(tmp_path / "c", law=LAW) != before

@@ -6,7 +6,7 @@ import ast
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -122,18 +122,20 @@ def _digest_of_sources() -> str:
     return digest.hexdigest()
 
 
-def _code_of(source: Path) -> str:
-    """What a source does: without comments, docstrings and layout."""
+def _code_of(source: Path) -> set[str]:
+    """What a source does, statement by statement: without words about it, layout and imports."""
     tree = ast.parse(source.read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
         if isinstance(body, list):
-            # A docstring, or one below a value.
-            node.body = [part for part in body if not _is_word(part)] or [ast.Pass()]  # type: ignore[attr-defined]
-    return ast.unparse(tree)
+            node.body = [part for part in body if not _is_silent(part)] or [ast.Pass()]  # type: ignore[attr-defined]
+    return {ast.unparse(statement) for statement in tree.body}
 
 
-def _is_word(statement: ast.AST) -> bool:
+def _is_silent(statement: ast.AST) -> bool:
+    """Whether a statement is an import, a docstring, or a text below a value."""
+    if isinstance(statement, ast.Import | ast.ImportFrom):
+        return True
     return (
         isinstance(statement, ast.Expr)
         and isinstance(statement.value, ast.Constant)
@@ -141,15 +143,16 @@ def _is_word(statement: ast.AST) -> bool:
     )
 
 
-def _digest_of_model() -> str:
-    digest = hashlib.sha256(numba.__version__.encode())
-    for source in _SOURCES:
+def _digest_of_model(sources: Iterable[Path]) -> str:
+    """Digest of what the sources do, however it is spread over files and wherever these lie."""
+    codes: set[str] = set()
+    for source in sources:
         if source.name not in _NOT_OF_THE_MODEL:
-            digest.update(_code_of(source).encode())
-    return digest.hexdigest()
+            codes |= _code_of(source)
+    return hashlib.sha256("\n".join([numba.__version__, *sorted(codes)]).encode()).hexdigest()
 
 
-SOURCE_DIGEST = _digest_of_model()
+SOURCE_DIGEST = _digest_of_model(_SOURCES)
 """SHA-256 of the compiler's version and of the code that bears on a result, hexadecimal.
 
 Words about the code, and code that only keeps, shows or explains a result, do not count."""

@@ -11,6 +11,7 @@ from terraphi.forward.mpm.lanes import (
     MOTION,
     PRESSED,
     RATE,
+    SIX,
     SUMS,
     SUMS_OF_QUANTITY,
     SUMS_OF_ROW,
@@ -42,7 +43,6 @@ from terraphi.forward.mpm.packing import (
 from terraphi.forward.mpm.plasticity import jaumann_predictor, return_to_cone
 from terraphi.forward.mpm.transfer import weights
 
-SIX = TWO * THREE
 LEAST_VOLUME = 1e-300
 """Of a lane without particles, so that its mean is a number [m²]."""
 

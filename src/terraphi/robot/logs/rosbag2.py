@@ -23,12 +23,11 @@ import numpy as np
 
 from terraphi.errors import InputError
 from terraphi.robot.logs.block import Messages
-from terraphi.robot.logs.mcap_file import MAGIC, McapFile
+from terraphi.robot.logs.mcap_file import BATCH, MAGIC, McapFile
 from terraphi.robot.logs.storage import Storage, Topic
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-BATCH = 4096
 LARGEST_MESSAGE = 2**24
 """Size [bytes] beyond which a compressed message is taken for damage."""
 
