@@ -164,8 +164,22 @@ def test_folder_that_the_user_chose_for_the_cache_is_looked_after_as_well(
     assert not any(file.exists() for file in made)
 
 
-LAW = '"""A law."""\n\nfrom a import MU\n\n\ndef law(x):\n    """Return it."""\n    return MU * x  # by Coulomb\n'
-STEP = "from a.law import law\n\n\ndef step(x):\n    return x - law(x)\n"
+LAW = '''"""A law."""
+
+from a import MU
+
+
+def law(x):
+    """Return it."""
+    return MU * x  # by Coulomb
+'''
+STEP = """
+from a.law import law
+
+
+def step(x):
+    return x - law(x)
+"""
 
 
 def digest_of(folder, **sources):
