@@ -119,16 +119,16 @@ def test_cubic_prior_is_that_of_most_evidence_and_is_recovered_from_draws() -> N
     local = np.outer(growth, growth) * matern(PHI, PHI, 8.0)
     roots = np.geomspace(50.0, 0.1, 200)
     truth = (40.0, 20.0, 10.0, 5.0)
-    coefficients = np.sqrt(cubic.variances(truth, 0.8, roots)) * rng.normal(size=(4, 200))
+    coefficients = np.sqrt(cubic.cubic_variances(truth, 0.8, roots)) * rng.normal(size=(4, 200))
     rest = roots[:, None, None] * local + np.eye(len(PHI))
     noise = np.linalg.cholesky(rest) @ rng.normal(size=(200, len(PHI), 1))
     curves = powers @ coefficients + noise[:, :, 0].T
-    amplitudes, power = cubic.fit(powers, local, roots, curves)
+    amplitudes, power = cubic.fit_cubic(powers, local, roots, curves)
     assert np.abs(np.log(amplitudes) - np.log(truth)).max() < 0.35  # 200 directions: 5 % and more
     assert power == pytest.approx(0.8, abs=0.08)
 
     def evidence(a: np.ndarray, p: float) -> float:
-        prior = cubic.variances(tuple(a), p, roots)
+        prior = cubic.cubic_variances(tuple(a), p, roots)
         covariances = (powers * prior.T[:, None, :]) @ powers.T + rest
         return sum(
             multivariate_normal(cov=c).logpdf(y) for c, y in zip(covariances, curves.T, strict=True)

@@ -15,7 +15,7 @@ from terraphi.history import ForceHistory
 
 def same(file: Path) -> None:
     """Compare with xarray: names and their order, values to the last bit, and attributes."""
-    found = netcdf.read(file)
+    found = netcdf.read_whole(file)
     with xr.open_dataset(file, engine="h5netcdf") as known:
         assert list(found.data_vars) == list(known.data_vars)
         assert set(found.coords) == set(known.coords)
@@ -55,12 +55,12 @@ def test_text_of_one_letter_no_text_and_holes(tmp_path: Path) -> None:
         attrs={"word": "φ", "number": 2},
     ).to_netcdf(file, engine="h5netcdf")
     same(file)
-    assert "force" in netcdf.read(file)
-    assert "i" not in netcdf.read(file)
+    assert "force" in netcdf.read_whole(file)
+    assert "i" not in netcdf.read_whole(file)
 
 
 def test_what_is_not_there_is_a_key_error(tmp_path: Path) -> None:
     file = tmp_path / "x.nc"
     xr.Dataset({"force": ("i", [1.0])}).to_netcdf(file, engine="h5netcdf")
     with pytest.raises(KeyError):
-        netcdf.read(file)["torque"]
+        netcdf.read_whole(file)["torque"]

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi import netcdf
 from terraphi.errors import InputError
-from terraphi.netcdf import Contents
+from terraphi.netcdf import Contents, read_whole
 
 FloatArray = NDArray[np.float64]
 
@@ -246,7 +245,7 @@ def open_netcdf(path: Path, *, kind: str, schema: int) -> Contents:
     check_is_file(path)
     why = "not a whole NetCDF file (truncated, or of another format); build or copy it again"
     with damage_told(f"{path}: {why}"):
-        dataset = netcdf.read(path)
+        dataset = read_whole(path)
     if dataset.attrs.get("terraphi_file") != kind:
         raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi")
     found = dataset.attrs.get("terraphi_schema")

@@ -50,7 +50,7 @@ class Contents:
         return name in self.coords or name in self.data_vars
 
 
-def read(path: Path) -> Contents:
+def read_whole(path: Path) -> Contents:
     """Load a file as it stands: without scale, offset or calendar, which files of ours do not use.
 
     Parameters

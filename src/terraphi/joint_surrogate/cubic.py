@@ -34,7 +34,7 @@ def powers_of(phi_deg: FloatArray, ends_deg: tuple[float, float]) -> FloatArray:
     return result
 
 
-def variances(amplitudes: tuple[float, ...], power: float, roots: FloatArray) -> FloatArray:
+def cubic_variances(amplitudes: tuple[float, ...], power: float, roots: FloatArray) -> FloatArray:
     """Prior variances of the coefficients [-], shape [4, 2 theta].
 
     Parameters
@@ -49,7 +49,7 @@ def variances(amplitudes: tuple[float, ...], power: float, roots: FloatArray) ->
     return np.outer(np.square(amplitudes), top * shape)
 
 
-def fit(
+def fit_cubic(
     powers: FloatArray, local: FloatArray, roots: FloatArray, curves: FloatArray
 ) -> tuple[tuple[float, float, float, float], float]:
     """T_k and p of maximum evidence.

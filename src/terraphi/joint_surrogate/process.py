@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from terraphi.joint_surrogate import cubic
+from terraphi.joint_surrogate.cubic import cubic_variances, fit_cubic, powers_of
 from terraphi.joint_surrogate.evidence import (
     JointKernel,
     Spectrum,
@@ -122,7 +122,7 @@ class JointSurrogate:
             data = Standardised(phi_deg, theta_deg, curves, scatter, repeats)
             spectrum = Spectrum(data, kernel)
             whitener = spectrum.basis.T @ data.inverse_factor
-            variances = cubic.variances(kernel.cubic, kernel.cubic_power, spectrum.roots)
+            variances = cubic_variances(kernel.cubic, kernel.cubic_power, spectrum.roots)
             known = cls(
                 phi_deg=data.phi,
                 theta_deg=data.theta,
@@ -277,9 +277,7 @@ class JointSurrogate:
 
     def _powers(self, phi_deg: FloatArray) -> FloatArray:
         """Growth times 1, x, x^2, x^3, shape [...] -> [..., 4]."""
-        return self.scatter.growth(phi_deg)[..., None] * cubic.powers_of(
-            phi_deg, self.phi_bounds_deg
-        )
+        return self.scatter.growth(phi_deg)[..., None] * powers_of(phi_deg, self.phi_bounds_deg)
 
     def _alone(self, phi_deg: FloatArray) -> FloatArray:
         """Prior variance of f in the basis, over sigma^2 [-], shape [k] -> [k, 2 theta]."""
@@ -313,8 +311,8 @@ def _with_cubic(vague: JointSurrogate) -> JointKernel:
     """The hyperparameters with a prior of the cubic."""
     phi = vague.phi_deg
     growth = vague.root_repeats * vague.scatter.growth(phi)
-    amplitudes, power = cubic.fit(
-        growth[:, None] * cubic.powers_of(phi, vague.phi_bounds_deg),
+    amplitudes, power = fit_cubic(
+        growth[:, None] * powers_of(phi, vague.phi_bounds_deg),
         np.outer(growth, growth) * matern(phi, phi, vague.kernel.phi_length_deg),
         vague.prior_variance,
         vague.standard_curves,
