@@ -71,7 +71,7 @@ def fit_cubic(
     logarithms = np.log(np.maximum(roots / roots.max(), LEAST))
 
     def objective(p: FloatArray) -> tuple[float, FloatArray]:
-        prior = variances(tuple(np.exp(p[:4])), float(p[4]), roots)
+        prior = cubic_variances(tuple(np.exp(p[:4])), float(p[4]), roots)
         covariance = (powers * prior.T[:, None, :]) @ powers.T + rest
         inverse = np.linalg.inv(covariance)
         weights = (inverse @ curves.T[:, :, None])[:, :, 0]
