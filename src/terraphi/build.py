@@ -21,8 +21,7 @@ from types import MappingProxyType
 from pydantic import ValidationError
 
 from terraphi.errors import InputError
-from terraphi.files import folder as made_folder
-from terraphi.files import replacing
+from terraphi.files import made_folder, replacing
 from terraphi.forward import Checkpoint, model_version, simulate, software
 from terraphi.forward.watch import EVERY
 from terraphi.history import ForceHistory

@@ -171,7 +171,7 @@ def makeable(path: Path) -> None:
     _permitted(there)
 
 
-def folder(path: Path) -> Path:
+def made_folder(path: Path) -> Path:
     """Make a folder for results if it is not there."""
     try:
         path.mkdir(parents=True, exist_ok=True)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from terraphi.errors import InputError
-from terraphi.files import folder as made_folder
+from terraphi.files import made_folder
 
 log = logging.getLogger(__name__)
 

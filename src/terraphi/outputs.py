@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from terraphi.errors import InputError
-from terraphi.files import folder, makeable, replacing, writable
+from terraphi.files import made_folder, makeable, replacing, writable
 
 MANIFEST = "manifest.json"
 SIGNATURE = "made with terraphi"
@@ -160,7 +160,7 @@ def filling(path: Path, *, kind: str, last: str, besides: Collection[str] = ()) 
     """
     check_folder(path, kind=kind, besides=besides)
     was_there = path.is_dir()
-    before = _manifest(folder(path))
+    before = _manifest(made_folder(path))
     if before is None:
         _write_manifest(path, Manifest(kind, {}))  # so that it is ours even if we are killed
     try:

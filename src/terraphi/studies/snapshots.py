@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.errors import InputError
-from terraphi.files import folder as made_folder
-from terraphi.files import replacing
+from terraphi.files import made_folder, replacing
 from terraphi.forward import Snapshot, model_version, simulate
 from terraphi.leg import frame_axes
 from terraphi.plots import GREY

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.errors import InputError
-from terraphi.files import folder as made_folder
+from terraphi.files import made_folder
 from terraphi.forward.mpm.bed import Particles
 from terraphi.forward.mpm.solver import BLOCK, block_length, step_count
 from terraphi.forward.watch import Snapshot

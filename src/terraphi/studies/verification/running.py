@@ -18,7 +18,7 @@ import numba
 import numpy as np
 
 from terraphi.errors import InputError
-from terraphi.files import folder, replacing
+from terraphi.files import made_folder, replacing
 from terraphi.studies.verification.check import Check, Outcome, Task
 
 log = logging.getLogger(__name__)
@@ -132,7 +132,7 @@ def _files(tasks: Mapping[Key, Task], keep: Path | None) -> dict[Key, Path]:
     """File of each task's outcome; none if nothing is kept."""
     if keep is None:
         return {}
-    place, code = folder(keep), _code_digest()
+    place, code = made_folder(keep), _code_digest()
     return {key: place / f"{_name(key)}.{_digest(task, code)}.json" for key, task in tasks.items()}
 
 
