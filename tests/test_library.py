@@ -286,9 +286,7 @@ def test_unknown_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_library_of_which_the_plan_alone_is_shipped(monkeypatch: pytest.MonkeyPatch) -> None:
     without = [name for name in shipped_names("libraries", ".nc") if name != "quick-paper"]
     everything = {".nc": without, ".toml": shipped_names("plans", ".toml")}
-    monkeypatch.setattr(
-        "terraphi.library.shipped_names", lambda _, suffix: everything[suffix]
-    )
+    monkeypatch.setattr("terraphi.library.shipped_names", lambda _, suffix: everything[suffix])
     count = len(Plan.load("quick-paper").cases())
     with pytest.raises(
         InputError, match=f"^library 'quick-paper' is planned, and its {count} simulations are not "

@@ -119,9 +119,7 @@ def test_the_prototype_s_library_goes_through_the_paper_s_studies(ship) -> None:
 def test_the_prototype_s_pair_of_k0(ship) -> None:
     for half in ("jaky", "half"):
         library = Library.load(f"quick-k0-{half}")
-        ends = tuple(
-            c for c in library.cases if c.scenario.soil.friction_angle_deg in (25.0, 45.0)
-        )
+        ends = tuple(c for c in library.cases if c.scenario.soil.friction_angle_deg in (25.0, 45.0))
         ship(f"paper-code-k0-{half}", replace(library, cases=ends))
     found = studies.run("k0", library="paper-code-k0")
     assert [case["phi_deg"] for case in found.data["cases"]] == [25.0, 45.0]

@@ -54,7 +54,7 @@ STUDIES = {
         "what the paper's text leaves open, against the forces that it prints", "seconds"
     ),
     "prototype": Outline(
-        "what the contact of the paper's public prototype counts, and what it applies", "seconds"
+        "what the contact of the paper's prototype counts, and what it applies", "seconds"
     ),
     "sensitivity": Outline(
         "what moves the simulated forces: one setting changed at a time", "seconds"

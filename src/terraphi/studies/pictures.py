@@ -164,9 +164,7 @@ def legs_figure(legs: Mapping[str, Sequence[Curve]]) -> Figure:
     return figure
 
 
-def speeds_figure(
-    cases: Sequence[Mapping[str, Any]], lines: Sequence[Mapping[str, Any]]
-) -> Figure:
+def speeds_figure(cases: Sequence[Mapping[str, Any]], lines: Sequence[Mapping[str, Any]]) -> Figure:
     """Peak forces over the speed, counted and applied, with lines to no speed.
 
     Parameters
@@ -208,7 +206,7 @@ def speeds_figure(
             axes.set_ylim(bottom=0.0)
             axes.grid(color=GREY, alpha=0.2, lw=0.6)
     for axes in panels[-1]:
-        axes.set_xlabel("speed k, in that of the paper")
+        axes.set_xlabel("speed k, in multiples of the paper's")
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     return figure

@@ -172,9 +172,9 @@ def study_of(
         for name, s, history in (*text, *own)
     ]
     found.sort(key=lambda f: (f.phi_deg, [TEXT, CODE, ""].index(f.model), f.speed_up))
-    lines = _without_speed(found)
+    lines, cases = _without_speed(found), [_measured(forces) for forces in found]
     data = {
-        "cases": [_measured(forces) for forces in found],
+        "cases": cases,
         "off_by_percent": _off_by(found),
         "without_speed": lines,
         "nrmsd_percent": _in_yuma(library),
@@ -185,7 +185,7 @@ def study_of(
         header=HEADER,
         rows=_rows(found, lines),
         data=data,
-        figures={NAME: speeds_figure(data["cases"], lines)},
+        figures={NAME: speeds_figure(cases, lines)},
         notes=_notes(data),
         beside_paper=_beside_paper(found),
     )
@@ -348,6 +348,7 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         who = line["model"] if line["model"] == TEXT else f"{line['model']}, {line['kind']}"
         groups.setdefault(who, []).append(line)
     notes += [_about_speed(who, lines) for who, lines in groups.items()]
+    notes += _about_parts(data)
     notes += [_about_sand(row) for row in data["nrmsd_percent"] if row["phi_deg"] in TOLD_DEG]
     if data["missing"]:
         notes.append(
@@ -369,6 +370,28 @@ def _about_speed(who: str, lines: Sequence[Mapping[str, Any]]) -> str:
         return f"{left}."
     off = max(line["line_off_percent"] for line in lines)
     return f"{left}; no peak is more than {off:.1f} % off it."
+
+
+def _about_parts(data: Mapping[str, Any]) -> list[str]:
+    """What the counted peaks at k = 1 are made of, if lines tell what is left of them."""
+    shares = {
+        (case["phi_deg"], force): case["share_of_peaks"][force]
+        for case in data["cases"]
+        for force in FORCES
+        if (case["model"], case["speed_up"]) == (CODE, 1.0)
+    }
+    parts = []
+    for line in (line for line in data["without_speed"] if line["kind"] == "applied"):
+        applied = shares[line["phi_deg"], line["force"]]
+        left = applied * line["share"]
+        parts.append([1.0 - applied, applied - left, left])
+    if not parts:
+        return []
+    percent = 100.0 * np.array(parts)
+    low, high = percent.min(axis=0), percent.max(axis=0)
+    told = [f"{least:.0f} to {most:.0f} %" for least, most in zip(low, high, strict=True)]
+    first = f"Of the peaks that {CODE} counts at k = 1, {told[0]} are not applied"
+    return [f"{first}, {told[1]} are applied and go with the speed, {told[2]} are left."]
 
 
 def _about_sand(row: Mapping[str, Any]) -> str:
