@@ -375,3 +375,23 @@ def test_a_history_outside_the_window_has_no_peaks_and_says_so() -> None:
     assert "theta_peak_Fz_deg" not in early.summary()
     with pytest.raises(ValueError, match="no whole degree"):
         early.peaks()
+
+
+# -- what a contact applied --------------------------------------------------------------------
+
+
+def test_what_was_applied_goes_with_the_history() -> None:
+    known = {"seed": 3, "applied_force": {"position": [0.1, 0.3], "x_N": [1, 2], "z_N": [3, 5]}}
+    counted = ForceHistory(np.linspace(0.0, 0.4, 5), np.ones((5, 2)), provenance=known)
+    applied = counted.applied()
+    assert applied is not None
+    assert applied.Fx.tolist() == [1.0, 2.0]
+    assert applied.Fz.tolist() == [3.0, 5.0]
+    assert applied.position.tolist() == [0.1, 0.3]
+    assert applied.provenance == {"seed": 3}
+    assert applied.applied() is None
+    # At another density both change.
+    halved = counted.scaled(0.5).applied()
+    assert halved is not None
+    assert halved.force == pytest.approx(applied.force / 2.0)
+    assert counted.applied().force.tolist() == applied.force.tolist()

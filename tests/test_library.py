@@ -283,7 +283,22 @@ def test_unknown_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         Library.load("qqqqqq")
 
 
-@pytest.mark.parametrize("name", ["quick-paper", "quick-plane-strain", "paper"])
+def test_a_library_of_which_the_plan_alone_is_shipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    without = [name for name in shipped_names("libraries", ".nc") if name != "quick-paper"]
+    everything = {".nc": without, ".toml": shipped_names("plans", ".toml")}
+    monkeypatch.setattr("terraphi.library.shipped_names", lambda _, suffix: everything[suffix])
+    count = len(Plan.load("quick-paper").cases())
+    with pytest.raises(
+        InputError, match=f"^library 'quick-paper' is planned, and its {count} simulations are not "
+        "all finished yet: 'terraphi library build quick-paper --out quick-paper.nc' computes"
+    ):  # fmt: skip
+        Library.load("quick-paper")
+    # A study's plan is none of a library.
+    with pytest.raises(InputError, match="'reading' is neither a file nor a shipped name"):
+        Library.load("reading")
+
+
+@pytest.mark.parametrize("name", ["quick-paper", "quick-plane-strain", "paper", "paper-code"])
 def test_truths_differ_from_their_library_in_angle_and_seed_alone(name: str) -> None:
     library, truths = Plan.load(name), Plan.load(f"{name}-truths")
     same_seed = truths.scenario.replace(**{"numerics.seed": library.scenario.numerics.seed})

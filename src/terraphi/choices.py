@@ -1,4 +1,8 @@
-"""Shipped libraries that an inversion can use, and their legs; others are there to try those."""
+"""Shipped libraries: those that an inversion can use, with their legs, and what goes with them.
+
+A library that is there for another is named after it, ``LIBRARY-ROLE``, by the roles of
+:data:`COMPANIONS`.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +15,20 @@ from typing import Any
 import numpy as np
 
 from terraphi.documents import shipped_file, shipped_names
+from terraphi.errors import InputError
 from terraphi.leg import LEG_SHAPES
-from terraphi.library import replicates_in
+from terraphi.library import Library, replicates_in
 
 FEWEST_ANGLES = 3
 """Friction angles that an inversion needs."""
-TRY_OTHERS = ("-truths", "-jaky", "-half")
-"""Endings of the names of shipped libraries that are there to try others, however many angles."""
+COMPANIONS = {
+    "truths": "fresh simulations of known friction angle",
+    "legs": "the legs that the library lacks, at the benchmark's friction angle",
+    "jaky": "one of a pair: K0 = 1 - sin φ",
+    "half": "the other: K0 = 0.5",
+}
+"""Roles of shipped libraries that are there for others, however many angles they have."""
+TRY_OTHERS = tuple(f"-{role}" for role in COMPANIONS)
 WIDEST_STEP_DEG = 5.0
 """Step between friction angles above which a library is there to test others [deg]."""
 
@@ -38,6 +49,42 @@ def there_to_try_others(name: str) -> list[str]:
     if name.endswith(TRY_OTHERS) and name in shipped_names("libraries", ".nc"):
         return [f"Library '{name}' is shipped to try others, not to invert with."]
     return []
+
+
+def has_companion(library: str, role: str) -> bool:
+    """Whether a library in some role for another is shipped, or planned: its plan is."""
+    name = f"{library}-{role}"
+    return name in shipped_names("libraries", ".nc") or name in shipped_names("plans", ".toml")
+
+
+def companion(library: str, role: str) -> Library:
+    """The shipped library in some role for another.
+
+    Parameters
+    ----------
+    library
+        Name of the other; of a pair, what their names begin with.
+    role
+        Of :data:`COMPANIONS`.
+
+    Returns
+    -------
+    Library
+
+    Raises
+    ------
+    InputError
+        If there is none, or it is not simulated yet.
+    """
+    if not has_companion(library, role):
+        ending = f"-{role}"
+        shipped = shipped_names("libraries", ".nc")
+        known = [name.removesuffix(ending) for name in shipped if name.endswith(ending)]
+        raise InputError(
+            f"library '{library}': no '{library}{ending}' is shipped, which this study needs; "
+            f"those that have one: {', '.join(known)}"
+        )
+    return Library.load(f"{library}-{role}")
 
 
 def offered_legs() -> list[str]:

@@ -33,6 +33,8 @@ _SHOWN = (
     *("scenario_hash", "model_version", "particles", "steps"),
     *("momentum_mismatch", "seconds"),
 )
+_APPLIED = "applied_force"
+"""Where a history's provenance keeps what its contact applied, if it counts something else."""
 _UNITS = {"theta": "rad", "displacement": "m", "time": "s"}
 
 
@@ -135,7 +137,29 @@ class ForceHistory:
 
     def scaled(self, factor: float) -> ForceHistory:
         """Copy of this history with all forces multiplied by a factor [-]."""
-        return replace(self, force=self.force * factor)
+        known = dict(self.provenance)
+        if kept := known.get(_APPLIED):
+            rest = {axis: (factor * np.array(kept[axis])).tolist() for axis in self._applied_axes}
+            known[_APPLIED] = {**kept, **rest}
+        return replace(self, force=self.force * factor, provenance=known)
+
+    def applied(self) -> ForceHistory | None:
+        """Forces that the leg applied to the soil, where its contact counts more than that.
+
+        They are what the simulation kept beside the counted ones, means over a degree of a
+        rotation; ``None`` of any other contact, whose forces are the applied ones.
+        """
+        kept = self.provenance.get(_APPLIED)
+        if kept is None:
+            return None
+        force = np.stack([kept[axis] for axis in self._applied_axes], axis=1)
+        rest = {key: value for key, value in self.provenance.items() if key != _APPLIED}
+        position = np.asarray(kept["position"], dtype=np.float64)
+        return replace(self, position=position, force=force, provenance=rest)
+
+    @property
+    def _applied_axes(self) -> list[str]:
+        return [f"{axis}_N" for axis in self.axes]
 
     def engaged(self, *, window_deg: float = WINDOW_DEG) -> ForceHistory:
         """Samples of this history within |θ| ≤ window [deg], the engaged window of the paper."""

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.documents import shipped_file
+from terraphi.documents import shipped_file, shipped_names
 from terraphi.errors import InputError
 from terraphi.files import is_there, open_netcdf, positions, write_netcdf
 from terraphi.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
@@ -324,6 +324,7 @@ class Library:
         """
         path = Path(source)
         if path.suffix != ".nc" and not is_there(path):
+            _refuse_if_only_planned(str(source))
             path = shipped_file("libraries", str(source), ".nc")
         data = open_netcdf(path, kind="library", schema=SCHEMA)
         try:
@@ -357,6 +358,18 @@ class Library:
         )
         own = len(cases) - replicates_in(data)
         return cls(plan, tuple(cases[:own]), provenance, calibration, tuple(cases[own:]))
+
+
+def _refuse_if_only_planned(name: str) -> None:
+    """Raise InputError if a plan of that name is shipped, and the library itself is not yet."""
+    if name in shipped_names("libraries", ".nc") or name not in shipped_names("plans", ".toml"):
+        return
+    plan = Plan.load(name)
+    if plan.combined_keys:  # others are those of studies
+        raise InputError(
+            f"library '{name}' is planned, and its {plan.count} simulations are not all finished "
+            f"yet: 'terraphi library build {name} --out {name}.nc' computes what is missing"
+        )
 
 
 def hash_of(cases: Sequence[Case]) -> str:

@@ -85,25 +85,39 @@ def comes_out(ours: str, paper: str) -> bool:
     return all(abs(m - t) <= 0.03 * abs(t) for m, t in zip(mine, theirs, strict=True))
 
 
-def test_the_paper_number_by_number_is_what_the_studies_print() -> None:
-    page = DOCS / "explanation" / "paper.md"
-    text = page.read_text(encoding="utf-8")
-    lines = re.findall(r"^\| (.+) \| `(\w+)` \| (.+) \| (.+) \| (.+) \|$", text, re.M)
-    rows = [line[:4] for line in lines]
-    for what, _, ours, paper, verdict in lines:
-        assert verdict.startswith("yes" if comes_out(ours, paper) else "no"), what
+def printed_on(page: Path) -> dict[str, list[list[str]]]:
+    """Lines ``what, ours, the paper's`` that a page shows, by the arguments of ``terraphi``."""
     printed: dict[str, list[list[str]]] = {}
     for line in (line for block in blocks_of(page) for line in block.lines):
         if line.startswith("$ "):
-            printed[(command := line)] = []
+            printed[(command := line.removeprefix("$ terraphi "))] = []
         elif len(cells := re.split(r"\s{2,}", line.strip())) == 3:
             printed[command].append(cells)
-    told = {f"$ terraphi study {study}" for _, study, _, _ in rows}
-    assert told == {"$ terraphi study " + s for s in
-                    ("phi_sensitivity", "k0", "benchmark", "surrogate", "recovery")}  # fmt: skip
-    for command in told:
-        mine = [[what, ours, paper] for what, s, ours, paper in rows if command.endswith(s)]
-        assert sorted(mine) == sorted(printed[command])
+    return printed
+
+
+def test_the_paper_number_by_number_is_what_the_studies_print() -> None:
+    page = DOCS / "explanation" / "paper.md"
+    text = page.read_text(encoding="utf-8")
+    line = r"^\| (.+) \| `(\w+)` \| (.+) \| (.+) \| (.+) \| (.+) \| (.*) \|$"
+    lines = re.findall(line, text, re.M)
+    printed = printed_on(page)
+    by_code = [row for command, rows in printed.items() for row in rows
+               if command == "study prototype" or "paper-code" in command
+               or "prototype" in row[0]]  # fmt: skip
+    for what, _, paper, ours, verdict, code, code_verdict in lines:
+        assert verdict.startswith("yes" if comes_out(ours, paper) else "no"), what
+        if code in ("being computed", "the same"):
+            assert not code_verdict, what
+        else:
+            assert [what.replace(", MPM:", ", prototype:"), code, paper] in by_code
+            assert code_verdict.startswith("yes" if comes_out(code, paper) else "no"), what
+    studies = ("phi_sensitivity", "k0", "benchmark", "surrogate", "recovery")
+    assert {study for _, study, *_ in lines} == set(studies)
+    for study in studies:
+        mine = [[what, ours, paper] for what, s, paper, ours, *_ in lines if s == study]
+        shown = [row for row in printed[f"study {study}"] if "prototype" not in row[0]]
+        assert sorted(mine) == sorted(shown)
 
 
 # -- the pages hang together ---------------------------------------------------------------------

@@ -21,7 +21,7 @@ def test_benchmark_has_every_leg_and_model() -> None:
     found = studies.run("benchmark")
     json.dumps(found.data, allow_nan=False)
     for leg in ("straight", "c", "reversed_c"):
-        assert set(found.data["nrmsd_percent"][leg]) == {"mpm", "rft2d", "rft3d"}
+        assert {"mpm", "rft2d", "rft3d"} <= set(found.data["nrmsd_percent"][leg])
         tops = found.data["peaks"][leg]
         # Signs and orders of magnitude, above all those of the reversed C, whose lift is small.
         for force in ("Fx_N", "Fz_N"):

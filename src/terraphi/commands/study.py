@@ -38,7 +38,7 @@ def study(name: str | None, out: Path | None, as_json: bool, **options: Any) -> 
 
     The paper's own: benchmark, phi_sensitivity, k0, surrogate, recovery, and figures, which draws
     all of them. Of measured sand: measured, prediction. Of the model: calibration, design,
-    reading, sensitivity, resolution, verification.
+    reading, prototype, sensitivity, resolution, verification.
 
     Example: terraphi study recovery --out recovery
     """

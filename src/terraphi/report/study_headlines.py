@@ -100,6 +100,19 @@ def _reading(data: Data) -> str:
     )
 
 
+def _prototype(data: Data) -> str:
+    shares = [
+        100.0 * share
+        for case in data["cases"]
+        if case["model"] == "its code" and case["speed_up"] == 1.0
+        for share in case["share_of_peaks"].values()
+    ]
+    return (
+        f"The contact of the paper's prototype applies {min(shares):.0f} to {max(shares):.0f} % of "
+        "the peak forces that it counts."
+    )
+
+
 def _sensitivity(data: Data) -> str:
     return f"One setting changed at a time, {len(data['groups'])} settings."
 
@@ -136,6 +149,7 @@ _SENTENCES: dict[str, Callable[[Data], str]] = {
     "k0": _k0,
     "surrogate": _surrogate,
     "reading": _reading,
+    "prototype": _prototype,
     "sensitivity": _sensitivity,
     "resolution": _resolution,
     "design": _design,

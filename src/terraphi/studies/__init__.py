@@ -16,8 +16,6 @@ from terraphi.outputs import check_folder, filling
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from terraphi.library import Library
-
 
 class Outline(NamedTuple):
     """What a study looks at, and how long that takes on one core, roughly."""
@@ -55,6 +53,9 @@ STUDIES = {
     "reading": Outline(
         "what the paper's text leaves open, against the forces that it prints", "seconds"
     ),
+    "prototype": Outline(
+        "what the contact of the paper's prototype counts, and what it applies", "seconds"
+    ),
     "sensitivity": Outline(
         "what moves the simulated forces: one setting changed at a time", "seconds"
     ),
@@ -67,7 +68,9 @@ STUDIES = {
 }
 
 PAPER_LIBRARY = "paper"
-"""Library by which the paper's own studies are repeated."""
+"""Library by which the paper's own studies are repeated: the model of its text."""
+PROTOTYPE_LIBRARY = "paper-code"
+"""Library of the contact of the paper's public prototype, which its text does not describe."""
 
 Beside = tuple[str, str, str]
 """A line of a table ``ours | paper``: what, ours, the paper's."""
@@ -178,27 +181,6 @@ def page(
 def capitalised(words: str) -> str:
     """Words with a capital in front, and nothing else changed."""
     return words[:1].upper() + words[1:]
-
-
-def companion(library: str, role: str) -> Library:
-    """The shipped library ``LIBRARY-ROLE``: truths of a library, or one of a pair.
-
-    Raises
-    ------
-    InputError
-        If none of that name is shipped.
-    """
-    from terraphi.documents import shipped_names
-    from terraphi.library import Library
-
-    shipped, ending = shipped_names("libraries", ".nc"), f"-{role}"
-    if library + ending not in shipped:
-        known = [name.removesuffix(ending) for name in shipped if name.endswith(ending)]
-        raise InputError(
-            f"library '{library}': no '{library}{ending}' is shipped, which this study needs; "
-            f"those that have one: {', '.join(known)}"
-        )
-    return Library.load(library + ending)
 
 
 def run(

@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from terraphi.choices import companion
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.library import Case
 from terraphi.plots import BLUE, ORANGE, Curve, comparison_figure
 from terraphi.soil import Soil
-from terraphi.studies import Study, companion
+from terraphi.studies import Study
 from terraphi.studies.benchmark import means_of
 
 LIBRARIES = "k0"

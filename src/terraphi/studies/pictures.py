@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from terraphi.history import WINDOW_DEG, ForceHistory
 from terraphi.inference.posterior import Posterior
-from terraphi.plots import AXIS_LABEL, BLUE, GREEN, GREY, ORANGE, PHI_LABEL, Curve
+from terraphi.plots import AXIS_LABEL, BLUE, GREEN, GREY, ORANGE, PHI_LABEL, PURPLE, Curve
 from terraphi.surrogate import LegSurrogate
 
 if TYPE_CHECKING:
@@ -159,7 +159,56 @@ def legs_figure(legs: Mapping[str, Sequence[Curve]]) -> Figure:
     for row, force in zip(panels, ("Fx", "Fz"), strict=True):
         row[0].set_ylabel(AXIS_LABEL[force])
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    columns = 4 if len(handles) <= 4 else 3
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+    return figure
+
+
+def speeds_figure(cases: Sequence[Mapping[str, Any]], lines: Sequence[Mapping[str, Any]]) -> Figure:
+    """Peak forces over the speed, counted and applied, with lines to no speed.
+
+    Parameters
+    ----------
+    cases
+        ``model`` (empty: not drawn), ``phi_deg``, ``speed_up``, and ``counted_peaks_N`` and
+        ``applied_peaks_N`` by force.
+    lines
+        ``model``, ``phi_deg``, ``kind`` (``counted`` or ``applied``), ``force``, ``peak_N`` at no
+        speed, ``slope_N`` and ``speeds``.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = _figure(8.6, 4.6)
+    panels = figure.subplots(2, 2, sharex=True, sharey="row", squeeze=False)
+    angles = sorted({line["phi_deg"] for line in lines})
+    looks = {
+        ("its code", "counted"): (PURPLE, "o", "-"),
+        ("its code", "applied"): (BLUE, "s", "--"),
+        ("its text", "counted"): (GREEN, "^", ":"),
+    }
+    for line in lines:
+        column = angles.index(line["phi_deg"])
+        axes = panels[("Fz", "Fx").index(line["force"]), column]
+        colour, mark, style = looks[line["model"], line["kind"]]
+        of = [c for c in cases if all(c[key] == line[key] for key in ("model", "phi_deg"))]
+        peaks = [case[f"{line['kind']}_peaks_N"][line["force"]] for case in of]
+        reach = np.array([0.0, max(line["speeds"])])
+        axes.plot(reach, line["peak_N"] + line["slope_N"] * reach, style, color=colour, lw=1.2)
+        label = f"{line['model']}, {line['kind']}" if line["model"] == "its code" else line["model"]
+        speeds = [case["speed_up"] for case in of]
+        axes.plot(speeds, peaks, mark, color=colour, label=label, ms=5)
+        axes.set_title(f"φ = {line['phi_deg']:g}°" if line["force"] == "Fz" else "", fontsize=10)
+    for row, name in zip(panels, ("z", "x"), strict=True):
+        row[0].set_ylabel(f"peak $F_{name}$ [N]")
+        for axes in row:
+            axes.set_ylim(bottom=0.0)
+            axes.grid(color=GREY, alpha=0.2, lw=0.6)
+    for axes in panels[-1]:
+        axes.set_xlabel("speed k, in multiples of the paper's")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 

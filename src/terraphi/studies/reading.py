@@ -21,7 +21,7 @@ import numpy as np
 from terraphi.build import failed_cases
 from terraphi.documents import shipped_folder
 from terraphi.errors import InputError
-from terraphi.history import ForceHistory
+from terraphi.history import ForceHistory, Peaks
 from terraphi.plan import BASE, Plan
 from terraphi.plots import readings_figure
 from terraphi.studies import Study, page
@@ -237,11 +237,6 @@ def engagement_deg(history: ForceHistory) -> float:
 
 def _measured(name: str, pair: Mapping[float, ForceHistory]) -> dict[str, Any]:
     peaks = {phi: history.peaks() for phi, history in pair.items()}
-    errors = [
-        getattr(peaks[phi], force) / value - 1.0
-        for phi, values in PAPER_PEAKS_N.items()
-        for force, value in values.items()
-    ]
     return {
         "reading": name,
         "peaks_N": {phi: {"Fz": p.Fz, "Fx": p.Fx} for phi, p in peaks.items()},
@@ -249,8 +244,24 @@ def _measured(name: str, pair: Mapping[float, ForceHistory]) -> dict[str, Any]:
             phi: {"Fz": p.theta_Fz_deg, "Fx": p.theta_Fx_deg} for phi, p in peaks.items()
         },
         "engagement_deg": engagement_deg(pair[ENDS_DEG[-1]]),
-        "off_by_percent": 100.0 * float(np.sqrt(np.mean(np.square(errors)))),
+        "off_by_percent": off_by_percent(peaks),
     }
+
+
+def off_by_percent(peaks: Mapping[float, Peaks]) -> float:
+    """Root mean square of the relative errors of the four peaks that the paper prints [%].
+
+    Parameters
+    ----------
+    peaks
+        By φ [deg], those of :data:`PAPER_PEAKS_N`.
+    """
+    errors = [
+        getattr(peaks[phi], force) / value - 1.0
+        for phi, values in PAPER_PEAKS_N.items()
+        for force, value in values.items()
+    ]
+    return 100.0 * float(np.sqrt(np.mean(np.square(errors))))
 
 
 # -- what people see -------------------------------------------------------------------------------

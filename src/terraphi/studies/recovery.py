@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.choices import companion
 from terraphi.errors import InputError
 from terraphi.history import ForceHistory
 from terraphi.inference.inversion import Inversion, invert
@@ -20,7 +21,7 @@ from terraphi.inference.posterior import ensemble, tabulated
 from terraphi.inference.residual import PaperLikelihood
 from terraphi.library import Library
 from terraphi.plots import recovery_figure
-from terraphi.studies import PAPER_LIBRARY, Beside, Study, companion
+from terraphi.studies import PAPER_LIBRARY, Beside, Study
 from terraphi.studies.pictures import Walkers, walkers_figure
 from terraphi.surrogate import LegSurrogate
 

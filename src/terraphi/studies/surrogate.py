@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.choices import companion
 from terraphi.errors import InputError
 from terraphi.inference.residual import residual_autocorrelation, residual_correlation_length_deg
 from terraphi.library import Curves, Library
-from terraphi.studies import PAPER_LIBRARY, Beside, Study, companion
+from terraphi.studies import PAPER_LIBRARY, Beside, Study
 from terraphi.studies.pictures import autocorrelation_figure, slices_figure, surfaces_figure
 from terraphi.surrogate import LegSurrogate
 
