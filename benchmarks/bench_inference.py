@@ -10,7 +10,7 @@ import statistics
 import time
 
 from terraphi.inference.inversion import invert
-from terraphi.library import Library
+from terraphi.library.store import Library
 
 LIBRARY = "quick-plane-strain"
 POSTERIORS = 14

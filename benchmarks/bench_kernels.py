@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm import lanes, packets, scalar
 from terraphi.forward.mpm.bed import Particles, empty_grid, geostatic_bed
 from terraphi.forward.mpm.compiled import register_use
@@ -23,7 +24,6 @@ from terraphi.forward.mpm.relief import fading_of
 from terraphi.forward.mpm.scalar import empty_audit, empty_reaction, stepping_of
 from terraphi.forward.mpm.solver import path_of_steps
 from terraphi.forward.mpm.sweep import laws_of
-from terraphi.scenario import Scenario
 
 
 def main() -> None:

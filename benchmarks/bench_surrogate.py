@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import qmc
 from threadpoolctl import threadpool_limits
 
-from terraphi.design_surrogate import DesignGP
+from terraphi.surrogate.design import DesignGP
 
 FloatArray = NDArray[np.float64]
 

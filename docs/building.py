@@ -9,8 +9,8 @@ from typing import Any
 from docutils.utils.math import latex2mathml
 from sphinx_gallery.scrapers import figure_rst
 
-from terraphi.files import replacing
-from terraphi.keys import DOCUMENTS, markdown
+from terraphi.experiment.files import replacing
+from terraphi.view.keys import DOCUMENTS, markdown
 
 HERE = Path(__file__).parent
 

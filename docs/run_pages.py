@@ -304,7 +304,7 @@ def _shell(command: str) -> tuple[int, list[str]]:
 
 def _terraphi(words: list[str]) -> tuple[int, list[str]]:
     """Run our own command here, which saves the time to start Python."""
-    from terraphi.cli import main
+    from terraphi.cli.main import main
 
     out, before, status = io.StringIO(), sys.argv, 0
     sys.argv = words

@@ -49,7 +49,7 @@ def main() -> None:
         browser.close()
 
 
-COMMAND = [sys.executable, "-c", "from terraphi.cli import main; main()"]
+COMMAND = [sys.executable, "-c", "from terraphi.cli.main import main; main()"]
 
 
 def terraphi(*words: str) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Polygon, Rectangle
 
-from terraphi.leg import Leg, LegShape, frame_axes
-from terraphi.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, save
+from terraphi.experiment.leg import Leg, LegShape, frame_axes
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, save
 
 FILE = Path(__file__).parent / "how-to" / "leg.png"
 HIP_MM, REACH_MM = 20.0, 105.0

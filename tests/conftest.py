@@ -37,8 +37,8 @@ class Ran(NamedTuple):
 def _as_loud_as_at_first() -> Iterator[None]:
     """What one test asks to be told, another does not."""
     yield
-    if "terraphi.console" in sys.modules:
-        sys.modules["terraphi.console"].listen()
+    if "terraphi.view.console" in sys.modules:
+        sys.modules["terraphi.view.console"].listen()
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def terraphi(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> Callable[..., Ran]:
     """Run a command in an empty folder, in this process."""
-    from terraphi.cli import main
+    from terraphi.cli.main import main
 
     monkeypatch.chdir(tmp_path)
 

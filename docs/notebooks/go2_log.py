@@ -18,8 +18,8 @@ from go2.sensors import Sensors, realistic_log
 from go2.walk import Walk
 
 from terraphi.robot.joint_log import FEET
-from terraphi.robot.plots import forces_figure, stance_figure
 from terraphi.robot.results import analyse
+from terraphi.view.robot_plots import forces_figure, stance_figure
 
 truth = Walk(duration=4.0).run()
 log = realistic_log(truth, Sensors(), seed=0)

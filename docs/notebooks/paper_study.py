@@ -17,7 +17,7 @@ and at its speed.
 import numpy as np
 
 import terraphi
-from terraphi import studies
+import terraphi_studies as studies
 
 library = terraphi.Library.load("paper")
 curves = library.curves("straight")
@@ -41,7 +41,7 @@ for what, ours, paper in sensitivity.beside_paper:
 # Two Gaussian processes, one a force, over friction angle and leg angle. Between the library's
 # angles they give a curve:
 
-from terraphi.surrogate import LegSurrogate
+from terraphi.surrogate.paper import LegSurrogate
 
 surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
 between = surrogate.predict([33.3])[0]
@@ -94,8 +94,8 @@ for name, found in (("paper", answers), ("calibrated", calibrated)):
 #
 # Yuma sand, as Li, Zhang & Goldman measured it.
 
-from terraphi.measurements import measurement
-from terraphi.plots import inversions_figure
+from terraphi.experiment.measurements import measurement
+from terraphi.view.plots import inversions_figure
 
 yuma = measurement("li2013:yuma/straight")
 answer = terraphi.invert(

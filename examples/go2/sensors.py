@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from go2.walk import RATE, Recording, Walk
-from terraphi.files import write_netcdf
+from terraphi.experiment.files import write_netcdf
 from terraphi.robot.joint_log import FEET, JointLog
 
 FloatArray = NDArray[np.float64]

@@ -6,36 +6,34 @@ The public names are loaded when first used, so that ``import terraphi`` costs n
 from __future__ import annotations
 
 import importlib
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from terraphi.build import build
-    from terraphi.errors import InputError, SimulationError
+    from terraphi.experiment.errors import InputError, SimulationError
+    from terraphi.experiment.history import ForceHistory
+    from terraphi.experiment.leg import Leg
+    from terraphi.experiment.motion import Rotation, Translation
+    from terraphi.experiment.scenario import Scenario
+    from terraphi.experiment.soil import Soil
     from terraphi.forward import simulate
-    from terraphi.history import ForceHistory
     from terraphi.inference.inversion import Inversion, invert
-    from terraphi.leg import Leg
-    from terraphi.library import Library
-    from terraphi.motion import Rotation, Translation
-    from terraphi.plan import Plan
-    from terraphi.scenario import Scenario
-    from terraphi.soil import Soil
+    from terraphi.library.build import build
+    from terraphi.library.plan import Plan
+    from terraphi.library.store import Library
 
 _HOMES = {
-    "ForceHistory": "history",
-    "InputError": "errors",
+    "ForceHistory": "experiment.history",
+    "InputError": "experiment.errors",
     "Inversion": "inference.inversion",
-    "Leg": "leg",
-    "Library": "library",
-    "Plan": "plan",
-    "Rotation": "motion",
-    "Scenario": "scenario",
-    "SimulationError": "errors",
-    "Soil": "soil",
-    "Translation": "motion",
-    "build": "build",
+    "Leg": "experiment.leg",
+    "Library": "library.store",
+    "Plan": "library.plan",
+    "Rotation": "experiment.motion",
+    "Scenario": "experiment.scenario",
+    "SimulationError": "experiment.errors",
+    "Soil": "experiment.soil",
+    "Translation": "experiment.motion",
+    "build": "library.build",
     "invert": "inference.inversion",
     "simulate": "forward",
 }
@@ -56,19 +54,6 @@ __all__ = [
     "invert",
     "simulate",
 ]
-
-
-class _Face(ModuleType):
-    """The package itself, in which a public name never gives way to the module it lives in."""
-
-    def __setattr__(self, name: str, value: object) -> None:
-        # Python binds a module to its package when it is loaded: `terraphi.build` would be the
-        # function at first and the module from then on.
-        if not (name in _HOMES and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Face
 
 
 def __getattr__(name: str) -> Any:

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from terraphi import forward
-from terraphi.errors import InputError
-from terraphi.history import ForceHistory
-from terraphi.motion import Rotation, Translation, bin_centres
-from terraphi.scenario import Scenario
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.motion import Rotation, Translation, bin_centres
+from terraphi.experiment.scenario import Scenario
 
 RFT = Scenario.model_validate({"name": "a", "model": "rft", "numerics": {"seed": 7}})
 
@@ -70,7 +70,7 @@ def test_version_of_a_package_that_is_not_installed(monkeypatch: pytest.MonkeyPa
 def test_asking_for_versions_compiles_nothing() -> None:
     code = (
         "import sys; from terraphi.forward import model_version, software; "
-        "from terraphi.scenario import Scenario; "
+        "from terraphi.experiment.scenario import Scenario; "
         "assert model_version(Scenario()) == 'mpm-1'; software(Scenario()); "
         "print('numba' in sys.modules)"
     )

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terraphi.errors import InputError
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import reference_rft
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward import rft
-from terraphi.history import ForceHistory
-from terraphi.measurements import reference_rft
-from terraphi.scenario import Scenario
 
 ANGLES = st.floats(-math.pi, math.pi)
 COSINES = st.floats(-1.0, 1.0)

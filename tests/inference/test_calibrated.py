@@ -8,15 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from terraphi.errors import InputError
-from terraphi.history import ForceHistory
-from terraphi.inference.calibrated import CalibratedLikelihood
-from terraphi.inference.covariance import covariance_terms
-from terraphi.inference.hypotheses import Problem, gaussian_parts
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.inference.budget import covariance_terms
+from terraphi.inference.calibrated import CalibratedLikelihood, Problem, gaussian_parts
 from terraphi.inference.inversion import invert
-from terraphi.inference.library import PreparedLeg, prepare
 from terraphi.inference.noise import Noise, window_covariance
-from terraphi.library import Library
+from terraphi.inference.prepared_leg import PreparedLeg, prepare
+from terraphi.library.store import Library
 
 NAME = "quick-plane-strain"
 
@@ -234,7 +233,7 @@ def test_noise_of_a_long_record_is_reckoned_in_parts(
 
 def test_decompositions_that_are_kept_are_few() -> None:
     """Each is some 100 MB, and records with other readings need other ones."""
-    from terraphi.inference import library as legs
+    from terraphi.inference import prepared_leg as legs
 
     prepared = legs.prepare(Library.load("rft3d"), "straight")
     shapes = [(1.0 + 0.1 * i) * np.eye(prepared.mean.shape[1]) for i in range(5)]

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terraphi.choices import legs_of
-from terraphi.errors import InputError
-from terraphi.inference.certificate import certified, with_replicates
-from terraphi.inference.library import prepare
-from terraphi.library import Case, Library
+from terraphi.experiment.errors import InputError
+from terraphi.inference.coverage import certified, with_replicates
+from terraphi.inference.prepared_leg import prepare
+from terraphi.library.shipped import legs_of
+from terraphi.library.store import Case, Library
 
 NAME = "k4-plane-strain"
 

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from terraphi.errors import InputError
-from terraphi.history import ForceHistory
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import measurement
 from terraphi.inference.defects import inspect_record, touches_soil_deg
 from terraphi.inference.inversion import invert
 from terraphi.inference.joint.inversion import invert_jointly
 from terraphi.inference.joint.trials import Trial
-from terraphi.library import Library
-from terraphi.measurements import measurement
+from terraphi.library.store import Library
 
 RNG = np.random.default_rng(3)
 IN_AIR = (-88.0, 120.0)

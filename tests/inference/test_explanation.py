@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from terraphi.history import ForceHistory
-from terraphi.inference.explanation import SLIPS, Explanation, explain
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import measurement
 from terraphi.inference.inversion import invert
-from terraphi.library import Library
-from terraphi.measurements import measurement
+from terraphi.inference.verdict import SLIPS, Explanation, explain
+from terraphi.library.store import Library
 
 THETA = np.linspace(-85.0, 85.0, 40)
 PHI = np.linspace(20.0, 40.0, 81)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import norm, truncnorm
 
-from terraphi.inference.information import (
+from terraphi.inference.budget import (
     information_gain_bits,
     information_share,
     share_without_force,
     without_force,
 )
+from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import ensemble, quadrature, tabulated
-from terraphi.inference.residual import PaperLikelihood
 
 THETA = np.linspace(-85.0, 85.0, 12)
 DATA = np.r_[9.0 * np.exp(-((THETA / 40.0) ** 2)), 7.0 * np.exp(-(((THETA + 40.0) / 30.0) ** 2))]

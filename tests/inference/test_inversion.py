@@ -9,14 +9,14 @@ import arviz
 import numpy as np
 import pytest
 
-from terraphi.errors import InputError
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import measurement
+from terraphi.experiment.scenario import Scenario
+from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward import simulate
-from terraphi.history import ForceHistory
 from terraphi.inference.inversion import AngleSummary, Inversion, invert, plane_strain_summary
-from terraphi.library import Library
-from terraphi.measurements import measurement
-from terraphi.scenario import Scenario
-from terraphi.soil import plane_strain_friction_angle_deg
+from terraphi.library.store import Library
 
 PHI_DEG = 31.3
 

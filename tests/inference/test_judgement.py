@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from terraphi.inference.explanation import Explanation
 from terraphi.inference.fit import Fit
-from terraphi.inference.judgement import (
+from terraphi.inference.posterior import Posterior, ensemble, quadrature, tabulated
+from terraphi.inference.verdict import (
     EDGE_DENSITY,
+    Explanation,
+    Verdict,
     edge_densities,
     judge_calibrated,
     uninformed,
 )
-from terraphi.inference.posterior import Posterior, ensemble, quadrature, tabulated
-from terraphi.inference.verdict import Verdict
 
 BOUNDS = (15.0, 50.0)
 GOOD = Fit(30.0, 0.1, 80.0, 79, 0.45, -1.0, 0.04, 15.0)

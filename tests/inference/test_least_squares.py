@@ -7,11 +7,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from terraphi.inference import least_squares
+from terraphi.experiment.measurements import Measurement, measurement, names
+from terraphi.inference import calibrated as least_squares
 from terraphi.inference.inversion import Inversion, invert
-from terraphi.inference.library import PreparedLeg, prepare
-from terraphi.library import Library
-from terraphi.measurements import Measurement, measurement, names
+from terraphi.inference.prepared_leg import PreparedLeg, prepare
+from terraphi.library.store import Library
 
 FloatArray = NDArray[np.float64]
 LIBRARIES = ("quick-plane-strain", "rft3d")

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from terraphi import simulate
-from terraphi.history import ForceHistory
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.scenario import Scenario
 from terraphi.inference import calibrated
+from terraphi.inference.calibrated import spline_minimum
 from terraphi.inference.fit import LARGEST_ODDS
-from terraphi.inference.hypotheses import spline_minimum
 from terraphi.inference.inversion import invert
-from terraphi.inference.library import NODES
-from terraphi.library import Library
-from terraphi.scenario import Scenario
+from terraphi.inference.prepared_leg import NODES
+from terraphi.library.store import Library
 
 
 def test_least_values_of_splines_between_their_knots() -> None:

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
+from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import LogLikelihood, ensemble, quadrature
-from terraphi.inference.residual import PaperLikelihood
 
 FloatArray = NDArray[np.float64]
 

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from terraphi.history import ForceHistory
+from terraphi.experiment.history import ForceHistory
 from terraphi.inference.inversion import invert
-from terraphi.inference.library import prepare
-from terraphi.inference.reading import learn_reading, nothing_open, reading_errors
-from terraphi.library import Library
+from terraphi.inference.prepared_leg import learn_reading, nothing_open, prepare, reading_errors
+from terraphi.library.store import Library
 
 RIPPLE = 1.25
 """Period of a made-up ripple [deg]."""

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from terraphi.inference import registration
+from terraphi.inference import calibrated as registration
 from terraphi.inference.inversion import invert
-from terraphi.library import Library
+from terraphi.library.store import Library
 
 THETA = np.linspace(-85.0, 85.0, 40)
 WIDTH = THETA[1] - THETA[0]

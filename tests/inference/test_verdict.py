@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from terraphi.inference.explanation import Explanation
 from terraphi.inference.posterior import Posterior, quadrature
-from terraphi.inference.verdict import Verdict, judge, nrmsd
+from terraphi.inference.verdict import Explanation, Verdict, judge, nrmsd
 
 FloatArray = NDArray[np.float64]
 

@@ -7,13 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terraphi.robot.dynamics import (
-    BodyMotion,
-    gravity_torque,
-    inverse_dynamics,
-    mass_matrix,
-    moved,
-)
+from terraphi.robot.dynamics import BodyMotion, gravity_torque, inverse_dynamics, mass_matrix, moved
 from terraphi.robot.joint_log import FEET, JOINTS
 from terraphi.robot.kinematics import rotation
 from terraphi.robot.model import Quadruped

@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terraphi.errors import InputError
-from terraphi.robot import forces, residual
+from terraphi.experiment.errors import InputError
+from terraphi.robot import estimators as residual
+from terraphi.robot import forces
 from terraphi.robot.dynamics import GRAVITY, gravity_torque
 from terraphi.robot.forces import estimate
 from terraphi.robot.friction import one_way

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from terraphi.robot.joint_log import FEET, JOINTS
-from terraphi.robot.joint_names import JOINT_NAMES, joint_place
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terraphi.errors import InputError
+from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.logs import (
     jointstate,
@@ -26,7 +26,7 @@ from terraphi.robot.logs import (
     write_rosbag2,
 )
 from terraphi.robot.logs.clock import increasing, seconds
-from terraphi.robot.logs.joints import NAMES, joint_order
+from terraphi.robot.logs.jointstate import NAMES, joint_order
 from terraphi.robot.logs.writers import typestore
 
 stream_reader = pytest.importorskip("mcap.stream_reader")

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terraphi.errors import InputError
+from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.logs import read_log, write_csv, write_mcap, write_npz, write_rosbag2
 

@@ -28,7 +28,7 @@ from terraphi.robot.logs import (
     write_rosbag2,
 )
 from terraphi.robot.logs.cdr import layout
-from terraphi.robot.logs.joints import NAMES
+from terraphi.robot.logs.jointstate import NAMES
 from terraphi.robot.logs.writers import EPOCH_NS, typestore
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import analyse

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terraphi.errors import InputError
-from terraphi.robot.joint_log import FEET
-from terraphi.robot.joint_names import JOINT_NAMES
+from terraphi.experiment.errors import InputError
+from terraphi.robot.joint_log import FEET, JOINT_NAMES
 from terraphi.robot.model import Quadruped
 
 SMALL = """

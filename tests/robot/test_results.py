@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from terraphi.errors import InputError
-from terraphi.robot import plots
+from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.kinematics import jacobian
 from terraphi.robot.logs import write_npz
 from terraphi.robot.model import Quadruped
-from terraphi.robot.results import RobotForces, analyse
-from terraphi.robot.results_file import read_stances, write_forces
+from terraphi.robot.results import RobotForces, analyse, read_stances, write_forces
+from terraphi.view import robot_plots as plots
 
 STEP, PERIOD = 0.002, 0.4
 KEYS = {"samples", "duration_s", "rate_hz", "dropped", "feet", "pooled", "estimator", "frame"}

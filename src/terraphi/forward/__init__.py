@@ -15,11 +15,11 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol
 
-from terraphi.errors import InputError
-from terraphi.forecast import refuse_what_cannot_fit
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.scenario import Scenario
+from terraphi.forward.forecast import refuse_what_cannot_fit
 from terraphi.forward.watch import Checkpoint, Observer, Snapshot
-from terraphi.history import ForceHistory
-from terraphi.scenario import Scenario
 
 __all__ = [
     "MODEL_VERSIONS",

@@ -32,12 +32,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.errors import InputError
-from terraphi.history import ForceHistory
-from terraphi.leg import Leg, frame_axes
-from terraphi.motion import Poses, bin_centres
-from terraphi.scenario import Scenario
-from terraphi.setting import GRAVITY
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.leg import Leg, frame_axes
+from terraphi.experiment.motion import Poses, bin_centres
+from terraphi.experiment.scenario import GRAVITY, Scenario
 
 FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)

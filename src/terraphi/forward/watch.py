@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from terraphi.motion import Poses
-from terraphi.scenario import Scenario
+from terraphi.experiment.motion import Poses
+from terraphi.experiment.scenario import Scenario
 
 if TYPE_CHECKING:
     from terraphi.forward.mpm.bed import Particles
@@ -52,7 +52,7 @@ class Checkpoint:
         """Files under a temporary name that were never finished."""
         if not self.path.parent.is_dir():
             return []
-        # As terraphi.files.replacing names them, and not what an editor keeps beside the file.
+        # As files.replacing names them, and not what an editor keeps beside the file.
         name, suffix = re.escape(self.path.name), re.escape(self.path.suffix)
         ours = re.compile(rf"\.{name}\.[a-z0-9_]{{8}}{suffix}")
         return [file for file in self.path.parent.iterdir() if ours.fullmatch(file.name)]

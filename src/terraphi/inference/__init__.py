@@ -12,13 +12,13 @@ from terraphi.inference.convergence import (
     median_standard_error,
     split_rhat,
 )
-from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature
-from terraphi.inference.residual import (
+from terraphi.inference.paper_likelihood import (
     Likelihood,
     PaperLikelihood,
     peak_to_peak,
     residual_correlation_length_deg,
 )
+from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature
 from terraphi.inference.verdict import Verdict, judge, nrmsd
 
 __all__ = [

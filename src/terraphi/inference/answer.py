@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.errors import InputError
-from terraphi.files import write_netcdf
-from terraphi.history import Observation
-from terraphi.inference.covariance import Budget
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import write_netcdf
+from terraphi.experiment.history import Observation
+from terraphi.experiment.scenario import Scenario
+from terraphi.experiment.soil import plane_strain_friction_angle_deg
+from terraphi.inference.budget import Budget
 from terraphi.inference.posterior import Posterior
 from terraphi.inference.verdict import Verdict
-from terraphi.scenario import Scenario
-from terraphi.soil import plane_strain_friction_angle_deg
 
 __all__ = ["AngleSummary", "Inversion", "plane_strain_summary"]
 

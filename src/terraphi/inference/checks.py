@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from terraphi.errors import InputError
-from terraphi.history import ForceHistory, Observation
-from terraphi.scenario import Scenario
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory, Observation
+from terraphi.experiment.scenario import Scenario
 
 DENSITIES = (100.0, 10000.0)
 """Bulk densities that are accepted [kg/m³]; 1.6 is one in g/cm³."""

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.errors import InputError
-from terraphi.history import WINDOW_DEG, ForceHistory
-from terraphi.library import Library
-from terraphi.readings import WIDEST_GAP_DEG
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import WIDEST_GAP_DEG, WINDOW_DEG, ForceHistory
+from terraphi.library.store import Library
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference.hypotheses import (
+from terraphi.inference.calibrated import (
     AMPLITUDES,
     LENGTHS_DEG,
     Hypotheses,
@@ -23,7 +23,7 @@ from terraphi.inference.hypotheses import (
     gaussian_parts,
     log_sum,
 )
-from terraphi.inference.library import single_threaded
+from terraphi.inference.prepared_leg import single_threaded
 
 FloatArray = NDArray[np.float64]
 

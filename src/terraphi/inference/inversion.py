@@ -13,26 +13,23 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.choices import there_to_try_others
-from terraphi.errors import InputError, nearest
-from terraphi.history import ForceHistory, Observation
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.history import ForceHistory, Observation
+from terraphi.experiment.scenario import Scenario
 from terraphi.inference.answer import AngleSummary, Inversion, plane_strain_summary
-from terraphi.inference.calibrated import CalibratedLikelihood
+from terraphi.inference.budget import Budget, budget_of
+from terraphi.inference.calibrated import CalibratedLikelihood, Problem
 from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
-from terraphi.inference.covariance import Budget, budget_of
 from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
-from terraphi.inference.explanation import explain
 from terraphi.inference.fit import Fit, fit_without_discrepancy
-from terraphi.inference.hypotheses import Problem
-from terraphi.inference.judgement import judge_calibrated, uninformed
-from terraphi.inference.library import prepare, single_threaded
 from terraphi.inference.noise import Noise, shape_of, window_covariance
+from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature, tabulated
-from terraphi.inference.residual import PaperLikelihood
-from terraphi.inference.verdict import Verdict, judge, nrmsd
-from terraphi.library import Library
-from terraphi.scenario import Scenario
-from terraphi.surrogate import LegSurrogate
+from terraphi.inference.prepared_leg import prepare, single_threaded
+from terraphi.inference.verdict import Verdict, explain, judge, judge_calibrated, nrmsd, uninformed
+from terraphi.library.shipped import there_to_try_others
+from terraphi.library.store import Library
+from terraphi.surrogate.paper import LegSurrogate
 
 __all__ = [
     "DISCREPANCIES",

@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from terraphi.documents import parse_toml
-from terraphi.errors import InputError
-from terraphi.files import is_there, plain_number
-from terraphi.history import WINDOW_DEG, ForceHistory
-from terraphi.readings import is_read_again, shares
+from terraphi.experiment.documents import parse_toml
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import is_there, plain_number
+from terraphi.experiment.history import WINDOW_DEG, ForceHistory, is_read_again, shares
 
 FloatArray = NDArray[np.float64]
 

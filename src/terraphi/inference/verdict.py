@@ -3,20 +3,29 @@
 An inversion always returns an angle. It means little if the model cannot reproduce the forces at
 any angle, or if the angle lies beyond those the library holds and the posterior piles up at an
 edge; the verdict says so instead of letting the edge pass for an answer.
+
+What would explain a record that no friction angle of a library fits.
+
+A slip of the person who recorded it (columns exchanged, a sign turned, another unit, the path read
+backwards), or a friction angle beyond the library's end. Each is tried on the library's own curves,
+and counts only if it explains the record far better than any angle does as it stands. A record
+that neither explains is one that the model does not describe; a wider library would not help.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from terraphi.inference.explanation import Explanation
+from terraphi.inference.budget import information_gain_bits
+from terraphi.inference.calibrated import AMPLITUDES
+from terraphi.inference.fit import LARGEST_ODDS, SMALLEST_PROBABILITY, Fit
+from terraphi.inference.paper_likelihood import peak_to_peak
 from terraphi.inference.posterior import Posterior
-from terraphi.inference.residual import peak_to_peak
 
 __all__ = ["Verdict", "judge", "nrmsd"]
 
@@ -168,3 +177,250 @@ def _describe_misfit(residual_nrmsd: Mapping[str, float], limit: float) -> str |
 
 def _percent(fraction: float) -> str:
     return f"{100.0 * fraction:.1f} %"
+
+
+EDGE_DENSITY = float(np.exp(-2.0))
+"""Density at an edge, over the largest, above which the posterior is cut off: that of a normal
+distribution two standard deviations from its mean [-]."""
+AT_EDGE = 0.9
+"""The same, above which the posterior counts as being at the edge, and a misfit as its sign [-]."""
+EDGE_WIDTH = 1e-3
+"""Width over which it is taken, of the library's span [-]."""
+UNINFORMED_BITS = 0.1
+"""Information below which a posterior is hardly the forces' doing: a range smaller by 7 % has that
+much."""
+
+
+def judge_calibrated(
+    posterior: Posterior,
+    fit: Fit,
+    *,
+    residual_nrmsd: Mapping[str, float],
+    convention: str,
+    explanation: Explanation,
+) -> Verdict:
+    """Judge an inversion: by whether an edge cuts the posterior off, and by the fit.
+
+    A misfit if the best fit without a discrepancy is not one that scatter and noise explain: a
+    wider library would not help. But out of range if an angle beyond the library's end would
+    explain the forces, or if they fit and the density at an edge is not small. Else consistent.
+
+    Parameters
+    ----------
+    posterior
+        Posterior of the friction angle.
+    fit
+        The best fit without a discrepancy.
+    residual_nrmsd
+        Deviation of the model at the median from the data, by force, fractions [-].
+    convention
+        What the friction angle means.
+    explanation
+        What would explain forces that do not fit.
+    """
+    densities = edge_densities(posterior)
+    cut = max(densities) > EDGE_DENSITY
+    clause = _misfit(fit, residual_nrmsd) if fit.misfit else ""
+    at_low, edge = _edge(posterior, densities, convention)
+    limit = AT_EDGE if clause else EDGE_DENSITY
+    beyond = not clause or explanation.beyond == ("low" if at_low else "high")
+    if max(densities) > limit and beyond:
+        reason = (
+            f"The posterior is cut off by the {edge} (limit {limit:.0%}), so the friction "
+            f"angle may lie {'below' if at_low else 'above'} it"
+        )
+        reason += f"; moreover, {clause}." if clause else "."
+        return Verdict("out_of_range", "low" if at_low else "high", reason)
+    if clause:
+        reach = f"; the posterior reaches the {edge}" if cut else ""
+        question = f" {explanation.question}" if explanation.question else ""
+        return Verdict("misfit", None, f"No friction angle fits: {clause}{reach}.{question}")
+    return Verdict(
+        "consistent",
+        None,
+        f"Scatter and noise explain the residual: its chi-square is {fit.chi2:.0f} with "
+        f"{fit.freedom} degrees of freedom (probability {fit.probability:.2f}, limit "
+        f"{SMALLEST_PROBABILITY:g}), and the odds of a model discrepancy are "
+        f"{_odds_in_words(fit.log10_odds)} (limit {LARGEST_ODDS:.0f}:1).",
+    )
+
+
+def uninformed(posterior: Posterior) -> list[str]:
+    """A remark if the forces left the friction angle about as unknown as the library has it.
+
+    Parameters
+    ----------
+    posterior
+        Posterior under a uniform prior.
+    """
+    gain = information_gain_bits(posterior)
+    if gain >= UNINFORMED_BITS:
+        return []
+    remark = (
+        f"These forces hardly tell φ: they add {gain:.2f} bits to a uniform prior over the library "
+        f"(limit {UNINFORMED_BITS:g}), so that the median is not theirs."
+    )
+    return [remark]
+
+
+def _edge(
+    posterior: Posterior, densities: tuple[float, float], convention: str
+) -> tuple[bool, str]:
+    """Whether the edge of more density is the lower one, and the edge in words."""
+    at_low = densities[0] >= densities[1]
+    edge = posterior.bounds_deg[0 if at_low else 1]
+    return at_low, (
+        f"{'lower' if at_low else 'upper'} edge of the library at {edge:g}° ({convention}), where "
+        f"its density is {max(densities):.0%} of its largest"
+    )
+
+
+def edge_densities(posterior: Posterior) -> tuple[float, float]:
+    """Density next to the lower and the upper edge, over the largest [-]."""
+    low, high = posterior.bounds_deg
+    if posterior.density is not None:
+        top = float(posterior.density.max())
+        return float(posterior.density[0]) / top, float(posterior.density[-1]) / top
+    # Of draws, in bins a fifth of the 68 % interval wide.
+    first, last = posterior.interval(0.68)
+    width = max((last - first) / 5.0, EDGE_WIDTH * (high - low))
+    counts, _ = np.histogram(posterior.phi_deg, bins=np.arange(low, high + width, width))
+    below, above = posterior.mass(low, low + width), posterior.mass(high - width, high)
+    top = float(counts.max()) / posterior.phi_deg.size
+    return min(below / top, 1.0), min(above / top, 1.0)
+
+
+def _misfit(fit: Fit, residual_nrmsd: Mapping[str, float]) -> str:
+    """A clause on the misfit, with the numbers."""
+    clauses = []
+    if fit.probability < SMALLEST_PROBABILITY:
+        clauses.append(
+            f"without a discrepancy the residual of the best fit, at {fit.phi_deg:.1f}°, is "
+            f"{np.sqrt(fit.chi2 / fit.freedom):.1f} times what scatter and noise allow "
+            f"(chi-square {fit.chi2:.0f} with {fit.freedom} degrees of freedom)"
+        )
+    if fit.log10_odds > np.log10(LARGEST_ODDS):
+        clauses.append(
+            f"the residual follows the leg angle as noise does not: the odds of a model "
+            f"discrepancy of {_amplitude(fit.amplitude)} of the peak-to-peak are "
+            f"{_odds_in_words(fit.log10_odds)} (limit {LARGEST_ODDS:.0f}:1)"
+        )
+    deviations = " and ".join(
+        f"{100 * residual_nrmsd[name]:.1f} % ({name})" for name in ("Fx", "Fz")
+    )
+    clauses.append(
+        f"at the median the model deviates from the forces by {deviations} of their peak-to-peak"
+    )
+    return ", and ".join(clauses)
+
+
+def _amplitude(amplitude: float) -> str:
+    """Amplitude in words; the largest that was tried stands for all beyond it."""
+    if amplitude >= AMPLITUDES[-1]:
+        return f"{AMPLITUDES[-1]:.0%} or more"
+    return f"about {amplitude:.0%}"
+
+
+def _odds_in_words(log10_odds: float) -> str:
+    """Odds in words."""
+    if log10_odds > 4.0:
+        return f"1e{log10_odds:.0f}:1"
+    if log10_odds >= 0.0:
+        return f"{10.0**log10_odds:.0f}:1"
+    return f"1:{10.0 ** min(-log10_odds, 6.0):.0f}"
+
+
+FloatArray = NDArray[np.float64]
+
+BETTER = 0.5
+"""Deviation that is left, over that before, up to which an explanation counts [-]."""
+CLOSE = 0.3
+"""Deviation that is left, of peak-to-peak, up to which a slip counts [-]."""
+CLOSE_BEYOND = 0.1
+"""The same of an angle beyond the library's end [-]."""
+FURTHEST_DEG = 15.0
+"""How far beyond the library's end an angle is looked for [deg]."""
+
+
+def _each(x: float, z: float) -> Callable[[FloatArray], FloatArray]:
+    return lambda forces: forces * np.array([[x], [z]])
+
+
+SLIPS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "Are Fx and Fz exchanged?": lambda forces: forces[::-1],
+    "Is the sign of Fx turned? It points forward, as a force on the leg.": _each(-1.0, 1.0),
+    "Is the sign of Fz turned? It points up, as a force on the leg.": _each(1.0, -1.0),
+    "Are these the forces of the leg on the soil? Those on the leg are meant.": _each(-1.0, -1.0),
+    "Does theta run backwards? It grows as the leg moves.": lambda forces: forces[:, ::-1],
+    "Are the forces in pounds-force? Newtons are meant.": _each(4.4482216, 4.4482216),
+    "Are the forces in kilograms-force? Newtons are meant.": _each(9.80665, 9.80665),
+    "Are the forces in grams-force? Newtons are meant.": _each(9.80665e-3, 9.80665e-3),
+    "Are the forces in kilonewtons? Newtons are meant.": _each(1e3, 1e3),
+    "Are the forces in millinewtons? Newtons are meant.": _each(1e-3, 1e-3),
+}
+"""Question to what would set the record right; forces have shape [2, theta]."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What would explain a record.
+
+    Attributes
+    ----------
+    question
+        Whether it was a slip, as a question; empty if none would explain it.
+    beyond
+        Which end of the library the angle seems to lie beyond, if one.
+    """
+
+    question: str = ""
+    beyond: Literal["low", "high"] | None = None
+
+
+def explain(data: FloatArray, curves: FloatArray, phi_deg: FloatArray) -> Explanation:
+    """Try slips and angles beyond the library on a record.
+
+    Parameters
+    ----------
+    data
+        Observation vector [N], shape [2 theta].
+    curves
+        The library's at closely spaced angles, at the density of the soil [N], [k, 2 theta].
+    phi_deg
+        These friction angles, increasing [deg], shape [k].
+    """
+    as_is = _deviation(data, curves).min()
+    beyond, end = min((_beyond(data, curves, phi_deg, end), end) for end in ("low", "high"))
+    forces = data.reshape(2, -1)
+    slips = []
+    for question, right in SLIPS.items():
+        deviations = _deviation(right(forces).ravel(), curves)
+        # At an end of the library a slip explains nothing: more of it would do the same.
+        if 0 < int(deviations.argmin()) < len(curves) - 1:
+            slips.append((float(deviations.min()), question))
+    slip, question = min(slips, default=(np.inf, ""))
+    if beyond <= min(slip, CLOSE_BEYOND, BETTER * as_is):
+        return Explanation(beyond="low" if end == "low" else "high")
+    if slip <= min(CLOSE, BETTER * as_is):
+        return Explanation(question=question)
+    return Explanation()
+
+
+def _deviation(data: FloatArray, curves: FloatArray) -> FloatArray:
+    """Root mean square deviation from each curve, of the data's peak-to-peak, the larger force's.
+
+    Shapes [2 theta] and [k, 2 theta] -> [k].
+    """
+    measured, model = data.reshape(2, -1), curves.reshape(len(curves), 2, -1)
+    root = np.sqrt(np.square(model - measured).mean(axis=2))
+    worst: FloatArray = (root / np.maximum(np.ptp(measured, axis=1), 1e-300)).max(axis=1)
+    return worst
+
+
+def _beyond(data: FloatArray, curves: FloatArray, phi_deg: FloatArray, end: str) -> float:
+    """Deviation from the best curve beyond an end, were forces to go on growing as at that end."""
+    at, sign = (0, -1.0) if end == "low" else (-1, 1.0)
+    edge, inner = curves[at], curves[at + int(-sign)]
+    slope = (edge - inner) / abs(phi_deg[at] - phi_deg[at + int(-sign)])
+    further = np.linspace(0.0, FURTHEST_DEG, 61)[1:, None]
+    return float(_deviation(data, edge + further * slope).min())

@@ -13,13 +13,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.errors import InputError, nearest
+from terraphi.experiment.errors import InputError, nearest
 from terraphi.robot.dynamics import GRAVITY
-from terraphi.robot.friction import JointFriction
-from terraphi.robot.joint_log import FEET, JOINTS, JointLog
-from terraphi.robot.kinematics import inverse_transpose, jacobian, rotation
-from terraphi.robot.model import Quadruped
-from terraphi.robot.residual import (
+from terraphi.robot.estimators import (
     CHUNK,
     ESTIMATORS,
     GAP_STEPS,
@@ -31,6 +27,10 @@ from terraphi.robot.residual import (
     contact_torque,
     signals,
 )
+from terraphi.robot.friction import JointFriction
+from terraphi.robot.joint_log import FEET, JOINTS, JointLog
+from terraphi.robot.kinematics import inverse_transpose, jacobian, rotation
+from terraphi.robot.model import Quadruped
 from terraphi.robot.survey import Survey, survey
 
 logger = logging.getLogger(__name__)

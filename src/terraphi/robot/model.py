@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from terraphi.documents import toml_content
-from terraphi.errors import InputError, nearest, sentence_from_validation
-from terraphi.files import is_there, read_bytes
-from terraphi.robot.joint_log import FEET, JOINTS
-from terraphi.robot.joint_names import JOINT_NAMES
+from terraphi.experiment.documents import toml_content
+from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
+from terraphi.experiment.files import is_there, read_bytes
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS
 
 FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]

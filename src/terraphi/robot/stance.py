@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.history import ForceHistory
+from terraphi.experiment.history import ForceHistory
 from terraphi.robot.joint_log import FEET
 
 FloatArray = NDArray[np.float64]

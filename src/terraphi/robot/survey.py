@@ -9,11 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.robot.dynamics import GRAVITY
-from terraphi.robot.friction import JointFriction, fit, in_swing, one_way, spread
-from terraphi.robot.joint_log import JointLog
-from terraphi.robot.kinematics import inverse_transpose, jacobian
-from terraphi.robot.model import Quadruped
-from terraphi.robot.residual import (
+from terraphi.robot.estimators import (
     Settings,
     Signals,
     chunks,
@@ -21,6 +17,10 @@ from terraphi.robot.residual import (
     friction_terms,
     signals,
 )
+from terraphi.robot.friction import JointFriction, fit, in_swing, one_way, spread
+from terraphi.robot.joint_log import JointLog
+from terraphi.robot.kinematics import inverse_transpose, jacobian
+from terraphi.robot.model import Quadruped
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -13,9 +13,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.errors import InputError
-from terraphi.robot.joint_log import FEET, JOINTS
-from terraphi.robot.joint_names import JOINT_NAMES, joint_place
+from terraphi.experiment.errors import InputError
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
 
 FloatArray = NDArray[np.float64]
 
@@ -37,7 +36,7 @@ class _Joint:
 def document_from_urdf(text: str, source: str) -> dict[str, Any]:
     """What a TOML for :class:`~terraphi.robot.model.Quadruped` would say, from a URDF.
 
-    Joints are found by :func:`~terraphi.robot.joint_names.joint_place`, the feet as the links fixed
+    Joints are found by :func:`~terraphi.robot.joint_log.joint_place`, the feet as the links fixed
     to the calves whose names say so, or the farthest ones. What is fixed to a link counts as part
     of it; whatever is on no leg belongs to the trunk.
 

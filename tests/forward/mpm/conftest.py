@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm import packets, scalar
 from terraphi.forward.mpm.bed import Grid, Particles, empty_grid, geostatic_bed
 from terraphi.forward.mpm.contact import intruder_of
@@ -22,7 +23,6 @@ from terraphi.forward.mpm.scalar import (
     stepping_of,
 )
 from terraphi.forward.mpm.solver import path_of_steps
-from terraphi.scenario import Scenario
 
 
 class Stepped(NamedTuple):

@@ -7,9 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.mpm.bed import empty_grid, geostatic_bed
-from terraphi.scenario import Scenario
-from terraphi.setting import GRAVITY
 
 
 def bed_of(cells: int, **changes):

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from terraphi.errors import SimulationError
+from terraphi.experiment.errors import SimulationError
 from terraphi.forward.mpm import packets, scalar
 from terraphi.forward.mpm.breakdown import find_breakdown, is_whole, likely_cause
 from terraphi.forward.mpm.solver import BLOCK, _Blocks, simulate, step_count

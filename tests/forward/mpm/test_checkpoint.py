@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terraphi.errors import InputError
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
 from terraphi.forward import MODEL_VERSIONS
 from terraphi.forward.mpm import checkpoint as checkpoints
 from terraphi.forward.mpm import solver
@@ -25,7 +26,6 @@ from terraphi.forward.mpm.checkpoint import Keeper
 from terraphi.forward.mpm.solver import simulate, step_count
 from terraphi.forward.mpm.state import copy_of, first_state
 from terraphi.forward.watch import Checkpoint
-from terraphi.history import ForceHistory
 
 MOTION = {"motion.start_deg": -80.0, "motion.stop_deg": 10.0}
 """Four blocks of steps; the relief sets in at θ = 0, between two of them."""
@@ -202,7 +202,7 @@ import hashlib, sys
 from pathlib import Path
 from terraphi.forward.mpm.solver import simulate
 from terraphi.forward.watch import Checkpoint
-from terraphi.scenario import Scenario
+from terraphi.experiment.scenario import Scenario
 scenario = Scenario.model_validate_json(sys.stdin.read())
 kept = Checkpoint(Path(sys.argv[1]), every=0.0)
 print("ready", flush=True)

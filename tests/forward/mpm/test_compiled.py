@@ -84,7 +84,7 @@ def test_folder_that_cannot_hold_a_cache_is_no_error(sources):
 def test_every_compiled_source_is_watched():
     folder = compiled._FOLDER
     assert set(folder.glob("*.py")) < set(compiled._SOURCES)
-    assert folder.parents[1] / "leg.py" in compiled._SOURCES
+    assert folder.parents[1] / "experiment" / "leg.py" in compiled._SOURCES
     assert all(source.is_file() for source in compiled._SOURCES)
 
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from terraphi.experiment.leg import LEG_SHAPES, Leg
 from terraphi.forward.mpm.contact import against_walls, distance_to_leg, intruder_of, rub
-from terraphi.leg import LEG_SHAPES, Leg
 
 SPEED = st.floats(-2.0, 2.0).map(lambda v: 0.0 if abs(v) < 1e-6 else v)
 ANGLE = st.floats(0.0, 2.0 * math.pi)

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terraphi.errors import InputError
+from terraphi.experiment.errors import InputError
 from terraphi.forward.mpm.bed import geostatic_bed
 from terraphi.forward.mpm.fields import FieldSeries, frame_steps, particle_fields
 from terraphi.forward.mpm.solver import BLOCK, simulate, step_count
+from terraphi.forward.vtk import Grid, read_points, read_series
 from terraphi.forward.watch import Checkpoint
-from terraphi.vtk import Grid, read_points, read_series
 
 MOTION = {"motion.start_deg": -80.0, "motion.stop_deg": 10.0, "leg.shape": "reversed_c"}
 

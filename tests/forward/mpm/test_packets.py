@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terraphi.errors import InputError, SimulationError
+from terraphi.experiment.errors import InputError, SimulationError
+from terraphi.experiment.soil import Soil
 from terraphi.forward.mpm import lanes, packets, packing, scalar, spline_gradient, strain_lanes
 from terraphi.forward.mpm.bed import geostatic_bed
 from terraphi.forward.mpm.compiled import register_use
@@ -26,7 +27,6 @@ from terraphi.forward.mpm.relief import fading_of
 from terraphi.forward.mpm.scalar import stepping_of
 from terraphi.forward.mpm.solver import simulate
 from terraphi.forward.mpm.sweep import laws_of
-from terraphi.soil import Soil
 
 THROUGH_THE_VERTICAL = {"motion.start_deg": -10.0, "motion.stop_deg": 40.0}
 

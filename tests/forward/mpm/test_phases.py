@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm import packet_phases, phases, scalar
 from terraphi.forward.mpm.bed import empty_grid, geostatic_bed
 from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.relief import fading_of
 from terraphi.forward.mpm.scalar import empty_audit, empty_reaction, stepping_of
-from terraphi.scenario import Scenario
 
 DT = 5e-5
 SHAPES = ["straight", "c", "reversed_c", "plate"]

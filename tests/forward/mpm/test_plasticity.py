@@ -10,13 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from terraphi.forward.mpm.plasticity import (
-    Material,
-    jaumann_predictor,
-    material_of,
-    return_mapping,
-)
-from terraphi.soil import YIELD_CRITERIA, Soil, plane_strain_friction_angle_deg
+from terraphi.experiment.soil import YIELD_CRITERIA, Soil, plane_strain_friction_angle_deg
+from terraphi.forward.mpm.plasticity import Material, jaumann_predictor, material_of, return_mapping
 
 CRITERIA = st.sampled_from(YIELD_CRITERIA)
 STRESS = st.tuples(*[st.floats(-1e5, 1e5)] * 4)

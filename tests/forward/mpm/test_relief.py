@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm.relief import Fading, decay, faded, fading_of
 from terraphi.forward.mpm.solver import path_of_steps
-from terraphi.scenario import Scenario
 
 FADING = Fading(distance=0.020, rate=2.0, least=0.05)
 

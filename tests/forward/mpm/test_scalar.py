@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from terraphi.experiment.scenario import COURANT_LIMIT, GRAVITY, Numerics, Scenario
 from terraphi.forward.mpm.bed import geostatic_bed
 from terraphi.forward.mpm.scalar import LEDGER_ROWS, stepping_of
-from terraphi.scenario import COURANT_LIMIT, Scenario
-from terraphi.setting import GRAVITY, Numerics
 
 ON_NODES = {
     "numerics.cells": 60,

@@ -11,10 +11,10 @@ import sys
 import numpy as np
 import pytest
 
-from terraphi.errors import SimulationError
+from terraphi.experiment.errors import SimulationError
+from terraphi.experiment.motion import bin_centres
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.forward.mpm.solver import path_of_steps, simulate, step_count
-from terraphi.motion import bin_centres
-from terraphi.setting import GRAVITY
 
 
 @pytest.fixture(name="sweep", scope="module")
@@ -81,7 +81,7 @@ def bits_in_another_process(scenario, **environment: str) -> str:
     script = (
         "import hashlib, sys\n"
         "from terraphi.forward.mpm.solver import simulate\n"
-        "from terraphi.scenario import Scenario\n"
+        "from terraphi.experiment.scenario import Scenario\n"
         "scenario = Scenario.model_validate_json(sys.stdin.read())\n"
         "print(hashlib.sha256(simulate(scenario).force.tobytes()).hexdigest())\n"
     )

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm import packet_phases, phases
 from terraphi.forward.mpm.bed import empty_grid, geostatic_bed
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.scalar import stepping_of
 from terraphi.forward.mpm.spline_gradient import spline_gradient
 from terraphi.forward.mpm.transfer import grid_to_particle
-from terraphi.scenario import Scenario
 
 DT = 5e-5
 SPLINES = {"numerics.remap_interval": 7 * DT, "numerics.gradient": "spline"}

@@ -10,18 +10,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from terraphi.experiment.leg import Leg
+from terraphi.experiment.soil import Soil
 from terraphi.forward.mpm.bed import Grid
-from terraphi.forward.mpm.contact import Intruder, intruder_of, pose_of
-from terraphi.forward.mpm.plasticity import material_of
-from terraphi.forward.mpm.surface_contact import (
+from terraphi.forward.mpm.contact import (
     DAMPING,
     STIFFNESS,
+    Intruder,
     Touch,
+    intruder_of,
+    pose_of,
     push_particle,
     touch,
 )
-from terraphi.leg import Leg
-from terraphi.soil import Soil
+from terraphi.forward.mpm.plasticity import material_of
 
 MATERIAL = material_of(Soil())
 SPRING = STIFFNESS * (MATERIAL.lame_lambda + 2 * MATERIAL.shear_modulus)

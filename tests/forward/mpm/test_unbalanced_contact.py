@@ -10,16 +10,17 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from terraphi.errors import sentence_from_validation
-from terraphi.forward.mpm.contact import Pose, intruder_of
-from terraphi.forward.mpm.solver import simulate
-from terraphi.forward.mpm.unbalanced_contact import (
+from terraphi.experiment.errors import sentence_from_validation
+from terraphi.experiment.leg import Leg
+from terraphi.experiment.scenario import Scenario
+from terraphi.forward.mpm.contact import (
+    Pose,
     against_leg_unbalanced,
     distance_to_box,
+    intruder_of,
     unbalanced_push,
 )
-from terraphi.leg import Leg
-from terraphi.scenario import Scenario
+from terraphi.forward.mpm.solver import simulate
 
 PROTOTYPE = {
     "numerics.contact": "unbalanced",

@@ -9,8 +9,8 @@ import pytest
 
 from terraphi.forward import simulate
 from terraphi.inference.joint import Trial
-from terraphi.library import Case, Library
-from terraphi.plan import Plan
+from terraphi.library.plan import Plan
+from terraphi.library.store import Case, Library
 
 TRUTH = {"soil.friction_angle_deg": 32.7, "leg.friction": 0.37}
 NOISE_N = 0.5

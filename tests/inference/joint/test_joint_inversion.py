@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from terraphi.design_surrogate import DesignSurrogate, training
-from terraphi.errors import InputError
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import measurement
+from terraphi.experiment.scenario import Scenario
+from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward import simulate
-from terraphi.history import ForceHistory
 from terraphi.inference.joint import JointInversion, Trial, invert_jointly
 from terraphi.inference.joint.answer import Summary
 from terraphi.inference.joint.inversion import (
@@ -26,16 +28,14 @@ from terraphi.inference.joint.inversion import (
     _plane_strain,
     _window_noise,
 )
-from terraphi.inference.joint.likelihood import LegLikelihood
 from terraphi.inference.joint.prior import Marginal
-from terraphi.inference.joint.target import Target
+from terraphi.inference.joint.target import LegLikelihood, Target
 from terraphi.inference.joint.trials import grouped, warnings_on
 from terraphi.inference.noise import Noise
-from terraphi.joint_plots import corner_figure, fits_figure
-from terraphi.library import Library
-from terraphi.measurements import measurement
-from terraphi.scenario import Scenario
-from terraphi.soil import plane_strain_friction_angle_deg
+from terraphi.library.store import Library
+from terraphi.surrogate.design import DesignSurrogate
+from terraphi.surrogate.training import training
+from terraphi.view.plots import corner_figure, fits_figure
 
 PHI, DENSITY, FRICTION = "soil.friction_angle_deg", "soil.density", "leg.friction"
 TRUTH = {PHI: 32.7, FRICTION: 0.37, DENSITY: 1650.0}

@@ -7,9 +7,8 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
-from terraphi.design_surrogate import DesignGP, DesignKernel, DesignSurrogate
-from terraphi.design_surrogate.size import Size
-from terraphi.inference.joint.likelihood import JointLikelihood, LegLikelihood
+from terraphi.inference.joint.target import JointLikelihood, LegLikelihood
+from terraphi.surrogate.design import DesignGP, DesignKernel, DesignSurrogate, Size
 
 THETA_DEG = np.linspace(-85.0, 85.0, 6)
 KEY = "soil.friction_angle_deg"

@@ -7,12 +7,13 @@ import itertools
 import numpy as np
 import pytest
 
-from terraphi.design_surrogate import DesignGP, DesignSurrogate, training
-from terraphi.errors import InputError
+from terraphi.experiment.errors import InputError
 from terraphi.forward import simulate
 from terraphi.inference.joint.suggestion import _Search, suggest
-from terraphi.library import Case, Library
-from terraphi.plan import Plan
+from terraphi.library.plan import Plan
+from terraphi.library.store import Case, Library
+from terraphi.surrogate.design import DesignGP, DesignSurrogate
+from terraphi.surrogate.training import training
 
 PHI = "soil.friction_angle_deg"
 RFT = {"model": "rft", "dimensions": 3, "rft": {"panels": 20}}

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.leg import frame_axes
-from terraphi.scenario import Scenario
+from terraphi.experiment.leg import frame_axes
+from terraphi.experiment.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm.state import State, flawed_particle
-from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 

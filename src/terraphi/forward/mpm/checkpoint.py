@@ -22,8 +22,9 @@ import llvmlite.binding
 import numba
 import numpy as np
 
-from terraphi.errors import InputError
-from terraphi.files import replacing
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import replacing
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward import model_version
 from terraphi.forward.mpm.bed import Particles
 from terraphi.forward.mpm.compiled import SOURCE_DIGEST
@@ -31,7 +32,6 @@ from terraphi.forward.mpm.packing import lane_count
 from terraphi.forward.mpm.scalar import Audit
 from terraphi.forward.mpm.state import State
 from terraphi.forward.watch import Checkpoint
-from terraphi.scenario import Scenario
 
 log = logging.getLogger(__name__)
 

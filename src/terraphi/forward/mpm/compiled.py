@@ -23,7 +23,7 @@ _OPTIONS: dict[str, Any] = {
 
 _FOLDER = Path(__file__).parent
 _NOT_OF_THE_MODEL = {"__init__.py", "breakdown.py", "checkpoint.py", "fields.py"}
-_SOURCES = [*sorted(_FOLDER.glob("*.py")), _FOLDER.parents[1] / "leg.py"]
+_SOURCES = [*sorted(_FOLDER.glob("*.py")), _FOLDER.parents[1] / "experiment" / "leg.py"]
 
 
 def kernel(function: Kernel) -> Kernel:

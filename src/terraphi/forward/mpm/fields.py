@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.errors import InputError
-from terraphi.files import made_folder
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import made_folder
+from terraphi.experiment.leg import frame_axes
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm.bed import Particles
 from terraphi.forward.mpm.solver import BLOCK, block_length, step_count
+from terraphi.forward.vtk import Data, read_series, write_points, write_polygon, write_series
 from terraphi.forward.watch import Snapshot
-from terraphi.leg import frame_axes
-from terraphi.scenario import Scenario
-from terraphi.vtk import Data, read_series, write_points, write_polygon, write_series
 
 FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)

@@ -6,21 +6,41 @@ soil is left with velocities and gradients; between, its particles are in packet
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.forward.mpm import phases
 from terraphi.forward.mpm.bed import Grid, Particles
 from terraphi.forward.mpm.compiled import entry, kernel, wide_vectors
-from terraphi.forward.mpm.contact import Intruder, pose_of
-from terraphi.forward.mpm.packet_press import Near, find_near, near_for, press_near
+from terraphi.forward.mpm.contact import (
+    Intruder,
+    Pose,
+    distance_to_leg,
+    pose_of,
+    push_particle,
+    touch,
+)
+from terraphi.forward.mpm.lanes import RELIEF_X, RELIEF_Z, TOTAL_X, TOTAL_Z, Laws, fade, scatter
 from terraphi.forward.mpm.packets import NODES, first_half
-from terraphi.forward.mpm.packing import LANES, FloatArray, Index, Packets, pack, unpack
-from terraphi.forward.mpm.phase_sweep import (
-    PhaseLaws,
-    laws_of_phase,
-    strain_sweep,
-    transfer_sweep,
+from terraphi.forward.mpm.packing import (
+    FIELDS,
+    LANES,
+    MASS,
+    OFFSET_X,
+    OFFSET_Z,
+    ONE,
+    ORIGINS,
+    VOLUME,
+    WEIGHT,
+    ZERO,
+    FloatArray,
+    Index,
+    Packets,
+    pack,
+    unpack,
 )
 from terraphi.forward.mpm.plasticity import Material
 from terraphi.forward.mpm.relief import Fading
@@ -28,18 +48,27 @@ from terraphi.forward.mpm.rows import (
     begin_rows,
     carry_rows,
     clear_rows,
+    flat,
+    nodes_between,
     padded_grid,
     to_momenta,
     update_rows,
 )
-from terraphi.forward.mpm.scalar import (
-    Audit,
-    Stepping,
-    close_books,
-    enter_reaction,
-    write_books,
+from terraphi.forward.mpm.scalar import Audit, Stepping, close_books, enter_reaction, write_books
+from terraphi.forward.mpm.spline_gradient import follow_splines, push_splines
+from terraphi.forward.mpm.strain_lanes import follow_shift, follow_velocity, push, strain
+from terraphi.forward.mpm.sweep import (
+    Memory,
+    add_strips,
+    laws_of,
+    lay_down,
+    load_window,
+    memory_for,
+    set_aside,
+    settle,
+    strip_length,
 )
-from terraphi.forward.mpm.sweep import Memory, memory_for, settle
+from terraphi.forward.mpm.transfer import gather_values
 
 IntArray = NDArray[np.int64]
 
@@ -298,3 +327,295 @@ def take_steps(
         carry_rows(then, shift, used, stepping.time_step * part_of_step)
         here = 1 - here
     return here
+
+
+class PhaseLaws(NamedTuple):
+    """Constants of the parts of a phase."""
+
+    whole: Laws
+    """Of a step."""
+    half: Laws
+    """Of the strain step at either end, which goes on for half as long."""
+    transfer: Laws
+    """Of the transfer, which takes no time."""
+
+
+def laws_of_phase(material: Material, stepping: Stepping) -> PhaseLaws:
+    """Constants of a phase as the lanes take them."""
+    whole = laws_of(material, stepping)
+    return PhaseLaws(
+        whole,
+        whole._replace(time_step=0.5 * whole.time_step),
+        whole._replace(time_step=0.0, stress_impulse=0.0),
+    )
+
+
+@kernel
+def strain_sweep(
+    packets: Packets,
+    now: Grid,
+    then: Grid,
+    memory: Memory,
+    part: Laws,
+    whole: Laws,
+    splines: bool,
+    lanes: Index,
+) -> None:
+    """Update the stresses and add their impulses to the momenta.
+
+    Parameters
+    ----------
+    packets
+        The soil; it stays where it is.
+    now, then
+        Padded grids: velocities; momenta, added to.
+    memory
+        Working memory.
+    part, whole
+        Constants of the strain step and of the impulses.
+    splines
+        Whether strain rates and impulses go by the gradient of the splines.
+    lanes
+        :data:`~terraphi.forward.mpm.packing.LANES`.
+    """
+    wide_vectors()
+    state, work, motion = packets.state, memory.work, memory.motion
+    work[:] = 0.0
+    velocity_x, velocity_z = flat(now.vx), flat(now.vz)
+    stride = np.uint64(now.mass.shape[1])
+    for j in range(packets.top[0] + ONE):
+        for k in range(packets.blocks):
+            block = j * packets.blocks + k
+            first, layers = packets.first[block], packets.layers[block]
+            if layers > ZERO:
+                load_window(work, velocity_x, velocity_z, j * stride + k * LANES, stride, lanes)
+                if splines:
+                    follow_splines(state, motion, work, first, layers, lanes, part)
+                    strain(state, motion, work, first, layers, lanes, part)
+                    push_splines(state, work, first, layers, lanes, whole)
+                else:
+                    follow_velocity(state, motion, work, first, layers, lanes, part)
+                    strain(state, motion, work, first, layers, lanes, part)
+                    push(state, work, first, layers, lanes, whole)
+            lay_down(work, memory.strips, k, strip_length(packets), lanes)
+        add_strips(memory.strips, strip_length(packets), then, j)
+
+
+@kernel
+def transfer_sweep(
+    packets: Packets,
+    soil: Particles,
+    now: Grid,
+    then: Grid,
+    shift: Grid,
+    memory: Memory,
+    laws: PhaseLaws,
+    fading: Fading,
+    turned: float,
+    impulses: FloatArray,
+    splines: bool,
+    lanes: Index,
+) -> tuple[int, tuple[float, float]]:
+    """End a phase: the last half strain step, motion, relief, and the momenta of the next phase.
+
+    Parameters
+    ----------
+    packets, soil, memory, fading, impulses, lanes
+        As in :func:`~terraphi.forward.mpm.sweep.sweep`.
+    now, then
+        Padded grids: last velocities; momenta of the next phase, empty at first.
+    shift
+        Padded grid of the nodes' displacements [m].
+    laws
+        Constants.
+    turned
+        |Δθ| of the phase once θ > 0 [rad].
+    splines
+        As in :func:`strain_sweep`.
+
+    Returns
+    -------
+    int
+        Index of the first particle to leave the grid, or -1.
+    tuple
+        Momentum (x, z) of the particles that do not lie aside [kg/s].
+    """
+    wide_vectors()
+    state, work, motion = packets.state, memory.work, memory.motion
+    work[:] = 0.0
+    memory.aside.number[0] = ZERO
+    velocity_x, velocity_z = flat(now.vx), flat(now.vz)
+    shift_x, shift_z = flat(shift.vx), flat(shift.vz)
+    stride = np.uint64(now.mass.shape[1])
+    fades = turned > 0.0 and fading.distance < math.inf
+    cell_size = laws.whole.cell_size
+    for j in range(packets.top[0] + ONE):
+        for k in range(packets.blocks):
+            block, corner = j * packets.blocks + k, j * stride + k * LANES
+            first, layers = packets.first[block], packets.layers[block]
+            if layers > ZERO:
+                load_window(work, velocity_x, velocity_z, corner, stride, lanes)
+                if splines:
+                    follow_splines(state, motion, work, first, layers, lanes, laws.half)
+                    strain(state, motion, work, first, layers, lanes, laws.half)
+                    # The momenta are scattered with the affine part of the transfer's own.
+                    follow_velocity(state, motion, work, first, layers, lanes, laws.half)
+                else:
+                    follow_velocity(state, motion, work, first, layers, lanes, laws.half)
+                    strain(state, motion, work, first, layers, lanes, laws.half)
+                load_window(work, shift_x, shift_z, corner, stride, lanes)
+                inside = follow_shift(state, work, first, layers, lanes, 1.0 / cell_size)
+                if fades:
+                    relief = (turned, fading, cell_size)
+                    fade(state, packets.origin, motion, work, first, layers, lanes, *relief)
+                if inside < float(layers * LANES):
+                    lost = set_aside(packets, soil, memory, block, now.mass.shape[0], cell_size)
+                    if lost >= 0:
+                        return lost, (0.0, 0.0)
+                scatter(state, motion, work, first, layers, lanes, laws.transfer)
+            lay_down(work, memory.strips, k, strip_length(packets), lanes)
+        add_strips(memory.strips, strip_length(packets), then, j)
+    total_x, total_z = 0.0, 0.0
+    for lane in range(LANES):
+        total_x += work[TOTAL_X + lane]
+        total_z += work[TOTAL_Z + lane]
+        impulses[4, 0] += work[RELIEF_X + lane]
+        impulses[4, 1] += work[RELIEF_Z + lane]
+    return -1, (total_x, total_z)
+
+
+IndexArray = NDArray[np.uint64]
+
+
+class Near(NamedTuple):
+    """Particles that may touch the leg in a phase, in the order in which they were met."""
+
+    slot: IndexArray
+    """Packet times :data:`~terraphi.forward.mpm.packing.LANES` plus lane, shape [particle]."""
+    x: FloatArray
+    """Where it stands [m], shape [particle]."""
+    z: FloatArray
+    """[m], shape [particle]."""
+    number: IndexArray
+    """How many there are, shape [1]."""
+
+
+def near_for(particles: int) -> Near:
+    """Room for so many particles."""
+    return Near(
+        np.zeros(particles, np.uint64),
+        np.zeros(particles),
+        np.zeros(particles),
+        np.zeros(1, np.uint64),
+    )
+
+
+@kernel
+def find_near(
+    packets: Packets, near: Near, intruder: Intruder, pose: Pose, rows: int, cell_size: float
+) -> None:
+    """List the particles closer to the leg than a cell; nobody moves that far in a phase.
+
+    Parameters
+    ----------
+    packets
+        The soil.
+    near
+        Filled.
+    intruder, pose
+        The leg where the phase begins.
+    rows
+        Rows of the grid.
+    cell_size
+        Δx [m].
+    """
+    reach = intruder.reach + 2.0 * cell_size
+    columns = packets.blocks * LANES
+    low, high = nodes_between(pose.hip_z - reach, pose.hip_z + reach, cell_size, np.uint64(rows))
+    left, right = nodes_between(pose.hip_x - reach, pose.hip_x + reach, cell_size, columns)
+    count = np.uint64(0)
+    for j in range(low, min(high, packets.top[0] + np.uint64(1))):
+        for i in range(left, right):
+            block, lane = j * packets.blocks + i // LANES, i % LANES
+            height = packets.stack[block * LANES + lane]
+            if height == np.uint64(0):
+                continue
+            # From the cell's middle no particle in it is further than 0.71 cells.
+            if _distance((i + 1.0) * cell_size, (j + 1.0) * cell_size, intruder, pose) > (
+                1.75 * cell_size
+            ):
+                continue
+            for layer in range(height):
+                packet = packets.first[block] + layer
+                at = packet * FIELDS + lane
+                near.slot[count] = packet * LANES + lane
+                near.x[count] = (float(i) + packets.state[at + OFFSET_X]) * cell_size
+                near.z[count] = (float(j) + packets.state[at + OFFSET_Z]) * cell_size
+                count += np.uint64(1)
+    near.number[0] = count
+
+
+@kernel
+def _distance(x: float, z: float, intruder: Intruder, pose: Pose) -> float:
+    """Signed distance of a place from the leg [m]."""
+    rx, rz = x - pose.hip_x, z - pose.hip_z
+    sine, cosine = pose.sine, pose.cosine
+    distance, _, _ = distance_to_leg(intruder, -sine * rx - cosine * rz, -cosine * rx + sine * rz)
+    return distance
+
+
+@kernel
+def press_near(
+    packets: Packets,
+    soil: Particles,
+    near: Near,
+    now: Grid,
+    then: Grid,
+    shift: Grid,
+    material: Material,
+    intruder: Intruder,
+    stepping: Stepping,
+    pose: Pose,
+    impulses: FloatArray,
+) -> None:
+    """Let the leg push the particles that it touches.
+
+    Parameters
+    ----------
+    packets, near
+        The soil, and those of it that may touch the leg.
+    soil
+        Keeps the elastic slip.
+    now, then
+        Padded grids: velocities of the step before; momenta, added to.
+    shift
+        Padded grid of the nodes' displacements [m].
+    material, intruder, stepping, pose, impulses
+        As in :func:`terraphi.forward.mpm.phases.press`.
+    """
+    for number in range(near.number[0]):
+        slot, x, z = near.slot[number], near.x[number], near.z[number]
+        packet, lane = slot // LANES, slot % LANES
+        p = packets.owner[slot]
+        mass = packets.state[packet * FIELDS + MASS + lane]
+        weight = packets.origin[packet * ORIGINS + WEIGHT + lane]
+        radius = 0.5 * math.sqrt(packets.state[packet * FIELDS + VOLUME + lane] / weight)
+        dx, dz = gather_values(shift.vx, shift.vz, x, z, stepping.cell_size)
+        ux, uz = gather_values(now.vx, now.vz, x, z, stepping.cell_size)
+        touched = touch(
+            (x + dx, z + dz),
+            (ux, uz),
+            radius,
+            mass,
+            weight,
+            soil.slip[p],
+            material,
+            intruder,
+            pose,
+            stepping.time_step,
+        )
+        soil.slip[p] = touched.slip
+        if touched.fx != 0.0 or touched.fz != 0.0:
+            push_particle(then, x, z, touched, stepping.cell_size, stepping.time_step)
+            impulses[1, 0] += touched.fx * stepping.time_step
+            impulses[1, 1] += touched.fz * stepping.time_step

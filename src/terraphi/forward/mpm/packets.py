@@ -15,17 +15,8 @@ from numpy.typing import NDArray
 from terraphi.forward.mpm.bed import Grid, Particles
 from terraphi.forward.mpm.compiled import entry, wide_vectors
 from terraphi.forward.mpm.contact import Intruder
-from terraphi.forward.mpm.lanes import (
-    Laws,
-)
-from terraphi.forward.mpm.packing import (
-    LANES,
-    FloatArray,
-    Index,
-    Packets,
-    pack,
-    unpack,
-)
+from terraphi.forward.mpm.lanes import Laws
+from terraphi.forward.mpm.packing import LANES, FloatArray, Index, Packets, pack, unpack
 from terraphi.forward.mpm.plasticity import Material
 from terraphi.forward.mpm.relief import Fading
 from terraphi.forward.mpm.rows import clear_rows, padded_grid, update_rows

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from terraphi.forward.mpm.bed import Grid, Particles
 from terraphi.forward.mpm.compiled import kernel
-from terraphi.forward.mpm.contact import Intruder, Pose, pose_of
+from terraphi.forward.mpm.contact import Intruder, Pose, pose_of, push_particle, radius_of, touch
 from terraphi.forward.mpm.plasticity import Material, jaumann_predictor, return_mapping
 from terraphi.forward.mpm.relief import Fading, decay, faded
 from terraphi.forward.mpm.scalar import (
@@ -37,7 +37,6 @@ from terraphi.forward.mpm.scalar import (
     write_books,
 )
 from terraphi.forward.mpm.spline_gradient import spline_gradient, spline_stress_to_grid
-from terraphi.forward.mpm.surface_contact import push_particle, radius_of, touch
 from terraphi.forward.mpm.transfer import (
     gather_values,
     grid_to_particle,

@@ -1,8 +1,8 @@
 """Stress update of one material point: Jaumann rate, then return to the Drucker-Prager cone.
 
 Stress is (σ_xx, σ_zz, σ_xz, σ_yy) [Pa], tension positive; σ_yy is carried by the ``triaxial``
-criterion alone. Each function is scalar and compiled; :mod:`terraphi.soil` says what the criteria
-mean.
+criterion alone. Each function is scalar and compiled; :mod:`terraphi.experiment.soil` says what
+the criteria mean.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from terraphi.experiment.soil import Soil, cone_slope
 from terraphi.forward.mpm.compiled import kernel
-from terraphi.soil import Soil, cone_slope
 
 Four = tuple[float, float, float, float]
 

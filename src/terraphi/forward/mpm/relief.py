@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm.compiled import kernel
-from terraphi.scenario import Scenario
 
 
 class Fading(NamedTuple):

@@ -12,10 +12,16 @@ import numpy as np
 
 from terraphi.forward.mpm.bed import Grid
 from terraphi.forward.mpm.compiled import kernel, wide_vectors
-from terraphi.forward.mpm.contact import Intruder, Pose, against_leg, against_walls, pose_of
+from terraphi.forward.mpm.contact import (
+    Intruder,
+    Pose,
+    against_leg,
+    against_leg_unbalanced,
+    against_walls,
+    pose_of,
+)
 from terraphi.forward.mpm.packing import LANES, ONE, ZERO, FloatArray, Index, aligned_zeros
 from terraphi.forward.mpm.scalar import Stepping
-from terraphi.forward.mpm.unbalanced_contact import against_leg_unbalanced
 
 
 def padded_grid(rows: int) -> Grid:

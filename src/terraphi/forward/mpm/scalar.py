@@ -11,14 +11,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm.bed import Grid, Particles
 from terraphi.forward.mpm.compiled import kernel
-from terraphi.forward.mpm.contact import Intruder, against_leg, against_walls, pose_of
+from terraphi.forward.mpm.contact import (
+    Intruder,
+    against_leg,
+    against_leg_unbalanced,
+    against_walls,
+    pose_of,
+)
 from terraphi.forward.mpm.plasticity import Material, jaumann_predictor, return_mapping
 from terraphi.forward.mpm.relief import Fading, decay, faded
 from terraphi.forward.mpm.transfer import grid_to_particle, particles_to_grid
-from terraphi.forward.mpm.unbalanced_contact import against_leg_unbalanced
-from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 

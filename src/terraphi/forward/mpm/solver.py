@@ -11,7 +11,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.errors import InputError, SimulationError
+from terraphi.experiment.errors import InputError, SimulationError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.motion import bin_centres
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm import packet_phases, packets, phases, scalar
 from terraphi.forward.mpm.bed import empty_grid
 from terraphi.forward.mpm.breakdown import find_breakdown, is_whole
@@ -22,9 +25,6 @@ from terraphi.forward.mpm.relief import fading_of
 from terraphi.forward.mpm.scalar import LEDGER_ROWS, stepping_of
 from terraphi.forward.mpm.state import State, copy_of, first_state, read_only
 from terraphi.forward.watch import Checkpoint, Observer, Snapshot
-from terraphi.history import ForceHistory
-from terraphi.motion import bin_centres
-from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)

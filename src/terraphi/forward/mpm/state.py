@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.motion import bin_centres
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm.bed import Particles, geostatic_bed
 from terraphi.forward.mpm.scalar import Audit, empty_audit, empty_reaction
-from terraphi.motion import bin_centres
-from terraphi.scenario import Scenario
 
 FloatArray = NDArray[np.float64]
 

@@ -53,9 +53,7 @@ from terraphi.forward.mpm.packing import (
 from terraphi.forward.mpm.plasticity import Material, cone_of
 from terraphi.forward.mpm.relief import Fading
 from terraphi.forward.mpm.rows import flat
-from terraphi.forward.mpm.scalar import (
-    Stepping,
-)
+from terraphi.forward.mpm.scalar import Stepping
 from terraphi.forward.mpm.transfer import particle_to_grid
 
 IntArray = NDArray[np.int64]

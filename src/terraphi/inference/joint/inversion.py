@@ -12,18 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from terraphi.design_surrogate import DesignSurrogate, Training, training
-from terraphi.design_surrogate.training import DENSITY, parameters
-from terraphi.errors import InputError, nearest
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward import package_version
 from terraphi.inference.answer import AngleSummary, plane_strain_summary
 from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
 from terraphi.inference.joint.answer import PHI, JointInversion, Summary
 from terraphi.inference.joint.identifiability import Identifiability, label
-from terraphi.inference.joint.likelihood import JointLikelihood, LegLikelihood
 from terraphi.inference.joint.prior import Marginal, is_on, priors
 from terraphi.inference.joint.sampler import Draws, sample
-from terraphi.inference.joint.target import Target
+from terraphi.inference.joint.target import JointLikelihood, LegLikelihood, Target
 from terraphi.inference.joint.trials import (
     Repeats,
     Trial,
@@ -32,12 +30,12 @@ from terraphi.inference.joint.trials import (
     grouped,
     warnings_on,
 )
-from terraphi.inference.judgement import AT_EDGE, EDGE_DENSITY
 from terraphi.inference.noise import Noise, window_covariance
 from terraphi.inference.posterior import Posterior, quadrature
-from terraphi.inference.verdict import Verdict, nrmsd
-from terraphi.library import Library
-from terraphi.scenario import Scenario
+from terraphi.inference.verdict import AT_EDGE, EDGE_DENSITY, Verdict, nrmsd
+from terraphi.library.store import Library
+from terraphi.surrogate.design import DesignSurrogate
+from terraphi.surrogate.training import DENSITY, Training, parameters, training
 
 FloatArray = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.design_surrogate.training import DENSITY
-from terraphi.errors import InputError, nearest
-from terraphi.files import plain_number
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.files import plain_number
 from terraphi.inference.checks import DENSITIES
+from terraphi.surrogate.training import DENSITY
 
 FloatArray = NDArray[np.float64]
 

@@ -23,12 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from terraphi.design_surrogate import DesignSurrogate, training
-from terraphi.design_surrogate.leg import from_unit
-from terraphi.design_surrogate.process import DesignGP
-from terraphi.errors import InputError, nearest
+from terraphi.experiment.errors import InputError, nearest
 from terraphi.inference.joint.identifiability import axis_label, label
-from terraphi.library import Library
+from terraphi.library.store import Library
+from terraphi.surrogate.design import DesignGP, DesignSurrogate, from_unit
+from terraphi.surrogate.training import training
 
 FloatArray = NDArray[np.float64]
 

@@ -9,12 +9,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.design_surrogate import Training
-from terraphi.errors import InputError
-from terraphi.history import ForceHistory, Observation
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import (
+    DENSE_DEG,
+    ForceHistory,
+    Observation,
+    is_dense,
+    is_read_again,
+)
+from terraphi.experiment.scenario import Scenario
 from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
-from terraphi.readings import DENSE_DEG, is_dense, is_read_again
-from terraphi.scenario import Scenario
+from terraphi.surrogate.training import Training
 
 FloatArray = NDArray[np.float64]
 

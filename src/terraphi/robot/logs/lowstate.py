@@ -13,10 +13,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.robot.joint_log import FEET, JOINTS, JointLog
-from terraphi.robot.joint_names import JOINT_NAMES
-from terraphi.robot.logs.block import Array, Block
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, JointLog
 from terraphi.robot.logs.cdr import HEADERS, Definitions, Order, byte_order, layout
+from terraphi.robot.logs.collect import Array, Block
 
 TYPE = "unitree_go/msg/LowState"
 TOPIC = "/lowstate"

@@ -6,20 +6,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from terraphi.errors import InputError, nearest
-from terraphi.files import check_is_file
-from terraphi.robot.joint_log import JointLog
-from terraphi.robot.joint_names import JOINT_NAMES
-from terraphi.robot.logs import jointstate, lowstate, npz_file
-from terraphi.robot.logs.block import Block
-from terraphi.robot.logs.collect import Collector, Precision
-from terraphi.robot.logs.csv_file import read_csv
-from terraphi.robot.logs.joints import NAMES
-from terraphi.robot.logs.mcap_file import MAGIC as MCAP_MAGIC
-from terraphi.robot.logs.mcap_file import McapFile
-from terraphi.robot.logs.npz_file import read_npz
-from terraphi.robot.logs.rosbag2 import SQLITE_MAGIC, open_bag, open_database
-from terraphi.robot.logs.storage import Storage, Topic
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.files import check_is_file
+from terraphi.robot.joint_log import JOINT_NAMES, JointLog
+from terraphi.robot.logs import jointstate, lowstate
+from terraphi.robot.logs import tables as npz_file
+from terraphi.robot.logs.bags import MAGIC as MCAP_MAGIC
+from terraphi.robot.logs.bags import SQLITE_MAGIC, McapFile, Storage, Topic, open_bag, open_database
+from terraphi.robot.logs.collect import Block, Collector, Precision
+from terraphi.robot.logs.jointstate import NAMES
+from terraphi.robot.logs.tables import read_csv, read_npz
 
 ROS1_MAGIC = b"#ROSBAG V"
 FORMATS = "CSV, npz, MCAP or the folder of a rosbag2"
@@ -40,8 +36,8 @@ def read_log(
     Parameters
     ----------
     path
-        A CSV (:mod:`~terraphi.robot.logs.csv_file` has its columns), an npz
-        (:mod:`~terraphi.robot.logs.npz_file` has its arrays), an MCAP file, the folder of a rosbag2
+        A CSV (:mod:`~terraphi.robot.logs.tables` has its columns), an npz
+        (:mod:`~terraphi.robot.logs.tables` has its arrays), an MCAP file, the folder of a rosbag2
         or one of its files. The content decides, not the name.
     topic
         Topic of a bag to read; by default the one with ``unitree_go/msg/LowState`` messages, or

@@ -1,12 +1,38 @@
-"""Columns of a CSV and arrays of an npz, in the order in which they are written."""
+"""Columns of a CSV and arrays of an npz, in the order in which they are written.
+
+CSV: a line with the names of the columns, then a line for each sample.
+
+``time_s`` [s]; for each foot FR, FL, RR, RL and joint hip, thigh, calf ``FR_hip_angle_rad`` [rad]
+and ``FR_hip_torque_Nm`` [N m]; optionally, a group whole or not at all, ``FR_hip_velocity_rad_s``
+[rad/s], ``quaternion_w`` to ``_z``, ``angular_velocity_x_rad_s`` to ``_z_`` [rad/s],
+``acceleration_x_m_s2`` to ``_z_`` [m/s²] and ``FR_foot_counts``; in any order, with commas.
+
+npz: numpy's archive, one array for each column of a JointLog.
+
+``time`` [s], shape [sample]; ``angle`` [rad] and ``torque`` [N m], shape [sample, 4, 3] or
+[sample, 12], feet in the order FR, FL, RR, RL, joints hip, thigh, calf; optionally ``velocity``
+[rad/s] of the same shape, ``quaternion`` (w, x, y, z), ``angular_velocity`` [rad/s],
+``acceleration`` [m/s²] and ``foot_counts`` (FR, FL, RR, RL); any type of number.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+import struct
+import zipfile
+import zlib
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from io import BytesIO
+from pathlib import Path
+from typing import IO
 
-from terraphi.errors import InputError, nearest
-from terraphi.robot.joint_log import FEET, JOINTS
-from terraphi.robot.logs.block import REQUIRED, SHAPES
+import numpy as np
+
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.robot.joint_log import FEET, JOINTS, FloatArray
+from terraphi.robot.logs.collect import REQUIRED, SHAPES, Array, Block
 
 TIME_COLUMN = "time_s"
 TIME_ARRAY = "time"
@@ -92,3 +118,198 @@ def _hint(name: str, known: list[str]) -> str:
     """The nearest name, or what names look like: seventy of them are no help."""
     hint = nearest(name, known)
     return f"expected {TIME_COLUMN}, {known[1]} and the like" if len(hint) > 200 else hint
+
+
+READ_BYTES = 2**22
+LONGEST_HEADER = 2**16
+
+WRONG_CELLS = "line with the wrong number of cells"
+CUT_OFF = "last line without its end"
+
+
+def read_csv(path: Path) -> Iterator[Block]:
+    """Read a CSV piece by piece.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Yields
+    ------
+    Block
+        Stamped in seconds.
+
+    Raises
+    ------
+    InputError
+        If the header is not as documented.
+    """
+    with path.open("rb") as stream:
+        header = _header(path, stream.readline(LONGEST_HEADER))
+        groups = check_columns(f"{path}, line 1", header)
+        places = {group: [header.index(name) for name in GROUPS[group]] for group in groups}
+        time = header.index(TIME_COLUMN)
+        rest = b""
+        while piece := stream.read(READ_BYTES):
+            whole, newline, rest = (rest + piece).rpartition(b"\n")
+            if newline:
+                yield _block(whole + newline, len(header), time, places)
+        if rest.strip():
+            # A number may have lost its last digits, and nobody could tell.
+            yield Block(np.empty(0), {}, None, Counter({CUT_OFF: 1}))
+
+
+def _header(path: Path, line: bytes) -> list[str]:
+    try:
+        text = line.decode("utf-8-sig").strip()
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: not a log; expected CSV, npz, MCAP or the folder of a rosbag2"
+        ) from error
+    if not text:
+        raise InputError(f"{path}, line 1: empty; expected the names of the columns")
+    return [name.strip().strip('"') for name in text.split(",")]
+
+
+def _block(lines: bytes, width: int, time: int, places: dict[str, list[int]]) -> Block:
+    dropped: Counter[str] = Counter()
+    raw = np.frombuffer(lines, dtype=np.uint8)
+    ends = np.flatnonzero(raw == ord("\n"))
+    rows = len(ends)
+    # Line by line: what one has too many another may lack.
+    commas = np.diff(np.searchsorted(np.flatnonzero(raw == ord(",")), ends), prepend=0)
+    if np.any(commas != width - 1):
+        every = [line for line in lines.split(b"\n") if line.strip()]
+        sound = [line for line in every if line.count(b",") == width - 1]
+        dropped[WRONG_CELLS] = len(every) - len(sound)
+        lines, rows = b"\n".join([*sound, b""]), len(sound)
+    table = _numbers(lines, width) if rows else np.empty((0, width))
+    values = {
+        group: table[:, at].reshape(len(table), *SHAPES[group]) for group, at in places.items()
+    }
+    return Block(table[:, time], values, None, dropped)
+
+
+def _numbers(lines: bytes, width: int) -> FloatArray:
+    """Parse lines of the right number of cells; what is no number becomes NaN."""
+    import pandas as pd  # type: ignore[import-untyped]
+
+    options = {"header": None, "names": range(width), "index_col": False, "quoting": 3}
+    try:
+        table = pd.read_csv(BytesIO(lines), dtype=np.float64, **options)
+    except (ValueError, OverflowError):
+        words = pd.read_csv(BytesIO(lines), dtype=str, encoding_errors="replace", **options)
+        table = words.apply(pd.to_numeric, errors="coerce")
+    return np.asarray(table.to_numpy(dtype=np.float64))
+
+
+MAGIC = b"PK\x03\x04"
+ROWS = 16_384
+
+# What damage to an archive makes zipfile raise; an encrypted member is a RuntimeError.
+_DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    KeyError,
+    ValueError,
+    OverflowError,
+    RuntimeError,
+)
+
+
+def read_npz(path: Path) -> Iterator[Block]:
+    """Read an npz, compressed or not, piece by piece.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Yields
+    ------
+    Block
+        Stamped in seconds.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged or its arrays are not as documented.
+    """
+    try:
+        with ExitStack() as stack:
+            archive = stack.enter_context(zipfile.ZipFile(path))
+            names = [name.removesuffix(".npy") for name in archive.namelist()]
+            columns = check_arrays(str(path), names)
+            arrays = {
+                name: _Reader(path, name, stack.enter_context(archive.open(f"{name}.npy")))
+                for name in [TIME_ARRAY, *columns]
+            }
+            samples = arrays[TIME_ARRAY].rows
+            for name, array in arrays.items():
+                if array.rows != samples:
+                    raise InputError(
+                        f"{path}: {array.rows} rows in '{name}' and {samples} in 'time'; expected "
+                        "as many"
+                    )
+            for start in range(0, samples, ROWS):
+                rows = min(ROWS, samples - start)
+                block = {name: array.read(rows) for name, array in arrays.items()}
+                yield Block(block.pop(TIME_ARRAY).astype(np.float64), block)
+    except InputError:
+        raise
+    except _DAMAGE as error:
+        raise InputError(
+            f"{path}: not a whole npz file ({error}); write or copy it again"
+        ) from error
+
+
+class _Reader:
+    """Rows of one array of an archive, one after the other."""
+
+    def __init__(self, path: Path, name: str, stream: IO[bytes]) -> None:
+        self.path, self.name, self.stream = path, name, stream
+        try:
+            version = np.lib.format.read_magic(stream)
+            read = (
+                np.lib.format.read_array_header_1_0
+                if version == (1, 0)
+                else np.lib.format.read_array_header_2_0
+            )
+            shape, fortran, dtype = read(stream)
+        except Exception as error:  # numpy parses the header as Python: ValueError, TokenError...
+            raise InputError(f"{path}: array '{name}' is damaged; write it again") from error
+        if dtype.kind not in "fiu":
+            raise InputError(f"{path}: array '{name}' is of type {dtype}; numbers are expected")
+        self.dtype = dtype
+        self.shape = self._checked(shape)
+        self.rows = shape[0]
+        # In columns, an array lies across the file: such a one is read whole.
+        self.whole = self._take(math.prod(shape)).reshape(shape, order="F") if fortran else None
+        self.at = 0
+
+    def _checked(self, shape: tuple[int, ...]) -> tuple[int, ...]:
+        wanted = () if self.name == TIME_ARRAY else SHAPES[self.name]
+        if shape and (shape[1:] == wanted or (shape[1:] == (math.prod(wanted),) and wanted)):
+            return wanted
+        inner = ", ".join(["sample", *map(str, wanted)])
+        raise InputError(
+            f"{self.path}: array '{self.name}' has shape {list(shape)}; expected [{inner}]"
+        )
+
+    def read(self, rows: int) -> Array:
+        """The next rows."""
+        if self.whole is not None:
+            values = self.whole[self.at : self.at + rows]
+        else:
+            values = self._take(rows * math.prod(self.shape))
+        self.at += rows
+        return values.reshape(rows, *self.shape)
+
+    def _take(self, count: int) -> Array:
+        data = self.stream.read(count * self.dtype.itemsize)
+        if len(data) < count * self.dtype.itemsize:
+            raise EOFError(f"'{self.name}' ends early")
+        return np.frombuffer(data, dtype=self.dtype)

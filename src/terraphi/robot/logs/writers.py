@@ -10,12 +10,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from terraphi.errors import InputError
-from terraphi.files import replacing
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import replacing
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.logs import jointstate, lowstate
-from terraphi.robot.logs.block import SHAPES
 from terraphi.robot.logs.cdr import definition_text
+from terraphi.robot.logs.collect import SHAPES
 from terraphi.robot.logs.tables import GROUPS, TIME_ARRAY, TIME_COLUMN
 
 Message = Literal["lowstate", "jointstate"]

@@ -1,0 +1,234 @@
+"""``terraphi invert``: one history or several, one parameter or several."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from terraphi.cli.options import Float, IntRange, completed, json_option, leg_names, library_names
+from terraphi.experiment.errors import InputError
+from terraphi.view.console import as_text, print_inversion, print_joint_inversion, print_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from terraphi.experiment.measurements import Measurement
+    from terraphi.inference.inversion import Inversion
+    from terraphi.inference.joint import JointInversion
+    from terraphi.library.store import Library
+
+DEFAULT_LIBRARY = "quick-plane-strain"
+DEFAULT_LIKELIHOOD = "calibrated"
+DEFAULT_SAMPLER = "quadrature"
+KIND, ANSWER = "inversion", "answer.json"
+MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
+"""Files that an inversion of any kind may leave in its folder."""
+
+
+@click.command()
+@click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
+@click.option(
+    "--leg",
+    "legs",
+    multiple=True,
+    help="Shape of the leg: straight, c, reversed_c or plate; once for all, or once each.",
+    shell_complete=leg_names,
+)
+@click.option("--density", type=Float(), help="Bulk density of the soil [kg/m³].")
+@click.option(
+    "--library",
+    default=DEFAULT_LIBRARY,
+    show_default=True,
+    help="Name, or a .nc file.",
+    shell_complete=library_names,
+)
+@click.option(
+    "--prior",
+    multiple=True,
+    metavar="KEY=PRIOR",
+    help="Of a parameter: LOW:HIGH, MEAN+-SD or VALUE, as density=1500:1700; may be repeated.",
+)
+@click.option(
+    "--likelihood",
+    help=f"Error model of one history and φ alone: calibrated or paper.  [default: "
+    f"{DEFAULT_LIKELIHOOD}]",
+    shell_complete=completed(lambda: ("calibrated", "paper")),
+)
+@click.option(
+    "--noise", help="Noise of a force reading [N], or a TOML file on the sensor; else inferred."
+)
+@click.option(
+    "--discrepancy", help="none or gp; not given: gp, but none for a history that we simulated."
+)
+@click.option(
+    "--sampler",
+    help=f"quadrature (exact, φ alone) or emcee.  [default: {DEFAULT_SAMPLER}; emcee if joint]",
+)
+@click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of emcee.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder for answer.json, posterior.nc (opens in ArviZ) and figures.",
+)
+@json_option
+def invert(
+    forces: tuple[str, ...],
+    legs: tuple[str, ...],
+    library: str,
+    prior: tuple[str, ...],
+    out: Path | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Infer the friction angle, and what else a library varies, from FORCES.
+
+    FORCES is a CSV with exactly the columns theta_deg,Fx_N,Fz_N over -85 to 85 deg (theta
+    from the downward vertical, increasing in time; x forward, z up; the soil's force on the leg),
+    a NetCDF that terraphi wrote, or a shipped measurement such as li2013:yuma/c.
+
+    Several FORCES, of several legs or repeated trials in one soil, are inverted as one data set;
+    so is one with a --prior or a library of several parameters.
+
+    Example: terraphi invert forces.csv --density 1600 --out answer
+
+    Example: terraphi invert straight.csv c.csv --leg straight --leg c --prior density=1500:1700
+    """
+    from terraphi.experiment.measurements import open_forces
+    from terraphi.experiment.outputs import check_folder
+    from terraphi.library.store import Library
+    from terraphi.surrogate.training import is_of_several
+
+    if out is not None:
+        check_folder(out, kind=KIND, names=MADE)
+    measured = [open_forces(source) for source in forces]
+    shapes = legs_of(legs, measured)
+    chosen = Library.load(library)
+    joint = len(measured) > 1 or bool(prior) or is_of_several(chosen)
+    made: tuple[str, ...]
+    if joint:
+        found = jointly(measured, shapes, chosen, prior=prior, **options)
+        made = () if out is None else save_joint_inversion(found, out)
+    else:
+        found = alone(measured[0], shapes[0], chosen, **options)
+        made = () if out is None else save_inversion(found, out)
+    if as_json:
+        print_json(found.as_dict())
+        return
+    if joint:
+        print_joint_inversion(found)
+    else:
+        print_inversion(found)
+    if made:
+        click.echo(f"Written: {out}/{', '.join(made)}")
+
+
+def alone(
+    measured: Measurement,
+    leg: str,
+    library: Library,
+    *,
+    density: float | None,
+    likelihood: str | None,
+    sampler: str | None,
+    **options: Any,
+) -> Any:
+    """Invert one history for the friction angle."""
+    from terraphi.inference.inversion import invert as run
+
+    return run(
+        measured.history,
+        library=library,
+        leg=leg,
+        density=measured.density_kg_m3 if density is None else density,
+        density_assumed=density is None and measured.density_assumed,
+        likelihood=likelihood or DEFAULT_LIKELIHOOD,
+        sampler=sampler or DEFAULT_SAMPLER,
+        source=measured.name,
+        **options,
+    )
+
+
+def jointly(
+    measured: Sequence[Measurement],
+    legs: Sequence[str],
+    library: Library,
+    *,
+    likelihood: str | None,
+    sampler: str | None,
+    **options: Any,
+) -> Any:
+    """Invert all histories as one data set."""
+    from terraphi.inference.joint import Trial, invert_jointly
+
+    for name, given, only in (
+        ("--likelihood", likelihood, "joint"),
+        ("--sampler", sampler, "emcee"),
+    ):
+        if given not in (None, only):
+            raise InputError(
+                f"{name} {given} is for one history and the friction angle alone; several "
+                f"histories or parameters know {only} only: leave it out"
+            )
+    trials = [
+        Trial(m.history, leg, m.name, m.density_kg_m3, m.density_assumed)
+        for m, leg in zip(measured, legs, strict=True)
+    ]
+    return invert_jointly(trials, library=library, **options)
+
+
+def legs_of(legs: Sequence[str], measured: Sequence[Measurement]) -> list[str]:
+    """Shape of each history's leg: as asked for, else as measured."""
+    from terraphi.experiment.errors import nearest
+    from terraphi.experiment.leg import LEG_SHAPES
+
+    for leg in legs:
+        if leg not in LEG_SHAPES:
+            raise InputError(f"unknown leg '{leg}'; {nearest(leg, LEG_SHAPES)}")
+    if not legs:
+        return [m.leg for m in measured]
+    shapes = [legs[0] for _ in measured] if len(legs) == 1 else list(legs)
+    if len(shapes) != len(measured):
+        raise InputError(
+            f"there are {len(measured)} histories and {len(legs)} legs; give --leg once for all, "
+            "or once for each history in their order"
+        )
+    for leg, one in zip(shapes, measured, strict=True):
+        if one.source and leg != one.leg:
+            remedy = "give --leg for each history, in their order" if measured[1:] else "drop it"
+            raise InputError(f"--leg {leg}: {one.name} was measured on leg '{one.leg}'; {remedy}")
+    return shapes
+
+
+def save_inversion(inversion: Inversion, place: Path) -> tuple[str, ...]:
+    """Write posterior, figure and answer, the answer last; their names."""
+    from terraphi.view import plots
+
+    return _save(inversion, place, {"figure.png": lambda: plots.inversions_figure([inversion])})
+
+
+def save_joint_inversion(found: JointInversion, place: Path) -> tuple[str, ...]:
+    """The same, with the corner plot."""
+    from terraphi.view import plots as joint_plots
+
+    figures = {
+        "figure.png": lambda: joint_plots.fits_figure(found),
+        "corner.png": lambda: joint_plots.corner_figure(found),
+    }
+    return _save(found, place, figures)
+
+
+def _save(
+    found: Inversion | JointInversion, place: Path, figures: Mapping[str, Callable[[], Figure]]
+) -> tuple[str, ...]:
+    from terraphi.experiment.outputs import filling
+    from terraphi.view import plots
+
+    with filling(place, kind=KIND, last=ANSWER) as made:
+        found.to_netcdf(made / "posterior.nc")
+        for name, draw in figures.items():
+            plots.save(draw(), made.joinpath(name))
+        made.joinpath(ANSWER).write_text(as_text(found.as_dict()), encoding="utf-8")
+    return ANSWER, "posterior.nc", *figures

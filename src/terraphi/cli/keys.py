@@ -1,0 +1,29 @@
+"""The command ``terraphi keys``."""
+
+from __future__ import annotations
+
+import click
+
+from terraphi.cli.options import json_option
+from terraphi.view.console import print_json, print_table
+
+
+@click.command()
+@click.argument("document", default="scenario")
+@json_option
+def keys(document: str, as_json: bool) -> None:
+    """List every key of a DOCUMENT with unit, default, what is allowed, and meaning.
+
+    DOCUMENT is scenario (if not given), plan or robot: the TOML files that people write.
+
+    Example: terraphi keys scenario
+    """
+    from terraphi.view.keys import as_dict, tables
+
+    if as_json:
+        print_json(as_dict(document))
+        return
+    header = ("key", "unit", "default", "allowed", "meaning")
+    for table in tables(document):
+        rows = [(key.name, key.unit, key.default, key.allowed, key.meaning) for key in table.keys]
+        print_table(header, rows, title=f"{table.title}: {table.about}")

@@ -1,0 +1,209 @@
+"""``terraphi library``: build libraries of simulations, list and show them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from terraphi.cli.options import (
+    IntRange,
+    checkpoint_every_option,
+    cluster_option,
+    json_option,
+    library_names,
+    shipped,
+)
+from terraphi.experiment.errors import InputError
+from terraphi.view.console import (
+    ignore_interrupts,
+    note,
+    print_json,
+    print_library,
+    print_pairs,
+    print_table,
+    progress_bar,
+    words,
+)
+
+if TYPE_CHECKING:
+    from terraphi.forward.forecast import Forecast
+    from terraphi.library.plan import Plan
+
+log = logging.getLogger(__name__)
+
+
+@click.group()
+def library() -> None:
+    """Build, list and show libraries of simulations.
+
+    Example: terraphi library list
+    """
+
+
+@library.command("build")
+@click.argument("plan", shell_complete=shipped("plans", ".toml"))
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file to make.")
+@click.option("--workers", type=IntRange(min=1), help="Processes; all cores if not given.")
+@cluster_option
+@checkpoint_every_option
+@json_option
+def library_build(
+    plan: str,
+    out: Path,
+    workers: int | None,
+    cluster: str | None,
+    checkpoint_every: float,
+    as_json: bool,
+) -> None:
+    """Simulate all cases of PLAN, a TOML file or the name of a shipped plan.
+
+    An interrupted or killed build is resumed by the same command, cases that were running included.
+
+    Example: terraphi library build quick-plane-strain --out my.nc --workers 4
+    """
+    from terraphi.experiment.files import makeable
+    from terraphi.experiment.outputs import check_file
+    from terraphi.experiment.plausibility import doubts
+    from terraphi.library.build import build, kept_cases
+    from terraphi.library.cluster import pool
+    from terraphi.library.plan import Plan
+    from terraphi.library.workers import available_cores
+
+    chosen = Plan.load(plan)
+    if out.exists():
+        check_file(out, kind="library")
+    makeable(out.parent)
+    cases = chosen.cases()
+    compiles = cluster is None and any(case.model == "mpm" for case in cases)
+    expected = foreseen(chosen, 1 if cluster is not None else workers or available_cores())
+    asked = dict.fromkeys(doubt for case in cases for doubt in doubts(case))
+    try:
+        with (
+            pool(workers, cluster) as running,
+            progress_bar("simulating", compiles=compiles) as report,
+        ):
+            for doubt in asked:
+                log.warning(doubt)
+            if running.workers == 0:
+                note(f"{cluster} has no workers yet; the build waits")
+            cores = running.workers or 1
+            note(expected.sentence(cores))
+            made = build(
+                chosen,
+                out,
+                executor=running.executor,
+                progress=lambda done, total: report(running.counted(done), total),
+                checkpoint_every=checkpoint_every,
+            )
+    except KeyboardInterrupt:
+        ignore_interrupts()
+        kept = kept_cases(out)
+        raise InputError(
+            f"{out}: interrupted before it was whole; what was done is kept in {kept}, and the "
+            "same command goes on from there"
+            if kept
+            else f"{out}: interrupted before there was anything to keep; nothing was written"
+        ) from None
+    except InputError:
+        kept_cases(out)
+        raise
+    if as_json:
+        print_json({**made.summary(), "forecast": expected.as_dict(cores)})
+        return
+    print_library(made)
+
+
+def foreseen(plan: Plan, cores: int) -> Forecast:
+    """What the build will take, on so many cores of this machine; refused if it cannot fit."""
+    from terraphi.forward import register_bits
+    from terraphi.forward.forecast import forecast, refuse_too_many
+
+    plan.refuse_what_cannot_fit()
+    cases = plan.cases()
+    expected = forecast(cases, register_bits=register_bits(cases))
+    refuse_too_many(expected, cores, f"plan '{plan.name}'")
+    return expected
+
+
+@library.command("list")
+@json_option
+def library_list(as_json: bool) -> None:
+    """List the shipped libraries: those to invert with, then those that try them.
+
+    Example: terraphi library list
+    """
+    from terraphi.experiment.documents import shipped_names
+    from terraphi.library.shipped import offered
+    from terraphi.library.store import Library
+
+    found = [Library.load(name).summary() for name in shipped_names("libraries", ".nc")]
+    if as_json:
+        print_json({"libraries": found})
+        return
+    usable = offered()
+    some = [entry for entry in found if entry["name"] in usable]
+    rest = [entry for entry in found if entry["name"] not in usable]
+    _list(some, "To invert with, as --library NAME")
+    _list(rest, "To try those with: other angles, particle seeds or settings")
+
+
+def _list(found: Sequence[Mapping[str, Any]], title: str) -> None:
+    """Libraries as a table; they are of several conventions and soils."""
+    header = ("", "φ means", "φ [deg]", "legs", "histories", "density [kg/m³]", "certificate")
+    rows = [
+        (
+            entry["name"],
+            entry["convention"],
+            " to ".join(map(words, entry["phi_deg"])),
+            words(entry["legs"]),
+            words(entry["cases"]),
+            words(entry["density_kg_m3"]),
+            "yes" if entry["certificate"] else "-",
+        )
+        for entry in found
+    ]
+    print_table(header, rows, title=title)
+
+
+@library.command("show")
+@click.argument("name", shell_complete=library_names)
+@click.option("--check", is_flag=True, help="Simulate a case again and compare all bits.")
+@click.option(
+    "--case",
+    "number",
+    type=IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Which case to check, in the plan's order.",
+)
+@json_option
+def library_show(name: str, check: bool, number: int, as_json: bool) -> None:
+    """Show what the library NAME (or a .nc file) holds and where it comes from.
+
+    It says too whether a build here would give the same forces to the last bit.
+
+    Example: terraphi library show quick-paper --check
+    """
+    from terraphi.library.reproduction import account, rebuild
+    from terraphi.library.store import Library
+
+    found = Library.load(name)
+    bits = account(found)
+    again = None
+    if check:
+        compiles = any(case.scenario.model == "mpm" for case in found.cases)
+        with progress_bar("simulating", compiles=compiles) as report:
+            again = rebuild(found, number, progress=lambda fraction: report(fraction, 1.0))
+    if as_json:
+        checked = {"checked": again.as_dict()} if again else {}
+        print_json({**found.summary(), "bits": {**bits, **checked}})
+        return
+    print_library(found)
+    print_pairs({"bits rest on": bits["rests_on"], "digest": bits["digest"]})
+    click.echo(f"Bits: {bits['sentence']}.")
+    if again is not None:
+        click.echo(again.sentence)

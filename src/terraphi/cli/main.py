@@ -1,0 +1,263 @@
+"""The command line: parses, calls, prints. Nothing is computed here."""
+
+from __future__ import annotations
+
+import io
+import logging
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from terraphi.cli.app import app
+from terraphi.cli.calibrate import library_calibrate
+from terraphi.cli.doctor import doctor
+from terraphi.cli.invert import DEFAULT_LIBRARY, KIND, MADE, invert, save_inversion
+from terraphi.cli.keys import keys
+from terraphi.cli.library import library
+from terraphi.cli.options import json_option, shipped, tells_as_much_as_asked
+from terraphi.cli.report import report
+from terraphi.cli.simulate import simulate
+from terraphi.cli.study import study
+from terraphi.cli.suggest import library_suggest
+from terraphi.experiment.errors import InputError, SimulationError
+from terraphi.view.console import (
+    ignore_interrupts,
+    listen,
+    print_forces,
+    print_inversion,
+    print_json,
+)
+
+UNUSABLE = 2
+"""Exit status when the input could not be used."""
+OURS = 1
+"""Exit status when something is wrong with the program."""
+log = logging.getLogger("terraphi")
+DEMO_FIGURE = "demo.png"
+DEMO_SOURCES = ("li2013:yuma/straight", "li2013:glass03_close/straight")
+
+
+class Commands(click.Group):
+    """All commands; an empty word is refused before one of them takes it for a folder or a name."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """The words that are left for a command."""
+        before = ""
+        for word in args:
+            name, given, value = word.partition("=")
+            if not word.strip():
+                name = before if before.startswith("-") else "an argument"
+            elif not (given and not value.strip() and word.startswith("--")):
+                before = word
+                continue
+            raise click.UsageError(f"{name} is empty; give it a value, or leave it out")
+        return super().parse_args(ctx, args)
+
+
+@click.group(
+    cls=Commands,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(package_name="terraphi")
+def cli() -> None:
+    """Friction angle of soil, with its uncertainty, from the forces on a leg that moved through it.
+
+    Example: terraphi invert li2013:yuma/straight
+    """
+
+
+@cli.command()
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default="terraphi-demo",
+    show_default=True,
+    help="Folder for the figure and the answers.",
+)
+@json_option
+def demo(out: Path, as_json: bool) -> None:
+    """Invert two measured histories, Yuma sand and 0.3 mm glass beads.
+
+    Example: terraphi demo
+    """
+    from terraphi.experiment.measurements import open_forces
+    from terraphi.experiment.outputs import check_folder, filling
+    from terraphi.inference.inversion import invert as run
+    from terraphi.library.store import Library
+    from terraphi.view import plots
+
+    names = [source.partition(":")[2].replace("/", "-") for source in DEMO_SOURCES]
+    answers = [out.joinpath(name) for name in names]
+    check_folder(out, kind="demo", names=[DEMO_FIGURE])
+    for place in answers:
+        check_folder(place, kind=KIND, names=MADE)
+    library = Library.load(DEFAULT_LIBRARY)
+    found = []
+    for source in DEMO_SOURCES:
+        forces = open_forces(source)
+        found.append(
+            run(
+                forces.history,
+                library=library,
+                leg=forces.leg,
+                density=forces.density_kg_m3,
+                density_assumed=forces.density_assumed,
+                source=source,
+            )
+        )
+    with filling(out, kind="demo", last=DEMO_FIGURE) as made:
+        plots.save(plots.inversions_figure(found), made.joinpath(DEMO_FIGURE))
+    picture = out.joinpath(DEMO_FIGURE)
+    for inversion, place in zip(found, answers, strict=True):
+        save_inversion(inversion, place)
+    if as_json:
+        print_json({"inversions": [f.as_dict() for f in found], "figure": str(picture)})
+        return
+    for inversion in found:
+        print_inversion(inversion)
+    click.echo(f"Figure: {picture}")
+    click.echo(f"Answers: {', '.join(map(str, answers))}")
+
+
+cli.add_command(invert)
+cli.add_command(simulate)
+cli.add_command(library)
+cli.add_command(study)
+cli.add_command(report)
+cli.add_command(app)
+cli.add_command(keys)
+cli.add_command(doctor)
+
+
+library.add_command(library_calibrate)
+library.add_command(library_suggest)
+
+
+@cli.command()
+@click.argument("log")
+@click.option(
+    "--robot",
+    default="go2",
+    show_default=True,
+    help="Name, TOML or URDF of the robot.",
+    shell_complete=shipped("robots", ".toml"),
+)
+@click.option(
+    "--estimator",
+    default="momentum_observer",
+    show_default=True,
+    help="quasi_static (the paper's), gravity, inverse_dynamics or momentum_observer.",
+)
+@click.option("--frame", default="world", show_default=True, help="world, heading or body.")
+@click.option("--topic", help="Topic of a bag; the only fitting one if not given.")
+@click.option(
+    "--joint-names",
+    metavar="NAME,...",
+    help="A bag's twelve JointState names, where they do not tell by themselves: FR, FL, RR, RL, "
+    "each hip, thigh, calf.",
+)
+@click.option("--out", type=click.Path(path_type=Path), help="NetCDF file to make.")
+@click.option("--figures", type=click.Path(path_type=Path), help="Folder for two figures.")
+@json_option
+def forces(
+    log: str,
+    robot: str,
+    estimator: Any,
+    frame: Any,
+    topic: str | None,
+    joint_names: str | None,
+    out: Path | None,
+    figures: Path | None,
+    as_json: bool,
+) -> None:
+    """Foot forces and stances from a robot's LOG: CSV, npz, MCAP or rosbag2.
+
+    Example: terraphi forces walk.mcap --out forces.nc
+    """
+    from terraphi.experiment.outputs import check_file, check_folder, filling
+    from terraphi.robot import results as results_file
+    from terraphi.robot.results import analyse
+    from terraphi.view import plots
+    from terraphi.view import robot_plots as pictures
+
+    if out is not None:
+        check_file(out, kind=results_file.KIND)
+    if figures is not None:
+        check_folder(figures, kind="forces", names=["forces.png", "stance.png"])
+    names = joint_names and [name.strip() for name in joint_names.split(",")]
+    found = analyse(
+        log,
+        robot=robot,
+        estimator=estimator,
+        frame=frame,
+        topic=topic,
+        joint_names=names or None,
+    )
+    if out is not None:
+        results_file.write_forces(found, out)
+    if figures is not None:
+        with filling(figures, kind="forces", last="stance.png") as made:
+            plots.save(pictures.forces_figure(found), made / "forces.png")
+            plots.save(pictures.stance_figure(found), made / "stance.png")
+    if as_json:
+        print_json(found.summary())
+        return
+    print_forces(found.summary())
+
+
+tells_as_much_as_asked(cli)
+
+
+def main() -> None:
+    """Run the command line; every expected failure is one sentence and exit status 2.
+
+    An error of the program itself is one sentence too, with status 1; its traceback is in the log.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        # An angle in the wrong letters beats no angle on a terminal that lacks φ.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    listen()
+    try:
+        cli.main(prog_name="terraphi", standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as asked:
+        click.echo(asked.format_message())
+    except click.ClickException as error:
+        click.echo(f"terraphi: {error.format_message()}", err=True)
+        sys.exit(UNUSABLE)
+    except (InputError, SimulationError) as error:
+        click.echo(f"terraphi: {error}", err=True)
+        sys.exit(UNUSABLE)
+    except (click.Abort, KeyboardInterrupt):
+        ignore_interrupts()
+        click.echo("terraphi: interrupted; nothing was written", err=True)
+        sys.exit(UNUSABLE)
+    except OSError as error:
+        click.echo(f"terraphi: the system refused ({error}); nothing more was written", err=True)
+        sys.exit(UNUSABLE)
+    except MemoryError as error:
+        why = f" ({error})" if str(error) else ""
+        click.echo(
+            f"terraphi: this needs more memory than there is{why}; give less, or ask for a coarser "
+            "grid",
+            err=True,
+        )
+        sys.exit(UNUSABLE)
+    except ImportError as error:
+        click.echo(f"terraphi: {error}; install terraphi and its packages again", err=True)
+        sys.exit(OURS)
+    except Exception as error:
+        log.info("the traceback:", exc_info=True)
+        what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        click.echo(
+            f"terraphi: an error of terraphi itself ({what}); please report it with the command "
+            "that you ran and what it prints as 'terraphi -v ...'",
+            err=True,
+        )
+        sys.exit(OURS)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,166 @@
+"""Commands that need more than a few lines, and the options that commands share."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from terraphi.experiment.errors import InputError
+from terraphi.view.console import listen
+
+
+def _check_plain(
+    kind: click.ParamType[Any], value: Any, param: click.Parameter | None, ctx: click.Context | None
+) -> None:
+    """Refuse numbers that only Python reads, as ``1_000``, and what is not finite."""
+    from terraphi.experiment.files import plain_number
+
+    if not isinstance(value, str):
+        return
+    try:
+        finite = math.isfinite(plain_number(value))
+    except ValueError:
+        finite = False
+    if not finite:
+        kind.fail(f"{value[:40]!r} is not a number, as 1000 and 0.25 are", param, ctx)
+
+
+class Float(click.types.FloatParamType):
+    """A number on the command line, in the letters that our files have."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """The number."""
+        _check_plain(self, value, param, ctx)
+        return super().convert(value, param, ctx)
+
+
+class FloatRange(click.FloatRange):
+    """The same within bounds."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """The number."""
+        _check_plain(self, value, param, ctx)
+        return super().convert(value, param, ctx)
+
+
+class IntRange(click.IntRange):
+    """The same of whole numbers."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """The number."""
+        _check_plain(self, value, param, ctx)
+        return super().convert(value, param, ctx)
+
+
+EVERY_SECONDS = 20.0
+"""Least time between two checkpoints [s]."""
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+checkpoint_every_option = click.option(
+    "--checkpoint-every",
+    type=FloatRange(min=0.0),
+    default=EVERY_SECONDS,
+    show_default=True,
+    metavar="SECONDS",
+    help="Least time between two checkpoints; longer where they would take over 1 % of the time.",
+)
+
+
+def _listen(context: click.Context, parameter: click.Parameter, value: int) -> int:
+    """Set what is told on standard error; wherever in a command the option stands."""
+    if value:
+        opposite = context.meta.setdefault("terraphi.loudness", parameter.name) != parameter.name
+        if opposite:
+            raise click.UsageError("--verbose and --quiet are opposites; give one of them")
+        if parameter.name == "quiet":
+            listen(logging.ERROR)
+        else:
+            listen(logging.INFO if value == 1 else logging.DEBUG)
+    return value
+
+
+def tells_as_much_as_asked(command: click.Command) -> None:
+    """Give a command, and those in it, the options on what is told on standard error."""
+    more = [
+        click.Option(
+            ["-v", "--verbose"],
+            count=True,
+            expose_value=False,
+            callback=_listen,
+            help="Tell on standard error what is being done; -vv: in detail.",
+        ),
+        click.Option(
+            ["-q", "--quiet"],
+            is_flag=True,
+            expose_value=False,
+            callback=_listen,
+            help="Tell nothing there but errors: no warnings, no progress.",
+        ),
+    ]
+    command.params.extend(more)
+    for inner in command.commands.values() if isinstance(command, click.Group) else ():
+        tells_as_much_as_asked(inner)
+
+
+def completed(
+    names: Callable[[], Iterable[str]], *, files: bool = False
+) -> Callable[[Any, Any, str], list[CompletionItem]]:
+    """What the tab key completes: names that exist, and files where one may stand as well."""
+
+    def complete(_context: Any, _parameter: Any, begun: str) -> list[CompletionItem]:
+        found = [CompletionItem(name) for name in names() if name.startswith(begun)]
+        # Only the shell knows the files; it is asked where no name fits.
+        return found or ([CompletionItem(begun, type="file")] if files else [])
+
+    return complete
+
+
+def shipped(folder: str, suffix: str) -> Callable[[Any, Any, str], list[CompletionItem]]:
+    """Completion of a file's name or that of a shipped one."""
+
+    def names() -> list[str]:
+        from terraphi.experiment.documents import shipped_names
+
+        return shipped_names(folder, suffix)
+
+    return completed(names, files=True)
+
+
+def studies_package() -> Any:
+    """The package of studies, found by its entry point; the core does not know its name.
+
+    Raises
+    ------
+    InputError
+        If none is installed.
+    """
+    from importlib.metadata import entry_points
+
+    for found in entry_points(group="terraphi.studies"):
+        return found.load()
+    raise InputError("no studies are installed; install terraphi again, by 'make install' or pip")
+
+
+def _legs() -> Iterable[str]:
+    from terraphi.experiment.leg import LEG_SHAPES
+
+    return LEG_SHAPES
+
+
+def _studies() -> Iterable[str]:
+    return ["list", *studies_package().STUDIES]
+
+
+leg_names = completed(_legs)
+study_names = completed(_studies)
+library_names = shipped("libraries", ".nc")
+cluster_option = click.option(
+    "--cluster",
+    metavar="ADDRESS",
+    help="Simulate on the Dask cluster whose scheduler answers there, as at tcp://127.0.0.1:8786.",
+)

@@ -1,0 +1,199 @@
+"""``terraphi simulate``: one simulation, what it leaves behind, and how it is taken up again."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from terraphi.cli.options import IntRange, checkpoint_every_option, json_option, shipped
+from terraphi.experiment.errors import InputError
+from terraphi.view.console import ignore_interrupts, note, print_json, print_pairs, progress_bar
+
+if TYPE_CHECKING:
+    from terraphi.experiment.history import ForceHistory
+    from terraphi.experiment.scenario import Scenario
+    from terraphi.forward import Checkpoint
+    from terraphi.forward.forecast import Forecast
+    from terraphi.forward.mpm.fields import FieldSeries
+
+log = logging.getLogger(__name__)
+file_type = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("scenario", shell_complete=shipped("scenarios", ".toml"))
+@click.option("--out", type=file_type, help="NetCDF file for the history.")
+@click.option("--fields", type=file_type, help="Folder for particles and leg as VTK (ParaView).")
+@click.option("--animate", type=file_type, help="A .gif or .mp4 of particles and growing forces.")
+@click.option(
+    "--frames",
+    type=IntRange(min=2),
+    default=100,
+    show_default=True,
+    help="Frames of the fields and the animation, one each 2000 steps at most.",
+)
+@click.option(
+    "--checkpoint",
+    type=file_type,
+    help="File that keeps the state until all is written; if not given, beside what is written.",
+)
+@checkpoint_every_option
+@json_option
+def simulate(
+    scenario: str,
+    out: Path | None,
+    fields: Path | None,
+    animate: Path | None,
+    frames: int,
+    checkpoint: Path | None,
+    checkpoint_every: float,
+    as_json: bool,
+) -> None:
+    """Simulate SCENARIO, a TOML file or the name of a shipped preset.
+
+    Presets: quick, paper-1, resolved.
+
+    A simulation that was interrupted or killed is taken up again by the same command, and ends in
+    the same bits.
+
+    Example: terraphi simulate quick --out quick.nc
+    """
+    from terraphi.experiment.files import writable
+    from terraphi.experiment.outputs import check_file
+    from terraphi.experiment.plausibility import doubts
+    from terraphi.experiment.scenario import Scenario
+
+    chosen = Scenario.load(scenario)
+    expected = foreseen(chosen, scenario)
+    if out is not None and out.suffix != ".nc":
+        raise InputError(f"{out}: a history is written as NetCDF; name it {out.stem}.nc")
+    for file, kind in ((out, "force history"), (animate, "")):
+        if file is not None:
+            check_file(file, kind=kind)
+    if checkpoint is not None:
+        writable(checkpoint)
+    if animate is not None:
+        from terraphi.view.animation import check_animation
+
+        check_animation(animate)
+    kept = kept_state(chosen, checkpoint, out or animate or fields, checkpoint_every)
+    series = field_series(chosen, fields, animate, frames)
+    for doubt in doubts(chosen):
+        log.warning(doubt)
+    note(expected.sentence())
+    history = run(chosen, kept, series)
+    if out is not None:
+        history.to_netcdf(out)
+    if animate is not None and series is not None:
+        draw(animate, history, chosen, series)
+        if fields is None:
+            series.remove()
+    if kept is not None:
+        kept.remove()
+    made = {"out": out, "fields": fields, "animation": animate}
+    summary = {
+        **history.summary(),
+        **{name: str(path) for name, path in made.items() if path is not None},
+    }
+    if as_json:
+        print_json({**summary, "forecast": expected.as_dict()})
+        return
+    print_pairs(summary)
+
+
+def foreseen(scenario: Scenario, source: str) -> Forecast:
+    """What the simulation will take; one that cannot fit is refused by the name of its file."""
+    from terraphi.forward import register_bits
+    from terraphi.forward.forecast import forecast, refuse_what_cannot_fit
+
+    try:
+        refuse_what_cannot_fit(scenario)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+    return forecast([scenario], register_bits=register_bits([scenario]))
+
+
+def kept_state(
+    scenario: Scenario, named: Path | None, made: Path | None, every: float
+) -> Checkpoint | None:
+    """Where the state is kept: in the file that was named, or else beside what is made."""
+    from terraphi.forward import Checkpoint
+
+    if scenario.model != "mpm":
+        if named is not None:
+            raise InputError(
+                f"model = '{scenario.model}' is done in no time and keeps no state: leave out "
+                "--checkpoint"
+            )
+        return None
+    if named is not None:
+        return Checkpoint(named, every, named=True)
+    if made is None:
+        return None
+    made = made if made.name else made.resolve()  # "." has no name of its own
+    return Checkpoint(made.with_name(made.name + ".checkpoint"), every)
+
+
+def field_series(
+    scenario: Scenario, fields: Path | None, animation: Path | None, frames: int
+) -> FieldSeries | None:
+    """Series of the fields; those of an animation alone stay beside it until it is drawn."""
+    place = fields
+    if place is None and animation is not None:
+        place = animation.with_name(animation.name + ".frames")
+    if place is None:
+        return None
+    if scenario.model != "mpm":
+        raise InputError(
+            f"model = '{scenario.model}' has no particles to look at: --fields and --animate need "
+            "model = 'mpm'"
+        )
+    from terraphi.forward.mpm.fields import FieldSeries
+
+    return FieldSeries(place, scenario, frames=frames)
+
+
+def run(scenario: Scenario, kept: Checkpoint | None, series: FieldSeries | None) -> ForceHistory:
+    """Simulate; Ctrl-C ends in a sentence that says how to go on."""
+    from terraphi import forward
+
+    try:
+        with progress_bar("simulating", compiles=scenario.model == "mpm") as report:
+            return forward.simulate(
+                scenario,
+                progress=lambda fraction: report(fraction, 1.0),
+                checkpoint=kept,
+                observe=series,
+            )
+    except KeyboardInterrupt:
+        ignore_interrupts()
+        raise InputError(
+            f"interrupted; the state so far is kept in {kept.path}, and the same command goes on "
+            "from there"
+            if kept is not None and kept.path.exists()
+            else "interrupted; no history was written"
+        ) from None
+
+
+def draw(path: Path, history: ForceHistory, scenario: Scenario, series: FieldSeries) -> None:
+    """Draw the animation."""
+    from terraphi.view.animation import animate
+
+    try:
+        with progress_bar("drawing") as report:
+            animate(
+                path,
+                history,
+                scenario,
+                series.particles,
+                progress=lambda fraction: report(fraction, 1.0),
+            )
+    except KeyboardInterrupt:
+        ignore_interrupts()
+        raise InputError(
+            f"{path}: interrupted before it was drawn; its frames are kept in "
+            f"{series.particles.parent}, and the same command goes on from there"
+        ) from None

@@ -1,0 +1,72 @@
+"""What in a scenario can be simulated and is hardly meant: odd units, a leg without soil."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from terraphi.experiment.leg import frame_axes
+from terraphi.experiment.scenario import Scenario
+
+POSES = 361
+"""Moments of the motion at which the leg is looked at."""
+LIMITS = {
+    "soil.friction_angle_deg": (5.0, 60.0, "in degrees"),
+    "soil.density": (500.0, 5000.0, "in kg/m³"),
+    "soil.youngs_modulus": (1e5, 1e10, "in pascals"),
+    "soil.cohesion": (0.0, 1e6, "in pascals"),
+    "leg.chord": (5e-3, 2.0, "in metres"),
+    "leg.half_thickness": (1e-4, 0.1, "in metres"),
+    "leg.width": (1e-3, 1.0, "in metres"),
+    "leg.friction": (0.0, 2.0, "a coefficient"),
+    "motion.rate": (1e-3, 100.0, "in rad/s"),
+    "bed.width": (1e-2, 10.0, "in metres"),
+    "bed.height": (1e-3, 10.0, "in metres"),
+    "bed.surcharge": (0.0, 1e6, "in pascals"),
+    "numerics.time_step": (1e-8, 1e-2, "in seconds"),
+    "numerics.speed_up": (0.1, 1e3, "a factor"),
+}
+"""Least and largest value that nobody would wonder at, and what it is."""
+
+
+def doubts(scenario: Scenario) -> list[str]:
+    """What a careful reader would ask about before simulating.
+
+    Parameters
+    ----------
+    scenario
+        One that can be simulated.
+
+    Returns
+    -------
+    list of str
+        A sentence each, without a full stop; none if there is nothing to ask.
+    """
+    return [*_of_size(scenario), *_of_place(scenario)]
+
+
+def _of_size(scenario: Scenario) -> Iterator[str]:
+    for key, (least, most, what) in LIMITS.items():
+        part, name = key.split(".")
+        value = getattr(getattr(scenario, part), name, None)  # a translation has no rate
+        if value is not None and not least <= value <= most:
+            yield f"{key} = {value:g} is unusual: it is {what}, mostly {least:g} to {most:g}"
+
+
+def _of_place(scenario: Scenario) -> Iterator[str]:
+    """Whether the leg begins above the soil and gets into it."""
+    motion, surface = scenario.motion, scenario.bed.surface
+    poses = motion.poses(np.linspace(0.0, motion.duration, POSES))
+    along, ahead = frame_axes(poses.theta)
+    s, m = scenario.leg.outline().T
+    height = poses.hip[:, None, 1] + s * along[:, 1:] + m * ahead[:, 1:]
+    if height.min() > surface:
+        gap = 1e3 * (height.min() - surface)
+        yield f"the leg never reaches the soil: it stays {gap:.3g} mm above; lower motion.hip"
+    elif height[0].min() < surface:
+        deep = 1e3 * (surface - height[0].min())
+        yield (
+            f"the leg begins {deep:.3g} mm deep in the soil, of which the part in its place is "
+            "left out, and its first forces are those of a start, not of a motion"
+        )

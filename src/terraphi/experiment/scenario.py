@@ -1,0 +1,569 @@
+"""Scenario: everything a forward model needs to know, strict, frozen and hashed.
+
+The defaults are those of the paper's benchmark (Xu & Wang): a straight leg, Yuma sand, 128² cells,
+2.9 million steps. The shipped presets write them all out (``terraphi simulate paper-1``).
+
+The parts of a scenario beside soil, leg and motion: bed, relief, discretisation, RFT.
+
+An option that is added later says in :data:`ADDED_LATER` which value means what was there before.
+A scenario that leaves it there keeps its hash, and what was simulated is not simulated again.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from terraphi.experiment.documents import parse_toml, shipped_file, strictly
+from terraphi.experiment.files import is_there
+from terraphi.experiment.leg import Leg, frame_axes
+from terraphi.experiment.motion import Motion, Rotation, bin_count
+from terraphi.experiment.soil import Soil
+
+GRAVITY = 9.81
+"""Acceleration of gravity g [m/s²]."""
+ADDED_LATER: dict[str, Any] = {
+    "bed.soil_left": None,
+    "bed.soil_width": None,
+    "bed.surcharge": 0.0,
+    "bed.gravity": GRAVITY,
+    "numerics.transfer": "apic",
+    "numerics.damping_order": "after_contact",
+    "numerics.contact": "nodes",
+    "numerics.remap_interval": 0.0,
+    "numerics.dilatation": "particle",
+    "numerics.gradient": "mls",
+    "numerics.stress_rate": "jaumann",
+}
+"""Dotted key to the value that leaves a scenario as it was before the option existed."""
+PAPER_DAMPING_RATE = -math.log(0.997) / 8e-6
+"""The paper multiplies grid velocities by 0.997 every 8 µs: a decay rate of 375.6 1/s."""
+
+
+class Section(BaseModel):
+    """Frozen, strict and finite."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Bed(Section):
+    """The box of soil; its walls are fixed in space whatever the grid.
+
+    Attributes
+    ----------
+    left, floor
+        Position of the left wall x and of the floor z [m].
+    width, height
+        Extent of the box x and of the soil z [m]; the right wall stands at left + width.
+    floor_friction
+        ``rough``: soil that presses on the floor sticks; ``smooth``: it slips freely. The side
+        walls always let soil slip.
+    soil_left, soil_width
+        Where the soil begins, x, and how far it reaches [m]; ``None``: from the left wall, and
+        to the right one.
+    surcharge
+        Pressure on the free surface [Pa]: dead weight that the uppermost particles carry.
+    gravity
+        Acceleration of gravity g [m/s²].
+    """
+
+    left: float = Field(0.005, ge=0)
+    floor: float = Field(0.005, ge=0)
+    width: float = Field(0.290, gt=0)
+    height: float = Field(0.165, gt=0)
+    floor_friction: Literal["rough", "smooth"] = "rough"
+    soil_left: float | None = Field(None, ge=0)
+    soil_width: float | None = Field(None, gt=0)
+    surcharge: float = Field(0.0, ge=0)
+    gravity: float = Field(GRAVITY, ge=0)
+
+    @model_validator(mode="after")
+    def _holds_its_soil(self) -> Self:
+        low, high = self.soil_span
+        slack = 1e-9 * self.width
+        if low < self.left - slack or high > self.left + self.width + slack or low >= high:
+            raise ValueError(
+                f"soil from x = {low:g} to {high:g} m does not lie between the walls at "
+                f"{self.left:g} and {self.left + self.width:g} m; change soil_left or soil_width"
+            )
+        if self.surcharge > 0.0 and self.gravity == 0.0:
+            raise ValueError(
+                f"surcharge = {self.surcharge:g} Pa is dead weight, and gravity = 0 gives it none; "
+                "set gravity above 0"
+            )
+        return self
+
+    @property
+    def soil_span(self) -> tuple[float, float]:
+        """Where the soil begins and ends x [m]."""
+        low = self.left if self.soil_left is None else self.soil_left
+        room = self.left + self.width - low
+        return low, low + (room if self.soil_width is None else self.soil_width)
+
+    @property
+    def surface(self) -> float:
+        """Height of the free surface z [m]."""
+        return self.floor + self.height
+
+
+class Relief(Section):
+    """Fading of soil that the leg has carried away (the paper's tail-phase relief).
+
+    Attributes
+    ----------
+    enabled
+        Whether particles fade at all; only in a rotation.
+    distance
+        Displacement from its first place beyond which a particle fades once θ > 0 [m].
+    rate
+        Decay rate per turned angle [1/rad].
+    least
+        Smallest weight q of a particle [-].
+    """
+
+    enabled: bool = True
+    distance: float = Field(0.020, ge=0)
+    rate: float = Field(2.0, ge=0)
+    least: float = Field(0.05, gt=0, le=1)
+
+
+class Numerics(Section):
+    """Discretisation of the material point method.
+
+    Attributes
+    ----------
+    domain
+        Side of the square background grid [m].
+    cells
+        Cells along a side.
+    particles_per_cell_side
+        Particles along a side of a cell; 2 makes 4 a cell in the plane.
+    particle_jitter
+        Share of its sub-cell over which a particle's place is drawn [-]: 0 a lattice, 1 anywhere.
+    seed
+        Seed of the particle places.
+    time_step
+        Time step Δt [s], below the CFL limit.
+    speed_up
+        Factor k [-]: the motion runs k times faster, and the damping rate is divided by k, so
+        that its drag on the soil stays the same.
+    damping_rate
+        Decay rate of grid velocities [1/s], a drag on the soil; 0: none.
+    damping_order
+        Whether grid velocities decay ``after_contact`` with leg and walls or ``before_contact``.
+    transfer
+        What particles keep of the grid's velocities: ``apic``, value and gradient; ``pic``, the
+        value alone, whose smoothing at every step acts like a viscosity.
+    contact
+        ``nodes``: the nodes of the grid near the leg take its velocity; ``surface``: the material
+        points press on its true surface; ``unbalanced``: near nodes as in the public prototype of
+        Xu & Wang, which counts more force than it applies (``unbalanced_contact.py``).
+    contact_band_cells
+        Nodes closer to the leg than this many cells are in contact [-].
+    remap_interval
+        For how long the grid keeps its velocities before it takes them from the particles anew [s],
+        rounded to steps; 0: it does so at every step.
+    dilatation
+        Volumetric strain rate that the stress follows: ``particle``, that at each particle;
+        ``cell``: their mean over a cell (B-bar; Hughes, 1980, doi 10.1002/nme.1620150914), without
+        which plastic flow at constant volume locks. Not for soil that dilates: what one particle of
+        a cell dilates, its neighbours would have to give back, and the soil gets stiffer instead.
+    gradient
+        Velocity gradient that the stress follows: ``mls``, by moving least squares, as the transfer
+        has it; ``spline``, that of the interpolated velocity itself. They differ where the velocity
+        is curved: next to the edge of a plate ``mls`` is the stiffer.
+    stress_rate
+        How stress turns with the soil: ``jaumann``, with its spin; ``none``, not at all, as in the
+        public prototype of Xu & Wang.
+    particle_volume
+        Volume of a particle: ``fixed``, that at the start, V₀; ``updated``, J V₀ by the
+        deformation's determinant J.
+    """
+
+    domain: float = Field(0.300, gt=0)
+    cells: int = Field(128, ge=8, le=4096)
+    particles_per_cell_side: int = Field(2, ge=1, le=8)
+    particle_jitter: float = Field(1.0, ge=0, le=1)
+    seed: int = Field(0, ge=0)
+    time_step: float = Field(8e-6, gt=0)
+    speed_up: float = Field(1.0, gt=0)
+    damping_rate: float = Field(PAPER_DAMPING_RATE, ge=0)
+    damping_order: Literal["after_contact", "before_contact"] = "after_contact"
+    transfer: Literal["apic", "pic"] = "apic"
+    contact: Literal["nodes", "surface", "unbalanced"] = "nodes"
+    contact_band_cells: float = Field(2.0, ge=0)
+    remap_interval: float = Field(0.0, ge=0)
+    dilatation: Literal["particle", "cell"] = "particle"
+    gradient: Literal["mls", "spline"] = "mls"
+    stress_rate: Literal["jaumann", "none"] = "jaumann"
+    particle_volume: Literal["fixed", "updated"] = "fixed"
+
+    @model_validator(mode="after")
+    def _phases_where_needed(self) -> Self:
+        for name, value, usual in (
+            ("contact", self.contact, ("nodes", "unbalanced")),
+            ("dilatation", self.dilatation, ("particle",)),
+            ("gradient", self.gradient, ("mls",)),
+        ):
+            if value not in usual and self.remap_interval == 0.0:
+                raise ValueError(
+                    f"{name} = '{value}' needs a grid that keeps its velocities for a while; "
+                    "set remap_interval above 0, as to 20 time steps"
+                )
+        if self.contact == "surface" and self.particles_per_cell_side > 3:
+            raise ValueError(
+                f"particles_per_cell_side = {self.particles_per_cell_side} makes the penalty of "
+                "contact = 'surface' too stiff for a particle's mass; at most 3 are stable"
+            )
+        if self.contact == "unbalanced" and self.remap_interval > 0.0:
+            raise ValueError(
+                "contact = 'unbalanced' counts its force where the grid takes new velocities at "
+                "every step; set remap_interval = 0, or contact = 'nodes'"
+            )
+        if self.transfer == "pic" and self.remap_interval > 0.0:
+            raise ValueError(
+                "transfer = 'pic' is one of every step; set remap_interval = 0, or transfer = "
+                "'apic'"
+            )
+        return self
+
+    @property
+    def steps_per_phase(self) -> int:
+        """Steps for which the grid keeps its velocities, 0 if it does not."""
+        if self.remap_interval == 0.0:
+            return 0
+        return max(1, round(self.remap_interval / self.time_step))
+
+    @property
+    def cell_size(self) -> float:
+        """Δx [m]."""
+        return self.domain / self.cells
+
+    @property
+    def damping_factor(self) -> float:
+        """Factor on grid velocities each step, exp(-rate Δt / k) [-]."""
+        return math.exp(-self.damping_rate * self.time_step / self.speed_up)
+
+
+class Resistive(Section):
+    """Resistive force theory.
+
+    Attributes
+    ----------
+    medium
+        In two dimensions, whose coefficients to take (Li et al., 2013); the friction angle plays
+        no part. In three dimensions the coefficients follow from φ and ρ (Agarwal et al., 2023).
+    scale
+        Factor ζ on the two-dimensional coefficients [-].
+    panels
+        Elements along the leg.
+    """
+
+    medium: Literal[
+        "generic",
+        "poppy_loose",
+        "poppy_close",
+        "glass03_loose",
+        "glass03_close",
+        "glass3_close",
+    ] = "generic"
+    scale: float = Field(1.0, gt=0)
+    panels: int = Field(200, ge=10, le=100_000)
+
+
+COURANT_LIMIT = 0.9
+"""Largest stable (c_p + v) Δt / Δx of the explicit step.
+
+Measured: elastic beds stay quiet up to 1.00 in the worst arrangement of particles tried and 1.10 in
+most, soil up to 1.15; see tests/forward/mpm."""
+
+LONGEST_TRAVEL = 0.1
+"""Cells that the leg may travel while the grid keeps its velocities [-]: the particles' places on
+the grid are held meanwhile."""
+
+
+LEAST, LARGEST = 1e-15, 1e15
+"""Sizes of numbers, in SI or degrees, that can be computed with."""
+
+
+class Scenario(Section):
+    """A soil, a leg, a motion and the numerics that bring them together.
+
+    Attributes
+    ----------
+    name
+        For people; not part of the hash.
+    model
+        ``mpm``: material point method; ``rft``: resistive force theory.
+    dimensions
+        2: plane strain; 3: ``rft`` only, so far.
+    """
+
+    name: str = ""
+    model: Literal["mpm", "rft"] = "mpm"
+    dimensions: Literal[2, 3] = 2
+    soil: Soil = Field(default_factory=Soil)
+    leg: Leg = Field(default_factory=Leg)
+    motion: Motion = Field(default_factory=Rotation)
+    bed: Bed = Field(default_factory=Bed)
+    relief: Relief = Field(default_factory=Relief)
+    numerics: Numerics = Field(default_factory=Numerics)
+    rft: Resistive = Field(default_factory=Resistive)
+
+    @model_validator(mode="after")
+    def _can_be_simulated(self) -> Self:
+        try:
+            self._check()
+        except (ArithmeticError, MemoryError) as error:
+            raise ValueError(
+                f"some number is too large or too small to compute with ({error}); "
+                "'terraphi keys' lists what is usual"
+            ) from error
+        return self
+
+    def _check(self) -> None:
+        for key, value in _numbers(self.model_dump()):
+            if value and not LEAST <= abs(value) <= LARGEST:
+                raise ValueError(
+                    f"{key} = {value:g} is out of all proportion; sizes from {LEAST:g} to "
+                    f"{LARGEST:g} can be computed with"
+                )
+        if self.model == "mpm":
+            if self.dimensions == 3:
+                raise ValueError(
+                    "dimensions = 3: the material point method knows plane strain only; "
+                    "set dimensions = 2, or model = 'rft'"
+                )
+            self._check_domain()
+            self._check_time_step()
+            self._check_phases()
+            self._check_every_bin_is_visited()
+            self._check_leg_stays_inside()
+        else:
+            self._check_resistive_bed()
+
+    def _check_resistive_bed(self) -> None:
+        if self.bed.surcharge > 0.0:
+            raise ValueError(
+                f"bed.surcharge = {self.bed.surcharge:g} Pa: resistive force theory knows the "
+                "soil's own weight only; set it to 0, or model = 'mpm'"
+            )
+        for name in ("soil_left", "soil_width"):
+            if getattr(self.bed, name) is not None:
+                raise ValueError(
+                    f"bed.{name} = {getattr(self.bed, name):g} m: resistive force theory knows "
+                    "soil without an edge only; leave it out, or set model = 'mpm'"
+                )
+
+    def _check_domain(self) -> None:
+        # Two rows of nodes outside the soil hold it: with one, particles creep through the wall.
+        margin = self.numerics.cell_size * (1.0 - 1e-9)
+        low, high = self.bed.soil_span
+        if min(high - low, self.bed.height) < margin:
+            raise ValueError(
+                f"bed.width = {high - low:g} m of soil and bed.height = {self.bed.height:g} m must "
+                f"be at least a cell, {margin:g} m"
+            )
+        for name, top in (
+            ("bed.left + bed.width", self.bed.left + self.bed.width),
+            ("bed.floor + bed.height", self.bed.surface),
+        ):
+            if top > self.numerics.domain - margin:
+                raise ValueError(
+                    f"{name} = {top:g} m must stay a cell below the grid's end, "
+                    f"numerics.domain = {self.numerics.domain:g} m; refine the grid or move the bed"
+                )
+        if min(self.bed.left, self.bed.floor) < margin:
+            raise ValueError(
+                f"bed.left = {self.bed.left:g} m and bed.floor = {self.bed.floor:g} m must be at "
+                f"least a cell, {margin:g} m; refine the grid or move the bed"
+            )
+
+    def _check_time_step(self) -> None:
+        limit = self.time_step_limit
+        if self.numerics.time_step > limit:
+            raise ValueError(
+                f"numerics.time_step = {self.numerics.time_step:g} s is above the CFL limit of "
+                f"{limit:.3g} s for this grid, stiffness and density"
+            )
+
+    def _check_phases(self) -> None:
+        numerics = self.numerics
+        speed = numerics.speed_up * self.motion.top_speed(self.leg.reach())
+        interval = numerics.steps_per_phase * numerics.time_step
+        longest = LONGEST_TRAVEL * numerics.cell_size / speed
+        if interval > longest:
+            raise ValueError(
+                f"numerics.remap_interval = {numerics.remap_interval:g} s lets the leg travel more "
+                f"than {LONGEST_TRAVEL:g} cells while the grid keeps its velocities; at most "
+                f"{longest:.3g} s fits"
+            )
+
+    def _check_every_bin_is_visited(self) -> None:
+        rate = self.motion.top_coordinate_rate * self.numerics.speed_up
+        low, high = self.motion.span
+        longest = (high - low) / bin_count(self.motion) / rate
+        if self.numerics.time_step > longest:
+            raise ValueError(
+                f"numerics.time_step = {self.numerics.time_step:g} s passes over whole bins of the "
+                f"history at numerics.speed_up = {self.numerics.speed_up:g}; at most {longest:.3g} "
+                "s fits"
+            )
+
+    def _check_leg_stays_inside(self) -> None:
+        low, high = _extent_of_path(self.motion, self.leg)
+        room_low = [self.bed.left, self.bed.floor]
+        room_high = [self.bed.left + self.bed.width, self.numerics.domain]
+        if self.motion.kind == "translation":
+            # What slides along a wall may reach into it: a wall's foot, a half of what is
+            # symmetric. Otherwise the grid would see its end face in the corner.
+            for axis in range(2):
+                if self.motion.velocity[axis] == 0.0:
+                    room_low[axis], room_high[axis] = 0.0, self.numerics.domain
+        for axis, name in enumerate("xz"):
+            if low[axis] < room_low[axis] or high[axis] > room_high[axis]:
+                raise ValueError(
+                    f"the leg leaves the domain: its path covers {name} = {low[axis]:.4f} to "
+                    f"{high[axis]:.4f} m, the room is {room_low[axis]:.4f} to "
+                    f"{room_high[axis]:.4f} m; move motion.hip or shorten leg.chord"
+                )
+
+    @property
+    def time_step_limit(self) -> float:
+        """Largest stable time step of the material point method [s]."""
+        speed = self.soil.p_wave_speed + self.numerics.speed_up * self.motion.top_speed(
+            self.leg.reach()
+        )
+        return COURANT_LIMIT * self.numerics.cell_size / speed
+
+    @property
+    def hip_height(self) -> float:
+        """Height of the leg's frame above the free surface at the start [m]."""
+        start = self.motion.poses(np.zeros(1)).hip[0, 1]
+        return float(start) - self.bed.surface
+
+    @property
+    def convention(self) -> str:
+        """What the friction angle means here: the yield criterion, ``rft3d`` or ``none``.
+
+        Two-dimensional resistive force theory has no friction angle. That of the
+        three-dimensional theory enters an empirical law as
+        μ = tan φ (Agarwal et al., 2023); no yield criterion stands behind it.
+        """
+        if self.model == "mpm":
+            return self.soil.yield_criterion
+        return "rft3d" if self.dimensions == 3 else "none"
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of everything that bears on the result (not the name), hexadecimal.
+
+        Options of :data:`ADDED_LATER` count only where they change something.
+        """
+        content = self.model_dump(mode="json", exclude={"name"})
+        for key, before in ADDED_LATER.items():
+            section, option = key.split(".")
+            if content[section][option] == before:
+                del content[section][option]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+    def replace(self, **changes: Any) -> Scenario:
+        """Copy with some dotted keys replaced, checked anew.
+
+        Parameters
+        ----------
+        **changes
+            Dotted key to value, as in ``replace(**{"soil.friction_angle_deg": 30.0})``; a number
+            picks an entry of a list, as in ``motion.hip.1``, the height of the hip.
+
+        Returns
+        -------
+        Scenario
+
+        Raises
+        ------
+        pydantic.ValidationError
+            If a key does not exist or a value cannot be.
+        """
+        content = self.model_dump(mode="json")
+        for key, value in changes.items():
+            *sections, last = key.split(".")
+            place = content
+            for section in sections[:-1]:
+                place = _section(place, section)
+            if sections and _is_entry(place.get(sections[-1]), last):
+                place[sections[-1]][int(last)] = value
+            else:
+                place = _section(place, sections[-1]) if sections else place
+                place[last] = value
+        return strictly(content, Scenario)
+
+    @classmethod
+    def load(cls, source: Path | str) -> Scenario:
+        """Read a scenario from a TOML file, or a shipped preset by its name.
+
+        Parameters
+        ----------
+        source
+            A path ending in ``.toml``, or the name of a preset.
+
+        Returns
+        -------
+        Scenario
+
+        Raises
+        ------
+        InputError
+            If the file is missing, not TOML, has an unknown key or a value that cannot be.
+        """
+        if Path(source).suffix != ".toml" and not is_there(Path(source)):
+            source = shipped_file("scenarios", str(source), ".toml")
+        return parse_toml(Path(source), cls)
+
+
+def _numbers(content: dict[str, Any], above: str = "") -> Iterator[tuple[str, float]]:
+    """Dotted keys and values of all numbers that are not whole, those in lists too."""
+    for key, value in content.items():
+        if isinstance(value, dict):
+            yield from _numbers(value, f"{above}{key}.")
+        for number in value if isinstance(value, list | tuple) else (value,):
+            if isinstance(number, float):
+                yield above + key, number
+
+
+@functools.lru_cache(maxsize=64)
+def _extent_of_path(motion: Motion, leg: Leg) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Least and largest x and z [m] that a leg covers; the cases of a library mostly share it."""
+    times = np.linspace(0.0, min(motion.duration, sys.float_info.max), 541)
+    poses = motion.poses(times)
+    along, ahead = frame_axes(poses.theta)
+    line, margin = leg.extremities()
+    points = (
+        poses.hip[:, None, :]
+        + line[None, :, :1] * along[:, None, :]
+        + line[None, :, 1:] * ahead[:, None, :]
+    )
+    low, high = points.min(axis=(0, 1)) - margin, points.max(axis=(0, 1)) + margin
+    return tuple(low.tolist()), tuple(high.tolist())
+
+
+def _section(place: dict[str, Any], name: str) -> dict[str, Any]:
+    """Section of a document; made, for the check to refuse, where there is none."""
+    if not isinstance(place.get(name), dict):
+        place[name] = {}
+    section: dict[str, Any] = place[name]
+    return section
+
+
+def _is_entry(value: object, index: str) -> bool:
+    """Whether an index in a dotted key names an entry of a list."""
+    return isinstance(value, list) and index.isdecimal() and int(index) < len(value)

@@ -1,0 +1,259 @@
+r"""Dry soil, and what its friction angle means.
+
+Three conventions are in use, and the same named angle acts as angles up to almost a factor of four
+apart, so no friction angle in this package travels without the name of its yield criterion. With
+the in-plane mean stress :math:`p = \tfrac12 \mathrm{tr}\,\sigma` (tension positive) and the
+in-plane deviatoric magnitude :math:`r = \sqrt{\tfrac12 s:s}` (the Mohr radius):
+
+``paper``
+    :math:`r + \alpha p \le k` with :math:`\alpha = 2\sin\varphi / (\sqrt3 (3 - \sin\varphi))`, as
+    printed by Xu & Wang. The constant was made for :math:`I_1` and three dimensions; on
+    :math:`\tfrac12\mathrm{tr}\,\sigma` it makes 35° act as Mohr-Coulomb 15.8°.
+``plane_strain``
+    the same with :math:`\alpha = \sin\varphi`: Mohr-Coulomb exactly, what a geotechnical engineer
+    means.
+``triaxial``
+    :math:`\sqrt{J_2} + \alpha I_1 \le k` with the first constant and :math:`\sigma_{yy}` carried:
+    the Drucker-Prager cone through the compressive meridian of Mohr-Coulomb. In plane strain it is
+    far stronger than its name says, and beyond 42.2° (without dilation) nothing is its equal.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, Self, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from terraphi.experiment.errors import InputError
+
+YieldCriterion = Literal["paper", "plane_strain", "triaxial"]
+YIELD_CRITERIA: tuple[YieldCriterion, ...] = get_args(YieldCriterion)
+
+
+def cone_slope(angle_deg: float, yield_criterion: YieldCriterion) -> float:
+    """Slope of the yield surface (from φ) or of the plastic potential (from ψ).
+
+    Parameters
+    ----------
+    angle_deg
+        Friction or dilation angle [deg].
+    yield_criterion
+        Its convention.
+
+    Returns
+    -------
+    float
+        α of ``r + α p`` (``paper``, ``plane_strain``) or of ``√J2 + α I1`` (``triaxial``) [-].
+    """
+    sine = math.sin(math.radians(angle_deg))
+    if yield_criterion == "plane_strain":
+        return sine
+    return 2.0 * sine / (math.sqrt(3.0) * (3.0 - sine))
+
+
+def _angle_from_cone_slope(slope: float, yield_criterion: YieldCriterion) -> float:
+    """Inverse of :func:`cone_slope`; angle [deg]."""
+    sine = slope
+    if yield_criterion != "plane_strain":
+        sine = 3.0 * math.sqrt(3.0) * slope / (2.0 + math.sqrt(3.0) * slope)
+    return math.degrees(math.asin(sine))
+
+
+def plane_strain_friction_angle_deg(
+    friction_angle_deg: float,
+    yield_criterion: YieldCriterion,
+    *,
+    dilation_angle_deg: float = 0.0,
+) -> float:
+    r"""Mohr-Coulomb friction angle that has the same strength in plane strain.
+
+    ``paper`` does not see the out-of-plane stress, so :math:`\sin\varphi' = \alpha`. For
+    ``triaxial`` the out-of-plane stress at failure follows from a vanishing plastic strain rate
+    across the plane, :math:`s_{yy} = -2\beta\sqrt{J_2}`, which gives
+    :math:`\sin\varphi' = 3\alpha\sqrt{1-3\beta^2} / (1-3\alpha\beta)`; associated flow (β = α)
+    recovers the matching of Drucker & Prager, 1952 (Quart. Appl. Math. 10, 157).
+
+    Parameters
+    ----------
+    friction_angle_deg
+        φ in the convention ``yield_criterion`` [deg].
+    yield_criterion
+        The convention of both angles.
+    dilation_angle_deg
+        ψ in the same convention [deg]; equal to φ for associated flow.
+
+    Returns
+    -------
+    float
+        φ of ``plane_strain`` [deg].
+
+    Raises
+    ------
+    InputError
+        If no plane-strain Mohr-Coulomb angle is as strong.
+
+    Examples
+    --------
+    >>> round(plane_strain_friction_angle_deg(35.0, "paper"), 1)
+    15.8
+    """
+    alpha = cone_slope(friction_angle_deg, yield_criterion)
+    if yield_criterion == "triaxial":
+        beta = cone_slope(dilation_angle_deg, yield_criterion)
+        room = 1.0 - 3.0 * beta**2
+        sine = 3.0 * alpha * math.sqrt(room) / (1.0 - 3.0 * alpha * beta) if room > 0 else 2.0
+    else:
+        sine = alpha
+    if not 0.0 <= sine <= 1.0:
+        raise InputError(
+            f"a triaxial friction angle of {friction_angle_deg:.2f} deg (dilation "
+            f"{dilation_angle_deg:.2f} deg) has no equivalent in plane strain: "
+            "it is stronger than any Mohr-Coulomb angle below 90 deg"
+        )
+    return math.degrees(math.asin(sine))
+
+
+def friction_angle_from_plane_strain_deg(
+    plane_strain_deg: float,
+    yield_criterion: YieldCriterion,
+    *,
+    associated: bool = False,
+) -> float:
+    """Friction angle in a convention, from its Mohr-Coulomb equivalent in plane strain.
+
+    Parameters
+    ----------
+    plane_strain_deg
+        φ of ``plane_strain`` [deg].
+    yield_criterion
+        The convention wanted.
+    associated
+        Whether the flow is associated (ψ = φ) or without dilation (ψ = 0).
+
+    Returns
+    -------
+    float
+        φ in ``yield_criterion`` [deg].
+
+    Raises
+    ------
+    InputError
+        If the convention cannot be that strong.
+    """
+    sine = math.sin(math.radians(plane_strain_deg))
+    if yield_criterion == "plane_strain":
+        return plane_strain_deg
+    slope = sine
+    if yield_criterion == "triaxial":
+        slope = sine / (3.0 * math.sqrt(1.0 + sine**2 / 3.0)) if associated else sine / 3.0
+    if slope > cone_slope(90.0, yield_criterion):
+        raise InputError(
+            f"a plane-strain friction angle of {plane_strain_deg:.2f} deg is out of reach of the "
+            f"'{yield_criterion}' yield criterion: its strongest is "
+            f"{math.degrees(math.asin(cone_slope(90.0, yield_criterion))):.2f} deg"
+        )
+    return _angle_from_cone_slope(slope, yield_criterion)
+
+
+class Soil(BaseModel):
+    """Dry soil: hypoelastic, Drucker-Prager.
+
+    Attributes
+    ----------
+    density
+        Bulk density ρ [kg/m³].
+    youngs_modulus
+        Young's modulus E [Pa].
+    poisson_ratio
+        Poisson's ratio ν [-].
+    friction_angle_deg
+        Friction angle φ [deg] in the convention of ``yield_criterion``.
+    yield_criterion
+        What φ means: ``paper``, as printed by Xu & Wang; ``plane_strain``, Mohr-Coulomb in plane
+        strain; ``triaxial``, Drucker-Prager matched at triaxial compression.
+    dilation_angle_deg
+        Dilation angle ψ [deg], same convention, at most φ; ignored by associated flow.
+    flow
+        ``dilation``: plastic potential of slope β(ψ); ``associated``: β = α.
+    cohesion
+        Cohesion c [Pa].
+    tension_cutoff
+        Mean stress [Pa] beyond which a trial state goes to the tip of the cut cone whatever the
+        flow rule; ``None``: tension is left to the cone's own apex.
+    k0
+        Ratio of horizontal to vertical stress at rest [-]; ``None``: 1 - sin φ (Jaky).
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    density: float = Field(1650.0, gt=0)
+    youngs_modulus: float = Field(20e6, gt=0)
+    poisson_ratio: float = Field(0.30, ge=0, lt=0.5)
+    friction_angle_deg: float = Field(35.0, gt=0, lt=90)
+    yield_criterion: YieldCriterion = "paper"
+    dilation_angle_deg: float = Field(0.0, ge=0, lt=90)
+    flow: Literal["dilation", "associated"] = "dilation"
+    cohesion: float = Field(0.0, ge=0)
+    tension_cutoff: float | None = Field(None, ge=0)
+    k0: float | None = Field(None, gt=0)
+
+    @model_validator(mode="after")
+    def _dilates_no_more_than_it_rubs(self) -> Self:
+        if self.flow == "dilation" and self.dilation_angle_deg > self.friction_angle_deg:
+            raise ValueError(
+                f"dilation_angle_deg = {self.dilation_angle_deg:g} exceeds friction_angle_deg = "
+                f"{self.friction_angle_deg:g}; plastic work would be negative"
+            )
+        return self
+
+    @property
+    def lame_lambda(self) -> float:
+        """First Lamé constant λ [Pa]."""
+        nu = self.poisson_ratio
+        return self.youngs_modulus * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+
+    @property
+    def shear_modulus(self) -> float:
+        """Shear modulus G [Pa]."""
+        return self.youngs_modulus / (2.0 * (1.0 + self.poisson_ratio))
+
+    @property
+    def p_wave_speed(self) -> float:
+        """Speed of elastic compression waves √((λ + 2G)/ρ) [m/s]."""
+        return math.sqrt((self.lame_lambda + 2.0 * self.shear_modulus) / self.density)
+
+    @property
+    def k0_at_rest(self) -> float:
+        """Ratio of horizontal to vertical stress at rest [-]."""
+        if self.k0 is not None:
+            return self.k0
+        return 1.0 - math.sin(math.radians(self.friction_angle_deg))
+
+    @property
+    def potential_angle_deg(self) -> float:
+        """Dilation angle that the flow rule amounts to [deg]; φ if associated."""
+        return self.friction_angle_deg if self.flow == "associated" else self.dilation_angle_deg
+
+    @property
+    def cone_intercept(self) -> float:
+        """Strength k at zero mean stress [Pa]."""
+        phi = math.radians(self.friction_angle_deg)
+        if self.yield_criterion == "plane_strain":
+            return self.cohesion * math.cos(phi)
+        return 6.0 * self.cohesion * math.cos(phi) / (math.sqrt(3.0) * (3.0 - math.sin(phi)))
+
+    @property
+    def plane_strain_friction_angle_deg(self) -> float:
+        """Mohr-Coulomb angle of equal strength in plane strain [deg].
+
+        Raises
+        ------
+        InputError
+            If there is none (``triaxial``, large angles).
+        """
+        return plane_strain_friction_angle_deg(
+            self.friction_angle_deg,
+            self.yield_criterion,
+            dilation_angle_deg=self.potential_angle_deg,
+        )

@@ -1,0 +1,291 @@
+"""What a simulation will take, told before it starts, and refused where it cannot be had.
+
+Particles follow from bed and grid, steps from the motion; how long they take is a rough figure for
+the width of the machine's vectors, good to a factor of about two. Nothing is laid out in memory to
+be counted.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.motion import bin_count
+from terraphi.experiment.scenario import Scenario
+
+PARTICLE_STEPS_PER_SECOND = 6e7
+"""Of one core with vectors of 512 bits, as the shipped libraries took it [1/s]."""
+SLOWER = {512: 1.0, 256: 1.5, 128: 2.9}
+"""Time of a simulation by width of the vectors [bit], over that with 512 bits: medians of four
+turns of ``make bench`` on one processor (AMD EPYC with AVX-512), compiled for each width."""
+ELEMENT_POSES_PER_SECOND = 5e6
+"""The same of resistive force theory [1/s]."""
+BYTES_AT_REST = {"mpm": 350e6, "rft": 150e6}
+"""Memory of a process without its simulation [byte], measured; compiling the kernels takes most."""
+BYTES = {"particle": 600.0, "node": 200.0, "bin": 200.0}
+"""Memory of a simulation for each of these [byte]: measured with its copies and a checkpoint, and
+rounded up."""
+YEAR = 365.25 * 86400.0
+"""Time that nobody waits for [s]."""
+_UNITS = ((YEAR, "years"), (86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"), (0.0, "s"))
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What one simulation or several will take; rough.
+
+    Attributes
+    ----------
+    simulations
+        How many.
+    particles
+        Of the largest one; 0 for resistive force theory.
+    particle_steps
+        Of all of them.
+    core_seconds
+        All of them one after another [s].
+    longest_seconds
+        The longest one [s].
+    bytes
+        Memory of the largest one [byte].
+    """
+
+    simulations: int
+    particles: float
+    particle_steps: float
+    core_seconds: float
+    longest_seconds: float
+    bytes: float
+
+    def seconds(self, workers: int = 1) -> float:
+        """Time on so many cores [s]."""
+        return max(self.core_seconds / workers, self.longest_seconds)
+
+    def memory(self, workers: int = 1) -> float:
+        """Memory of as many at a time [byte]."""
+        return self.bytes * min(workers, self.simulations)
+
+    def sentence(self, workers: int = 1) -> str:
+        """What, for how long, and with how much memory."""
+        some = "1 simulation" if self.simulations == 1 else f"{self.simulations:,} simulations"
+        size = f" of {self.particles:,.0f} particles" if self.particles else ""
+        steps = f", {self.particle_steps:.2g} particle-steps" if self.particles else ""
+        return (
+            f"forecast: {some}{size}{steps}: {lasting(self.seconds(workers))} on "
+            f"{_cores(workers)}, {_size(self.memory(workers))} of memory"
+        )
+
+    def as_dict(self, workers: int = 1) -> dict[str, Any]:
+        """Plain numbers."""
+        return {
+            "simulations": self.simulations,
+            "particles": round(self.particles),
+            "particle_steps": self.particle_steps,
+            "seconds": self.seconds(workers),
+            "memory_bytes": self.memory(workers),
+            "cores": workers,
+        }
+
+
+def forecast(scenarios: Iterable[Scenario], *, register_bits: int = 512) -> Forecast:
+    """What some simulations will take.
+
+    Parameters
+    ----------
+    scenarios
+        At least one.
+    register_bits
+        Width of the vectors of the machine that simulates [bit].
+    """
+    each = [_of_one(scenario, register_bits) for scenario in scenarios]
+    return Forecast(
+        len(each),
+        max(one.particles for one in each),
+        sum(one.particle_steps for one in each),
+        sum(one.core_seconds for one in each),
+        max(one.longest_seconds for one in each),
+        max(one.bytes for one in each),
+    )
+
+
+def refuse_what_cannot_fit(scenario: Scenario) -> None:
+    """Refuse a simulation that this machine could not hold, or nobody would see the end of.
+
+    Parameters
+    ----------
+    scenario
+        What would be simulated.
+
+    Raises
+    ------
+    InputError
+        Names the key that is to blame, and what to do.
+    """
+    # On the fastest machine there is: whoever has a slower one is told, not refused.
+    expected, memory = _of_one(scenario, max(SLOWER)), machine_bytes()
+    if expected.bytes > memory:
+        what, remedy = _largest(_sizes(scenario))
+        raise InputError(
+            f"{what}: it would take {_size(expected.bytes)} of memory, and this machine has "
+            f"{_size(memory)}; {remedy}"
+        )
+    if expected.longest_seconds > YEAR:
+        what, remedy = _largest(_lengths(scenario))
+        raise InputError(f"{what}: it would take {lasting(expected.longest_seconds)}; {remedy}")
+
+
+def refuse_too_many(expected: Forecast, workers: int, source: str) -> None:
+    """Refuse cases that could not run side by side here, or would take years.
+
+    Parameters
+    ----------
+    expected
+        What they will take.
+    workers
+        How many run at a time.
+    source
+        What asks for them, for the message.
+
+    Raises
+    ------
+    InputError
+        Says how many cases or workers are too many.
+    """
+    memory = machine_bytes()
+    if expected.memory(workers) > memory:
+        raise InputError(
+            f"{source}: {min(workers, expected.simulations)} simulations at a time would take "
+            f"{_size(expected.memory(workers))} of memory, and this machine has "
+            f"{_size(memory)}; give --workers {max(1, int(memory // expected.bytes))}"
+        )
+    if expected.seconds(workers) > YEAR:
+        raise InputError(
+            f"{source}: {expected.simulations:,} cases would take "
+            f"{lasting(expected.seconds(workers))} on {_cores(workers)}; drop some, coarsen the "
+            "grid or raise numerics.speed_up"
+        )
+
+
+def machine_bytes() -> float:
+    """Memory that this process may use at most [byte]."""
+    whole = float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
+    try:  # of a container
+        return min(whole, float(Path("/sys/fs/cgroup/memory.max").read_text()))
+    except (OSError, ValueError):
+        return whole
+
+
+def lasting(seconds: float) -> str:
+    """A time in the unit that people would take, such as ``"about 25 minutes"``."""
+    if not seconds < 1e4 * YEAR:
+        return "over 10,000 years"
+    if seconds < 1.0:
+        return "less than a second"
+    size, unit = next((size, unit) for size, unit in _UNITS if seconds >= 2.0 * size)
+    return f"about {seconds / (size or 1.0):,.0f} {unit}"
+
+
+def particle_count(scenario: Scenario) -> float:
+    """Particles of the bed, of which those in the leg's first place will be left out."""
+    bed, numerics = scenario.bed, scenario.numerics
+    side = numerics.cell_size / numerics.particles_per_cell_side
+    left, right = bed.soil_span
+    return float(round((right - left) / side)) * float(round(bed.height / side))
+
+
+def step_count(scenario: Scenario) -> float:
+    """Steps that cover the motion; may be infinite."""
+    steps = scenario.motion.duration / scenario.numerics.speed_up / scenario.numerics.time_step
+    return float(math.ceil(steps - 1e-9)) if math.isfinite(steps) else math.inf
+
+
+def _of_one(scenario: Scenario, register_bits: int) -> Forecast:
+    bins = float(bin_count(scenario.motion))
+    if scenario.model == "rft":
+        seconds = bins * scenario.rft.panels / ELEMENT_POSES_PER_SECOND
+        return Forecast(1, 0.0, 0.0, seconds, seconds, sum(_memory(scenario).values()))
+    particles = particle_count(scenario)
+    work = particles * step_count(scenario)
+    seconds = work / PARTICLE_STEPS_PER_SECOND * SLOWER[register_bits]
+    return Forecast(1, particles, work, seconds, seconds, sum(_memory(scenario).values()))
+
+
+def _memory(scenario: Scenario) -> dict[str, float]:
+    """Memory [byte] by what takes it."""
+    bins = BYTES["bin"] * bin_count(scenario.motion)
+    rest = BYTES_AT_REST[scenario.model]
+    if scenario.model == "rft":
+        return {"rest": rest, "bin": bins}
+    nodes = float((scenario.numerics.cells + 2) ** 2)
+    return {
+        "rest": rest,
+        "particle": BYTES["particle"] * particle_count(scenario) + BYTES["node"] * nodes,
+        "bin": bins,
+    }
+
+
+Blame = tuple[str, str]
+"""What is to blame, with its key, and what to do."""
+
+
+def _sizes(scenario: Scenario) -> dict[Blame, float]:
+    """What takes memory, and how much [byte]."""
+    memory, numerics = _memory(scenario), scenario.numerics
+    fine = f"{numerics.cells} and numerics.particles_per_cell_side = "
+    return {
+        _long_path(scenario): memory["bin"],
+        (
+            f"numerics.cells = {fine}{numerics.particles_per_cell_side}",
+            "lower them",
+        ): memory.get("particle", 0.0),
+    }
+
+
+def _lengths(scenario: Scenario) -> dict[Blame, float]:
+    """What takes time, and by how much it is beyond the paper's benchmark [-]."""
+    motion, numerics, bins = scenario.motion, scenario.numerics, bin_count(scenario.motion)
+    found = {_long_path(scenario): bins / 2700.0}
+    if scenario.model == "mpm":
+        step, limit = numerics.time_step, scenario.time_step_limit
+        slow = motion.duration / numerics.speed_up / limit / bins
+        if motion.kind == "rotation":
+            key = "rate" if motion.rate_profile is None else "rate_profile, whose largest"
+            rate = f"motion.{key} = {motion.top_rate:g} rad/s"
+        else:
+            rate = f"motion.velocity = {list(motion.velocity)} m/s"
+        found |= {
+            (f"numerics.time_step = {step:g} s", f"{limit:.2g} s is stable, too"): limit / step,
+            (rate, "raise it, or numerics.speed_up"): slow / 1000.0,
+            (f"numerics.cells = {numerics.cells}", "lower it"): particle_count(scenario) / 4e4,
+        }
+    return found
+
+
+def _long_path(scenario: Scenario) -> Blame:
+    """The motion's length, in bins of the history."""
+    motion = scenario.motion
+    many = f"{float(bin_count(motion)):.2g} bins of the history"
+    if motion.kind == "rotation":
+        ends = f"motion.start_deg = {motion.start_deg:g}, motion.stop_deg = {motion.stop_deg:g}"
+        return f"{ends} make {many}", "turn less far"
+    span = f"motion.distance = {motion.distance:g} m, motion.bin_width = {motion.bin_width:g} m"
+    return f"{span} make {many}", "move less far, or in wider bins"
+
+
+def _largest(found: dict[Blame, float]) -> Blame:
+    return max(found, key=lambda blame: found[blame])
+
+
+def _cores(count: int) -> str:
+    return "1 core" if count == 1 else f"{count} cores"
+
+
+def _size(count: float) -> str:
+    """Memory in words."""
+    gigabytes = count / 1e9
+    return f"{gigabytes:,.0f} GB" if gigabytes >= 10.0 else f"{gigabytes:.1f} GB"

@@ -1,0 +1,483 @@
+"""A library made ready for calibrated inversions: one leg's joint surrogate on nodes over phi.
+
+Whatever does not depend on the forces that are inverted is computed here, once: the curves and
+their covariance at the nodes, and their decomposition together with a noise covariance. All is in
+the library's own force unit; an inversion divides by the ratio of densities instead.
+
+What readings at points leave open where the model's forces ripple between them.
+
+Nodes of the grid enter and leave the leg's contact one by one, so that simulated forces ripple by a
+few per cent with a period near a degree. A record that is read every degree or so may show the
+ripple's crests alone, or its troughs; and one that is read every few degrees knows nothing of the
+path between. How far a sensor averages is not known, nor where crests would be on another grid. So
+a library is compared through means about the readings (:meth:`ForceHistory.as_read_at`), and the
+errors of that have a covariance, learnt from the library's own curves:
+
+- of points beside means about them, with the readings moved along by fractions of their spacing;
+- of means about the readings beside means of the whole path. What all curves share of it is in
+  the library's curves too, since they are read alike; what one has beside its neighbours over φ is
+  not.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import logging
+import weakref
+from collections import OrderedDict
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import WINDOW_DEG, ForceHistory
+from terraphi.inference.paper_likelihood import peak_to_peak
+from terraphi.library.store import Curves, Library
+from terraphi.surrogate.joint import JointKernel, JointSurrogate
+from terraphi.surrogate.scatter import Scatter, estimate
+
+FloatArray = NDArray[np.float64]
+log = logging.getLogger(__name__)
+
+NODES = 281
+"""Nodes over phi, between which chi-square and log-determinant are splines: intervals are right to
+a few thousandths of their width; half the nodes leave some hundredths at worst."""
+STEP_DEG = 0.05
+"""Half the step of derivatives with respect to the friction angle [deg]."""
+ENOUGH = 2
+"""Readings in every window from which on a mean scatters as that over the whole window."""
+REMEMBERED = 8
+"""Prepared legs that are kept, each some 30 MB."""
+DECOMPOSED = 3
+"""Decompositions that are kept, each some 100 MB: records with other readings need other ones."""
+
+
+class Spectrum(NamedTuple):
+    """Covariance and noise at some nodes in a common basis, where both are diagonal.
+
+    With C the covariance at one size of the scatter and W the shape of the noise, ``rotation`` Q
+    makes Q C Q^T diagonal and Q W Q^T the identity: C + s^2 W has ``roots`` + s^2 there.
+    """
+
+    rotation: FloatArray
+    """Q, shape [node, 2 theta, 2 theta]."""
+    roots: FloatArray
+    """Shape [node, 2 theta]."""
+    mean: FloatArray
+    """Q times the forces at the nodes, same shape."""
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedLeg:
+    """One leg of a library, at nodes over the friction angle.
+
+    Attributes
+    ----------
+    surrogate
+        Its joint surrogate.
+    curves
+        The observation vectors of its cases.
+    phi_deg
+        Nodes [deg], shape [node].
+    mean
+        Forces there [N], shape [node, 2 theta].
+    covariance, scatter
+        Of what the surrogate and the readings leave open, and of the particle scatter [N^2], shape
+        [node, 2 theta, 2 theta].
+    reading
+        What readings at points leave open.
+    opened
+        The same of one record, by :meth:`read_for` [N^2], shape [2 theta, 2 theta].
+    """
+
+    surrogate: JointSurrogate
+    curves: Curves
+    phi_deg: FloatArray = field(repr=False)
+    mean: FloatArray = field(repr=False)
+    covariance: FloatArray = field(repr=False)
+    scatter: FloatArray = field(repr=False)
+    reading: Reading = field(repr=False)
+    opened: FloatArray = field(repr=False)
+
+    @classmethod
+    def of(
+        cls, surrogate: JointSurrogate, curves: Curves, reading: Reading | None = None
+    ) -> PreparedLeg:
+        """Evaluate a surrogate at the nodes; ``None``: readings leave nothing open."""
+        phi = np.linspace(*surrogate.phi_bounds_deg, NODES)
+        variance = surrogate.standard_variance(phi)
+        left = surrogate.scatter.sigma(phi)[:, :, None] * surrogate.basis
+        right = left.transpose(0, 2, 1)
+        covariance, mean = (left * variance[:, None, :]) @ right, surrogate.predict(phi)
+        reading = reading or nothing_open(mean.shape[1])
+        none = np.zeros(covariance.shape[1:])
+        return cls(surrogate, curves, phi, mean, covariance, left @ right, reading, none)
+
+    def read_for(self, data: FloatArray) -> PreparedLeg:
+        """The same for one record, with what its readings leave open.
+
+        That is taken at the angle whose forces are nearest, for all angles alike: it grows with
+        the friction angle, and how rough a record is would else be evidence of its angle.
+
+        Parameters
+        ----------
+        data
+            Its observation vector [N], shape [2 theta].
+        """
+        if not self.reading.moment.any():
+            return self
+        near = int(np.square(self.mean - data).sum(axis=1).argmin())
+        opened = self.reading.covariance(self.phi_deg[[near]], self.mean[[near]])[0]
+        total = self.covariance + opened
+        return replace(self, covariance=total, opened=opened)
+
+    def known(self, phi_deg: float) -> FloatArray:
+        """Covariance of surrogate and readings at a friction angle [N^2], [2 theta, 2 theta]."""
+        return self.surrogate.covariance(phi_deg) + self.opened
+
+    def slope(self, phi_deg: float) -> FloatArray:
+        """Derivative of the forces with respect to the friction angle [N/deg], shape [2 theta]."""
+        around = np.clip(phi_deg + np.array([-STEP_DEG, STEP_DEG]), *self.surrogate.phi_bounds_deg)
+        below, above = self.surrogate.predict(around)
+        slope: FloatArray = (above - below) / (around[1] - around[0])
+        return slope
+
+    def spectra(self, shape: FloatArray) -> Spectra:
+        """Covariance and noise in a common basis, for each size of the scatter.
+
+        Parameters
+        ----------
+        shape
+            W, the noise covariance of unit size [-], positive definite, [2 theta, 2 theta].
+        """
+        # A leg stays, and its identity with it, for as long as its decompositions do.
+        key = (id(self), np.round(shape, 9).tobytes())
+        found = _SPECTRA.pop(key, None) or Spectra(self, shape)
+        _SPECTRA[key] = found
+        _forget_oldest(_SPECTRA, DECOMPOSED)
+        return found
+
+
+class Spectra:
+    """Decompositions of one leg's covariances and a noise, each computed when it is asked for.
+
+    Parameters
+    ----------
+    leg, shape
+        As in :meth:`PreparedLeg.spectra`.
+
+    Attributes
+    ----------
+    log_determinant
+        Of W.
+    """
+
+    def __init__(self, leg: PreparedLeg, shape: FloatArray) -> None:
+        self.leg = leg
+        factor = np.linalg.cholesky(shape)
+        self.log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
+        self._inverse = np.linalg.inv(factor)
+        self._sizes = leg.surrogate.scatter.sizes[0]
+        count = (len(self._sizes), *leg.mean.shape)
+        self._ready = np.zeros(count[:2], dtype=bool)
+        self._rotation = np.empty((*count, count[2]))
+        self._roots, self._mean = np.empty(count), np.empty(count)
+
+    def at(self, size: int, nodes: NDArray[np.intp]) -> Spectrum:
+        """Decompositions at one size of the scatter, by its index, and at evenly spaced nodes."""
+        missing = nodes[~self._ready[size, nodes]]
+        if missing.size:
+            total = self.leg.covariance[missing] + self._sizes[size] * self.leg.scatter[missing]
+            with single_threaded():
+                roots, basis = np.linalg.eigh(self._inverse @ total @ self._inverse.T)
+                rotation = basis.transpose(0, 2, 1) @ self._inverse
+            self._rotation[size, missing], self._roots[size, missing] = rotation, roots
+            mean = (rotation @ self.leg.mean[missing][:, :, None])[:, :, 0]
+            self._mean[size, missing] = mean
+            self._ready[size, missing] = True
+        # A slice, not an index: these are megabytes that nobody should copy.
+        step = int(nodes[1] - nodes[0]) if len(nodes) > 1 else 1
+        part = slice(int(nodes[0]), int(nodes[-1]) + 1, step)
+        arrays = (self._rotation, self._roots, self._mean)
+        return Spectrum(*(array[size, part] for array in arrays))
+
+
+def single_threaded() -> AbstractContextManager[Any]:
+    """Context in which BLAS uses one thread: more cost small matrices far more than they gain."""
+    limit: AbstractContextManager[Any] = _threads().limit(limits=1, user_api="blas")
+    return limit
+
+
+@functools.cache
+def _threads() -> ThreadpoolController:
+    """Threads of NumPy's BLAS and of SciPy's, which is another and must have been loaded."""
+    import scipy.linalg  # noqa: F401
+
+    return ThreadpoolController()
+
+
+_Key = tuple[int, str, bytes]
+_KNOWN: OrderedDict[_Key, tuple[weakref.ref[Library], PreparedLeg]] = OrderedDict()
+_SPECTRA: OrderedDict[tuple[int, bytes], Spectra] = OrderedDict()
+
+
+def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -> PreparedLeg:
+    """Make a leg of a library ready, or recall it.
+
+    Parameters
+    ----------
+    library
+        Simulations over the friction angle. Scatter and hyperparameters that it carries are used,
+        otherwise they are estimated from its curves.
+    leg, readings
+        As in :meth:`Library.curves`. What the readings leave open of the path is part of the
+        covariance (`reading`).
+
+    Raises
+    ------
+    InputError
+        As :meth:`Library.curves` does.
+    """
+    key = (id(library), leg, _sampling(readings))
+    known = _KNOWN.get(key)
+    if known and known[0]() is library:
+        return known[1]
+    curves = library.curves(leg, readings=readings)
+    surrogate = surrogate_of(library, leg, curves, readings=readings)
+    reading = None
+    if readings is not None:
+        # Scatter that was learnt from curves read like the record has what they leave of the path.
+        learnt = is_sparse(readings, curves.theta_deg)
+        reading = learn_reading(library, leg, readings, path=not learnt)
+    prepared = PreparedLeg.of(surrogate, curves, reading)
+    _KNOWN[key] = (weakref.ref(library), prepared)
+    _forget_oldest(_KNOWN, REMEMBERED)
+    return prepared
+
+
+def _sampling(readings: FloatArray | None) -> bytes:
+    """What tells how curves are seen; a record may have a million readings."""
+    if readings is None:
+        return b""
+    return hashlib.sha256(np.round(readings, 9).tobytes()).digest()
+
+
+def surrogate_of(
+    library: Library, leg: str, curves: Curves, *, readings: FloatArray | None = None
+) -> JointSurrogate:
+    """Joint surrogate of one leg: as the library's calibration says, or fitted."""
+    carried = library.calibration.get("legs", {}).get(leg)
+    again = library.repeated(leg, readings=readings)
+    if carried is not None and library.calibration.get("library_hash") == library.hash:
+        try:
+            scatter = Scatter.from_dict(carried["scatter"])
+            kernel = JointKernel.from_dict(carried["kernel"])
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise InputError(
+                f"library '{library.name}' carries a calibration of another version of terraphi; "
+                "calibrate it again (terraphi library calibrate)"
+            ) from error
+        # Its scatter is that of means over many readings, and few leave more of it.
+        same_windows = np.allclose(scatter.theta_deg, curves.theta_deg, atol=1e-6)
+        if same_windows and not is_sparse(readings, curves.theta_deg):
+            means, repeats = _means(curves, again)
+            log.info("library %s, leg %s: surrogate as its calibration has it", library.name, leg)
+            return JointSurrogate.fit(
+                curves.phi_deg, curves.theta_deg, means, scatter, kernel=kernel, repeats=repeats
+            )
+    log.info("library %s, leg %s: fitting a surrogate, as none fits", library.name, leg)
+    return learn(curves, again)
+
+
+def is_sparse(readings: FloatArray | None, theta_deg: FloatArray) -> bool:
+    """Whether some window means are over too few readings [rad]; centres of the windows [deg]."""
+    if readings is None:
+        return False
+    half = WINDOW_DEG / (theta_deg.size - 1)
+    found = np.searchsorted(np.degrees(readings), [theta_deg - half, theta_deg + half])
+    return bool(np.diff(found, axis=0).min() < ENOUGH)
+
+
+def learn(curves: Curves, replicates: Sequence[tuple[float, FloatArray]] = ()) -> JointSurrogate:
+    """Estimate scatter and hyperparameters from a library's curves, and replicates if there are.
+
+    Parameters
+    ----------
+    curves
+        Of one leg.
+    replicates
+        As from :meth:`Library.repeated`. Forces at their angles are known the better for them.
+    """
+    vectors = np.hstack([curves.Fx, curves.Fz])
+    means, repeats = _means(curves, replicates)
+    with single_threaded():
+        scatter = estimate(curves.theta_deg, curves.phi_deg, vectors, replicates)
+        return JointSurrogate.fit(curves.phi_deg, curves.theta_deg, means, scatter, repeats=repeats)
+
+
+def _means(
+    curves: Curves, replicates: Sequence[tuple[float, FloatArray]]
+) -> tuple[FloatArray, FloatArray]:
+    """Mean of all simulations of each case [N], shape [case, 2 theta], and how many they are."""
+    means, repeats = np.hstack([curves.Fx, curves.Fz]), np.ones(len(curves.phi_deg))
+    for phi, vectors in replicates:
+        (case,) = np.flatnonzero(curves.phi_deg == phi)
+        means[case], repeats[case] = vectors.mean(axis=0), len(vectors)
+    return means, repeats
+
+
+def _forget_oldest(kept: OrderedDict[Any, Any], most: int) -> None:
+    while len(kept) > most:
+        kept.popitem(last=False)
+
+
+MOST_SHIFTS = 10
+"""Shifts of the readings within their spacing that are tried at most."""
+FEWEST_FOR_GROWTH = 3
+"""Cases over phi from which on the size of errors may grow."""
+WHITE = 0.5
+"""Variance that is added at each window by itself, of that learnt [-]: a few dozen curves that
+share one grid show fewer patterns than there are."""
+
+
+class Reading(NamedTuple):
+    """Covariance of what a record's readings leave open, over the friction angle."""
+
+    moment: FloatArray
+    """Of forces of unit peak-to-peak, where its size is 1 [-], shape [2 theta, 2 theta]."""
+    log_size: FloatArray
+    """Coefficients a, b of the log of its size, a + b φ [-]; φ in degrees."""
+
+    def covariance(self, phi_deg: FloatArray, forces: FloatArray) -> FloatArray:
+        """Covariance of the window means of a record [N²].
+
+        Parameters
+        ----------
+        phi_deg
+            Friction angles [deg], shape [k].
+        forces
+            Observation vectors there [N], shape [k, 2 theta].
+
+        Returns
+        -------
+        ndarray
+            Shape [k, 2 theta, 2 theta].
+        """
+        spans = np.ptp(forces.reshape(len(forces), 2, -1), axis=2)
+        size = np.exp(0.5 * (self.log_size[0] + self.log_size[1] * phi_deg))
+        each = np.repeat(size[:, None] * spans, forces.shape[1] // 2, axis=1)
+        covariance: FloatArray = each[:, :, None] * self.moment * each[:, None, :]
+        return covariance
+
+
+def nothing_open(size: int) -> Reading:
+    """Of a record that is known all along the path; ``size`` is 2 theta."""
+    return Reading(np.zeros((size, size)), np.zeros(2))
+
+
+def learn_reading(
+    library: Library, leg: str, readings: FloatArray, *, path: bool = True
+) -> Reading:
+    """What readings leave open, from the library's own curves.
+
+    Parameters
+    ----------
+    library
+        Simulations over the friction angle.
+    leg
+        Shape of the leg.
+    readings
+        Leg angles of the record [rad], increasing, shape [sample].
+    path
+        Whether what is not known of the path between readings counts.
+
+    Returns
+    -------
+    Reading
+        Nothing for a record as dense as the library's bins.
+    """
+    chosen = sorted(
+        (c for c in library.cases if c.history and c.scenario.leg.shape == leg),
+        key=lambda case: case.scenario.soil.friction_angle_deg,
+    )
+    histories = [case.history for case in chosen if case.history is not None]
+    size = histories[0].observation().vector.size
+    if not _is_coarser(readings, histories[0].position):
+        return nothing_open(size)
+    found = []
+    for history in histories:
+        spans = peak_to_peak(history.observation().vector)
+        each = np.repeat([spans["Fx"], spans["Fz"]], size // 2)
+        found.append(np.stack(reading_errors(history, readings)) / each)
+    about, around = np.stack(found, axis=1)
+    # What a case has beside the mean of its neighbours has one and a half times the variance of its
+    # own part: as much as it has beside a surrogate of such curves.
+    beside = float(path) * (around[1:-1] - 0.5 * (around[:-2] + around[2:]))
+    phi = np.array([case.scenario.soil.friction_angle_deg for case in chosen])[1:-1]
+    about = about[1:-1]
+    total = np.square(about).mean(axis=(1, 2)) + np.square(beside).mean(axis=(1, 2))
+    # A slope needs more than a few cases; and a path that nothing touches has no error.
+    degree = 1 if len(phi) >= FEWEST_FOR_GROWTH else 0
+    a, b = np.polynomial.polynomial.polyfit(phi, np.log(np.maximum(total, 1e-30)), degree)[
+        [0, degree]
+    ]
+    b *= degree
+    root = np.exp(0.5 * (a + b * phi))[:, None, None]
+    moment = _second_moment(about / root) + _second_moment(beside / root)
+    return Reading(moment + WHITE * np.diag(np.diag(moment)), np.array([a, b]))
+
+
+def reading_errors(history: ForceHistory, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Errors of observation vectors from a curve's readings, moved along the path.
+
+    Parameters
+    ----------
+    history
+        A dense curve.
+    readings
+        Leg angles of a record [rad], increasing, shape [sample].
+
+    Returns
+    -------
+    about
+        Of points less means about them [N], shape [shift, 2 theta].
+    around
+        Of these less means of the whole path, same.
+    """
+    seen = readings[(readings >= history.position[0]) & (readings <= history.position[-1])]
+    bin_ = float(np.median(np.diff(history.position)))
+    spacing = float(np.median(np.diff(seen)))
+    count = max(round(spacing / bin_), 1)
+    # Whole bins, where there are any: what lies between them is interpolated, and smoother.
+    shifts = np.unique(np.linspace(0.0, count, MOST_SHIFTS, endpoint=False).round()) * bin_
+    # As far as the curve reaches: a shift back by the rest of the spacing meets the same phase.
+    low, high = seen[0] - history.position[0], history.position[-1] - seen[-1]
+    both_ways = np.where(shifts <= high + 1e-9, shifts, shifts - count * bin_)
+    about, around = [], []
+    for shift in both_ways[both_ways >= -low - 1e-9]:
+        moved = replace(history, position=history.position - shift)
+        force = [np.interp(seen, moved.position, column) for column in history.force.T]
+        points = replace(history, position=seen, force=np.stack(force, axis=1))
+        means = moved.as_read_at(seen).observation().vector
+        about.append(points.observation().vector - means)
+        around.append(means - moved.between(seen[0], seen[-1]).observation().vector)
+    return np.stack(about), np.stack(around)
+
+
+def _second_moment(errors: FloatArray) -> FloatArray:
+    """Mean outer product, [..., 2 theta] -> [2 theta, 2 theta]."""
+    rows = errors.reshape(-1, errors.shape[-1])
+    moment: FloatArray = rows.T @ rows / len(rows)
+    return moment
+
+
+def _is_coarser(readings: FloatArray, position: FloatArray) -> bool:
+    """Whether readings lie further apart than the samples of a curve."""
+    own = float(np.median(np.diff(position)))
+    return bool(np.diff(readings).max() > 1.5 * own)

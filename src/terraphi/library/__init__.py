@@ -1,0 +1,1 @@
+"""Plan, run, resume and store simulations: an Executor in, a Library out."""

@@ -1,0 +1,321 @@
+"""A plan: which simulations to make, written in TOML.
+
+A plan is a scenario and what to change in it: keys to sweep, all combinations of their values; keys
+to sample, points that fill the box of their bounds evenly (beside a sweep every point with every
+combination); keys to change one at a time, each by itself, as a study of sensitivity does; or named
+steps, each of which changes some keys of the scenario before it or of the base.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Self
+
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
+
+from terraphi.experiment.documents import parse_toml, shipped_file
+from terraphi.experiment.errors import InputError, sentence_from_validation
+from terraphi.experiment.files import is_there
+from terraphi.experiment.scenario import Scenario
+from terraphi.forward.forecast import refuse_what_cannot_fit
+
+MOST_CASES = 100_000
+"""Cases that a plan may have: of more, the scenarios alone would fill the memory."""
+BASE = "base"
+PRESET = "preset"
+
+
+class Variant(NamedTuple):
+    """The plan's scenario with one thing changed."""
+
+    key: str
+    """Dotted scenario key that was changed, or the name of a step; ``base`` for none, ``preset``
+    for another preset."""
+    value: JsonValue
+    """Its value; the name of the preset; ``None`` for the base and for a step."""
+    scenario: Scenario
+    """The whole."""
+
+
+class Step(BaseModel):
+    """A change of some keys at once.
+
+    Attributes
+    ----------
+    name
+        For people.
+    changes
+        Dotted scenario key to its value.
+    after
+        What is changed: the ``previous`` step's scenario, or the ``base``.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(min_length=1)
+    changes: dict[str, JsonValue] = Field(min_length=1)
+    after: Literal["previous", "base"] = "previous"
+
+
+class Sample(BaseModel):
+    """Points in the box of several keys' bounds, by a scrambled Sobol sequence.
+
+    A larger count goes on where a smaller one of the same seed ended, so that a library built
+    anew with more points computes only those.
+
+    Attributes
+    ----------
+    keys
+        Dotted scenario key, of a number, to its lower and upper bound.
+    count
+        Number of points; powers of two fill the box most evenly.
+    seed
+        Seed of the scrambling (Owen, *J. Complexity* 14:466, 1998).
+    also
+        Further points, values in the order of the keys, such as those that ``terraphi library
+        suggest`` names.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    keys: dict[str, tuple[float, float]] = Field(min_length=1)
+    count: int = Field(ge=0, le=65536)
+    seed: int = Field(0, ge=0)
+    also: list[list[float]] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _is_a_box(self) -> Self:
+        for key, (low, high) in self.keys.items():
+            if not low < high:
+                raise ValueError(f"'{key}' is to lie between {low:g} and {high:g}; low first")
+        for point in self.also:
+            if len(point) != len(self.keys):
+                raise ValueError(f"'also' has {point}; a number for each of {list(self.keys)}")
+        if self.count + len(self.also) == 0:
+            raise ValueError("there is no point; raise 'count'")
+        return self
+
+    def points(self) -> list[dict[str, float]]:
+        """Key to value, rounded to six digits, for each point."""
+        from scipy.stats import qmc
+
+        found: list[list[float]] = []
+        if self.count:
+            # Drawn as a whole power of two, lest SciPy should warn of what we know.
+            exponent = (self.count - 1).bit_length()
+            unit = qmc.Sobol(len(self.keys), scramble=True, rng=self.seed).random_base2(exponent)
+            box = qmc.scale(unit[: self.count], *zip(*self.keys.values(), strict=True))
+            found = [[float(f"{value:.6g}") for value in point] for point in box]
+        return [dict(zip(self.keys, p, strict=True)) for p in [*found, *self.also]]
+
+
+class Plan(BaseModel):
+    """What a library or a study is to contain.
+
+    Attributes
+    ----------
+    name, description
+        For people.
+    scenario
+        What all cases share.
+    sweep
+        Dotted scenario key to its values; the cases are all combinations, the first key slowest.
+    sample
+        Points in the bounds of some keys, each with all combinations of the sweep, if there is one.
+    one_at_a_time
+        Instead of a sweep: dotted scenario key to its values; the cases are the scenario itself,
+        the base, and then one for each value of each key, all other keys as in the base.
+    steps
+        Instead of a sweep: changes with names, one after another; the cases are the base and one
+        for each step.
+    presets
+        Names of shipped scenarios to set beside the base, each a case as it stands.
+    vary_seed
+        Whether case number i of a sweep takes the scenario's seed plus i, so that the particle
+        scatter of neighbouring cases is independent.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(min_length=1)
+    description: str = ""
+    scenario: Scenario = Field(default_factory=Scenario)
+    sweep: dict[str, list[JsonValue]] = Field(default_factory=dict)
+    sample: Sample | None = None
+    one_at_a_time: dict[str, list[JsonValue]] = Field(default_factory=dict)
+    steps: list[Step] = Field(default_factory=list)
+    presets: list[str] = Field(default_factory=list)
+    vary_seed: bool = False
+
+    @model_validator(mode="after")
+    def _is_one_of_two_kinds(self) -> Self:
+        apart = self.one_at_a_time or self.steps or self.presets
+        combines = self.sweep or self.sample
+        if not combines and not apart:
+            raise ValueError("'sweep' is missing or empty; name a key in it, or in 'one_at_a_time'")
+        if combines and apart:
+            raise ValueError(
+                f"'{'sweep' if self.sweep else 'sample'}' combines its keys, 'one_at_a_time', "
+                "'steps' and 'presets' do not; make two plans"
+            )
+        if self.sample and (both := sorted(set(self.sweep) & set(self.sample.keys))):
+            raise ValueError(f"'{both[0]}' is both swept and sampled; drop one of the two")
+        if self.vary_seed and apart:
+            raise ValueError("vary_seed changes the seed in every case; it is for a sweep only")
+        return self
+
+    def cases(self) -> list[Scenario]:
+        """Scenarios of all cases.
+
+        Raises
+        ------
+        InputError
+            If a key to change does not exist, a value cannot be, or there are too many.
+        """
+        self._refuse_too_many()
+        if not self.combined_keys:
+            return [variant.scenario for variant in self.variants()]
+        for key, values in self.sweep.items():
+            if not values:
+                raise InputError(f"plan '{self.name}': sweep key '{key}' has no values")
+        if self.vary_seed and "numerics.seed" in self.combined_keys:
+            raise InputError(
+                f"plan '{self.name}': vary_seed sets numerics.seed, so it cannot be swept as "
+                "well; drop one of the two"
+            )
+        seed = self.scenario.numerics.seed
+        table = "sample" if self.sample else "sweep"
+        points: list[dict[str, float]] = self.sample.points() if self.sample else [{}]
+        found = []
+        every = itertools.product(itertools.product(*self.sweep.values()), points)
+        for i, (combination, point) in enumerate(every):
+            changes: dict[str, JsonValue] = {
+                **dict(zip(self.sweep, combination, strict=True)), **point,
+            }  # fmt: skip
+            if self.vary_seed:
+                changes["numerics.seed"] = seed + i
+            found.append(self._changed(table, changes))
+        return found
+
+    @property
+    def count(self) -> int:
+        """Number of cases; none of them is made for it."""
+        if self.combined_keys:
+            points = self.sample.count + len(self.sample.also) if self.sample else 1
+            return math.prod(map(len, self.sweep.values())) * points
+        changed = sum(map(len, self.one_at_a_time.values()))
+        return 1 + changed + len(self.steps) + len(self.presets)
+
+    def refuse_what_cannot_fit(self) -> None:
+        """Refuse a plan of which a case could not be held or finished, before any is begun.
+
+        Raises
+        ------
+        InputError
+            Names the case, the key that is to blame, and what to do.
+        """
+        for scenario in self.cases():
+            try:
+                refuse_what_cannot_fit(scenario)
+            except InputError as error:
+                case = describe(self, scenario)
+                raise InputError(f"plan '{self.name}', {case}: {error}") from error
+
+    def _refuse_too_many(self) -> None:
+        if self.count <= MOST_CASES:
+            return
+        values = {**self.one_at_a_time, **self.sweep}
+        longest = max(values, key=lambda key: len(values[key]), default="sample")
+        most = f"; most values stand under '{longest}', {len(values[longest])}" if values else ""
+        raise InputError(
+            f"plan '{self.name}': {self.count:,} cases, and at most {MOST_CASES:,} are possible"
+            f"{most}; drop some, or let a [sample] fill the same box with fewer"
+        )
+
+    @property
+    def combined_keys(self) -> tuple[str, ...]:
+        """Keys that are swept, then those that are sampled."""
+        return (*self.sweep, *(self.sample.keys if self.sample else ()))
+
+    def variants(self) -> list[Variant]:
+        """The base, every change of one key, the steps, the presets; of a sweep, the base alone.
+
+        Raises
+        ------
+        InputError
+            If a key to change or a preset does not exist, a value cannot be, or two cases are the
+            same.
+        """
+        found = [Variant(BASE, None, self.scenario)]
+        for key, values in self.one_at_a_time.items():
+            if not values:
+                raise InputError(f"plan '{self.name}': one_at_a_time key '{key}' has no values")
+            for value in values:
+                scenario = self._changed("one_at_a_time", {key: value})
+                found.append(Variant(key, value, scenario))
+        for step in self.steps:
+            start = found[-1].scenario if step.after == "previous" else self.scenario
+            scenario = self._changed(f"step '{step.name}'", step.changes, start)
+            found.append(Variant(step.name, None, scenario))
+        found += [Variant(PRESET, name, Scenario.load(name)) for name in self.presets]
+        seen: dict[str, str] = {}
+        for variant in found:
+            twin = seen.get(variant.scenario.hash)
+            if twin is not None:
+                raise InputError(
+                    f"plan '{self.name}': {label(variant)} is the same case as {twin}; "
+                    "drop one of the two"
+                )
+            seen[variant.scenario.hash] = label(variant)
+        return found
+
+    def _changed(
+        self, table: str, changes: dict[str, JsonValue], start: Scenario | None = None
+    ) -> Scenario:
+        """The plan's scenario, or another, with some keys replaced."""
+        try:
+            return (start or self.scenario).replace(**changes)
+        except ValidationError as error:
+            sentence = sentence_from_validation(error, f"plan '{self.name}', {table}", Scenario)
+            raise InputError(sentence) from error
+
+    @classmethod
+    def load(cls, source: Path | str) -> Plan:
+        """Read a plan from a TOML file, or a shipped one by its name.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, not TOML, has an unknown key or a value that cannot be.
+        """
+        if Path(source).suffix != ".toml" and not is_there(Path(source)):
+            source = shipped_file("plans", str(source), ".toml")
+        plan = parse_toml(Path(source), cls)
+        plan.cases()
+        return plan
+
+
+def label(variant: Variant) -> str:
+    """A variant in words, such as ``numerics.cells = 64``."""
+    return variant.key if variant.value is None else f"{variant.key} = {variant.value}"
+
+
+def describe(plan: Plan, scenario: Scenario) -> str:
+    """What makes a case of a plan differ from the others, for people."""
+    if not plan.combined_keys:
+        found = (label(v) for v in plan.variants() if v.scenario.hash == scenario.hash)
+        return next(found, scenario.name or scenario.hash[:12])  # a preset may have changed since
+    keys = list(plan.combined_keys)
+    if any(value in values[:i] for values in plan.sweep.values() for i, value in enumerate(values)):
+        keys.append("numerics.seed")  # the same case more than once
+    return ", ".join(f"{key} = {value_of(scenario, key)}" for key in keys)
+
+
+def value_of(scenario: Scenario, key: str) -> Any:
+    """Value of a dotted key of a scenario; raises KeyError if there is no such key."""
+    value: Any = scenario.model_dump(mode="json")
+    for section in key.split("."):
+        value = value[int(section) if isinstance(value, list) else section]
+    return value

@@ -1,0 +1,194 @@
+"""Whether the cases of a library can be simulated again to the last bit, and whether they are.
+
+A simulation ends in the same bits wherever all is the same that its arithmetic rests on: the model
+and its kernel, the compiler, NumPy, the C library and the processor. Each history says what it
+rested on; here that is compared with what is at hand, and on request the case is made again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from terraphi.experiment.documents import shipped_names
+from terraphi.experiment.errors import InputError
+from terraphi.forward import model_version, rests_on, simulate
+from terraphi.library.plan import Plan, describe
+from terraphi.library.store import Case, Library
+
+WORDS = {
+    "model_version": "model",
+    "kernel_source": "source of the kernel",
+    "processor_features": "features of the processor",
+    "vector_lanes": "doubles in a vector",
+    "libc": "C library",
+    "numpy_instructions": "vector instructions of NumPy",
+}
+"""Names for people, where the recorded ones are not for them."""
+_LONGEST = 24
+_LONG_MINUTES = 1.5
+"""Time of a case that one wants to know of before one simulates it again."""
+
+
+@dataclass(frozen=True)
+class Rebuilt:
+    """A case that was simulated again.
+
+    Attributes
+    ----------
+    case
+        Which one, for people.
+    same
+        Whether its forces are the same to the last bit.
+    largest_change
+        Largest difference of a force over the largest force [-].
+    differences
+        What it rests on that differs from what it rested on, in words; empty if nothing does.
+    """
+
+    case: str
+    same: bool
+    largest_change: float
+    differences: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """What came of it."""
+        if self.same:
+            return f"{self.case}: simulated again, the same to the last bit."
+        reason = "; ".join(self.differences) or "and nothing that it rests on: please report this"
+        return (
+            f"{self.case}: simulated again, forces differ by up to {self.largest_change:.1e} of "
+            f"the largest ({reason})."
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able."""
+        return {
+            "case": self.case,
+            "same_bits": self.same,
+            "largest_change": self.largest_change,
+            "differences": list(self.differences),
+        }
+
+
+def differences(case: Case) -> tuple[str, ...]:
+    """What a case rests on that is different here, in words; empty if nothing is.
+
+    Parameters
+    ----------
+    case
+        One that did not fail.
+    """
+    assert case.history is not None
+    known = case.history.provenance
+    there = {"model_version": known.get("model_version"), **known.get("rests_on", {})}
+    here = {"model_version": model_version(case.scenario), **rests_on(case.scenario)}
+    if "rests_on" not in known:
+        return ("it was made before libraries recorded what their bits rest on",)
+    return tuple(
+        f"{WORDS.get(name, name)}: {_short(there.get(name))} there, {_short(value)} here"
+        for name, value in here.items()
+        if there.get(name) != value
+    )
+
+
+def account(library: Library) -> dict[str, Any]:
+    """What a library's bits are and rest on, and whether they can be expected here.
+
+    Parameters
+    ----------
+    library
+        Any.
+
+    Returns
+    -------
+    dict
+        ``digest`` of all cases, ``cases`` (case to its digest), ``rests_on`` (of the first case),
+        ``expected`` (whether the same bits can be expected here), ``sentence``. JSON-able.
+    """
+    whole = [case for case in library.cases if case.history]
+    different = tuple(dict.fromkeys(word for case in whole for word in differences(case)))
+    first = whole[0].history.provenance if whole[0].history else {}
+    return {
+        "digest": hashlib.sha256("".join(c.digest for c in library.cases).encode()).hexdigest(),
+        "cases": {describe(library.plan, case.scenario): case.digest for case in library.cases},
+        "rests_on": {"machine": first.get("machine"), **first.get("rests_on", {})},
+        "expected": not different,
+        "sentence": _sentence(library, different),
+    }
+
+
+def rebuild(
+    library: Library, number: int, *, progress: Callable[[float], None] | None = None
+) -> Rebuilt:
+    """Simulate a case of a library again and compare all bits.
+
+    Parameters
+    ----------
+    library
+        Any.
+    number
+        Which case, from 1 in the plan's order.
+    progress
+        Called now and then with the fraction done, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If there is no such case, or it failed when the library was built.
+    """
+    if not 1 <= number <= len(library.cases):
+        raise InputError(
+            f"library '{library.name}' has the cases 1 to {len(library.cases)}, not {number}"
+        )
+    case = library.cases[number - 1]
+    name = f"case {number} ({describe(library.plan, case.scenario)})"
+    if case.history is None:
+        raise InputError(f"library '{library.name}': {name} failed: {case.failure}")
+    again = Case(case.scenario, simulate(case.scenario, progress=progress), "")
+    assert again.history is not None
+    largest = float(np.abs(case.history.force).max()) or 1.0
+    change = float(np.abs(again.history.force - case.history.force).max()) / largest
+    return Rebuilt(name, again.digest == case.digest, change, differences(case))
+
+
+def _sentence(library: Library, different: tuple[str, ...]) -> str:
+    """Whether the same bits can be expected of a build here, and how to check."""
+    file = library.name if library.name in shipped_names("libraries", ".nc") else "FILE.nc"
+    check = (
+        f"'terraphi library show {file} --check' simulates a case again{_lasting(library)} and "
+        "compares"
+    )
+    if different:
+        return f"other bits may come out here ({'; '.join(different)}); {check}"
+    if library.name in shipped_names("plans", ".toml"):
+        plan = Plan.load(library.name)
+        if [s.hash for s in plan.cases()] == [c.scenario.hash for c in library.cases]:
+            return (
+                f"'terraphi library build {library.name} --out FILE.nc' gives the same bits here; "
+                f"{check}"
+            )
+    return f"its plan gives the same bits here; {check}"
+
+
+def _lasting(library: Library) -> str:
+    """How long the cases took, where that was long."""
+    minutes = [
+        case.history.provenance.get("seconds", {}).get("all", 0.0) / 60.0
+        for case in library.cases
+        if case.history is not None
+    ]
+    if max(minutes, default=0.0) < _LONG_MINUTES:
+        return ""
+    return f" (they took {min(minutes):.0f} to {max(minutes):.0f} minutes there)"
+
+
+def _short(value: Any) -> str:
+    """A value for a message; of a hash its beginning is enough."""
+    text = "not recorded" if value is None else str(value)
+    return text if len(text) <= _LONGEST else f"{text[:12]}..."

@@ -1,0 +1,161 @@
+"""A pool of processes that reports progress within a task and stops when asked.
+
+Anything that is a ``concurrent.futures.Executor`` can build a library; ``cluster.py`` has that of
+a Dask cluster. This one adds, for the cores of one machine, what an executor
+lacks: a pulse. Tasks call :func:`heartbeat` now and then; it tells the parent how far they are and
+raises :class:`StoppedError` once the parent wants no more.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
+from multiprocessing.sharedctypes import Synchronized
+from multiprocessing.synchronize import Event
+from types import TracebackType
+from typing import Self
+
+
+class StoppedError(RuntimeError):
+    """The parent asked its workers to stop."""
+
+
+_pulse: tuple[Event, Synchronized[float]] | None = None
+_unwanted: ContextVar[Callable[[], bool] | None] = ContextVar("unwanted", default=None)
+
+
+def _join(stop: Event, done: Synchronized[float]) -> None:
+    """Set a fresh worker up: it leaves Ctrl-C to its parent, which will then ask it to stop."""
+    global _pulse
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _pulse = (stop, done)
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+
+
+def _leave_with_parent() -> None:
+    """End this worker as soon as its parent is gone, killed perhaps, and can want no result."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextmanager
+def without_interrupts() -> Iterator[None]:
+    """Hold Ctrl-C back for a moment; what is started meanwhile holds it back for good."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _nothing() -> None:
+    """Task that makes an executor start a worker."""
+
+
+def heartbeat(advance: float) -> None:
+    """Report work done since the last call from within a task; no effect outside a pool.
+
+    Parameters
+    ----------
+    advance
+        Fraction of the task done since the last call [-].
+
+    Raises
+    ------
+    StoppedError
+        If the parent has asked the workers to stop.
+    """
+    unwanted = _unwanted.get()
+    if unwanted is not None and unwanted():
+        raise StoppedError("nobody wants the result any more")
+    if _pulse is None:
+        return
+    stop, done = _pulse
+    if stop.is_set():
+        raise StoppedError("stopped by the parent process")
+    with done.get_lock():
+        done.value += advance
+
+
+@contextmanager
+def stopping_when(unwanted: Callable[[], bool]) -> Iterator[None]:
+    """Let :func:`heartbeat` stop what runs in this context, and this thread, when told so.
+
+    Parameters
+    ----------
+    unwanted
+        Says whether nobody wants the result any more.
+    """
+    token = _unwanted.set(unwanted)
+    try:
+        yield
+    finally:
+        _unwanted.reset(token)
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class WorkerPool:
+    """Processes on this machine, as a context that leaves none behind.
+
+    Parameters
+    ----------
+    workers
+        How many.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        context = multiprocessing.get_context("spawn")
+        self._stop = context.Event()
+        self._done = context.Value("d", 0.0)
+        self._before: int | None = None
+        self.executor: Executor = ProcessPoolExecutor(
+            workers, mp_context=context, initializer=_join, initargs=(self._stop, self._done)
+        )
+        # Workers start now, deaf to Ctrl-C from the first instant and not only once they have
+        # imported this module.
+        with without_interrupts():
+            for _ in range(workers):
+                self.executor.submit(_nothing)
+
+    def counted(self, finished: int) -> float:
+        """Tasks done so far, counting parts of those that run [-].
+
+        Parameters
+        ----------
+        finished
+            Tasks known to be finished, whether this pool ran them or not; the first call sets
+            what had been finished before.
+        """
+        if self._before is None:
+            self._before = finished
+        return max(finished, self._before + float(self._done.value))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is not None:
+            self._stop.set()
+        # A second Ctrl-C in the middle of this would leave both sides waiting for each other.
+        with without_interrupts():
+            self.executor.shutdown(wait=True, cancel_futures=kind is not None)

@@ -1,0 +1,439 @@
+"""What the files of a recorded bag have in common.
+
+MCAP files, whole or cut off, indexed or not.
+
+Only the outer framing is read here (https://mcap.dev/spec: records of an opcode, a length and a
+body), so that a damaged file ends in a sound prefix; records are decoded by the package ``mcap``.
+
+rosbag2: a folder of SQLite or MCAP files.
+
+Tables as in the package ``rosbag2_storage_sqlite3`` of https://github.com/ros2/rosbag2 . The
+folder's ``metadata.yaml`` is not needed: a recorder that was switched off never wrote it, and the
+files say what is in them.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sqlite3
+import struct
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from io import BytesIO
+from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import ModuleType
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from terraphi.experiment.errors import InputError
+from terraphi.robot.logs.collect import Messages
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic in a bag.
+
+    Attributes
+    ----------
+    name, type
+        As recorded.
+    encoding
+        Of its messages; ROS 2 writes ``cdr``.
+    number
+        By which the file knows it.
+    """
+
+    name: str
+    type: str
+    encoding: str
+    number: int
+
+    @property
+    def plain_type(self) -> str:
+        """Package and name of the type, as in ``unitree_go/LowState``.
+
+        The same message is ``unitree_go/msg/LowState`` in ROS 2 and
+        ``unitree_go::msg::dds_::LowState_`` on the robot's own bus.
+        """
+        parts = [part for part in self.type.replace("::", "/").split("/") if part]
+        return f"{parts[0]}/{parts[-1].rstrip('_')}" if len(parts) > 1 else self.type
+
+
+class Storage(ABC):
+    """A file with messages.
+
+    Parameters
+    ----------
+    path
+        The file.
+    shown
+        What to call it in messages, where the file is a temporary copy.
+    """
+
+    def __init__(self, path: Path, *, shown: Path | None = None) -> None:
+        self.path = path
+        self.shown = shown or path
+        self.notes: list[str] = []
+
+    def note(self, text: str) -> None:
+        """Remember something for the report, once."""
+        if text not in self.notes:
+            self.notes.append(text)
+
+    @abstractmethod
+    def topics(self) -> list[Topic]:
+        """Topics in the file."""
+
+    @abstractmethod
+    def batches(self, topics: list[Topic]) -> Iterator[Messages]:
+        """Messages on some topics, in the order of the file."""
+
+
+MAGIC = b"\x89MCAP0\r\n"
+BATCH = 4096
+
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, recorded and published [ns]
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE_OP, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
+_PACKAGES = {"lz4": "lz4", "zstd": "zstandard"}
+
+
+def _mcap(shown: Path) -> ModuleType:
+    """The package, or a sentence that says how to get it."""
+    try:
+        import mcap.records
+        import mcap.stream_reader
+    except ImportError as error:
+        raise InputError(
+            f"{shown}: reading MCAP needs the package mcap: pip install 'terraphi[robot]'"
+        ) from error
+    return mcap
+
+
+class McapFile(Storage):
+    """One MCAP file."""
+
+    def topics(self) -> list[Topic]:
+        """Topics in the file."""
+        mcap = _mcap(self.shown)
+        schemas: dict[int, str] = {}
+        channels: dict[int, tuple[int, str, str]] = {}
+        with self._open() as stream:
+            for code, body in self._records(stream, "survey"):
+                data = mcap.stream_reader.ReadDataStream(BytesIO(body))
+                try:
+                    if code == _SCHEMA:
+                        schema = mcap.records.Schema.read(data)
+                        schemas[schema.id] = schema.name
+                    elif code == _CHANNEL:
+                        c = mcap.records.Channel.read(data)
+                        channels[c.id] = (c.schema_id, c.topic, c.message_encoding)
+                except Exception:  # a damaged record raises struct.error, EndOfFile and more
+                    self.note("a damaged description of a topic was passed over")
+        return [
+            Topic(name, schemas.get(schema, "unknown"), encoding, number)
+            for number, (schema, name, encoding) in sorted(channels.items())
+        ]
+
+    def batches(self, topics: list[Topic]) -> Iterator[Messages]:
+        """Messages on some topics, in the order of the file."""
+        wanted = {topic.number for topic in topics}
+        messages: list[bytes] = []
+        times: list[int] = []
+        with self._open() as stream:
+            for code, body in self._records(stream, "read"):
+                if code != _MESSAGE_OP or len(body) < _MESSAGE.size:
+                    continue
+                channel, _, recorded, _ = _MESSAGE.unpack_from(body)
+                if channel in wanted:
+                    messages.append(body[_MESSAGE.size :])
+                    times.append(min(recorded, 2**63 - 1))
+                if len(messages) == BATCH:
+                    yield messages, np.array(times, dtype=np.int64)
+                    messages, times = [], []
+        if messages:
+            yield messages, np.array(times, dtype=np.int64)
+
+    # -- records ---------------------------------------------------------------------------------
+
+    def _open(self) -> BinaryIO:
+        stream = self.path.open("rb")
+        if stream.read(len(MAGIC)) != MAGIC:
+            stream.close()
+            raise InputError(
+                f"{self.shown}: not an MCAP file, or damaged at its start; copy it again"
+            )
+        return stream
+
+    def _records(self, stream: BinaryIO, purpose: str) -> Iterator[tuple[int, bytes]]:
+        """Records of the file, those inside chunks included, up to where it breaks off."""
+        size = self.path.stat().st_size
+        if purpose == "survey":
+            indexed = self._summary(stream, size)
+            if indexed:
+                yield from indexed
+                return
+            stream.seek(len(MAGIC))
+        while head := stream.read(_RECORD.size):
+            if len(head) < _RECORD.size:
+                break
+            code, length = _RECORD.unpack(head)
+            if code == _FOOTER:
+                return
+            if length > size - stream.tell():
+                break
+            if code not in {_SCHEMA, _CHANNEL, _MESSAGE_OP, _CHUNK}:
+                stream.seek(length, 1)
+                continue
+            body = stream.read(length)
+            if code == _CHUNK:
+                yield from _split(self._unpack(body))
+            else:
+                yield code, body
+        self.note("the file is cut off or damaged; what comes before is read")
+
+    def _summary(self, stream: BinaryIO, size: int) -> list[tuple[int, bytes]]:
+        """Descriptions of topics repeated at the file's end; empty if they are not there."""
+        tail = _RECORD.size + 20 + len(MAGIC)
+        stream.seek(max(size - tail, 0))
+        footer = stream.read(tail)
+        if len(footer) < tail or footer[0] != _FOOTER or footer[-len(MAGIC) :] != MAGIC:
+            return []
+        at = struct.unpack_from("<Q", footer, _RECORD.size)[0]
+        if not 0 < at < size:
+            return []
+        stream.seek(at)
+        found = [r for r in _split(stream.read(size - tail - at)) if r[0] in {_SCHEMA, _CHANNEL}]
+        return found if any(code == _CHANNEL for code, _ in found) else []
+
+    def _unpack(self, body: bytes) -> bytes:
+        """Records of a chunk; nothing if it is damaged."""
+        mcap = _mcap(self.shown)
+        chunk = None
+        try:
+            chunk = mcap.records.Chunk.read(mcap.stream_reader.ReadDataStream(BytesIO(body)))
+            if chunk.compression and chunk.compression not in _PACKAGES:
+                raise InputError(
+                    f"{self.shown}: compressed with '{chunk.compression[:20]}', which is not "
+                    "known; expected lz4, zstd or none: convert it with the mcap command line tool"
+                )
+            stream, length = mcap.stream_reader.get_chunk_data_stream(chunk, validate_crc=True)
+            return bytes(stream.read(length))
+        except InputError:
+            raise
+        except Exception as error:
+            if chunk is not None and type(error).__name__ == "UnsupportedCompressionError":
+                package = _PACKAGES[chunk.compression]
+                raise InputError(
+                    f"{self.shown}: compressed with {chunk.compression}, which needs the package "
+                    f"{package}: pip install 'terraphi[robot]'"
+                ) from error
+            # Each decompressor has errors of its own.
+            self.note("a damaged chunk was passed over")
+            return b""
+
+
+def _split(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Records that lie one after the other in memory."""
+    at, end = 0, len(data)
+    while at + _RECORD.size <= end:
+        code, length = _RECORD.unpack_from(data, at)
+        at += _RECORD.size
+        if length > end - at:
+            return
+        yield code, data[at : at + length]
+        at += length
+
+
+SQLITE_MAGIC = b"SQLite format 3\0"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+LARGEST_MESSAGE = 2**24
+"""Size [bytes] beyond which a compressed message is taken for damage."""
+
+
+class SqliteFile(Storage):
+    """One SQLite file of a bag."""
+
+    def topics(self) -> list[Topic]:
+        """Topics in the file."""
+        query = "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
+        found = []
+        with closing(self._connect()) as connection:
+            try:
+                for number, name, kind, encoding in connection.execute(query):
+                    found.append(Topic(str(name), str(kind), str(encoding), int(number)))
+            except (sqlite3.Error, TypeError, ValueError) as error:
+                if not found:
+                    raise InputError(
+                        f"{self.shown}: not a rosbag2 database, or damaged at its start ({error}); "
+                        "copy or record it again"
+                    ) from error
+                self._cut_off(error)
+        return found
+
+    def batches(self, topics: list[Topic]) -> Iterator[Messages]:
+        """Messages on some topics, in the order of recording."""
+        marks = ",".join("?" * len(topics))
+        query = f"SELECT timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY id"
+        with closing(self._connect()) as connection:
+            try:
+                rows = connection.execute(query, [topic.number for topic in topics])
+            except sqlite3.Error as error:
+                self._cut_off(error)
+                return
+            while True:
+                batch: list[tuple[Any, Any]] = []
+                try:
+                    # Row by row, so that those before a damaged page are not lost with it.
+                    batch.extend(islice(rows, BATCH))
+                except sqlite3.Error as error:
+                    self._cut_off(error)
+                    rows = connection.cursor()  # exhausted
+                if not batch:
+                    return
+                yield self._messages(batch)
+
+    def _messages(self, rows: list[tuple[Any, Any]]) -> Messages:
+        sound = [(t, m) for t, m in rows if isinstance(t, int) and isinstance(m, bytes)]
+        if len(sound) < len(rows):
+            self.note("rows of the database without a message were passed over")
+        messages = [self._inflated(message) for _, message in sound]
+        return messages, np.array([time for time, _ in sound], dtype=np.int64)
+
+    def _inflated(self, message: bytes) -> bytes:
+        """A message of a bag that compresses each one by itself; others as they are."""
+        if message[:4] != ZSTD_MAGIC:
+            return message
+        zstandard = _zstandard(self.shown)
+        try:
+            packer = zstandard.ZstdDecompressor()
+            return bytes(packer.decompress(message, max_output_size=LARGEST_MESSAGE))
+        except zstandard.ZstdError:
+            return b""  # dropped as malformed, and counted
+
+    def _connect(self) -> sqlite3.Connection:
+        # A recorder that crashed leaves a write-ahead log, which SQLite must be let at; otherwise
+        # the file is promised not to change, and nothing is written beside it.
+        unfinished = self.path.with_name(self.path.name + "-wal")
+        promise = "" if unfinished.exists() and unfinished.stat().st_size else "&immutable=1"
+        uri = f"{self.path.resolve().as_uri()}?mode=ro{promise}"
+        try:
+            connection = sqlite3.connect(uri, uri=True)
+            # Lets a file be read that is shorter than its header says.
+            connection.execute("PRAGMA writable_schema=ON")
+        except sqlite3.Error as error:
+            raise InputError(
+                f"{self.shown}: cannot be opened as a database ({error}); copy it again"
+            ) from error
+        return connection
+
+    def _cut_off(self, error: Exception) -> None:
+        self.note(f"the database is cut off or damaged ({error}); what comes before is read")
+
+
+def _zstandard(shown: Path) -> ModuleType:
+    """The package, or a sentence that says how to get it."""
+    try:
+        import zstandard
+    except ImportError as error:
+        raise InputError(
+            f"{shown}: compressed with zstd, which needs the package zstandard: "
+            "pip install 'terraphi[robot]'"
+        ) from error
+    return zstandard
+
+
+def open_database(path: Path, stack: ExitStack, *, shown: Path | None = None) -> SqliteFile:
+    """Storage of a database, of its whole pages only if it was cut off.
+
+    SQLite reads the missing part of a page as zeros, and so makes rows that nobody wrote.
+
+    Parameters
+    ----------
+    path
+        The file.
+    stack
+        Takes care of a temporary copy, if there has to be one.
+    shown
+        What to call the file in messages.
+
+    Returns
+    -------
+    SqliteFile
+    """
+    shown = shown or path
+    with path.open("rb") as stream:
+        page = int.from_bytes(stream.read(18)[16:], "big")
+    page = 65_536 if page == 1 else page
+    excess = path.stat().st_size % page if page else 0
+    if not excess:
+        return SqliteFile(path, shown=shown)
+    copy = Path(stack.enter_context(TemporaryDirectory())) / path.name
+    shutil.copyfile(path, copy)
+    os.truncate(copy, copy.stat().st_size - excess)
+    return SqliteFile(copy, shown=shown)
+
+
+def open_bag(path: Path, stack: ExitStack) -> list[Storage]:
+    """Storages of a folder, in the order of recording.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    stack
+        Takes care of files that have to be unpacked.
+
+    Returns
+    -------
+    list of Storage
+
+    Raises
+    ------
+    InputError
+        If the folder holds no bag, or a package is missing.
+    """
+    suffixes = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
+    files = [file for file in path.iterdir() if file.name.endswith(suffixes) and file.is_file()]
+    if not files:
+        raise InputError(
+            f"{path}: a folder without .db3 or .mcap files; name the folder that ros2 bag wrote"
+        )
+    files.sort(
+        key=lambda file: [(int(t or 0), s) for t, s in re.findall(r"(\d+)|(\D+)", file.name)]
+    )
+    storages: list[Storage] = []
+    for file in files:
+        plain = _unpacked(file, stack) if file.suffix == ".zstd" else file
+        with plain.open("rb") as stream:
+            magic = stream.read(16)
+        if magic[: len(MAGIC)] == MAGIC:
+            storages.append(McapFile(plain, shown=file))
+        elif magic == SQLITE_MAGIC:
+            storages.append(open_database(plain, stack, shown=file))
+        elif len(files) == 1:
+            what = "the file is empty" if not magic else "neither SQLite nor MCAP"
+            raise InputError(f"{file}: {what}; copy or record it again")
+    if not storages:
+        raise InputError(f"{path}: none of its {len(files)} files is a SQLite or MCAP file")
+    return storages
+
+
+def _unpacked(file: Path, stack: ExitStack) -> Path:
+    """A temporary copy of a compressed file."""
+    zstandard = _zstandard(file)
+    folder = Path(stack.enter_context(TemporaryDirectory()))
+    plain = folder / file.stem
+    try:
+        with file.open("rb") as packed, plain.open("wb") as out:
+            shutil.copyfileobj(zstandard.ZstdDecompressor().stream_reader(packed), out)
+    except zstandard.ZstdError as error:
+        raise InputError(f"{file}: cannot be decompressed ({error}); copy it again") from error
+    return plain

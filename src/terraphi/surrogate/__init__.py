@@ -1,0 +1,1 @@
+"""Forces between the simulations of a library: Gaussian processes over its parameters."""

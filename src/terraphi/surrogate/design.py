@@ -1,0 +1,608 @@
+"""Forces on a leg over several parameters, known at scattered points, and between them.
+
+The covariance of a force over the parameters and the leg angle, and its hyperparameters.
+
+Over n points x of a design in d parameters and M leg angles the covariance of a force is
+
+    K = sigma^2 K_x (x) K_theta + tau^2 I,         (x) the Kronecker product,
+    K_x = t^2 (1 + x.y) + c(r),                    K_theta = exp(-lag^2 / 2 l^2) + f^2 I,
+
+r the distance of x and y, c the Matern correlation of order 5/2 or the squared exponential, with a
+length of its own along each parameter (Rasmussen & Williams, eqs 4.17 and 4.9), t the size of a
+free plane and f that of a part which is smooth over the parameters and jumps over the leg angle, as
+forces do where a face of the leg begins to lead. Parameters are scaled to their bounds, from -1 to
+1.
+
+A Gaussian process for one force at scattered points of a design, on all leg angles at each.
+
+Points are scattered over the parameters, yet each brings all leg angles, so that the covariance is
+a Kronecker product (see `kernel`). Eigendecompositions of an n x n and an M x M matrix give the
+evidence, its gradient and predictions in closed form (Saatchi, *Scalable Inference for Structured
+Gaussian Process Models*, 2011, ch. 5): no matrix is larger than n x n, n x M or M x M. Beyond
+`FIT_CASES` points hyperparameters are those of maximum evidence on as many of them, evenly taken;
+the process is conditioned on all.
+
+How large the forces are over the parameters: what is divided out before they are modelled.
+
+Forces on a leg grow several times over the range of a friction angle, and so do the deviations of
+a curve from its neighbours. Divided by their size they are close to what a stationary process
+describes. The logarithm of the size is a Gaussian process of its own: what is not known of it is an
+error that multiplies both forces on the leg alike, at all leg angles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
+
+from terraphi.surrogate.training import DENSITY, Training
+
+FloatArray = NDArray[np.float64]
+Kind = Literal["matern52", "rbf"]
+
+TREND = 10.0
+"""Prior standard deviation of the plane over that of the process [-]: nearly free."""
+
+
+@dataclass(frozen=True)
+class DesignKernel:
+    """Hyperparameters; variances are relative to the variance of the values.
+
+    Attributes
+    ----------
+    lengths
+        Correlation length along each parameter, in half widths of its bounds [-].
+    theta_length_deg
+        Correlation length along the leg angle [deg].
+    signal_variance, noise_variance
+        sigma^2 and tau^2 [-].
+    fine
+        f, size of the part that is white over the leg angle [-].
+    kind
+        Correlation along the parameters.
+    trend
+        t, size of the plane [-]; 0 for none.
+
+    Raises
+    ------
+    ValueError
+        If a number is not positive and finite (``fine`` and ``trend`` may be zero).
+    """
+
+    lengths: tuple[float, ...]
+    theta_length_deg: float
+    signal_variance: float
+    noise_variance: float
+    fine: float = 0.0
+    kind: Kind = "matern52"
+    trend: float = TREND
+
+    def __post_init__(self) -> None:
+        positive = (
+            *self.lengths, self.theta_length_deg, self.signal_variance, self.noise_variance,
+        )  # fmt: skip
+        if not all(np.isfinite(v) and v > 0.0 for v in positive):
+            raise ValueError(f"lengths and variances are {positive}; they must be positive")
+        if not (0.0 <= self.fine < np.inf and 0.0 <= self.trend < np.inf):
+            raise ValueError(f"fine is {self.fine} and trend {self.trend}; neither is negative")
+
+    def over_parameters(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """K_x between points, shapes [k, d] and [l, d] -> [k, l]."""
+        covariance = self.correlation(self.distance2(one, other))
+        if self.trend:
+            covariance += self.trend**2 * (1.0 + one @ other.T)
+        return covariance
+
+    def variance(self, points: FloatArray) -> FloatArray:
+        """Diagonal of K_x, shape [k, d] -> [k]."""
+        squares: FloatArray = 1.0 + self.trend**2 * (1.0 + np.square(points).sum(axis=1))
+        return squares
+
+    def distance2(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """Squared distances in correlation lengths, shape [k, l]."""
+        a, b = one / np.array(self.lengths), other / np.array(self.lengths)
+        squares = np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1) - 2.0 * a @ b.T
+        distance2: FloatArray = np.maximum(squares, 0.0)
+        return distance2
+
+    def correlation(self, distance2: FloatArray) -> FloatArray:
+        """Correlation c of squared distances [-]."""
+        if self.kind == "rbf":
+            return np.exp(-0.5 * distance2)
+        lag = np.sqrt(5.0 * distance2)
+        return (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
+
+    def slope(self, distance2: FloatArray) -> FloatArray:
+        """-2 dc/d(squared distance); times (x_k - y_k)^2 / l_k^2 it is dc/d log l_k."""
+        if self.kind == "rbf":
+            return np.exp(-0.5 * distance2)
+        lag = np.sqrt(5.0 * distance2)
+        slope: FloatArray = 5.0 / 3.0 * (1.0 + lag) * np.exp(-lag)
+        return slope
+
+    def over_angles(self, theta_deg: FloatArray) -> FloatArray:
+        """K_theta, shape [theta, theta]."""
+        smooth = np.exp(-0.5 * np.square((theta_deg[:, None] - theta_deg) / self.theta_length_deg))
+        total: FloatArray = smooth + self.fine**2 * np.eye(theta_deg.size)
+        return total
+
+    def pack(self) -> FloatArray:
+        """Logarithms of what is fitted: lengths, theta length, sigma^2, f, tau^2."""
+        return np.log(
+            [
+                *self.lengths, self.theta_length_deg, self.signal_variance,
+                self.fine, self.noise_variance,
+            ]
+        )  # fmt: skip
+
+    @classmethod
+    def unpack(cls, logarithms: FloatArray, kind: Kind, trend: float) -> DesignKernel:
+        """Inverse of :meth:`pack`."""
+        *lengths, theta, signal, fine, noise = np.exp(logarithms).tolist()
+        return cls(tuple(lengths), theta, signal, noise, fine, kind, trend)
+
+
+FIT_CASES = 250
+"""Points on which hyperparameters are found, at most."""
+LENGTHS = (0.05, 40.0)
+"""Least and largest correlation length along a parameter, in half widths of its bounds [-]."""
+SIGNAL_VARIANCES = (1e-4, 1e5)
+NOISE_VARIANCES = (1e-9, 1e1)
+FINES = (1e-4, 1e1)
+
+
+@dataclass(frozen=True, eq=False)
+class DesignGP:
+    """A force over parameters and leg angle.
+
+    In the basis of the leg angles that diagonalises K_theta (columns of ``basis``) the predictive
+    covariance is diagonal, and so is white noise: `rotated` predicts there.
+
+    Attributes
+    ----------
+    points
+        Training points, parameters scaled to [-1, 1], shape [case, d].
+    theta_deg
+        Leg angles [deg], shape [theta].
+    kernel
+        Hyperparameters.
+    log_marginal_likelihood
+        Of the standardised values [-].
+    mean, std
+        Mean at each leg angle, shape [theta], and the standard deviation about it [N].
+    basis
+        Orthogonal, shape [theta, theta].
+    roots
+        Eigenvalues of K_theta [-], shape [theta].
+    """
+
+    points: FloatArray
+    theta_deg: FloatArray
+    kernel: DesignKernel
+    log_marginal_likelihood: float
+    mean: FloatArray
+    std: float
+    basis: FloatArray = field(repr=False)
+    roots: FloatArray = field(repr=False)
+    _rotated_centre: FloatArray = field(repr=False)
+    _mean_weights: FloatArray = field(repr=False)
+    _variance_weights: FloatArray = field(repr=False)
+    _points_basis: FloatArray = field(repr=False)
+
+    @classmethod
+    def fit(
+        cls,
+        points: ArrayLike,
+        theta_deg: ArrayLike,
+        values: ArrayLike,
+        *,
+        kind: Kind = "matern52",
+        trend: float = TREND,
+        restarts: int = 1,
+        seed: int = 0,
+    ) -> Self:
+        """Find the hyperparameters of maximum marginal likelihood, and condition on the values.
+
+        Parameters
+        ----------
+        points
+            Parameters scaled to [-1, 1], at least three points, shape [case, d].
+        theta_deg
+            Leg angles, or other places along the path, increasing, shape [theta].
+        values
+            Force [N], shape [case, theta].
+        kind, trend
+            As in `DesignKernel`.
+        restarts, seed
+            Random starts of the optimiser besides two good guesses, and their seed.
+
+        Raises
+        ------
+        ValueError
+            If shapes disagree, points are too few, or a value is not finite or all are equal.
+        """
+        with threadpool_limits(limits=1, user_api="blas"):
+            data = _Data(points, theta_deg, values)
+            chosen = data
+            if len(data.points) > FIT_CASES:
+                even = np.linspace(0, len(data.points) - 1, FIT_CASES).round().astype(int)
+                chosen = _Data(data.points[even], theta_deg, data.values[even])
+            kernel = _maximise_evidence(chosen, kind, trend, restarts, seed)
+            return cls._conditioned(data, kernel)
+
+    @classmethod
+    def condition(
+        cls, points: ArrayLike, theta_deg: ArrayLike, values: ArrayLike, kernel: DesignKernel
+    ) -> Self:
+        """Condition on the values at given hyperparameters; arguments and errors as in `fit`."""
+        with threadpool_limits(limits=1, user_api="blas"):
+            return cls._conditioned(_Data(points, theta_deg, values), kernel)
+
+    @classmethod
+    def _conditioned(cls, data: _Data, kernel: DesignKernel) -> Self:
+        spectrum = Spectrum(data, kernel)
+        sigma2, roots = kernel.signal_variance, spectrum.theta_roots
+        return cls(
+            points=data.points,
+            theta_deg=data.theta_deg,
+            kernel=kernel,
+            log_marginal_likelihood=spectrum.log_evidence(),
+            mean=data.mean,
+            std=data.std,
+            basis=spectrum.theta_basis,
+            roots=roots,
+            _rotated_centre=data.mean @ spectrum.theta_basis,
+            _mean_weights=data.std * sigma2 * spectrum.points_basis @ (spectrum.weights * roots),
+            _variance_weights=sigma2**2 * np.square(roots) / spectrum.eigenvalues,
+            _points_basis=spectrum.points_basis,
+        )
+
+    @property
+    def noise_variance(self) -> float:
+        """tau^2 [N^2]: the scatter of the simulations at one leg angle."""
+        return self.std**2 * self.kernel.noise_variance
+
+    def rotated_mean(self, points: FloatArray) -> FloatArray:
+        """Mean in the basis [N], shape [k, d] -> [k, theta]."""
+        across = self.kernel.over_parameters(points, self.points)
+        mean: FloatArray = self._rotated_centre + across @ self._mean_weights
+        return mean
+
+    def rotated(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean [N] and variance [N^2] in the basis, without the scatter, each [k, theta]."""
+        across = self.kernel.over_parameters(points, self.points)
+        mean = self._rotated_centre + across @ self._mean_weights
+        explained = np.square(across @ self._points_basis) @ self._variance_weights
+        signal = self.kernel.signal_variance * self.kernel.variance(points)
+        # The difference of two nearly equal numbers may round to a negative one.
+        variance = np.maximum(np.outer(signal, self.roots) - explained, 0.0)
+        return mean, self.std**2 * variance
+
+    def rotated_covariance(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """Posterior covariance between points in the basis [N^2], shape [k, l, theta]."""
+        left, right = (
+            self.kernel.over_parameters(points, self.points) @ self._points_basis
+            for points in (one, other)
+        )
+        prior = self.kernel.signal_variance * self.kernel.over_parameters(one, other)
+        # For each angle of the basis a product of [k, case] and [case, l].
+        explained = np.einsum(
+            "ki,it,li->klt", left, self._variance_weights, right, optimize="greedy"
+        )
+        covariance: FloatArray = self.std**2 * (prior[:, :, None] * self.roots - explained)
+        return covariance
+
+    def predict(self, points: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Mean [N] and variance [N^2] of the latent force, shape [k, d] -> [k, theta] each.
+
+        Parameters
+        ----------
+        points
+            Parameters scaled to [-1, 1], shape [k, d].
+        """
+        where = np.atleast_2d(np.asarray(points, dtype=np.float64))
+        if where.shape[1] != self.points.shape[1]:
+            raise ValueError(f"points have shape {where.shape}; expected [k, {len(self.points.T)}]")
+        mean, variance = self.rotated(where)
+        return mean @ self.basis.T, variance @ np.square(self.basis.T)
+
+
+class _Data:
+    """Validated training data, standardised: mean zero at each leg angle, unit variance."""
+
+    def __init__(self, points: ArrayLike, theta_deg: ArrayLike, values: ArrayLike) -> None:
+        self.points = np.array(points, dtype=np.float64)
+        self.theta_deg = np.array(theta_deg, dtype=np.float64)
+        self.values = np.array(values, dtype=np.float64)
+        if self.points.ndim != 2 or len(self.points) < 3:
+            raise ValueError(f"points have shape {self.points.shape}; expected [3 or more, d]")
+        if not (np.diff(self.theta_deg) > 0.0).all():
+            raise ValueError("theta_deg must increase")
+        shape = (len(self.points), self.theta_deg.size)
+        if self.values.shape != shape:
+            raise ValueError(f"values have shape {self.values.shape}; expected {shape}")
+        if not (np.isfinite(self.values).all() and np.isfinite(self.points).all()):
+            raise ValueError("points and values must be finite")
+        self.mean = self.values.mean(axis=0)
+        self.std = float((self.values - self.mean).std())
+        if self.std == 0.0:
+            raise ValueError("all points have the same values; they must vary over the design")
+        self.standardised = (self.values - self.mean) / self.std
+
+
+class Spectrum:
+    """The covariance in its eigenbasis, K = (U (x) V) diag(eigenvalues) (U (x) V)^T."""
+
+    def __init__(self, data: _Data, kernel: DesignKernel) -> None:
+        self.data, self.kernel = data, kernel
+        self.theta_factor = kernel.over_angles(data.theta_deg)
+        points_factor = kernel.over_parameters(data.points, data.points)
+        points_roots, self.points_basis = np.linalg.eigh(points_factor)
+        theta_roots, self.theta_basis = np.linalg.eigh(self.theta_factor)
+        # Round-off puts roots near -1e-16 where the exact matrix has tiny positive ones.
+        self.points_roots, self.theta_roots = points_roots.clip(min=0.0), theta_roots.clip(min=0.0)
+        self.signal = kernel.signal_variance * np.outer(self.points_roots, self.theta_roots)
+        self.eigenvalues = self.signal + kernel.noise_variance
+        self.projected = self.points_basis.T @ data.standardised @ self.theta_basis
+        self.weights = self.projected / self.eigenvalues
+
+    def log_evidence(self) -> float:
+        """Log p(y) = -(y^T K^-1 y + log |K| + N log 2 pi) / 2 (R & W eq. 2.30)."""
+        quadratic = np.sum(self.projected * self.weights)
+        log_determinant = np.sum(np.log(self.eigenvalues))
+        return float(-0.5 * (quadratic + log_determinant + self.weights.size * np.log(2 * np.pi)))
+
+    def gradient(self) -> FloatArray:
+        """By each logarithm of `DesignKernel.pack` (R & W eq. 5.9)."""
+        kernel, points, w = self.kernel, self.data.points, self.weights
+        inverse, sigma2 = 1.0 / self.eigenvalues, kernel.signal_variance
+        # dL/dK_x and dL/dK_theta as matrices: each hyperparameter is then a sum of products.
+        middle = (w * self.theta_roots) @ w.T - np.diag(inverse @ self.theta_roots)
+        by_points = sigma2 * self.points_basis @ middle @ self.points_basis.T
+        across = (w.T * self.points_roots) @ w - np.diag(self.points_roots @ inverse)
+        by_theta = sigma2 * self.theta_basis @ across @ self.theta_basis.T
+        slope = by_points * kernel.slope(kernel.distance2(points, points))
+        found = []
+        for k, length in enumerate(kernel.lengths):
+            x = points[:, k] / length
+            # sum_ij slope_ij (x_i - x_j)^2 without the matrix of differences.
+            rows = slope.sum(axis=1)
+            found.append(2.0 * float(rows @ np.square(x) - x @ slope @ x))
+        theta = self.data.theta_deg
+        lag2 = np.square((theta[:, None] - theta) / kernel.theta_length_deg)
+        found.append(float(np.sum(by_theta * lag2 * np.exp(-0.5 * lag2))))
+        sensitivity = np.square(w) - inverse
+        found.append(float(np.sum(self.signal * sensitivity)))
+        found.append(2.0 * kernel.fine**2 * float(np.trace(by_theta)))
+        found.append(kernel.noise_variance * float(np.sum(sensitivity)))
+        return 0.5 * np.array(found)
+
+
+def _maximise_evidence(
+    data: _Data, kind: Kind, trend: float, restarts: int, seed: int
+) -> DesignKernel:
+    from scipy.optimize import minimize
+
+    def objective(logarithms: FloatArray) -> tuple[float, FloatArray]:
+        spectrum = Spectrum(data, DesignKernel.unpack(logarithms, kind, trend))
+        return -spectrum.log_evidence(), -spectrum.gradient()
+
+    d = data.points.shape[1]
+    # A single leg angle, of a quantity that has none, has no spacing: any will do.
+    spacing = float(np.diff(data.theta_deg).min(initial=90.0))
+    span = max(float(np.ptp(data.theta_deg)), spacing)
+    low, high = np.log(
+        [*[LENGTHS] * d, (0.5 * spacing, 10.0 * span), SIGNAL_VARIANCES, FINES, NOISE_VARIANCES]
+    ).T
+    guesses = [
+        np.log([*[length] * d, span / 8.0, 1.0, fine, noise])
+        for length, fine, noise in ((2.0, 0.1, 1e-4), (5.0, 0.01, 1e-2))
+    ]
+    random = np.random.default_rng(seed).uniform(low, high, size=(restarts, low.size))
+    optima = [
+        minimize(
+            objective, start.clip(low, high), jac=True, bounds=np.column_stack([low, high]),
+            method="L-BFGS-B", options={"ftol": 1e-10, "gtol": 1e-4, "maxiter": 200},
+        )
+        for start in (*guesses, *random)
+    ]  # fmt: skip
+    best = min(optima, key=lambda optimum: float(optimum.fun))
+    return DesignKernel.unpack(best.x, kind, trend)
+
+
+@dataclass(frozen=True, eq=False)
+class Size:
+    """The root mean square force on a leg over the parameters.
+
+    Attributes
+    ----------
+    process
+        Of the logarithm of the force in newtons; it has no leg angles, or rather one.
+    """
+
+    process: DesignGP
+
+    @classmethod
+    def fit(cls, points: FloatArray, forces: FloatArray, *, seed: int = 0) -> Self:
+        """Fit it.
+
+        Parameters
+        ----------
+        points
+            Parameters scaled to [-1, 1], shape [case, d].
+        forces
+            [N], shape [case, force].
+        seed
+            Of the optimiser's random start.
+
+        Raises
+        ------
+        ValueError
+            If all cases have forces of one size.
+        """
+        sizes = np.log(np.sqrt(np.mean(np.square(forces), axis=1)))
+        return cls(DesignGP.fit(points, [0.0], sizes[:, None], seed=seed))
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        """Size of the forces [N], shape [k, d] -> [k]."""
+        size: FloatArray = np.exp(
+            self.process.rotated_mean(points)[:, 0] * self.process.basis[0, 0]
+        )
+        return size
+
+    def variance(self, points: FloatArray) -> FloatArray:
+        """Variance of the size relative to its square [-], shape [k, d] -> [k]."""
+        return self.both(points)[1]
+
+    def both(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Size [N] and its relative variance [-] at once, shape [k, d] -> [k] each."""
+        logarithm, variance = self.process.predict(points)
+        return np.exp(logarithm[:, 0]), variance[:, 0]
+
+
+@dataclass(frozen=True, eq=False)
+class DesignSurrogate:
+    """A process for each force on one leg, over named parameters.
+
+    Forces of cohesionless soil are proportional to its density but for what its stiffness does, so
+    the processes model forces over density and over their size at the density of the library, and
+    both multiply them again: the density may be a parameter whether the library varies it or not.
+
+    Attributes
+    ----------
+    bounds
+        Dotted key of each parameter that the library varies to its bounds.
+    reference_density
+        Density that stands for itself where none is given [kg/m3].
+    size
+        Size of the forces at the reference density [N].
+    Fx, Fz
+        Processes of the forces over their size [-].
+    """
+
+    bounds: Mapping[str, tuple[float, float]]
+    reference_density: float
+    size: Size
+    Fx: DesignGP
+    Fz: DesignGP
+
+    @classmethod
+    def fit(cls, data: Training, *, seed: int = 0) -> Self:
+        """Fit a process to each force; errors as in `DesignGP.fit`.
+
+        Parameters
+        ----------
+        data
+            Points and forces.
+        seed
+            Of the optimiser's random start.
+        """
+        reference = data.scenario.soil.density
+        scaled = data.forces * (reference / data.density)[:, None]
+        points = to_unit(data.values, data.bounds)
+        size = Size.fit(points, scaled, seed=seed)
+        scaled /= size(points)[:, None]
+        half = data.theta_deg.size
+        parts = (scaled[:, :half], scaled[:, half:])
+        fx, fz = (DesignGP.fit(points, data.theta_deg, part, seed=seed) for part in parts)
+        return cls(data.bounds, reference, size, fx, fz)
+
+    @property
+    def theta_deg(self) -> FloatArray:
+        """Leg angles [deg], shape [theta]."""
+        return self.Fx.theta_deg
+
+    @property
+    def processes(self) -> tuple[DesignGP, DesignGP]:
+        """Those of Fx and Fz."""
+        return self.Fx, self.Fz
+
+    def points(self, named: Mapping[str, FloatArray]) -> FloatArray:
+        """Scaled points of parameters by key, each of shape [k] -> [k, d].
+
+        Raises
+        ------
+        KeyError
+            If a parameter of the library is missing.
+        """
+        return to_unit(np.column_stack([named[key] for key in self.bounds]), self.bounds)
+
+    def scale(self, named: Mapping[str, FloatArray]) -> FloatArray:
+        """Factor of density and size on what the processes predict [N], shape [k]."""
+        scale: FloatArray = self._relative_density(named) * self.size(self.points(named))
+        return scale
+
+    def located(self, named: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Points, scale and variance of the common factor at once; as the three methods."""
+        points = self.points(named)
+        size, variance = self.size.both(points)
+        return points, self._relative_density(named) * size, variance
+
+    def _relative_density(self, named: Mapping[str, FloatArray]) -> FloatArray | float:
+        density = named.get(DENSITY)
+        return 1.0 if density is None else density / self.reference_density
+
+    def factor_variance(self, named: Mapping[str, FloatArray]) -> FloatArray:
+        """Variance of the factor by which both forces may be wrong alike [-], shape [k]."""
+        return self.size.variance(self.points(named))
+
+    def slopes(
+        self, named: Mapping[str, FloatArray], keys: Sequence[str], steps: Sequence[float]
+    ) -> list[FloatArray]:
+        """Slopes of each force over some parameters, by central differences, in the basis.
+
+        Parameters
+        ----------
+        named
+            Points: dotted key to values, shape [k] each.
+        keys, steps
+            Parameters, and the step of each, in its unit.
+
+        Returns
+        -------
+        list of ndarray
+            Of Fx and Fz [N per unit], shape [k, key, theta]; a basis of the leg angles each.
+        """
+        found: list[list[FloatArray]] = [[], []]
+        for key, step in zip(keys, steps, strict=True):
+            ends = [{**named, key: named[key] + side * step} for side in (-1.0, 1.0)]
+            for process, slopes in zip(self.processes, found, strict=True):
+                low, high = (
+                    self.scale(end)[:, None] * process.rotated_mean(self.points(end))
+                    for end in ends
+                )
+                slopes.append((high - low) / (2.0 * step))
+        return [np.stack(slopes, axis=1) for slopes in found]
+
+    def predict(self, named: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Mean [N] and variance [N^2] of the forces, parameters of shape [k] -> [k, 2 theta].
+
+        Parameters
+        ----------
+        named
+            Dotted key to values in the key's own unit; ``soil.density`` may be left out.
+        """
+        points, scale = self.points(named), self.scale(named)[:, None]
+        parts = [process.predict(points) for process in self.processes]
+        mean = scale * np.hstack([mean for mean, _ in parts])
+        variance = np.square(scale) * np.hstack([variance for _, variance in parts])
+        return mean, variance + self.factor_variance(named)[:, None] * np.square(mean)
+
+
+def to_unit(values: FloatArray, bounds: Mapping[str, tuple[float, float]]) -> FloatArray:
+    """Parameters scaled from their bounds to [-1, 1], shape [k, d]."""
+    low, high = np.array(list(bounds.values())).T
+    unit: FloatArray = 2.0 * (values - low) / (high - low) - 1.0
+    return unit
+
+
+def from_unit(points: FloatArray, bounds: Mapping[str, tuple[float, float]]) -> FloatArray:
+    """Inverse of :func:`to_unit`."""
+    low, high = np.array(list(bounds.values())).T
+    values: FloatArray = low + 0.5 * (points + 1.0) * (high - low)
+    return values

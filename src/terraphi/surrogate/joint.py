@@ -1,0 +1,648 @@
+"""Both forces of a leg over phi, and the covariance of all that is not known of them.
+
+The cubic in phi about which the forces vary: a proper prior, as large as the library says.
+
+In each direction of the common basis the forces over scatter are growth(phi) times a cubic in
+x = (phi - centre) / half-span and a Matern process of variance lambda. The coefficient of x^k has
+mean zero and variance
+
+    T_k^2 lambda_max (lambda / lambda_max)^p;
+
+four amplitudes T_k and the power p are found by maximum evidence over all directions together, so
+that forces drawn from the prior vary over phi as much as the library's do. A vaguer prior would
+count the scatter's part of an estimated slope as slope.
+
+Evidence of the process that `process` predicts with, and its hyperparameters.
+
+The standardised curves, white in the directions of the scatter's correlation R = L L^T, are normal
+with covariance K_phi (x) L^-1 B L^-T + tau^2 I, with a vague cubic in K_phi. Two small
+eigendecompositions give the evidence and its gradient, as in `gaussian_process`. tau, 1 if the
+scatter is what it was taken to be, is a hyperparameter as well.
+
+Both forces of a leg between a library's angles, with the covariance of what is not known.
+
+A library's curves carry particle scatter, y_i = f(phi_i) + e_i (`scatter`). Over phi, theta and the
+two forces f is a Gaussian process; divided by the scatter's standard deviation sigma(phi, theta),
+
+    y / sigma ~ N(0, K_m (x) B + sum_k x^k x'^k (x) B_k + I (x) R),    (x) the Kronecker product,
+
+where R is the scatter's correlation, K_m a Matern covariance over phi, B its covariance over leg
+angles and forces (for each force a squared exponential in theta and a white part, for what the grid
+leaves in every curve), and B_k that of the coefficients of a cubic (`cubic`); K_m and x^k are times
+the growth of forces over scatter. The mean of n simulations of one case has R / n: its row, and
+the growth there, are taken sqrt(n) times, so that all rows scatter alike.
+
+B and R are diagonal in a common basis, B = A diag(lambda) A^T and R = A A^T (Rakitsch et al., *It
+is all in the noise*, NIPS 2013), and so is B_k by definition: in that basis every direction is a
+process over phi by itself, and evidence, prediction and the whole covariance of the 2 m forces at
+any phi are in closed form. The covariance holds what interpolation leaves open and what the
+library's own scatter does to the curve, which is the same for every history inverted with that
+library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
+
+from terraphi.surrogate.scatter import Scatter, corrected, with_tail
+
+FloatArray = NDArray[np.float64]
+
+ORDERS = np.arange(4)
+AMPLITUDES = (1e-2, 1e3)
+"""Least and largest T_k [-]."""
+POWERS = (0.3, 3.0)
+"""Least and largest p [-]."""
+LEAST = 1e-12
+"""Least lambda / lambda_max [-]; round-off leaves no more."""
+
+
+def powers_of(phi_deg: FloatArray, ends_deg: tuple[float, float]) -> FloatArray:
+    """1, x, x^2, x^3 at friction angles [-], shape [...] -> [..., 4]."""
+    centre, half = 0.5 * (ends_deg[0] + ends_deg[1]), 0.5 * (ends_deg[1] - ends_deg[0])
+    result: FloatArray = ((phi_deg - centre) / half)[..., None] ** ORDERS
+    return result
+
+
+def cubic_variances(amplitudes: tuple[float, ...], power: float, roots: FloatArray) -> FloatArray:
+    """Prior variances of the coefficients [-], shape [4, 2 theta].
+
+    Parameters
+    ----------
+    amplitudes, power
+        T_k and p [-].
+    roots
+        lambda of each direction [-], shape [2 theta].
+    """
+    top = float(roots.max())
+    shape = np.maximum(roots / top, LEAST) ** power
+    return np.outer(np.square(amplitudes), top * shape)
+
+
+def fit_cubic(
+    powers: FloatArray, local: FloatArray, roots: FloatArray, curves: FloatArray
+) -> tuple[tuple[float, float, float, float], float]:
+    """T_k and p of maximum evidence.
+
+    Parameters
+    ----------
+    powers
+        Growth times 1, x, x^2, x^3 at the library's angles [-], shape [case, 4].
+    local
+        Covariance of the Matern process over them, for lambda = 1 [-], shape [case, case].
+    roots
+        lambda of each direction [-], shape [2 theta].
+    curves
+        The library's curves in the basis, over sigma [-], shape [case, 2 theta].
+    """
+    from scipy.optimize import minimize
+
+    rest = roots[:, None, None] * local + np.eye(len(powers))
+    logarithms = np.log(np.maximum(roots / roots.max(), LEAST))
+
+    def objective(p: FloatArray) -> tuple[float, FloatArray]:
+        prior = cubic_variances(tuple(np.exp(p[:4])), float(p[4]), roots)
+        covariance = (powers * prior.T[:, None, :]) @ powers.T + rest
+        inverse = np.linalg.inv(covariance)
+        weights = (inverse @ curves.T[:, :, None])[:, :, 0]
+        volume = np.linalg.slogdet(covariance)[1].sum()
+        value = 0.5 * (np.sum(weights * curves.T) + volume)
+        # By the variance of each coefficient (Rasmussen & Williams eq. 5.9).
+        squares = np.square(weights @ powers)
+        traces = np.sum((inverse @ powers) * powers, axis=1)
+        slope = 0.5 * (traces - squares) * prior.T
+        return float(value), np.append(2.0 * slope.sum(axis=0), (slope.sum(axis=1) @ logarithms))
+
+    bounds = [np.log(AMPLITUDES)] * 4 + [POWERS]
+    start = np.append(np.log([40.0, 20.0, 15.0, 8.0]), 1.0)
+    found = minimize(objective, start, jac=True, bounds=bounds, method="L-BFGS-B").x
+    a, b, c, d = np.exp(found[:4]).tolist()
+    return (a, b, c, d), float(found[4])
+
+
+TREND = 30.0
+"""Prior standard deviation of the cubic's coefficients over that of the Matern process [-], until
+`cubic` finds it: so large that the process is fitted to what no cubic explains."""
+NOISE_BOUNDS = (0.3, 3.0)
+"""Least and largest factor on the scatter that curves may ask for [-]."""
+PROFILE_DEG = 8.0
+"""Smoothing of the prior's amplitude over the leg angle [deg]."""
+PROFILE_FLOOR = 0.02
+"""Least amplitude of the prior over its largest [-]."""
+
+
+@dataclass(frozen=True)
+class JointKernel:
+    """Hyperparameters of the process; amplitudes are relative to the curves' root mean square.
+
+    Attributes
+    ----------
+    phi_length_deg
+        Correlation length over the friction angle [deg].
+    theta_length_deg
+        Correlation lengths over the leg angle, of Fx and Fz [deg].
+    amplitude
+        Amplitude of each force [-].
+    fine
+        Amplitude of the part that is white over the leg angle, over that of the smooth part [-].
+    cubic, cubic_power
+        T_k and p of the cubic's prior [-], see `cubic`.
+    """
+
+    phi_length_deg: float
+    theta_length_deg: tuple[float, float]
+    amplitude: tuple[float, float]
+    fine: tuple[float, float]
+    cubic: tuple[float, float, float, float] = (TREND, TREND, TREND, TREND)
+    cubic_power: float = 1.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Self:
+        """Read what :meth:`as_dict` wrote; raises KeyError, TypeError or ValueError."""
+
+        def pair(name: str) -> tuple[float, float]:
+            return float(data[name][0]), float(data[name][1])
+
+        a, b, c, d = (float(value) for value in data["cubic"])
+        return cls(
+            float(data["phi_length_deg"]),
+            pair("theta_length_deg"),
+            pair("amplitude"),
+            pair("fine"),
+            (a, b, c, d),
+            float(data["cubic_power"]),
+        )
+
+
+class Standardised:
+    """Validated curves over sigma, times the root of their repeats, and the factor of R."""
+
+    def __init__(
+        self,
+        phi_deg: ArrayLike,
+        theta_deg: ArrayLike,
+        curves: ArrayLike,
+        scatter: Scatter,
+        repeats: ArrayLike | None = None,
+    ) -> None:
+        self.phi = phi = np.array(phi_deg, dtype=np.float64)
+        self.theta = theta = np.array(theta_deg, dtype=np.float64)
+        values = np.array(curves, dtype=np.float64)
+        if phi.ndim != 1 or phi.size < 3 or not (np.diff(phi) > 0.0).all():
+            raise ValueError(f"phi_deg is {phi}; at least three increasing angles are needed")
+        if values.shape != (phi.size, 2 * theta.size) or not np.isfinite(values).all():
+            raise ValueError(
+                f"curves have shape {values.shape}; expected finite ones of shape "
+                f"{(phi.size, 2 * theta.size)}"
+            )
+        if not np.allclose(scatter.theta_deg, theta, atol=1e-6):
+            raise ValueError("the scatter is given at other leg angles than the curves")
+        counts = np.ones(phi.size) if repeats is None else np.array(repeats, dtype=np.float64)
+        if counts.shape != phi.shape or not (counts >= 1.0).all():
+            raise ValueError(f"repeats are {counts}; expected one number, 1 or more, of each curve")
+        self.root_repeats = np.sqrt(counts)
+        self.values = self.root_repeats[:, None] * (values / scatter.sigma(phi))
+        self.factor = np.linalg.cholesky(scatter.correlation)
+        self.inverse_factor = np.linalg.inv(self.factor)
+        self.white = self.values @ self.inverse_factor.T
+        self.theta_distance2 = np.square(theta[:, None] - theta)
+        self.growth = self.root_repeats * scatter.growth(phi)
+        self.profile = self._profile()
+
+    def _profile(self) -> FloatArray:
+        """Root mean square of the curves over sigma and growth, smoothed, shape [2 theta]."""
+        kernel = np.exp(-0.5 * self.theta_distance2 / PROFILE_DEG**2)
+        kernel /= kernel.sum(axis=1, keepdims=True)
+        even = self.values / self.growth[:, None]
+        squares = np.mean(np.square(even), axis=0).reshape(2, -1) @ kernel.T
+        root = np.sqrt(squares)
+        profile: FloatArray = np.maximum(root, PROFILE_FLOOR * root.max(axis=1, keepdims=True))
+        return profile.ravel()
+
+
+class Spectrum:
+    """The covariance of the white curves, (U (x) V)(kappa (x) lambda + 1)(U (x) V)^T."""
+
+    def __init__(self, data: Standardised, kernel: JointKernel, noise: float = 1.0) -> None:
+        self.data, self.kernel, self.noise = data, kernel, noise
+        m = data.theta.size
+        self.growth2 = np.outer(data.growth, data.growth)
+        powers = powers_of(data.phi, (float(data.phi[0]), float(data.phi[-1])))
+        # Without the cubic the process pulls the curves towards zero and levels their bend.
+        self.phi_factor = self.growth2 * (
+            TREND**2 * powers @ powers.T + matern(data.phi, data.phi, kernel.phi_length_deg)
+        )
+        self.smooth = []
+        prior = np.zeros((2 * m, 2 * m))
+        for part, length, amplitude, fine in zip(
+            (slice(0, m), slice(m, None)), kernel.theta_length_deg, kernel.amplitude, kernel.fine,
+            strict=True,
+        ):  # fmt: skip
+            smooth = amplitude**2 * np.exp(-0.5 * data.theta_distance2 / length**2)
+            self.smooth.append(smooth)
+            prior[part, part] = smooth + (amplitude * fine) ** 2 * np.eye(m)
+        prior *= np.outer(data.profile, data.profile)
+        inverse = data.inverse_factor
+        phi_roots, self.phi_basis = np.linalg.eigh(self.phi_factor)
+        roots, self.basis = np.linalg.eigh(inverse @ prior @ inverse.T)
+        # Round-off puts roots near -1e-16 where the exact matrix has tiny positive ones.
+        self.phi_roots, self.roots = phi_roots.clip(min=0.0), roots.clip(min=0.0)
+        self.eigenvalues = np.outer(self.phi_roots, self.roots) + noise**2
+        self.projected = self.phi_basis.T @ data.white @ self.basis
+        self.weights = self.projected / self.eigenvalues
+
+    def log_evidence(self) -> float:
+        """Log p of the white curves (Rasmussen & Williams eq. 2.30)."""
+        quadratic = np.sum(self.projected * self.weights)
+        log_determinant = np.sum(np.log(self.eigenvalues))
+        return float(-0.5 * (quadratic + log_determinant + self.weights.size * np.log(2 * np.pi)))
+
+    def gradient(self) -> FloatArray:
+        """By the log of each argument of `_pack`, in its order (R & W eq. 5.9)."""
+        data, kernel = self.data, self.kernel
+        inverse = 1.0 / self.eigenvalues
+        lag = np.sqrt(5.0) * np.abs(data.phi[:, None] - data.phi) / kernel.phi_length_deg
+        slope = self.growth2 * np.square(lag) * (1.0 + lag) / 3.0 * np.exp(-lag)
+        rotated = self.phi_basis.T @ slope @ self.phi_basis
+        w = self.weights
+        quadratic = np.sum((rotated @ w) * w * self.roots)
+        found = [0.5 * float(quadratic - np.diag(rotated) @ inverse @ self.roots)]
+        m = data.theta.size
+        left = self.basis.T @ (data.inverse_factor * data.profile)
+        middle = (w.T * self.phi_roots) @ w
+        trace = self.phi_roots @ inverse
+        for force, part in enumerate((slice(0, m), slice(m, None))):
+            block = left[:, part]
+            # d/dB of the quadratic form and of the log determinant, seen from this force's block.
+            sensitivity = block.T @ (middle - np.diag(trace)) @ block
+            smooth = self.smooth[force]
+            fine = (kernel.amplitude[force] * kernel.fine[force]) ** 2
+            length = kernel.theta_length_deg[force]
+            by_length = np.sum(sensitivity * smooth * data.theta_distance2) / length**2
+            by_fine = 2.0 * fine * np.trace(sensitivity)
+            by_amplitude = 2.0 * np.sum(sensitivity * smooth) + by_fine
+            found += [0.5 * by_length, 0.5 * by_amplitude, 0.5 * by_fine]
+        found.append(self.noise**2 * float(np.sum(np.square(w) - inverse)))
+        return np.array(found)
+
+    def left_out(self) -> FloatArray:
+        """Mahalanobis square of each curve, predicted from all others [-], shape [case].
+
+        Closed form of leave-one-out (R & W eqs 5.10-5.12), in every direction of the basis.
+        """
+        inverse_diagonal = np.square(self.phi_basis) @ (1.0 / self.eigenvalues)
+        squares: FloatArray = np.square(self.phi_basis @ self.weights) / inverse_diagonal
+        total: FloatArray = squares.sum(axis=1)
+        return total
+
+
+def matern(one_deg: FloatArray, other_deg: FloatArray, length_deg: float) -> FloatArray:
+    """Matern correlation of order 5/2 over phi [-] (R & W eq. 4.17).
+
+    It is smooth, but not infinitely so: where bands of shear jump, forces bend. A squared
+    exponential, which cannot, has far less evidence on all our libraries.
+
+    Parameters
+    ----------
+    one_deg, other_deg
+        Friction angles [deg], shapes [..., one] and [..., other]; the result has [..., one, other].
+    length_deg
+        Correlation length [deg].
+    """
+    lag = np.sqrt(5.0) * np.abs(one_deg[..., :, None] - other_deg[..., None, :]) / length_deg
+    correlation: FloatArray = (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
+    return correlation
+
+
+def _pack(kernel: JointKernel, noise: float) -> FloatArray:
+    parts = zip(kernel.theta_length_deg, kernel.amplitude, kernel.fine, strict=True)
+    return np.log([kernel.phi_length_deg, *(v for part in parts for v in part), noise])
+
+
+def _unpack(logarithms: FloatArray) -> tuple[JointKernel, float]:
+    p = np.exp(logarithms).tolist()
+    return JointKernel(p[0], (p[1], p[4]), (p[2], p[5]), (p[3], p[6])), p[7]
+
+
+def maximise_evidence(data: Standardised) -> tuple[JointKernel, float]:
+    """Hyperparameters of maximum evidence, and a factor on the scatter [-].
+
+    Parameters
+    ----------
+    data
+        The curves.
+    """
+    from scipy.optimize import minimize
+
+    def objective(logarithms: FloatArray) -> tuple[float, FloatArray]:
+        spectrum = Spectrum(data, *_unpack(logarithms))
+        return -spectrum.log_evidence(), -spectrum.gradient()
+
+    span, step = float(np.ptp(data.phi)), float(np.diff(data.phi).min())
+    spacing = float(np.diff(data.theta).min())
+    one = [(spacing, 90.0), (1e-2, 1e2), (1e-4, 1.0)]
+    bounds = np.log([(step, 10.0 * span), *one, *one, NOISE_BOUNDS])
+    # Forces vary slowly with phi, over some tens of degrees with theta, and little of it is fine.
+    starts = [
+        JointKernel(span * a, (b, b), (1.0, 1.0), (c, c))
+        for a, b, c in ((0.7, 20.0, 0.02), (2.0, 10.0, 0.005))
+    ]
+    optima = [
+        minimize(
+            objective, _pack(start, 1.0).clip(*bounds.T), jac=True, bounds=bounds,
+            method="L-BFGS-B", options={"ftol": 1e-10, "gtol": 1e-4},
+        )
+        for start in starts
+    ]  # fmt: skip
+    best = min(optima, key=lambda optimum: float(optimum.fun))
+    return _unpack(best.x)
+
+
+ROUNDS = 2
+"""Corrections of the scatter by the curves."""
+JITTER = 1e-9
+"""Added to the variance of equal angles, so that they have a factor."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointSurrogate:
+    """Mean and covariance of the observation vector [Fx, Fz] of one leg, over phi.
+
+    Attributes
+    ----------
+    phi_deg, theta_deg
+        Training friction angles and leg angles [deg], shapes [case] and [theta].
+    scatter, kernel
+        Particle scatter of a simulation, and hyperparameters.
+    root_repeats
+        Square root of the number of simulations that each curve is the mean of [-], shape [case].
+    basis
+        A, in which all covariances are diagonal [-], shape [2 theta, 2 theta].
+    whitener
+        The inverse of A [-], same shape.
+    standard_curves
+        The library's curves in the basis, over sigma and times root_repeats [-], shape
+        [case, 2 theta].
+    prior_variance, cubic_variance
+        Prior variance of the Matern process and of the cubic's coefficients in each direction of
+        the basis, over sigma^2 [-], shapes [2 theta] and [4, 2 theta].
+    """
+
+    phi_deg: FloatArray
+    theta_deg: FloatArray
+    scatter: Scatter
+    kernel: JointKernel
+    root_repeats: FloatArray = field(repr=False)
+    basis: FloatArray = field(repr=False)
+    whitener: FloatArray = field(repr=False)
+    standard_curves: FloatArray = field(repr=False)
+    prior_variance: FloatArray = field(repr=False)
+    cubic_variance: FloatArray = field(repr=False)
+    _inverse: FloatArray = field(repr=False)
+
+    @classmethod
+    def fit(
+        cls,
+        phi_deg: ArrayLike,
+        theta_deg: ArrayLike,
+        curves: ArrayLike,
+        scatter: Scatter,
+        *,
+        kernel: JointKernel | None = None,
+        repeats: ArrayLike | None = None,
+    ) -> Self:
+        """Condition on the curves of a library.
+
+        Without a kernel, its hyperparameters are found, and the scatter is fitted to how well each
+        curve is predicted from the others: a quadratic in phi of its logarithm, and its tail.
+
+        Parameters
+        ----------
+        phi_deg, theta_deg
+            Friction angles, at least three, increasing, and leg angles [deg].
+        curves
+            Observation vectors [N], shape [case, 2 theta].
+        scatter
+            Of one simulation.
+        kernel
+            Hyperparameters, for a scatter already fitted; ``None`` finds those of maximum evidence.
+        repeats
+            Number of simulations that each curve is the mean of, shape [case]; ``None`` is one.
+
+        Raises
+        ------
+        ValueError
+            If shapes disagree, angles do not increase or are too few, or a value is not finite.
+        """
+        with threadpool_limits(limits=1, user_api="blas"):
+            if kernel is None:
+                scatter, kernel = _learn(phi_deg, theta_deg, curves, scatter, repeats)
+            data = Standardised(phi_deg, theta_deg, curves, scatter, repeats)
+            spectrum = Spectrum(data, kernel)
+            whitener = spectrum.basis.T @ data.inverse_factor
+            variances = cubic_variances(kernel.cubic, kernel.cubic_power, spectrum.roots)
+            known = cls(
+                phi_deg=data.phi,
+                theta_deg=data.theta,
+                scatter=scatter,
+                kernel=kernel,
+                root_repeats=data.root_repeats,
+                basis=data.factor @ spectrum.basis,
+                whitener=whitener,
+                standard_curves=data.values @ whitener.T,
+                prior_variance=spectrum.roots,
+                cubic_variance=variances,
+                _inverse=np.empty(0),
+            )
+            covariance = known._between(data.phi) * data.root_repeats[:, None]
+            covariance += np.eye(data.phi.size)
+            return replace(known, _inverse=np.linalg.inv(covariance).astype(np.float64))
+
+    @property
+    def phi_bounds_deg(self) -> tuple[float, float]:
+        """Smallest and largest training friction angle [deg]."""
+        return float(self.phi_deg[0]), float(self.phi_deg[-1])
+
+    @property
+    def phi_step_deg(self) -> float:
+        """Largest spacing of the training friction angles [deg]."""
+        return float(np.diff(self.phi_deg).max())
+
+    def predict(self, phi_deg: ArrayLike, *, scale: float = 1.0) -> FloatArray:
+        """Mean observation vectors [N], shape [k] -> [k, 2 theta].
+
+        Parameters
+        ----------
+        phi_deg
+            Friction angles [deg], shape [k].
+        scale
+            Factor on the forces [-], such as the soil's density over the library's.
+        """
+        phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))
+        return scale * self.scatter.sigma(phi) * (self.standard_mean(phi) @ self.basis.T)
+
+    def standard_mean(self, phi_deg: FloatArray, curves: FloatArray | None = None) -> FloatArray:
+        """Mean in the common basis, over sigma [-], shape [k] -> [..., k, 2 theta].
+
+        Parameters
+        ----------
+        phi_deg
+            [deg], shape [k].
+        curves
+            Others than the library's, as :meth:`standard` gives them, [..., case, 2 theta].
+        """
+        weights = self._weights(self.standard_curves if curves is None else curves)
+        local = self.scatter.growth(phi_deg)[:, None] * self.scatter.growth(self.phi_deg)
+        local = local * matern(phi_deg, self.phi_deg, self.kernel.phi_length_deg)
+        mean: FloatArray = self._cubic(phi_deg, weights)
+        return mean + local @ (self.prior_variance * weights)
+
+    def standard_cubic(self, phi_deg: FloatArray) -> FloatArray:
+        """Part of :meth:`standard_mean` that is the library's cubic; shapes as there."""
+        return self._cubic(phi_deg, self._weights(self.standard_curves))
+
+    def _cubic(self, phi_deg: FloatArray, weights: FloatArray) -> FloatArray:
+        coefficients = self.cubic_variance * (self._powers(self.phi_deg).T @ weights)
+        found: FloatArray = self._powers(phi_deg) @ coefficients
+        return found
+
+    def standard(self, curves: FloatArray) -> FloatArray:
+        """Curves [N] like the library's in the basis, of scatter 1 [-], shape [..., case, 2 theta].
+
+        Each is the mean of as many simulations as the library's.
+        """
+        found: FloatArray = curves / self.scatter.sigma(self.phi_deg) @ self.whitener.T
+        return self.root_repeats[:, None] * found
+
+    def standard_variance(self, phi_deg: FloatArray) -> FloatArray:
+        """Predictive variance in the common basis, over sigma^2 [-], shape [k] -> [k, 2 theta].
+
+        The variance of the particle scatter itself is 1 in this basis.
+        """
+        between = self._between(phi_deg)
+        explained: FloatArray = np.sum((between @ self._inverse) * between, axis=2).T
+        return np.maximum(self._alone(phi_deg) - explained, 0.0)
+
+    def standard_terms(self, phi_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The two parts of :meth:`standard_variance`: interpolation, and the library's scatter.
+
+        The prediction is W y with weights W; its error (f - W f(phi_i)) - W e has a part that the
+        prior of f gives and one that the scatter e of the library gives.
+        """
+        between = self._between(phi_deg)
+        scatter = np.square(between @ self._inverse).sum(axis=2).T
+        total = self.standard_variance(phi_deg)
+        return np.maximum(total - scatter, 0.0), np.minimum(scatter, total)
+
+    def prior_covariance(self, one_deg: FloatArray, other_deg: FloatArray) -> FloatArray:
+        """Prior covariance of f in each direction of the basis, over sigma^2 [-].
+
+        Parameters
+        ----------
+        one_deg, other_deg
+            Friction angles [deg], shapes [one] and [other]; the result has [one, other, 2 theta].
+        """
+        local = self.scatter.growth(one_deg)[:, None] * self.scatter.growth(other_deg)
+        local = local * matern(one_deg, other_deg, self.kernel.phi_length_deg)
+        one, other = self._powers(one_deg), self._powers(other_deg)
+        products = one[:, None, :] * other
+        covariance: FloatArray = products @ self.cubic_variance
+        return covariance + local[:, :, None] * self.prior_variance
+
+    def draw(
+        self, phi_deg: FloatArray, rng: np.random.Generator, *, about: FloatArray | None = None
+    ) -> FloatArray:
+        """Draw f from its prior, in the basis and over sigma [-].
+
+        Parameters
+        ----------
+        phi_deg
+            Friction angles of each draw [deg], shape [..., k]; the result has [..., k, 2 theta].
+        rng
+            Random generator.
+        about
+            The cubic at these angles, same shape as the result; ``None`` draws it too.
+        """
+        growth = self.scatter.growth(phi_deg)
+        local = matern(phi_deg, phi_deg, self.kernel.phi_length_deg)
+        factor = np.linalg.cholesky(local + JITTER * np.eye(phi_deg.shape[-1]))
+        size = self.prior_variance.size
+        white = rng.standard_normal((*phi_deg.shape, size))
+        drawn = growth[..., None] * (factor @ white) * np.sqrt(self.prior_variance)
+        if about is None:
+            coefficients = rng.standard_normal((*phi_deg.shape[:-1], 4, size))
+            about = self._powers(phi_deg) @ (coefficients * np.sqrt(self.cubic_variance))
+        found: FloatArray = drawn + about
+        return found
+
+    def covariance(self, phi_deg: float, *, scale: float = 1.0) -> FloatArray:
+        """Predictive covariance of the forces f [N^2], shape [2 theta, 2 theta]."""
+        phi = np.array([phi_deg], dtype=np.float64)
+        left = scale * self.scatter.sigma(phi)[0][:, None] * self.basis
+        result: FloatArray = (left * self.standard_variance(phi)[0]) @ left.T
+        return result
+
+    def _between(self, phi_deg: FloatArray) -> FloatArray:
+        """Prior covariance of f with the rows of the curves, [k] -> [2 theta, k, case]."""
+        covariance = self.prior_covariance(phi_deg, self.phi_deg).transpose(2, 0, 1)
+        return covariance * self.root_repeats
+
+    def _weights(self, curves: FloatArray) -> FloatArray:
+        """What a mean gives each curve's angle: K^-1 y times root_repeats, [..., case, 2 theta]."""
+        solved = np.einsum("jab,...bj->...aj", self._inverse, curves, optimize=True)
+        weights: FloatArray = self.root_repeats[:, None] * solved
+        return weights
+
+    def _powers(self, phi_deg: FloatArray) -> FloatArray:
+        """Growth times 1, x, x^2, x^3, shape [...] -> [..., 4]."""
+        return self.scatter.growth(phi_deg)[..., None] * powers_of(phi_deg, self.phi_bounds_deg)
+
+    def _alone(self, phi_deg: FloatArray) -> FloatArray:
+        """Prior variance of f in the basis, over sigma^2 [-], shape [k] -> [k, 2 theta]."""
+        local = np.outer(np.square(self.scatter.growth(phi_deg)), self.prior_variance)
+        variance: FloatArray = np.square(self._powers(phi_deg)) @ self.cubic_variance + local
+        return variance
+
+
+def _learn(
+    phi_deg: ArrayLike,
+    theta_deg: ArrayLike,
+    curves: ArrayLike,
+    scatter: Scatter,
+    repeats: ArrayLike | None,
+) -> tuple[Scatter, JointKernel]:
+    """Hyperparameters, and the scatter as curves predicted from the others show it."""
+    for _ in range(ROUNDS):
+        data = Standardised(phi_deg, theta_deg, curves, scatter, repeats)
+        kernel, noise = maximise_evidence(data)
+        squares = Spectrum(data, kernel, noise).left_out()
+        scatter = corrected(scatter, data.phi, noise**2 * squares)
+    data = Standardised(phi_deg, theta_deg, curves, scatter, repeats)
+    kernel, noise = maximise_evidence(data)
+    squares = Spectrum(data, kernel, noise).left_out()
+    scatter = with_tail(scatter.scaled(noise), squares)
+    vague = JointSurrogate.fit(phi_deg, theta_deg, curves, scatter, kernel=kernel, repeats=repeats)
+    return scatter, _with_cubic(vague)
+
+
+def _with_cubic(vague: JointSurrogate) -> JointKernel:
+    """The hyperparameters with a prior of the cubic."""
+    phi = vague.phi_deg
+    growth = vague.root_repeats * vague.scatter.growth(phi)
+    amplitudes, power = fit_cubic(
+        growth[:, None] * powers_of(phi, vague.phi_bounds_deg),
+        np.outer(growth, growth) * matern(phi, phi, vague.kernel.phi_length_deg),
+        vague.prior_variance,
+        vague.standard_curves,
+    )
+    return replace(vague.kernel, cubic=amplitudes, cubic_power=power)

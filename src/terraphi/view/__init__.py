@@ -1,0 +1,1 @@
+"""Pictures, tables in a terminal, the HTML report and the app."""

@@ -1,0 +1,292 @@
+"""What people see in a terminal: tables, answers, progress. JSON for programs."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from terraphi.inference.inversion import Inversion
+    from terraphi.inference.joint import JointInversion
+    from terraphi.library.store import Library
+
+
+_NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?( ?[%°]| N)?")
+
+
+def as_text(data: Any) -> str:
+    """JSON for people and programs."""
+    return json.dumps(data, indent=2, ensure_ascii=False)
+
+
+def print_json(data: Any) -> None:
+    """One JSON object on standard output."""
+    click.echo(as_text(data))
+
+
+def print_inversion(inversion: Inversion) -> None:
+    """A small table, then the verdict in words."""
+    from terraphi.inference.answer import NARROW_DEG
+    from terraphi.inference.budget import MOST_WITHOUT_FORCE
+
+    angles = [(f"φ, {inversion.convention} [deg]", inversion.phi)]
+    if inversion.phi_plane_strain and inversion.convention != "plane_strain":
+        angles.append(("φ, equivalent in plane strain [deg]", inversion.phi_plane_strain))
+    narrow = inversion.phi.ci68[1] - inversion.phi.ci68[0] < NARROW_DEG
+    number = "{:.3f}".format if narrow else "{:.2f}".format
+    rows = [
+        (
+            name,
+            number(angle.median),
+            " to ".join(map(number, angle.ci68)),
+            " to ".join(map(number, angle.ci95)),
+        )
+        for name, angle in angles
+    ]
+    assumed = ", assumed" if inversion.density_assumed else ""
+    title = (
+        f"{inversion.source}: leg {inversion.leg}, library {inversion.library}, "
+        f"density {inversion.density:g} kg/m³{assumed}"
+    )
+    print_table(("", "median", "68 %", "95 %"), rows, title=title)
+    if inversion.phi_plane_strain is None:
+        click.echo(f"No equivalent in plane strain: {inversion.plane_strain_reason}.")
+    if inversion.budget is not None:
+        shares = inversion.budget.shares.items()
+        parts = ", ".join(f"{name.replace('_', ' ')} {share:.0%}" for name, share in shares)
+        click.echo(f"Variance of φ: {parts}.")
+        told = inversion.budget.information_without_force
+        if told > MOST_WITHOUT_FORCE:
+            click.echo(f"Told of φ by angles at which the measured force is zero: {told:.0%}.")
+    verdict = inversion.verdict
+    click.secho(f"Verdict: {verdict.verdict.replace('_', ' ')}. {verdict.reason}\n", bold=True)
+
+
+def print_joint_inversion(found: JointInversion) -> None:
+    """A table of the parameters, what the forces fix, what each leg adds, then the verdict."""
+    answer = found.as_dict()
+    of = [f"{len(group.trials)} of leg {group.leg}" for group in found.groups]
+    density = "" if found.density is None else f", density {found.density:g} kg/m³"
+    assumed = ", assumed" if found.density_assumed else ""
+    count = len(answer["histories"])
+    print_table(
+        ("", "median", "68 %", "95 %", "68 %, others known", "R-hat"),
+        [_parameter_row(found, key) for key in found.keys],
+        title=f"{count} {'history' if count == 1 else 'histories'} ({', '.join(of)}), library "
+        f"{found.library}{density}{assumed}",
+    )
+    if found.phi_plane_strain is not None and found.convention != "plane_strain":
+        angle = found.phi_plane_strain
+        click.echo(
+            f"φ, equivalent in plane strain: {angle.median:.2f} deg, 68 % {angle.ci68[0]:.2f} to "
+            f"{angle.ci68[1]:.2f}."
+        )
+    for sentence in found.identifiability.sentences():
+        click.echo(sentence)
+    if len(found.groups) > 1:
+        legs = {name: f"leg {name} alone" for name in found.expected_sd} | {"all": "all"}
+        click.echo()
+        print_table(
+            ("expected standard deviation", *map(found.axis_name, found.keys)),
+            [
+                (words_for, *(f"{sd:.3g}" for sd in found.expected_sd[name]))
+                for name, words_for in legs.items()
+            ],
+        )
+    if not found.draws.converged:
+        click.echo("The draws have not converged: do not use them.")
+    click.secho(f"Verdict: {answer['verdict'].replace('_', ' ')}. {answer['reason']}\n", bold=True)
+
+
+def _parameter_row(found: JointInversion, key: str) -> tuple[str, ...]:
+    one, known = found.marginal[key], found.conditional[key]
+    diagnostics = found.draws.diagnostics[found.keys.index(key)]
+    form = found.digits(key)
+    return (
+        found.axis_name(key),
+        f"{one.median:{form}}",
+        *(f"{low:{form}} to {high:{form}}" for low, high in (one.ci68, one.ci95, known.ci68)),
+        f"{diagnostics.split_rhat:.3f}",
+    )
+
+
+def print_library(found: Library) -> None:
+    """Summary of a library."""
+    summary = found.summary()
+    print_pairs(summary | {"phi_deg": " to ".join(map(words, summary["phi_deg"]))})
+
+
+def print_forces(summary: dict[str, Any]) -> None:
+    """Foot forces of a log: a row a foot, then what else there is to know."""
+    header = ("", "stances", "mean duration [s]", "peak of mean Fz [N]", "peak of mean Fx [N]")
+    figures = {
+        "stances": "d",
+        "mean_duration_s": ".3f",
+        "mean_peak_Fz_N": ".1f",
+        "mean_peak_Fx_N": ".1f",
+    }
+    rows = {**summary["feet"], "all feet": summary["pooled"]}
+    print_table(
+        header,
+        [
+            (name, *(figure_in_words(found[figure], form) for figure, form in figures.items()))
+            for name, found in rows.items()
+        ],
+        title=f"Ground's forces on the feet, {summary['estimator']}, {summary['frame']} frame",
+    )
+    shown_above = {"feet", "pooled", "estimator", "frame"}
+    print_pairs({name: value for name, value in summary.items() if name not in shown_above})
+
+
+def print_table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str | None = None
+) -> None:
+    """Columns, aligned to the right where they hold numbers alone."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    if title is not None:
+        click.secho(title, bold=True)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    for i, name in enumerate(header):
+        cells = [row[i] for row in rows if row[i] not in ("", "-")]
+        numbers = bool(cells) and all(map(_NUMBER.fullmatch, cells))
+        table.add_column(name, justify="right" if numbers else "left")
+    for row in rows:
+        table.add_row(*row)
+    # Where nobody looks at a terminal, a line is as wide as it needs to be.
+    width = None if sys.stdout.isatty() else 160
+    Console(highlight=False, markup=False, width=width).print(table)
+    click.echo()
+
+
+def print_pairs(pairs: dict[str, Any]) -> None:
+    """Names and values, one a line."""
+    width = max(map(len, pairs))
+    for name, value in pairs.items():
+        click.echo(f"{name:<{width}}  {words(value)}")
+
+
+def figure_in_words(value: float | None, form: str) -> str:
+    """A number with the digits that it deserves."""
+    return "-" if value is None else format(value, form)
+
+
+def words(value: Any) -> str:
+    """A value as people read it."""
+    if value is None or value in ("", [], {}):
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return ", ".join(words(v) for v in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key}: {words(v)}" for key, v in value.items())
+    return str(value)
+
+
+class _OnStandardError(logging.Handler):
+    """Prints what our own code logs; at the level of debugging with the name of who says it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        who = record.name if record.levelno <= logging.DEBUG else "terraphi"
+        click.echo(f"{who}: {record.getMessage()}", err=True)
+        if record.exc_info and record.exc_info[0]:
+            click.echo(logging.Formatter().formatException(record.exc_info), err=True)
+
+
+def listen(level: int = logging.WARNING) -> None:
+    """Print on standard error what our own code logs from a level on, and nothing below it.
+
+    Parameters
+    ----------
+    level
+        As the module logging has it. Above ``WARNING`` neither notes nor progress are shown.
+    """
+    log = logging.getLogger("terraphi")
+    for handler in [h for h in log.handlers if isinstance(h, _OnStandardError)]:
+        log.removeHandler(handler)
+    log.addHandler(_OnStandardError(level))
+    log.setLevel(level if level < logging.WARNING else logging.NOTSET)
+
+
+def quiet() -> bool:
+    """Whether only errors are wanted."""
+    handlers = logging.getLogger("terraphi").handlers
+    return any(isinstance(h, _OnStandardError) and h.level > logging.WARNING for h in handlers)
+
+
+def note(sentence: str) -> None:
+    """Say something on standard error that is no result, unless only errors are wanted."""
+    if not quiet():
+        click.echo(f"terraphi: {sentence}", err=True)
+
+
+def ignore_interrupts() -> None:
+    """Once is enough: a second Ctrl-C must not cut off what is said about the first."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def progress_bar(
+    description: str, *, compiles: bool = False
+) -> Iterator[Callable[[float, float], None]]:
+    """Time left, time spent and share done on standard error, where that is a terminal.
+
+    Parameters
+    ----------
+    description
+        What is being done.
+    compiles
+        Whether it needs the kernels, which are compiled first if they never were.
+
+    Yields
+    ------
+    Callable[[float, float], None]
+        To be called with the work done and the work of all.
+    """
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    if quiet() or not sys.stderr.isatty():
+        yield lambda _done, _total: None
+        return
+    compiling = compiles and not _kernels_are_compiled()
+    columns = (
+        TextColumn("{task.description}:"),
+        TimeRemainingColumn(),
+        TextColumn("left,"),
+        TimeElapsedColumn(),
+        TextColumn("spent,"),
+        TextColumn("{task.percentage:.0f}% done"),
+        BarColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("compiling, once" if compiling else "starting", total=None)
+
+        def report(done: float, total: float) -> None:
+            if done:
+                bar.update(task, completed=done, total=total, description=description)
+
+        yield report
+
+
+def _kernels_are_compiled() -> bool:
+    from terraphi.view.doctor import kernels_are_compiled
+
+    return kernels_are_compiled()

@@ -1,0 +1,606 @@
+"""The report of an inversion: what ``terraphi invert --out`` left in its folder."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import damage_told
+from terraphi.inference.budget import (
+    MOST_WITHOUT_FORCE,
+    ZERO_FORCE,
+    information_share,
+    share_without_force,
+    without_force,
+)
+from terraphi.inference.paper_likelihood import PaperLikelihood, peak_to_peak
+from terraphi.inference.prepared_leg import prepare
+from terraphi.library.store import Library
+from terraphi.surrogate.joint import JointSurrogate
+from terraphi.surrogate.paper import LegSurrogate
+from terraphi.view.report import parts as fig
+from terraphi.view.report.certificate import certificate_of, certificate_parts
+from terraphi.view.report.parts import (
+    Part,
+    Plot,
+    Section,
+    Status,
+    Table,
+    Text,
+    decimals,
+    number,
+    smooth_density,
+)
+
+FloatArray = NDArray[np.float64]
+
+CONVENTION = {
+    "paper": "the paper's yield criterion",
+    "plane_strain": "plane strain",
+    "triaxial": "triaxial compression",
+    "rft3d": "three-dimensional resistive force theory",
+}
+INFORMATION = "Which angles told the friction angle"
+STATUS: dict[str, Status] = {"consistent": "good", "misfit": "bad", "out_of_range": "doubtful"}
+UNCHECKED = "consistent, with a library whose intervals nobody has checked"
+OTHER_LIKELIHOOD = (
+    "consistent; its intervals were not checked, only those of the calibrated likelihood"
+)
+UNKNOWN = "consistent, but whether its library's intervals were checked is not known here"
+WORDS = {
+    "nodes": "nodes of the quadrature",
+    "relative_change_on_halving": "change on halving the nodes / 68 % half-width",
+    "split_rhat": "split R-hat (near 1)",
+    "effective_sample_size": "effective draws",
+    "steps_per_autocorrelation_time": "steps in autocorrelation times",
+    "autocorrelation_time_steps": "autocorrelation time [steps]",
+    "median_standard_error": "Monte-Carlo error of the median [deg]",
+    "acceptance_fraction": "accepted proposals [-]",
+}
+
+
+def section(path: Path, *, library: str | None = None) -> Section:
+    """Report of an inversion.
+
+    Parameters
+    ----------
+    path
+        Folder, ``answer.json`` or ``posterior.nc``.
+    library
+        Name or file of the library that was used, if it is not a shipped one.
+
+    Returns
+    -------
+    Section
+
+    Raises
+    ------
+    InputError
+        If the result is not whole, or the library named is not the one that was used.
+    """
+    saved = load(path)
+    again, why_not = recomputed(saved, library)
+    answer = saved.answer
+    parts: list[Part] = []
+    if saved.draws_deg.size:
+        parts += [_density(saved, again), *_forces(saved, again, why_not), _residuals(saved)]
+    share = saved.share if again is None else again.share
+    if share is not None:
+        parts.append(_information(saved, share))
+    parts.append(_numbers(answer))
+    if again is not None:
+        parts += _certificate(answer, again)
+    parts += [*_budget(answer), _convergence(answer)]
+    status, badge = _belief(answer, again)
+    about = {key: answer[key] for key in ("source", "leg", "library", "likelihood", "sampler")}
+    return Section(
+        kind="inversion",
+        title=str(answer["source"]) or path.name,
+        headline=headline(answer),
+        reason=_plain_verdict(answer),
+        status=status,
+        badge=badge,
+        parts=parts,
+        provenance={"result": path.name, **about, **answer.get("provenance", {})},
+        overview=_overview(answer),
+        apart=_apart(answer),
+    )
+
+
+def _belief(answer: Mapping[str, Any], again: Again | None) -> tuple[Status, str]:
+    """Whether to believe an answer, and words for it where the usual ones would say too much."""
+    status = STATUS.get(str(answer["verdict"]), "none")
+    if status != "good":
+        return status, ""
+    if again is None:
+        return "doubtful", UNKNOWN
+    if str(answer["leg"]) not in certificate_of(again.library):
+        return "doubtful", UNCHECKED
+    if answer["likelihood"] != "calibrated":
+        return "doubtful", OTHER_LIKELIHOOD
+    return status, ""
+
+
+def _certificate(answer: Mapping[str, Any], again: Again) -> list[Part]:
+    """The library's certificate, but for forces of which it says nothing."""
+    leg, library = str(answer["leg"]), again.library
+    if answer["verdict"] != "misfit" or leg not in certificate_of(library):
+        return certificate_parts(library, leg=leg)
+    why = (
+        f"That of library {library.name} does not apply: it was earned with forces that the "
+        "library's own model made, and no friction angle of that model explains these."
+    )
+    return [Text("No certificate", (why,), wide=False)]
+
+
+def headline(answer: Mapping[str, Any]) -> str:
+    """The answer in one sentence, with convention and verdict."""
+    phi = answer["phi_deg"]
+    convention = CONVENTION.get(str(phi.get("yield")), str(phi.get("yield")))
+    equal = answer["phi_plane_strain_deg"]
+    also = ""
+    if equal and phi.get("yield") != "plane_strain":
+        also = f", which acts as {_median(equal)}° in plane strain"
+    return (
+        f"φ = {_median(phi)}° ({convention}; 68 %: {_range(phi, 'ci68')}, 95 %: "
+        f"{_range(phi, 'ci95')}){also}. Verdict: {answer['verdict'].replace('_', ' ')}."
+    )
+
+
+def _overview(answer: Mapping[str, Any]) -> dict[str, str]:
+    phi, equal = answer["phi_deg"], answer["phi_plane_strain_deg"]
+    return {
+        "verdict": str(answer["verdict"]).replace("_", " "),
+        "leg": str(answer["leg"]),
+        "library": str(answer["library"]),
+        "φ means": CONVENTION.get(str(phi.get("yield")), str(phi.get("yield"))),
+        "φ": f"{_median(phi)}°",
+        "68 %": _range(phi, "ci68"),
+        "95 %": _range(phi, "ci95"),
+        "in plane strain": f"{_median(equal)}°" if equal else "–",
+    }
+
+
+def _apart(answer: Mapping[str, Any]) -> dict[str, str]:
+    """What tells two answers from the same forces, leg and library apart."""
+    assumed = ", assumed" if answer.get("density_assumed") else ""
+    budget = answer.get("error_budget")
+    known = budget if isinstance(budget, Mapping) else {}
+    told, size = known.get("noise"), known.get("noise_N")
+    words = [str(told)] if told is not None else []
+    if _is_number(size):
+        words.append(f"{number(size, 3)} N")
+    return {
+        "likelihood": str(answer["likelihood"]),
+        "density": f"{answer['density_kg_m3']:g} kg/m³{assumed}",
+        "noise": ", ".join(words) or "–",
+        "discrepancy": str(known.get("discrepancy") or "–"),
+    }
+
+
+def _origin(answer: Mapping[str, Any]) -> str:
+    """What its forces are, in a word."""
+    return "simulated" if "simulation" in answer.get("provenance", {}) else "measured"
+
+
+def _median(angle: Mapping[str, Any], fewest: int = 1) -> str:
+    return f"{angle['median']:.{decimals(angle['ci68'], fewest)}f}"
+
+
+def _range(angle: Mapping[str, Any], level: str, fewest: int = 1, unit: str = "°") -> str:
+    """An interval, both levels with the digits that the narrower one needs."""
+    low, high = (f"{end:.{decimals(angle['ci68'], fewest)}f}" for end in angle[level])
+    return f"{low} to {high}{unit}"
+
+
+def _plain_verdict(answer: Mapping[str, Any]) -> str:
+    without = answer.get("phi_plane_strain_reason")
+    note = f" No equivalent in plane strain: {without}." if without else ""
+    return f"{answer['reason']}{note}"
+
+
+def _numbers(answer: Mapping[str, Any]) -> Table:
+    angles = [(f"φ, {answer['phi_deg'].get('yield')} [deg]", answer["phi_deg"])]
+    if answer["phi_plane_strain_deg"] and answer["phi_deg"].get("yield") != "plane_strain":
+        angles.append(("φ, equivalent in plane strain [deg]", answer["phi_plane_strain_deg"]))
+    rows = [
+        (
+            name,
+            _median(angle, 2),
+            _range(angle, "ci68", 2, ""),
+            _range(angle, "ci95", 2, ""),
+        )
+        for name, angle in angles
+    ]
+    misfit = " and ".join(f"{100.0 * answer['nrmsd'][f]:.1f} % ({f})" for f in ("Fx", "Fz"))
+    assumed = ", assumed" if answer.get("density_assumed") else ""
+    return Table(
+        title="In numbers",
+        header=("", "median", "68 %", "95 %"),
+        rows=rows,
+        note=(
+            f"Leg {answer['leg']}, library {answer['library']}, density "
+            f"{answer['density_kg_m3']:g} kg/m³{assumed}. The curve at the median deviates from "
+            f"the {_origin(answer)} forces by {misfit} of their peak-to-peak."
+        ),
+    )
+
+
+def _density(saved: Saved, again: Again | None) -> Plot:
+    phi = saved.answer["phi_deg"]
+    x, density = smooth_density(saved.draws_deg, bounds=again.bounds_deg if again else None)
+    hover = f"φ = %{{x:.{decimals(phi['ci68'], 2)}f}}°<extra></extra>"
+    traces = [fig.line(x, density, "posterior density", "@blue", hovertemplate=hover)]
+    for level, colour in (("ci95", "@blue/0.18"), ("ci68", "@blue/0.40")):
+        low, high = phi[level]
+        inside = np.linspace(low, high, 121)
+        height = np.interp(inside, x, density)
+        name = f"{level[2:]} %: {_range(phi, level)}"
+        traces.append(fig.band(inside, np.zeros_like(inside), height, name, colour))
+    margin = 0.5 * (phi["ci95"][1] - phi["ci95"][0])
+    reach = [phi["ci95"][0] - margin, phi["ci95"][1] + margin]
+    ends = [end for end in (again.bounds_deg if again else ()) if reach[0] <= end <= reach[1]]
+    return Plot(
+        title="Posterior of the friction angle",
+        traces=traces,
+        layout=fig.layout(
+            fig.phi_label(phi.get("yield")),
+            "density [1/deg]",
+            xaxis={"range": fig.numbers(reach)},
+            yaxis={"rangemode": "tozero"},
+            shapes=[
+                fig.vertical(phi["median"], "@ink", dash="solid"),
+                *(fig.vertical(end, "@orange", dash="dash") for end in ends),
+            ],
+        ),
+        note="Line: median."
+        + (f" Dashed: the library ends at {' and '.join(f'{e:g}°' for e in ends)}." if ends else "")
+        + f" Smoothed from {saved.draws_deg.size} draws.",
+    )
+
+
+def _forces(saved: Saved, again: Again | None, why_not: str) -> list[Part]:
+    half = len(saved.theta_deg)
+    plots: list[Part] = []
+    for name, part in (("Fx", slice(0, half)), ("Fz", slice(half, None))):
+        traces = []
+        if again is not None and again.band is not None:
+            low, high = again.band[:, part]
+            within = "curves within the 95 % interval"
+            traces.append(fig.band(saved.theta_deg, low, high, within, "@blue/0.3"))
+        traces += [
+            fig.line(saved.theta_deg, saved.best[part], "curve at the median", "@blue"),
+            fig.points(saved.theta_deg, saved.data[part], _origin(saved.answer), "@orange"),
+        ]
+        deviation = 100.0 * saved.answer["nrmsd"][name]
+        plots.append(
+            Plot(
+                title=f"{name}: deviation {deviation:.1f} % of peak-to-peak",
+                traces=traces,
+                layout=fig.layout(fig.THETA, fig.AXIS_LABEL[name], xaxis=fig.DEGREES),
+                note=f"No band of the 95 % interval: {why_not}." if why_not else "",
+            )
+        )
+    return plots
+
+
+def _residuals(saved: Saved) -> Plot:
+    rest = (saved.data - saved.best).reshape(2, -1)
+    spans = peak_to_peak(saved.data)
+    looks = {"Fx": ("@orange", "square", "dash"), "Fz": ("@blue", "circle", "solid")}
+    traces = []
+    for (name, (colour, symbol, dash)), residual in zip(looks.items(), rest, strict=True):
+        trace = fig.line(
+            saved.theta_deg, 100.0 * residual / spans[name], fig.FORCE[name], colour, dash=dash,
+            customdata=fig.numbers(residual),
+            hovertemplate="θ = %{x:.0f}°: %{y:.1f} %, %{customdata:.3g} N",
+        )  # fmt: skip
+        trace["name"] = fig.FORCE[name]
+        traces.append(
+            {
+                **trace,
+                "mode": "lines+markers",
+                "marker": {"symbol": symbol, "size": 5, "color": colour},
+            }
+        )
+    return Plot(
+        title=f"Residuals: {_origin(saved.answer)} minus curve at the median",
+        traces=traces,
+        layout=fig.layout(fig.THETA, "residual [% of peak-to-peak]", xaxis=fig.DEGREES),
+    )
+
+
+def _information(saved: Saved, share: FloatArray) -> Plot:
+    total = np.cumsum(share.sum(axis=0))
+    middle = float(saved.theta_deg[int(np.searchsorted(total, 0.5))])
+    traces = [
+        fig.bars(fig.numbers(saved.theta_deg), 100.0 * part, name, colour,
+                 hovertemplate="θ = %{x:.0f}°: %{y:.1f} %")
+        for part, name, colour in zip(share, ("Fx", "Fz"), ("@orange", "@blue"), strict=True)
+    ]  # fmt: skip
+    for trace, name in zip(traces, ("Fx", "Fz"), strict=True):
+        trace["name"] = fig.FORCE[name]
+    traces.append(
+        fig.line(saved.theta_deg, 100.0 * total, "sum so far (right)", "@ink", dash="dot",
+                 yaxis="y2", hovertemplate="θ = %{x:.0f}°: %{y:.0f} % so far")
+    )  # fmt: skip
+    parts = 100.0 * share.sum(axis=1)
+    nothing = share_without_force(share, saved.data)
+    doubt = (
+        f" Beware: {nothing:.0%} comes from the shaded angles, where the measured force is zero "
+        f"(below {ZERO_FORCE:.0%} of its largest): the model has a force there, and what these "
+        "angles tell is where the soil begins, not how strong it is."
+        if nothing > MOST_WITHOUT_FORCE
+        else ""
+    )
+    return Plot(
+        title=INFORMATION,
+        traces=traces,
+        layout=fig.layout(
+            fig.THETA,
+            "information added [%]",
+            xaxis=fig.DEGREES,
+            barmode="stack",
+            shapes=_shaded(saved) if doubt else [],
+            yaxis2={
+                "overlaying": "y", "side": "right", "range": [0, 105], "showgrid": False,
+                "tickvals": [0, 25, 50, 75, 100],
+                "title": {"text": "sum so far [%]"},
+            },
+        ),
+        wide=True,
+        note=(
+            f"Fx gave {parts[0]:.0f} %, Fz {parts[1]:.0f} %; half of all was in by θ = "
+            f"{middle:.0f}°. What each angle adds to the Fisher information of those before it, "
+            f"by the model's slope and the likelihood's covariance.{doubt}"
+        ),
+    )  # fmt: skip
+
+
+def _shaded(saved: Saved) -> list[dict[str, Any]]:
+    """A shade behind each angle at which no force was measured."""
+    half = 0.5 * float(np.diff(saved.theta_deg).mean())
+    return [
+        fig.shade(theta - half, theta + half)
+        for theta in saved.theta_deg[without_force(saved.data)].tolist()
+    ]
+
+
+def _budget(answer: Mapping[str, Any]) -> list[Part]:
+    """Shares in the variance of φ, where the likelihood tells its parts apart."""
+    budget = answer.get("error_budget")
+    if not isinstance(budget, Mapping) or not isinstance(budget.get("shares"), Mapping):
+        return []
+    rows = [
+        (str(name).replace("_", " "), f"{100.0 * share:.0f} %" if _is_number(share) else "–")
+        for name, share in budget["shares"].items()
+    ]
+    size, told = budget.get("noise_N"), budget.get("noise")
+    note = f"Noise of a window mean: {number(size, 2)} N, {told}." if _is_number(size) else ""
+    title = "What the width of the interval comes from"
+    return [Table(title, ("", "share"), rows, note=note, wide=True)]
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and math.isfinite(value)
+
+
+def _convergence(answer: Mapping[str, Any]) -> Table:
+    rows = [(WORDS.get(key, key), number(value)) for key, value in answer["convergence"].items()]
+    title = f"Convergence ({answer['sampler']})"
+    return Table(title=title, header=("", ""), rows=rows, wide=True)
+
+
+STEP_DEG = 0.25
+"""Half the step of the derivative of the forces with respect to φ [deg]."""
+MOST_APART = 0.02
+"""Deviation from the saved curve at which one computed again is another's, of the peak [-]."""
+
+
+@dataclass(frozen=True)
+class Saved:
+    """What a folder of an inversion holds.
+
+    Attributes
+    ----------
+    answer
+        ``answer.json``.
+    draws_deg
+        Of φ [deg], shape [draw]; empty if only the answer is there.
+    theta_deg
+        Leg angles [deg], shape [theta].
+    data, best
+        Observation vector and the curve at the median [N], shape [2 theta].
+    share
+        What each angle adds to the information on φ [-], shape [2, theta], if the file says so.
+    readings
+        Leg angles at which the record was read [rad], shape [sample], if the file says so.
+    """
+
+    answer: Mapping[str, Any]
+    draws_deg: FloatArray
+    theta_deg: FloatArray
+    data: FloatArray
+    best: FloatArray
+    share: FloatArray | None = None
+    readings: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Again:
+    """What follows from the library that was used.
+
+    Attributes
+    ----------
+    band
+        Smallest and largest force over the 95 % interval [N], shape [2, 2 theta]; ``None`` where
+        the library's curves are not those that were saved.
+    share
+        As :attr:`Saved.share`, of the paper's likelihood, whose covariance follows from the data;
+        else what the file says.
+    bounds_deg
+        Friction angles that the library covers [deg].
+    library
+        The library.
+    """
+
+    band: FloatArray | None
+    share: FloatArray | None
+    bounds_deg: tuple[float, float]
+    library: Library
+
+
+def load(path: Path) -> Saved:
+    """Read an inversion's folder, answer or posterior; raises InputError if it is not whole."""
+    folder = path if path.is_dir() else path.parent
+    answer_file = path if path.suffix == ".json" else folder / "answer.json"
+    posterior = path if path.suffix == ".nc" else folder / "posterior.nc"
+    if not posterior.is_file():
+        return _checked(Saved(_answer(answer_file), *(np.empty(0),) * 4), answer_file)
+    import xarray as xr
+
+    why = f"{posterior}: not a whole posterior as 'terraphi invert --out' writes it; make it again"
+    with damage_told(why, AttributeError, TypeError):
+        with xr.open_datatree(posterior, engine="h5netcdf") as opened:
+            tree = opened.load()
+        vectors = [
+            np.concatenate([_array(tree, f"{group}/{name}") for name in ("Fx", "Fz")])
+            for group in ("observed_data", "posterior_predictive_mean")
+        ]
+        theta = _array(tree, "observed_data/theta_deg")
+        draws = _array(tree, "posterior/phi_deg")
+        share = None
+        if "information_share" in tree:
+            share = np.stack([_array(tree, f"information_share/{name}") for name in ("Fx", "Fz")])
+        readings = None
+        if "reading_deg" in tree["observed_data"]:
+            readings = np.radians(_array(tree, "observed_data/reading_deg"))
+        answer = json.loads(tree.attrs["answer"])
+    sound = len(vectors[0]) == len(vectors[1]) == 2 * len(theta) and len(draws) >= 10
+    told = np.zeros((2, len(theta))) if share is None else share
+    sound = sound and told.shape == (2, len(theta))
+    if readings is not None:
+        sound = sound and len(readings) > 1 and bool((np.diff(readings) > 0.0).all())
+    if not sound or not all(np.isfinite(v).all() for v in (*vectors, theta, draws, told)):
+        raise InputError(f"{posterior}: its arrays do not fit each other; make it again")
+    saved = Saved(answer, draws, theta, vectors[0], vectors[1], share, readings)
+    return _checked(saved, posterior)
+
+
+def _array(tree: Any, name: str) -> FloatArray:
+    return np.asarray(tree[name].values, dtype=np.float64).ravel()
+
+
+def _answer(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not an answer of 'terraphi invert --out'") from error
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: not an answer of 'terraphi invert --out'")
+    return found
+
+
+def _checked(saved: Saved, path: Path) -> Saved:
+    """Refuse an answer without what every answer has."""
+    answer = saved.answer
+    try:
+        for name in ("phi_deg", "phi_plane_strain_deg"):
+            if name == "phi_deg" or answer[name] is not None:
+                numbers = [answer[name]["median"], *answer[name]["ci68"], *answer[name]["ci95"]]
+                _, low, high, lower, higher = map(float, numbers)
+                assert np.isfinite([float(n) for n in numbers]).all()
+                assert low <= high
+                assert lower <= higher
+        rest = [answer["density_kg_m3"], *(answer["nrmsd"][name] for name in ("Fx", "Fz"))]
+        assert np.isfinite([float(n) for n in rest]).all()
+        for name in ("source", "leg", "library", "likelihood", "sampler", "verdict", "reason"):
+            assert isinstance(answer[name], str)
+        assert isinstance(answer["convergence"], dict)
+        assert isinstance(answer.get("provenance", {}), dict)
+    except (KeyError, TypeError, ValueError, AssertionError) as error:
+        raise InputError(f"{path}: not an answer of 'terraphi invert --out'; make it again") from (
+            error
+        )
+    return saved
+
+
+def recomputed(saved: Saved, name: str | None) -> tuple[Again | None, str]:
+    """What follows from the library, and why what is ``None`` cannot be had.
+
+    Parameters
+    ----------
+    saved
+        The inversion.
+    name
+        Name or file of the library; by default the shipped one of the name in the answer.
+
+    Raises
+    ------
+    InputError
+        If a library was named and is not the one that was used.
+    """
+    answer = saved.answer
+    if not saved.draws_deg.size:
+        return None, "posterior.nc does not lie beside the answer"
+    wanted = answer.get("provenance", {}).get("library_hash")
+    used = str(answer["library"])
+    try:
+        # Never a path out of somebody's file.
+        found = Library.load(name or Path(used).name.removesuffix(".nc"))
+    except InputError as error:
+        if name is not None:
+            raise
+        return None, f"the library '{used}' is not at hand ({error}); name it with --library"
+    if wanted != found.hash:
+        why = f"library '{name or used}' is not the one that was used, or of another version"
+        if name is not None:
+            raise InputError(why)
+        return None, why
+    again, apart = _again(saved, found)
+    if apart > MOST_APART:
+        why = f"the curve at the median comes out {apart:.1%} of the peak from the saved"
+        return replace(again, band=None, share=None), why
+    return again, ""
+
+
+def _surrogate(
+    library: Library, leg: str, likelihood: str, readings: FloatArray | None
+) -> tuple[LegSurrogate | JointSurrogate, float]:
+    """Surrogate that a likelihood takes, and the density of the library's soil [kg/m³]."""
+    if likelihood == "calibrated":
+        prepared = prepare(library, leg, readings=readings)
+        return prepared.surrogate, prepared.curves.scenario.soil.density
+    curves = library.curves(leg, readings=readings)
+    made = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
+    return made, curves.scenario.soil.density
+
+
+def _again(saved: Saved, library: Library) -> tuple[Again, float]:
+    """What follows, and how far the curve at the median is from the saved one, of its peak [-]."""
+    answer = saved.answer
+    leg, likelihood = str(answer["leg"]), str(answer["likelihood"])
+    surrogate, density = _surrogate(library, leg, likelihood, saved.readings)
+    scale = float(answer["density_kg_m3"]) / density
+    phi = answer["phi_deg"]
+    low, high = phi["ci95"]
+    inside = surrogate.predict(np.linspace(low, high, 101), scale=scale)
+    share = saved.share
+    if answer["likelihood"] == "paper":
+        low, high = surrogate.phi_bounds_deg
+        at = np.clip(phi["median"] + np.array([-STEP_DEG, STEP_DEG]), low, high)
+        before, after = surrogate.predict(at, scale=scale)
+        slope = (after - before) / (at[1] - at[0])
+        share = information_share(PaperLikelihood(saved.data, saved.theta_deg).covariance, slope)
+    band = np.stack([inside.min(axis=0), inside.max(axis=0)])
+    best = surrogate.predict(np.array([phi["median"]]), scale=scale)[0]
+    apart = float(np.abs(best - saved.best).max() / np.abs(saved.best).max())
+    return Again(band, share, surrogate.phi_bounds_deg, library), apart

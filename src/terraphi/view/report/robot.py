@@ -1,0 +1,372 @@
+"""The report of a robot's foot forces, from ``terraphi forces --out`` or from the log itself."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import open_netcdf
+from terraphi.robot.estimators import Estimator
+from terraphi.robot.joint_log import FEET
+from terraphi.robot.logs import read_log
+from terraphi.robot.model import Quadruped
+from terraphi.robot.results import KIND, SCHEMA, RobotForces, analyse
+from terraphi.robot.stance import AXES
+from terraphi.view.report import parts as fig
+from terraphi.view.report.parts import Part, Plot, Section, Table, Text, number
+from terraphi.view.robot_plots import FOOT_NAMES
+
+FloatArray = NDArray[np.float64]
+
+SHOWN_S = 30.0
+"""Longest part of a log that is shown over time [s]."""
+MOST_POINTS = 3000
+"""Points of a curve over time; more are thinned to the extremes of their neighbours."""
+LOOKS = {
+    "FR": ("@blue", "solid"),
+    "FL": ("@orange", "dash"),
+    "RR": ("@green", "dashdot"),
+    "RL": ("@purple", "dot"),
+}
+ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
+NAMES: dict[str, str] = {name: name.replace("_", " ") for name in ESTIMATORS}
+
+
+@dataclass(frozen=True)
+class Forces:
+    """What a page shows of a log.
+
+    Attributes
+    ----------
+    time
+        [s], shape [sample].
+    force
+        [N], shape [sample, foot, axis].
+    stances
+        Foot, touch-down and lift-off [s] of each.
+    part
+        Normalised time [-], shape [point].
+    feet
+        Mean stance of each foot [N], shape [foot, point, axis].
+    pooled, spread
+        Mean stance of all and its standard deviation [N], shape [point, axis].
+    summary, provenance
+        As the command line prints it, and where it comes from.
+    """
+
+    time: FloatArray
+    force: FloatArray
+    stances: Sequence[tuple[str, float, float]]
+    part: FloatArray
+    feet: FloatArray
+    pooled: FloatArray
+    spread: FloatArray
+    summary: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, found: RobotForces) -> Forces:
+        """What an analysis found."""
+        return cls(
+            found.forces.time,
+            found.forces.force.astype(np.float64),
+            [(stance.foot, stance.begin, stance.end) for stance in found.stances],
+            found.pooled.part,
+            np.stack([found.feet[foot].mean for foot in FEET]),
+            found.pooled.mean,
+            found.pooled.spread,
+            found.summary(),
+            found.provenance(),
+        )
+
+    @classmethod
+    def read(cls, path: Path) -> Forces:
+        """Read a file of ``terraphi forces --out``; raises InputError if it is not whole."""
+        data = open_netcdf(path, kind=KIND, schema=SCHEMA)
+        try:
+            stances = zip(
+                map(str, data["stance_foot"].values),
+                data["stance_begin"].values.tolist(),
+                data["stance_end"].values.tolist(),
+                strict=True,
+            )
+            names = ("time", "force", "part", "stance_mean", "pooled_mean", "pooled_spread")
+            time, force, *rest = (data[name].values.astype(np.float64) for name in names)
+            summary = json.loads(data.attrs["summary"])
+            provenance = json.loads(data.attrs["provenance"])
+            _ = {foot: summary["feet"][foot]["stances"] for foot in FEET}, summary["pooled"]
+            if force.shape != (len(time), len(FEET), len(AXES)):
+                raise ValueError(f"force has shape {force.shape}")
+            part, feet, pooled, spread = rest
+            return cls(time, force, list(stances), part, feet, pooled, spread, summary, provenance)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                f"{path}: not as terraphi writes foot forces ({error}); make it again"
+            ) from error
+
+
+def section(path: Path, *, robot: str = "go2") -> Section:
+    """Report of foot forces.
+
+    Parameters
+    ----------
+    path
+        A file of ``terraphi forces --out``, or a robot's log.
+    robot
+        Name, TOML or URDF of the robot, for a log.
+
+    Returns
+    -------
+    Section
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used.
+    """
+    if path.suffix == ".nc":
+        shown = Forces.read(path)
+        compared, why_not = _from_its_log(shown, robot)
+    else:
+        compared, why_not = comparison(path, robot=Quadruped.load(robot))
+        if not compared:
+            raise InputError(why_not)
+        shown = compared["momentum_observer" if "momentum_observer" in compared else "quasi_static"]
+    parts: list[Part] = [_feet_table(shown.summary), *_over_time(shown), *_ensemble(shown)]
+    parts += _comparison(compared, why_not)
+    parts.append(_reading(shown.summary))
+    return Section(
+        kind="robot log",
+        title=Path(str(shown.provenance.get("log", {}).get("source", path.name))).name,
+        headline=_headline(shown.summary),
+        reason=" ".join(f"{note[:1].upper()}{note[1:]}." for note in _notes(shown.summary)),
+        parts=parts,
+        provenance={"result": path.name, **shown.provenance},
+    )
+
+
+def _notes(summary: Mapping[str, Any]) -> list[str]:
+    return [str(note) for note in summary.get("notes", [])]
+
+
+def comparison(
+    path: Path, *, robot: Quadruped, frame: Any = None, topic: str | None = None
+) -> tuple[dict[str, Forces], str]:
+    """What every estimator makes of a log, and of the last that could not, why.
+
+    In the frame of the world if none is named, or of the body where the log has no attitude.
+    """
+    log = read_log(path, topic=topic, motors=robot.joint_order, precision="single")
+    log = replace(log, report={"source": str(path), **log.report})
+    chosen: Any = frame or ("body" if log.quaternion is None else "world")
+    found: dict[str, Forces] = {}
+    why_not = ""
+    for estimator in ESTIMATORS:
+        try:
+            found[estimator] = Forces.of(
+                analyse(log, robot=robot, estimator=estimator, frame=chosen)
+            )
+        except InputError as error:
+            why_not = f"{path}: {error}"
+    return found, why_not
+
+
+def _from_its_log(shown: Forces, robot: str) -> tuple[dict[str, Forces], str]:
+    """All estimators on the log that a file names, if it is still there."""
+    known = shown.provenance
+    source = known.get("log", {}).get("source")
+    how = "'terraphi report LOG' compares them"
+    if not source or not Path(str(source)).exists():
+        return {}, f"the log that they come from is not at hand; {how}"
+    try:
+        body = Quadruped.load(robot)
+        if body.name != known.get("robot"):
+            return {}, f"they are of the robot '{known.get('robot')}'; name it with --robot"
+        log = known["log"]
+        frame, topic = shown.summary["frame"], log.get("topic")
+        found = comparison(Path(str(source)), robot=body, frame=frame, topic=topic)
+        others = next(iter(found[0].values()), None)
+        if others is not None and others.summary["samples"] != shown.summary["samples"]:
+            return {}, f"the log that lies there now is another; {how}"
+        return found
+    except (OSError, KeyError, InputError) as error:
+        return {}, f"the log that they come from cannot be read ({error}); {how}"
+
+
+def _headline(summary: Mapping[str, Any]) -> str:
+    pooled = summary["pooled"]
+    how = f"{str(summary.get('estimator', '')).replace('_', ' ')}, {summary.get('frame')} frame"
+    if not pooled["stances"]:
+        return f"No stances in {number(summary.get('duration_s'))} s of log ({how})."
+    return (
+        f"{pooled['stances']} stances of {pooled['mean_duration_s']:.2f} s each carry the robot, "
+        f"with a mean peak lift of {pooled['mean_peak_Fz_N']:.0f} N and "
+        f"{pooled['mean_peak_Fx_N']:.0f} N forward ({how})."
+    )
+
+
+def _feet_table(summary: Mapping[str, Any]) -> Table:
+    rows = {**{f"{FOOT_NAMES[f]}": summary["feet"][f] for f in FEET}, "all": summary["pooled"]}
+    return Table(
+        "In numbers",
+        ("foot", "stances", "duration [s]", "peak Fz [N]", "peak Fx [N]"),
+        [(name, *_figures(found)) for name, found in rows.items()],
+        note="Duration and signed peaks of the mean stance.",
+        wide=True,
+    )
+
+
+def _figures(found: Mapping[str, Any]) -> tuple[str, ...]:
+    """Stances, duration and peaks in a fixed number of digits."""
+    digits = {"mean_duration_s": ".3f", "mean_peak_Fz_N": ".1f", "mean_peak_Fx_N": ".1f"}
+    values = (format(found[key], d) if found[key] is not None else "–" for key, d in digits.items())
+    return (str(found["stances"]), *values)
+
+
+def _reading(summary: Mapping[str, Any]) -> Table:
+    hidden = {"feet", "pooled", "estimator", "frame", "notes"}
+    rows = [(name, number(v) or "–") for name, v in summary.items() if name not in hidden]
+    return Table("What was read", ("", ""), rows, folded=True, wide=True)
+
+
+# -- over time -----------------------------------------------------------------------------------
+
+
+def _over_time(shown: Forces) -> list[Part]:
+    """F_z and F_x of each foot, its stances shaded."""
+    first = shown.stances[0][1] if shown.stances else float(shown.time[0])
+    start = max(min(first - 0.1, float(shown.time[-1]) - SHOWN_S), float(shown.time[0]))
+    inside = slice(*np.searchsorted(shown.time, [start, start + SHOWN_S]).tolist())
+    time = shown.time[inside] - start
+    length = float(time[-1]) if len(time) else 0.0
+    note = f"Seconds after {start:.2f} s of the log's clock"
+    if shown.time[-1] - shown.time[0] > SHOWN_S:
+        note += f"; {SHOWN_S:g} of {shown.time[-1] - shown.time[0]:.0f} s are shown"
+    plots: list[Part] = []
+    for i, foot in enumerate(FEET):
+        force = shown.force[inside, i]
+        lines = [
+            _thinned(time, force[:, AXES.index(axis)], fig.FORCE[f"F{axis}"], colour, dash)
+            for axis, colour, dash in (("z", "@blue", "solid"), ("x", "@orange", "solid"))
+        ]
+        shade = _shading(shown.stances, foot, start, length, force)
+        plots.append(
+            Plot(
+                title=f"{FOOT_NAMES[foot].capitalize()} foot ({foot})",
+                traces=[shade, *lines],
+                layout=fig.layout(
+                    "time [s]", "force [N]", xaxis={"range": [0.0, min(length, 5.0)]}
+                ),
+                note=f"{note}; drag the axis to move on, double-click to see all." if not i else "",
+                height=260,
+            )
+        )
+    return plots
+
+
+def _thinned(
+    time: FloatArray, values: FloatArray, name: str, colour: str, dash: str
+) -> dict[str, Any]:
+    """A curve of bounded length that keeps its peaks: least and greatest of each few samples."""
+    step = -(-len(time) // (MOST_POINTS // 2))
+    if len(time) > MOST_POINTS:
+        starts = np.arange(0, len(time) - step + 1, step)
+        blocks = np.where(np.isfinite(values), values, 0.0)[: len(starts) * step].reshape(-1, step)
+        ends = np.sort(np.stack([blocks.argmin(axis=1), blocks.argmax(axis=1)], axis=1), axis=1)
+        kept = np.unique((starts[:, None] + ends).ravel())
+        time, values = time[kept], values[kept]
+    trace = fig.line(time, values, "", colour, dash=dash)
+    trace["line"]["width"] = 1.4
+    return {**trace, "name": name, "hovertemplate": "%{x:.3f} s: %{y:.1f} N"}
+
+
+def _shading(
+    stances: Sequence[tuple[str, float, float]],
+    foot: str,
+    start: float,
+    length: float,
+    force: FloatArray,
+) -> dict[str, Any]:
+    """Rectangles over a foot's stances, one trace that the legend can hide."""
+    finite = force[np.isfinite(force)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    x: list[float | None] = []
+    y: list[float | None] = []
+    for whose, begin, end in stances:
+        a, b = begin - start, end - start
+        if whose == foot and b > 0.0 and a < length:
+            x += [*fig.numbers([a, a, b, b, a]), None]
+            y += [*fig.numbers([low, high, high, low, low]), None]
+    return {
+        "type": "scatter", "mode": "lines", "x": x, "y": y, "fill": "toself",
+        "fillcolor": "@grey/0.22", "line": {"width": 0}, "hoverinfo": "skip", "name": "stance",
+    }  # fmt: skip
+
+
+# -- mean stances --------------------------------------------------------------------------------
+
+
+def _ensemble(shown: Forces) -> list[Part]:
+    """Mean stance: all feet with the spread, and foot by foot."""
+    if not shown.stances:
+        return []
+    plots: list[Part] = []
+    for axis in ("z", "x"):
+        column = AXES.index(axis)
+        mean, spread = shown.pooled[:, column], shown.spread[:, column]
+        traces = [
+            fig.band(shown.part, mean - spread, mean + spread, "± one standard deviation",
+                     "@grey/0.3"),
+            fig.line(shown.part, mean, f"all, {len(shown.stances)} stances", "@ink"),
+        ]  # fmt: skip
+        for i, foot in enumerate(FEET):
+            if np.isfinite(shown.feet[i, :, column]).any():
+                colour, dash = LOOKS[foot]
+                traces.append(
+                    fig.line(shown.part, shown.feet[i, :, column], foot, colour, dash=dash)
+                )
+        plots.append(
+            Plot(
+                title=f"Mean stance, F{axis}",
+                traces=traces,
+                layout=fig.layout("normalised time in the stance [-]", fig.AXIS_LABEL[f"F{axis}"]),
+                height=340,
+            )
+        )
+    return plots
+
+
+def _comparison(compared: Mapping[str, Forces], why_not: str) -> list[Part]:
+    """The mean stance by every estimator."""
+    title = "Estimators compared"
+    walked = {name: forces for name, forces in compared.items() if forces.stances}
+    if len(walked) < 2:
+        reason = why_not or "only one of them found stances"
+        return [Text(title, (f"Not compared: {reason}.",), wide=True)]
+    plots: list[Part] = []
+    for axis in ("z", "x"):
+        column = AXES.index(axis)
+        traces = [
+            fig.line(forces.part, forces.pooled[:, column], NAMES[name], colour, dash=dash)
+            for (name, forces), (colour, dash) in zip(walked.items(), LOOKS.values(), strict=False)
+        ]
+        plots.append(
+            Plot(
+                title=f"{title}: mean stance, F{axis}",
+                traces=traces,
+                layout=fig.layout("normalised time in the stance [-]", fig.AXIS_LABEL[f"F{axis}"]),
+                height=340,
+            )
+        )
+    rows = [(NAMES[name], *_figures(f.summary["pooled"])) for name, f in compared.items()]
+    header = ("estimator", "stances", "duration [s]", "peak Fz [N]", "peak Fx [N]")
+    missing = f"Left out, as it could not be had: {why_not}." if why_not else ""
+    plots.append(Table(title, header, rows, note=missing, wide=True))
+    return plots

@@ -1,0 +1,232 @@
+"""Studies: experiments that anyone can run again, each returning data, a table and figures."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.outputs import check_folder, filling
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class Outline(NamedTuple):
+    """What a study looks at, and how long that takes on one core, roughly."""
+
+    what: str
+    takes: str
+
+
+STUDIES = {
+    "benchmark": Outline(
+        "three legs: our models beside the forces measured in Yuma sand", "seconds"
+    ),
+    "phi_sensitivity": Outline("forces and their peaks against the friction angle", "seconds"),
+    "k0": Outline("what the stress at rest does to a history", "seconds"),
+    "surrogate": Outline(
+        "the surrogate between the library's angles, and its residuals", "seconds"
+    ),
+    "recovery": Outline(
+        "friction angles of fresh simulations, inferred with a library", "half a minute"
+    ),
+    "figures": Outline(
+        "the figures of the paper's simulations and inversions, ready to print", "13 minutes"
+    ),
+    "measured": Outline(
+        "friction angles of the measured sands, by every library, and the verdicts",
+        "half a minute",
+    ),
+    "prediction": Outline(
+        "calibrated on the straight leg: the C and the reversed C foretold", "seconds"
+    ),
+    "calibration": Outline(
+        "intervals: how often they hold the truth, and how narrow they are", "1 to 2 minutes"
+    ),
+    "design": Outline("libraries built evenly, and in the order that is suggested", "a minute"),
+    "reading": Outline(
+        "what the paper's text leaves open, against the forces that it prints", "seconds"
+    ),
+    "prototype": Outline(
+        "what the contact of the paper's prototype counts, and what it applies", "seconds"
+    ),
+    "sensitivity": Outline(
+        "what moves the simulated forces: one setting changed at a time", "seconds"
+    ),
+    "resolution": Outline(
+        "from preset paper-1 to resolved, and whether that has arrived", "seconds"
+    ),
+    "verification": Outline(
+        "problems with known answers, by the code that the leg uses", "45 to 60 minutes"
+    ),
+}
+
+PAPER_LIBRARY = "paper"
+"""Library by which the paper's own studies are repeated: the model of its text."""
+PROTOTYPE_LIBRARY = "paper-code"
+"""Library of the contact of the paper's public prototype, which its text does not describe."""
+
+Beside = tuple[str, str, str]
+"""A line of a table ``ours | paper``: what, ours, the paper's."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a study found.
+
+    Attributes
+    ----------
+    title
+        One line.
+    header, rows
+        A table for people.
+    data
+        Everything, JSON-able; its keys are fixed.
+    figures
+        Name to figure.
+    documents
+        File name to text.
+    notes
+        Sentences for people: what follows from the table.
+    beside_paper
+        A second table, ours beside the numbers that Xu & Wang print; ``data`` has it too, under
+        the same name.
+    dpi
+        Resolution of the figures [1/in].
+    name
+        Of :data:`STUDIES`; :func:`run` writes it.
+    """
+
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    data: Mapping[str, Any]
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+    documents: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+    beside_paper: Sequence[Beside] = ()
+    dpi: int = 150
+    name: str = ""
+
+    def everything(self) -> dict[str, Any]:
+        """The data with the study's name, its notes and the table beside the paper, JSON-able."""
+        names = ("what", "ours", "paper")
+        table = [dict(zip(names, line, strict=True)) for line in self.beside_paper]
+        more = {
+            "study": self.name,
+            "about": STUDIES[self.name].what if self.name else "",
+            "notes": list(self.notes),
+            "beside_paper": table,
+        }
+        return {**self.data, **{key: value for key, value in more.items() if value}}
+
+    def save(self, out: Path) -> tuple[str, ...]:
+        """Write ``data.json``, documents and figures (PNG) into a folder, made if need be.
+
+        Returns the names of the files.
+        """
+        from terraphi.view import plots
+
+        data = json.dumps(self.everything(), indent=2, ensure_ascii=False)
+        texts = {"data.json": data, **self.documents}
+        with filling(
+            out, kind=f"study {self.name}", last="data.json", besides=[kept_in(self.name)]
+        ) as made:
+            for name, text in texts.items():
+                (made / name).write_text(text, encoding="utf-8")
+            for name, figure in self.figures.items():
+                plots.save(figure, made / f"{name}.png", dpi=self.dpi)
+        return *texts, *(f"{name}.png" for name in self.figures)
+
+
+def kept_in(name: str) -> str:
+    """Name of the folder, beside a long study's results, of what is finished of it."""
+    return f"{name}.tasks"
+
+
+def page(
+    title: str,
+    method: str,
+    notes: Sequence[str],
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    figure: str,
+    picture: str,
+) -> str:
+    """A study as a page in Markdown.
+
+    Parameters
+    ----------
+    title, method, notes, header, rows
+        Heading, a paragraph, sentences and a table.
+    figure, picture
+        File of the figure that lies beside the page, and what it shows in words.
+
+    Returns
+    -------
+    str
+    """
+    table = [header, ["---"] * len(header), *rows]
+    parts = [
+        f"# {title}",
+        method,
+        "\n".join(f"- {note}" for note in notes),
+        "\n".join("| " + " | ".join(row) + " |" for row in table),
+        f"![{picture}]({figure})",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def capitalised(words: str) -> str:
+    """Words with a capital in front, and nothing else changed."""
+    return words[:1].upper() + words[1:]
+
+
+def run(
+    name: str,
+    *,
+    out: Path | None = None,
+    progress: Callable[[float, float], None] | None = None,
+    **options: Any,
+) -> Study:
+    """Run a study.
+
+    Parameters
+    ----------
+    name
+        One of :data:`STUDIES`.
+    out, progress
+        Folder of the results, where a long study keeps what is finished, and a function to be
+        called with the work done and the work of all. Both are for studies that take them.
+    **options
+        Options of that study; those that are None are left to it.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    InputError
+        If there is no such study, the study has no such option, or the folder cannot be made.
+    """
+    if name not in STUDIES:
+        raise InputError(f"unknown study '{name}'; {nearest(name, STUDIES)}")
+    module = importlib.import_module(f"terraphi_studies.{name}")
+    known = inspect.signature(module.run).parameters
+    given = {option: value for option, value in options.items() if value is not None}
+    for option in given:
+        if option not in known:
+            raise InputError(f"study '{name}' has no option '{option}'; leave it out")
+    services = {"out": out, "progress": progress}
+    given |= {service: value for service, value in services.items() if service in known}
+    if out is not None:
+        check_folder(out, kind=f"study {name}", names=["data.json"], besides=[kept_in(name)])
+    study: Study = module.run(**given)
+    return replace(study, name=name)

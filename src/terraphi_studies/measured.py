@@ -1,0 +1,233 @@
+"""Measured: what each library makes of each measured history, and whether the verdict owns up.
+
+Nothing is tuned to a medium: every history of the same sand should give the same φ, whatever the
+leg, and media whose angles of repose differ should come out in that order. An angle of repose is a
+guide to the friction angle, not its truth (dense sand dilates, seeds interlock), so that an offset
+from it is reported and not judged.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from terraphi.experiment.documents import shipped_names
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.measurements import Measurement, measurement, medium_and_leg, names
+from terraphi.inference.answer import Inversion
+from terraphi.inference.inversion import invert
+from terraphi.inference.verdict import uninformed
+from terraphi.library.store import Library
+from terraphi_studies import Study, page
+from terraphi_studies.pictures import measured_figure
+
+NAME = "measured"
+TITLE = "Friction angles of the measured sands, by library and leg"
+LIBRARIES = (
+    "resolved",
+    "k4-plane-strain",
+    "quick-plane-strain",
+    "paper",
+    "quick-paper",
+    "rft3d",
+)
+"""Libraries to invert with, as far as they are shipped."""
+HEADER = ("library", "medium", "leg", "φ [deg]", "95 %", "NRMSD Fz", "NRMSD Fx", "verdict")
+METHOD = (
+    "`terraphi invert` on every shipped measurement of Li et al. (2013) with every library, each "
+    "in its own convention of φ. NRMSD: of the fit at the median, in percent of the measured "
+    "peak-to-peak. Run again: `terraphi study measured`."
+)
+
+
+def run(
+    *,
+    library: str | None = None,
+    likelihood: str | None = None,
+    progress: Callable[[float, float], None] | None = None,
+) -> Study:
+    """Invert all shipped measurements.
+
+    Parameters
+    ----------
+    library
+        Name or file of the one library to use; all of :data:`LIBRARIES` if not given.
+    likelihood
+        As :func:`terraphi.invert` takes it; its default if not given.
+    progress
+        Called with the number of inversions done and of all.
+
+    Returns
+    -------
+    Study
+        ``data``: ``answers`` (list of ``library``, ``yield``, ``medium``, ``leg``,
+        ``phi_median_deg``, ``told_by_forces``, ``ci95_deg``, ``phi_plane_strain_deg``,
+        ``nrmsd_percent``, ``verdict``, ``reason``, ``angle_of_repose_deg``), ``spread_deg``
+        between legs by library and medium, where there are several, ``verdicts`` by library, and
+        for the media with an angle of repose ``order`` and ``off_repose_deg``, the least and the
+        largest offset of a median from it by library, of its equivalent in plane strain where
+        there is one.
+
+    Raises
+    ------
+    InputError
+        If a library or an option cannot be used.
+    """
+    shipped = shipped_names("libraries", ".nc")
+    chosen = [library] if library else [name for name in LIBRARIES if name in shipped]
+    options = {"likelihood": likelihood} if likelihood else {}
+    wanted = [(name, measurement(source)) for name in chosen for source in names()]
+    answers: list[dict[str, Any]] = []
+    loaded = {name: Library.load(name) for name in chosen}
+    for done, (name, one) in enumerate(wanted):
+        if progress is not None:
+            progress(done, len(wanted))
+        if any(case.scenario.leg.shape == one.leg for case in loaded[name].cases):
+            answers.append(_answer(name, one, _inverted(loaded[name], one, options)))
+    if not answers:
+        raise InputError(f"library '{library}' has none of the measured legs")
+    return _study(answers)
+
+
+def _inverted(library: Library, one: Measurement, options: Mapping[str, Any]) -> Inversion:
+    return invert(
+        one.history,
+        library=library,
+        leg=one.leg,
+        density=one.density_kg_m3,
+        density_assumed=one.density_assumed,
+        source=one.name,
+        **options,
+    )
+
+
+def _answer(library: str, one: Measurement, found: Inversion) -> dict[str, Any]:
+    plane = found.phi_plane_strain
+    return {
+        "library": library,
+        "yield": found.convention,
+        "medium": medium_and_leg(one.name)[0],
+        "leg": one.leg,
+        "phi_median_deg": found.phi.median,
+        "told_by_forces": not uninformed(found.posterior),
+        "ci95_deg": list(found.phi.ci95),
+        "phi_plane_strain_deg": plane.median if plane else None,
+        "nrmsd_percent": {force: 100.0 * value for force, value in found.nrmsd.items()},
+        "verdict": found.verdict.verdict,
+        "reason": found.verdict.reason,
+        "angle_of_repose_deg": one.angle_of_repose_deg,
+    }
+
+
+def _study(answers: Sequence[Mapping[str, Any]]) -> Study:
+    libraries = dict.fromkeys(answer["library"] for answer in answers)
+    of = {name: [a for a in answers if a["library"] == name] for name in libraries}
+    told = {name: Counter(sorted(a["verdict"] for a in some)) for name, some in of.items()}
+    spread = {name: _spread(some) for name, some in of.items()}
+    order = {name: _order(some) for name, some in of.items()}
+    off = {name: _off_repose(some) for name, some in of.items()}
+    rows = [_row(answer) for answer in answers]
+    repose = {
+        a["medium"]: f"{a['medium']} {a['angle_of_repose_deg']:g}°"
+        for a in answers
+        if a["angle_of_repose_deg"] is not None
+    }
+    told_repose = [f"Angle of repose: {', '.join(repose.values())}."] if repose else []
+    notes = told_repose + [
+        f"{name}: {_note(some, told[name], spread[name], order[name], off[name])}."
+        for name, some in of.items()
+    ]
+    picture = "friction angles by medium, leg and library, with their 95 % intervals"
+    return Study(
+        title=TITLE,
+        header=HEADER,
+        rows=rows,
+        data={
+            "answers": list(answers),
+            "spread_deg": spread,
+            "verdicts": told,
+            "order": order,
+            "off_repose_deg": off,
+        },
+        figures={NAME: measured_figure(answers)},
+        documents={f"{NAME}.md": page(TITLE, METHOD, notes, HEADER, rows, f"{NAME}.png", picture)},
+        notes=notes,
+    )
+
+
+def _spread(answers: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Largest less smallest median between the legs, by medium that has several [deg]."""
+    media = dict.fromkeys(answer["medium"] for answer in answers)
+    found = {m: [a["phi_median_deg"] for a in answers if a["medium"] == m] for m in media}
+    return {medium: float(np.ptp(values)) for medium, values in found.items() if len(values) > 1}
+
+
+def _order(answers: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    """Pairs of media on one leg whose φ come out in the order of their angles of repose, or not."""
+    known = [a for a in answers if a["angle_of_repose_deg"] is not None]
+    pairs = [
+        (a["angle_of_repose_deg"] - b["angle_of_repose_deg"])
+        * (a["phi_median_deg"] - b["phi_median_deg"])
+        for a, b in combinations(known, 2)
+        if a["leg"] == b["leg"] and a["angle_of_repose_deg"] != b["angle_of_repose_deg"]
+    ]
+    return {"right": sum(p > 0.0 for p in pairs), "of": len(pairs)}
+
+
+def _off_repose(answers: Sequence[Mapping[str, Any]]) -> list[float]:
+    """Least and largest offset of a median from the angle of repose [deg]; empty if none has one.
+
+    Of the equivalents in plane strain, which are what soil mechanics means by φ, if there are any.
+    """
+    known = [a for a in answers if a["angle_of_repose_deg"] is not None]
+    acting = [a for a in known if a["phi_plane_strain_deg"] is not None]
+    key = "phi_plane_strain_deg" if acting else "phi_median_deg"
+    found = [a[key] - a["angle_of_repose_deg"] for a in acting or known]
+    return [min(found), max(found)] if found else []
+
+
+def _row(answer: Mapping[str, Any]) -> tuple[str, ...]:
+    low, high = answer["ci95_deg"]
+    return (
+        answer["library"],
+        answer["medium"],
+        answer["leg"],
+        f"{answer['phi_median_deg']:.1f} ({answer['yield']})",
+        f"{low:.1f} to {high:.1f}",
+        f"{answer['nrmsd_percent']['Fz']:.0f} %",
+        f"{answer['nrmsd_percent']['Fx']:.0f} %",
+        answer["verdict"] + ("" if answer["told_by_forces"] else ", hardly tells φ"),
+    )
+
+
+def _note(
+    answers: Sequence[Mapping[str, Any]],
+    verdicts: Mapping[str, int],
+    spread: Mapping[str, float],
+    order: Mapping[str, int],
+    off: Sequence[float],
+) -> str:
+    """What a library's answers come to."""
+    said = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
+    if spread:
+        apart = ", ".join(f"{medium} {value:.1f}" for medium, value in spread.items())
+        said += f"; medians of the legs lie apart by [deg] {apart}"
+    if order["of"]:
+        said += (
+            f"; {order['right']} of {order['of']} pairs of media on one leg come out in the order "
+            "of their angles of repose"
+        )
+    blind = sum(not answer["told_by_forces"] for answer in answers)
+    if blind:
+        said += f"; in {blind} of {len(answers)}, counted all the same, the forces hardly tell φ"
+    if off:
+        converted = answers[0]["yield"] != "plane_strain" and any(
+            a["phi_plane_strain_deg"] is not None for a in answers
+        )
+        acting = ", as they act in plane strain," if converted else ""
+        said += f"; the medians{acting} lie {off[0]:+.0f} to {off[1]:+.0f}° off the angle of repose"
+    return said

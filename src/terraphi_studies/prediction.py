@@ -1,0 +1,388 @@
+"""Prediction: calibrated on the straight leg, what becomes of the C and the reversed C.
+
+Preset ``resolved``, plane strain. For each measured sand the friction angle φ and the friction
+μ of sand on the leg are fitted to the forces on the straight leg alone, by least squares of both
+forces over their measured peak-to-peak; the other two legs are then simulated with that pair and
+compared with forces that the fit has not seen. Forces between the simulated pairs come from a cubic
+spline over φ and a parabola over μ, and are proportional to the density, as the soil has no
+cohesion. Nothing is tuned to a medium.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import Measurement, measurement, medium_and_leg, names
+from terraphi.experiment.scenario import Scenario
+from terraphi.library.plan import Plan, Step
+from terraphi.view.plots import BLUE, ORANGE, Curve
+from terraphi_studies import Study, benchmark, page
+from terraphi_studies.benchmark import LEGS, FinishedCase, in_the_sand, means_of, nrmsd_percent
+from terraphi_studies.pictures import legs_figure
+from terraphi_studies.sensitivity import finished_for, missing_from, simulate_missing
+
+FloatArray = NDArray[np.float64]
+
+NAME = "prediction"
+TITLE = "Calibrated on the straight leg, and what that foretells of the C and the reversed C"
+PHI, FRICTION, SHAPE = "soil.friction_angle_deg", "leg.friction", "leg.shape"
+CALIBRATED_ON = "straight"
+OURS = "resolved"
+FORETOLD = ("foretold_below", "foretold_of")
+HEADER = ("medium", "leg", "model", "NRMSD Fz", "NRMSD Fx")
+METHOD = (
+    "Preset `resolved` (plane strain), φ and the leg's friction μ fitted to the straight leg "
+    "alone; C and reversed C are simulated with that pair. NRMSD on 1° means over |θ| < 85°, in "
+    "percent of the measured peak-to-peak. The other models are not fitted here: theirs is the 35° "
+    "that Xu & Wang use for Yuma sand, and RFT 2-D has the generic coefficients of Li et al. times "
+    f"{benchmark.YUMA_SCALE}, which gives their own curves for that sand. Plan: `prediction`. Run "
+    "again: `terraphi study prediction`."
+)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What the straight leg says of a sand.
+
+    Attributes
+    ----------
+    phi_deg, friction
+        Friction angle [deg] and friction coefficient of sand on the leg [-], rounded to what is
+        then simulated: 0.1° and 0.01.
+    at_edge
+        Whether the fit ended at an edge of what was simulated.
+    nrmsd_percent
+        Of the interpolated forces at that pair, by force [%].
+    """
+
+    phi_deg: float
+    friction: float
+    at_edge: bool
+    nrmsd_percent: Mapping[str, float]
+
+
+def run(
+    *,
+    build: Path | None = None,
+    workers: int | None = None,
+    cluster: str | None = None,
+    progress: Callable[[float, float], None] | None = None,
+) -> Study:
+    """Calibrate and predict every shipped sand.
+
+    Parameters
+    ----------
+    build
+        Folder of further finished cases. What is neither shipped nor there is simulated first, and
+        kept there: the straight legs, and then the predicted ones. Without a folder nothing is
+        simulated.
+    workers
+        Processes to simulate on; 1 if not given.
+    cluster
+        Address of a Dask cluster to simulate on instead.
+    progress
+        Called with the number of finished cases of a plan, counting parts, and of all.
+
+    Returns
+    -------
+    Study
+        ``data``: ``calibrated`` (``phi_deg``, ``friction``, ``at_edge`` by medium),
+        ``nrmsd_percent`` by medium, leg, model and force, ``better_than`` (of the
+        deviations in Yuma sand, by each other model, how many of ours lie ``below`` theirs,
+        ``of`` how many; the same of the C and the reversed C alone, ``foretold_below`` and
+        ``foretold_of``), ``missing``.
+
+    Raises
+    ------
+    InputError
+        If a straight leg is not simulated yet, the folder cannot be written, or a simulation
+        failed.
+    """
+    plan = Plan.load(NAME)
+    finished = finished_for(NAME, build)
+    if build is not None and missing_from(plan, finished):
+        finished |= simulate_missing(plan, build, workers, cluster, progress)
+    absent = [s for s in plan.cases() if s.hash not in finished]
+    if absent:
+        raise InputError(
+            f"study '{NAME}': {len(absent)} of {len(plan.cases())} straight legs are not simulated "
+            "yet; --build FOLDER simulates what is missing"
+        )
+    forces = Interpolated(plan, finished)
+    media = sands()
+    fits = {medium: calibrate(legs[CALIBRATED_ON], forces) for medium, legs in media.items()}
+    wanted = foretold(plan, media, fits)
+    lacking = {place: s for place, s in wanted.items() if s.hash not in finished}
+    if build is not None and lacking:
+        legs = legs_plan(plan, lacking)
+        finished |= simulate_missing(legs, build, workers, cluster, progress)
+    return study_of(plan, media, fits, finished)
+
+
+def sands() -> dict[str, dict[str, Measurement]]:
+    """The shipped measurements by medium and leg, of the media whose straight leg was measured."""
+    found: dict[str, dict[str, Measurement]] = {}
+    for name in names():
+        one = measurement(name)
+        found.setdefault(medium_and_leg(name)[0], {})[one.leg] = one
+    return {m: legs for m, legs in found.items() if CALIBRATED_ON in legs}
+
+
+class Interpolated:
+    """Forces on the straight leg between the simulated pairs of φ and μ.
+
+    Parameters
+    ----------
+    plan
+        A sweep over φ and μ.
+    finished
+        All its histories, by the hash of their scenario.
+    """
+
+    def __init__(self, plan: Plan, finished: Mapping[str, ForceHistory]) -> None:
+        from scipy.interpolate import CubicSpline
+
+        self.phi_deg = np.array(sorted({float(v) for v in _numbers(plan, PHI)}))
+        self.friction = np.array(sorted({float(v) for v in _numbers(plan, FRICTION)}))
+        self.density = plan.scenario.soil.density
+        found = {_pair(s): means_of(finished[s.hash]) for s in plan.cases()}
+        grid = np.array([[found[(phi, mu)] for mu in self.friction] for phi in self.phi_deg])
+        self._over_phi = CubicSpline(self.phi_deg, grid)
+
+    def __call__(self, phi_deg: float, friction: float) -> FloatArray:
+        """1° means [N] over |θ| < 85°, shape [theta, 2], of the library's density."""
+        across = self._over_phi(phi_deg)
+        weights = np.array(
+            [
+                np.prod([(friction - b) / (a - b) for b in self.friction if b != a])
+                for a in self.friction
+            ]
+        )
+        forces: FloatArray = np.tensordot(weights, across, axes=1)
+        return forces
+
+
+def _numbers(plan: Plan, key: str) -> list[float]:
+    return [float(str(value)) for value in plan.sweep[key]]
+
+
+def _pair(scenario: Scenario) -> tuple[float, float]:
+    return scenario.soil.friction_angle_deg, scenario.leg.friction
+
+
+def calibrate(measured: Measurement, forces: Interpolated) -> Calibration:
+    """Fit φ and μ to one measured history.
+
+    Parameters
+    ----------
+    measured
+        Forces on the leg that was simulated.
+    forces
+        What they would be.
+
+    Returns
+    -------
+    Calibration
+    """
+    from scipy.optimize import least_squares
+
+    data = means_of(measured.history)
+    spans = np.ptp(data, axis=0)
+    density = measured.density_kg_m3 or forces.density
+    low = np.array([forces.phi_deg[0], forces.friction[0]])
+    high = np.array([forces.phi_deg[-1], forces.friction[-1]])
+
+    def residual(pair: FloatArray) -> FloatArray:
+        guess = density / forces.density * forces(pair[0], pair[1])
+        return np.asarray((guess - data) / spans).ravel()
+
+    # The sum of squares may have more than one valley.
+    middle = 0.5 * (low[1] + high[1])
+    fits = [
+        least_squares(residual, [phi, middle], bounds=(low, high), x_scale=high - low)
+        for phi in forces.phi_deg[1:-1:2]
+    ]
+    best = min(fits, key=lambda fit: float(fit.cost))
+    phi, mu = float(round(best.x[0], 1)), float(round(best.x[1], 2))
+    rest = residual(np.array([phi, mu])).reshape(-1, 2)
+    fx, fz = (100.0 * np.sqrt(np.mean(np.square(rest), axis=0))).tolist()
+    near = np.minimum(best.x - low, high - best.x) < 1e-3 * (high - low)
+    return Calibration(phi, mu, bool(near.any()), {"Fx": fx, "Fz": fz})
+
+
+def foretold(
+    plan: Plan,
+    media: Mapping[str, Mapping[str, Measurement]],
+    fits: Mapping[str, Calibration],
+) -> dict[tuple[str, str], Scenario]:
+    """Each measured leg with its sand's pair, the straight one as a check of the fit."""
+    return {
+        (medium, leg): plan.scenario.replace(
+            **{SHAPE: leg, PHI: fit.phi_deg, FRICTION: fit.friction}
+        )
+        for medium, fit in fits.items()
+        for leg in LEGS
+        if leg in media[medium]
+    }
+
+
+def legs_plan(plan: Plan, wanted: Mapping[tuple[str, str], Scenario]) -> Plan:
+    """What is wanted as a plan, once where two sands came to the same pair."""
+    distinct = {s.hash: (f"{medium}/{leg}", s) for (medium, leg), s in wanted.items()}
+    steps = [
+        Step(
+            name=name,
+            after="base",
+            changes={
+                SHAPE: s.leg.shape,
+                PHI: s.soil.friction_angle_deg,
+                FRICTION: s.leg.friction,
+            },
+        )
+        for name, s in distinct.values()
+    ]
+    return Plan(name=NAME, scenario=plan.scenario, steps=steps)
+
+
+def study_of(
+    plan: Plan,
+    media: Mapping[str, Mapping[str, Measurement]],
+    fits: Mapping[str, Calibration],
+    finished: Mapping[str, ForceHistory],
+) -> Study:
+    """The study on what is finished.
+
+    Parameters
+    ----------
+    plan
+        Of the straight legs.
+    media, fits
+        Measurements and calibrations by medium.
+    finished
+        Histories by the hash of their scenario.
+
+    Returns
+    -------
+    Study
+        As :func:`run` says.
+    """
+    deviations: dict[str, dict[str, dict[str, Mapping[str, float]]]] = {}
+    curves: dict[str, dict[str, list[Curve]]] = {}
+    missing = []
+    others = _others()
+    for (medium, leg), scenario in foretold(plan, media, fits).items():
+        measured = media[medium][leg]
+        row = deviations.setdefault(medium, {}).setdefault(leg, {})
+        history = finished.get(scenario.hash)
+        if history is None:
+            missing.append(f"{medium}/{leg}")
+        else:
+            scaled = in_the_sand(FinishedCase(scenario, history), measured)
+            row[OURS] = nrmsd_percent(measured.history, scaled)
+            curves.setdefault(medium, {})[leg] = [
+                Curve("measured, Li et al. 2013", measured.history, ORANGE, ""),
+                Curve(
+                    f"{OURS}, φ = {fits[medium].phi_deg:.1f}° ({scenario.convention}), μ = "
+                    f"{fits[medium].friction:.2f}: fitted to the {CALIBRATED_ON} leg, the others "
+                    "foretold",
+                    scaled,
+                    BLUE,
+                ),
+            ]
+        if medium == "yuma":
+            row |= others[leg]
+    better = _better(deviations.get("yuma", {}))
+    rows = _rows(deviations)
+    repose = {medium: legs[CALIBRATED_ON].angle_of_repose_deg for medium, legs in media.items()}
+    notes = _notes(fits, repose, better, missing)
+    data = {
+        "calibrated": {medium: vars(fit) for medium, fit in fits.items()},
+        "nrmsd_percent": deviations,
+        "better_than": better,
+        "missing": missing,
+    }
+    picture = "forces on the three legs in Yuma sand, measured and from the calibrated model"
+    return Study(
+        title=TITLE,
+        header=HEADER,
+        rows=rows,
+        data=data,
+        figures={f"{NAME}-{medium}": legs_figure(legs) for medium, legs in curves.items()},
+        documents={
+            f"{NAME}.md": page(TITLE, METHOD, notes, HEADER, rows, f"{NAME}-yuma.png", picture)
+        },
+        notes=notes,
+    )
+
+
+def _others() -> dict[str, dict[str, Mapping[str, float]]]:
+    """Deviations of the other models in Yuma sand, ours and printed, by leg."""
+    found = {}
+    for leg, ours in benchmark.run().data["nrmsd_percent"].items():
+        fz, fx = benchmark.PAPER_NRMSD[leg]
+        found[leg] = {
+            "the paper's MPM": {"Fz": fz, "Fx": fx},
+            "preset paper-1": ours["mpm"],
+            "RFT 2-D": ours["rft2d"],
+            "RFT 3-D": ours["rft3d"],
+        }
+    return found
+
+
+def _better(legs: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, dict[str, int]]:
+    """Of the deviations that both have, fitted or foretold, how many of ours lie below."""
+    found: dict[str, dict[str, int]] = {}
+    for leg, models in legs.items():
+        for name, other in models.items():
+            if name != OURS and OURS in models:
+                count = found.setdefault(name, dict.fromkeys(("below", "of", *FORETOLD), 0))
+                below = sum(models[OURS][force] < other[force] for force in ("Fz", "Fx"))
+                count["below"] += below
+                count["of"] += 2
+                if leg != CALIBRATED_ON:
+                    count["foretold_below"] += below
+                    count["foretold_of"] += 2
+    return found
+
+
+def _rows(
+    deviations: Mapping[str, Mapping[str, Mapping[str, Mapping[str, float]]]],
+) -> list[tuple[str, ...]]:
+    return [
+        (medium, leg, model, f"{value['Fz']:.1f} %", f"{value['Fx']:.1f} %")
+        for medium, legs in deviations.items()
+        for leg, models in legs.items()
+        for model, value in models.items()
+    ]
+
+
+def _notes(
+    fits: Mapping[str, Calibration],
+    repose: Mapping[str, float | None],
+    better: Mapping[str, Mapping[str, int]],
+    missing: Sequence[str],
+) -> list[str]:
+    notes = [
+        f"{medium}: φ = {fit.phi_deg:.1f}°, μ = {fit.friction:.2f} from the straight leg"
+        + (f", where the angle of repose is {repose[medium]:g}°" if repose[medium] else "")
+        + (", at an edge of what was simulated." if fit.at_edge else ".")
+        for medium, fit in fits.items()
+    ]
+    notes += [
+        f"In Yuma sand {count['below']} of our {count['of']} deviations lie below those of {name}, "
+        f"{count['foretold_below']} of the {count['foretold_of']} foretold."
+        for name, count in better.items()
+    ]
+    if missing:
+        notes.append(
+            f"Not simulated yet: {', '.join(missing)}; `terraphi study {NAME} --build FOLDER` does "
+            "it."
+        )
+    return notes

@@ -1,0 +1,293 @@
+"""Any soil in motion: what a scenario's solver does, from a state of one's own.
+
+The solver begins with a bed at rest and moves a leg. Problems with known answers begin with other
+stresses and velocities, in other boxes, and often without a leg; the steps are the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.errors import SimulationError
+from terraphi.experiment.motion import bin_centres
+from terraphi.experiment.scenario import Scenario
+from terraphi.forward.mpm.bed import Grid, Particles, empty_grid, geostatic_bed
+from terraphi.forward.mpm.contact import Intruder, intruder_of
+from terraphi.forward.mpm.plasticity import Material, material_of
+from terraphi.forward.mpm.relief import Fading, fading_of
+from terraphi.forward.mpm.scalar import Audit, Stepping, empty_audit, empty_reaction, stepping_of
+from terraphi.forward.mpm.solver import KERNELS, Kernel, path_of_steps, step_count
+from terraphi.library.workers import heartbeat
+
+FloatArray = NDArray[np.float64]
+
+BLOCK = 1000
+"""Steps between two heartbeats."""
+ELASTIC = 1e9
+"""Cohesion with which soil never yields [Pa]."""
+PARKED = (-9.0, -9.0, 0.0, 0.0, 0.0, 0.0)
+"""Pose of a leg that is nowhere near."""
+
+
+_HAIR = 1e-9
+ON_NODES = {
+    "bed.left": 0.01 + _HAIR,
+    "bed.floor": 0.01 + _HAIR,
+    "bed.width": 0.28 - 2.0 * _HAIR,
+    "bed.height": 0.16,
+}
+"""A box whose edges lie on nodes of 30, 60 or 120 cells; by a hair inside of them, lest the last
+digit of a node's position decides whether the wall holds it."""
+
+
+def benchmark(cells: int, *, courant: float, on_nodes: bool = False, **changes: Any) -> Scenario:
+    """Scenario of the benchmark on another grid.
+
+    Parameters
+    ----------
+    cells
+        Cells along a side of the domain.
+    courant
+        Part of a cell that a compression wave passes in a step [-].
+    on_nodes
+        Whether the box is that of :data:`ON_NODES`; any grid of fewer than 60 cells needs it.
+    **changes
+        As for :meth:`~terraphi.experiment.scenario.Scenario.replace`.
+
+    Returns
+    -------
+    Scenario
+    """
+    box = ON_NODES if on_nodes else {}
+    fine = Scenario().replace(**{"numerics.time_step": 1e-6, **box, **changes})
+    step = courant * fine.numerics.domain / cells / fine.soil.p_wave_speed
+    return fine.replace(**{"numerics.cells": cells, "numerics.time_step": step})
+
+
+def in_words(scenario: Scenario) -> str:
+    """Grid, particles and time step."""
+    numerics = scenario.numerics
+    return (
+        f"Δx {1e3 * numerics.cell_size:.3g} mm, {numerics.particles_per_cell_side**2} a cell, "
+        f"Δt {1e6 * numerics.time_step:.3g} µs"
+    )
+
+
+class Rig(NamedTuple):
+    """Everything that the kernels take besides the soil."""
+
+    grid: Grid
+    material: Material
+    intruder: Intruder
+    fading: Fading
+    stepping: Stepping
+    audit: Audit
+
+    def changed(self, **stepping: Any) -> Rig:
+        """Copy with other constants of a step, such as ``gravity=0.0``."""
+        return self._replace(stepping=self.stepping._replace(**stepping))
+
+    def open_box(self) -> Rig:
+        """Copy without walls and floor."""
+        return self.changed(left=-9.0, right=9.0, floor=-9.0)
+
+
+def rig_of(scenario: Scenario) -> Rig:
+    """Rig of a scenario, with books that are still empty."""
+    return Rig(
+        empty_grid(scenario),
+        material_of(scenario.soil),
+        intruder_of(scenario.leg),
+        fading_of(scenario),
+        stepping_of(scenario),
+        empty_audit(),
+    )
+
+
+def advance(
+    soil: Particles,
+    rig: Rig,
+    steps: int,
+    *,
+    pose: tuple[float, ...] = PARKED,
+    kernel: Kernel = "packets",
+    body_force: Callable[[float], FloatArray] | None = None,
+    start: float = 0.0,
+) -> FloatArray:
+    """Take some steps with a leg that keeps its pose, changing soil, grid and books in place.
+
+    Parameters
+    ----------
+    soil
+        The particles.
+    rig
+        The rest.
+    steps
+        How many.
+    pose
+        Hip x, z [m], θ [rad], hip velocity x, z [m/s], angular rate [rad/s].
+    kernel
+        Which kernel.
+    body_force
+        From the time of a step's start [s] to the acceleration of each particle [m/s²], shape
+        [particle, 2]: given to the particles before the step, which takes it to the grid with
+        their momentum. The kernels are then called step by step, which the packets do by half
+        steps of the reference kernel alone.
+    start
+        Time of the first step's start [s].
+
+    Returns
+    -------
+    ndarray
+        Impulse of the soil on the leg (x, z) per metre of width [kg/s], shape [2].
+
+    Raises
+    ------
+    SimulationError
+        If a particle leaves the grid.
+    """
+    take = KERNELS[kernel][rig.stepping.phase > 0]
+    impulse = empty_reaction(1)
+    done = 0
+    while done < steps:
+        count = 1 if body_force is not None else min(BLOCK, steps - done)
+        if body_force is not None:
+            time_step = rig.stepping.time_step
+            soil.velocity[:] += time_step * body_force(start + done * time_step)
+        if done % BLOCK == 0:
+            heartbeat(0.0)
+        lost = take(
+            soil,
+            rig.grid,
+            *rig[1:5],
+            np.tile(pose, (count, 1)),
+            np.zeros(count),
+            np.zeros(count, np.int64),
+            impulse,
+            rig.audit,
+        )
+        if lost >= 0:
+            raise SimulationError(f"particle {lost} left the grid before step {done + count}")
+        done += count
+    return np.array(impulse[0, :2])
+
+
+def block_of(
+    corner: tuple[float, float],
+    size: tuple[float, float],
+    spacing: float,
+    density: float,
+    *,
+    tilt: float = 0.0,
+) -> Particles:
+    """A rectangle of soil without stress, at rest, its particles on a lattice.
+
+    Parameters
+    ----------
+    corner
+        Its lower left corner (x, z) [m].
+    size
+        Its sides along the tilted x and z [m], whole multiples of the spacing, nearly.
+    spacing
+        Distance of the particles [m].
+    density
+        [kg/m³].
+    tilt
+        Angle by which it is turned about the corner, from +x towards +z [rad].
+
+    Returns
+    -------
+    Particles
+    """
+    columns, rows = (max(1, round(side / spacing)) for side in size)
+    step = np.array([size[0] / columns, size[1] / rows])
+    column, row = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
+    local = np.stack([column.ravel(), row.ravel()], axis=1) * step
+    cosine, sine = math.cos(tilt), math.sin(tilt)
+    position = np.array(corner) + local @ np.array([[cosine, sine], [-sine, cosine]])
+    count = len(position)
+    volume = np.full(count, step[0] * step[1])
+    return Particles(
+        position=position,
+        start=position.copy(),
+        velocity=np.zeros((count, 2)),
+        gradient=np.zeros((count, 4)),
+        stress=np.zeros((count, 4)),
+        mass=density * volume,
+        volume=volume,
+        stretch=np.ones(count),
+        weight=np.ones(count),
+        slip=np.zeros(count),
+    )
+
+
+def follow(
+    scenario: Scenario,
+    soil: Particles,
+    rig: Rig,
+    first: int,
+    count: int,
+    *,
+    kernel: Kernel = "packets",
+) -> None:
+    """Take some steps of a scenario's own motion, changing soil, grid and books in place.
+
+    Parameters
+    ----------
+    scenario
+        Its motion moves the leg.
+    soil, rig, kernel
+        As in :func:`advance`.
+    first, count
+        Number of the first step, and how many.
+
+    Raises
+    ------
+    SimulationError
+        If a particle leaves the grid.
+    """
+    take = KERNELS[kernel][rig.stepping.phase > 0]
+    for begin in range(first, first + count, BLOCK):
+        heartbeat(0.0)
+        steps = np.arange(begin, min(begin + BLOCK, first + count))
+        poses, turned, bins = path_of_steps(scenario, steps, 1)
+        impulse = empty_reaction(1)
+        lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
+        if lost >= 0:
+            raise SimulationError(f"particle {lost} left the grid by step {steps[-1]}")
+
+
+def push(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
+    """Move the plate, with a smooth wall in line with its front behind the soil beneath it.
+
+    Parameters
+    ----------
+    scenario
+        A plate at the soil's left edge, upright, that moves to the right.
+
+    Returns
+    -------
+    displacement, force
+        [m], shape [bin], and force of the soil on the plate (x, z) per metre [N/m], shape [bin, 2].
+    """
+    soil = geostatic_bed(scenario)
+    # A scenario keeps its leg between the walls; the plate's own place is behind this one.
+    rig = rig_of(scenario).changed(left=scenario.bed.soil_span[0])
+    take = KERNELS["packets"][rig.stepping.phase > 0]
+    places = bin_centres(scenario.motion)
+    impulse, held = empty_reaction(len(places)), np.zeros(len(places))
+    steps, block = step_count(scenario), 50 * max(rig.stepping.phase, 20)
+    for begin in range(0, steps, block):
+        heartbeat(0.0)
+        indices = np.arange(begin, min(begin + block, steps))
+        poses, turned, bins = path_of_steps(scenario, indices, len(places))
+        held += np.bincount(bins, minlength=len(places))
+        lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
+        if lost >= 0:
+            raise SimulationError(f"particle {lost} left the grid by step {indices[-1]}")
+    return places, impulse[:, :2] / (held * scenario.numerics.time_step)[:, None]

@@ -1,0 +1,185 @@
+"""A block of soil on an incline: Coulomb friction of the contact that the leg has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from terraphi.experiment.leg import Leg
+from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.forward.mpm.contact import intruder_of
+from terraphi.forward.mpm.solver import Kernel
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE
+from terraphi_studies.verification.check import Check, Family, Outcome, Task
+from terraphi_studies.verification.driver import (
+    ELASTIC,
+    advance,
+    benchmark,
+    block_of,
+    in_words,
+    rig_of,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+BLOCK = (0.080, 0.040)
+"""Length along the incline and height [m]."""
+BAND_CELLS = 0.5
+SETTLING = 0.03
+"""Time in which the block is put down, damped [s]."""
+SLIDING = 0.12
+"""Time over which its acceleration is taken, undamped [s]."""
+LOOKS = 30
+SOURCE = "a = g (sin b − μ cos b), and rest while μ > tan b"
+
+
+PHASE = 20
+"""Steps for which the grid keeps its velocities where contact is on the surface, as in preset
+``resolved``."""
+
+
+def slide(
+    cells: int,
+    slope_deg: float,
+    friction: float,
+    kernel: Kernel = "packets",
+    contact: Literal["nodes", "surface"] = "nodes",
+) -> Outcome:
+    """Let an elastic block slide down a plate, the leg of that shape.
+
+    Parameters
+    ----------
+    cells
+        Cells along a side of the domain.
+    slope_deg
+        Slope b of the plate [deg].
+    friction
+        Coulomb coefficient μ [-].
+    kernel
+        Which kernel.
+    contact
+        With the nodes near the plate, or of the particles with its surface.
+
+    Returns
+    -------
+    Outcome
+    """
+    on_surface = contact == "surface"
+    changes: dict[str, Any] = {
+        "numerics.contact_band_cells": BAND_CELLS,
+        "numerics.damping_rate": 500.0,
+        "soil.cohesion": ELASTIC,
+    }
+    scenario = benchmark(cells, courant=0.4, on_nodes=True, **changes)
+    if on_surface:
+        interval = PHASE * scenario.numerics.time_step
+        phases = {"numerics.contact": "surface", "numerics.remap_interval": interval}
+        scenario = scenario.replace(**phases)
+    slope, cell, time_step = math.radians(slope_deg), *_sizes(scenario)
+    down = np.array([math.cos(slope), -math.sin(slope)])
+    outward = np.array([math.sin(slope), math.cos(slope)])
+    plate = Leg(shape="plate", chord=0.5, half_thickness=0.02, friction=friction)
+    foot = np.array([0.045, 0.235])
+    # Hip to tip points down the slope, and the plate's upper face goes through the foot.
+    hip = foot - 0.1 * down - plate.half_thickness * outward
+    pose = (*hip.tolist(), math.atan2(-down[0], -down[1]), 0.0, 0.0, 0.0)
+    # Soil touches a node from one and a half cells off, and the band holds nodes off the plate.
+    corner = foot + (0.0 if on_surface else BAND_CELLS + 0.5) * cell * outward
+    spacing = cell / scenario.numerics.particles_per_cell_side
+    soil = block_of(
+        (float(corner[0]), float(corner[1])), BLOCK, spacing, scenario.soil.density, tilt=-slope
+    )
+    rig = rig_of(scenario).open_box()._replace(intruder=intruder_of(plate))
+    advance(soil, rig, round(SETTLING / time_step), pose=pose, kernel=kernel)
+    rig = rig.changed(damping_before=1.0, damping_after=1.0)
+    between = round(SLIDING / LOOKS / time_step)
+    speed = []
+    for _ in range(LOOKS):
+        advance(soil, rig, between, pose=pose, kernel=kernel)
+        speed.append(float(soil.mass @ (soil.velocity @ down) / soil.mass.sum()))
+    times = between * time_step * np.arange(1, LOOKS + 1)
+    obtained = float(np.polyfit(times, speed, 1)[0])
+    expected = max(0.0, GRAVITY * (math.sin(slope) - friction * math.cos(slope)))
+    sticks = expected == 0.0
+    check = Check(
+        problem="Block on an incline",
+        case=f"b = {slope_deg:g}°, μ = {friction:g}, kernel `{kernel}`"
+        + (", contact on the surface, in phases" if on_surface else "")
+        + (", sticks" if sticks else ""),
+        quantity="a [m/s²]",
+        expected=expected,
+        obtained=obtained,
+        # Where nothing should move, as a share of what gravity alone would do.
+        tolerance=0.02 * (GRAVITY * math.sin(slope) if sticks else 1.0),
+        relative=not sticks,
+        resolution=in_words(scenario),
+        source=SOURCE,
+    )
+    curves = {"slope_deg": slope_deg, "friction": friction, "a": obtained, "cells": cells}
+    return Outcome([check], curves)
+
+
+def _sizes(scenario: Scenario) -> tuple[float, float]:
+    return scenario.numerics.cell_size, scenario.numerics.time_step
+
+
+CASES = ((25.0, 0.0), (25.0, 0.2), (22.0, 0.35), (30.0, 0.35), (45.0, 0.35), (15.0, 0.35))
+"""Slope [deg] and friction; tan 19.29° = 0.35."""
+
+
+def tasks(quick: bool) -> list[Task]:
+    """Slopes on one grid, and one slope on others and by the other kernel."""
+    if quick:
+        return [
+            Task(f"slide-{n}", slide, {"cells": 32, "slope_deg": slope, "friction": friction})
+            for n, (slope, friction) in enumerate(((30.0, 0.35), (15.0, 0.35)))
+        ]
+    runs: list[dict[str, Any]] = [
+        *({"cells": 64, "slope_deg": b, "friction": mu} for b, mu in CASES),
+        {"cells": 64, "slope_deg": 19.0, "friction": 0.35},
+        {"cells": 32, "slope_deg": 30.0, "friction": 0.35},
+        {"cells": 128, "slope_deg": 30.0, "friction": 0.35},
+        {"cells": 64, "slope_deg": 30.0, "friction": 0.35, "kernel": "scalar"},
+        {"cells": 64, "slope_deg": 15.0, "friction": 0.35, "kernel": "scalar"},
+        *(
+            {"cells": 64, "slope_deg": b, "friction": mu, "contact": "surface"}
+            for b, mu in ((25.0, 0.0), (30.0, 0.35), (15.0, 0.35))
+        ),
+    ]
+    return [Task(f"slide-{n}", slide, run, 3.0) for n, run in enumerate(runs)]
+
+
+def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
+    """Acceleration over the slope, for each friction."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.5, 4.0), layout="constrained")
+    axes = figure.subplots()
+    runs = [outcome.curves for outcome in outcomes.values()]
+    slope = np.linspace(0.0, 50.0, 201)
+    for friction, colour in zip(
+        sorted({run["friction"] for run in runs}), (GREEN, ORANGE, BLUE), strict=False
+    ):
+        angle = np.radians(slope)
+        exact = np.maximum(0.0, GRAVITY * (np.sin(angle) - friction * np.cos(angle)))
+        axes.plot(slope, exact, color=colour, lw=1.0, label=f"exact, μ = {friction:g}")
+        mine = [run for run in runs if run["friction"] == friction]
+        axes.plot([r["slope_deg"] for r in mine], [r["a"] for r in mine], "o", color=colour, ms=5)
+    axes.axhline(0.0, color=GREY, lw=0.6)
+    axes.set_xlabel("slope b [deg]")
+    axes.set_ylabel("acceleration [m/s²]; points computed")
+    axes.legend(frameon=False)
+    return {"verification-sliding": figure}
+
+
+FAMILY = Family(
+    title="Friction of the contact",
+    meaning="An elastic block of soil on a tilted plate, which to the program is a leg. If these "
+    "pass, soil slips along the leg, and sticks to it, as Coulomb's law says.",
+    tasks=tasks,
+    figures=figures,
+)

@@ -1,0 +1,228 @@
+"""Outlines against brute force: the nearest of many points of the outline, drawn by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from terraphi.experiment.leg import (
+    LEG_SHAPES,
+    Leg,
+    LegShape,
+    arc_distance,
+    frame_axes,
+    rectangle_distance,
+    segment_distance,
+)
+
+chords = st.floats(0.02, 0.2)
+slimness = st.floats(0.01, 0.2)
+"""Half thickness over chord."""
+places = st.tuples(st.floats(-1.0, 2.0), st.floats(-1.5, 1.5))
+"""Points, in chords."""
+
+
+def arc_points(chord: float, curvature: float, count: int = 20001) -> np.ndarray:
+    """Points of the centre line, by its textbook parameters: shape [point, 2]."""
+    radius = 1.0 / abs(curvature)
+    half_angle = math.asin(min(0.5 * chord / radius, 1.0))
+    angle = np.linspace(-half_angle, half_angle, count)
+    s = 0.5 * chord + radius * np.sin(angle)
+    m = radius * (np.cos(angle) - math.cos(half_angle))
+    return np.stack([s, math.copysign(1.0, curvature) * m], axis=1)
+
+
+def rectangle_points(chord: float, half_thickness: float, count: int = 8001) -> np.ndarray:
+    s, m = np.linspace(0.0, chord, count), np.linspace(-half_thickness, half_thickness, count)
+    sides = [
+        (s, 0 * s - half_thickness),
+        (s, 0 * s + half_thickness),
+        (0 * m, m),
+        (0 * m + chord, m),
+    ]
+    return np.concatenate([np.stack(side, axis=1) for side in sides])
+
+
+def nearest_distance(point: tuple[float, float], outline: np.ndarray) -> float:
+    return float(np.hypot(*(outline - np.array(point)).T).min())
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    chord=chords, slim=slimness, bend=st.floats(0.02, 1.0), side=st.sampled_from([-1, 1]), at=places
+)
+def test_arc_distance(
+    chord: float, slim: float, bend: float, side: int, at: tuple[float, float]
+) -> None:
+    """Any circular arc up to a semicircle, thickened by a constant."""
+    curvature, thickness = side * bend * 2.0 / chord, slim * chord
+    point = (at[0] * chord, at[1] * chord)
+    distance, *_ = arc_distance(*point, chord, thickness, curvature)
+    expected = nearest_distance(point, arc_points(chord, curvature)) - thickness
+    # Neighbouring points lie πR/20000 apart; half of that is the most that a foot can be missed by.
+    assert distance == pytest.approx(expected, abs=1e-4 * chord)
+    # Where the ends of a near semicircle lie is a square root of what rounding leaves of 1 - bend.
+    assert distance <= expected + 2e-8 * chord
+
+
+@settings(max_examples=60, deadline=None)
+@given(chord=chords, slim=slimness, at=places)
+def test_segment_distance(chord: float, slim: float, at: tuple[float, float]) -> None:
+    line = np.stack([np.linspace(0.0, chord, 20001), np.zeros(20001)], axis=1)
+    point, thickness = (at[0] * chord, at[1] * chord), slim * chord
+    distance, *_ = segment_distance(*point, chord, thickness)
+    assert distance == pytest.approx(nearest_distance(point, line) - thickness, abs=1e-4 * chord)
+
+
+@settings(max_examples=60, deadline=None)
+@given(chord=chords, slim=st.floats(0.01, 2.0), at=places)
+def test_rectangle_distance(chord: float, slim: float, at: tuple[float, float]) -> None:
+    thickness = slim * chord
+    point = (at[0] * chord, at[1] * chord)
+    distance, *_ = rectangle_distance(*point, chord, thickness)
+    inside = 0.0 < point[0] < chord and abs(point[1]) < thickness
+    expected = nearest_distance(point, rectangle_points(chord, thickness))
+    assert distance == pytest.approx(-expected if inside else expected, abs=5e-4 * chord)
+
+
+@settings(max_examples=100, deadline=None)
+@given(shape=st.sampled_from(LEG_SHAPES), at=places)
+def test_the_normal_is_the_gradient_of_the_distance(
+    shape: LegShape, at: tuple[float, float]
+) -> None:
+    leg = Leg(shape=shape)
+    point = np.array(at) * leg.chord
+    step = 1e-7
+    shifts = step * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    distance, normals = leg.signed_distance(np.vstack([point, point + shifts]))
+    assert np.hypot(*normals.T) == pytest.approx(1.0)
+    if np.abs(normals[1:] - normals[0]).max() > 1e-3:
+        return  # on a ridge, such as the centre line, the gradient does not exist
+    gradient = np.array([distance[1] - distance[2], distance[3] - distance[4]]) / (2.0 * step)
+    assert gradient == pytest.approx(normals[0], abs=1e-3)
+
+
+@settings(max_examples=50, deadline=None)
+@given(at=places)
+def test_the_reversed_c_is_the_mirror_image_of_the_c(at: tuple[float, float]) -> None:
+    forward, backward = Leg(shape="c"), Leg(shape="reversed_c")
+    points = np.array([at]) * forward.chord
+    one, one_normal = forward.signed_distance(points)
+    other, other_normal = backward.signed_distance(points * [1.0, -1.0])
+    assert one == pytest.approx(other, abs=1e-15)
+    if abs(at[1]) > 1e-9 and abs(one[0]) > 1e-12:
+        assert one_normal == pytest.approx(other_normal * [1.0, -1.0], abs=1e-12)
+
+
+def test_the_c_bulges_where_it_moves() -> None:
+    """Its middle is half a chord ahead of the chord; the reversed one's is as far behind."""
+    c, back = Leg(shape="c"), Leg(shape="reversed_c")
+    middle = np.array([[0.5 * c.chord, 0.5 * c.chord]])
+    assert c.signed_distance(middle)[0] == pytest.approx(-c.half_thickness)
+    assert back.signed_distance(-middle + [c.chord, 0.0])[0] == pytest.approx(-c.half_thickness)
+    # Hanging down, the tip moves backwards, so the C bulges to -x.
+    _, motion = frame_axes(0.0)
+    assert motion == pytest.approx([-1.0, 0.0])
+
+
+@pytest.mark.parametrize("shape", LEG_SHAPES)
+def test_hip_and_tip_lie_on_the_centre_line(shape: LegShape) -> None:
+    leg = Leg(shape=shape)
+    distance, _ = leg.signed_distance(np.array([[0.0, 0.0], [leg.chord, 0.0]]))
+    on_edge = 0.0 if shape == "plate" else -leg.half_thickness
+    assert distance == pytest.approx(on_edge, abs=1e-15)
+
+
+def test_distances_by_hand() -> None:
+    chord, half = 0.08, 0.005
+    assert segment_distance(0.11, 0.04, chord, half) == pytest.approx((0.045, 0.6, 0.8))
+    assert rectangle_distance(0.11, 0.045, chord, half) == pytest.approx((0.05, 0.6, 0.8))
+    assert rectangle_distance(0.001, 0.0, chord, half) == pytest.approx((-0.001, -1.0, 0.0))
+    # A semicircle of radius 40 mm about (40, 0) mm; 10 mm outside along 3-4-5, and the centre.
+    assert arc_distance(0.07, 0.04, chord, half, 25.0) == pytest.approx((0.005, 0.6, 0.8))
+    assert arc_distance(0.04, 0.0, chord, half, 25.0)[0] == pytest.approx(0.035)
+
+
+@pytest.mark.parametrize(("shape", "over_chord"), [("straight", 1.0), ("c", math.pi / 2.0)])
+@pytest.mark.parametrize("panels", [10, 137, 200])
+def test_panels_add_up_to_the_true_arc(shape: LegShape, over_chord: float, panels: int) -> None:
+    line = Leg(shape=shape).centre_line(panels)
+    assert line.length.sum() == pytest.approx(over_chord * 0.0762, rel=1e-12)
+    assert np.hypot(*line.tangent.T) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("shape", LEG_SHAPES)
+def test_panels_lie_on_the_centre_line_and_follow_it(shape: LegShape) -> None:
+    leg = Leg(shape=shape)
+    line = leg.centre_line(400)
+    if shape != "plate":
+        assert leg.signed_distance(line.centre)[0] == pytest.approx(-leg.half_thickness, abs=1e-15)
+    chords = np.diff(line.centre, axis=0)
+    chords /= np.hypot(*chords.T)[:, None]
+    middle = 0.5 * (line.tangent[1:] + line.tangent[:-1])
+    assert chords == pytest.approx(middle, abs=1e-4)
+    # From hip to tip: the elements' sum is the chord.
+    total = (line.tangent * line.length[:, None]).sum(axis=0)
+    assert total == pytest.approx([leg.chord, 0.0], abs=1e-6)
+
+
+@pytest.mark.parametrize("shape", LEG_SHAPES)
+def test_reach_is_the_farthest_point_of_the_outline(shape: LegShape) -> None:
+    leg = Leg(shape=shape)
+    if shape == "plate":
+        far = np.hypot(*rectangle_points(leg.chord, leg.half_thickness).T).max()
+    else:
+        line = leg.centre_line(2000).centre
+        far = np.hypot(*line.T).max() + leg.half_thickness
+    assert leg.reach() == pytest.approx(far, abs=1e-4)
+
+
+@given(theta=st.floats(-math.pi, math.pi))
+def test_axes_of_the_frame(theta: float) -> None:
+    """θ from the downward vertical; the tip's motion is the derivative of its place."""
+    along, motion = frame_axes(theta)
+    assert along == pytest.approx([-math.sin(theta), -math.cos(theta)])
+    assert along @ motion == pytest.approx(0.0, abs=1e-15)
+    derivative = (frame_axes(theta + 1e-6)[0] - frame_axes(theta - 1e-6)[0]) / 2e-6
+    assert motion == pytest.approx(derivative, abs=1e-8)
+
+
+def test_before_it_hangs_the_leg_is_ahead_and_moves_down() -> None:
+    along, motion = frame_axes(np.radians([-60.0, 0.0]))
+    assert along[0, 0] > 0.0
+    assert motion[0, 1] < 0.0
+    assert along[1] == pytest.approx([0.0, -1.0])
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("shape", "banana"), ("chord", 0.0), ("half_thickness", 0.05), ("width", -1.0), ("mu", 0.3)],
+)
+def test_legs_that_cannot_be(key: str, value: object) -> None:
+    with pytest.raises(ValidationError, match=key):
+        Leg.model_validate({key: value})
+
+
+def test_a_plate_may_be_thicker_than_long() -> None:
+    assert Leg(shape="plate", chord=0.02, half_thickness=0.05).reach() == pytest.approx(
+        math.hypot(0.02, 0.05)
+    )
+
+
+@pytest.mark.parametrize("shape", LEG_SHAPES)
+def test_outline_lies_where_the_distance_is_zero_and_encloses_the_leg(shape: LegShape) -> None:
+    leg = Leg(shape=shape)
+    corners = leg.outline()
+    distance, _ = leg.signed_distance(corners)
+    assert np.abs(distance).max() < 1e-12
+    x, y = corners.T
+    area = 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
+    # A strip of constant thickness, by Pappus also where it is bent, and two half discs.
+    length = leg.chord * (1.0 if leg.curvature == 0.0 else 0.5 * math.pi)
+    ends = 0.0 if shape == "plate" else math.pi * leg.half_thickness**2
+    assert area == pytest.approx(2.0 * leg.half_thickness * length + ends, rel=2e-3)

@@ -1,0 +1,64 @@
+"""What a careful reader would ask about, and that the shipped scenarios raise no question."""
+
+from __future__ import annotations
+
+import pytest
+
+from terraphi.experiment.documents import shipped_names
+from terraphi.experiment.plausibility import doubts
+from terraphi.experiment.scenario import Scenario
+from terraphi.library.plan import Plan
+
+
+@pytest.mark.parametrize("name", shipped_names("scenarios", ".toml"))
+def test_shipped_scenarios_raise_no_question(name: str) -> None:
+    assert doubts(Scenario.load(name)) == []
+
+
+@pytest.mark.parametrize("name", shipped_names("plans", ".toml"))
+def test_shipped_plans_raise_no_question(name: str) -> None:
+    assert [doubts(scenario) for scenario in Plan.load(name).cases() if doubts(scenario)] == []
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("soil.friction_angle_deg", 0.61, ["friction_angle_deg = 0.61", "in degrees"]),
+        ("soil.density", 16500.0, ["density = 16500", "kg/m³"]),
+        ("soil.youngs_modulus", 20.0, ["youngs_modulus = 20", "in pascals"]),
+        ("leg.width", 25.4, ["width = 25.4", "in metres"]),
+        ("leg.friction", 1e9, ["friction = 1e+09", "a coefficient"]),
+        ("soil.cohesion", 1e9, ["cohesion = 1e+09", "in pascals"]),
+        ("numerics.time_step", 1e-14, ["time_step = 1e-14", "in seconds"]),
+    ],
+)
+def test_a_number_in_another_unit(key: str, value: float, words: list[str]) -> None:
+    (doubt,) = doubts(Scenario.load("quick").replace(**{key: value}))
+    assert all(word in doubt for word in words)
+
+
+def test_a_leg_in_millimetres() -> None:
+    # The material point method refuses it; resistive force theory has no walls.
+    long = Scenario.load("quick").replace(model="rft", **{"leg.chord": 76.2})
+    assert any("leg.chord = 76.2 is unusual: it is in metres" in doubt for doubt in doubts(long))
+
+
+def test_a_translation_is_not_asked_for_its_rate() -> None:
+    motion = {"kind": "translation", "start": [0.15, 0.3], "velocity": [0.0, -0.1], "distance": 0.1}
+    scenario = Scenario(model="rft").replace(motion=motion)
+    assert not any("rate" in doubt for doubt in doubts(scenario))
+
+
+def test_a_leg_that_never_touches() -> None:
+    # The hip is 100 mm above the surface of a lower bed, the leg 76.2 mm long with a rounded end.
+    (doubt,) = doubts(Scenario.load("quick").replace(**{"bed.height": 0.085}))
+    assert "never reaches the soil" in doubt
+    gap = float(doubt.split("stays ")[1].split(" mm")[0])
+    assert gap == pytest.approx(100.0 - 76.2, abs=3.3)
+
+
+def test_a_leg_that_begins_in_the_soil() -> None:
+    (doubt,) = doubts(Scenario.load("quick").replace(**{"motion.start_deg": 0.0}))
+    assert "begins" in doubt
+    deep = float(doubt.split("begins ")[1].split(" mm")[0])
+    assert deep == pytest.approx(76.2 - 20.0, abs=3.3)

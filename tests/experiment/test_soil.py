@@ -1,0 +1,222 @@
+"""Friction angles against the paper's table, hand numbers and an element sheared to its limit."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+from scipy.integrate import solve_ivp
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.soil import (
+    YIELD_CRITERIA,
+    Soil,
+    YieldCriterion,
+    cone_slope,
+    friction_angle_from_plane_strain_deg,
+    plane_strain_friction_angle_deg,
+)
+
+
+@pytest.mark.parametrize(
+    ("paper", "plane_strain"), [(25, 10.9), (30, 13.4), (35, 15.8), (40, 18.4), (45, 20.9)]
+)
+def test_the_papers_angles_are_these_in_plane_strain(paper: float, plane_strain: float) -> None:
+    assert plane_strain_friction_angle_deg(paper, "paper") == pytest.approx(plane_strain, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("triaxial", "plane_strain"), [(25, 34.6), (30, 43.9), (35, 55.0), (40, 70.8)]
+)
+def test_triaxial_without_dilation(triaxial: float, plane_strain: float) -> None:
+    found = plane_strain_friction_angle_deg(triaxial, "triaxial")
+    assert found == pytest.approx(plane_strain, abs=0.05)
+
+
+@pytest.mark.parametrize(("triaxial", "plane_strain"), [(25, 37.0), (30, 49.1), (35, 68.3)])
+def test_triaxial_associated(triaxial: float, plane_strain: float) -> None:
+    found = plane_strain_friction_angle_deg(triaxial, "triaxial", dilation_angle_deg=triaxial)
+    assert found == pytest.approx(plane_strain, abs=0.05)
+
+
+def test_triaxial_associated_is_the_matching_of_drucker_and_prager() -> None:
+    """α = tan φ' / √(9 + 12 tan² φ'), the textbook's plane-strain match for associated flow."""
+    for degrees in (20.0, 35.0, 50.0):
+        tangent = math.tan(math.radians(degrees))
+        slope = tangent / math.sqrt(9.0 + 12.0 * tangent**2)
+        triaxial = friction_angle_from_plane_strain_deg(degrees, "triaxial", associated=True)
+        assert cone_slope(triaxial, "triaxial") == pytest.approx(slope, rel=1e-12)
+
+
+@pytest.mark.parametrize(("phi", "psi"), [(40.0, 40.0), (42.3, 0.0), (60.0, 10.0), (89.0, 89.0)])
+def test_triaxial_angles_without_an_equivalent(phi: float, psi: float) -> None:
+    with pytest.raises(InputError, match=f"{phi:.2f} deg .*no equivalent in plane strain"):
+        plane_strain_friction_angle_deg(phi, "triaxial", dilation_angle_deg=psi)
+
+
+def test_the_last_triaxial_angle_with_an_equivalent() -> None:
+    """At ψ = 0 the limit is α = 1/3: sin φ = 3√3 / (6 + √3), 42.2°."""
+    limit = math.degrees(math.asin(3.0 * math.sqrt(3.0) / (6.0 + math.sqrt(3.0))))
+    assert limit == pytest.approx(42.2, abs=0.05)
+    assert plane_strain_friction_angle_deg(limit - 1e-6, "triaxial") > 89.0
+    with pytest.raises(InputError):
+        plane_strain_friction_angle_deg(limit + 1e-6, "triaxial")
+
+
+def sheared_to_its_limit(alpha: float, beta: float, poisson_ratio: float) -> float:
+    """Angle sin⁻¹(r/|p|) [deg] of a Drucker-Prager element in plane strain at its limit state.
+
+    Principal axes, rates of stress and strain: elastic until yield, then C (ε̇ - Λ̇ m) with Λ̇ from
+    consistency. The element is squeezed along x and let go along z so that (σ_x + σ_z)/2 stays.
+    """
+    shear, lame = 1.0, 2.0 * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
+    stiffness = lame * np.ones((3, 3)) + 2.0 * shear * np.eye(3)
+    squeeze, swell = np.array([-1.0, 1.0, 0.0]), np.array([1.0, 1.0, 0.0])  # axes x, z, y
+    mean = np.array([0.5, 0.5, 0.0])
+
+    def invariants(stress: np.ndarray) -> tuple[float, np.ndarray]:
+        deviator = stress - stress.mean()
+        return math.sqrt(0.5 * deviator @ deviator), deviator
+
+    def rate(_: float, stress: np.ndarray) -> np.ndarray:
+        root, deviator = invariants(stress)
+        if root + alpha * stress.sum() < 0.0:
+            # The in-plane mean stays for pure shear, so no swelling is needed before yield.
+            return stiffness @ squeeze
+        normal, flow = deviator / (2.0 * root) + alpha, deviator / (2.0 * root) + beta
+        # Unknown Λ̇ and swelling rate: stay on the cone, and at the same in-plane mean.
+        matrix = np.array(
+            [
+                [-normal @ stiffness @ flow, normal @ stiffness @ swell],
+                [-mean @ stiffness @ flow, mean @ stiffness @ swell],
+            ]
+        )
+        known = np.array([normal @ stiffness @ squeeze, mean @ stiffness @ squeeze])
+        multiplier, swelling = np.linalg.solve(matrix, -known)
+        return stiffness @ (squeeze + swelling * swell - multiplier * flow)
+
+    def yields(_: float, stress: np.ndarray) -> float:
+        return invariants(stress)[0] + alpha * stress.sum()
+
+    yields.terminal = True  # type: ignore[attr-defined]
+    start = np.array([-1.0, -1.0, -1.0])
+    elastic = solve_ivp(rate, (0.0, 10.0), start, events=yields, rtol=1e-10, atol=1e-12)
+    on_cone = elastic.y[:, -1] - 1e-12 * np.sign(elastic.y[:, -1])  # a hair beyond
+    plastic = solve_ivp(rate, (0.0, 30.0), on_cone, rtol=1e-9, atol=1e-11)
+    x, z, _ = plastic.y[:, -1]
+    return math.degrees(math.asin((z - x) / -(x + z)))
+
+
+@pytest.mark.parametrize(
+    ("phi", "psi"), [(25.0, 0.0), (30.0, 10.0), (30.0, 30.0), (35.0, 5.0), (35.0, 20.0)]
+)
+def test_triaxial_is_the_limit_state_of_a_sheared_element(phi: float, psi: float) -> None:
+    alpha, beta = cone_slope(phi, "triaxial"), cone_slope(psi, "triaxial")
+    expected = plane_strain_friction_angle_deg(phi, "triaxial", dilation_angle_deg=psi)
+    assert sheared_to_its_limit(alpha, beta, 0.30) == pytest.approx(expected, abs=1e-3)
+
+
+def test_the_triaxial_cone_goes_through_triaxial_compression() -> None:
+    """σ1/σ3 = (1 + sin φ)/(1 - sin φ) lies on √J2 + α I1 = 0."""
+    for phi in (20.0, 35.0, 60.0):
+        sine = math.sin(math.radians(phi))
+        high, low = -(1.0 + sine), -(1.0 - sine)
+        root = (low - high) / math.sqrt(3.0)
+        assert root + cone_slope(phi, "triaxial") * (high + 2.0 * low) == pytest.approx(
+            0, abs=1e-12
+        )
+
+
+@pytest.mark.parametrize("criterion", YIELD_CRITERIA)
+@given(angle=st.floats(0.1, 30.0), associated=st.booleans())
+def test_conversion_there_and_back(
+    criterion: YieldCriterion, angle: float, associated: bool
+) -> None:
+    there = friction_angle_from_plane_strain_deg(angle, criterion, associated=associated)
+    back = plane_strain_friction_angle_deg(
+        there, criterion, dilation_angle_deg=there if associated else 0.0
+    )
+    assert back == pytest.approx(angle, abs=1e-9)
+
+
+@given(angle=st.floats(0.1, 34.9))
+def test_the_paper_s_angles_are_weaker_and_triaxial_ones_stronger(angle: float) -> None:
+    assert plane_strain_friction_angle_deg(angle, "paper") < angle
+    assert plane_strain_friction_angle_deg(angle, "plane_strain") == pytest.approx(angle)
+    assert plane_strain_friction_angle_deg(angle, "triaxial") > angle
+
+
+def test_an_angle_out_of_reach_of_the_paper_s_criterion() -> None:
+    """Its slope ends at 1/√3, sin of 35.26°."""
+    assert friction_angle_from_plane_strain_deg(35.2, "paper") < 90.0
+    with pytest.raises(InputError, match=r"35\.30 deg is out of reach of the 'paper'.*35\.26 deg"):
+        friction_angle_from_plane_strain_deg(35.3, "paper")
+
+
+def test_elastic_constants_by_hand() -> None:
+    """E = 20 MPa, ν = 0.3: G = 20/2.6, λ = 6/(1.3 x 0.4), M = λ + 2G = 20 x 0.7/0.52 MPa."""
+    soil = Soil(density=1650.0, youngs_modulus=20e6, poisson_ratio=0.3)
+    assert soil.shear_modulus == pytest.approx(20e6 / 2.6)
+    assert soil.lame_lambda == pytest.approx(6e6 / 0.52)
+    assert soil.p_wave_speed == pytest.approx(math.sqrt(20e6 * 0.7 / 0.52 / 1650.0))
+
+
+def test_earth_pressure_at_rest() -> None:
+    assert Soil(friction_angle_deg=30.0).k0_at_rest == pytest.approx(0.5)
+    assert Soil(friction_angle_deg=30.0, k0=0.43).k0_at_rest == 0.43
+
+
+@pytest.mark.parametrize(
+    ("criterion", "intercept"),
+    # c = 1 kPa, φ = 30°: c cos φ; and 6 c cos φ / (√3 x 2.5) = 2.4 c cos φ / √3 = 1.2 c.
+    [("plane_strain", 866.0254), ("paper", 1200.0), ("triaxial", 1200.0)],
+)
+def test_cohesion(criterion: YieldCriterion, intercept: float) -> None:
+    soil = Soil(cohesion=1000.0, friction_angle_deg=30.0, yield_criterion=criterion)
+    assert soil.cone_intercept == pytest.approx(intercept, rel=1e-6)
+
+
+def test_the_apex_of_the_cohesive_cone_is_mohr_coulombs() -> None:
+    """k/α = c cot φ for a Mohr-Coulomb material in plane strain."""
+    soil = Soil(cohesion=500.0, friction_angle_deg=33.0, yield_criterion="plane_strain")
+    apex = soil.cone_intercept / cone_slope(33.0, "plane_strain")
+    assert apex == pytest.approx(500.0 / math.tan(math.radians(33.0)))
+
+
+def test_flow_decides_the_potential() -> None:
+    assert Soil(friction_angle_deg=35.0, dilation_angle_deg=8.0).potential_angle_deg == 8.0
+    associated = Soil(friction_angle_deg=35.0, flow="associated", yield_criterion="triaxial")
+    assert associated.potential_angle_deg == 35.0
+    assert associated.plane_strain_friction_angle_deg == pytest.approx(68.3, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("density", -1.0),
+        ("density", 0.0),
+        ("density", math.nan),
+        ("youngs_modulus", math.inf),
+        ("poisson_ratio", 0.5),
+        ("poisson_ratio", -0.1),
+        ("friction_angle_deg", 0.0),
+        ("friction_angle_deg", 90.0),
+        ("dilation_angle_deg", 36.0),  # above φ = 35
+        ("yield_criterion", "mohr_coulomb"),
+        ("cohesion", -1.0),
+        ("k0", 0.0),
+        ("poisson", 0.3),
+    ],
+)
+def test_soils_that_cannot_be(key: str, value: object) -> None:
+    with pytest.raises(ValidationError, match=key):
+        Soil.model_validate({key: value})
+
+
+def test_a_soil_is_frozen() -> None:
+    with pytest.raises(ValidationError, match="frozen"):
+        Soil().density = 1.0  # type: ignore[misc]

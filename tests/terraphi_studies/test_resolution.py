@@ -1,0 +1,116 @@
+"""The way to preset resolved, and what is left when things are halved; on made-up histories."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.scenario import Scenario
+from terraphi.library.plan import Plan
+from terraphi_studies import resolution
+
+THETA = np.radians(np.arange(-82.0, 5.0, 0.1) + 0.05)
+
+
+def history(fz: float, fx: float) -> ForceHistory:
+    """Two broad bumps with these peaks."""
+    lift = fz * np.exp(-(((THETA - math.radians(-55)) / 0.5) ** 2))
+    thrust = fx * np.exp(-(((THETA - math.radians(-20)) / 0.5) ** 2))
+    return ForceHistory(THETA, np.stack([thrust, lift], axis=1), coordinate="theta")
+
+
+@pytest.fixture(name="plans")
+def _plans() -> tuple[Plan, Plan]:
+    base: dict[str, Any] = {"name": "start", "motion": {"start_deg": -82.0, "stop_deg": 5.0}}
+    way = {
+        "name": "waterfall",
+        "scenario": base,
+        "steps": [
+            {"name": "no drag", "changes": {"numerics.damping_rate": 0.0}},
+            {"name": "thin band", "changes": {"numerics.contact_band_cells": 0.5}},
+        ],
+    }
+    halved = {
+        "name": "resolution",
+        "scenario": base,
+        "steps": [
+            {"name": "seed 1", "after": "base", "changes": {"numerics.seed": 1}},
+            {"name": "Δt halved", "after": "base", "changes": {"numerics.time_step": 4e-6}},
+            {"name": "k doubled", "after": "base", "changes": {"numerics.speed_up": 2.0}},
+        ],
+    }
+    return Plan.model_validate(way), Plan.model_validate(halved)
+
+
+def finished_of(plan: Plan, peaks: list[tuple[float, float]]) -> dict[str, ForceHistory]:
+    found = zip(plan.variants(), peaks, strict=False)
+    return {variant.scenario.hash: history(*values) for variant, values in found}
+
+
+def test_each_step_takes_the_difference_to_the_one_before(plans: tuple[Plan, Plan]) -> None:
+    finished = finished_of(plans[1], [(10.0, 5.0), (10.0, 5.0)])
+    finished |= finished_of(plans[0], [(10.0, 5.0), (7.0, 4.0), (6.0, 4.5)])
+    data = resolution.study_of(*plans, finished).data
+    assert [s["step"] for s in data["waterfall"]] == ["start", "no drag", "thin band"]
+    taken = [(s["change_N"]["Fz"], s["change_N"]["Fx"]) for s in data["waterfall"]]
+    np.testing.assert_allclose(taken, [(0, 0), (-3, -1), (-1, 0.5)], atol=2e-3)
+
+
+def test_changes_are_measured_from_the_mean_over_the_seeds(plans: tuple[Plan, Plan]) -> None:
+    finished = finished_of(plans[0], [(10.0, 5.0)])
+    finished |= finished_of(plans[1], [(9.0, 5.0), (11.0, 5.0), (10.3, 4.9), (10.2, 5.6)])
+    study = resolution.study_of(*plans, finished)
+    assert study.data["resolved"]["peaks_N"]["Fz"] == pytest.approx(10.0, rel=1e-3)
+    scatter = study.data["resolved"]["seed_scatter_percent"]
+    assert scatter["Fz"] == pytest.approx(100 * math.sqrt(2) / 10, rel=1e-3)
+    halved = study.data["halved"]
+    assert set(halved) == {"Δt halved", "k doubled"}
+    assert halved["Δt halved"]["within_5_percent"]
+    assert not halved["k doubled"]["within_5_percent"]
+    assert halved["k doubled"]["change_percent"]["Fx"] == pytest.approx(12.0, rel=1e-2)
+    # Bumps of the same shape: their means change as their peaks do.
+    assert halved["k doubled"]["mean_change_percent"]["Fx"] == pytest.approx(12.0, rel=1e-2)
+    # In the degrees of the library by which measured forces are inverted.
+    for force, change in (("Fz", "change"), ("Fx", "mean_change")):
+        percent = halved["k doubled"][f"{change}_percent"][force]
+        turned = math.log(1.0 + percent / 100.0) / (study.data["percent_per_degree"][force] / 100)
+        assert halved["k doubled"][f"{change}_deg"][force] == pytest.approx(turned, rel=1e-9)
+    assert study.data["percent_per_degree"] == pytest.approx({"Fz": 5.1, "Fx": 4.0}, abs=0.1)
+    assert any(row[0] == "resolved, k doubled" and row[4].endswith("°") for row in study.rows)
+    # Bumps of the same shape: their means scatter as the peaks do, and the largest counts.
+    assert study.data["resolved"]["mean_scatter_percent"]["Fz"] == pytest.approx(10.0, rel=1e-2)
+    assert any("more than 5 % with: k doubled" in note for note in study.notes)
+
+
+def test_what_is_missing_is_said(plans: tuple[Plan, Plan]) -> None:
+    finished = finished_of(plans[0], [(10.0, 5.0), (7.0, 4.0)])
+    finished |= finished_of(plans[1], [(10.0, 5.0)])
+    study = resolution.study_of(*plans, finished)
+    assert study.data["missing"] == ["thin band", "seed 1", "Δt halved", "k doubled"]
+    assert len(study.data["waterfall"]) == 2
+    with pytest.raises(InputError, match="plan 'waterfall': its base"):
+        resolution.study_of(*plans, {})
+
+
+def test_the_way_ends_at_the_preset() -> None:
+    way, halved = (Plan.load(name) for name in resolution.PLANS)
+    ends = {"motion.start_deg": -82.0, "motion.stop_deg": 5.0}
+    assert (
+        way.scenario.hash
+        == Scenario.load("paper-1").replace(**ends, **{"numerics.speed_up": 10.0}).hash
+    )
+    resolved = Scenario.load("resolved").replace(**ends)
+    assert way.variants()[-1].scenario.hash == halved.scenario.hash == resolved.hash
+
+
+def test_shipped_histories_are_of_the_plans() -> None:
+    for name in resolution.PLANS:
+        plan = Plan.load(name)
+        finished = resolution.finished_for(name, None)
+        assert set(finished) <= {scenario.hash for scenario in plan.cases()}
+        assert plan.scenario.hash in finished

@@ -1,0 +1,91 @@
+"""Studies by name, on the shipped libraries."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import terraphi_studies as studies
+from terraphi.experiment.errors import InputError
+
+
+def test_unknown_study_names_the_nearest() -> None:
+    with pytest.raises(InputError, match="did you mean 'benchmark'"):
+        studies.run("bench")
+
+
+def test_benchmark_has_every_leg_and_model() -> None:
+    found = studies.run("benchmark")
+    json.dumps(found.data, allow_nan=False)
+    for leg in ("straight", "c", "reversed_c"):
+        assert {"mpm", "rft2d", "rft3d"} <= set(found.data["nrmsd_percent"][leg])
+        tops = found.data["peaks"][leg]
+        # Signs and orders of magnitude, above all those of the reversed C, whose lift is small.
+        for force in ("Fx_N", "Fz_N"):
+            assert 0.25 < tops["mpm"][force] / tops["measured"][force] < 4.0, (leg, force)
+    # Xu & Wang print these for the theory of Li et al.: F_z and F_x, percent.
+    published = {"straight": (11.5, 3.5), "c": (23.7, 16.5), "reversed_c": (188.7, 75.9)}
+    for leg, (fz, fx) in published.items():
+        ours = found.data["nrmsd_percent"][leg]["rft2d"]
+        assert (ours["Fz"], ours["Fx"]) == pytest.approx((fz, fx), abs=2.0)
+    assert set(found.figures) == {f"benchmark-{leg}" for leg in ("straight", "c", "reversed_c")}
+    lift = [p["rft3d"]["Fz_N"] / p["measured"]["Fz_N"] for p in found.data["peaks"].values()]
+    assert f"{min(lift):.1f} to {max(lift):.1f} times the measured" in found.notes[0]
+
+
+@pytest.fixture(scope="module")
+def reported() -> list[tuple[float, float]]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def recovery(reported: list[tuple[float, float]]) -> studies.Study:
+    return studies.run("recovery", progress=lambda done, total: reported.append((done, total)))
+
+
+def test_recovery_finds_fresh_off_grid_simulations(recovery: studies.Study) -> None:
+    data = recovery.data
+    assert len(data["cases"]) == 14
+    # What Xu & Wang print, on truths of the same angles.
+    assert data["abs_error_deg"]["median"] <= 0.09
+    assert data["abs_error_deg"]["max"] <= 0.73
+    assert data["inside68"] == len(data["cases"])
+    told = f"are recovered to {data['abs_error_deg']['max']:.2f}° and better"
+    assert told in (Path(__file__).parents[2] / "README.md").read_text()
+
+
+def test_recovery_samplers_agree(recovery: studies.Study) -> None:
+    for case in recovery.data["cases"]:
+        assert case["medians_apart_in_errors"] < 3.0, case["phi_true_deg"]
+    errors = max(case["medians_apart_in_errors"] for case in recovery.data["cases"])
+    (note,) = recovery.notes
+    assert f"by up to {errors:.1f} Monte-Carlo errors" in note
+
+
+def test_recovery_says_how_far_it_is(
+    recovery: studies.Study, reported: list[tuple[float, float]]
+) -> None:
+    assert reported == [(done, len(recovery.rows)) for done in range(1, len(recovery.rows) + 1)]
+
+
+def test_recovery_summary_follows_from_its_cases(recovery: studies.Study) -> None:
+    cases = recovery.data["cases"]
+    errors = [abs(c["phi_median_deg"] - c["phi_true_deg"]) for c in cases]
+    assert recovery.data["abs_error_deg"]["max"] == pytest.approx(max(errors))
+    halves = [0.5 * (c["ci68"][1] - c["ci68"][0]) for c in cases]
+    assert recovery.data["ci68_half_width_deg"]["median"] == pytest.approx(np.median(halves))
+    assert len(recovery.rows) == len(cases)
+
+
+def test_a_place_that_cannot_be_made_is_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setattr("terraphi_studies.k0.run", lambda **_: pytest.fail("it computes"))
+    for place in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(InputError, match="file: is a file; name a folder"):
+            studies.run("k0", out=place)
+    assert (tmp_path / "file").read_text() == "mine"

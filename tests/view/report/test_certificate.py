@@ -1,0 +1,44 @@
+"""A certificate as another version of a library's file holds it, and everything that is none."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from terraphi.view.report.certificate import certificate_of, certificate_parts
+from terraphi.view.report.parts import Table, Text
+
+LEGS = {"straight": {"coverage68": 0.683, "coverage95": 0.951, "replicates": 5000}, "c": {}}
+
+
+def library(calibration: Any) -> Any:
+    return SimpleNamespace(name="mine", calibration=calibration)
+
+
+def test_coverage_is_shown_by_leg() -> None:
+    (table,) = certificate_parts(library({"certificate": {"seed": 0, "legs": LEGS}}))
+    assert isinstance(table, Table)
+    assert table.header == ("", "straight", "c")
+    assert ("truths inside the 68 % interval [-]", "0.683", "–") in table.rows
+
+
+def test_only_the_leg_that_was_asked_for() -> None:
+    (table,) = certificate_parts(library({"certificate": {"legs": LEGS}}), leg="straight")
+    assert isinstance(table, Table)
+    assert table.header == ("", "straight")
+
+
+@pytest.mark.parametrize(
+    "calibration", [None, {}, 3, {"certificate": None}, {"certificate": {"legs": [1]}},
+                    {"certificate": {"legs": {"c": 3}}}],
+)  # fmt: skip
+def test_what_is_no_certificate_is_none(calibration: Any) -> None:
+    assert certificate_of(library(calibration)) == {}
+    (text,) = certificate_parts(library(calibration))
+    assert isinstance(text, Text)
+
+
+def test_a_library_that_knows_of_no_certificates_has_none() -> None:
+    assert certificate_of(SimpleNamespace(name="old")) == {}  # type: ignore[arg-type]

@@ -1,0 +1,78 @@
+"""Pictures: what is drawn is what was found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.measurements import measurement
+from terraphi.inference.inversion import Inversion, invert
+from terraphi.library.store import Library
+from terraphi.view import plots
+
+
+@pytest.fixture(scope="module")
+def found() -> Inversion:
+    measured = measurement("li2013:poppy_loose/straight")
+    return invert(
+        measured.history,
+        library=Library.load("rft3d"),
+        density=measured.density_kg_m3,
+        source=measured.name,
+    )
+
+
+def test_a_row_an_inversion_with_data_curve_and_posterior(found: Inversion) -> None:
+    figure = plots.inversions_figure([found, found])
+    assert len(figure.axes) == 6
+    thrust, lift, posterior = figure.axes[:3]
+    points = next(line for line in thrust.lines if line.get_marker() == "o")
+    assert np.asarray(points.get_ydata()) == pytest.approx(found.observation.Fx)
+    curves = [np.asarray(line.get_ydata()) for line in lift.lines]
+    assert any(len(c) == 40 and np.allclose(c, found.best[40:]) for c in curves)
+    assert f"{found.phi.median:.1f}°" in posterior.get_title()
+    low, high = posterior.get_xlim()
+    assert low < found.phi.ci95[0] < found.phi.ci95[1] < high
+
+
+def test_sampled_posterior_is_drawn_too(found: Inversion) -> None:
+    measured = measurement("li2013:poppy_loose/straight")
+    sampled = invert(
+        measured.history, library=Library.load("rft3d"), density=638.0, sampler="emcee"
+    )
+    heights = [p.get_height() for p in plots.inversions_figure([sampled]).axes[2].patches[:80]]
+    assert max(heights) > 0.0
+
+
+def test_saved_whole_or_not_at_all(found: Inversion, tmp_path) -> None:
+    plots.save(plots.inversions_figure([found]), tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(InputError, match="cannot be written"):
+        plots.save(plots.inversions_figure([found]), tmp_path / "no" / "figure.png")
+    assert [p.name for p in tmp_path.iterdir()] == ["figure.png"]
+
+
+def test_comparison_draws_both_forces_of_every_curve(found: Inversion) -> None:
+    history = measurement("li2013:yuma/c").history
+    curves = [plots.Curve("a", history, plots.BLUE), plots.Curve("b", history, plots.ORANGE, "")]
+    figure = plots.comparison_figure("title", curves)
+    assert [len(axes.lines) for axes in figure.axes] == [3, 3]
+    assert max(figure.axes[1].lines[0].get_ydata()) == pytest.approx(history.Fz.max(), rel=0.02)
+
+
+def test_recovery_shows_errors_with_their_intervals() -> None:
+    truth, median = np.array([20.0, 30.0]), np.array([20.1, 29.7])
+    cases = [
+        {"phi_true_deg": t, "phi_median_deg": m, "ci68": [m - 0.5, m + 0.5], "ci95": [m - 1, m + 1],
+         "verdict": verdict}
+        for t, m, verdict in zip(truth, median, ("consistent", "out_of_range"), strict=True)
+    ]  # fmt: skip
+    figure = plots.recovery_figure(cases, "paper")
+    errors = {line.get_label(): line.get_ydata().tolist() for line in figure.axes[1].lines[1:]}
+    assert errors["median"] == pytest.approx([0.1])
+    assert errors["median, not consistent"] == pytest.approx([-0.3])
+    whole, narrow = (lines.get_segments() for lines in figure.axes[1].collections)
+    assert whole[1][:, 1] == pytest.approx([-1.3, 0.7])
+    assert narrow[1][:, 1] == pytest.approx([-0.8, 0.2])
+    assert "paper's yield criterion" in figure.axes[0].get_xlabel()
