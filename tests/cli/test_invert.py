@@ -172,6 +172,8 @@ def test_suggest_refuses_what_it_does_not_know(terraphi) -> None:
         (("--out=",), "--out is empty"),
         (("--noise", " "), "--noise is empty"),
         (("",), "an argument is empty"),
+        (("--json", ""), "an argument is empty"),
+        (("-v", ""), "an argument is empty"),
         (("--density", "1_650"), "'1_650' is not a number"),
         (("--density", "\uff11\uff16\uff15\uff10"), "is not a number"),
         (("--density", "nan"), "'nan' is not a number"),
@@ -179,7 +181,14 @@ def test_suggest_refuses_what_it_does_not_know(terraphi) -> None:
         (("--noise", "1_0"), "noise = '1_0': give newtons"),
         (("--prior", "density=1_500:1700"), "expected KEY=LOW:HIGH"),
         (("--noise", "50"), "noise = 50 N: all Fx of the record lies within 0.014 to 9.01 N"),
-        (("--noise", "50", "--prior", "density=1550:1750"), "noise = 50 N: all Fx of the record"),
+        (
+            ("--noise", "50", "--prior", "density=1550:1750"),
+            "noise = 50 N: all Fx of li2013:yuma/straight lies within 0.014 to 9.01 N",
+        ),
+        (
+            ("li2013:yuma/c", "--noise", "12"),
+            "noise = 12 N: all Fx of li2013:yuma/straight lies within",
+        ),
     ],
 )
 def test_words_that_only_python_would_read(terraphi, tmp_path, args, words) -> None:

@@ -214,6 +214,7 @@ def test_unusable_forces(
     ("args", "words"),
     [
         (("invert", "no.csv"), ("no.csv", "no such file")),
+        (("invert", "."), (".: is a folder; expected a CSV or NetCDF file of forces", "li2013:")),
         (("invert", "li2013:yma/straight"), ("did you mean 'li2013:yuma/straight'",)),
         (("invert", "li2013:yuma/c", "--library", "rft"), ("did you mean 'rft3d'",)),
         (("invert", "li2013:yuma/c", "--leg", "strait"), ("did you mean 'straight'",)),

@@ -223,4 +223,4 @@ def test_a_package_that_is_missing_is_not_called_damage(
 
 def test_a_missing_netcdf(tmp_path: Path) -> None:
     assert "no such file" in netcdf_refusal(tmp_path / "absent.nc")
-    assert "no such file" in netcdf_refusal(tmp_path)
+    assert f"{tmp_path}: is a folder; name a file" in netcdf_refusal(tmp_path)

@@ -62,7 +62,15 @@ def refusal(tmp_path: Path, content: str | bytes) -> str:
         (HEADER + "-80,1,2\n-60,,2\n", ["line 3", "Fx_N = ''", "not a number"]),
         (HEADER + "-80,1,nan\n", ["line 2", "Fz_N = nan", "not finite", "remove"]),
         (HEADER + "-80,-inf,1\n", ["line 2", "Fx_N = -inf", "not finite"]),
-        (HEADER + "-80,1e999,1\n", ["line 2", "Fx_N = 1e999", "not finite"]),
+        (HEADER + "-80,1e999,1\n", ["line 2", "Fx_N = inf", "not finite"]),
+        (
+            HEADER + "-80,1,nan\n\n-79,1,1\n-78,nan,1\n",
+            ["lines 2, 5: 2 rows", "not finite", "the first Fz_N = nan; remove them"],
+        ),
+        (
+            HEADER + "".join(f"{theta},1,nan\n" for theta in range(-80, 80)),
+            ["lines 2, 3, 4, 5, 6 and 155 more: 160 rows have numbers that are not finite"],
+        ),
         (HEADER + "-80,1,2\n-60,1\n", ["line 3", "2 cells", "theta_deg,Fx_N,Fz_N"]),
         (HEADER + "-80,1,2,3\n", ["line 2", "4 cells"]),
         (HEADER + '-80,"1,2\n-60,1,2\n', ["not a row of a CSV"]),
@@ -100,8 +108,8 @@ def test_garbage_is_refused_and_never_a_surprise(
 
 
 def test_missing_tables(tmp_path: Path) -> None:
-    for place in (tmp_path / "absent.csv", tmp_path):
-        with pytest.raises(InputError, match="no such file"):
+    for place, said in ((tmp_path / "absent.csv", "no such file"), (tmp_path, "is a folder")):
+        with pytest.raises(InputError, match=said):
             read_force_table(place)
 
 

@@ -275,6 +275,17 @@ def test_a_netcdf_that_lacks_something(tmp_path: Path, gone: str) -> None:
         ForceHistory.from_netcdf(tmp_path / "y.nc")
 
 
+@pytest.mark.parametrize("axes", [("y", "z"), ("z",), ("x", "y"), ()])
+def test_a_netcdf_of_other_axes_is_refused(tmp_path: Path, axes: tuple[str, ...]) -> None:
+    random_history(axes=("x", "y", "z")).to_netcdf(tmp_path / "x.nc")
+    with xr.open_dataset(tmp_path / "x.nc", engine="h5netcdf") as plain:
+        content = plain.load().drop_vars([f"F{axis}" for axis in "xyz" if axis not in axes])
+    content.to_netcdf(tmp_path / "y.nc", engine="h5netcdf")
+    found = ", ".join(axes) or "none"
+    with pytest.raises(InputError, match=rf"y\.nc: .*axes are {found}; x, forward, and z, up, are"):
+        ForceHistory.from_netcdf(tmp_path / "y.nc")
+
+
 def test_a_library_is_no_history(tmp_path: Path) -> None:
     attributes = {"terraphi_file": "library", "terraphi_schema": 1}
     xr.Dataset({"a": 1.0}, attrs=attributes).to_netcdf(tmp_path / "x.nc", engine="h5netcdf")

@@ -43,6 +43,26 @@ def test_a_leg_in_millimetres() -> None:
     assert any("leg.chord = 76.2 is unusual: it is in metres" in doubt for doubt in doubts(long))
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("motion.stop_deg", 2e5, "motion.stop_deg = 200000 is unusual: it is in degrees"),
+        ("bed.left", 150.0, "bed.left = 150 is unusual: it is in metres"),
+        ("relief.distance", 20.0, "relief.distance = 20 is unusual: it is in metres"),
+        ("rft.scale", 1e5, "rft.scale = 100000 is unusual: it is a factor"),
+    ],
+)
+def test_what_only_resistive_force_theory_would_compute(key: str, value: float, words: str) -> None:
+    (doubt,) = doubts(Scenario(model="rft").replace(**{key: value}))
+    assert doubt.startswith(words)
+
+
+def test_a_path_in_millimetres() -> None:
+    motion = {"kind": "translation", "start": [0.15, 0.3], "velocity": [0.0, -0.1], "distance": 100}
+    (doubt,) = doubts(Scenario(model="rft").replace(motion=motion))
+    assert doubt.startswith("motion.distance = 100 is unusual: it is in metres")
+
+
 def test_a_translation_is_not_asked_for_its_rate() -> None:
     motion = {"kind": "translation", "start": [0.15, 0.3], "velocity": [0.0, -0.1], "distance": 0.1}
     scenario = Scenario(model="rft").replace(motion=motion)

@@ -10,9 +10,10 @@ import pytest
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement
 from terraphi.inference.inversion import invert
-from terraphi.inference.verdict import SLIPS, Explanation, explain
+from terraphi.inference.verdict import SLIPS, TARED, Explanation, explain
 from terraphi.library.store import Library
 
+QUESTIONS = [*SLIPS, TARED, "Did the zero of Fx move?", "Did the zero of Fz move?"]
 THETA = np.linspace(-85.0, 85.0, 40)
 PHI = np.linspace(20.0, 40.0, 81)
 
@@ -44,6 +45,38 @@ def test_an_angle_beyond_the_library(phi: float, end: str) -> None:
     assert explain(curves(np.array([phi]))[0], curves(PHI), PHI) == Explanation(beyond=end)
 
 
+@pytest.mark.parametrize(("name", "size_N"), [("Fx", 0.8), ("Fx", -2.0), ("Fz", 1.5), ("Fz", -3.0)])
+def test_an_offset_of_one_force_is_asked_about_with_its_size(name: str, size_N: float) -> None:
+    rng = np.random.default_rng(0)
+    record = curves(np.array([31.0]))[0] + 0.05 * rng.normal(size=80)
+    record[slice(0, 40) if name == "Fx" else slice(40, 80)] += size_N
+    asked = explain(record, curves(PHI), PHI).question
+    assert asked.startswith(TARED)
+    found, of, force = asked.split("constant ")[1].split(" ")[:3]
+    assert (of, force) == ("N", "of")
+    assert f"of {name} would" in asked
+    assert float(found) == pytest.approx(size_N, rel=0.05, abs=0.05)
+
+
+@pytest.mark.parametrize(("name", "at"), [("Fx", 12), ("Fx", 29), ("Fz", 8), ("Fz", 25)])
+def test_a_step_through_noise_is_asked_about(name: str, at: int) -> None:
+    rng = np.random.default_rng(0)
+    record = curves(np.array([31.0]))[0] + 0.1 * rng.normal(size=80)
+    record[(0 if name == "Fx" else 40) + at : 40 if name == "Fx" else 80] -= 1.5
+    asked = explain(record, curves(PHI), PHI).question
+    assert asked.startswith(f"Did the zero of {name} move? A step of -1.")
+    where = float(asked.split("about ")[1].split("°")[0])
+    assert where == pytest.approx(0.5 * (THETA[at - 1] + THETA[at]), abs=0.51)
+    size = float(asked.split("step of ")[1].split(" N")[0])
+    assert size == pytest.approx(-1.5, abs=0.15)
+
+
+def test_a_small_offset_is_no_question() -> None:
+    record = curves(np.array([31.0]))[0]
+    record[:40] += 0.1
+    assert explain(record, curves(PHI), PHI) == Explanation()
+
+
 def test_what_nothing_explains() -> None:
     rng = np.random.default_rng(0)
     assert explain(curves(np.array([31.0]))[0], curves(PHI), PHI) == Explanation()
@@ -67,6 +100,10 @@ def records() -> dict[str, ForceHistory]:
         "kilonewtons": replace(bare, force=force / 1000.0),
         "backwards": replace(bare, force=force[::-1], position=-bare.position[::-1]),
         "sign of Fz": replace(bare, force=force * [1.0, -1.0]),
+        "tared": replace(bare, force=force + np.array([0.0, 4.0])).engaged(),
+        "zero of Fx move": replace(
+            bare, force=force + np.where(whole.theta_deg[:, None] > 12.0, [3.0, 0.0], 0.0)
+        ).engaged(),
         "times four": replace(bare, position=4.0 * bare.position),
         "walk": replace(bare, force=0.2 * rng.normal(size=force.shape).cumsum(axis=0)),
         "noise": replace(bare, force=3.0 * rng.normal(size=force.shape)),
@@ -81,7 +118,11 @@ def test_a_wrong_record_is_a_misfit_and_not_out_of_range(
     answer = invert(records()[name], library=library, likelihood=likelihood)
     assert answer.verdict.verdict == "misfit"
     assert answer.verdict.edge is None
-    asked = [question for question in SLIPS if question in answer.verdict.reason]
+    asked = [question for question in QUESTIONS if question in answer.verdict.reason]
+    assert answer.verdict.reason.count("?") <= 1 or not asked
+    assert [any(question in said for said in answer.warnings) for question in asked] == [
+        True for _ in asked
+    ]
     assert all(name in question for question in asked)
     assert bool(asked) == (name not in {"times four", "walk", "noise"})
     if likelihood == "calibrated":
@@ -93,5 +134,5 @@ def test_a_wrong_record_is_a_misfit_and_not_out_of_range(
 def test_nobody_is_asked_about_a_right_record(library: Library, medium: str, leg: str) -> None:
     record = measurement(f"li2013:{medium}/{leg}").history
     answer = invert(record, library=library, leg=leg)
-    assert not any(question in answer.verdict.reason for question in SLIPS)
+    assert not any(question in answer.verdict.reason for question in QUESTIONS)
     assert answer.verdict.verdict == "misfit"

@@ -268,18 +268,37 @@ def bare(history: ForceHistory, *, Fx: float = 1.0, Fz: float = 1.0) -> ForceHis
 def test_a_slip_of_the_unit_is_asked_about(history: ForceHistory, library: Library) -> None:
     large, blind = invert(bare(history, Fx=1e3, Fz=1e3), library=library).warnings
     assert blind.startswith("These forces hardly tell φ")
-    assert "times that of the library's largest curve: are the forces in newtons?" in large
+    assert large == "Are the forces in millinewtons? Newtons are meant."
+    # No slip explains forces of two units; that they are large is told all the same.
+    odd = invert(bare(history, Fx=20.0, Fz=1000.0), library=library).warnings
+    assert "times that of the library's largest curve: are the forces in newtons?" in odd[0]
     answer = invert(bare(history, Fx=1e-3, Fz=1e-3), library=library)
     (small,) = answer.warnings
-    assert "the library's smallest curve" in small
-    assert small in answer.verdict.reason
+    assert small == "Are the forces in kilonewtons? Newtons are meant."
+    assert answer.verdict.reason.count(small) == answer.verdict.reason.count("?") == 1
     assert invert(bare(history), library=library).warnings == ()
 
 
 @pytest.mark.parametrize("name", ["Fx", "Fz"])
 def test_a_turned_sign_is_asked_about(name: str, history: ForceHistory, library: Library) -> None:
-    (warning,) = invert(bare(history, **{name: -1.0}), library=library).warnings
-    assert warning.startswith(f"{name} runs against the library's (-1.00 correlation)")
+    answer = invert(bare(history, **{name: -1.0}), library=library)
+    (warning,) = answer.warnings
+    assert warning.startswith(f"Is the sign of {name} turned?")
+    assert answer.verdict.reason.count("sign") == 1
+    # With another slip beside it neither explains the record, and the sign is still asked about.
+    (_, sign, *_) = invert(bare(history, **{name: -100.0}), library=library).warnings
+    assert sign.startswith(f"{name} runs against the library's (-1.00 correlation)")
+
+
+def test_an_offset_in_air_is_told_and_not_asked_about(
+    history: ForceHistory, library: Library
+) -> None:
+    size = 0.1 * float(np.ptp(history.Fz))
+    answer = invert(
+        ForceHistory(history.position, history.force + np.array([0.0, size])), library=library
+    )
+    assert all("a force on the leg in air" in said for said in answer.warnings)
+    assert "tared" not in answer.verdict.reason
 
 
 def test_a_density_unlike_the_measured_one_is_told(library: Library) -> None:

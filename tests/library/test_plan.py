@@ -165,6 +165,52 @@ def test_steps_and_a_sweep_are_two_plans() -> None:
         stepped({"name": "one", "changes": {PHI: 25.0}}, sweep={PHI: [25.0]})
 
 
+MANY = 100_001
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (
+            {"sweep": {"leg.shape": ["c", "plate"], "soil.density": [1500.0] * MANY}},
+            ["200,002 cases", "come of 'soil.density', 100,001;", "let a [sample]"],
+        ),
+        (
+            {
+                "sweep": {"leg.shape": ["straight", "c", "plate"]},
+                "sample": {"keys": {"soil.density": (1400.0, 1700.0)}, "count": 65_536},
+            },
+            ["196,608 cases", "most come of 'sample.count', 65,536; drop some"],
+        ),
+        (
+            {"one_at_a_time": {"leg.shape": ["c"]}, "presets": ["quick"] * MANY},
+            ["most come of 'presets', 100,001; drop some"],
+        ),
+    ],
+)
+def test_too_many_cases_are_blamed_on_the_longest_list(content: Any, words: list[str]) -> None:
+    with pytest.raises(InputError) as refused:
+        Plan(name="p", **content).cases()
+    assert all(word in str(refused.value) for word in words)
+    if "sweep" not in content or "sample" in content:
+        assert str(refused.value).endswith("drop some")
+
+
+@pytest.mark.parametrize(
+    ("sweep", "case"),
+    [
+        ({"soil.friction_angle_deg": [25.0, 30.0]}, ""),
+        ({"motion.stop_deg": [85.0, 1e9]}, ", motion.stop_deg = 1000000000.0"),
+    ],
+)
+def test_a_case_answers_only_for_what_is_its_own(sweep: Any, case: str) -> None:
+    stop = 85.0 if case else 1e9
+    shared = Scenario(model="rft", dimensions=3).replace(**{"motion.stop_deg": stop})
+    plan = Plan(name="p", scenario=shared, sweep=sweep)
+    with pytest.raises(InputError, match=rf"^plan 'p'{case}: motion\.start_deg = -135, motion\.st"):
+        plan.refuse_what_cannot_fit()
+
+
 # -- points in a box -----------------------------------------------------------------------------
 
 BOX = {PHI: (20.0, 45.0), "leg.friction": (0.2, 0.6)}

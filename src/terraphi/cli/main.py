@@ -45,15 +45,24 @@ class Commands(click.Group):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """The words that are left for a command."""
         before = ""
+        command: click.Command = self
         for word in args:
             name, given, value = word.partition("=")
             if not word.strip():
-                name = before if before.startswith("-") else "an argument"
+                name = before if _takes_a_value(command, before) else "an argument"
             elif not (given and not value.strip() and word.startswith("--")):
                 before = word
+                if isinstance(command, click.Group):
+                    command = command.commands.get(word, command)
                 continue
             raise click.UsageError(f"{name} is empty; give it a value, or leave it out")
         return super().parse_args(ctx, args)
+
+
+def _takes_a_value(command: click.Command, word: str) -> bool:
+    """Whether a word is an option that takes the next word, as ``--out`` does, no flag's name."""
+    options = (option for option in command.params if isinstance(option, click.Option))
+    return any(word in o.opts and not (o.is_flag or o.count) for o in options)
 
 
 @click.group(

@@ -30,9 +30,10 @@ def report(
 ) -> None:
     """Put RESULTs into one HTML file that works offline, side by side if there are several.
 
-    RESULT is what --out of another command made: the folder of an inversion or a study, a library
-    (or the name of a shipped one), foot forces, or a simulation's history with its folder of
-    fields for an animation. A robot's log itself will do too.
+    RESULT is what --out of another command made: the folder of an inversion, of several (as that of
+    the demo) or of a study, a library (or the name of a shipped one), foot forces, or a
+    simulation's history with its folder of fields for an animation. A robot's log itself will do
+    too.
 
     Example: terraphi report answer --out report.html
     """

@@ -153,10 +153,10 @@ def read_bytes(path: Path) -> bytes:
     Raises
     ------
     InputError
-        If there is no such file, or it cannot be read.
+        If there is no such file, it is a folder, or it cannot be read.
     """
     if not is_there(path):
-        raise InputError(f"{path}: no such file")
+        raise InputError(_absent(path))
     try:
         return sys.stdin.buffer.read() if str(path) == "-" else path.read_bytes()
     except OSError as error:
@@ -176,13 +176,20 @@ def check_is_file(path: Path, expected: str = "") -> None:
     Raises
     ------
     InputError
-        If it is a pipe or standard input, or there is no file.
+        If it is a pipe or standard input, a folder, or there is no file.
     """
     if path.is_file():
         return
     if is_there(path):
         raise InputError(f"{path}: a pipe, which is read only once; save it to a file, and name it")
-    raise InputError(f"{path}: no such file{expected and '; expected '}{expected}")
+    raise InputError(_absent(path, expected))
+
+
+def _absent(path: Path, expected: str = "") -> str:
+    """Sentence on a place without a file; of a folder it says that it is one."""
+    if path.is_dir():
+        return f"{path}: is a folder; {f'expected {expected}' if expected else 'name a file'}"
+    return f"{path}: no such file{expected and '; expected '}{expected}"
 
 
 def plain_number(text: str) -> float:

@@ -12,7 +12,6 @@ import hashlib
 import io
 import json
 import logging
-import math
 import warnings
 from array import array
 from collections.abc import Iterator, Mapping
@@ -34,6 +33,8 @@ MARK = "# terraphi force history "
 """How our comment begins; JSON follows on the same line."""
 SCHEMA = 1
 """Version of what our comment holds."""
+TOLD = 5
+"""Lines of which all have the same fault that are named."""
 LEAST_DEG = 7.0
 """Largest angle of a record below which its angles must be radians [deg]."""
 
@@ -259,6 +260,7 @@ def _row_by_row(
     if not numbers:
         raise InputError(f"{path}: no numbers under the header; expected a row for each angle")
     table = np.array(values, dtype=np.float64).reshape(-1, len(order))
+    _check_finite(path, table, numbers)
     _check_order(path, table[:, 0], numbers)
     return table
 
@@ -270,16 +272,29 @@ def _read_row(place: str, row: list[str], header: list[str], order: list[int]) -
     for index in order:
         cell = row[index].strip()
         try:
-            value = plain_number(cell)
+            values.append(plain_number(cell))
         except ValueError as error:
             raise InputError(
                 f"{place}: {header[index]} = {cell[:40]!r} is not a number; "
                 "correct it or remove the row"
             ) from error
-        if not math.isfinite(value):
-            raise InputError(f"{place}: {header[index]} = {cell} is not finite; remove the row")
-        values.append(value)
     return values
+
+
+def _check_finite(path: Path, table: FloatArray, numbers: array[int]) -> None:
+    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    if not bad.size:
+        return
+    column = int(np.isfinite(table[bad[0]]).argmin())
+    what = f"{CSV_COLUMNS[column]} = {table[bad[0], column]:g}"
+    if bad.size == 1:
+        raise InputError(f"{path}, line {numbers[bad[0]]}: {what} is not finite; remove the row")
+    listed = ", ".join(str(numbers[row]) for row in bad[:TOLD].tolist())
+    more = f" and {bad.size - TOLD:,} more" if bad.size > TOLD else ""
+    raise InputError(
+        f"{path}, lines {listed}{more}: {bad.size:,} rows have numbers that are not finite, the "
+        f"first {what}; remove them"
+    )
 
 
 def _check_order(path: Path, theta: FloatArray, numbers: array[int]) -> None:

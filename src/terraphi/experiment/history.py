@@ -86,7 +86,7 @@ class ForceHistory:
     coordinate
         What ``position`` is: ``theta``, ``displacement`` or ``time``.
     axes
-        Names of the force's axes, ``("x", "z")`` in the plane.
+        Names of the force's axes, ``("x", "z")`` in the plane; those two are always there.
     provenance
         Where the history comes from: scenario, hash, versions, seed, timings; JSON-able.
     """
@@ -98,7 +98,12 @@ class ForceHistory:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raise ValueError if shapes or order are wrong."""
+        """Raise ValueError if axes, shapes or order are wrong."""
+        if len({*self.axes}) < len(self.axes) or not {"x", "z"} <= {*self.axes}:
+            raise ValueError(
+                f"the force's axes are {', '.join(self.axes) or 'none'}; x, forward, and z, up, "
+                "are expected"
+            )
         expected = (len(self.position), len(self.axes))
         if self.force.shape != expected:
             raise ValueError(f"force has shape {self.force.shape}, expected {expected}")
@@ -391,7 +396,7 @@ class ForceHistory:
             columns = [np.asarray(dataset[f"F{a}"].values, dtype=np.float64) for a in axes]
             return cls(
                 positions(dataset),
-                np.stack(columns, axis=1),
+                np.stack(columns, axis=1) if columns else np.empty((0, 0)),
                 str(dataset.attrs["coordinate"]),
                 axes,
                 dict(json.loads(dataset.attrs["provenance"])),

@@ -161,6 +161,11 @@ def open_forces(source: str | Path) -> Measurement:
         If there is no such name, or the file cannot be used or is not a function of θ.
     """
     text, path = str(source), Path(source)
+    if path.is_dir():
+        raise InputError(
+            f"{path}: is a folder; expected a CSV or NetCDF file of forces, or a shipped "
+            f"measurement such as {COLLECTION}:yuma/straight"
+        )
     if not is_there(path):
         if text.startswith(f"{COLLECTION}:"):
             return measurement(text)

@@ -21,11 +21,18 @@ LIMITS = {
     "leg.width": (1e-3, 1.0, "in metres"),
     "leg.friction": (0.0, 2.0, "a coefficient"),
     "motion.rate": (1e-3, 100.0, "in rad/s"),
+    "motion.start_deg": (-720.0, 720.0, "in degrees"),
+    "motion.stop_deg": (-720.0, 720.0, "in degrees"),
+    "motion.distance": (1e-4, 10.0, "in metres"),
+    "bed.left": (0.0, 10.0, "in metres"),
+    "bed.floor": (0.0, 10.0, "in metres"),
     "bed.width": (1e-2, 10.0, "in metres"),
     "bed.height": (1e-3, 10.0, "in metres"),
     "bed.surcharge": (0.0, 1e6, "in pascals"),
     "numerics.time_step": (1e-8, 1e-2, "in seconds"),
     "numerics.speed_up": (0.1, 1e3, "a factor"),
+    "relief.distance": (0.0, 1.0, "in metres"),
+    "rft.scale": (1e-2, 1e2, "a factor"),
 }
 """Least and largest value that nobody would wonder at, and what it is."""
 
@@ -49,7 +56,8 @@ def doubts(scenario: Scenario) -> list[str]:
 def _of_size(scenario: Scenario) -> Iterator[str]:
     for key, (least, most, what) in LIMITS.items():
         part, name = key.split(".")
-        value = getattr(getattr(scenario, part), name, None)  # a translation has no rate
+        # A translation has no rate, a rotation no distance.
+        value = getattr(getattr(scenario, part), name, None)
         if value is not None and not least <= value <= most:
             yield f"{key} = {value:g} is unusual: it is {what}, mostly {least:g} to {most:g}"
 

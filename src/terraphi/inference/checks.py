@@ -112,6 +112,8 @@ def doubts(
     observation: Observation,
     curves: NDArray[np.float64],
     density: float | None,
+    *,
+    asked: bool = False,
 ) -> list[str]:
     """Sentences on what is likely to be a slip: of units, of signs, or of the density.
 
@@ -125,7 +127,23 @@ def doubts(
         The library's, at that density [N], shape [case, 2 theta].
     density
         With which the history is inverted [kg/m³]; ``None`` if it is inferred.
+    asked
+        Whether a slip of units or signs that explains the history is asked about already.
     """
+    found = [] if asked else _slips(observation, curves)
+    made_by = scenario_of(history)
+    how = "simulated with" if made_by else "measured at"
+    own = made_by.soil.density if made_by else history.provenance.get("density_kg_m3")
+    if density and own and abs(own - density) > 1e-6 * density:
+        found.append(
+            f"The history was {how} a density of {own:g} kg/m³ and is inverted with "
+            f"{density:g} kg/m³."
+        )
+    return found
+
+
+def _slips(observation: Observation, curves: NDArray[np.float64]) -> list[str]:
+    """Questions on units and signs."""
     found = []
     names, measured = ("Fx", "Fz"), observation.vector.reshape(2, -1)
     library = curves.reshape(len(curves), 2, -1)
@@ -144,14 +162,6 @@ def doubts(
                 f"{name} runs against the library's ({correlation:.2f} correlation): is its sign "
                 "right? Fx points forward and Fz up, as forces on the leg."
             )
-    made_by = scenario_of(history)
-    how = "simulated with" if made_by else "measured at"
-    own = made_by.soil.density if made_by else history.provenance.get("density_kg_m3")
-    if density and own and abs(own - density) > 1e-6 * density:
-        found.append(
-            f"The history was {how} a density of {own:g} kg/m³ and is inverted with "
-            f"{density:g} kg/m³."
-        )
     return found
 
 

@@ -66,6 +66,13 @@ WORDS = {
     "step": "a step, after which the zero is another",
     "offset": "a force on the leg in air",
 }
+BRIEFLY = {
+    "dropout": "dropouts",
+    "held": "held values",
+    "spike": "spikes",
+    "clipped": "a clipped top",
+}
+"""The same in a word or two."""
 
 
 @dataclass(frozen=True)
@@ -352,19 +359,33 @@ def _refuse_what_is_lost(theta: FloatArray, bad: Mask, defects: list[Defect]) ->
     """Refuse a record of which too little is left."""
     if not bad.any():
         return
-    what = " ".join(d.sentence.replace("left out", "are damaged") for d in defects)
     held = sum(d.rows for d in defects if d.code == "held")
     # A slow sensor in a fast log holds every value; what it has read is as good as ever.
     if bad.sum() - held > MOST_LEFT_OUT * (len(bad) - held):
-        raise InputError(f"{bad.mean():.0%} of the readings are damaged: {what} Mend the record.")
+        raise InputError(
+            f"{bad.mean():.0%} of the readings are damaged ({_named(defects)}); mend the record"
+        )
     ends = np.concatenate([[-WINDOW_DEG], theta[~bad], [WINDOW_DEG]])
     gaps = np.diff(ends)
     widest = int(gaps.argmax())
     if gaps[widest] > WIDEST_GAP_DEG:
+        low, high = ends[widest], ends[widest + 1]
+        within = [d for d in defects if d.theta_deg[0] < high and d.theta_deg[1] > low]
+        remedy = "a wider range" if any(d.code == "clipped" for d in within) else "a sound sensor"
         raise InputError(
-            f"no undamaged reading between {ends[widest]:.1f} and {ends[widest + 1]:.1f} deg, and "
-            f"gaps of up to {WIDEST_GAP_DEG:g} deg are accepted: {what}"
+            f"no undamaged reading between {low:.1f} and {high:.1f}° ({_named(within)}); measure "
+            f"again with {remedy}: gaps of at most {WIDEST_GAP_DEG:g}° are accepted"
         )
+
+
+def _named(defects: list[Defect]) -> str:
+    """Kinds of defects in a few words."""
+    forces = {d.code: "Fx and Fz" for d in defects}
+    for code in forces:
+        named = {d.force for d in defects if d.code == code}
+        if len(named) == 1 and "both" not in named:
+            forces[code] = named.pop()
+    return ", ".join(f"{BRIEFLY[code]} of {force}" for code, force in forces.items())
 
 
 def _steps(theta_deg: FloatArray, force: FloatArray) -> list[Defect]:

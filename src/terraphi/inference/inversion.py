@@ -26,7 +26,16 @@ from terraphi.inference.noise import Noise, shape_of, window_covariance
 from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature, tabulated
 from terraphi.inference.prepared_leg import prepare, single_threaded
-from terraphi.inference.verdict import Verdict, explain, judge, judge_calibrated, nrmsd, uninformed
+from terraphi.inference.verdict import (
+    MOVED,
+    TARED,
+    Verdict,
+    explain,
+    judge,
+    judge_calibrated,
+    nrmsd,
+    uninformed,
+)
 from terraphi.library.shipped import there_to_try_others
 from terraphi.library.store import Library
 from terraphi.surrogate.paper import LegSurrogate
@@ -63,6 +72,7 @@ class _Found(NamedTuple):
     band: FloatArray
     nrmsd: dict[str, float]
     verdict: Verdict
+    question: str
     budget: Budget | None
     scenario: Scenario
     curves: FloatArray
@@ -183,10 +193,14 @@ def _told(
     """The verdict with all remarks, and these alone; of a spoilt record it is a misfit."""
     history, verdict = inspection.history, found.verdict
     curves = density / found.scenario.soil.density * found.curves
+    # A consistent record was not misread, and a zero that is seen to be off is told as such.
+    told = bool(inspection.spoilt) and found.question.startswith((TARED, MOVED))
+    asks = verdict.verdict == "misfit" and not told
+    question = found.question if asks else ""
     warnings = [
         *inspection.sentences,
-        *filter(None, [unlike(history, found.scenario, leg)]),
-        *doubts(history, observation, curves, density),
+        *filter(None, [question, unlike(history, found.scenario, leg)]),
+        *doubts(history, observation, curves, density, asked=bool(question)),
         *uninformed(found.posterior),
         *there_to_try_others(library.name),
     ]
@@ -237,6 +251,8 @@ def _by_paper(
     surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
     scale = 1.0 if density is None else density / scenario.soil.density
     likelihood = PaperLikelihood(observation.vector, observation.theta_deg)
+    nodes = np.linspace(*surrogate.phi_bounds_deg, NODES)
+    why = explain(observation.vector, surrogate.predict(nodes, scale=scale), nodes)
 
     def log_p(phi_deg: FloatArray) -> FloatArray:
         return likelihood(surrogate.predict(phi_deg, scale=scale))
@@ -245,17 +261,17 @@ def _by_paper(
     posterior = _sample(log_p, surrogate.phi_bounds_deg, **how)
     core = time.perf_counter() - began
     phi, best, band, deviation = _curves(posterior, surrogate, observation, scale)
-    nodes = np.linspace(*surrogate.phi_bounds_deg, NODES)
     verdict = judge(
         posterior,
         bounds_deg=surrogate.phi_bounds_deg,
         step_deg=surrogate.phi_step_deg,
         residual_nrmsd=deviation,
         convention=scenario.convention,
-        explanation=explain(observation.vector, surrogate.predict(nodes, scale=scale), nodes),
+        explanation=why,
     )
     vectors = np.hstack([curves.Fx, curves.Fz])
-    return _Found(posterior, phi, best, band, deviation, verdict, None, scenario, vectors, core)
+    about = (verdict, why.question, None, scenario)
+    return _Found(posterior, phi, best, band, deviation, *about, vectors, core)
 
 
 def _calibrated(
@@ -292,15 +308,17 @@ def _calibrated(
     phi, best, band, deviation = _curves(posterior, surrogate, observation, scale)
     fit: Fit = fit_without_discrepancy(likelihood.problem, likelihood.without, scale=scale)
     budget = budget_of(likelihood, phi.median, fit, scale=scale)
+    why = explain(observation.vector, scale * prepared.mean, prepared.phi_deg)
     verdict = judge_calibrated(
         posterior,
         fit,
         residual_nrmsd=deviation,
         convention=scenario.convention,
-        explanation=explain(observation.vector, scale * prepared.mean, prepared.phi_deg),
+        explanation=why,
     )
     vectors = np.hstack([prepared.curves.Fx, prepared.curves.Fz])
-    return _Found(posterior, phi, best, band, deviation, verdict, budget, scenario, vectors, core)
+    about = (verdict, why.question, budget, scenario)
+    return _Found(posterior, phi, best, band, deviation, *about, vectors, core)
 
 
 def _sample(

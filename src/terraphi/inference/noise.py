@@ -78,13 +78,15 @@ class Noise:
             raise InputError(f"noise = {given} N; 0 to {LARGEST_N:g} N is accepted")
         return cls((sigma, sigma))
 
-    def check_against(self, history: ForceHistory) -> None:
+    def check_against(self, history: ForceHistory, *, source: str = "") -> None:
         """Refuse noise that a record cannot have, as one reading would err by more than all differ.
 
         Parameters
         ----------
         history
             The record.
+        source
+            Its name, for people, where there are several.
 
         Raises
         ------
@@ -96,9 +98,9 @@ class Noise:
             low, high = float(force.min()), float(force.max())
             if sigma > high - low:
                 raise InputError(
-                    f"noise = {sigma:g} N: all F{axis} of the record lies within {low:.3g} to "
-                    f"{high:.3g} N; at most {high - low:.3g} N, the standard deviation of one "
-                    "reading, is accepted"
+                    f"noise = {sigma:g} N: all F{axis} of {source or 'the record'} lies within "
+                    f"{low:.3g} to {high:.3g} N; at most {high - low:.3g} N, the standard "
+                    "deviation of one reading, is accepted"
                 )
 
 

@@ -7,9 +7,10 @@ edge; the verdict says so instead of letting the edge pass for an answer.
 What would explain a record that no friction angle of a library fits.
 
 A slip of the person who recorded it (columns exchanged, a sign turned, another unit, the path read
-backwards), or a friction angle beyond the library's end. Each is tried on the library's own curves,
-and counts only if it explains the record far better than any angle does as it stands. A record
-that neither explains is one that the model does not describe; a wider library would not help.
+backwards), a sensor that was not tared or whose zero moved, or a friction angle beyond the
+library's end. Each is tried on the library's own curves, and counts only if it explains the record
+far better than any angle does as it stands. A record that none explains is one that the model does
+not describe; a wider library would not help.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from terraphi.experiment.history import WINDOW_DEG
 from terraphi.inference.budget import information_gain_bits
 from terraphi.inference.calibrated import AMPLITUDES
 from terraphi.inference.fit import LARGEST_ODDS, SMALLEST_PROBABILITY, Fit
@@ -151,8 +153,7 @@ def judge(
         reason += f"; moreover, {misfit}." if misfit else "."
         return Verdict("out_of_range", "low" if at_low else "high", reason)
     if misfit:
-        question = f" {explained.question}" if explained.question else ""
-        return Verdict("misfit", None, f"No friction angle fits: {misfit}.{question}")
+        return Verdict("misfit", None, f"No friction angle fits: {misfit}.")
     return Verdict(
         "consistent",
         None,
@@ -233,8 +234,7 @@ def judge_calibrated(
         return Verdict("out_of_range", "low" if at_low else "high", reason)
     if clause:
         reach = f"; the posterior reaches the {edge}" if cut else ""
-        question = f" {explanation.question}" if explanation.question else ""
-        return Verdict("misfit", None, f"No friction angle fits: {clause}{reach}.{question}")
+        return Verdict("misfit", None, f"No friction angle fits: {clause}{reach}.")
     return Verdict(
         "consistent",
         None,
@@ -338,8 +338,16 @@ CLOSE = 0.3
 """Deviation that is left, of peak-to-peak, up to which a slip counts [-]."""
 CLOSE_BEYOND = 0.1
 """The same of an angle beyond the library's end [-]."""
+OFFSET, STEP, CLOSE_OFFSET = 0.05, 0.1, 0.05
+"""Constant force that counts as an offset, or as a step, and the deviation left up to which it
+does, of peak-to-peak [-]. With an offset curves of another model come within 0.1 of a library's,
+and with either the shipped measurements within 0.07."""
 FURTHEST_DEG = 15.0
 """How far beyond the library's end an angle is looked for [deg]."""
+STEP_WINDOWS = 3
+"""Fewest windows of the record before a step and after it."""
+TARED, MOVED = "Was the sensor tared?", "Did the zero of"
+"""How the questions about an offset and a step begin."""
 
 
 def _each(x: float, z: float) -> Callable[[FloatArray], FloatArray]:
@@ -389,7 +397,7 @@ def explain(data: FloatArray, curves: FloatArray, phi_deg: FloatArray) -> Explan
     phi_deg
         These friction angles, increasing [deg], shape [k].
     """
-    as_is = _deviation(data, curves).min()
+    as_is = float(_deviation(data, curves).min())
     beyond, end = min((_beyond(data, curves, phi_deg, end), end) for end in ("low", "high"))
     forces = data.reshape(2, -1)
     slips = []
@@ -399,6 +407,13 @@ def explain(data: FloatArray, curves: FloatArray, phi_deg: FloatArray) -> Explan
         if 0 < int(deviations.argmin()) < len(curves) - 1:
             slips.append((float(deviations.min()), question))
     slip, question = min(slips, default=(np.inf, ""))
+    offset, tare = _offset(data, curves)
+    left, step = _step(data, curves)
+    if left <= min(CLOSE_OFFSET, BETTER * min(as_is, slip, beyond, offset)):
+        return Explanation(question=step)
+    # It has a number to fit, as an angle beyond the end has, and a slip has none.
+    if offset <= min(CLOSE_OFFSET, BETTER * min(as_is, slip, beyond)):
+        return Explanation(question=tare)
     if beyond <= min(slip, CLOSE_BEYOND, BETTER * as_is):
         return Explanation(beyond="low" if end == "low" else "high")
     if slip <= min(CLOSE, BETTER * as_is):
@@ -415,6 +430,51 @@ def _deviation(data: FloatArray, curves: FloatArray) -> FloatArray:
     root = np.sqrt(np.square(model - measured).mean(axis=2))
     worst: FloatArray = (root / np.maximum(np.ptp(measured, axis=1), 1e-300)).max(axis=1)
     return worst
+
+
+def _offset(data: FloatArray, curves: FloatArray) -> tuple[float, str]:
+    """Deviation from the best curve once the mean is taken from one force, and the question."""
+    apart = data.reshape(2, -1) - curves.reshape(len(curves), 2, -1)
+    spans, found = np.ptp(data.reshape(2, -1), axis=1), []
+    for axis, name in enumerate(("Fx", "Fz")):
+        sizes = apart[:, axis].mean(axis=1)
+        left = apart.copy()
+        left[:, axis] -= sizes[:, None]
+        share = np.sqrt(np.square(left).mean(axis=2)) / np.maximum(spans, 1e-300)
+        best = int(share.max(axis=1).argmin())
+        inside = 0 < best < len(curves) - 1
+        if inside and abs(sizes[best]) > OFFSET * spans[axis]:
+            question = f"{TARED} A constant {sizes[best]:.2g} N of {name} would explain the record."
+            found.append((float(share[best].max()), question))
+    return min(found, default=(np.inf, ""))
+
+
+def _step(data: FloatArray, curves: FloatArray) -> tuple[float, str]:
+    """Deviation from the best curve once one force is shifted from a window on, and the question.
+
+    For means over windows hide the noise that hides a step from who looks at readings.
+    """
+    apart = data.reshape(2, -1) - curves.reshape(len(curves), 2, -1)
+    spans, count = np.maximum(np.ptp(data.reshape(2, -1), axis=1), 1e-300), apart.shape[2]
+    squares, found = np.square(apart).sum(axis=2), []
+    theta_deg = np.linspace(-WINDOW_DEG, WINDOW_DEG, count)
+    for axis, name in enumerate(("Fx", "Fz")):
+        sums = np.cumsum(apart[:, axis, ::-1], axis=1)[:, ::-1]
+        sizes = sums / np.arange(count, 0, -1)
+        left = np.sqrt(np.maximum(squares[:, axis, None] - sizes * sums, 0.0) / count)
+        other = np.sqrt(squares[:, 1 - axis] / count) / spans[1 - axis]
+        share = np.maximum(left / spans[axis], other[:, None])[:, STEP_WINDOWS:-STEP_WINDOWS]
+        best, after = np.unravel_index(int(share.argmin()), share.shape)
+        first = int(after) + STEP_WINDOWS
+        size = float(sizes[best, first])
+        if 0 < best < len(curves) - 1 and abs(size) > STEP * spans[axis]:
+            at = 0.5 * (theta_deg[first - 1] + theta_deg[first])
+            question = (
+                f"{MOVED} {name} move? A step of {size:.2g} N at about {at:.0f}° would "
+                "explain the record."
+            )
+            found.append((float(share[best, after]), question))
+    return min(found, default=(np.inf, ""))
 
 
 def _beyond(data: FloatArray, curves: FloatArray, phi_deg: FloatArray, end: str) -> float:

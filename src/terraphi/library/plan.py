@@ -214,24 +214,29 @@ class Plan(BaseModel):
         Raises
         ------
         InputError
-            Names the case, the key that is to blame, and what to do.
+            Names the case, unless all share it, the key that is to blame, and what to do.
         """
         for scenario in self.cases():
-            try:
-                refuse_what_cannot_fit(scenario)
-            except InputError as error:
-                case = describe(self, scenario)
-                raise InputError(f"plan '{self.name}', {case}: {error}") from error
+            refused = _why_it_cannot_fit(scenario)
+            if refused is not None:
+                # What all cases share is not for one of them to answer for.
+                shared = str(_why_it_cannot_fit(self.scenario)) == str(refused)
+                case = "" if shared else f", {describe(self, scenario)}"
+                raise InputError(f"plan '{self.name}'{case}: {refused}") from refused
 
     def _refuse_too_many(self) -> None:
         if self.count <= MOST_CASES:
             return
-        values = {**self.one_at_a_time, **self.sweep}
-        longest = max(values, key=lambda key: len(values[key]), default="sample")
-        most = f"; most values stand under '{longest}', {len(values[longest])}" if values else ""
+        sizes = {key: len(values) for key, values in {**self.one_at_a_time, **self.sweep}.items()}
+        sizes |= {"steps": len(self.steps), "presets": len(self.presets)}
+        if self.sample:
+            sizes |= {"sample.count": self.sample.count, "sample.also": len(self.sample.also)}
+        largest = max(sizes, key=lambda key: sizes[key])
+        a_sample = ", or let a [sample] fill the same box with fewer"
         raise InputError(
-            f"plan '{self.name}': {self.count:,} cases, and at most {MOST_CASES:,} are possible"
-            f"{most}; drop some, or let a [sample] fill the same box with fewer"
+            f"plan '{self.name}': {self.count:,} cases, and at most {MOST_CASES:,} are possible; "
+            f"most come of '{largest}', {sizes[largest]:,}; drop some"
+            f"{a_sample if largest in self.sweep else ''}"
         )
 
     @property
@@ -295,6 +300,15 @@ class Plan(BaseModel):
         plan = parse_toml(Path(source), cls)
         plan.cases()
         return plan
+
+
+def _why_it_cannot_fit(scenario: Scenario) -> InputError | None:
+    """What a scenario would be refused with."""
+    try:
+        refuse_what_cannot_fit(scenario)
+    except InputError as error:
+        return error
+    return None
 
 
 def label(variant: Variant) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
+from terraphi.forward.mpm import fields
 from terraphi.forward.mpm.bed import geostatic_bed
 from terraphi.forward.mpm.fields import FieldSeries, frame_steps, particle_fields
 from terraphi.forward.mpm.solver import BLOCK, simulate, step_count
@@ -153,6 +154,45 @@ def test_frames_go_on_with_the_simulation(scenario, series, tmp_path) -> None:
     looks = FieldSeries(folder, scenario, frames=100)
     simulate(scenario, checkpoint=kept, observe=looks)
     assert content_of(folder) == content_of(series)
+
+
+@pytest.mark.parametrize("last", ["write_points", "write_polygon", "write_series"])
+def test_a_run_killed_within_its_first_frame_is_run_again(
+    scenario, tmp_path, monkeypatch, last: str
+) -> None:
+    (tmp_path / "notes.txt").write_text("a stranger's")
+    with monkeypatch.context() as context:
+        write, calls = getattr(fields, last), []
+
+        def killed(*args, **options) -> None:
+            write(*args, **options)
+            calls.append(args)
+            if len(calls) == (3 if last == "write_series" else 1):
+                raise StopError
+
+        context.setattr(fields, last, killed)
+        with pytest.raises(StopError):
+            simulate(scenario, observe=FieldSeries(tmp_path, scenario, frames=2))
+    assert (tmp_path / "particles_0000.vtu").exists()
+    looks = FieldSeries(tmp_path, scenario, frames=2)
+
+    def stop(fraction: float) -> None:
+        if fraction > 0.0:
+            raise StopError
+
+    with pytest.raises(StopError):
+        simulate(scenario, observe=looks, progress=stop)
+    assert [time for time, _ in frames_of(tmp_path)] == [0.0]
+    FieldSeries(tmp_path, scenario, frames=2).remove()
+    assert content_of(tmp_path) == {"notes.txt": b"a stranger's"}
+
+
+def test_frames_of_a_stranger_are_not_replaced(scenario, tmp_path) -> None:
+    for name in ("particles_0000.vtu", "leg.pvd"):
+        (tmp_path / name).write_text("a stranger's")
+        with pytest.raises(InputError, match=rf"{name}: is there, and of no series that terraphi"):
+            FieldSeries(tmp_path, scenario, frames=2)
+        (tmp_path / name).unlink()
 
 
 def test_frames_that_are_missing_are_said_to_be(scenario, tmp_path, caplog) -> None:

@@ -66,6 +66,19 @@ def test_a_history_named_twice_is_shown_once_with_its_fields(
         sections([history, fields, str(tmp_path / "again")])
 
 
+def test_a_folder_of_inversions_as_the_demo_makes_stands_for_each(
+    inversion_folder: Path, tmp_path: Path
+) -> None:
+    for name in ("b", "a"):
+        shutil.copytree(inversion_folder, tmp_path / name)
+    (tmp_path / "demo.png").touch()
+    found = sections([str(tmp_path)])
+    assert [section.kind for section in found] == ["inversion", "inversion"]
+    shutil.copy(inversion_folder / "answer.json", tmp_path)
+    shutil.copy(inversion_folder / "posterior.nc", tmp_path)
+    assert len(sections([str(tmp_path)])) == 1
+
+
 def test_fields_alone_are_refused(simulation: tuple[Path, Path]) -> None:
     with pytest.raises(InputError, match="belong to no history"):
         sections([str(simulation[1])])

@@ -92,6 +92,7 @@ class FieldSeries:
         """
         if self._known is None:
             self._known = self._frames_before(seen.step)
+            self._list_frames()  # whenever we are killed, what lies here is known to be ours
         if seen.step not in self._steps:
             return
         number = self._steps.index(seen.step)
@@ -101,8 +102,13 @@ class FieldSeries:
         write_points(self._frame(PARTICLES, number), points, point_data=data, field_data=about)
         write_polygon(self._frame(LEG, number), leg_outline(seen), field_data=about)
         self._known[number] = seen.time
+        self._list_frames()
+
+    def _list_frames(self) -> None:
+        """Write both series as they are by now; that of the particles, which tells, comes first."""
+        known = sorted((self._known or {}).items())
         for name in (PARTICLES, LEG):
-            frames = [(time, self._frame(name, k).name) for k, time in sorted(self._known.items())]
+            frames = [(time, self._frame(name, k).name) for k, time in known]
             write_series(self._folder / f"{name}.pvd", frames, note=self._note)
 
     def _frame(self, name: str, number: int) -> Path:
@@ -136,7 +142,7 @@ class FieldSeries:
     def remove(self) -> None:
         """Remove the series, and the folder if nothing else is in it."""
         self._clear(set())
-        for name in (PARTICLES, LEG):
+        for name in (LEG, PARTICLES):  # that which tells that all is ours goes last
             (self._folder / f"{name}.pvd").unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # somebody keeps something else there
             self._folder.rmdir()

@@ -225,7 +225,7 @@ def _window_noise(
     if noise.sigma_N is None:
         return None, (1.0, 1.0)
     for trial in (t for g in groups for t in g.trials):
-        noise.check_against(trial.history)
+        noise.check_against(trial.history, source=trial.source)
     shares = [
         np.median(
             window_covariance(t.history.position, o.theta_deg, read_at=g.readings).sum(axis=1)

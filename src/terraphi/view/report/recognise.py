@@ -18,6 +18,14 @@ EXPECTED = (
     "an inversion's folder or answer.json, a study's folder, a library, foot forces or a history "
     "(.nc), a folder of fields, or a robot's log is expected"
 )
+FOLDERS = (
+    ("inversion", "answer.json"),
+    ("inversion", "posterior.nc"),
+    ("study", "data.json"),
+    ("fields", "particles.pvd"),
+    ("log", "metadata.yaml"),
+)
+"""What a folder holds, and the file that tells."""
 LOGS = {".csv", ".npz", ".mcap", ".db3", ".bag"}
 
 
@@ -84,12 +92,7 @@ def _kind_of_answer(path: Path) -> Kind:
 def _kind_of_folder(path: Path) -> Kind:
     if (path / "answer.json").is_file():
         return _kind_of_answer(path / "answer.json")
-    for kind, name in (
-        ("inversion", "posterior.nc"),
-        ("study", "data.json"),
-        ("fields", "particles.pvd"),
-        ("log", "metadata.yaml"),
-    ):
+    for kind, name in FOLDERS:
         if (path / name).is_file():
             return kind
     if any(".db3" in file.suffixes or ".mcap" in file.suffixes for file in path.iterdir()):
@@ -128,7 +131,7 @@ def sections(
     Parameters
     ----------
     sources
-        Paths, or names of shipped libraries.
+        Paths, or names of shipped libraries; a folder of inversions stands for each of them.
     library
         Name or file of the library that inversions used, if it is not a shipped one.
     robot
@@ -144,7 +147,8 @@ def sections(
     InputError
         If one of them cannot be used.
     """
-    results = list(dict.fromkeys(recognise(source) for source in sources))
+    every = (place for source in sources for place in _answers_in(source))
+    results = list(dict.fromkeys(map(recognise, every)))
     fields: dict[str, list[Path]] = {}
     for result in results:
         if result.kind == "fields":
@@ -167,6 +171,14 @@ def sections(
             maker = _maker(result.kind, library, robot, fields_, 1.0 / animated)
             made.append(_made(maker, result.path))
     return made
+
+
+def _answers_in(source: str) -> list[str]:
+    """The inversions in a folder of theirs, as the demo's is; else the source itself."""
+    place = Path(source)
+    if not place.is_dir() or any((place / name).is_file() for _, name in FOLDERS):
+        return [source]
+    return sorted(str(answer.parent) for answer in place.glob("*/answer.json")) or [source]
 
 
 def _made(maker: Callable[[Path], Section], path: Path) -> Section:
