@@ -42,7 +42,7 @@ ROOT = DOCS.parent
 ANY = "..."
 GENERATED = {
     "verification.md", "sensitivity.md", "resolution.md",
-    "calibration.md", "calibration-k4-plane-strain.md",
+    "calibration.md", "calibration-k4-plane-strain.md", "spacing.md",
 }  # fmt: skip
 """Pages that studies write; tests of those studies look after them."""
 RUN = {"console", "python"}

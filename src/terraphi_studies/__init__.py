@@ -49,6 +49,9 @@ STUDIES = {
     "calibration": Outline(
         "intervals: how often they hold the truth, and how narrow they are", "1 to 2 minutes"
     ),
+    "spacing": Outline(
+        "records of few readings: how often their intervals hold the truth", "2 to 3 minutes"
+    ),
     "design": Outline("libraries built evenly, and in the order that is suggested", "a minute"),
     "reading": Outline(
         "what the paper's text leaves open, against the forces that it prints", "seconds"

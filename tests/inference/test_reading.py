@@ -9,7 +9,17 @@ import pytest
 
 from terraphi.experiment.history import ForceHistory
 from terraphi.inference.inversion import invert
-from terraphi.inference.prepared_leg import learn_reading, nothing_open, prepare, reading_errors
+from terraphi.inference.prepared_leg import (
+    WHITE,
+    _Errors,
+    _with_white,
+    learn_reading,
+    nothing_open,
+    prepare,
+    reading_errors,
+    surrogate_of,
+    white_of,
+)
 from terraphi.library.store import Library
 
 RIPPLE = 1.25
@@ -42,10 +52,10 @@ def test_a_dense_record_leaves_nothing_open() -> None:
     library = Library.load("rft3d")
     own = library.cases[0].history
     assert own is not None
-    found = learn_reading(library, "straight", own.position)
+    prepared = prepare(library, "straight", readings=own.position)
+    found = learn_reading(library, "straight", own.position, prepared.surrogate)
     assert not found.moment.any()
     assert not nothing_open(4).covariance(np.array([30.0]), np.ones((1, 4))).any()
-    prepared = prepare(library, "straight", readings=own.position)
     assert prepared.read_for(prepared.mean[3]) is prepared
 
 
@@ -58,7 +68,77 @@ def test_a_library_that_hardly_reaches_beyond_the_window_will_do() -> None:
     ]
     short = replace(library, cases=tuple(cut))
     readings = np.radians(np.arange(-88.0, 88.01, 4.0))
-    assert learn_reading(short, "straight", readings).moment.any()
+    surrogate = surrogate_of(short, "straight", short.curves("straight"))
+    assert learn_reading(short, "straight", readings, surrogate).moment.any()
+
+
+def drawn_errors(rng: np.random.Generator, phi: np.ndarray, patterns: np.ndarray) -> _Errors:
+    """Errors of curves at three shifts that are mixtures of patterns, of 80 windows."""
+    about = 0.05 * rng.standard_normal((phi.size, 3, len(patterns))) @ patterns
+    return _Errors(phi, about, np.zeros_like(about), np.full((phi.size, 80), 8.0))
+
+
+@pytest.mark.parametrize("count", [2, 300])
+def test_errors_of_curves_that_were_not_learnt_from_are_as_large_as_said(count: int) -> None:
+    """Two patterns are learnt from a few curves; of as many as there are windows most are not."""
+    surrogate = prepare(Library.load("quick-plane-strain"), "straight").surrogate
+    rng = np.random.default_rng(3)
+    patterns = rng.standard_normal((count, 80)) / np.sqrt(count)
+    phi = np.arange(17.5, 48.0, 2.5)
+    errors, fresh = (drawn_errors(rng, phi.repeat(n), patterns) for n in (1, 40))
+    white = white_of(errors, surrogate)
+    assert white < 0.02 if count == 2 else white > 0.05
+    ratios = {0.0: [], white: []}
+    learnt = errors.learnt()
+    for each in phi.tolist():
+        size = np.exp(0.5 * (learnt.log_size[0] + learnt.log_size[1] * each)) * 8.0
+        moved = 8.0 * fresh.about[fresh.phi_deg == each].reshape(-1, 80)
+        known = surrogate.covariance(each) + surrogate.scatter.covariance(each)
+        for added, found in ratios.items():
+            opened = size**2 * _with_white(learnt, added).moment
+            direction = np.linalg.solve(known + opened, surrogate.slope(each))
+            said = direction @ opened @ direction
+            found.append(np.square(moved @ direction).mean() / said)
+    if count > 2:
+        assert np.mean(ratios[white]) == pytest.approx(1.0, abs=0.35)
+        assert np.mean(ratios[0.0]) > 1.5
+
+
+def test_curves_without_errors_and_few_curves_have_the_usual_white_part() -> None:
+    surrogate = prepare(Library.load("quick-plane-strain"), "straight").surrogate
+    rng, phi = np.random.default_rng(1), np.arange(20.0, 33.0, 2.5)
+    still = drawn_errors(rng, phi, np.zeros((2, 80)))
+    few = drawn_errors(rng, phi[:3], rng.standard_normal((2, 80)))
+    assert [white_of(errors, surrogate) for errors in (still, few)] == [WHITE, WHITE]
+
+
+def test_replicates_are_learnt_from_too() -> None:
+    library = Library.load("quick-paper")
+    readings = np.radians(np.arange(-95.0, 95.0, 1.0))
+    surrogate = prepare(library, "straight", readings=readings).surrogate
+    louder = [
+        case._replace(history=replace(case.history, force=case.history.force * ripple))
+        for case in library.replicates
+        if case.history is not None
+        for ripple in [1.0 + 0.2 * np.sin(2.0 * np.pi * case.history.theta_deg)[:, None]]
+    ]
+    without, loud = (
+        learn_reading(replace(library, replicates=some), "straight", readings, surrogate)
+        for some in ((), tuple(louder))
+    )
+    at, force = np.array([32.5]), surrogate.predict([32.5])
+    assert np.trace(loud.covariance(at, force)[0]) > 2.0 * np.trace(
+        without.covariance(at, force)[0]
+    )
+
+
+@pytest.mark.parametrize("degrees", [0.1, 1.0, 4.0])
+def test_scatter_is_the_calibrations_at_every_spacing(degrees: float) -> None:
+    library = Library.load("quick-plane-strain")
+    found = prepare(library, "straight", readings=np.radians(np.arange(-95.0, 95.0, degrees)))
+    carried = library.calibration["legs"]["straight"]["scatter"]
+    assert found.surrogate.scatter.as_dict() == carried
+    assert found.reading.moment.any() == (degrees > 0.1)
 
 
 def test_covariance_grows_with_the_spacing_and_with_the_force() -> None:

@@ -226,7 +226,8 @@ def test_forces_bend_within_two_degrees_at_both_speeds() -> None:
     for name in (NAMES[0], NAMES[2]):
         library = Library.load(name)
         whole = prepare(library, "straight")
-        surrogate, curves, slope = whole.surrogate, whole.curves, whole.slope(32.5)
+        surrogate, curves = whole.surrogate, whole.curves
+        slope = surrogate.slope(32.5)
         others = curves.phi_deg != 32.5
         rest = JointSurrogate.fit(
             curves.phi_deg[others],

@@ -150,7 +150,7 @@ def budget_of(
     terms = covariance_terms(
         problem, phi_deg, noise_variance=noise_variance, discrepancy=discrepancy
     )
-    slope = problem.leg.slope(phi_deg)
+    slope = problem.leg.surrogate.slope(phi_deg)
     total = sum(terms.values(), np.zeros_like(discrepancy))
     direction = np.linalg.solve(total, slope)
     parts = {name: float(direction @ term @ direction) for name, term in terms.items()}

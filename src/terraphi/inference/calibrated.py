@@ -227,7 +227,7 @@ class _Frame:
         variance = REGISTRATION_DEG**2
         self.base = leg.covariance[node] + variance * np.outer(self.slope, self.slope)
         self.scatter = leg.scatter[node]
-        over_phi = leg.slope(float(leg.phi_deg[node]))
+        over_phi = leg.surrogate.slope(float(leg.phi_deg[node]))
         self.over_phi = over_phi, shift_of(over_phi, problem.spans)
         self._apart: dict[float, FloatArray] = {}
 

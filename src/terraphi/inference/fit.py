@@ -130,7 +130,7 @@ def _odds(problem: Problem, phi: float, noise: float) -> tuple[float, float, flo
     """
     surrogate = problem.leg.surrogate
     low, high = surrogate.phi_bounds_deg
-    slope = problem.leg.slope(phi)
+    slope = problem.leg.surrogate.slope(phi)
     free = FREEDOM * (high - low)
     base = problem.leg.known(phi) + free**2 * np.outer(slope, slope)
     scatter = surrogate.scatter.covariance(phi)

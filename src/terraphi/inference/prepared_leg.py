@@ -17,6 +17,10 @@ errors of that have a covariance, learnt from the library's own curves:
 - of means about the readings beside means of the whole path. What all curves share of it is in
   the library's curves too, since they are read alike; what one has beside its neighbours over φ is
   not.
+
+A few dozen curves that share one grid show fewer patterns than there are, and what they do not show
+would count as known. So variance is added at each window by itself: as much as makes the errors of
+φ of curves that were left out, read like the record, as large as the rest of the curves say.
 """
 
 from __future__ import annotations
@@ -36,9 +40,9 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import WINDOW_DEG, ForceHistory
+from terraphi.experiment.history import ForceHistory
 from terraphi.inference.paper_likelihood import peak_to_peak
-from terraphi.library.store import Curves, Library
+from terraphi.library.store import Case, Curves, Library
 from terraphi.surrogate.joint import JointKernel, JointSurrogate
 from terraphi.surrogate.scatter import Scatter, estimate
 
@@ -48,10 +52,6 @@ log = logging.getLogger(__name__)
 NODES = 281
 """Nodes over phi, between which chi-square and log-determinant are splines: intervals are right to
 a few thousandths of their width; half the nodes leave some hundredths at worst."""
-STEP_DEG = 0.05
-"""Half the step of derivatives with respect to the friction angle [deg]."""
-ENOUGH = 2
-"""Readings in every window from which on a mean scatters as that over the whole window."""
 REMEMBERED = 8
 """Prepared legs that are kept, each some 30 MB."""
 DECOMPOSED = 3
@@ -140,13 +140,6 @@ class PreparedLeg:
     def known(self, phi_deg: float) -> FloatArray:
         """Covariance of surrogate and readings at a friction angle [N^2], [2 theta, 2 theta]."""
         return self.surrogate.covariance(phi_deg) + self.opened
-
-    def slope(self, phi_deg: float) -> FloatArray:
-        """Derivative of the forces with respect to the friction angle [N/deg], shape [2 theta]."""
-        around = np.clip(phi_deg + np.array([-STEP_DEG, STEP_DEG]), *self.surrogate.phi_bounds_deg)
-        below, above = self.surrogate.predict(around)
-        slope: FloatArray = (above - below) / (around[1] - around[0])
-        return slope
 
     def spectra(self, shape: FloatArray) -> Spectra:
         """Covariance and noise in a common basis, for each size of the scatter.
@@ -252,9 +245,7 @@ def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -
     surrogate = surrogate_of(library, leg, curves, readings=readings)
     reading = None
     if readings is not None:
-        # Scatter that was learnt from curves read like the record has what they leave of the path.
-        learnt = is_sparse(readings, curves.theta_deg)
-        reading = learn_reading(library, leg, readings, path=not learnt)
+        reading = learn_reading(library, leg, readings, surrogate)
     prepared = PreparedLeg.of(surrogate, curves, reading)
     _KNOWN[key] = (weakref.ref(library), prepared)
     _forget_oldest(_KNOWN, REMEMBERED)
@@ -272,36 +263,31 @@ def surrogate_of(
     library: Library, leg: str, curves: Curves, *, readings: FloatArray | None = None
 ) -> JointSurrogate:
     """Joint surrogate of one leg: as the library's calibration says, or fitted."""
+    learnt = _carried(library, leg)
+    if learnt is None or not np.allclose(learnt[0].theta_deg, curves.theta_deg, atol=1e-6):
+        log.info("library %s, leg %s: fitting a surrogate, as none fits", library.name, leg)
+        # From the whole path: what few readings leave of it is told by them, and not by scatter.
+        whole = learn(library.curves(leg), library.repeated(leg))
+        learnt = whole.scatter, whole.kernel
+    means, repeats = _means(curves, library.repeated(leg, readings=readings))
+    scatter, kernel = learnt
+    return JointSurrogate.fit(
+        curves.phi_deg, curves.theta_deg, means, scatter, kernel=kernel, repeats=repeats
+    )
+
+
+def _carried(library: Library, leg: str) -> tuple[Scatter, JointKernel] | None:
+    """Scatter and hyperparameters of a leg that a library's calibration has; ``None`` if none."""
     carried = library.calibration.get("legs", {}).get(leg)
-    again = library.repeated(leg, readings=readings)
-    if carried is not None and library.calibration.get("library_hash") == library.hash:
-        try:
-            scatter = Scatter.from_dict(carried["scatter"])
-            kernel = JointKernel.from_dict(carried["kernel"])
-        except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise InputError(
-                f"library '{library.name}' carries a calibration of another version of terraphi; "
-                "calibrate it again (terraphi library calibrate)"
-            ) from error
-        # Its scatter is that of means over many readings, and few leave more of it.
-        same_windows = np.allclose(scatter.theta_deg, curves.theta_deg, atol=1e-6)
-        if same_windows and not is_sparse(readings, curves.theta_deg):
-            means, repeats = _means(curves, again)
-            log.info("library %s, leg %s: surrogate as its calibration has it", library.name, leg)
-            return JointSurrogate.fit(
-                curves.phi_deg, curves.theta_deg, means, scatter, kernel=kernel, repeats=repeats
-            )
-    log.info("library %s, leg %s: fitting a surrogate, as none fits", library.name, leg)
-    return learn(curves, again)
-
-
-def is_sparse(readings: FloatArray | None, theta_deg: FloatArray) -> bool:
-    """Whether some window means are over too few readings [rad]; centres of the windows [deg]."""
-    if readings is None:
-        return False
-    half = WINDOW_DEG / (theta_deg.size - 1)
-    found = np.searchsorted(np.degrees(readings), [theta_deg - half, theta_deg + half])
-    return bool(np.diff(found, axis=0).min() < ENOUGH)
+    if carried is None or library.calibration.get("library_hash") != library.hash:
+        return None
+    try:
+        return Scatter.from_dict(carried["scatter"]), JointKernel.from_dict(carried["kernel"])
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError(
+            f"library '{library.name}' carries a calibration of another version of terraphi; "
+            "calibrate it again (terraphi library calibrate)"
+        ) from error
 
 
 def learn(curves: Curves, replicates: Sequence[tuple[float, FloatArray]] = ()) -> JointSurrogate:
@@ -341,9 +327,10 @@ MOST_SHIFTS = 10
 """Shifts of the readings within their spacing that are tried at most."""
 FEWEST_FOR_GROWTH = 3
 """Cases over phi from which on the size of errors may grow."""
+WHITES = np.geomspace(0.01, 4.0, 14)
+"""Variances that may be added at each window by itself, of that learnt [-]."""
 WHITE = 0.5
-"""Variance that is added at each window by itself, of that learnt [-]: a few dozen curves that
-share one grid show fewer patterns than there are."""
+"""The same if curves are too few to leave some out."""
 
 
 class Reading(NamedTuple):
@@ -381,8 +368,39 @@ def nothing_open(size: int) -> Reading:
     return Reading(np.zeros((size, size)), np.zeros(2))
 
 
+class _Errors(NamedTuple):
+    """What each of some curves shows, over its peak-to-peak [-]."""
+
+    phi_deg: FloatArray
+    """Friction angles, shape [case]."""
+    about: FloatArray
+    """Points less means about them, shape [case, shift, 2 theta]."""
+    beside: FloatArray
+    """These less means of the whole path, beside the curve's neighbours, same shape."""
+    spans: FloatArray
+    """Peak-to-peak of the force of each window [N], shape [case, 2 theta]."""
+
+    def of(self, which: FloatArray) -> _Errors:
+        """Those of some curves; a mask."""
+        return _Errors(*(part[which] for part in self))
+
+    def learnt(self) -> Reading:
+        """Their covariance."""
+        phi = self.phi_deg
+        total = sum(np.square(part).mean(axis=(1, 2)) for part in (self.about, self.beside))
+        # A slope needs more than a few cases; and a path that nothing touches has no error.
+        degree = 1 if len(np.unique(phi)) >= FEWEST_FOR_GROWTH else 0
+        a, b = np.polynomial.polynomial.polyfit(phi, np.log(np.maximum(total, 1e-30)), degree)[
+            [0, degree]
+        ]
+        b *= degree
+        root = np.exp(0.5 * (a + b * phi))[:, None, None]
+        moment = _second_moment(self.about / root) + _second_moment(self.beside / root)
+        return Reading(moment, np.array([a, b]))
+
+
 def learn_reading(
-    library: Library, leg: str, readings: FloatArray, *, path: bool = True
+    library: Library, leg: str, readings: FloatArray, surrogate: JointSurrogate
 ) -> Reading:
     """What readings leave open, from the library's own curves.
 
@@ -394,43 +412,91 @@ def learn_reading(
         Shape of the leg.
     readings
         Leg angles of the record [rad], increasing, shape [sample].
-    path
-        Whether what is not known of the path between readings counts.
+    surrogate
+        Of the leg, as from curves read like the record.
 
     Returns
     -------
     Reading
         Nothing for a record as dense as the library's bins.
     """
-    chosen = sorted(
-        (c for c in library.cases if c.history and c.scenario.leg.shape == leg),
-        key=lambda case: case.scenario.soil.friction_angle_deg,
-    )
-    histories = [case.history for case in chosen if case.history is not None]
+    cases = _simulations(library.cases, leg)
+    phi, histories = list(cases), [found[0] for found in cases.values()]
     size = histories[0].observation().vector.size
     if not _is_coarser(readings, histories[0].position):
         return nothing_open(size)
+    repeated = _simulations(library.replicates, leg)
+    around = [_relative_errors(history, readings)[1] for history in histories]
     found = []
-    for history in histories:
-        spans = peak_to_peak(history.observation().vector)
-        each = np.repeat([spans["Fx"], spans["Fz"]], size // 2)
-        found.append(np.stack(reading_errors(history, readings)) / each)
-    about, around = np.stack(found, axis=1)
-    # What a case has beside the mean of its neighbours has one and a half times the variance of its
-    # own part: as much as it has beside a surrogate of such curves.
-    beside = float(path) * (around[1:-1] - 0.5 * (around[:-2] + around[2:]))
-    phi = np.array([case.scenario.soil.friction_angle_deg for case in chosen])[1:-1]
-    about = about[1:-1]
-    total = np.square(about).mean(axis=(1, 2)) + np.square(beside).mean(axis=(1, 2))
-    # A slope needs more than a few cases; and a path that nothing touches has no error.
-    degree = 1 if len(phi) >= FEWEST_FOR_GROWTH else 0
-    a, b = np.polynomial.polynomial.polyfit(phi, np.log(np.maximum(total, 1e-30)), degree)[
-        [0, degree]
-    ]
-    b *= degree
-    root = np.exp(0.5 * (a + b * phi))[:, None, None]
-    moment = _second_moment(about / root) + _second_moment(beside / root)
-    return Reading(moment + WHITE * np.diag(np.diag(moment)), np.array([a, b]))
+    for i in range(1, len(histories) - 1):
+        # What a case has beside the mean of its neighbours has one and a half times the variance of
+        # its own part: as much as it has beside a surrogate of such curves.
+        neighbours = 0.5 * (around[i - 1] + around[i + 1])
+        for history in (histories[i], *repeated.get(phi[i], ())):
+            about, whole, spans = _relative_errors(history, readings)
+            found.append(_Errors(np.array(phi[i]), about, whole - neighbours, spans))
+    errors = _Errors(*(np.stack(part) for part in zip(*found, strict=True)))
+    return _with_white(errors.learnt(), white_of(errors, surrogate))
+
+
+def _simulations(cases: Sequence[Case], leg: str) -> dict[float, list[ForceHistory]]:
+    """Histories of one leg by friction angle [deg], increasing."""
+    found: dict[float, list[ForceHistory]] = {}
+    for case in sorted(cases, key=lambda case: case.scenario.soil.friction_angle_deg):
+        if case.history and case.scenario.leg.shape == leg:
+            found.setdefault(case.scenario.soil.friction_angle_deg, []).append(case.history)
+    return found
+
+
+def _relative_errors(
+    history: ForceHistory, readings: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Errors as by :func:`reading_errors` over the peak-to-peak [-], and that [N], [2 theta]."""
+    vector = history.observation().vector
+    of_force = peak_to_peak(vector)
+    spans = np.repeat([of_force["Fx"], of_force["Fz"]], vector.size // 2)
+    about, around = reading_errors(history, readings)
+    return about / spans, around / spans, spans
+
+
+def white_of(errors: _Errors, surrogate: JointSurrogate) -> float:
+    """Variance to add at each window by itself, of that learnt [-].
+
+    The curves of every friction angle are left out in turn, and their errors move the angle as they
+    would in an inversion with the covariance that the others show: on average by as much as that
+    says.
+
+    Parameters
+    ----------
+    errors
+        Of all curves but the first and the last.
+    surrogate
+        Of the leg.
+    """
+    angles, ratios = np.unique(errors.phi_deg), []
+    nothing = not (errors.about.any() or errors.beside.any())
+    if len(angles) <= FEWEST_FOR_GROWTH or nothing:
+        return WHITE
+    for phi in angles.tolist():
+        rest, left_out = errors.of(errors.phi_deg != phi), errors.of(errors.phi_deg == phi)
+        reading = rest.learnt()
+        known = surrogate.covariance(phi) + surrogate.scatter.covariance(phi)
+        size = np.exp(0.5 * (reading.log_size[0] + reading.log_size[1] * phi)) * left_out.spans[0]
+        moved = (left_out.about + left_out.beside) * left_out.spans[:, None]
+        ratio = []
+        for white in WHITES:
+            opened = size[:, None] * _with_white(reading, white).moment * size
+            direction = np.linalg.solve(known + opened, surrogate.slope(phi))
+            ratio.append(np.square(moved @ direction).mean() / (direction @ opened @ direction))
+        ratios.append(ratio)
+    # The mean falls as the variance grows; where it crosses 1 is what is looked for.
+    excess = np.mean(ratios, axis=0)
+    return float(np.exp(np.interp(0.0, -np.log(excess), np.log(WHITES))))
+
+
+def _with_white(reading: Reading, white: float) -> Reading:
+    moment = reading.moment + white * np.diag(np.diag(reading.moment))
+    return reading._replace(moment=moment)
 
 
 def reading_errors(history: ForceHistory, readings: FloatArray) -> tuple[FloatArray, FloatArray]:

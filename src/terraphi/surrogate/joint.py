@@ -370,6 +370,8 @@ def maximise_evidence(data: Standardised) -> tuple[JointKernel, float]:
 
 ROUNDS = 2
 """Corrections of the scatter by the curves."""
+STEP_DEG = 0.05
+"""Half the step of derivatives with respect to the friction angle [deg]."""
 JITTER = 1e-9
 """Added to the variance of equal angles, so that they have a factor."""
 
@@ -490,6 +492,13 @@ class JointSurrogate:
         """
         phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))
         return scale * self.scatter.sigma(phi) * (self.standard_mean(phi) @ self.basis.T)
+
+    def slope(self, phi_deg: float) -> FloatArray:
+        """Derivative of the forces with respect to the friction angle [N/deg], shape [2 theta]."""
+        around = np.clip(phi_deg + np.array([-STEP_DEG, STEP_DEG]), *self.phi_bounds_deg)
+        below, above = self.predict(around)
+        slope: FloatArray = (above - below) / (around[1] - around[0])
+        return slope
 
     def standard_mean(self, phi_deg: FloatArray, curves: FloatArray | None = None) -> FloatArray:
         """Mean in the common basis, over sigma [-], shape [k] -> [..., k, 2 theta].

@@ -277,6 +277,15 @@ def _resolution(data: Data) -> str:
     )
 
 
+def _spacing(data: Data) -> str:
+    found = ", ".join(
+        f"{row['coverage68']:.0%} and {row['coverage95']:.0%} ({row['truths']})"
+        for row in data["rows"]
+        if row["spacing_deg"] is None
+    )
+    return f"Truths inside 68 and 95 % intervals, at all spacings: {found}."
+
+
 def _design(data: Data) -> str:
     parts = []
     for found in data["comparisons"]:
@@ -304,6 +313,7 @@ _SENTENCES: dict[str, Callable[[Data], str]] = {
     "prototype": _prototype,
     "sensitivity": _sensitivity,
     "resolution": _resolution,
+    "spacing": _spacing,
     "design": _design,
     "verification": _verification,
 }

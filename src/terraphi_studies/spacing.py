@@ -1,0 +1,325 @@
+"""Spacing: how often intervals hold the truth if a record has few readings.
+
+The quick libraries' forces ripple over the leg angle with a period near a degree, at the same
+angles in every simulation. A record of one reading a degree meets the ripple at one phase. So fresh
+simulations of known friction angle are thinned, at evenly spread phases, and each is inverted.
+
+The records of one truth share its particles and the library's error, so that they count for fewer
+than they are. What share of them would be inside if the intervals were right is found from normal
+errors that are as alike within a truth as those of the records (analysis of variance).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.documents import shipped_names
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.inference.inversion import invert
+from terraphi.library.store import Library
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE
+from terraphi_studies import Study, page
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FloatArray = NDArray[np.float64]
+
+LIBRARIES = ("quick-plane-strain", "quick-paper")
+ROLES = ("fourteen", "truths")
+"""Endings of the names of libraries that hold truths."""
+EVERY = (1, 2, 5, 10, 20, 40)
+"""Of the simulation's samples, a record has the first and each so many further on."""
+PHASES = 5
+"""Phases at most of the readings within their spacing."""
+BEYOND_DEG = 95.0
+"""Readings reach so far to both sides [deg]."""
+LEVELS = (68, 95)
+DRAWS = 4000
+"""Sets of errors from which shares are expected."""
+DOUBTFUL = 0.05
+"""Share of the consistent answers that may lie outside their 95 % interval [-]."""
+TITLE = "Records of few readings: how often their intervals hold the truth"
+HEADER = (
+    *("truths", "spacing", "records", "in 68 %", "expected", "in 95 %", "expected"),
+    *("68 % half-width", "RMS error", "consistent", "of these outside 95 %"),
+)
+METHOD = (
+    "Written by `terraphi study spacing --out DIR`. Fresh simulations, off the library's grid, are "
+    "thinned to one reading in so many degrees, beginning at evenly spread places, and inverted. "
+    "`fourteen` are the paper's angles, one simulation each; `truths` are eight from end to end of "
+    "the library. Expected are 5 to 95 % of what comes out if intervals are right and records of "
+    "one truth are as alike as these are; errors that truths share are not in it. So few truths "
+    "cannot show whether 68 % are 65 or 71 %, only whether intervals are far too narrow or wide. "
+    "What readings leave open is a term of the covariance, learnt from the library alone: see "
+    "[inference.md](inference.md)."
+)
+PICTURE = "Share of truths inside, and errors beside half-widths, over the spacing of the readings"
+
+
+class Answer(NamedTuple):
+    """One record's answer."""
+
+    truth_deg: float
+    """True friction angle [deg]."""
+    median_deg: float
+    half_width_deg: float
+    """Median and half-width of the 68 % interval [deg]."""
+    rank: float
+    """Mass of the posterior below the truth [-]."""
+    consistent: bool
+
+
+def run(
+    *, library: str | None = None, progress: Callable[[float, float], None] | None = None
+) -> Study:
+    """Invert thinned truths of libraries.
+
+    Parameters
+    ----------
+    library
+        Name of a shipped library that has truths; both quick ones if not given.
+    progress
+        Called with the number of records inverted and of all.
+
+    Returns
+    -------
+    Study
+        ``data``: ``rows``, one for each set of truths and spacing and one for each set
+        (``spacing_deg`` is null): ``library``, ``truths``, ``spacing_deg``, ``records``,
+        ``coverage68``, ``expected68`` (5 and 95 %), ``coverage95``, ``expected95``,
+        ``ci68_half_width_deg`` (median), ``rms_error_deg``, ``consistent`` (share),
+        ``consistent_outside95`` (share of these) and ``likeness`` (correlation of the errors of
+        one truth's records); all shares are fractions.
+
+    Raises
+    ------
+    InputError
+        If there is no such library, or none of its truths.
+    """
+    sets = [pair for name in ([library] if library else LIBRARIES) for pair in sets_of(name)]
+    counts = [len(truths) * len(phases(every)) for _, _, truths in sets for every in EVERY]
+    total, done = sum(counts), 0
+    rows = []
+    for trained, name, truths in sets:
+        every_answer: list[Answer] = []
+        for every in EVERY:
+            found = []
+            for phase in phases(every):
+                for phi, history in truths:
+                    found.append(answer_of(trained, phi, thinned(history, every, phase)))
+                    done += 1
+                    if progress is not None:
+                        progress(done, total)
+            step = float(np.median(np.diff(truths[0][1].theta_deg)))
+            rows.append(row_of(trained.name, name, round(every * step, 6), found))
+            every_answer += found
+        rows.append(row_of(trained.name, name, None, every_answer))
+    table, notes = [_shown(row) for row in rows], _notes(rows)
+    return Study(
+        title=TITLE,
+        header=HEADER,
+        rows=table,
+        data={"rows": rows},
+        figures={"spacing": _figure(rows)},
+        documents={"spacing.md": page(TITLE, METHOD, notes, HEADER, table, "spacing.png", PICTURE)},
+        notes=notes,
+    )
+
+
+def sets_of(library: str) -> list[tuple[Library, str, list[tuple[float, ForceHistory]]]]:
+    """A library and, of each set of its truths, the name, and one history of each angle.
+
+    Raises InputError if there is no such library, or none of its truths.
+    """
+    trained, found = Library.load(library), []
+    shipped = shipped_names("libraries", ".nc")
+    for role in ROLES:
+        name = f"{library}-{role}"
+        if name in shipped:
+            first: dict[float, ForceHistory] = {}
+            for case in Library.load(name).cases:
+                if case.history and case.scenario.leg.shape == "straight":
+                    first.setdefault(case.scenario.soil.friction_angle_deg, case.history)
+            found.append((trained, name, list(first.items())))
+    if not found:
+        known = {
+            name.removesuffix(f"-{role}")
+            for name in shipped
+            for role in ROLES
+            if name.endswith(f"-{role}")
+        }
+        raise InputError(
+            f"library '{library}': no truths of it are shipped, which this study needs; those that "
+            f"have some: {', '.join(sorted(known))}"
+        )
+    return found
+
+
+def phases(every: int) -> list[int]:
+    """Samples at which records begin, evenly spread over the spacing."""
+    count = min(every, PHASES)
+    return [i * every // count for i in range(count)]
+
+
+def thinned(history: ForceHistory, every: int, phase: int) -> ForceHistory:
+    """A record that has each so many samples of a history, from one on; no longer its whole."""
+    near = history.engaged(window_deg=BEYOND_DEG)
+    return replace(near, position=near.position[phase::every], force=near.force[phase::every])
+
+
+def answer_of(library: Library, phi_deg: float, record: ForceHistory) -> Answer:
+    """Invert a record of known friction angle [deg] with the straight leg of a library."""
+    found = invert(record, library=library)
+    return Answer(
+        phi_deg,
+        found.phi.median,
+        0.5 * (found.phi.ci68[1] - found.phi.ci68[0]),
+        found.posterior.mass(found.posterior.bounds_deg[0], phi_deg),
+        found.verdict.verdict == "consistent",
+    )
+
+
+def row_of(
+    library: str, truths: str, spacing_deg: float | None, found: Sequence[Answer]
+) -> dict[str, Any]:
+    """What came out of some records; keys as in :func:`run`."""
+    truth, median, half, rank, consistent = (np.array(part) for part in zip(*found, strict=True))
+    off = np.abs(rank - 0.5)
+    inside = {level: off <= 0.005 * level for level in LEVELS}
+    likeness, expected = expected_of(truth, rank)
+    outside = (~inside[95])[consistent]
+    return {
+        "library": library,
+        "truths": truths,
+        "spacing_deg": spacing_deg,
+        "records": len(found),
+        **{f"coverage{level}": float(inside[level].mean()) for level in LEVELS},
+        **{f"expected{level}": expected[level] for level in LEVELS},
+        "ci68_half_width_deg": float(np.median(half)),
+        "rms_error_deg": float(np.sqrt(np.mean(np.square(median - truth)))),
+        "consistent": float(consistent.mean()),
+        "consistent_outside95": float(outside.mean()) if outside.size else 0.0,
+        "likeness": likeness,
+    }
+
+
+def expected_of(
+    truth_deg: FloatArray, rank: FloatArray
+) -> tuple[float, dict[int, tuple[float, float]]]:
+    """How alike the errors of one truth's records are, and shares inside right intervals.
+
+    Parameters
+    ----------
+    truth_deg, rank
+        True angle [deg] and mass of the posterior below it [-] of each record, shape [record]; as
+        many of every angle.
+
+    Returns
+    -------
+    tuple
+        Correlation of the errors of two records of one truth [-], 0 to 1, and by percent of the
+        interval 5 and 95 % of the share of records inside [-].
+    """
+    from scipy.special import ndtri
+
+    _, place = np.unique(truth_deg, return_inverse=True)
+    groups = int(place.max()) + 1
+    error = ndtri(np.clip(rank, 1e-6, 1.0 - 1e-6))[np.argsort(place, kind="stable")]
+    table = error.reshape(groups, -1)
+    each = table.shape[1]
+    likeness = 1.0
+    if each > 1 and groups > 1:
+        between = each * float(table.mean(axis=1).var(ddof=1))
+        within = float(table.var(axis=1, ddof=1).mean())
+        likeness = max(between - within, 0.0) / max(between + (each - 1) * within, 1e-12)
+    elif each > 1:
+        likeness = 0.0
+    rng = np.random.default_rng(0)
+    drawn = np.sqrt(likeness) * rng.standard_normal((DRAWS, groups, 1))
+    drawn = drawn + np.sqrt(1.0 - likeness) * rng.standard_normal((DRAWS, groups, each))
+    expected = {}
+    for level in LEVELS:
+        share = (np.abs(drawn) <= ndtri(0.5 + 0.005 * level)).mean(axis=(1, 2))
+        low, high = np.quantile(share, [0.05, 0.95]).tolist()
+        expected[level] = (low, high)
+    return likeness, expected
+
+
+def _shown(row: Mapping[str, Any]) -> tuple[str, ...]:
+    spacing = row["spacing_deg"]
+    cells = [row["truths"], "all" if spacing is None else f"{spacing:g}°", str(row["records"])]
+    for level in LEVELS:
+        low, high = row[f"expected{level}"]
+        cells += [f"{row[f'coverage{level}']:.0%}", f"{100 * low:.0f} to {high:.0%}"]
+    cells += [f"{row[key]:.3f}°" for key in ("ci68_half_width_deg", "rms_error_deg")]
+    return *cells, f"{row['consistent']:.0%}", f"{row['consistent_outside95']:.0%}"
+
+
+def _notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    notes = []
+    single = [row for row in rows if row["spacing_deg"] is not None]
+    for level in LEVELS:
+        key, band = f"coverage{level}", f"expected{level}"
+        low, high = (
+            [_name(row) for row in single if sign * (row[key] - row[band][end]) > 0.0]
+            for sign, end in ((-1.0, 0), (1.0, 1))
+        )
+        told = [f"too few at {_listed(low)}"] if low else []
+        told += [f"too many at {_listed(high)}"] if high else []
+        all_right = "as many as expected, within chance, in every row"
+        notes.append(f"In {level} % intervals: {'; '.join(told) or all_right}.")
+    doubtful = [_name(row) for row in single if row["consistent_outside95"] > DOUBTFUL]
+    notes.append(
+        f"Of the consistent ones more than {DOUBTFUL:.0%} are outside their 95 % interval at "
+        f"{_listed(doubtful) if doubtful else 'no spacing'}."
+    )
+    return notes
+
+
+def _name(row: Mapping[str, Any]) -> str:
+    return f"{row['spacing_deg']:g}° (`{row['truths']}`)"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names)
+
+
+def _figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Shares inside, and errors beside half-widths, over the spacing."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    shares, errors = figure.subplots(1, 2)
+    for level in LEVELS:
+        shares.axhline(level, color=GREY, lw=0.8)
+    sets = list(dict.fromkeys(row["truths"] for row in rows))
+    looks = zip(sets, (BLUE, ORANGE, GREEN), "osD", strict=False)
+    for name, colour, mark in looks:
+        mine = [row for row in rows if row["truths"] == name and row["spacing_deg"] is not None]
+        x = [row["spacing_deg"] for row in mine]
+        for level, line in zip(LEVELS, ("-", "--"), strict=True):
+            share = [100.0 * row[f"coverage{level}"] for row in mine]
+            shares.plot(x, share, line, color=colour, marker=mark, ms=5)
+        errors.plot(x, [row["rms_error_deg"] for row in mine], "-", color=colour, marker=mark,
+                    ms=5, label=f"{name}, RMS error")  # fmt: skip
+        errors.plot(x, [row["ci68_half_width_deg"] for row in mine], "--", color=colour,
+                    marker=mark, ms=5, mfc="white", label="68 % half-width")  # fmt: skip
+    shares.set_ylabel("inside the interval [%]")
+    errors.set_ylabel("[deg of φ]")
+    errors.set_yscale("log")
+    for axes in (shares, errors):
+        axes.set_xscale("log")
+        axes.set_xticks([row["spacing_deg"] for row in rows if row["truths"] == sets[0]][:-1])
+        axes.set_xticks([], minor=True)
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.set_xlabel("spacing of the readings [deg]")
+    shares.set_title("solid: 68 % intervals, dashed: 95 %", fontsize=10)
+    errors.legend(frameon=False, fontsize=8)
+    return figure
