@@ -62,7 +62,7 @@ class Contents:
 
 
 def read_whole(path: Path) -> Contents:
-    """Load a file as it stands: without scale, offset or calendar, which files of ours do not use.
+    """Load a whole NetCDF-4 file; scale, offset and calendar attributes are not applied.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def is_there(path: Path) -> bool:
 
 
 def read_bytes(path: Path) -> bytes:
-    """All of a file, of a pipe, or of standard input (``-``).
+    """Return all bytes of a file, a pipe, or standard input (``-``).
 
     Raises
     ------
@@ -164,7 +164,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def check_is_file(path: Path, expected: str = "") -> None:
-    """Refuse a place whose file has to lie on a disk, as it is read here and there.
+    """Refuse a pipe or standard input where a file on a disk is needed (for random access).
 
     Parameters
     ----------
@@ -186,14 +186,14 @@ def check_is_file(path: Path, expected: str = "") -> None:
 
 
 def _absent(path: Path, expected: str = "") -> str:
-    """Sentence on a place without a file; of a folder it says that it is one."""
+    """Say that a path does not exist, or that it is a folder."""
     if path.is_dir():
         return f"{path}: is a folder; {f'expected {expected}' if expected else 'name a file'}"
     return f"{path}: no such file{expected and '; expected '}{expected}"
 
 
 def plain_number(text: str) -> float:
-    """A number in the letters that people and programs agree on; Python's ``float`` takes more.
+    """Parse a decimal number; unlike ``float``, refuse ``1_000`` and full-width digits.
 
     Raises
     ------
@@ -238,7 +238,7 @@ def _permitted(place: Path) -> None:
 
 
 def writable(path: Path) -> None:
-    """Refuse a file that could not be written, before any work is done for it."""
+    """Raise InputError before any work is done if a file could not be written."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():
@@ -247,7 +247,7 @@ def writable(path: Path) -> None:
 
 
 def makeable(path: Path) -> None:
-    """Refuse a folder that could not be made, before any work is done for it."""
+    """Raise InputError before any work is done if a folder could not be made."""
     there = next(place for place in (path, *path.absolute().parents) if place.exists())
     if not there.is_dir():
         raise InputError(f"{there}: is a file; name a folder")
@@ -266,7 +266,7 @@ def made_folder(path: Path) -> Path:
 
 @contextmanager
 def damage_told(sentence: str, *more: type[Exception]) -> Iterator[None]:
-    """Say so where a NetCDF is damaged.
+    """Turn the errors of a damaged NetCDF file into one InputError.
 
     Parameters
     ----------
@@ -294,7 +294,7 @@ def damage_told(sentence: str, *more: type[Exception]) -> Iterator[None]:
 
 
 def _forget(error: Exception) -> None:
-    """Close what an error has left open, now, and without the remarks that h5netcdf then makes."""
+    """Close files that an error left open now, without h5netcdf's warnings."""
     before = sys.unraisablehook
     sys.unraisablehook = lambda _: None
     try:
@@ -304,7 +304,7 @@ def _forget(error: Exception) -> None:
 
 
 def open_netcdf(path: Path, *, kind: str, schema: int) -> Contents:
-    """Load a NetCDF of ours into memory, or say in one sentence why it cannot be.
+    """Load a NetCDF file that terraphi wrote, or raise InputError with the reason.
 
     Parameters
     ----------
@@ -377,7 +377,7 @@ def held(folder: Path) -> Iterator[None]:
 
 
 def _locked(folder: Path) -> int:
-    """A lock on a folder, which is made if it is not there; ends with the handle."""
+    """Make a folder if needed and lock it; closing the returned handle releases the lock."""
     made_folder(folder)
     try:
         handle = os.open(folder, os.O_RDONLY)
@@ -396,7 +396,7 @@ def _locked(folder: Path) -> int:
 
 
 def _is_at(folder: Path, handle: int) -> bool:
-    """Whether an open folder is still the one of its name."""
+    """Whether the path of an opened folder still leads to it."""
     try:
         return os.path.samestat(folder.stat(), os.fstat(handle))
     except FileNotFoundError:

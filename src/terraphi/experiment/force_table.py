@@ -30,11 +30,11 @@ log = logging.getLogger(__name__)
 
 CSV_COLUMNS = ("theta_deg", "Fx_N", "Fz_N")
 MARK = "# terraphi force history "
-"""How our comment begins; JSON follows on the same line."""
+"""Beginning of our comment line; JSON follows on the same line."""
 SCHEMA = 1
 """Version of what our comment holds."""
 TOLD = 5
-"""Lines of which all have the same fault that are named."""
+"""Number of lines that are named where many have the same fault."""
 LEAST_DEG = 7.0
 """Largest angle of a record below which its angles must be radians [deg]."""
 
@@ -143,7 +143,7 @@ def write_force_table(path: Path, values: FloatArray, provenance: Mapping[str, A
 
 
 def column_names(path: Path) -> list[str]:
-    """Names in a CSV's first line that is no comment, whatever the file may be; raises OSError."""
+    """Column names in the first line of a CSV that is no comment; raises OSError."""
     with path.open("rb") as stream:
         line = stream.readline(4096).removeprefix(b"\xef\xbb\xbf")
         while line.lstrip().startswith(b"#"):
@@ -157,13 +157,13 @@ def column_names(path: Path) -> list[str]:
 
 
 def _digest(values: FloatArray, provenance: Mapping[str, Any]) -> str:
-    """SHA-256 of numbers as they are printed and of what is said of them, hexadecimal."""
+    """SHA-256 of the printed numbers and their provenance, hexadecimal."""
     said = json.dumps(provenance, sort_keys=True).encode()
     return hashlib.sha256(said + np.ascontiguousarray(values, "<f8").tobytes()).hexdigest()
 
 
 def _provenance(path: Path, comment: str, values: FloatArray) -> dict[str, Any]:
-    """What our comment says; nothing, and a warning, if it was changed or the numbers were."""
+    """Provenance in our comment; empty, with a warning, if comment or numbers were changed."""
     line, _, text = comment.partition(" ")
     try:
         content = json.loads(text)
@@ -220,7 +220,7 @@ def _check_header(place: str, header: list[str], lines: _Lines) -> None:
 
 
 def _at_once(lines: _Lines, order: list[int]) -> FloatArray | None:
-    """All rows after the header if nothing is wrong with any; ``None``, and back there, if so."""
+    """Parse all rows at once; if any is wrong, rewind the file and return ``None``."""
     start = (lines.stream.tell(), lines.number)
     try:
         with warnings.catch_warnings():
@@ -251,7 +251,7 @@ def _row_by_row(
     header: list[str],
     order: list[int],
 ) -> FloatArray:
-    """The same as :func:`_at_once`; says what is wrong, and where."""
+    """Parse row by row, slower than :func:`_at_once`, and say what is wrong and where."""
     values, numbers = array("d"), array("q")
     for row in rows:
         if any(cell.strip() for cell in row):

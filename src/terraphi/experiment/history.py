@@ -175,7 +175,7 @@ class ForceHistory:
         return replace(self, position=self.position[inside], force=self.force[inside])
 
     def as_read_at(self, readings: FloatArray | None) -> ForceHistory:
-        """What a record that was read at other angles would show of this history.
+        """Resample this history as a sensor with other reading angles would have recorded it.
 
         Window means of a record with a reading every few degrees are of lines between readings,
         and so are to be those of the curves that it is compared with.
@@ -420,9 +420,9 @@ def _primitive(
 WIDEST_GAP_DEG = 20.0
 """Widest gap between readings within the window [deg]."""
 DENSE_DEG = 0.5
-"""Widest gap of a record whose window means are those of the whole curve [deg]."""
+"""Widest gap between readings at which window means equal those of the whole curve [deg]."""
 READING_DEG = 1.0
-"""Most of the path that one reading is taken to be the mean over [deg]."""
+"""Largest part of the path that one reading stands for [deg]."""
 
 
 def is_dense(readings: FloatArray) -> bool:
@@ -439,7 +439,7 @@ def between(position: FloatArray, low: float, high: float) -> NDArray[np.bool_]:
 
 
 def is_read_again(position: FloatArray, readings: FloatArray) -> bool:
-    """Whether samples have to be averaged anew to be seen as from a record with other readings.
+    """Whether curves must be resampled to be compared with a record of these readings.
 
     Parameters
     ----------
@@ -451,7 +451,7 @@ def is_read_again(position: FloatArray, readings: FloatArray) -> bool:
 
 
 def shares(readings: FloatArray) -> FloatArray:
-    """Part of the path that each reading is the mean over [rad], shape [sample].
+    """Part of the path that each reading stands for [rad], shape [sample].
 
     As far as the nearer neighbour, and 1° at most: what a reading averages over is not known, and
     few sensors read a point.
@@ -470,7 +470,7 @@ def shares(readings: FloatArray) -> FloatArray:
 def check_readings(
     theta_deg: FloatArray, *, window_deg: float, slack_deg: float, fewest: int, file: str = ""
 ) -> NDArray[np.bool_]:
-    """Refuse a record whose window means would be those of something else.
+    """Refuse a record whose readings are too few or too far apart for window means.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ class Manifest(NamedTuple):
 
 
 def check_file(path: Path, *, kind: str = "") -> None:
-    """Refuse a file that could not be written, or is another's, before any work is done for it.
+    """Raise InputError before any work if a file cannot be written or is not terraphi's.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def _is_ours(path: Path, kind: str) -> bool:
 def check_folder(
     path: Path, *, kind: str, names: Collection[str] = (), besides: Collection[str] = ()
 ) -> None:
-    """Refuse a folder that could not be made, or is another's, before any work is done for it.
+    """Raise InputError before any work if a folder cannot be made or is not terraphi's.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def check_folder(
 
 @contextmanager
 def filling(path: Path, *, kind: str, last: str, besides: Collection[str] = ()) -> Iterator[Path]:
-    """A folder to write results into, which then take the place of earlier ones.
+    """Give a temporary folder to write results into; at the end they replace earlier ones.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def filling(path: Path, *, kind: str, last: str, besides: Collection[str] = ()) 
 
 
 def _take_over(path: Path, made: Path, old: Files, wanted: Manifest, last: str) -> None:
-    """Put new files in the place of old ones; whatever it is cut off at, the manifest is right."""
+    """Replace old files by new ones; if interrupted at any point, the manifest stays right."""
     new = wanted.files
     every = {name: [*old.get(name, ()), *new.get(name, ())] for name in {**old, **new}}
     _write_manifest(path, wanted._replace(files=every))
@@ -193,7 +193,7 @@ def _take_over(path: Path, made: Path, old: Files, wanted: Manifest, last: str) 
 
 
 def _manifest(path: Path) -> Manifest | None:
-    """Our files in a folder; ``None`` if it has no manifest of ours."""
+    """Files that terraphi wrote in a folder; ``None`` if it has no manifest."""
     try:
         content = json.loads(path.joinpath(MANIFEST).read_text(encoding="utf-8"))
         if content["terraphi_file"] != "manifest":

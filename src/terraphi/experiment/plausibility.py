@@ -34,11 +34,11 @@ LIMITS = {
     "relief.distance": (0.0, 1.0, "in metres"),
     "rft.scale": (1e-2, 1e2, "a factor"),
 }
-"""Least and largest value that nobody would wonder at, and what it is."""
+"""Smallest and largest plausible value of a key, and the name of the quantity."""
 
 
 def doubts(scenario: Scenario) -> list[str]:
-    """What a careful reader would ask about before simulating.
+    """Return doubts about a scenario: values that can be simulated but are hardly meant.
 
     Parameters
     ----------

@@ -36,13 +36,13 @@ Progress = Callable[[int, int], None]
 """Called with the number of finished cases and of all cases."""
 
 FAILURE = ".failure.json"
-"""How the name of a file ends that says why a case failed."""
+"""Suffix of the file that says why a case failed."""
 _POLL = 0.25
 """Seconds between two looks at the executor; the progress display moves that often."""
 
 
 def run_case(scenario_json: str, checkpoint: Checkpoint | None = None) -> ForceHistory | str:
-    """Simulate one case; runs in a worker, so it takes and returns what travels well.
+    """Simulate one case in a worker process; what it takes and returns can be pickled.
 
     Parameters
     ----------
@@ -79,9 +79,9 @@ def cases_folder(path: Path) -> Path:
 
 
 def kept_cases(path: Path) -> Path | None:
-    """Folder with what is left of a build that has ended; ``None``, and removed, if empty.
+    """Return the folder of cases that an ended build left behind, or ``None`` if there is none.
 
-    That of another build which is at work is left alone, empty or not.
+    An empty folder is removed, unless a running build uses it.
     """
     folder = cases_folder(path)
     if folder.is_dir():
@@ -91,7 +91,7 @@ def kept_cases(path: Path) -> Path | None:
 
 
 def _remove_if_empty(folder: Path) -> None:
-    """Remove a folder in which nothing was kept; for whoever holds it."""
+    """Remove a folder of cases if it is empty; the caller holds its lock."""
     if folder.is_dir() and not any(folder.iterdir()):
         folder.rmdir()
 
@@ -164,7 +164,7 @@ def build(
 
 
 def _with_what_was_learnt(library: Library, before: Library) -> Library:
-    """The library with the replicates and the calibration of the one that it takes the place of."""
+    """Return the library with replicates and calibration of the file that it replaces."""
     cases = {c.scenario.hash for c in library.cases}
     kinds = {unseeded(c.scenario) for c in library.cases}
     usable = _usable(before.replicates)
@@ -278,7 +278,7 @@ def _run_on(
     keep: Callable[[Scenario, ForceHistory | str], None],
     look: Callable[[], None],
 ) -> None:
-    """Run cases on an executor, handing each over as it ends."""
+    """Run cases on an executor and keep each as it finishes."""
     waiting: dict[Future[ForceHistory | str], Scenario] = {
         executor.submit(run_case, scenario.model_dump_json(), checkpoints[scenario.hash]): scenario
         for scenario in scenarios
@@ -305,7 +305,7 @@ def _run_on(
 
 
 def _trouble(future: Future[ForceHistory | str]) -> BaseException | None:
-    """What a task that has ended died of; that it was dropped, which we did not do, counts too."""
+    """Return why a finished task failed, or ``None``; a task that others cancelled has failed."""
     if future.cancelled():
         return BrokenExecutor(
             "the executor dropped a case; finished cases are kept, and the same command goes on "
@@ -315,7 +315,7 @@ def _trouble(future: Future[ForceHistory | str]) -> BaseException | None:
 
 
 def finished_cases(folder: Path) -> dict[str, ForceHistory]:
-    """Usable histories in a folder, by scenario hash; broken and outdated ones count as missing."""
+    """Histories in a folder by scenario hash; unreadable or outdated files are skipped."""
     found = {}
     for file in sorted(folder.glob("[0-9a-f]*.nc")):
         try:
@@ -329,7 +329,7 @@ def finished_cases(folder: Path) -> dict[str, ForceHistory]:
 
 
 def failed_cases(folder: Path) -> dict[str, str]:
-    """Why cases failed, as kept in a folder, by scenario hash; those of other models left out."""
+    """Reasons of failed cases in a folder by scenario hash; those of other models are skipped."""
     found = {}
     for file in sorted(folder.glob("[0-9a-f]*" + FAILURE)):
         try:
@@ -354,12 +354,12 @@ def _keep_failure(folder: Path, scenario: Scenario, reason: str) -> None:
 
 
 def _usable(cases: Iterable[Case]) -> dict[str, ForceHistory]:
-    """Histories of cases that today's model would give, by scenario hash."""
+    """Histories that the current model version made, by scenario hash."""
     return {c.scenario.hash: c.history for c in cases if c.history and _is_current(c.history)}
 
 
 def _is_current(history: ForceHistory) -> bool:
-    """Whether today's model would give the same forces."""
+    """Whether the current model version made this history."""
     scenario = history.provenance.get("scenario")
     if scenario is None:
         return False

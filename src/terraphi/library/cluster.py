@@ -195,7 +195,7 @@ class _Translated(Executor):
         return told
 
     def _tell(self, told: Future[Any], done: Future[Any]) -> None:
-        """Hand a result over."""
+        """Pass a finished result on to its future."""
         if not told.set_running_or_notify_cancel():
             return  # we gave it up ourselves
         try:
@@ -267,7 +267,7 @@ def run_here(expected: dict[str, str], fn: Callable[..., Any], *args: Any, **opt
 
 @contextmanager
 def _quiet_logs() -> Iterator[None]:
-    """Hold back what Dask logs on this side: it is told in one sentence instead."""
+    """Silence Dask's own log messages here; errors are raised with one sentence instead."""
     names = ("distributed", "distributed.client", "distributed.core", "tornado", "asyncio")
     loggers = [logging.getLogger(name) for name in names]
     before = [log.level for log in loggers]
@@ -281,6 +281,6 @@ def _quiet_logs() -> Iterator[None]:
 
 
 def _minor(python: Any) -> str:
-    """Python's version without what does not matter, ``3.12``."""
+    """Python's version without the micro part, such as ``3.12``."""
     parts = python if isinstance(python, list | tuple) else str(python).split(".")
     return ".".join(str(part) for part in parts[:2])

@@ -28,10 +28,10 @@ WORDS = {
     "libc": "C library",
     "numpy_instructions": "vector instructions of NumPy",
 }
-"""Names for people, where the recorded ones are not for them."""
+"""Readable names of recorded keys."""
 _LONGEST = 24
 _LONG_MINUTES = 1.5
-"""Time of a case that one wants to know of before one simulates it again."""
+"""Run time above which the time of a case is told before it is simulated again [s]."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Rebuilt:
 
 
 def differences(case: Case) -> tuple[str, ...]:
-    """What a case rests on that is different here, in words; empty if nothing is.
+    """What differs here from the machine and versions that made a case, in words; or empty.
 
     Parameters
     ----------

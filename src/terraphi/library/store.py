@@ -68,7 +68,7 @@ class Curves(NamedTuple):
 
 @dataclass(frozen=True)
 class Library:
-    """Simulations over a plan.
+    """The simulations of a plan.
 
     Attributes
     ----------

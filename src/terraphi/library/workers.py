@@ -31,7 +31,7 @@ _unwanted: ContextVar[Callable[[], bool] | None] = ContextVar("unwanted", defaul
 
 
 def _join(stop: Event, done: Synchronized[float]) -> None:
-    """Set a fresh worker up: it leaves Ctrl-C to its parent, which will then ask it to stop."""
+    """Set up a new worker: it ignores Ctrl-C, because its parent will ask it to stop."""
     global _pulse
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _pulse = (stop, done)
@@ -39,7 +39,7 @@ def _join(stop: Event, done: Synchronized[float]) -> None:
 
 
 def _leave_with_parent() -> None:
-    """End this worker as soon as its parent is gone, killed perhaps, and can want no result."""
+    """End this worker when its parent process has ended, for example because it was killed."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -48,7 +48,7 @@ def _leave_with_parent() -> None:
 
 @contextmanager
 def without_interrupts() -> Iterator[None]:
-    """Hold Ctrl-C back for a moment; what is started meanwhile holds it back for good."""
+    """Ignore Ctrl-C for a moment; processes that are started meanwhile ignore it for good."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -57,7 +57,7 @@ def without_interrupts() -> Iterator[None]:
 
 
 def _nothing() -> None:
-    """Task that makes an executor start a worker."""
+    """Do nothing; submitted to make an executor start its workers."""
 
 
 def heartbeat(advance: float) -> None:
