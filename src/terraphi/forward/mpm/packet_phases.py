@@ -23,7 +23,19 @@ from terraphi.forward.mpm.contact import (
     push_particle,
     touch,
 )
-from terraphi.forward.mpm.lanes import RELIEF_X, RELIEF_Z, TOTAL_X, TOTAL_Z, Laws, fade, scatter
+from terraphi.forward.mpm.lanes import (
+    RELIEF_X,
+    RELIEF_Z,
+    TOTAL_X,
+    TOTAL_Z,
+    Laws,
+    fade,
+    follow_shift,
+    follow_velocity,
+    push,
+    scatter,
+    strain,
+)
 from terraphi.forward.mpm.packets import NODES, first_half
 from terraphi.forward.mpm.packing import (
     FIELDS,
@@ -55,8 +67,6 @@ from terraphi.forward.mpm.rows import (
     update_rows,
 )
 from terraphi.forward.mpm.scalar import Audit, Stepping, close_books, enter_reaction, write_books
-from terraphi.forward.mpm.spline_gradient import follow_splines, push_splines
-from terraphi.forward.mpm.strain_lanes import follow_shift, follow_velocity, push, strain
 from terraphi.forward.mpm.sweep import (
     Memory,
     add_strips,
@@ -251,9 +261,9 @@ def march(
             return step, here, turn, momentum, -1
         now, then = grids[here], grids[1 - here]
         clear_rows(then, used)
-        sweep = (packets, soil, now, then, shift, memory, laws, fading, turn)
-        how = (impulses, stepping.spline_gradient, lanes)
-        lost, swept = transfer_sweep(*(sweep + how))
+        lost, swept = transfer_sweep(
+            packets, soil, now, then, shift, memory, laws, fading, turn, impulses, lanes
+        )
         if lost >= 0:
             return step, here, turn, momentum, lost
         write_books(audit, impulses, momentum)
@@ -314,7 +324,7 @@ def take_steps(
         to_momenta(now, then, used)
         # The half step that a phase begins with, then whole ones; the last half is the transfer's.
         part = laws.half if step == first else laws.whole
-        strain_sweep(packets, now, then, memory, part, laws.whole, stepping.spline_gradient, lanes)
+        strain_sweep(packets, now, then, memory, part, laws.whole, lanes)
         before_x, before_z = impulses[1, 0], impulses[1, 1]
         if stepping.surface:
             pose = pose_of(poses[step])
@@ -358,7 +368,6 @@ def strain_sweep(
     memory: Memory,
     part: Laws,
     whole: Laws,
-    splines: bool,
     lanes: Index,
 ) -> None:
     """Update the stresses and add their impulses to the momenta.
@@ -373,8 +382,6 @@ def strain_sweep(
         Working memory.
     part, whole
         Constants of the strain step and of the impulses.
-    splines
-        Whether strain rates and impulses go by the gradient of the splines.
     lanes
         :data:`~terraphi.forward.mpm.packing.LANES`.
     """
@@ -389,14 +396,9 @@ def strain_sweep(
             first, layers = packets.first[block], packets.layers[block]
             if layers > ZERO:
                 load_window(work, velocity_x, velocity_z, j * stride + k * LANES, stride, lanes)
-                if splines:
-                    follow_splines(state, motion, work, first, layers, lanes, part)
-                    strain(state, motion, work, first, layers, lanes, part)
-                    push_splines(state, work, first, layers, lanes, whole)
-                else:
-                    follow_velocity(state, motion, work, first, layers, lanes, part)
-                    strain(state, motion, work, first, layers, lanes, part)
-                    push(state, work, first, layers, lanes, whole)
+                follow_velocity(state, motion, work, first, layers, lanes, part)
+                strain(state, motion, work, first, layers, lanes, part)
+                push(state, work, first, layers, lanes, whole)
             lay_down(work, memory.strips, k, strip_length(packets), lanes)
         add_strips(memory.strips, strip_length(packets), then, j)
 
@@ -413,7 +415,6 @@ def transfer_sweep(
     fading: Fading,
     turned: float,
     impulses: FloatArray,
-    splines: bool,
     lanes: Index,
 ) -> tuple[int, tuple[float, float]]:
     """End a phase: the last half strain step, motion, relief, and the momenta of the next phase.
@@ -430,8 +431,6 @@ def transfer_sweep(
         Constants.
     turned
         |Δθ| of the phase once θ > 0 [rad].
-    splines
-        As in :func:`strain_sweep`.
 
     Returns
     -------
@@ -455,14 +454,8 @@ def transfer_sweep(
             first, layers = packets.first[block], packets.layers[block]
             if layers > ZERO:
                 load_window(work, velocity_x, velocity_z, corner, stride, lanes)
-                if splines:
-                    follow_splines(state, motion, work, first, layers, lanes, laws.half)
-                    strain(state, motion, work, first, layers, lanes, laws.half)
-                    # The momenta are scattered with the affine part of the transfer's own.
-                    follow_velocity(state, motion, work, first, layers, lanes, laws.half)
-                else:
-                    follow_velocity(state, motion, work, first, layers, lanes, laws.half)
-                    strain(state, motion, work, first, layers, lanes, laws.half)
+                follow_velocity(state, motion, work, first, layers, lanes, laws.half)
+                strain(state, motion, work, first, layers, lanes, laws.half)
                 load_window(work, shift_x, shift_z, corner, stride, lanes)
                 inside = follow_shift(state, work, first, layers, lanes, 1.0 / cell_size)
                 if fades:

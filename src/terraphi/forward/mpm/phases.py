@@ -36,7 +36,6 @@ from terraphi.forward.mpm.scalar import (
     update_grid,
     write_books,
 )
-from terraphi.forward.mpm.spline_gradient import spline_gradient, spline_stress_to_grid
 from terraphi.forward.mpm.transfer import (
     gather_values,
     grid_to_particle,
@@ -230,8 +229,6 @@ def follow_grid(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -
     per_cell = 1.0 / stepping.cell_size
     for p in range(soil.mass.size):
         vx, vz, gradient = grid_to_particle(soil, grid, p, stepping.cell_size)
-        if stepping.spline_gradient:
-            gradient = spline_gradient(soil, grid, p, stepping.cell_size)
         soil.velocity[p, 0] = vx
         soil.velocity[p, 1] = vz
         for c in range(4):
@@ -268,10 +265,7 @@ def push(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -> None:
             excess = cells.pressed[j, i] / cells.volume[j, i] - 0.5 * (sxx + szz)
             sxx, szz = sxx + excess, szz + excess
         stress = (sxx, szz, sxz)
-        if stepping.spline_gradient:
-            spline_stress_to_grid(soil, grid, p, stress, stepping.cell_size, stepping.time_step)
-        else:
-            stress_to_grid(soil, grid, p, stress, stepping.cell_size, stepping.time_step)
+        stress_to_grid(soil, grid, p, stress, stepping.cell_size, stepping.time_step)
 
 
 @kernel
@@ -339,8 +333,6 @@ def move(
 ) -> int:
     """Move the particles with the nodes, and let them fade.
 
-    Their gradients are left as the transfer's, whatever their strain went by.
-
     Parameters
     ----------
     soil, fading, stepping
@@ -364,10 +356,6 @@ def move(
     factor = decay(turned, fading)
     for p in range(soil.mass.size):
         x, z = soil.position[p, 0], soil.position[p, 1]
-        if stepping.spline_gradient:
-            _, _, affine = grid_to_particle(soil, grid, p, stepping.cell_size)
-            for c in range(4):
-                soil.gradient[p, c] = affine[c]
         dx, dz = gather_values(shift.x, shift.z, x, z, stepping.cell_size)
         x += dx
         z += dz

@@ -64,8 +64,6 @@ class Stepping(NamedTuple):
     """Whether particles press on the leg's surface, rather than nodes near it."""
     mean_dilatation: bool
     """Whether stresses follow the mean volumetric strain rate of a cell."""
-    spline_gradient: bool
-    """Whether stresses follow the gradient of the splines, rather than that of the transfer."""
     unbalanced: bool
     """Whether the leg counts more force than it applies, as in the paper's prototype."""
     turning: float
@@ -92,7 +90,6 @@ def stepping_of(scenario: Scenario) -> Stepping:
         phase=numerics.steps_per_phase,
         surface=numerics.contact == "surface",
         mean_dilatation=numerics.dilatation == "cell",
-        spline_gradient=numerics.gradient == "spline",
         unbalanced=numerics.contact == "unbalanced",
         turning=1.0 if numerics.stress_rate == "jaumann" else 0.0,
     )
