@@ -1,5 +1,26 @@
 """What a step does to one packet: the same arithmetic in every lane, without branches.
 
+What ``transfer``, ``scalar`` and ``phases`` do particle by particle is done here packet by packet
+(``packing`` says what that is), on flat arrays: field f of lane l of packet n stands at
+``n * FIELDS + f + l``, so that one field of a packet is one register. With w the spline weights, p
+a particle and i a node:
+
+============================================ ====================================================
+function                                     what it computes
+============================================ ====================================================
+:func:`gather`                               v_p = Σ w v_i, and Σ w v_i (x_i - x_p)
+:func:`follow_grid`                          grid to particle, stress and motion of a usual step
+:func:`fade`                                 relief, q ← max(q_min, q exp(-rate Δθ))
+:func:`scatter`, :func:`scatter_row`         m_i = Σ w m_p and the momenta, stress included
+:func:`follow_velocity`, :func:`strain`      the two halves of a phase's strain step
+:func:`push`, :func:`push_row`               impulses of the stresses alone, within a phase
+:func:`interpolate`, :func:`follow_shift`    x_p ← x_p + Σ w u_i at a phase's end
+============================================ ====================================================
+
+The three nodes of a row stand at -1, 0 and 1 cells from its middle one. So a first moment over them
+is a difference of two products, and a momentum that is affine in the place is a value in the middle
+and one step to either side: fewer multiplications than node by node.
+
 The loops over lanes are what the compiler turns into vector instructions. It does so only if their
 length is not known to it (a known one is unrolled, and then nothing comes of the vectors), if all
 indices are unsigned and all arrays flat, and if the distances between what is read and written in
@@ -93,7 +114,7 @@ class Laws(NamedTuple):
 
 @kernel
 def gather_row(work: FloatArray, at: Index, wx: Three) -> tuple[float, float]:
-    """Sum of a row of nodes, and the same weighed by their places -1, 0, 1."""
+    """Sum Σ w v over a row of three nodes, and Σ w v n with their places n = -1, 0, 1."""
     left, right = wx[0] * work[at], wx[2] * work[at + TWO * LANES]
     return left + wx[1] * work[at + LANES] + right, right - left
 
@@ -103,6 +124,11 @@ def gather(
     work: FloatArray, at: Index, wx: Three, wz: Three, ux: float, uz: float
 ) -> tuple[float, float, float]:
     """Interpolate one component of the velocity from its window of three by three nodes.
+
+    As :func:`~terraphi.forward.mpm.transfer.grid_to_particle`: v_p = Σ w v_i and the first moment
+    Σ w v_i (x_i - x_p), of which 4/Δx² is the gradient. The moments are taken about the middle node
+    and shifted to the particle, Σ w v n - u v_p. All lanes have their window at the same place of
+    ``work``, a lane apart.
 
     Parameters
     ----------
@@ -140,6 +166,11 @@ def follow_grid(
     laws: Laws,
 ) -> float:
     """Grid to particle, stress update and motion of the packets of a block.
+
+    As :func:`~terraphi.forward.mpm.scalar.update_particles`: v and its gradient C from the grid,
+    σ ← return(σ + Δt (Wσ - σW + λ tr(D) 1 + 2 G D)), V ← V (1 + Δt tr D), x ← x + Δt v. The return
+    mapping is the one without branches, for all lanes must do the same. A particle stays in its
+    registers from the first of these to the last.
 
     Parameters
     ----------
@@ -219,6 +250,10 @@ def fade(
 ) -> None:
     """Relief of the packets of a block.
 
+    As :func:`~terraphi.forward.mpm.relief.faded`: q ← max(q_min, q exp(-rate |Δθ|)) for what is
+    farther from its first place than d_r. Mass and volume in a packet hold the factor q already,
+    and are scaled by what is left of it.
+
     Parameters
     ----------
     state, origin
@@ -267,7 +302,7 @@ def scatter_row(
     step_x: float,
     step_z: float,
 ) -> None:
-    """Add what a particle gives to a row of three nodes.
+    """Add what a particle gives to a row of three nodes: w m, and w times its affine momentum.
 
     Parameters
     ----------
@@ -309,6 +344,11 @@ def scatter(
 ) -> None:
     """Particle to grid: add mass and momentum of the packets of a block to its sums.
 
+    As :func:`~terraphi.forward.mpm.transfer.particle_to_grid`: m_i = Σ w m and
+    (mv)_i = Σ w (m v + (m C - 4 Δt/Δx² V σ) (x_i - x_p)). Each lane has nine sums of its own for
+    each quantity, one a node of its window, and they stay in the cache while a block is worked
+    off; ``sweep.lay_down`` and ``sweep.add_strips`` bring together what belongs to one node.
+
     Parameters
     ----------
     state, motion
@@ -345,7 +385,7 @@ def scatter(
             scatter_row(work, row, wx, wz[2], mass, px + axz, pz + azz, axx, azx)
 
 
-# -- the steps of a Lagrangian phase ---------------------------------------------------------------
+# -- what a step of a Lagrangian phase does --------------------------------------------------------
 
 
 @kernel
@@ -359,6 +399,10 @@ def follow_velocity(
     laws: Laws,
 ) -> None:
     """Velocities and gradients of the packets of a block, and the sums of their traces.
+
+    As :func:`~terraphi.forward.mpm.phases.follow_grid`: v = Σ w v_i and the gradient
+    C = 4/Δx² Σ w v_i (x_i - x), and for mean dilatation Σ V tr C and Σ V over each cell. A lane is
+    a cell, so that these sums need no index: they are added up layer by layer, in a register.
 
     Parameters
     ----------
@@ -402,6 +446,10 @@ def strain(
     laws: Laws,
 ) -> None:
     """Stresses and volumes of the packets of a block after a step of ``laws.time_step``.
+
+    As :func:`~terraphi.forward.mpm.phases.strain`: with mean dilatation half of
+    (Σ V tr C / Σ V - tr C) is added to both normal strain rates; then the stress is that of
+    :func:`follow_grid`. ``laws.averaging`` is 1 or 0 in place of a branch.
 
     The mean stresses are summed cell by cell, with the volumes before the step.
 
@@ -449,7 +497,7 @@ def push_row(
     step_x: float,
     step_z: float,
 ) -> None:
-    """Add impulses to a row of three nodes; see :func:`scatter_row`."""
+    """Add impulses to a row of three nodes: :func:`scatter_row` without the masses."""
     for_x, for_z = at + SUMS_OF_QUANTITY, at + TWO * SUMS_OF_QUANTITY
     left, middle, right = wx[0] * wz, wx[1] * wz, wx[2] * wz
     work[for_x] += left * (px - step_x)
@@ -470,6 +518,9 @@ def push(
     laws: Laws,
 ) -> None:
     """Add the impulses of the stresses of the packets of a block to its sums.
+
+    As :func:`~terraphi.forward.mpm.phases.push`: (mv)_i += -4 Δt/Δx² Σ w V σ (x_i - x_p), with the
+    mean over the cell in place of each particle's mean stress where dilatation is a mean too.
 
     Parameters
     ----------
@@ -521,6 +572,8 @@ def follow_shift(
     per_cell: float,
 ) -> float:
     """Move the packets of a block as far as the nodes have moved in the phase.
+
+    As the first half of :func:`~terraphi.forward.mpm.phases.move`: x ← x + Σ w u_i.
 
     Parameters
     ----------

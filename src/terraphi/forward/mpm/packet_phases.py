@@ -1,7 +1,14 @@
 """Lagrangian phases of packed particles: the fast version of ``phases``.
 
+Within a phase the particles hold their places, and only stresses and the grid change. So a packet
+(see ``packing``) stays what it is for all steps of a phase: each step is one sweep over the blocks
+in which a block's strains, stresses and impulses are computed in one go (:func:`strain_sweep`), and
+one update of the grid's rows. At the end of a phase a second kind of sweep moves the particles and
+makes the next phase's momenta (:func:`transfer_sweep`). Contact on the surface is computed for the
+few particles near the leg, one by one (:func:`find_near`, :func:`press_near`).
+
 A block of steps ends with half a strain step and the motion of the reference kernel, so that the
-soil is left with velocities and gradients; between, its particles are in packets.
+soil is left with velocities and gradients; before, its particles are in packets.
 """
 
 from __future__ import annotations
@@ -208,7 +215,7 @@ def march(
     here: int,
     lanes: Index,
 ) -> tuple[int, int, float, tuple[float, float], int]:
-    """Go from phase to phase until the last has but to end, or particles must be packed anew.
+    """Go from phase to phase; stop before the last one's end, or if particles must be packed anew.
 
     Parameters
     ----------
@@ -299,6 +306,10 @@ def take_steps(
 ) -> int:
     """The steps of a phase, from its momenta to its last velocities.
 
+    The velocity Verlet of :func:`terraphi.forward.mpm.phases.advance`: strain, impulses of the
+    stresses and of the surface's contact, update of the grid, displacement of the nodes. The strain
+    that closes a step there opens the next one here, so that strain and impulses are one sweep.
+
     Parameters
     ----------
     packets, soil, grids, shift, memory, near, laws, material, intruder, stepping, poses, bins
@@ -372,6 +383,9 @@ def strain_sweep(
 ) -> None:
     """Update the stresses and add their impulses to the momenta.
 
+    :func:`terraphi.forward.mpm.phases.strain` and ``push`` for one block after another: what a
+    block's cells need of each other, the means over the cells, is in its own lanes.
+
     Parameters
     ----------
     packets
@@ -418,6 +432,10 @@ def transfer_sweep(
     lanes: Index,
 ) -> tuple[int, tuple[float, float]]:
     """End a phase: the last half strain step, motion, relief, and the momenta of the next phase.
+
+    :func:`terraphi.forward.mpm.phases.strain`, ``move`` and
+    :func:`terraphi.forward.mpm.transfer.particles_to_grid`, block by block as in
+    :func:`~terraphi.forward.mpm.sweep.sweep`.
 
     Parameters
     ----------
@@ -481,7 +499,7 @@ IndexArray = NDArray[np.uint64]
 
 
 class Near(NamedTuple):
-    """Particles that may touch the leg in a phase, in the order in which they were met."""
+    """Particles that may touch the leg in a phase, in the order in which they were found."""
 
     slot: IndexArray
     """Packet times :data:`~terraphi.forward.mpm.packing.LANES` plus lane, shape [particle]."""
@@ -490,7 +508,7 @@ class Near(NamedTuple):
     z: FloatArray
     """[m], shape [particle]."""
     number: IndexArray
-    """How many there are, shape [1]."""
+    """How many there are; only that many entries of the others count; shape [1]."""
 
 
 def near_for(particles: int) -> Near:
@@ -507,7 +525,9 @@ def near_for(particles: int) -> Near:
 def find_near(
     packets: Packets, near: Near, intruder: Intruder, pose: Pose, rows: int, cell_size: float
 ) -> None:
-    """List the particles closer to the leg than a cell; nobody moves that far in a phase.
+    """List the particles closer to the leg than a cell; none moves that far in a phase.
+
+    Cell by cell, so that most particles are never looked at. Done once a phase.
 
     Parameters
     ----------
@@ -572,6 +592,9 @@ def press_near(
     impulses: FloatArray,
 ) -> None:
     """Let the leg push the particles that it touches.
+
+    As :func:`terraphi.forward.mpm.phases.press`, for the listed particles alone, one by one: they
+    are few, and the force has branches.
 
     Parameters
     ----------

@@ -92,8 +92,8 @@ def advance(
     Parameters
     ----------
     soil, grid, material, intruder, fading, stepping, poses, turned, bins, impulse, audit
-        As in :func:`terraphi.forward.mpm.scalar.advance`. The books are closed once a phase; the
-        last phase of the block ends with it.
+        As in :func:`terraphi.forward.mpm.scalar.advance`. The audit compares momenta once a phase.
+        A phase that the block cuts short ends with the block.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def advance(
 
 @kernel
 def begin(grid: Grid, shift: Shift, time_step: float) -> None:
-    """Turn momenta into velocities, and start the displacements with a step ``time_step`` [s]."""
+    """Turn momenta into velocities v, and set the displacements to v Δt, Δt = ``time_step`` [s]."""
     for j in range(grid.mass.shape[0]):
         for i in range(grid.mass.shape[1]):
             mass = grid.mass[j, i]
@@ -149,7 +149,7 @@ def begin(grid: Grid, shift: Shift, time_step: float) -> None:
 
 @kernel
 def carry(grid: Grid, shift: Shift, time_step: float) -> None:
-    """Move the nodes on by a step ``time_step`` [s]."""
+    """Add a step to the nodes' displacements, u += v Δt, with Δt = ``time_step`` [s]."""
     for j in range(grid.mass.shape[0]):
         for i in range(grid.mass.shape[1]):
             shift.x[j, i] += grid.vx[j, i] * time_step
@@ -158,7 +158,7 @@ def carry(grid: Grid, shift: Shift, time_step: float) -> None:
 
 @kernel
 def to_momentum(grid: Grid) -> None:
-    """Turn velocities into momenta."""
+    """Turn velocities into momenta m v."""
     for j in range(grid.mass.shape[0]):
         for i in range(grid.mass.shape[1]):
             grid.vx[j, i] *= grid.mass[j, i]
@@ -295,7 +295,7 @@ def press(
     for p in range(soil.mass.size):
         x, z = soil.position[p, 0], soil.position[p, 1]
         radius = radius_of(soil, p)
-        # Nobody moves further in a phase than half a cell.
+        # No particle moves further than half a cell in a phase.
         far = intruder.reach + radius + 0.5 * stepping.cell_size
         rx, rz = x - pose.hip_x, z - pose.hip_z
         if rx * rx + rz * rz > far * far:

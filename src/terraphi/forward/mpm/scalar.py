@@ -197,7 +197,10 @@ def empty_reaction(bins: int) -> FloatArray:
 def enter_reaction(
     impulse: FloatArray, bin_: int, counted: tuple[float, float], applied: tuple[float, float]
 ) -> None:
-    """Add the reaction to what the leg gave the soil in a step, counted and applied [kg/s]."""
+    """Add to a bin the impulse on the leg: the negative of what it gave the soil in a step [kg/s].
+
+    ``counted`` is that of the contact's own count, ``applied`` that which the soil received.
+    """
     impulse[bin_, 0] -= counted[0]
     impulse[bin_, 1] -= counted[1]
     impulse[bin_, 2] -= applied[0]
@@ -206,7 +209,10 @@ def enter_reaction(
 
 @kernel
 def close_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
-    """Compare the soil's momentum with what the last step's impulses should have made of it."""
+    """Compare the soil's momentum [kg/s] with that before the last step and its impulses [kg/s].
+
+    The largest mismatch so far, over the sum of the impulses' magnitudes, goes to ``audit.worst``.
+    """
     scale = np.abs(impulses).sum()
     if scale > 0.0:
         miss = abs(momentum[0] - audit.last[1, 0]) + abs(momentum[1] - audit.last[1, 1])
@@ -215,7 +221,10 @@ def close_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float
 
 @kernel
 def write_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
-    """Enter the impulses of a step that began with some momentum of the soil."""
+    """Add the impulses of a step [kg/s] to the ledger, and keep what the momentum should become.
+
+    ``momentum`` is that of the soil when the step began (x, z) [kg/s].
+    """
     for axis in range(2):
         audit.last[0, axis] = momentum[axis]
         audit.last[1, axis] = momentum[axis] + impulses[:, axis].sum()
