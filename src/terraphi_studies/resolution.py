@@ -299,8 +299,8 @@ def _method() -> str:
         "and cells push a rough plate that has soil of associated flow beneath its toe with a "
         "tenth more than the exact passive force "
         f"({degrees.in_degrees(10.0, 'Fx'):.1f}° by F_x), and lie on a line that leads to it "
-        "(`terraphi study verification --only plate`). The gradient of the splines does not take "
-        "it away; phases three times as long take a little."
+        "(`terraphi study verification --only plate`). Phases three times as long take a little of "
+        "it away."
     )
 
 

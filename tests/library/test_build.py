@@ -380,7 +380,7 @@ def test_a_solution_that_blows_up_is_recorded_and_the_build_goes_on(tmp_path: Pa
     library = build(plan, file)
     assert [bool(case.failure) for case in library.cases] == [True, True, False, False]
     for case in library.cases[:2]:
-        assert case.failure.startswith("SimulationError: the solution broke down at step ")
+        assert case.failure.startswith("SimulationError: the solution broke down between steps ")
         for words in ("particle ", "theta = -", "likely cause: associated flow", "last good state"):
             assert words in case.failure
         kept = cases_folder(file) / f"{case.scenario.hash}.checkpoint"

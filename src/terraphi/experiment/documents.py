@@ -15,6 +15,9 @@ from terraphi.experiment.files import read_bytes
 
 Model = TypeVar("Model", bound=BaseModel)
 
+WRITTEN = "written by people"
+"""Context in which pydantic checks a document that people write, in contrast to a stored one."""
+
 
 def shipped_names(folder: str, suffix: str) -> list[str]:
     """Names of the shipped files of a kind, without their suffix, sorted."""
@@ -75,7 +78,7 @@ def strictly(content: dict[str, Any], model: type[Model]) -> Model:
         If it does not.
     """
     # In strict mode only JSON lets an array become a tuple.
-    return model.model_validate_json(json.dumps(content, default=str), strict=True)
+    return model.model_validate_json(json.dumps(content, default=str), strict=True, context=WRITTEN)
 
 
 def parse_toml(path: Path, model: type[Model]) -> Model:

@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validator
 
-from terraphi.experiment.documents import parse_toml, shipped_file, strictly
+from terraphi.experiment.documents import WRITTEN, parse_toml, shipped_file, strictly
 from terraphi.experiment.files import is_there
 from terraphi.experiment.leg import Leg, frame_axes
 from terraphi.experiment.motion import Motion, Rotation, bin_count
@@ -41,10 +41,13 @@ ADDED_LATER: dict[str, Any] = {
     "numerics.contact": "nodes",
     "numerics.remap_interval": 0.0,
     "numerics.dilatation": "particle",
-    "numerics.gradient": "mls",
     "numerics.stress_rate": "jaumann",
 }
 """Dotted key to the value that leaves a scenario as it was before the option existed."""
+DROPPED: dict[str, Any] = {"gradient": "mls"}
+"""Key of an option of ``numerics`` that is gone to the value that asks for what is done now.
+
+Stored scenarios may still name it with that value; people may not name it at all."""
 PAPER_DAMPING_RATE = -math.log(0.997) / 8e-6
 """The paper multiplies grid velocities by 0.997 every 8 µs: a decay rate of 375.6 1/s."""
 
@@ -177,10 +180,6 @@ class Numerics(Section):
         ``cell``: their mean over a cell (B-bar; Hughes, 1980, doi 10.1002/nme.1620150914), without
         which plastic flow at constant volume locks. Not for soil that dilates: what one particle of
         a cell dilates, its neighbours would have to give back, and the soil gets stiffer instead.
-    gradient
-        Velocity gradient that the stress follows: ``mls``, by moving least squares, as the transfer
-        has it; ``spline``, that of the interpolated velocity itself. They differ where the velocity
-        is curved: next to the edge of a plate ``mls`` is the stiffer.
     stress_rate
         How stress turns with the soil: ``jaumann``, with its spin; ``none``, not at all, as in the
         public prototype of Xu & Wang.
@@ -203,16 +202,21 @@ class Numerics(Section):
     contact_band_cells: float = Field(2.0, ge=0)
     remap_interval: float = Field(0.0, ge=0)
     dilatation: Literal["particle", "cell"] = "particle"
-    gradient: Literal["mls", "spline"] = "mls"
     stress_rate: Literal["jaumann", "none"] = "jaumann"
     particle_volume: Literal["fixed", "updated"] = "fixed"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_dropped_options(cls, content: Any, info: ValidationInfo) -> Any:
+        if info.context == WRITTEN or not isinstance(content, dict):
+            return content
+        return {k: v for k, v in content.items() if k not in DROPPED or v != DROPPED[k]}
 
     @model_validator(mode="after")
     def _phases_where_needed(self) -> Self:
         for name, value, usual in (
             ("contact", self.contact, ("nodes", "unbalanced")),
             ("dilatation", self.dilatation, ("particle",)),
-            ("gradient", self.gradient, ("mls",)),
         ):
             if value not in usual and self.remap_interval == 0.0:
                 raise ValueError(

@@ -78,9 +78,10 @@ def simulate(
     progress
         Called now and then with the fraction done, 0 to 1.
     checkpoint
-        Where the state is kept meanwhile, and taken from if it is there and fits, so that a killed
-        simulation goes on and ends in the same bits. Left behind at the end: remove it once the
-        history is safe. Resistive force theory, done in no time, keeps nothing.
+        File to which the state is written now and then. If it is there already and is of this
+        simulation, that goes on from it and ends in the same bits as if it had never stopped. The
+        file is left behind at the end: remove it once the history is safe. Resistive force theory,
+        done in no time, keeps nothing.
     observe
         Called with the state at the start and after each block of steps.
 
@@ -97,8 +98,8 @@ def simulate(
         If the model cannot do this scenario or has nothing to observe, a checkpoint that a person
         named does not fit, or this machine could not hold or finish the simulation.
     SimulationError
-        If the solution breaks down; the message says at which step and particle, the likely cause
-        and where the last good state is kept.
+        If the solution breaks down; the message says between which steps, at which particle, the
+        likely cause and where the last good state is kept.
     """
     refuse_what_cannot_fit(scenario)
     if observe is not None and scenario.model != "mpm":

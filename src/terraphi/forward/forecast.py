@@ -1,8 +1,8 @@
-"""What a simulation will take, told before it starts, and refused where it cannot be had.
+"""Time and memory that a simulation will need, estimated before it starts.
 
-Particles follow from bed and grid, steps from the motion; how long they take is a rough figure for
-the width of the machine's vectors, good to a factor of about two. Nothing is laid out in memory to
-be counted.
+The number of particles follows from bed and grid, that of steps from the motion; the time for both
+is good to a factor of about two. Simulations that need more memory than there is, or more than a
+year, are refused.
 """
 
 from __future__ import annotations
@@ -19,40 +19,44 @@ from terraphi.experiment.motion import bin_count
 from terraphi.experiment.scenario import Scenario
 
 PARTICLE_STEPS_PER_SECOND = 6e7
-"""Of one core with vectors of 512 bits, as the shipped libraries took it [1/s]."""
+"""Particles times steps that one core with vectors of 512 bits works off in a second [1/s],
+measured on the shipped libraries."""
 SLOWER = {512: 1.0, 256: 1.5, 128: 2.9}
-"""Time of a simulation by width of the vectors [bit], over that with 512 bits: medians of four
-turns of ``make bench`` on one processor (AMD EPYC with AVX-512), compiled for each width."""
+"""By width of the vectors [bit], how many times longer a simulation takes than with 512 bits [-]:
+medians of four turns of ``make bench`` on one processor (AMD EPYC with AVX-512), compiled for each
+width."""
 ELEMENT_POSES_PER_SECOND = 5e6
-"""The same of resistive force theory [1/s]."""
+"""Elements of the leg times poses that one core works off in a second by resistive force theory
+[1/s]."""
 BYTES_AT_REST = {"mpm": 350e6, "rft": 150e6}
-"""Memory of a process without its simulation [byte], measured; compiling the kernels takes most."""
+"""Memory of a process besides its simulation, by model [byte], measured; most of it is taken by
+compiling the kernels."""
 BYTES = {"particle": 600.0, "node": 200.0, "bin": 200.0}
-"""Memory of a simulation for each of these [byte]: measured with its copies and a checkpoint, and
-rounded up."""
+"""Memory for each particle, node of the grid and bin of the history [byte]: measured, with the
+copies that are made of them and with a checkpoint being written, and rounded up."""
 YEAR = 365.25 * 86400.0
-"""Time that nobody waits for [s]."""
+"""A year [s]: simulations that would take longer are refused."""
 _UNITS = ((YEAR, "years"), (86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"), (0.0, "s"))
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """What one simulation or several will take; rough.
+    """Rough time and memory that one simulation or several will need.
 
     Attributes
     ----------
     simulations
-        How many.
+        Number of simulations.
     particles
-        Of the largest one; 0 for resistive force theory.
+        Particles of the largest one; 0 for resistive force theory.
     particle_steps
-        Of all of them.
+        Particles times steps, summed over all of them.
     core_seconds
-        All of them one after another [s].
+        Time for all of them, one after another on one core [s].
     longest_seconds
-        The longest one [s].
+        Time for the longest one [s].
     bytes
-        Memory of the largest one [byte].
+        Memory for the largest one [byte].
     """
 
     simulations: int
@@ -63,15 +67,15 @@ class Forecast:
     bytes: float
 
     def seconds(self, workers: int = 1) -> float:
-        """Time on so many cores [s]."""
+        """Time for all of them on ``workers`` cores [s]."""
         return max(self.core_seconds / workers, self.longest_seconds)
 
     def memory(self, workers: int = 1) -> float:
-        """Memory of as many at a time [byte]."""
+        """Memory when ``workers`` of them run at the same time [byte]."""
         return self.bytes * min(workers, self.simulations)
 
     def sentence(self, workers: int = 1) -> str:
-        """What, for how long, and with how much memory."""
+        """The forecast as a sentence, for ``workers`` cores."""
         some = "1 simulation" if self.simulations == 1 else f"{self.simulations:,} simulations"
         size = f" of {self.particles:,.0f} particles" if self.particles else ""
         steps = f", {self.particle_steps:.2g} particle-steps" if self.particles else ""
@@ -81,7 +85,7 @@ class Forecast:
         )
 
     def as_dict(self, workers: int = 1) -> dict[str, Any]:
-        """Plain numbers."""
+        """The forecast as JSON-able numbers, for ``workers`` cores."""
         return {
             "simulations": self.simulations,
             "particles": round(self.particles),
@@ -93,7 +97,7 @@ class Forecast:
 
 
 def forecast(scenarios: Iterable[Scenario], *, register_bits: int = 512) -> Forecast:
-    """What some simulations will take.
+    """Time and memory that some simulations will need.
 
     Parameters
     ----------
@@ -114,7 +118,7 @@ def forecast(scenarios: Iterable[Scenario], *, register_bits: int = 512) -> Fore
 
 
 def refuse_what_cannot_fit(scenario: Scenario) -> None:
-    """Refuse a simulation that this machine could not hold, or nobody would see the end of.
+    """Refuse a simulation that needs more memory than this machine has, or more than a year.
 
     Parameters
     ----------
@@ -126,7 +130,7 @@ def refuse_what_cannot_fit(scenario: Scenario) -> None:
     InputError
         Names the key that is to blame, and what to do.
     """
-    # On the fastest machine there is: whoever has a slower one is told, not refused.
+    # By the time on a fast machine, so that what runs on one machine is refused on none.
     expected, memory = _of_one(scenario, max(SLOWER)), machine_bytes()
     if expected.bytes > memory:
         what, remedy = _largest(_sizes(scenario))
@@ -140,16 +144,16 @@ def refuse_what_cannot_fit(scenario: Scenario) -> None:
 
 
 def refuse_too_many(expected: Forecast, workers: int, source: str) -> None:
-    """Refuse cases that could not run side by side here, or would take years.
+    """Refuse cases that together need more memory than this machine has, or more than a year.
 
     Parameters
     ----------
     expected
-        What they will take.
+        Forecast for all of them.
     workers
-        How many run at a time.
+        Number of cases that run at the same time.
     source
-        What asks for them, for the message.
+        File or name of the plan, for the message.
 
     Raises
     ------
@@ -181,7 +185,7 @@ def machine_bytes() -> float:
 
 
 def lasting(seconds: float) -> str:
-    """A time in the unit that people would take, such as ``"about 25 minutes"``."""
+    """A time in words, in a unit that suits its size, such as ``"about 25 minutes"``."""
     if not seconds < 1e4 * YEAR:
         return "over 10,000 years"
     if seconds < 1.0:
@@ -191,7 +195,7 @@ def lasting(seconds: float) -> str:
 
 
 def particle_count(scenario: Scenario) -> float:
-    """Particles of the bed, of which those in the leg's first place will be left out."""
+    """Particles of the bed, those where the leg starts included, which will be left out."""
     bed, numerics = scenario.bed, scenario.numerics
     side = numerics.cell_size / numerics.particles_per_cell_side
     left, right = bed.soil_span
@@ -216,7 +220,7 @@ def _of_one(scenario: Scenario, register_bits: int) -> Forecast:
 
 
 def _memory(scenario: Scenario) -> dict[str, float]:
-    """Memory [byte] by what takes it."""
+    """Memory for the process itself, for particles and grid, and for the history [byte]."""
     bins = BYTES["bin"] * bin_count(scenario.motion)
     rest = BYTES_AT_REST[scenario.model]
     if scenario.model == "rft":
@@ -230,11 +234,11 @@ def _memory(scenario: Scenario) -> dict[str, float]:
 
 
 Blame = tuple[str, str]
-"""What is to blame, with its key, and what to do."""
+"""The key that makes a simulation too large, with its value, and what to do about it."""
 
 
 def _sizes(scenario: Scenario) -> dict[Blame, float]:
-    """What takes memory, and how much [byte]."""
+    """Memory that each key is to blame for [byte]."""
     memory, numerics = _memory(scenario), scenario.numerics
     fine = f"{numerics.cells} and numerics.particles_per_cell_side = "
     return {
@@ -247,7 +251,7 @@ def _sizes(scenario: Scenario) -> dict[Blame, float]:
 
 
 def _lengths(scenario: Scenario) -> dict[Blame, float]:
-    """What takes time, and by how much it is beyond the paper's benchmark [-]."""
+    """How many times more time each key takes than in the paper's benchmark [-]."""
     motion, numerics, bins = scenario.motion, scenario.numerics, bin_count(scenario.motion)
     found = {_long_path(scenario): bins / 2700.0}
     if scenario.model == "mpm":

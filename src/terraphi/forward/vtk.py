@@ -1,8 +1,10 @@
 """VTK files that ParaView opens: points, polygons, and series of them in time.
 
 XML files of the kind ``UnstructuredGrid``, with their numbers in base64, and ``Collection`` files
-that give each frame its time (https://docs.vtk.org, "XML file formats"). Written here, because the
-library that has a writer for them is larger than all else together.
+that give each frame its time (https://docs.vtk.org, "XML file formats").
+
+No library does all of it: vtk is larger than all else together, meshio (5.3.5, of 2024) writes
+neither series nor a file's time, and pyevtk (1.7) reads nothing back, as animations must.
 """
 
 from __future__ import annotations

@@ -35,8 +35,9 @@ class Checkpoint:
         Least time between two writings [s]; longer where writing takes more than a hundredth of
         that. 0: after every block of steps, whatever it costs.
     named
-        Whether a person named this very file. One that does not fit is then refused, and otherwise
-        overwritten, with a warning.
+        Whether a person gave the name of this file. If what lies there is no checkpoint of this
+        simulation, the simulation then stops with an error; otherwise it warns, starts from the
+        beginning and overwrites the file.
     """
 
     path: Path

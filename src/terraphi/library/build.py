@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from concurrent.futures import BrokenExecutor, Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import replace
@@ -28,7 +28,7 @@ from terraphi.forward import Checkpoint, model_version, simulate, software
 from terraphi.forward.watch import EVERY
 from terraphi.library.plan import Plan, describe
 from terraphi.library.store import Case, Library, unseeded
-from terraphi.library.workers import heartbeat
+from terraphi.library.workers import as_they_end, heartbeat
 
 log = logging.getLogger(__name__)
 
@@ -37,8 +37,6 @@ Progress = Callable[[int, int], None]
 
 FAILURE = ".failure.json"
 """Suffix of the file that says why a case failed."""
-_POLL = 0.25
-"""Seconds between two looks at the executor; the progress display moves that often."""
 
 
 def run_case(scenario_json: str, checkpoint: Checkpoint | None = None) -> ForceHistory | str:
@@ -279,29 +277,20 @@ def _run_on(
     look: Callable[[], None],
 ) -> None:
     """Run cases on an executor and keep each as it finishes."""
-    waiting: dict[Future[ForceHistory | str], Scenario] = {
+    running: dict[Future[ForceHistory | str], Scenario] = {
         executor.submit(run_case, scenario.model_dump_json(), checkpoints[scenario.hash]): scenario
         for scenario in scenarios
     }
-    try:
-        while waiting:
-            ended, _ = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED)
-            # Results before failures: a broken pool ends the build.
-            for future in sorted(ended, key=lambda future: _trouble(future) is not None):
-                scenario = waiting.pop(future)
-                error = _trouble(future)
-                if isinstance(error, BrokenProcessPool):
-                    raise InputError(
-                        "a worker was killed, for want of memory perhaps; finished cases are "
-                        "kept, and the same command with fewer workers goes on from there"
-                    ) from error
-                if isinstance(error, BrokenExecutor):
-                    raise InputError(str(error)) from error
-                keep(scenario, f"{type(error).__name__}: {error}" if error else future.result())
-            look()
-    finally:
-        for future in waiting:
-            future.cancel()
+    for scenario, future in as_they_end(running, look):
+        error = _trouble(future)
+        if isinstance(error, BrokenProcessPool):
+            raise InputError(
+                "a worker was killed, for want of memory perhaps; finished cases are kept, and "
+                "the same command with fewer workers goes on from there"
+            ) from error
+        if isinstance(error, BrokenExecutor):
+            raise InputError(str(error)) from error
+        keep(scenario, f"{type(error).__name__}: {error}" if error else future.result())
 
 
 def _trouble(future: Future[ForceHistory | str]) -> BaseException | None:

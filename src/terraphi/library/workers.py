@@ -12,14 +12,14 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
 from multiprocessing.sharedctypes import Synchronized
 from multiprocessing.synchronize import Event
 from types import TracebackType
-from typing import Self
+from typing import Self, TypeVar
 
 
 class StoppedError(RuntimeError):
@@ -99,6 +99,49 @@ def stopping_when(unwanted: Callable[[], bool]) -> Iterator[None]:
         yield
     finally:
         _unwanted.reset(token)
+
+
+Key = TypeVar("Key")
+Result = TypeVar("Result")
+_POLL = 0.25
+"""Seconds between two looks at tasks that run."""
+
+
+def as_they_end(
+    running: Mapping[Future[Result], Key], look: Callable[[], None] | None = None
+) -> Iterator[tuple[Key, Future[Result]]]:
+    """Tasks as they end; those that have not begun are cancelled if the caller stops early.
+
+    Of tasks found ended at the same time those with a result come before those that failed, so
+    that a caller who gives up at the first failure has seen every result there is.
+
+    Parameters
+    ----------
+    running
+        Futures of an executor, each with what the caller calls it.
+    look
+        Called several times a second, for a display of progress.
+
+    Yields
+    ------
+    tuple
+        What the caller calls a task, and its future, which has ended.
+    """
+    waiting = dict(running)
+    try:
+        while waiting:
+            ended, _ = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED)
+            for future in sorted(ended, key=_has_failed):
+                yield waiting.pop(future), future
+            if look is not None:
+                look()
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+def _has_failed(future: Future[Result]) -> bool:
+    return future.cancelled() or future.exception() is not None
 
 
 def available_cores() -> int:

@@ -14,9 +14,8 @@ may leave the toe downward. A smooth wall stands on a smooth floor.
 Loads are read in the first geometry, for which the exact ones hold. Some smooth walls go on to
 where a force history of a leg has its plateau; there the soil taken in by the toe counts.
 
-N_γ by the gradient of the splines comes within 7 % at 20 and 40 cells, but from below: at 40 it has
-not settled. By least squares it falls towards the same from above (φ = 25°, smooth: 1.17, 1.13 and
-1.10 of the exact one at 20, 40 and 80 cells), so a few percent may be left on any grid.
+With nodes in contact, in phases, N_γ falls towards the exact value from above (φ = 25°, smooth:
+1.17, 1.13 and 1.10 of it at 20, 40 and 80 cells), so a few percent may be left on any grid.
 """
 
 from __future__ import annotations
@@ -63,7 +62,6 @@ if TYPE_CHECKING:
 LOOKS = {
     PRESET: ("black", "-", "o"),
     "nodes": (BLUE, "--", "s"),
-    "nodes, phases, splines": (GREEN, "-.", "^"),
     "surface": (ORANGE, ":", "D"),
     "nodes, phases": (PURPLE, ":", "v"),
 }
@@ -178,7 +176,6 @@ def _legend(figure: Figure) -> None:
     )  # fmt: skip
 
 
-SPLINES = "nodes, phases, splines"
 ANGLES = (25.0, 30.0, 35.0, 40.0)
 UNREST = 0.05
 """Change of the load over the last quarter of the path above which it is not told from swings."""
@@ -325,8 +322,6 @@ def press_footing(
         exact, name = N_GAMMA[phi_deg, base], "N_γ"
         factor = pressure / (0.5 * DENSITY * GRAVITY * FOOTING_WIDTH)
         source = "method of characteristics"
-        if settings == SPLINES:
-            note = "by splines N_γ rises with the number of cells, and at 40 it has not settled"
     else:
         exact, name = surcharge_factor(phi_deg), "N_q"
         own = 0.0
@@ -366,24 +361,16 @@ def _footing_cause(load: str, settings: str) -> str:
             "and a toe that reaches deeper than it is" + PRESET_CAUSE
         )
     if load == "weight" and settings == "surface":
-        return (
-            "contact on the surface gives 13 % more than with the nodes, least squares 7 % more "
-            "than splines; why the surface does is not known"
-        )
+        return "contact on the surface gives 13 % more than with the nodes, and why is not known"
     if load == "weight" and settings == "nodes":
         return (
             "a transfer at every step smooths the velocities beside the footing's edge, and least "
-            "squares their gradients: phases take off one part of the excess, splines another"
+            "squares their gradients: phases take off a part of the excess"
         )
     if load == "weight" and settings == "nodes, phases":
         return (
             "least squares average the velocity's gradient over cells, which is stiff beside the "
             "footing's edge, where all shear is in one or two of them"
-        )
-    if load == "weight":
-        return (
-            "ten cells are too few for the wedge beneath a rough footing: by splines the soil is "
-            "too soft at first, and the load rises with the number of cells"
         )
     return "beside the footing's edge all shear is in one or two cells; the error falls with them"
 
@@ -409,7 +396,6 @@ def tasks(quick: bool) -> list[Task]:
             Task("wall-0", push_wall, wall),
             Task("footing-0", press_footing, {**foot, "load": "cohesion"}),
             Task("footing-preset", press_footing, {**foot, **preset, "load": "weight"}),
-            Task("footing-1", press_footing, {**foot, "load": "weight", "settings": SPLINES}),
         ]
     moving = [
         {"phi_deg": phi, "across": 40, "settings": settings}
@@ -470,21 +456,17 @@ def _feet() -> list[dict[str, Any]]:
     """What to call :func:`press_footing` with: the preset's settings first, on each problem."""
     smooth = {"base": "smooth"}
     runs: list[dict[str, Any]] = [
-        {"phi_deg": phi, "base": base, "across": n, "load": "weight", "settings": settings}
-        for settings, base, phi, n in itertools.product(
-            (PRESET, SPLINES), ("smooth", "rough"), ANGLES, (20, 40)
-        )
+        {"phi_deg": phi, "base": base, "across": n, "load": "weight", "settings": PRESET}
+        for base, phi, n in itertools.product(("smooth", "rough"), ANGLES, (20, 40))
     ]
     runs += [
         {"phi_deg": phi, "across": n, "load": "cohesion", "settings": settings, **smooth}
         for settings, phi, n in itertools.product((PRESET, "nodes"), ANGLES, (20, 40))
     ]
-    for load, settings in (("cohesion", "nodes"), ("weight", SPLINES)):
-        common = {"load": load, "settings": settings}
-        runs += [
-            {"phi_deg": phi, "base": base, "across": 10, **common}
-            for phi, base in itertools.product((25.0, 35.0), ("smooth", "rough"))
-        ]
+    runs += [
+        {"phi_deg": phi, "base": base, "across": 10, "load": "cohesion"}
+        for phi, base in itertools.product((25.0, 35.0), ("smooth", "rough"))
+    ]
     runs += [
         {"phi_deg": phi, "base": "rough", "across": n, "load": "cohesion"}
         for phi, n in itertools.product((25.0, 35.0), (20, 40))
@@ -492,10 +474,6 @@ def _feet() -> list[dict[str, Any]]:
     runs += [
         {"phi_deg": phi, "across": n, "load": "dead weight", **smooth}
         for phi, n in ((25.0, 10), (25.0, 20), (25.0, 40), (35.0, 20))
-    ]
-    runs += [
-        {"phi_deg": phi, "across": 40, "load": "cohesion", "settings": SPLINES, **smooth}
-        for phi in (25.0, 35.0)
     ]
     return runs + [
         {"phi_deg": 25.0, "across": 40, "load": "weight", "settings": settings, **smooth}
@@ -508,12 +486,11 @@ FAMILY = Family(
     meaning="A plate that moves the soil must meet the force that plasticity theory says, or φ "
     "inferred from forces means something else. Column `preset` has the settings with which "
     "preset `resolved`, and what is inferred with it, is computed: contact on the surface, phases "
-    "of 20 steps, strain by least squares, mean dilatation. The columns after it change them: "
-    "contact with the nodes within half a cell (`nodes`), or on the true surface (`surface`, in "
-    "phases); a transfer at every step unless it says `phases`; strain by the gradient of the "
-    "splines (`splines`, `numerics.gradient`); the dilatation of each particle. They show what "
-    "the method can do, and no library is made with them. Soil lies beneath the toe of a rough "
-    "wall; the floor is 1/3 of its height down.",
+    "of 20 steps, mean dilatation. The columns after it change them: contact with the nodes within "
+    "half a cell (`nodes`), or on the true surface (`surface`, in phases); a transfer at every "
+    "step unless it says `phases`; the dilatation of each particle. They show what the method can "
+    "do, and no library is made with them. Soil lies beneath the toe of a rough wall; the floor is "
+    "1/3 of its height down.",
     tasks=tasks,
     figures=figures,
 )

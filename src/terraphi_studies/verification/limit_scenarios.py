@@ -39,15 +39,14 @@ PACE, PACE_OF_DEAD_WEIGHT = 0.05, 0.01
 HEAVY = 20.0
 """Dead weight over γ B: N_γ then gives 1.5 to 2.6 % of the load."""
 PRESET = "preset"
-"""Name of the settings of preset ``resolved``: contact, phases, dilatation, gradient, particles."""
+"""Name of the settings of preset ``resolved``: contact, phases, dilatation, particles."""
 SETTINGS: dict[str, dict[str, Any]] = {
     "nodes": {"contact_band_cells": 0.5},
     "nodes, phases": {"contact_band_cells": 0.5, "phase": 20},
-    "nodes, phases, splines": {"contact_band_cells": 0.5, "phase": 20, "gradient": "spline"},
     "surface": {"contact": "surface", "phase": 20},
 }
 """Other settings. Contact with the nodes within half a cell, or on the true surface; a transfer at
-every step, or every 20 steps, with strain by least squares or by the gradient of the splines."""
+every step, or every 20 steps."""
 BENEATH = 3
 """Soil beneath the toe of a rough wall, if there is any, is the wall's height over this."""
 

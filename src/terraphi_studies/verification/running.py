@@ -1,7 +1,7 @@
 """Tasks of a verification on an executor; what is finished is kept until all of it is.
 
 A kept outcome is used again only by the same task of the same code: its file is named by the
-task and a hash of its arguments and of all sources that bear on the numbers.
+task and a hash of its arguments and of the sources that bear on the numbers.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import hashlib
 import json
 import logging
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from concurrent.futures import BrokenExecutor, Executor
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ import numpy as np
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import made_folder, replacing
+from terraphi.library.workers import as_they_end
 from terraphi_studies.verification.check import Check, Outcome, Task
 
 log = logging.getLogger(__name__)
@@ -28,14 +29,9 @@ Key = tuple[str, str]
 
 _PACKAGE = Path(__file__).parents[2]
 _SOURCES = (
-    *(f"terraphi/experiment/{n}.py" for n in ("soil", "leg", "motion", "scenario", "history")),
-    *("terraphi/forward/mpm/*.py", "terraphi/data/scenarios/*.toml"),
+    *("terraphi/experiment/*.py", "terraphi/forward/mpm/*.py", "terraphi/data/scenarios/*.toml"),
     "terraphi_studies/verification/*.py",
 )
-_NO_NUMBERS = {"__init__.py", "document.py", "running.py"}
-"""Those of the verification that only arrange what the others have found."""
-_POLL = 0.25
-"""Seconds between two looks at the executor."""
 
 
 def run_tasks(
@@ -79,13 +75,32 @@ def run_tasks(
 
     tell()
     missing = {key: task for key, task in tasks.items() if key not in found}
-    for key, outcome in _here(missing) if executor is None else _on(executor, missing, tell):
+    for key, outcome in _here(missing) if executor is None else _on(executor, missing):
         found[key] = outcome
         if key in files:
             with replacing(files[key]) as temporary:
                 temporary.write_text(json.dumps(_as_dict(outcome)))
         tell()
     return {key: found[key] for key in tasks}
+
+
+def _here(tasks: Mapping[Key, Task]) -> Iterator[tuple[Key, Outcome]]:
+    for key, task in tasks.items():
+        yield key, task.function(**task.arguments)
+
+
+def _on(executor: Executor, tasks: Mapping[Key, Task]) -> Iterator[tuple[Key, Outcome]]:
+    """Outcomes as they come; the costliest tasks begin first."""
+    order = sorted(tasks, key=lambda key: -tasks[key].cost)
+    running = {executor.submit(tasks[key].function, **tasks[key].arguments): key for key in order}
+    try:
+        for key, future in as_they_end(running):
+            yield key, future.result()
+    except BrokenExecutor as error:
+        raise InputError(
+            "a worker was killed, for want of memory perhaps; with fewer workers the same command "
+            "may go through"
+        ) from error
 
 
 def forget(tasks: Mapping[Key, Task], keep: Path) -> None:
@@ -95,38 +110,6 @@ def forget(tasks: Mapping[Key, Task], keep: Path) -> None:
             file.unlink(missing_ok=True)
     if keep.is_dir() and not any(keep.iterdir()):
         keep.rmdir()
-
-
-def _here(tasks: Mapping[Key, Task]) -> Iterator[tuple[Key, Outcome]]:
-    for key, task in tasks.items():
-        yield key, task.function(**task.arguments)
-
-
-def _on(
-    executor: Executor, tasks: Mapping[Key, Task], look: Callable[[], None]
-) -> Iterator[tuple[Key, Outcome]]:
-    """Outcomes as they come; the costliest tasks begin first."""
-    order = sorted(tasks, key=lambda key: -tasks[key].cost)
-    waiting: dict[Future[Outcome], Key] = {
-        executor.submit(tasks[key].function, **tasks[key].arguments): key for key in order
-    }
-    try:
-        while waiting:
-            ended, _ = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED)
-            # Results before failures: a failure ends it all.
-            for future in sorted(ended, key=lambda future: future.exception() is not None):
-                key = waiting.pop(future)
-                try:
-                    yield key, future.result()
-                except BrokenExecutor as error:
-                    raise InputError(
-                        "a worker was killed, for want of memory perhaps; with fewer workers the "
-                        "same command may go through"
-                    ) from error
-            look()
-    finally:
-        for future in waiting:
-            future.cancel()
 
 
 def _files(tasks: Mapping[Key, Task], keep: Path | None) -> dict[Key, Path]:
@@ -153,8 +136,7 @@ def _code_digest() -> str:
     digest = hashlib.sha256(f"{np.__version__} {numba.__version__}".encode())
     for pattern in _SOURCES:
         for source in sorted(_PACKAGE.glob(pattern)):
-            if source.parent.name != "verification" or source.name not in _NO_NUMBERS:
-                digest.update(source.read_bytes())
+            digest.update(source.read_bytes())
     return digest.hexdigest()
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from terraphi.experiment.errors import InputError, SimulationError
 from terraphi.experiment.soil import Soil
-from terraphi.forward.mpm import lanes, packets, packing, scalar, spline_gradient, strain_lanes
+from terraphi.forward.mpm import lanes, packets, packing, scalar
 from terraphi.forward.mpm.bed import geostatic_bed
 from terraphi.forward.mpm.compiled import register_use
 from terraphi.forward.mpm.packing import LANES, pack, unpack
@@ -232,26 +232,10 @@ def lane_calls(scenario):
     return {
         "follow_grid": (lanes.follow_grid, packed.state, motion, work, *block, laws),
         "scatter": (lanes.scatter, packed.state, motion, work, *block, laws),
-        "follow_velocity": (
-            strain_lanes.follow_velocity,
-            packed.state,
-            motion,
-            work,
-            *block,
-            laws,
-        ),
-        "strain": (strain_lanes.strain, packed.state, motion, work, *block, laws),
-        "push": (strain_lanes.push, packed.state, work, *block, laws),
-        "follow_splines": (
-            spline_gradient.follow_splines,
-            packed.state,
-            motion,
-            work,
-            *block,
-            laws,
-        ),
-        "push_splines": (spline_gradient.push_splines, packed.state, work, *block, laws),
-        "follow_shift": (strain_lanes.follow_shift, packed.state, work, *block, 100.0),
+        "follow_velocity": (lanes.follow_velocity, packed.state, motion, work, *block, laws),
+        "strain": (lanes.strain, packed.state, motion, work, *block, laws),
+        "push": (lanes.push, packed.state, work, *block, laws),
+        "follow_shift": (lanes.follow_shift, packed.state, work, *block, 100.0),
         "fade": (
             lanes.fade,
             packed.state,
@@ -269,10 +253,7 @@ def lane_calls(scenario):
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="knows x86 registers")
 @pytest.mark.parametrize(
     "name",
-    [
-        *("follow_grid", "scatter", "fade", "follow_velocity", "strain", "push", "follow_shift"),
-        *("follow_splines", "push_splines"),
-    ],
+    ["follow_grid", "scatter", "fade", "follow_velocity", "strain", "push", "follow_shift"],
 )
 def test_lanes_become_vectors(coarse, name):
     """Besides the loop in vectors there is one in single steps, for what is left over: nothing.

@@ -53,9 +53,7 @@ def test_interval_is_rounded_to_steps(coarse, interval, steps):
     assert coarse(**{"numerics.remap_interval": interval}).numerics.steps_per_phase == steps
 
 
-@pytest.mark.parametrize(
-    "option", [{"contact": "surface"}, {"dilatation": "cell"}, {"gradient": "spline"}]
-)
+@pytest.mark.parametrize("option", [{"contact": "surface"}, {"dilatation": "cell"}])
 def test_options_that_need_phases_say_so(coarse, option):
     name = next(iter(option))
     with pytest.raises(ValidationError, match=f"{name} = .*set remap_interval above 0"):

@@ -51,7 +51,7 @@ class Grid(NamedTuple):
 
 
 def empty_grid(scenario: Scenario) -> Grid:
-    """Grid of a scenario, with one node beyond the last for the splines at its edge."""
+    """Empty grid of a scenario, with one node more than cells need, for splines at its edge."""
     shape = (scenario.numerics.cells + 2, scenario.numerics.cells + 2)
     return Grid(np.zeros(shape), np.zeros(shape), np.zeros(shape))
 

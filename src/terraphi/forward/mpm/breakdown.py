@@ -1,10 +1,12 @@
-"""Why a solution broke down: the step, the particle, what it was like, and the likely cause."""
+"""Why a solution broke down: what happened to which particle, where, and which key to change.
+
+A kernel stops at the first particle that leaves the grid, and a number that is none spreads until
+one does, so that the particles are left as they were at the failing step or a few steps later.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,102 +21,41 @@ SWOLLEN = 2.0
 SQUASHED = 0.2
 """Volume ratio J below which soil has been pressed to nothing [-]."""
 
-Steps = Callable[[int], tuple[State, int]]
-"""Takes so many steps from the start of the last block; the state then, and who left the grid."""
 
-
-@dataclass(frozen=True)
-class Breakdown:
-    """Where a solution broke down.
-
-    Attributes
-    ----------
-    step
-        The step that failed, the first being 0.
-    place
-        Time and place on the path, for people.
-    particle
-        Index of the particle that shows it.
-    what
-        What happened to it.
-    position
-        (x, z) before that step [m].
-    velocity
-        (x, z) before that step [m/s].
-    stress
-        (σ_xx, σ_zz, σ_xz, σ_yy) before that step [Pa].
-    stretch
-        Volume ratio J before that step [-].
-    cause
-        The likely cause, and what to do about it.
-    """
-
-    step: int
-    place: str
-    particle: int
-    what: str
-    position: FloatArray
-    velocity: FloatArray
-    stress: FloatArray
-    stretch: float
-    cause: str
-
-    def sentence(self, steps: int) -> str:
-        """All of it for people; ``steps`` is the number of steps in all."""
-        x, z = 1e3 * self.position
-        sxx, szz, sxz, _ = 1e-3 * self.stress
-        return (
-            f"the solution broke down at step {self.step} of {steps} ({self.place}): "
-            f"particle {self.particle} {self.what}; before that it was at x = {x:.2f} mm, "
-            f"z = {z:.2f} mm with velocity ({self.velocity[0]:.4g}, {self.velocity[1]:.4g}) m/s, "
-            f"stress (xx {sxx:.4g}, zz {szz:.4g}, xz {sxz:.4g}) kPa and volume ratio "
-            f"{self.stretch:.4g}; likely cause: {self.cause}"
-        )
-
-
-def find_breakdown(scenario: Scenario, start: State, count: int, take: Steps) -> Breakdown:
-    """Find the step at which a block of steps fails, by bisection.
-
-    The same kernel takes fewer steps from the same start: but for the last of them, which it
-    finishes in another way, these are the same steps to the last bit.
+def account_of(scenario: Scenario, before: State, after: State, lost: int, steps: int) -> str:
+    """One sentence about a breakdown, for people.
 
     Parameters
     ----------
     scenario
         What is simulated.
-    start
-        State before the block.
-    count
-        Number of steps of the block, which fails.
-    take
-        Takes steps from the start.
+    before
+        The last good state.
+    after
+        The state in which the block of steps after it was left.
+    lost
+        Index of the particle that left the grid, or -1.
+    steps
+        Number of steps of the whole simulation.
 
     Returns
     -------
-    Breakdown
+    str
+        Between which steps, particle and place, the likely cause and what to do about it.
     """
-    fine, before, failing = 0, start, count
-    state, lost = take(count)
-    while failing - fine > 1:
-        middle = (fine + failing) // 2
-        tried, left = take(middle)
-        if is_whole(tried, left):
-            fine, before = middle, tried
-        else:
-            failing, state, lost = middle, tried, left
-    flawed = flawed_particle(state.soil)
+    flawed = flawed_particle(after.soil)
     particle = lost if lost >= 0 else max(flawed, 0)
-    soil, step = before.soil, start.step + fine
-    return Breakdown(
-        step=step,
-        place=_place(scenario, step),
-        particle=particle,
-        what=_what(state, lost, flawed),
-        position=soil.position[particle],
-        velocity=soil.velocity[particle],
-        stress=soil.stress[particle],
-        stretch=float(soil.stretch[particle]),
-        cause=likely_cause(scenario, before, particle),
+    position = after.soil.position[particle]
+    if not np.isfinite(position).all():
+        position = before.soil.position[particle]
+    what = _what(after, lost, flawed)
+    if particle in (lost, flawed):
+        x, z = 1e3 * position
+        what = f"particle {particle} {what} near x = {x:.2f} mm, z = {z:.2f} mm"
+    return (
+        f"the solution broke down between steps {before.step} and {after.step} of {steps} "
+        f"({_place(scenario, before.step)} to {_place(scenario, after.step)}): {what}; "
+        f"likely cause: {likely_cause(scenario, after, particle)}"
     )
 
 
@@ -123,15 +64,15 @@ def is_whole(state: State, lost: int) -> bool:
     return lost < 0 and flawed_particle(state.soil) < 0 and bool(np.isfinite(state.impulse).all())
 
 
-def likely_cause(scenario: Scenario, before: State, particle: int) -> str:
+def likely_cause(scenario: Scenario, after: State, particle: int) -> str:
     """What most likely has gone wrong, and what to do about it.
 
     Parameters
     ----------
     scenario
         What is simulated.
-    before
-        State before the step that fails.
+    after
+        State in which the failing steps were left.
     particle
         Index of the particle that shows it.
 
@@ -146,17 +87,18 @@ def likely_cause(scenario: Scenario, before: State, particle: int) -> str:
             "take a smaller numerics.time_step"
         )
     return (
-        _volume_cause(scenario, before, particle)
-        or _speed_cause(scenario, before)
-        or _edge_cause(scenario, before.soil.position[particle])
+        _volume_cause(scenario, after.soil.stretch, particle)
+        or _speed_cause(scenario, after.soil.velocity)
+        or _edge_cause(scenario, after.soil.position[particle])
     )
 
 
-def _volume_cause(scenario: Scenario, before: State, particle: int) -> str:
+def _volume_cause(scenario: Scenario, stretch: FloatArray, particle: int) -> str:
     """Volumes that follow the deformation to where there is no soil any more; or nothing."""
-    if scenario.numerics.particle_volume == "fixed":
+    known = stretch[np.isfinite(stretch)]
+    if scenario.numerics.particle_volume == "fixed" or not known.size:
         return ""
-    low, high = float(before.soil.stretch.min()), float(before.soil.stretch.max())
+    low, high = float(known.min()), float(known.max())
     if high > SWOLLEN and scenario.soil.potential_angle_deg > 0.0:
         return (
             f"{_dilation(scenario)} makes sheared soil swell without end, and with "
@@ -164,7 +106,7 @@ def _volume_cause(scenario: Scenario, before: State, particle: int) -> str:
             f"{high:.3g}, cohesion {scenario.soil.cohesion:g} Pa); take particle_volume = 'fixed', "
             "or soil.flow = 'dilation' with a small soil.dilation_angle_deg"
         )
-    own = float(before.soil.stretch[particle])
+    own = float(stretch[particle])
     if own > SWOLLEN:
         return (
             f"numerics.particle_volume = 'updated' has let loose soil swell: this particle to "
@@ -178,9 +120,10 @@ def _volume_cause(scenario: Scenario, before: State, particle: int) -> str:
     return ""
 
 
-def _speed_cause(scenario: Scenario, before: State) -> str:
+def _speed_cause(scenario: Scenario, velocity: FloatArray) -> str:
     """A particle that outruns what the time step can follow; or nothing."""
-    speed = np.hypot(*before.soil.velocity.T)
+    # A velocity that is not a number is what came of it, not its cause.
+    speed = np.nan_to_num(np.hypot(*velocity.T), nan=0.0, posinf=0.0)
     fastest = int(speed.argmax())
     wave, numerics = scenario.soil.p_wave_speed, scenario.numerics
     courant = (wave + speed[fastest]) * numerics.time_step / numerics.cell_size
@@ -202,7 +145,7 @@ def _edge_cause(scenario: Scenario, position: FloatArray) -> str:
         "top": size - position[1],
     }
     side = min(gaps, key=gaps.__getitem__)
-    if gaps[side] > 3.0 * scenario.numerics.cell_size:
+    if not np.isfinite(position).all() or gaps[side] > 3.0 * scenario.numerics.cell_size:
         return "none of the usual ones; try a smaller numerics.time_step"
     if side == "top":
         swelling = (
@@ -233,7 +176,7 @@ def _what(after: State, lost: int, flawed: int) -> str:
     if lost >= 0:
         return "left the grid"
     if flawed < 0:
-        return "is as it should be, yet the force on the leg is not a number"
+        return "the force on the leg is not a number"
     if not after.soil.stretch[flawed] > 0.0:
         return "has no volume left"
     return "has a velocity or a stress that is not a number"

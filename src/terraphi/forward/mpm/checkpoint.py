@@ -1,8 +1,9 @@
-"""Checkpoints: the state of a run in a file, written whole or not at all and read if it fits.
+"""Checkpoints: the state of a run in a file, from which the same run can go on.
 
 A run that goes on from a checkpoint ends in the same bits as one that was never stopped, because
-the state between two blocks of steps is all that the kernels know. What could make other bits of
-it (another scenario, kernel, compiler or processor) is written beside it and compared.
+the state between two blocks of steps is all that the kernels know. A file is written whole or not
+at all. Beside the state it names all that the bits depend on (scenario, kernel, compiler,
+processor); if any of it has changed, the file is not used.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _ARCHIVE = b"PK\x03\x04"
 SCHEMA = 1
 """Version of the layout of a checkpoint."""
 DEAREST = 0.01
-"""Largest share of a run's time that goes into checkpoints [-]."""
+"""Largest share of a run's time that may be spent on writing checkpoints [-]."""
 
 
 class Keeper:
@@ -102,12 +103,12 @@ class Keeper:
         return state
 
     def offer(self, state: State) -> None:
-        """Write a state if it is time for it."""
+        """Write a state if the last one was written long enough ago."""
         if self._where is not None and time.perf_counter() - self._last >= self._pause:
             self.save(state)
 
     def save(self, state: State) -> bool:
-        """Write a state now; the first one is not worth it.
+        """Write a state now, unless it is the one before the first step, which is soon made anew.
 
         Parameters
         ----------
@@ -117,7 +118,7 @@ class Keeper:
         Returns
         -------
         bool
-            Whether it was written. A full disk is a reason to say so, not one to stop.
+            Whether it was written. On a full disk this warns, and the simulation goes on.
         """
         if self._where is None or state.step == 0:
             return False
@@ -135,7 +136,13 @@ class Keeper:
         return True
 
     def last_resort(self, state: State) -> str:
-        """Write the last good state of a run that broke down; where it is, for a message."""
+        """Write the last good state of a run that broke down.
+
+        Returns
+        -------
+        str
+            Half a sentence for the message that says where the state is; empty if nothing is kept.
+        """
         if self.save(state):
             assert self._where is not None
             return f"; the last good state, before step {state.step}, is in {self._where.path}"
@@ -251,6 +258,6 @@ def rests_on(kernel: str) -> dict[str, Any]:
 
 
 def _short(value: Any) -> str:
-    """A value for a message; of a hash its beginning is enough."""
+    """A value for a message; a hash is cut after its first digits."""
     text = str(value)
     return text if len(text) <= 24 else f"{text[:12]}..."

@@ -149,6 +149,54 @@ def pose_of(row: FloatArray) -> Pose:
 
 
 @kernel
+def node_in_leg_frame(
+    x: float, z: float, intruder: Intruder, band: float, pose: Pose
+) -> tuple[bool, float, float, float, float]:
+    """Where a node is as the leg sees it, and how fast the leg moves there.
+
+    The leg's axes in the plane (x, z) are s = (-sin θ, -cos θ), from the hip along the chord, and
+    m = (-cos θ, sin θ), across it.
+
+    Parameters
+    ----------
+    x, z
+        Position of the node [m].
+    intruder, pose
+        The leg.
+    band
+        Distance from the leg within which a node is in contact [m].
+
+    Returns
+    -------
+    near
+        False if the node is further from the hip than the leg's reach and the band: there is no
+        contact, and what follows is zero.
+    s, m
+        The node in the leg's frame [m].
+    ux, uz
+        Velocity of the leg at the node [m/s].
+    """
+    rx, rz = x - pose.hip_x, z - pose.hip_z
+    far = intruder.reach + band
+    if rx * rx + rz * rz >= far * far:
+        return False, 0.0, 0.0, 0.0, 0.0
+    # The leg turns from +z towards +x about +y: v = ω × r = ω (rz, -rx).
+    return (
+        True,
+        -pose.sine * rx - pose.cosine * rz,
+        -pose.cosine * rx + pose.sine * rz,
+        pose.hip_vx + pose.rate * rz,
+        pose.hip_vz - pose.rate * rx,
+    )
+
+
+@kernel
+def out_of_leg_frame(ns: float, nm: float, pose: Pose) -> tuple[float, float]:
+    """A vector (s, m) of the leg's frame in the plane (x, z)."""
+    return -pose.sine * ns - pose.cosine * nm, -pose.cosine * ns + pose.sine * nm
+
+
+@kernel
 def against_leg(
     vx: float, vz: float, x: float, z: float, intruder: Intruder, band: float, pose: Pose
 ) -> tuple[float, float]:
@@ -170,25 +218,14 @@ def against_leg(
     tuple
         (vx, vz) [m/s].
     """
-    rx, rz = x - pose.hip_x, z - pose.hip_z
-    far = intruder.reach + band
-    if rx * rx + rz * rz >= far * far:
+    near, s, m, ux, uz = node_in_leg_frame(x, z, intruder, band, pose)
+    if not near:
         return vx, vz
-    sine, cosine = pose.sine, pose.cosine
-    # Into the leg's frame: s = (-sin θ, -cos θ), m = (-cos θ, sin θ).
-    distance, ns, nm = distance_to_leg(intruder, -sine * rx - cosine * rz, -cosine * rx + sine * rz)
+    distance, ns, nm = distance_to_leg(intruder, s, m)
     if distance >= band:
         return vx, vz
-    # The leg turns from +z towards +x about +y: v = ω × r = ω (rz, -rx).
-    return rub(
-        vx,
-        vz,
-        pose.hip_vx + pose.rate * rz,
-        pose.hip_vz - pose.rate * rx,
-        -sine * ns - cosine * nm,
-        -cosine * ns + sine * nm,
-        intruder.friction,
-    )
+    nx, nz = out_of_leg_frame(ns, nm, pose)
+    return rub(vx, vz, ux, uz, nx, nz, intruder.friction)
 
 
 @kernel
@@ -295,6 +332,7 @@ def touch(
         Nothing but zeros if the particle does not reach the leg.
     """
     nothing = Touch(0.0, 0.0, 0.0, 0.0, 0.0)
+    # Written out, and not by node_in_leg_frame: the compiler would round the sums in another order.
     rx, rz = place[0] - pose.hip_x, place[1] - pose.hip_z
     far = intruder.reach + radius
     if rx * rx + rz * rz >= far * far:
@@ -420,14 +458,8 @@ def against_leg_unbalanced(
     tuple
         Velocity (x, z) afterwards, and counted change of velocity (x, z) [m/s].
     """
-    rx, rz = x - pose.hip_x, z - pose.hip_z
-    far = intruder.reach + band
-    if rx * rx + rz * rz >= far * far:
-        return vx, vz, 0.0, 0.0
-    sine, cosine = pose.sine, pose.cosine
-    # Into the leg's frame: s = (-sin θ, -cos θ), m = (-cos θ, sin θ).
-    s, m = -sine * rx - cosine * rz, -cosine * rx + sine * rz
-    if distance_to_box(intruder, s, m) >= band:
+    near, s, m, ux, uz = node_in_leg_frame(x, z, intruder, band, pose)
+    if not near or distance_to_box(intruder, s, m) >= band:
         return vx, vz, 0.0, 0.0
     h = cell_size
     ns = distance_to_box(intruder, s + h, m) - distance_to_box(intruder, s - h, m)
@@ -435,10 +467,8 @@ def against_leg_unbalanced(
     length = math.sqrt(ns * ns + nm * nm)
     if length < 1e-9 * h:
         return vx, vz, 0.0, 0.0
-    nx, nz = (-sine * ns - cosine * nm) / length, (-cosine * ns + sine * nm) / length
-    # The leg turns from +z towards +x about +y: v = ω × r = ω (rz, -rx).
-    ux, uz = pose.hip_vx + pose.rate * rz, pose.hip_vz - pose.rate * rx
-    after = unbalanced_push((vx, vz), (ux, uz), (nx, nz), intruder.friction)
+    nx, nz = out_of_leg_frame(ns, nm, pose)
+    after = unbalanced_push((vx, vz), (ux, uz), (nx / length, nz / length), intruder.friction)
     return after[0], after[1], after[2], after[3]
 
 

@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 NOTE = "scenario "
-"""How the note in a series of ours begins."""
+"""How the note begins that marks a series as written here."""
 FRAME = "_[0-9][0-9][0-9][0-9].vtu"
 """How the name of a frame ends."""
 PARTICLES, LEG = "particles", "leg"
@@ -59,7 +59,7 @@ class FieldSeries:
         self._check_what_is_there()
 
     def _check_what_is_there(self) -> None:
-        """Refuse to take the place of files that no simulation wrote."""
+        """Raise InputError if the folder has files of these names that were not written here."""
         note = ""
         with contextlib.suppress(InputError):  # no series yet, or somebody else's
             note = read_series(self.particles)[1]
@@ -105,7 +105,10 @@ class FieldSeries:
         self._list_frames()
 
     def _list_frames(self) -> None:
-        """Write both series as they are by now; that of the particles, which tells, comes first."""
+        """Write both .pvd files with the frames so far.
+
+        That of the particles comes first: its note tells a later run that the files are ours.
+        """
         known = sorted((self._known or {}).items())
         for name in (PARTICLES, LEG):
             frames = [(time, self._frame(name, k).name) for k, time in known]
@@ -115,7 +118,7 @@ class FieldSeries:
         return self._folder / f"{name}_{number:04d}.vtu"
 
     def _frames_before(self, step: int) -> dict[int, float]:
-        """Number and time of the frames that this simulation has written before it was stopped."""
+        """Frames that this simulation wrote before it was stopped: from number to time [s]."""
         frames: list[tuple[float, str]] = []
         note = ""
         with contextlib.suppress(InputError):  # no series yet, or somebody else's
@@ -148,7 +151,7 @@ class FieldSeries:
             self._folder.rmdir()
 
     def _clear(self, kept: set[str]) -> None:
-        """Remove the frames of another run, which the new series would not list."""
+        """Remove all frames but those named, so that none of another run is left."""
         for name in (PARTICLES, LEG):
             for file in self._folder.glob(f"{name}{FRAME}"):
                 if file.name not in kept:

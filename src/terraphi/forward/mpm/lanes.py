@@ -1,5 +1,26 @@
 """What a step does to one packet: the same arithmetic in every lane, without branches.
 
+What ``transfer``, ``scalar`` and ``phases`` do particle by particle is done here packet by packet
+(``packing`` says what that is), on flat arrays: field f of lane l of packet n stands at
+``n * FIELDS + f + l``, so that one field of a packet is one register. With w the spline weights, p
+a particle and i a node:
+
+============================================ ====================================================
+function                                     what it computes
+============================================ ====================================================
+:func:`gather`                               v_p = Σ w v_i, and Σ w v_i (x_i - x_p)
+:func:`follow_grid`                          grid to particle, stress and motion of a usual step
+:func:`fade`                                 relief, q ← max(q_min, q exp(-rate Δθ))
+:func:`scatter`, :func:`scatter_row`         m_i = Σ w m_p and the momenta, stress included
+:func:`follow_velocity`, :func:`strain`      the two halves of a phase's strain step
+:func:`push`, :func:`push_row`               impulses of the stresses alone, within a phase
+:func:`interpolate`, :func:`follow_shift`    x_p ← x_p + Σ w u_i at a phase's end
+============================================ ====================================================
+
+The three nodes of a row stand at -1, 0 and 1 cells from its middle one. So a first moment over them
+is a difference of two products, and a momentum that is affine in the place is a value in the middle
+and one step to either side: fewer multiplications than node by node.
+
 The loops over lanes are what the compiler turns into vector instructions. It does so only if their
 length is not known to it (a known one is unrolled, and then nothing comes of the vectors), if all
 indices are unsigned and all arrays flat, and if the distances between what is read and written in
@@ -58,6 +79,9 @@ MOTION = 6 * LANES
 
 TWO, THREE, SIX = np.uint64(2), np.uint64(3), np.uint64(6)
 
+LEAST_VOLUME = 1e-300
+"""Of a lane without particles, so that its mean is a number [m²]."""
+
 
 class Laws(NamedTuple):
     """Constants of a step as the lanes take them."""
@@ -90,7 +114,7 @@ class Laws(NamedTuple):
 
 @kernel
 def gather_row(work: FloatArray, at: Index, wx: Three) -> tuple[float, float]:
-    """Sum of a row of nodes, and the same weighed by their places -1, 0, 1."""
+    """Sum Σ w v over a row of three nodes, and Σ w v n with their places n = -1, 0, 1."""
     left, right = wx[0] * work[at], wx[2] * work[at + TWO * LANES]
     return left + wx[1] * work[at + LANES] + right, right - left
 
@@ -100,6 +124,11 @@ def gather(
     work: FloatArray, at: Index, wx: Three, wz: Three, ux: float, uz: float
 ) -> tuple[float, float, float]:
     """Interpolate one component of the velocity from its window of three by three nodes.
+
+    As :func:`~terraphi.forward.mpm.transfer.grid_to_particle`: v_p = Σ w v_i and the first moment
+    Σ w v_i (x_i - x_p), of which 4/Δx² is the gradient. The moments are taken about the middle node
+    and shifted to the particle, Σ w v n - u v_p. All lanes have their window at the same place of
+    ``work``, a lane apart.
 
     Parameters
     ----------
@@ -137,6 +166,11 @@ def follow_grid(
     laws: Laws,
 ) -> float:
     """Grid to particle, stress update and motion of the packets of a block.
+
+    As :func:`~terraphi.forward.mpm.scalar.update_particles`: v and its gradient C from the grid,
+    σ ← return(σ + Δt (Wσ - σW + λ tr(D) 1 + 2 G D)), V ← V (1 + Δt tr D), x ← x + Δt v. The return
+    mapping is the one without branches, for all lanes must do the same. A particle stays in its
+    registers from the first of these to the last.
 
     Parameters
     ----------
@@ -216,6 +250,10 @@ def fade(
 ) -> None:
     """Relief of the packets of a block.
 
+    As :func:`~terraphi.forward.mpm.relief.faded`: q ← max(q_min, q exp(-rate |Δθ|)) for what is
+    farther from its first place than d_r. Mass and volume in a packet hold the factor q already,
+    and are scaled by what is left of it.
+
     Parameters
     ----------
     state, origin
@@ -264,7 +302,7 @@ def scatter_row(
     step_x: float,
     step_z: float,
 ) -> None:
-    """Add what a particle gives to a row of three nodes.
+    """Add what a particle gives to a row of three nodes: w m, and w times its affine momentum.
 
     Parameters
     ----------
@@ -306,6 +344,11 @@ def scatter(
 ) -> None:
     """Particle to grid: add mass and momentum of the packets of a block to its sums.
 
+    As :func:`~terraphi.forward.mpm.transfer.particle_to_grid`: m_i = Σ w m and
+    (mv)_i = Σ w (m v + (m C - 4 Δt/Δx² V σ) (x_i - x_p)). Each lane has nine sums of its own for
+    each quantity, one a node of its window, and they stay in the cache while a block is worked
+    off; ``sweep.lay_down`` and ``sweep.add_strips`` bring together what belongs to one node.
+
     Parameters
     ----------
     state, motion
@@ -340,3 +383,225 @@ def scatter(
             scatter_row(work, row, wx, wz[1], mass, px, pz, axx, azx)
             row += SUMS_OF_ROW
             scatter_row(work, row, wx, wz[2], mass, px + axz, pz + azz, axx, azx)
+
+
+# -- what a step of a Lagrangian phase does --------------------------------------------------------
+
+
+@kernel
+def follow_velocity(
+    state: FloatArray,
+    motion: FloatArray,
+    work: FloatArray,
+    first: Index,
+    layers: Index,
+    lanes: Index,
+    laws: Laws,
+) -> None:
+    """Velocities and gradients of the packets of a block, and the sums of their traces.
+
+    As :func:`~terraphi.forward.mpm.phases.follow_grid`: v = Σ w v_i and the gradient
+    C = 4/Δx² Σ w v_i (x_i - x), and for mean dilatation Σ V tr C and Σ V over each cell. A lane is
+    a cell, so that these sums need no index: they are added up layer by layer, in a register.
+
+    Parameters
+    ----------
+    state
+        Of all packets.
+    motion
+        Filled, from the block's first packet on.
+    work
+        Holds the window of grid velocities; volumes and volumetric strain rates are summed there,
+        cell by cell.
+    first, layers, lanes, laws
+        As in :func:`follow_grid`.
+    """
+    wide_vectors()
+    for lane in range(lanes):
+        work[RATE + lane] = 0.0
+        work[WHOLE + lane] = LEAST_VOLUME
+        work[PRESSED + lane] = 0.0
+    for layer in range(layers):
+        for lane in range(lanes):
+            at, out = (first + layer) * FIELDS + lane, layer * MOTION + lane
+            fx, fz = state[at + OFFSET_X], state[at + OFFSET_Z]
+            wx, wz = weights(fx), weights(fz)
+            vx, vxx, vxz = gather(work, WINDOW_X + lane, wx, wz, fx - 1.0, fz - 1.0)
+            vz, vzx, vzz = gather(work, WINDOW_Z + lane, wx, wz, fx - 1.0, fz - 1.0)
+            motion[out + VX], motion[out + VZ] = vx, vz
+            motion[out + CXX], motion[out + CXZ] = laws.per_moment * vxx, laws.per_moment * vxz
+            motion[out + CZX], motion[out + CZZ] = laws.per_moment * vzx, laws.per_moment * vzz
+            work[RATE + lane] += state[at + VOLUME] * laws.per_moment * (vxx + vzz)
+            work[WHOLE + lane] += state[at + VOLUME]
+
+
+@kernel
+def strain(
+    state: FloatArray,
+    motion: FloatArray,
+    work: FloatArray,
+    first: Index,
+    layers: Index,
+    lanes: Index,
+    laws: Laws,
+) -> None:
+    """Stresses and volumes of the packets of a block after a step of ``laws.time_step``.
+
+    As :func:`~terraphi.forward.mpm.phases.strain`: with mean dilatation half of
+    (Σ V tr C / Σ V - tr C) is added to both normal strain rates; then the stress is that of
+    :func:`follow_grid`. ``laws.averaging`` is 1 or 0 in place of a branch.
+
+    The mean stresses are summed cell by cell, with the volumes before the step.
+
+    Parameters
+    ----------
+    state
+        Of all packets; changed.
+    motion, work
+        As :func:`follow_velocity` leaves them.
+    first, layers, lanes, laws
+        As in :func:`follow_grid`.
+    """
+    wide_vectors()
+    for layer in range(layers):
+        for lane in range(lanes):
+            at, moves = (first + layer) * FIELDS + lane, layer * MOTION + lane
+            cxx, czz = motion[moves + CXX], motion[moves + CZZ]
+            excess = 0.5 * laws.averaging * (work[RATE + lane] / work[WHOLE + lane] - (cxx + czz))
+            cxx, czz = cxx + excess, czz + excess
+            gradient = (cxx, motion[moves + CXZ], motion[moves + CZX], czz)
+            stress = (state[at + SXX], state[at + SZZ], state[at + SXZ], state[at + SYY])
+            trial = jaumann_predictor(
+                stress,
+                gradient,
+                laws.time_step,
+                laws.lame_lambda,
+                laws.shear_modulus,
+                laws.turning,
+            )
+            stress = return_to_cone(trial, laws.cone)
+            growth = laws.stretching * (cxx + czz) * laws.time_step
+            state[at + SXX], state[at + SZZ], state[at + SXZ], state[at + SYY] = stress
+            work[PRESSED + lane] += state[at + VOLUME] * 0.5 * (stress[0] + stress[1])
+            state[at + VOLUME] += state[at + VOLUME] * growth
+
+
+@kernel
+def push_row(
+    work: FloatArray,
+    at: Index,
+    wx: Three,
+    wz: float,
+    px: float,
+    pz: float,
+    step_x: float,
+    step_z: float,
+) -> None:
+    """Add impulses to a row of three nodes: :func:`scatter_row` without the masses."""
+    for_x, for_z = at + SUMS_OF_QUANTITY, at + TWO * SUMS_OF_QUANTITY
+    left, middle, right = wx[0] * wz, wx[1] * wz, wx[2] * wz
+    work[for_x] += left * (px - step_x)
+    work[for_x + LANES] += middle * px
+    work[for_x + TWO * LANES] += right * (px + step_x)
+    work[for_z] += left * (pz - step_z)
+    work[for_z + LANES] += middle * pz
+    work[for_z + TWO * LANES] += right * (pz + step_z)
+
+
+@kernel
+def push(
+    state: FloatArray,
+    work: FloatArray,
+    first: Index,
+    layers: Index,
+    lanes: Index,
+    laws: Laws,
+) -> None:
+    """Add the impulses of the stresses of the packets of a block to its sums.
+
+    As :func:`~terraphi.forward.mpm.phases.push`: (mv)_i += -4 Δt/Δx² Σ w V σ (x_i - x_p), with the
+    mean over the cell in place of each particle's mean stress where dilatation is a mean too.
+
+    Parameters
+    ----------
+    state
+        Of all packets.
+    work
+        Holds the sums for the nodes, and those over the cells.
+    first, layers, lanes, laws
+        As in :func:`follow_grid`.
+    """
+    wide_vectors()
+    for layer in range(layers):
+        for lane in range(lanes):
+            at = (first + layer) * FIELDS + lane
+            fx, fz = state[at + OFFSET_X], state[at + OFFSET_Z]
+            wx, wz = weights(fx), weights(fz)
+            k = laws.stress_impulse * state[at + VOLUME] * laws.cell_size
+            sxx, szz, sxz = state[at + SXX], state[at + SZZ], state[at + SXZ]
+            mean = work[PRESSED + lane] / work[WHOLE + lane]
+            excess = laws.averaging * (mean - 0.5 * (sxx + szz))
+            sxx, szz, sxz = k * (sxx + excess), k * (szz + excess), k * sxz
+            # The impulse at the middle node, and from there a row down and a row up.
+            px = -sxx * (fx - 1.0) - sxz * (fz - 1.0)
+            pz = -sxz * (fx - 1.0) - szz * (fz - 1.0)
+            row = SUMS + lane
+            push_row(work, row, wx, wz[0], px - sxz, pz - szz, sxx, sxz)
+            row += SUMS_OF_ROW
+            push_row(work, row, wx, wz[1], px, pz, sxx, sxz)
+            row += SUMS_OF_ROW
+            push_row(work, row, wx, wz[2], px + sxz, pz + szz, sxx, sxz)
+
+
+@kernel
+def interpolate(work: FloatArray, at: Index, wx: Three, wz: Three) -> float:
+    """Interpolate one value from its window of three by three nodes."""
+    low, _ = gather_row(work, at, wx)
+    middle, _ = gather_row(work, at + THREE * LANES, wx)
+    high, _ = gather_row(work, at + SIX * LANES, wx)
+    return wz[0] * low + wz[1] * middle + wz[2] * high
+
+
+@kernel
+def follow_shift(
+    state: FloatArray,
+    work: FloatArray,
+    first: Index,
+    layers: Index,
+    lanes: Index,
+    per_cell: float,
+) -> float:
+    """Move the packets of a block as far as the nodes have moved in the phase.
+
+    As the first half of :func:`~terraphi.forward.mpm.phases.move`: x ← x + Σ w u_i.
+
+    Parameters
+    ----------
+    state
+        Of all packets; changed.
+    work
+        Holds the window of the nodes' displacements [m].
+    first, layers, lanes
+        As in :func:`follow_grid`.
+    per_cell
+        1/Δx [1/m].
+
+    Returns
+    -------
+    float
+        Number of particles that are still in their cells.
+    """
+    wide_vectors()
+    inside = 0.0
+    for layer in range(layers):
+        for lane in range(lanes):
+            at = (first + layer) * FIELDS + lane
+            fx, fz = state[at + OFFSET_X], state[at + OFFSET_Z]
+            wx, wz = weights(fx), weights(fz)
+            fx += per_cell * interpolate(work, WINDOW_X + lane, wx, wz)
+            fz += per_cell * interpolate(work, WINDOW_Z + lane, wx, wz)
+            # Written so that an offset that is not a number counts as outside.
+            within = 1.0 if abs(fx - 1.0) <= 0.5 else 0.0
+            inside += within if abs(fz - 1.0) <= 0.5 else 0.0
+            state[at + OFFSET_X], state[at + OFFSET_Z] = fx, fz
+    return inside

@@ -1,7 +1,14 @@
 """Lagrangian phases of packed particles: the fast version of ``phases``.
 
+Within a phase the particles hold their places, and only stresses and the grid change. So a packet
+(see ``packing``) stays what it is for all steps of a phase: each step is one sweep over the blocks
+in which a block's strains, stresses and impulses are computed in one go (:func:`strain_sweep`), and
+one update of the grid's rows. At the end of a phase a second kind of sweep moves the particles and
+makes the next phase's momenta (:func:`transfer_sweep`). Contact on the surface is computed for the
+few particles near the leg, one by one (:func:`find_near`, :func:`press_near`).
+
 A block of steps ends with half a strain step and the motion of the reference kernel, so that the
-soil is left with velocities and gradients; between, its particles are in packets.
+soil is left with velocities and gradients; before, its particles are in packets.
 """
 
 from __future__ import annotations
@@ -23,7 +30,19 @@ from terraphi.forward.mpm.contact import (
     push_particle,
     touch,
 )
-from terraphi.forward.mpm.lanes import RELIEF_X, RELIEF_Z, TOTAL_X, TOTAL_Z, Laws, fade, scatter
+from terraphi.forward.mpm.lanes import (
+    RELIEF_X,
+    RELIEF_Z,
+    TOTAL_X,
+    TOTAL_Z,
+    Laws,
+    fade,
+    follow_shift,
+    follow_velocity,
+    push,
+    scatter,
+    strain,
+)
 from terraphi.forward.mpm.packets import NODES, first_half
 from terraphi.forward.mpm.packing import (
     FIELDS,
@@ -55,8 +74,6 @@ from terraphi.forward.mpm.rows import (
     update_rows,
 )
 from terraphi.forward.mpm.scalar import Audit, Stepping, close_books, enter_reaction, write_books
-from terraphi.forward.mpm.spline_gradient import follow_splines, push_splines
-from terraphi.forward.mpm.strain_lanes import follow_shift, follow_velocity, push, strain
 from terraphi.forward.mpm.sweep import (
     Memory,
     add_strips,
@@ -198,7 +215,7 @@ def march(
     here: int,
     lanes: Index,
 ) -> tuple[int, int, float, tuple[float, float], int]:
-    """Go from phase to phase until the last has but to end, or particles must be packed anew.
+    """Go from phase to phase; stop before the last one's end, or if particles must be packed anew.
 
     Parameters
     ----------
@@ -251,9 +268,9 @@ def march(
             return step, here, turn, momentum, -1
         now, then = grids[here], grids[1 - here]
         clear_rows(then, used)
-        sweep = (packets, soil, now, then, shift, memory, laws, fading, turn)
-        how = (impulses, stepping.spline_gradient, lanes)
-        lost, swept = transfer_sweep(*(sweep + how))
+        lost, swept = transfer_sweep(
+            packets, soil, now, then, shift, memory, laws, fading, turn, impulses, lanes
+        )
         if lost >= 0:
             return step, here, turn, momentum, lost
         write_books(audit, impulses, momentum)
@@ -289,6 +306,10 @@ def take_steps(
 ) -> int:
     """The steps of a phase, from its momenta to its last velocities.
 
+    The velocity Verlet of :func:`terraphi.forward.mpm.phases.advance`: strain, impulses of the
+    stresses and of the surface's contact, update of the grid, displacement of the nodes. The strain
+    that closes a step there opens the next one here, so that strain and impulses are one sweep.
+
     Parameters
     ----------
     packets, soil, grids, shift, memory, near, laws, material, intruder, stepping, poses, bins
@@ -314,7 +335,7 @@ def take_steps(
         to_momenta(now, then, used)
         # The half step that a phase begins with, then whole ones; the last half is the transfer's.
         part = laws.half if step == first else laws.whole
-        strain_sweep(packets, now, then, memory, part, laws.whole, stepping.spline_gradient, lanes)
+        strain_sweep(packets, now, then, memory, part, laws.whole, lanes)
         before_x, before_z = impulses[1, 0], impulses[1, 1]
         if stepping.surface:
             pose = pose_of(poses[step])
@@ -358,10 +379,12 @@ def strain_sweep(
     memory: Memory,
     part: Laws,
     whole: Laws,
-    splines: bool,
     lanes: Index,
 ) -> None:
     """Update the stresses and add their impulses to the momenta.
+
+    :func:`terraphi.forward.mpm.phases.strain` and ``push`` for one block after another: what a
+    block's cells need of each other, the means over the cells, is in its own lanes.
 
     Parameters
     ----------
@@ -373,8 +396,6 @@ def strain_sweep(
         Working memory.
     part, whole
         Constants of the strain step and of the impulses.
-    splines
-        Whether strain rates and impulses go by the gradient of the splines.
     lanes
         :data:`~terraphi.forward.mpm.packing.LANES`.
     """
@@ -389,14 +410,9 @@ def strain_sweep(
             first, layers = packets.first[block], packets.layers[block]
             if layers > ZERO:
                 load_window(work, velocity_x, velocity_z, j * stride + k * LANES, stride, lanes)
-                if splines:
-                    follow_splines(state, motion, work, first, layers, lanes, part)
-                    strain(state, motion, work, first, layers, lanes, part)
-                    push_splines(state, work, first, layers, lanes, whole)
-                else:
-                    follow_velocity(state, motion, work, first, layers, lanes, part)
-                    strain(state, motion, work, first, layers, lanes, part)
-                    push(state, work, first, layers, lanes, whole)
+                follow_velocity(state, motion, work, first, layers, lanes, part)
+                strain(state, motion, work, first, layers, lanes, part)
+                push(state, work, first, layers, lanes, whole)
             lay_down(work, memory.strips, k, strip_length(packets), lanes)
         add_strips(memory.strips, strip_length(packets), then, j)
 
@@ -413,10 +429,13 @@ def transfer_sweep(
     fading: Fading,
     turned: float,
     impulses: FloatArray,
-    splines: bool,
     lanes: Index,
 ) -> tuple[int, tuple[float, float]]:
     """End a phase: the last half strain step, motion, relief, and the momenta of the next phase.
+
+    :func:`terraphi.forward.mpm.phases.strain`, ``move`` and
+    :func:`terraphi.forward.mpm.transfer.particles_to_grid`, block by block as in
+    :func:`~terraphi.forward.mpm.sweep.sweep`.
 
     Parameters
     ----------
@@ -430,8 +449,6 @@ def transfer_sweep(
         Constants.
     turned
         |Δθ| of the phase once θ > 0 [rad].
-    splines
-        As in :func:`strain_sweep`.
 
     Returns
     -------
@@ -455,14 +472,8 @@ def transfer_sweep(
             first, layers = packets.first[block], packets.layers[block]
             if layers > ZERO:
                 load_window(work, velocity_x, velocity_z, corner, stride, lanes)
-                if splines:
-                    follow_splines(state, motion, work, first, layers, lanes, laws.half)
-                    strain(state, motion, work, first, layers, lanes, laws.half)
-                    # The momenta are scattered with the affine part of the transfer's own.
-                    follow_velocity(state, motion, work, first, layers, lanes, laws.half)
-                else:
-                    follow_velocity(state, motion, work, first, layers, lanes, laws.half)
-                    strain(state, motion, work, first, layers, lanes, laws.half)
+                follow_velocity(state, motion, work, first, layers, lanes, laws.half)
+                strain(state, motion, work, first, layers, lanes, laws.half)
                 load_window(work, shift_x, shift_z, corner, stride, lanes)
                 inside = follow_shift(state, work, first, layers, lanes, 1.0 / cell_size)
                 if fades:
@@ -488,7 +499,7 @@ IndexArray = NDArray[np.uint64]
 
 
 class Near(NamedTuple):
-    """Particles that may touch the leg in a phase, in the order in which they were met."""
+    """Particles that may touch the leg in a phase, in the order in which they were found."""
 
     slot: IndexArray
     """Packet times :data:`~terraphi.forward.mpm.packing.LANES` plus lane, shape [particle]."""
@@ -497,7 +508,7 @@ class Near(NamedTuple):
     z: FloatArray
     """[m], shape [particle]."""
     number: IndexArray
-    """How many there are, shape [1]."""
+    """How many there are; only that many entries of the others count; shape [1]."""
 
 
 def near_for(particles: int) -> Near:
@@ -514,7 +525,9 @@ def near_for(particles: int) -> Near:
 def find_near(
     packets: Packets, near: Near, intruder: Intruder, pose: Pose, rows: int, cell_size: float
 ) -> None:
-    """List the particles closer to the leg than a cell; nobody moves that far in a phase.
+    """List the particles closer to the leg than a cell; none moves that far in a phase.
+
+    Cell by cell, so that most particles are never looked at. Done once a phase.
 
     Parameters
     ----------
@@ -579,6 +592,9 @@ def press_near(
     impulses: FloatArray,
 ) -> None:
     """Let the leg push the particles that it touches.
+
+    As :func:`terraphi.forward.mpm.phases.press`, for the listed particles alone, one by one: they
+    are few, and the force has branches.
 
     Parameters
     ----------

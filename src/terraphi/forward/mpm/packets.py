@@ -1,10 +1,14 @@
 """The fast kernel: the same steps as the reference kernel, many particles at a time.
 
 Between two updates of the grid a particle takes its velocity from the grid, moves, and gives its
-momentum back; here it does so in one go, a packet at a time (``packing`` says what that is,
-``lanes`` what happens to it), so that velocities and gradients need not be stored. A block of
-steps begins and ends with half a step of the reference kernel, between which its particles are in
-packets. The result is that of the reference kernel but for the order of sums and roundings.
+momentum back; here it does so in one go, a packet at a time, so that velocities and gradients need
+not be stored. ``packing`` says what a packet is, ``lanes`` what happens to it, ``sweep`` how all of
+them are worked off, ``rows`` how the grid is updated.
+
+The reference kernel takes a step from particles to particles, this one from grid to grid. So a
+block of steps begins with the first half of a reference step, particles to grid, and ends with the
+second half, grid to particles. The result is that of the reference kernel but for the order of sums
+and roundings.
 """
 
 from __future__ import annotations
@@ -124,6 +128,10 @@ def march(
     lanes: Index,
 ) -> tuple[int, tuple[float, float], int]:
     """Take steps from grid to grid until the last or until particles must be packed anew.
+
+    A step is :func:`~terraphi.forward.mpm.rows.update_rows`, then
+    :func:`~terraphi.forward.mpm.sweep.sweep`, then :func:`~terraphi.forward.mpm.sweep.settle`. Two
+    grids take turns: momenta are added to one while velocities are read from the other.
 
     Parameters
     ----------

@@ -36,7 +36,6 @@ from terraphi.forward.mpm.scalar import (
     update_grid,
     write_books,
 )
-from terraphi.forward.mpm.spline_gradient import spline_gradient, spline_stress_to_grid
 from terraphi.forward.mpm.transfer import (
     gather_values,
     grid_to_particle,
@@ -93,8 +92,8 @@ def advance(
     Parameters
     ----------
     soil, grid, material, intruder, fading, stepping, poses, turned, bins, impulse, audit
-        As in :func:`terraphi.forward.mpm.scalar.advance`. The books are closed once a phase; the
-        last phase of the block ends with it.
+        As in :func:`terraphi.forward.mpm.scalar.advance`. The audit compares momenta once a phase.
+        A phase that the block cuts short ends with the block.
 
     Returns
     -------
@@ -137,7 +136,7 @@ def advance(
 
 @kernel
 def begin(grid: Grid, shift: Shift, time_step: float) -> None:
-    """Turn momenta into velocities, and start the displacements with a step ``time_step`` [s]."""
+    """Turn momenta into velocities v, and set the displacements to v Δt, Δt = ``time_step`` [s]."""
     for j in range(grid.mass.shape[0]):
         for i in range(grid.mass.shape[1]):
             mass = grid.mass[j, i]
@@ -150,7 +149,7 @@ def begin(grid: Grid, shift: Shift, time_step: float) -> None:
 
 @kernel
 def carry(grid: Grid, shift: Shift, time_step: float) -> None:
-    """Move the nodes on by a step ``time_step`` [s]."""
+    """Add a step to the nodes' displacements, u += v Δt, with Δt = ``time_step`` [s]."""
     for j in range(grid.mass.shape[0]):
         for i in range(grid.mass.shape[1]):
             shift.x[j, i] += grid.vx[j, i] * time_step
@@ -159,7 +158,7 @@ def carry(grid: Grid, shift: Shift, time_step: float) -> None:
 
 @kernel
 def to_momentum(grid: Grid) -> None:
-    """Turn velocities into momenta."""
+    """Turn velocities into momenta m v."""
     for j in range(grid.mass.shape[0]):
         for i in range(grid.mass.shape[1]):
             grid.vx[j, i] *= grid.mass[j, i]
@@ -230,8 +229,6 @@ def follow_grid(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -
     per_cell = 1.0 / stepping.cell_size
     for p in range(soil.mass.size):
         vx, vz, gradient = grid_to_particle(soil, grid, p, stepping.cell_size)
-        if stepping.spline_gradient:
-            gradient = spline_gradient(soil, grid, p, stepping.cell_size)
         soil.velocity[p, 0] = vx
         soil.velocity[p, 1] = vz
         for c in range(4):
@@ -268,10 +265,7 @@ def push(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -> None:
             excess = cells.pressed[j, i] / cells.volume[j, i] - 0.5 * (sxx + szz)
             sxx, szz = sxx + excess, szz + excess
         stress = (sxx, szz, sxz)
-        if stepping.spline_gradient:
-            spline_stress_to_grid(soil, grid, p, stress, stepping.cell_size, stepping.time_step)
-        else:
-            stress_to_grid(soil, grid, p, stress, stepping.cell_size, stepping.time_step)
+        stress_to_grid(soil, grid, p, stress, stepping.cell_size, stepping.time_step)
 
 
 @kernel
@@ -301,7 +295,7 @@ def press(
     for p in range(soil.mass.size):
         x, z = soil.position[p, 0], soil.position[p, 1]
         radius = radius_of(soil, p)
-        # Nobody moves further in a phase than half a cell.
+        # No particle moves further than half a cell in a phase.
         far = intruder.reach + radius + 0.5 * stepping.cell_size
         rx, rz = x - pose.hip_x, z - pose.hip_z
         if rx * rx + rz * rz > far * far:
@@ -339,8 +333,6 @@ def move(
 ) -> int:
     """Move the particles with the nodes, and let them fade.
 
-    Their gradients are left as the transfer's, whatever their strain went by.
-
     Parameters
     ----------
     soil, fading, stepping
@@ -364,10 +356,6 @@ def move(
     factor = decay(turned, fading)
     for p in range(soil.mass.size):
         x, z = soil.position[p, 0], soil.position[p, 1]
-        if stepping.spline_gradient:
-            _, _, affine = grid_to_particle(soil, grid, p, stepping.cell_size)
-            for c in range(4):
-                soil.gradient[p, c] = affine[c]
         dx, dz = gather_values(shift.x, shift.z, x, z, stepping.cell_size)
         x += dx
         z += dz

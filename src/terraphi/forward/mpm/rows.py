@@ -1,7 +1,10 @@
 """Grid of the packets: padded rows, and the update of all its nodes row by row.
 
-The physics is that of :func:`~terraphi.forward.mpm.scalar.update_grid`; only nodes near the leg are
-taken one by one.
+The physics is that of :func:`~terraphi.forward.mpm.scalar.update_grid`: v = (mv)/m, v_z -= g Δt,
+contact with the leg, contact with the walls, damping. A row of nodes is one run of memory, and its
+end is padded, so that a register takes as many neighbouring nodes at once as it holds, without a
+rest. Empty nodes are computed like the others, with a velocity of zero; only nodes near the leg,
+where contact has branches, are taken one by one. Rows above the uppermost soil are left out.
 """
 
 from __future__ import annotations
@@ -69,6 +72,9 @@ def update_rows(
 ) -> tuple[float, float]:
     """Turn momenta into velocities and apply gravity, leg, walls and damping, in that order.
 
+    As :func:`~terraphi.forward.mpm.scalar.update_grid`, row by row: three passes over a row of
+    nodes, which stays in the cache meanwhile.
+
     Parameters
     ----------
     grid
@@ -116,7 +122,20 @@ def accelerate(
 ) -> None:
     """Momentum to velocity, gravity, and damping if it comes before contact, in a row of nodes.
 
-    The row starts at ``row``.
+    v = (f (mv)_x / m, f ((mv)_z / m - g Δt)) with the damping's factor f, zero where there is no
+    mass. The impulses are summed over the row first and entered once: the sums are then kept in
+    registers.
+
+    Parameters
+    ----------
+    mass, vx, vz
+        Of all nodes, flat: masses [kg/m]; momenta, which become velocities [m/s].
+    row, columns
+        First node of the row, and how many it has.
+    stepping
+        Constants.
+    impulses
+        What gravity and damping gave is added to rows 0 and 3 [kg/s].
     """
     wide_vectors()
     gain = -stepping.gravity * stepping.time_step
@@ -150,9 +169,28 @@ def push_aside(
     stepping: Stepping,
     impulses: FloatArray,
 ) -> tuple[float, float]:
-    """Contact with the leg in the columns from ``left`` to before ``right``.
+    """Contact with the leg in a row of nodes, one by one, from column ``left`` to before ``right``.
 
-    Returns what it counts as given by the leg (x, z) [kg/s].
+    Non-penetration and Coulomb friction by :func:`~terraphi.forward.mpm.contact.against_leg` or the
+    prototype's law. Beyond those columns no node is within the leg's reach.
+
+    Parameters
+    ----------
+    mass, vx, vz, row, stepping
+        As in :func:`accelerate`; velocities are changed.
+    left, right
+        Columns.
+    z
+        Height of the row [m].
+    intruder, leg
+        The leg and its pose.
+    impulses
+        What the leg gave is added to row 1 [kg/s].
+
+    Returns
+    -------
+    tuple
+        What the contact counts as given by the leg (x, z) [kg/s].
     """
     counted_x, counted_z = 0.0, 0.0
     for i in range(left, right):
@@ -187,7 +225,18 @@ def hold_back(
     stepping: Stepping,
     impulses: FloatArray,
 ) -> None:
-    """Walls and damping in a row of nodes."""
+    """Walls and damping in a row of nodes.
+
+    By :func:`~terraphi.forward.mpm.contact.against_walls`, whose conditions become selections in a
+    register, and v ← f v. Impulses go to rows 2 and 3, summed over the row first.
+
+    Parameters
+    ----------
+    mass, vx, vz, row, columns, stepping, impulses
+        As in :func:`accelerate`; velocities are changed.
+    z
+        Height of the row [m].
+    """
     wide_vectors()
     wall_x, wall_z, left_x, left_z = 0.0, 0.0, 0.0, 0.0
     for i in range(columns):
@@ -217,7 +266,7 @@ def hold_back(
 
 @kernel
 def clear_rows(grid: Grid, used: Index) -> None:
-    """Empty the first rows of a grid."""
+    """Set masses and momenta of the first ``used`` rows of a padded grid to zero."""
     wide_vectors()
     mass, vx, vz = flat(grid.mass), flat(grid.vx), flat(grid.vz)
     for i in range(ZERO, used * np.uint64(grid.mass.shape[1]), ONE):
@@ -229,6 +278,8 @@ def clear_rows(grid: Grid, used: Index) -> None:
 @kernel
 def begin_rows(grid: Grid, shift: Grid, used: Index, time_step: float) -> None:
     """Begin a Lagrangian phase in the first rows: momenta to velocities, and the displacements.
+
+    As :func:`~terraphi.forward.mpm.phases.begin`: v = (mv)/m and u = v Δt.
 
     Parameters
     ----------
@@ -254,7 +305,7 @@ def begin_rows(grid: Grid, shift: Grid, used: Index, time_step: float) -> None:
 
 @kernel
 def carry_rows(grid: Grid, shift: Grid, used: Index, time_step: float) -> None:
-    """Add a step to the displacements; arguments as in :func:`begin_rows`."""
+    """Add a step to the displacements, u += v Δt; arguments as in :func:`begin_rows`."""
     wide_vectors()
     vx, vz, dx, dz = flat(grid.vx), flat(grid.vz), flat(shift.vx), flat(shift.vz)
     for i in range(ZERO, used * np.uint64(grid.mass.shape[1]), ONE):
@@ -264,7 +315,11 @@ def carry_rows(grid: Grid, shift: Grid, used: Index, time_step: float) -> None:
 
 @kernel
 def to_momenta(now: Grid, then: Grid, used: Index) -> None:
-    """Masses and momenta from masses and velocities, in the first rows of padded grids."""
+    """Masses and momenta m v of ``then`` from masses and velocities of ``now``, in padded grids.
+
+    As :func:`~terraphi.forward.mpm.phases.to_momentum`, but from one grid to another, for the
+    velocities are still needed.
+    """
     wide_vectors()
     mass, vx, vz = flat(now.mass), flat(now.vx), flat(now.vz)
     weight, px, pz = flat(then.mass), flat(then.vx), flat(then.vz)

@@ -64,8 +64,6 @@ class Stepping(NamedTuple):
     """Whether particles press on the leg's surface, rather than nodes near it."""
     mean_dilatation: bool
     """Whether stresses follow the mean volumetric strain rate of a cell."""
-    spline_gradient: bool
-    """Whether stresses follow the gradient of the splines, rather than that of the transfer."""
     unbalanced: bool
     """Whether the leg counts more force than it applies, as in the paper's prototype."""
     turning: float
@@ -92,7 +90,6 @@ def stepping_of(scenario: Scenario) -> Stepping:
         phase=numerics.steps_per_phase,
         surface=numerics.contact == "surface",
         mean_dilatation=numerics.dilatation == "cell",
-        spline_gradient=numerics.gradient == "spline",
         unbalanced=numerics.contact == "unbalanced",
         turning=1.0 if numerics.stress_rate == "jaumann" else 0.0,
     )
@@ -200,7 +197,10 @@ def empty_reaction(bins: int) -> FloatArray:
 def enter_reaction(
     impulse: FloatArray, bin_: int, counted: tuple[float, float], applied: tuple[float, float]
 ) -> None:
-    """Add the reaction to what the leg gave the soil in a step, counted and applied [kg/s]."""
+    """Add to a bin the impulse on the leg: the negative of what it gave the soil in a step [kg/s].
+
+    ``counted`` is that of the contact's own count, ``applied`` that which the soil received.
+    """
     impulse[bin_, 0] -= counted[0]
     impulse[bin_, 1] -= counted[1]
     impulse[bin_, 2] -= applied[0]
@@ -209,7 +209,10 @@ def enter_reaction(
 
 @kernel
 def close_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
-    """Compare the soil's momentum with what the last step's impulses should have made of it."""
+    """Compare the soil's momentum [kg/s] with that before the last step and its impulses [kg/s].
+
+    The largest mismatch so far, over the sum of the impulses' magnitudes, goes to ``audit.worst``.
+    """
     scale = np.abs(impulses).sum()
     if scale > 0.0:
         miss = abs(momentum[0] - audit.last[1, 0]) + abs(momentum[1] - audit.last[1, 1])
@@ -218,7 +221,10 @@ def close_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float
 
 @kernel
 def write_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
-    """Enter the impulses of a step that began with some momentum of the soil."""
+    """Add the impulses of a step [kg/s] to the ledger, and keep what the momentum should become.
+
+    ``momentum`` is that of the soil when the step began (x, z) [kg/s].
+    """
     for axis in range(2):
         audit.last[0, axis] = momentum[axis]
         audit.last[1, axis] = momentum[axis] + impulses[:, axis].sum()

@@ -17,7 +17,7 @@ from terraphi.experiment.motion import bin_centres
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm import packet_phases, packets, phases, scalar
 from terraphi.forward.mpm.bed import empty_grid
-from terraphi.forward.mpm.breakdown import find_breakdown, is_whole
+from terraphi.forward.mpm.breakdown import account_of, is_whole
 from terraphi.forward.mpm.checkpoint import Keeper, rests_on
 from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.plasticity import material_of
@@ -34,18 +34,20 @@ KERNELS: dict[Kernel, tuple[Callable[..., int], Callable[..., int]]] = {
     "packets": (packets.advance, packet_phases.advance),
     "scalar": (scalar.advance, phases.advance),
 }
-"""``packets``: the fast one; ``scalar``: the reference, to which it agrees but for rounding.
+"""By name, two functions that take a block of steps: one that transfers between particles and grid
+at every step, and one with Lagrangian phases.
 
-Of each, the one that transfers at every step and the one with Lagrangian phases."""
+``scalar`` is the reference; ``packets`` is fast, and gives the same but for rounding."""
 
 BLOCK = 2000
-"""Steps between two reports of progress, or a little less. Blocks end at multiples of their length
-wherever a run starts: the fast kernel packs its particles anew for each, and its roundings depend
-on that."""
+"""Steps in a block: what is done between two reports of progress.
+
+Blocks end at multiples of their length even if a run goes on from a checkpoint, for the fast kernel
+packs its particles anew at the start of each, and its roundings depend on that."""
 
 
 def block_length(scenario: Scenario) -> int:
-    """Steps between two reports of progress: whole phases, if there are any."""
+    """Steps in a block: :data:`BLOCK` or, with Lagrangian phases, whole phases as near below it."""
     phase = max(1, scenario.numerics.steps_per_phase)
     return max(phase, BLOCK // phase * phase)
 
@@ -70,8 +72,9 @@ def simulate(
     progress
         Called now and then with the fraction done, 0 to 1.
     checkpoint
-        Where the state is kept meanwhile, and taken from if it is there and fits. Kept as well if
-        anything stops the run; left behind at the end, for the caller to remove.
+        File to which the state is written now and then, and once more if anything stops the run.
+        If it is there already and is of this run, the run goes on from it. It is left behind at
+        the end, for the caller to remove.
     observe
         Called with the state at the start and after each block of steps.
 
@@ -88,8 +91,8 @@ def simulate(
         If the scenario is for another model, there is no such kernel, or a checkpoint that a
         person named does not fit.
     SimulationError
-        If the solution breaks down; the message says at which step and particle, the likely cause
-        and where the last good state is kept.
+        If the solution breaks down; the message says between which steps, at which particle, the
+        likely cause and where the last good state is kept.
     """
     if scenario.model != "mpm":
         raise InputError(f"model = '{scenario.model}': this is the solver of model = 'mpm'")
@@ -107,7 +110,8 @@ def simulate(
             whole = copy_of(state)
             state, lost = blocks.take(state, min(length, steps - state.step))
             if not is_whole(state, lost):
-                raise SimulationError(_account(scenario, blocks, keeper, whole, state.step))
+                account = account_of(scenario, whole, state, lost, steps)
+                raise SimulationError(account + keeper.last_resort(whole))
             whole, compiled = state, compiled or time.perf_counter()
             _show(observe, scenario, state)
             keeper.offer(state)
@@ -143,7 +147,7 @@ def simulate(
 
 
 class _Blocks:
-    """A kernel and what it needs besides the state, which depends on the scenario alone."""
+    """A kernel together with the constants and the working memory that it needs for a scenario."""
 
     def __init__(self, scenario: Scenario, kernel: Kernel) -> None:
         self._scenario = scenario
@@ -157,19 +161,19 @@ class _Blocks:
         )
 
     def take(self, state: State, count: int) -> tuple[State, int]:
-        """Take some steps, changing the arrays of a state; the state then, and who left the grid.
+        """Take some steps; the arrays of the given state are changed.
 
         Parameters
         ----------
         state
-            Between two blocks.
+            The state at the end of a block.
         count
-            Number of steps.
+            Number of steps to take.
 
         Returns
         -------
         State
-            The same arrays, so many steps later.
+            The same arrays after these steps.
         int
             Index of the first particle to leave the grid, or -1.
         """
@@ -181,18 +185,9 @@ class _Blocks:
 
 
 def _show(observe: Observer | None, scenario: Scenario, state: State) -> None:
-    """Let the observer look at a state, and touch nothing."""
+    """Call the observer, if there is one, with a read-only view of a state."""
     if observe is not None:
         observe(Snapshot(scenario, state.step, step_count(scenario), read_only(state.soil)))
-
-
-def _account(scenario: Scenario, blocks: _Blocks, keeper: Keeper, whole: State, failed: int) -> str:
-    """Account of a breakdown between a whole state and a step, for a message."""
-    log.info("the solution broke down before step %d; looking for the step", failed)
-    found = find_breakdown(
-        scenario, whole, failed - whole.step, lambda count: blocks.take(copy_of(whole), count)
-    )
-    return found.sentence(step_count(scenario)) + keeper.last_resort(whole)
 
 
 def _mean_force(scenario: Scenario, impulse: FloatArray, held: FloatArray) -> FloatArray:

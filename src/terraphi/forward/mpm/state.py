@@ -1,4 +1,4 @@
-"""All that a run knows between two blocks of steps; from it alone the run can go on."""
+"""The state of a run between two blocks of steps: all that is needed to go on from there."""
 
 from __future__ import annotations
 

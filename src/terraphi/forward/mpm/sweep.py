@@ -1,4 +1,12 @@
-"""From grid to grid: what happens to the particles between two updates of the grid."""
+"""From grid to grid: what happens to the particles between two updates of the grid.
+
+The blocks are worked off row by row, from the floor up. For a block, its nodes are copied side by
+side (:func:`load_window`), its packets take from them, move and give to the block's own sums
+(``lanes``), and these are laid down in strips (:func:`lay_down`) and, a whole row at a time, added
+to the grid (:func:`add_strips`). Particles that leave their cells are taken out (:func:`set_aside`)
+and given to the grid one by one, when all blocks are done (:func:`settle`). In this way the
+particles pass through the processor once a step, in the order in which they lie in memory.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +73,7 @@ COLUMNS = np.uint64(3)
 
 
 class Aside(NamedTuple):
-    """Particles that have left their cells in a step, in the order in which they were met."""
+    """Particles that have left their cells in a step, in the order in which they were found."""
 
     particle: IntArray
     """Index in the soil, shape [particle]."""
@@ -74,7 +82,7 @@ class Aside(NamedTuple):
     slot: IndexArray
     """Slot there, shape [particle]."""
     number: IndexArray
-    """How many there are, shape [1]."""
+    """How many there are; only that many entries of the others count; shape [1]."""
 
 
 class Memory(NamedTuple):
@@ -85,9 +93,10 @@ class Memory(NamedTuple):
     motion: FloatArray
     """Velocities and gradients of a block, flat: layer, field, lane."""
     strips: FloatArray
-    """Sums of a row of blocks, not yet shifted to their nodes, shape [27 * length]."""
+    """Sums of a row of blocks, shape [27 * length]: for three rows of nodes, (mass, x and z
+    momentum) of three columns, each a strip of one sum a cell that is still at its base node."""
     aside: Aside
-    """Particles between cells."""
+    """Particles that have left one cell and are not yet in another."""
 
 
 def memory_for(packets: Packets, particles: int) -> Memory:
@@ -145,7 +154,13 @@ def sweep(
     impulses: FloatArray,
     lanes: Index,
 ) -> tuple[int, tuple[float, float]]:
-    """From the velocities of one grid to the momenta of the next, but for what lies aside then.
+    """From the velocities of one grid to the momenta of the next.
+
+    Grid to particle, stress, motion, relief and particle to grid, as
+    :func:`~terraphi.forward.mpm.scalar.update_particles` and
+    :func:`~terraphi.forward.mpm.transfer.particles_to_grid` do them one after the other for all
+    particles; here for one block after another, whose velocities and gradients are then needed no
+    longer and never leave the cache. What :func:`set_aside` has taken out is not in the momenta.
 
     Parameters
     ----------
@@ -216,7 +231,26 @@ def load_window(
     stride: Index,
     lanes: Index,
 ) -> None:
-    """Copy what a block needs of the grid, for each lane its own three by three nodes."""
+    """Copy what a block needs of the grid, for each lane its own three by three nodes.
+
+    Node (row r, column c) of all lanes is one run of the grid's row j + r, which begins at column
+    i + c: 18 plain copies, and from then on every lane finds its nodes at distances that the
+    compiler knows. Most nodes are copied three times over; that is cheaper than to look for them
+    once for each packet.
+
+    Parameters
+    ----------
+    work
+        Working memory; its windows are filled.
+    velocity_x, velocity_z
+        Of all nodes, flat [m/s].
+    corner
+        Base node of the block's first cell, as an index of these.
+    stride
+        Nodes in a row of the grid.
+    lanes
+        :data:`~terraphi.forward.mpm.packing.LANES`.
+    """
     wide_vectors()
     for row in range(COLUMNS):
         node = corner + row * stride
@@ -232,7 +266,22 @@ def load_window(
 
 @kernel
 def lay_down(work: FloatArray, strips: FloatArray, k: Index, length: Index, lanes: Index) -> None:
-    """Move the sums of the k-th block of a row to the strips and clear them for the next."""
+    """Move the sums of the k-th block of a row to the strips and clear them for the next.
+
+    27 plain copies of a register each: a strip has the sums of one quantity for one node of the
+    window, cell after cell.
+
+    Parameters
+    ----------
+    work, strips
+        Where from and where to.
+    k
+        Number of the block in its row.
+    length
+        That of a strip.
+    lanes
+        :data:`~terraphi.forward.mpm.packing.LANES`.
+    """
     wide_vectors()
     at = LANES + k * LANES
     for strip in range(COLUMNS * COLUMNS * THREE):
@@ -243,7 +292,11 @@ def lay_down(work: FloatArray, strips: FloatArray, k: Index, length: Index, lane
 
 @kernel
 def add_strips(strips: FloatArray, length: Index, then: Grid, j: Index) -> None:
-    """Add the sums of a row of blocks to its nodes, each column one node further."""
+    """Add the sums of the j-th row of blocks to its three rows of nodes.
+
+    The sum for column c of cell i's window belongs to node i + c. Here alone neighbouring cells
+    come together at a node; it is done once a row, not once a packet.
+    """
     stride = np.uint64(then.mass.shape[1])
     mass, vx, vz = flat(then.mass), flat(then.vx), flat(then.vz)
     for row in range(COLUMNS):
@@ -263,7 +316,21 @@ def add_shifted(
     node: Index,
     count: Index,
 ) -> None:
-    """Add three strips, one for each column of the spline, to a row of nodes."""
+    """Add three strips, one for each column of the spline, to a row of nodes.
+
+    Node i takes cell i's first column, cell i-1's second and cell i-2's third: three loads that are
+    a double apart, for a register of nodes at a time. The block of zeros before a strip spares the
+    first nodes a question.
+
+    Parameters
+    ----------
+    strips, at, length
+        All of them, where the first of the three begins, and the length of one.
+    nodes
+        One quantity of all nodes, flat; added to.
+    node, count
+        First node of the row, and how many it has.
+    """
     wide_vectors()
     first, second, third = at + LANES, at + length + LANES - ONE, at + TWO * length + LANES - TWO
     for i in range(count):
@@ -280,6 +347,9 @@ def set_aside(
     cell_size: float,
 ) -> int:
     """Write the particles of a block that have left their cells to the soil; empty their lanes.
+
+    One by one and with branches, which is slow; few particles cross a cell's edge in a step, and
+    a block in which none does is not searched. They are given to the grid by :func:`settle`.
 
     Parameters
     ----------
@@ -331,6 +401,9 @@ def settle(
 ) -> tuple[tuple[float, float], bool]:
     """Give what lies aside to the grid and put it into its new cells.
 
+    Particle to grid by the reference kernel's
+    :func:`~terraphi.forward.mpm.transfer.particle_to_grid`.
+
     Parameters
     ----------
     packets, soil, then, aside, laws
@@ -341,7 +414,8 @@ def settle(
     tuple
         Momentum (x, z) of what lay aside [kg/s].
     bool
-        False if some of it found no place: it is in the soil alone.
+        False if a block had no packet left for a particle: that particle is then in ``soil`` alone,
+        and all must be packed anew.
     """
     count = aside.number[0]
     total_x, total_z = 0.0, 0.0

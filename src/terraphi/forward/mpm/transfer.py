@@ -35,23 +35,6 @@ def weights(offset: float) -> tuple[float, float, float]:
 
 
 @kernel
-def slopes(offset: float) -> tuple[float, float, float]:
-    """Derivatives of :func:`weights` with respect to the particle's place.
-
-    Parameters
-    ----------
-    offset
-        Distance of the particle from the base node in cells, 0.5 to 1.5 [-].
-
-    Returns
-    -------
-    tuple
-        Three slopes [1/cell] that sum to zero.
-    """
-    return offset - 1.5, 2.0 - 2.0 * offset, offset - 0.5
-
-
-@kernel
 def particle_to_grid(
     soil: Particles, grid: Grid, p: int, cell_size: float, time_step: float
 ) -> tuple[float, float]:
