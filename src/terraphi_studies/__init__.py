@@ -118,14 +118,15 @@ class Study:
     name: str = ""
 
     def everything(self) -> dict[str, Any]:
-        """The data with the study's name, its notes and the table beside the paper, JSON-able."""
+        """The data with the study's name, its notes and tables, JSON-able."""
         names = ("what", "ours", "paper")
-        table = [dict(zip(names, line, strict=True)) for line in self.beside_paper]
+        beside = [dict(zip(names, line, strict=True)) for line in self.beside_paper]
         more = {
             "study": self.name,
             "about": STUDIES[self.name].what if self.name else "",
             "notes": list(self.notes),
-            "beside_paper": table,
+            "beside_paper": beside,
+            "table": {"title": self.title, "header": self.header, "rows": self.rows},
         }
         return {**self.data, **{key: value for key, value in more.items() if value}}
 

@@ -52,7 +52,7 @@ def section(path: Path) -> Section:
         Text("What the forces fix", tuple(map(str, answer["identifiability"]["sentences"]))),
         *_expected(answer),
         _histories(answer),
-        *pictures(folder, PICTURES, folded=False),
+        *pictures(folder, PICTURES),
     ]
     about = {key: answer[key] for key in ("library", "likelihood", "sampler", "seed", "fixed")}
     status = STATUS.get(str(answer["verdict"]), "none")

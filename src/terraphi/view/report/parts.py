@@ -86,7 +86,6 @@ class Pictures:
     pictures: Sequence[tuple[str, str]]
     note: str = ""
     wide: bool = True
-    folded: bool = False
     part: str = field(default="pictures", init=False)
 
 
@@ -298,24 +297,6 @@ def layout(x: str, y: str, **more: Any) -> dict[str, Any]:
 def phi_label(convention: object) -> str:
     """Title of an axis of friction angles; an unknown convention is named as it is."""
     return PHI_LABEL.get(str(convention), f"friction angle, {label(convention)} [deg]")
-
-
-def grouped(x: str, y: str) -> dict[str, Any]:
-    """A layout of bars beside each other over words, which may look like numbers."""
-    return layout(x, y, barmode="group", xaxis={"type": "category"})
-
-
-def horizontal(y: float, colour: str, *, dash: str = "dot") -> dict[str, Any]:
-    """A line from left to right."""
-    return {
-        "type": "line",
-        "x0": 0,
-        "x1": 1,
-        "xref": "paper",
-        "y0": y,
-        "y1": y,
-        "line": {"color": colour, "dash": dash, "width": 1.5},
-    }
 
 
 def vertical(x: float, colour: str, *, dash: str = "dot") -> dict[str, Any]:
