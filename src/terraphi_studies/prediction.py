@@ -23,6 +23,7 @@ from terraphi.experiment.measurements import Measurement, measurement, medium_an
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan, Step
 from terraphi.view.plots import BLUE, ORANGE, Curve
+from terraphi.view.table import Table
 from terraphi_studies import Study, benchmark, page
 from terraphi_studies.benchmark import LEGS, FinishedCase, in_the_sand, means_of, nrmsd_percent
 from terraphi_studies.pictures import legs_figure
@@ -299,7 +300,7 @@ def study_of(
         if medium == "yuma":
             row |= others[leg]
     better = _better(deviations.get("yuma", {}))
-    rows = _rows(deviations)
+    table = Table(TITLE, HEADER, _rows(deviations))
     repose = {medium: legs[CALIBRATED_ON].angle_of_repose_deg for medium, legs in media.items()}
     notes = _notes(fits, repose, better, missing)
     data = {
@@ -310,14 +311,10 @@ def study_of(
     }
     picture = "forces on the three legs in Yuma sand, measured and from the calibrated model"
     return Study(
-        title=TITLE,
-        header=HEADER,
-        rows=rows,
+        table=table,
         data=data,
         figures={f"{NAME}-{medium}": legs_figure(legs) for medium, legs in curves.items()},
-        documents={
-            f"{NAME}.md": page(TITLE, METHOD, notes, HEADER, rows, f"{NAME}-yuma.png", picture)
-        },
+        documents={f"{NAME}.md": page(table, METHOD, notes, f"{NAME}-yuma.png", picture)},
         notes=notes,
     )
 

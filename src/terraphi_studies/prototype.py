@@ -23,6 +23,7 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.library.build import cases_folder, finished_cases
 from terraphi.library.plan import BASE, Plan
 from terraphi.library.store import Case, Library
+from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, PROTOTYPE_LIBRARY, Beside, Study
 from terraphi_studies.benchmark import PHI_DEG, FinishedCase, in_the_sand, nrmsd_percent
 from terraphi_studies.pictures import speeds_figure
@@ -181,9 +182,11 @@ def study_of(
         "missing": [variant.key for variant, _ in missing_from(plan, finished)],
     }
     return Study(
-        title="Force that the contact of the paper's prototype counts, and force that it applies",
-        header=HEADER,
-        rows=_rows(found, lines),
+        table=Table(
+            "Force that the contact of the paper's prototype counts, and force that it applies",
+            HEADER,
+            _rows(found, lines),
+        ),
         data=data,
         figures={NAME: speeds_figure(cases, lines)},
         notes=_notes(data),

@@ -24,6 +24,7 @@ from terraphi.experiment.history import ForceHistory, Peaks
 from terraphi.library.build import failed_cases
 from terraphi.library.plan import BASE, Plan
 from terraphi.view.plots import readings_figure
+from terraphi.view.table import Table
 from terraphi_studies import Study, page
 from terraphi_studies.sensitivity import finished_for, missing_from, simulate_missing
 
@@ -180,15 +181,14 @@ def study_of(
     }
     rows = [_paper_row(), *(_row(reading) for reading in readings)]
     rows += _broken_rows(plans, finished, failed)
+    table = Table(TITLE, HEADER, rows)
     notes = _notes(data)
     picture = "peaks of each reading at both ends of the library, and the paper's"
     return Study(
-        title=TITLE,
-        header=HEADER,
-        rows=rows,
+        table=table,
         data=data,
         figures={NAME: readings_figure(readings, PAPER_PEAKS_N)},
-        documents={f"{NAME}.md": page(TITLE, METHOD, notes, HEADER, rows, f"{NAME}.png", picture)},
+        documents={f"{NAME}.md": page(table, METHOD, notes, f"{NAME}.png", picture)},
         notes=notes,
     )
 

@@ -19,6 +19,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.library.plan import BASE, Plan, Variant
 from terraphi.view.plots import waterfall_figure
+from terraphi.view.table import Table
 from terraphi_studies import Study, degrees, page
 from terraphi_studies.sensitivity import finished_for, missing_from, simulate_missing
 
@@ -141,13 +142,11 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         "percent_per_degree": {f: 100.0 * degrees.rise_of()[f] for f in FORCES},
         "missing": missing,
     }
-    rows = _rows(steps, resolved, changes)
+    table = Table(TITLE, HEADER, _rows(steps, resolved, changes))
     notes = _notes(data)
-    written = page(TITLE, _method(), notes, HEADER, rows, "resolution.png", PICTURE)
+    written = page(table, _method(), notes, "resolution.png", PICTURE)
     return Study(
-        title=TITLE,
-        header=HEADER,
-        rows=rows,
+        table=table,
         data=data,
         figures={"resolution": waterfall_figure(steps, changes, TOLERANCE_PERCENT)},
         documents={"resolution.md": written},

@@ -32,6 +32,7 @@ from terraphi.view.plots import (
     comparison_figure,
     sensitivity_figure,
 )
+from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, Study, degrees, page
 from terraphi_studies.sensitivity_cases import (
     FORCES,
@@ -190,12 +191,11 @@ def study_of(plan: Plan, finished: Mapping[str, ForceHistory]) -> Study:
     if missing:
         notes.append(_not_yet(plan, missing))
     rows = [_row(group, case) for group in groups for case in group.cases]
+    table = Table(TITLE, HEADER, rows)
     picture = "change of the peak forces with each setting"
-    written = page(TITLE, _method(plan), notes, HEADER, rows, f"{NAME}.png", picture)
+    written = page(table, _method(plan), notes, f"{NAME}.png", picture)
     return Study(
-        title=TITLE,
-        header=HEADER,
-        rows=rows,
+        table=table,
         data={
             "plan": plan.name,
             "base": {"scenario_hash": plan.scenario.hash, "peaks": _peaks(base)},

@@ -81,7 +81,7 @@ def test_changes_are_measured_from_the_mean_over_the_seeds(plans: tuple[Plan, Pl
         turned = math.log(1.0 + percent / 100.0) / (study.data["percent_per_degree"][force] / 100)
         assert halved["k doubled"][f"{change}_deg"][force] == pytest.approx(turned, rel=1e-9)
     assert study.data["percent_per_degree"] == pytest.approx({"Fz": 5.1, "Fx": 4.0}, abs=0.1)
-    assert any(row[0] == "resolved, k doubled" and row[4].endswith("°") for row in study.rows)
+    assert any(row[0] == "resolved, k doubled" and row[4].endswith("°") for row in study.table.rows)
     # Bumps of the same shape: their means scatter as the peaks do, and the largest counts.
     assert study.data["resolved"]["mean_scatter_percent"]["Fz"] == pytest.approx(10.0, rel=1e-2)
     assert any("more than 5 % with: k doubled" in note for note in study.notes)

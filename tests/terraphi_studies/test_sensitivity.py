@@ -269,10 +269,10 @@ def test_study_of_what_is_finished() -> None:
     found = study_of(plan, finished(plan, made))
     json.dumps(found.data, allow_nan=False)
     # A group without a finished case has no rows; the scatter comes first.
-    assert [row[0] for row in found.rows] == ["seed", "", "speed-up k", ""]
-    assert [row[1] for row in found.rows] == ["0 (base)", "1", "4 (base)", "10"]
-    assert found.rows[3][2:4] == ("5.50 N at 0°", "2.75 N at 0°")
-    assert found.rows[2][4:] == ("", "")
+    assert [row[0] for row in found.table.rows] == ["seed", "", "speed-up k", ""]
+    assert [row[1] for row in found.table.rows] == ["0 (base)", "1", "4 (base)", "10"]
+    assert found.table.rows[3][2:4] == ("5.50 N at 0°", "2.75 N at 0°")
+    assert found.table.rows[2][4:] == ("", "")
     assert list(found.data["groups"]) == [SEED, K]
     case = found.data["groups"][K]["cases"][1]
     assert case["peak_change_percent"]["Fz"] == pytest.approx(10.0)

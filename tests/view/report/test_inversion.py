@@ -27,7 +27,8 @@ from terraphi.view.report.inversion import (
     section,
 )
 from terraphi.view.report.page import context, render
-from terraphi.view.report.parts import Plot, Section, Table, Text
+from terraphi.view.report.parts import Plot, Section, Text
+from terraphi.view.table import Table
 
 HOSTILE = "</script><img src=x onerror=alert(1)><b>'\"&$x$"
 

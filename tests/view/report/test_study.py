@@ -11,8 +11,9 @@ import pytest
 import terraphi_studies as studies
 from terraphi.experiment.errors import InputError
 from terraphi.view.report.page import render
-from terraphi.view.report.parts import Pictures, Plot, Table, Text
+from terraphi.view.report.parts import Pictures, Plot, Text
 from terraphi.view.report.study import section
+from terraphi.view.table import Table
 
 HOSTILE = "</script><img src=x onerror=alert(1)><b>'\"&$x$"
 
@@ -96,10 +97,10 @@ def test_what_a_study_writes_is_shown(name: str, tmp_path: Path) -> None:
     found = studies.run(name)
     replace(found, figures={}).save(tmp_path)
     shown = section(tmp_path)
-    assert (shown.title, shown.headline) == (name, found.title)
+    assert (shown.title, shown.headline) == (name, found.table.title)
     own = shown.parts[0]
     assert isinstance(own, Table)
-    assert [tuple(row) for row in own.rows] == [tuple(row) for row in found.rows]
+    assert [tuple(row) for row in own.rows] == [tuple(row) for row in found.table.rows]
     words = next(p for p in shown.parts if isinstance(p, Text) and p.title == "In words")
     assert words.paragraphs == tuple(note.replace("`", "") for note in found.notes)
     assert len(render([shown])) > 10_000

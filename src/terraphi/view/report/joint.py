@@ -9,8 +9,9 @@ from typing import Any
 
 from terraphi.experiment.errors import InputError
 from terraphi.view.report.inversion import STATUS
-from terraphi.view.report.parts import Part, Section, Table, Text, number
+from terraphi.view.report.parts import Part, Section, Text, number
 from terraphi.view.report.study import pictures
+from terraphi.view.table import Table
 
 UNCHECKED = "consistent; nobody has checked how often joint intervals hold the truth"
 PICTURES = "Fits, and the corner plot of the posterior"

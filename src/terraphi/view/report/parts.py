@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from terraphi.view.plots import PHI_LABEL
+from terraphi.view.table import Table
 
 Status = Literal["good", "doubtful", "bad", "none"]
 """Whether an answer may be believed; said in words beside it too."""
@@ -50,20 +51,6 @@ class Plot:
     height: int = 320
     wide: bool = False
     part: str = field(default="plot", init=False)
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table; ``prose`` if its columns after the first hold sentences and not numbers."""
-
-    title: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    note: str = ""
-    wide: bool = False
-    folded: bool = False
-    prose: bool = False
-    part: str = field(default="table", init=False)
 
 
 @dataclass(frozen=True)

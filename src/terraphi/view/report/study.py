@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from terraphi.experiment.errors import InputError
-from terraphi.view.report.parts import Part, Pictures, Section, Table, Text, pairs
+from terraphi.view.report.parts import Part, Pictures, Section, Text, pairs
+from terraphi.view.table import Table
 
 WIDEST_PICTURE = 1400
 """Width of a picture in the page [px]."""
