@@ -106,7 +106,7 @@ def run(
 
 def _failed(build: Path | None) -> dict[str, str]:
     """Why cases failed, of the shipped ones and those in a folder, by scenario hash."""
-    folders = [shipped_folder("studies", NAME), *([build] if build else [])]
+    folders = [shipped_folder("cases", NAME), *([build] if build else [])]
     return {key: why for folder in folders for key, why in failed_cases(folder).items()}
 
 

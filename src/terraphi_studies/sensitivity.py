@@ -250,7 +250,7 @@ def _particle_steps(scenario: Scenario) -> float:
 
 def finished_for(name: str, cases: Path | None) -> dict[str, ForceHistory]:
     """Usable histories, shipped for a plan and in a folder, by the hash of their scenario."""
-    folders = [shipped_folder("studies", name), *([cases] if cases else [])]
+    folders = [shipped_folder("cases", name), *([cases] if cases else [])]
     return {key: history for f in folders for key, history in finished_cases(f).items()}
 
 

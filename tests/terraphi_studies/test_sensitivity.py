@@ -413,7 +413,7 @@ def test_the_shipped_plan_starts_from_the_benchmark() -> None:
 def test_shipped_cases_are_of_the_plan_current_and_small() -> None:
     plan = Plan.load("sensitivity")
     by_hash = {variant.scenario.hash: variant for variant in plan.variants()}
-    folder = shipped_folder("studies", "sensitivity")
+    folder = shipped_folder("cases", "sensitivity")
     for file in folder.iterdir():
         assert file.suffix == ".nc"
         assert file.stem in by_hash, f"{file.name} is of no use to the plan"
