@@ -95,7 +95,7 @@ def test_a_reading_at_one_end_alone_waits(plans: dict[float, Plan]) -> None:
 
 
 def test_without_the_base_there_is_nothing_to_compare(plans: dict[float, Plan]) -> None:
-    with pytest.raises(InputError, match="the base"):
+    with pytest.raises(InputError, match="its base"):
         reading.study_of(plans, finished(plans, {"thin": PAPER}))
 
 

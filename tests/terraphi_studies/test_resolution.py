@@ -13,6 +13,7 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan
 from terraphi_studies import resolution
+from terraphi_studies.planned import Simulations
 
 THETA = np.radians(np.arange(-82.0, 5.0, 0.1) + 0.05)
 
@@ -111,6 +112,6 @@ def test_the_way_ends_at_the_preset() -> None:
 def test_shipped_histories_are_of_the_plans() -> None:
     for name in resolution.PLANS:
         plan = Plan.load(name)
-        finished = resolution.finished_for(name, None)
+        finished = Simulations().histories(plan)
         assert set(finished) <= {scenario.hash for scenario in plan.cases()}
         assert plan.scenario.hash in finished
