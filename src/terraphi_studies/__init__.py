@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.outputs import check_folder, filling
+from terraphi.view.table import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,10 +86,8 @@ class Study:
 
     Attributes
     ----------
-    title
-        One line.
-    header, rows
-        A table for people.
+    table
+        What it found, for people; its title is the study's.
     data
         Everything, JSON-able; its keys are fixed.
     figures
@@ -106,9 +105,7 @@ class Study:
         Of :data:`STUDIES`; :func:`run` writes it.
     """
 
-    title: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    table: Table
     data: Mapping[str, Any]
     figures: Mapping[str, Figure] = field(default_factory=dict)
     documents: Mapping[str, str] = field(default_factory=dict)
@@ -118,14 +115,15 @@ class Study:
     name: str = ""
 
     def everything(self) -> dict[str, Any]:
-        """The data with the study's name, its notes and the table beside the paper, JSON-able."""
+        """The data with the study's name, its notes and tables, JSON-able."""
         names = ("what", "ours", "paper")
-        table = [dict(zip(names, line, strict=True)) for line in self.beside_paper]
+        beside = [dict(zip(names, line, strict=True)) for line in self.beside_paper]
         more = {
             "study": self.name,
             "about": STUDIES[self.name].what if self.name else "",
             "notes": list(self.notes),
-            "beside_paper": table,
+            "beside_paper": beside,
+            "table": {name: getattr(self.table, name) for name in ("title", "header", "rows")},
         }
         return {**self.data, **{key: value for key, value in more.items() if value}}
 
@@ -153,21 +151,15 @@ def kept_in(name: str) -> str:
     return f"{name}.tasks"
 
 
-def page(
-    title: str,
-    method: str,
-    notes: Sequence[str],
-    header: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    figure: str,
-    picture: str,
-) -> str:
+def page(table: Table, method: str, notes: Sequence[str], figure: str, picture: str) -> str:
     """A study as a page in Markdown.
 
     Parameters
     ----------
-    title, method, notes, header, rows
-        Heading, a paragraph, sentences and a table.
+    table
+        What it found; its title is the heading.
+    method, notes
+        A paragraph, and sentences.
     figure, picture
         File of the figure that lies beside the page, and what it shows in words.
 
@@ -175,12 +167,11 @@ def page(
     -------
     str
     """
-    table = [header, ["---"] * len(header), *rows]
     parts = [
-        f"# {title}",
+        f"# {table.title}",
         method,
         "\n".join(f"- {note}" for note in notes),
-        "\n".join("| " + " | ".join(row) + " |" for row in table),
+        table.markdown(),
         f"![{picture}]({figure})",
     ]
     return "\n\n".join(parts) + "\n"

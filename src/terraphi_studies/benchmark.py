@@ -25,6 +25,7 @@ from terraphi.forward import simulate
 from terraphi.library.shipped import companion, has_companion
 from terraphi.library.store import Library
 from terraphi.view.plots import BLUE, GREEN, ORANGE, PURPLE, Curve, comparison_figure
+from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, PROTOTYPE_LIBRARY, Beside, Study
 
 FloatArray = NDArray[np.float64]
@@ -101,10 +102,12 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
             _row(leg, name, deviations[leg].get(name), peaks[leg][name]) for name in peaks[leg]
         ]
     return Study(
-        title=f"Forces at φ = {PHI_DEG:g}° ({convention}) and measured in Yuma sand, "
-        f"library '{library}'",
-        header=("leg", "model", "NRMSD Fz", "NRMSD Fx", "peak Fz", "peak Fx"),
-        rows=rows,
+        table=Table(
+            f"Forces at φ = {PHI_DEG:g}° ({convention}) and measured in Yuma sand, "
+            f"library '{library}'",
+            ("leg", "model", "NRMSD Fz", "NRMSD Fx", "peak Fz", "peak Fx"),
+            rows,
+        ),
         data={
             "library": library,
             "phi_deg": PHI_DEG,

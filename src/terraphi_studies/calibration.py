@@ -38,6 +38,7 @@ from terraphi.inference.posterior import quadrature
 from terraphi.inference.prepared_leg import PreparedLeg, prepare
 from terraphi.library.store import Library
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE
+from terraphi.view.table import Table
 from terraphi_studies import Study
 
 if TYPE_CHECKING:
@@ -178,16 +179,15 @@ def _known(leg: PreparedLeg, library: str, *, seed: int) -> dict[str, Any]:
 
 def _study(data: Mapping[str, Any], figure: Figure) -> Study:
     """Table, sentences, page and picture."""
-    rows, notes = _rows(data), _notes(data)
-    library = str(data["library"])
+    notes, library = _notes(data), str(data["library"])
+    title = f"Calibration of the intervals of library '{library}', leg straight"
+    table = Table(title, HEADER, _rows(data))
     name = "calibration" if library == DEFAULT else f"calibration-{Path(library).stem}"
     return Study(
-        title=_title(library),
-        header=HEADER,
-        rows=rows,
+        table=table,
         data=data,
         figures={name: figure},
-        documents={f"{name}.md": _page(library, name, rows, notes)},
+        documents={f"{name}.md": _page(library, name, table, notes)},
         notes=notes,
     )
 
@@ -290,20 +290,16 @@ def _by_seed(seeds: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"Clean truths, {seeds[0]['cases']} of each of {len(seeds)} particle seeds: {lists}."]
 
 
-def _title(library: str) -> str:
-    return f"Calibration of the intervals of library '{library}', leg straight"
-
-
-def _page(library: str, picture: str, rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
+def _page(library: str, picture: str, table: Table, notes: Sequence[str]) -> str:
     """The study as a page in Markdown, with the certificates of all shipped libraries."""
     usual = library == DEFAULT
     parts = [
         f"# Are the intervals {'' if usual else f'of {library} '}calibrated?",
         ORIGIN.format(option="" if usual else f" --library {library}"),
         "## Certificates",
-        _table(CERTIFICATE, certificates()),
-        f"## {_title(library)}",
-        _table(HEADER, rows),
+        Table("", CERTIFICATE, certificates()).markdown(),
+        f"## {table.title}",
+        table.markdown(),
         "\n".join(f"- {note}" for note in notes),
         f"![{PICTURE}]({picture}.png)",
     ]
@@ -328,10 +324,6 @@ def certificates() -> list[tuple[str, ...]]:
                 )
             )
     return rows
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    return "\n".join(f"| {' | '.join(row)} |" for row in [header, ["---"] * len(header), *rows])
 
 
 FloatArray = NDArray[np.float64]

@@ -28,6 +28,7 @@ from terraphi.library.store import Case, Library
 from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.training import training
 from terraphi.view.plots import BLUE, GREY, ORANGE
+from terraphi.view.table import Table
 from terraphi_studies import Study
 
 FloatArray = NDArray[np.float64]
@@ -166,9 +167,11 @@ def run(*, progress: Callable[[float, float], None] | None = None) -> Study:
         if progress is not None:
             progress(len(comparisons), len(BOXES))
     return Study(
-        title="Errors of a library's own: an even grid, a Sobol sequence, the suggested order",
-        header=("", "cases", "grid", "Sobol", "suggested", "grid / suggested"),
-        rows=[row for comparison in comparisons for row in _rows(comparison)],
+        table=Table(
+            "Errors of a library's own: an even grid, a Sobol sequence, the suggested order",
+            ("", "cases", "grid", "Sobol", "suggested", "grid / suggested"),
+            [row for comparison in comparisons for row in _rows(comparison)],
+        ),
         data={"noise_of_peak_to_peak": NOISE, "comparisons": comparisons},
         figures={"design": _figure(comparisons)},
         notes=[_note(comparison) for comparison in comparisons],

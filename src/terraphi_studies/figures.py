@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from terraphi.experiment.scenario import Scenario
+from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, Study, benchmark, phi_sensitivity, recovery, surrogate
 from terraphi_studies.pictures import Moment, legs_figure, moments, snapshots_figure
 
@@ -94,9 +95,11 @@ def run(
         ),
     }
     return Study(
-        title=f"Figures from library '{library}'",
-        header=("figure", "what it shows"),
-        rows=[(f"{name}.png", what) for name, what in WHAT.items()],
+        table=Table(
+            f"Figures from library '{library}'",
+            ("figure", "what it shows"),
+            [(f"{name}.png", what) for name, what in WHAT.items()],
+        ),
         data={"library": library, **{name: part.everything() for name, part in parts.items()}},
         figures=figures,
         notes=[note for part in parts.values() for note in part.notes],

@@ -18,6 +18,7 @@ from terraphi.experiment.soil import Soil
 from terraphi.library.shipped import companion
 from terraphi.library.store import Case
 from terraphi.view.plots import BLUE, ORANGE, Curve, comparison_figure
+from terraphi.view.table import Table
 from terraphi_studies import Study
 from terraphi_studies.benchmark import means_of
 
@@ -67,19 +68,19 @@ def run(*, library: str = LIBRARIES) -> Study:
     worst = int(np.argmax(changes))
     convention = jaky.cases[0].scenario.convention
     return Study(
-        title=(
+        table=Table(
             f"Largest change of a history from K0 = 1 - sin φ to 0.5, libraries '{library}-jaky' "
-            f"and '{library}-half' (φ: {convention})"
+            f"and '{library}-half' (φ: {convention})",
+            ("φ", "1 - sin φ", "change of Fz", "change of Fx"),
+            [
+                (
+                    f"{case['phi_deg']:g}°",
+                    f"{case['k0_jaky']:.3f}",
+                    *(f"{100.0 * case['relative_change'][force]:.2f} %" for force in FORCES),
+                )
+                for case in cases
+            ],
         ),
-        header=("φ", "1 - sin φ", "change of Fz", "change of Fx"),
-        rows=[
-            (
-                f"{case['phi_deg']:g}°",
-                f"{case['k0_jaky']:.3f}",
-                *(f"{100.0 * case['relative_change'][force]:.2f} %" for force in FORCES),
-            )
-            for case in cases
-        ],
         data={
             "library": library,
             "yield": convention,

@@ -22,6 +22,7 @@ from terraphi.inference.answer import Inversion
 from terraphi.inference.inversion import invert
 from terraphi.inference.verdict import uninformed
 from terraphi.library.store import Library
+from terraphi.view.table import Table
 from terraphi_studies import Study, page
 from terraphi_studies.pictures import measured_figure
 
@@ -130,7 +131,7 @@ def _study(answers: Sequence[Mapping[str, Any]]) -> Study:
     spread = {name: _spread(some) for name, some in of.items()}
     order = {name: _order(some) for name, some in of.items()}
     off = {name: _off_repose(some) for name, some in of.items()}
-    rows = [_row(answer) for answer in answers]
+    table = Table(TITLE, HEADER, [_row(answer) for answer in answers])
     repose = {
         a["medium"]: f"{a['medium']} {a['angle_of_repose_deg']:g}°"
         for a in answers
@@ -143,9 +144,7 @@ def _study(answers: Sequence[Mapping[str, Any]]) -> Study:
     ]
     picture = "friction angles by medium, leg and library, with their 95 % intervals"
     return Study(
-        title=TITLE,
-        header=HEADER,
-        rows=rows,
+        table=table,
         data={
             "answers": list(answers),
             "spread_deg": spread,
@@ -154,7 +153,7 @@ def _study(answers: Sequence[Mapping[str, Any]]) -> Study:
             "off_repose_deg": off,
         },
         figures={NAME: measured_figure(answers)},
-        documents={f"{NAME}.md": page(TITLE, METHOD, notes, HEADER, rows, f"{NAME}.png", picture)},
+        documents={f"{NAME}.md": page(table, METHOD, notes, f"{NAME}.png", picture)},
         notes=notes,
     )
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.history import ForceHistory
 from terraphi.library.store import Library
+from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, Beside, Study, capitalised
 from terraphi_studies.degrees import LEG, histories_of
 from terraphi_studies.pictures import histories_figure, peaks_figure
@@ -69,16 +70,18 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
     }
     comparable = data["yield"] == "paper"
     return Study(
-        title=f"Peak forces against φ ({data['yield']}), leg {LEG}, library '{library}'",
-        header=("φ", "peak Fz", "peak Fx"),
-        rows=[
-            (
-                f"{angle:g}°",
-                f"{peak.Fz:.2f} N at {peak.theta_Fz_deg:.0f}°",
-                f"{peak.Fx:.2f} N at {peak.theta_Fx_deg:.0f}°",
-            )
-            for angle, peak in zip(phi, peaks, strict=True)
-        ],
+        table=Table(
+            f"Peak forces against φ ({data['yield']}), leg {LEG}, library '{library}'",
+            ("φ", "peak Fz", "peak Fx"),
+            [
+                (
+                    f"{angle:g}°",
+                    f"{peak.Fz:.2f} N at {peak.theta_Fz_deg:.0f}°",
+                    f"{peak.Fx:.2f} N at {peak.theta_Fx_deg:.0f}°",
+                )
+                for angle, peak in zip(phi, peaks, strict=True)
+            ],
+        ),
         data=data,
         figures={
             "forces": histories_figure(histories, data["yield"]),

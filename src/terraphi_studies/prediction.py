@@ -10,9 +10,8 @@ cohesion. Nothing is tuned to a medium.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +22,11 @@ from terraphi.experiment.measurements import Measurement, measurement, medium_an
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan, Step
 from terraphi.view.plots import BLUE, ORANGE, Curve
+from terraphi.view.table import Table
 from terraphi_studies import Study, benchmark, page
 from terraphi_studies.benchmark import LEGS, FinishedCase, in_the_sand, means_of, nrmsd_percent
 from terraphi_studies.pictures import legs_figure
-from terraphi_studies.sensitivity import finished_for, missing_from, simulate_missing
+from terraphi_studies.planned import Simulations, not_yet, of_plans
 
 FloatArray = NDArray[np.float64]
 
@@ -68,27 +68,14 @@ class Calibration:
     nrmsd_percent: Mapping[str, float]
 
 
-def run(
-    *,
-    build: Path | None = None,
-    workers: int | None = None,
-    cluster: str | None = None,
-    progress: Callable[[float, float], None] | None = None,
-) -> Study:
+@of_plans
+def run(cases: Simulations) -> Study:
     """Calibrate and predict every shipped sand.
 
     Parameters
     ----------
-    build
-        Folder of further finished cases. What is neither shipped nor there is simulated first, and
-        kept there: the straight legs, and then the predicted ones. Without a folder nothing is
-        simulated.
-    workers
-        Processes to simulate on; 1 if not given.
-    cluster
-        Address of a Dask cluster to simulate on instead.
-    progress
-        Called with the number of finished cases of a plan, counting parts, and of all.
+    cases
+        Where they are, and who simulates what is missing.
 
     Returns
     -------
@@ -106,9 +93,7 @@ def run(
         failed.
     """
     plan = Plan.load(NAME)
-    finished = finished_for(NAME, build)
-    if build is not None and missing_from(plan, finished):
-        finished |= simulate_missing(plan, build, workers, cluster, progress)
+    finished = cases.histories(plan)
     absent = [s for s in plan.cases() if s.hash not in finished]
     if absent:
         raise InputError(
@@ -120,9 +105,8 @@ def run(
     fits = {medium: calibrate(legs[CALIBRATED_ON], forces) for medium, legs in media.items()}
     wanted = foretold(plan, media, fits)
     lacking = {place: s for place, s in wanted.items() if s.hash not in finished}
-    if build is not None and lacking:
-        legs = legs_plan(plan, lacking)
-        finished |= simulate_missing(legs, build, workers, cluster, progress)
+    if lacking:
+        finished |= cases.histories(legs_plan(plan, lacking))
     return study_of(plan, media, fits, finished)
 
 
@@ -275,14 +259,14 @@ def study_of(
     """
     deviations: dict[str, dict[str, dict[str, Mapping[str, float]]]] = {}
     curves: dict[str, dict[str, list[Curve]]] = {}
-    missing = []
+    missing: dict[str, Scenario] = {}
     others = _others()
     for (medium, leg), scenario in foretold(plan, media, fits).items():
         measured = media[medium][leg]
         row = deviations.setdefault(medium, {}).setdefault(leg, {})
         history = finished.get(scenario.hash)
         if history is None:
-            missing.append(f"{medium}/{leg}")
+            missing[f"{medium}/{leg}"] = scenario
         else:
             scaled = in_the_sand(FinishedCase(scenario, history), measured)
             row[OURS] = nrmsd_percent(measured.history, scaled)
@@ -299,25 +283,21 @@ def study_of(
         if medium == "yuma":
             row |= others[leg]
     better = _better(deviations.get("yuma", {}))
-    rows = _rows(deviations)
+    table = Table(TITLE, HEADER, _rows(deviations))
     repose = {medium: legs[CALIBRATED_ON].angle_of_repose_deg for medium, legs in media.items()}
-    notes = _notes(fits, repose, better, missing)
+    notes = [*_notes(fits, repose, better), *not_yet(NAME, missing.items(), finished)]
     data = {
         "calibrated": {medium: vars(fit) for medium, fit in fits.items()},
         "nrmsd_percent": deviations,
         "better_than": better,
-        "missing": missing,
+        "missing": list(missing),
     }
     picture = "forces on the three legs in Yuma sand, measured and from the calibrated model"
     return Study(
-        title=TITLE,
-        header=HEADER,
-        rows=rows,
+        table=table,
         data=data,
         figures={f"{NAME}-{medium}": legs_figure(legs) for medium, legs in curves.items()},
-        documents={
-            f"{NAME}.md": page(TITLE, METHOD, notes, HEADER, rows, f"{NAME}-yuma.png", picture)
-        },
+        documents={f"{NAME}.md": page(table, METHOD, notes, f"{NAME}-yuma.png", picture)},
         notes=notes,
     )
 
@@ -367,7 +347,6 @@ def _notes(
     fits: Mapping[str, Calibration],
     repose: Mapping[str, float | None],
     better: Mapping[str, Mapping[str, int]],
-    missing: Sequence[str],
 ) -> list[str]:
     notes = [
         f"{medium}: φ = {fit.phi_deg:.1f}°, μ = {fit.friction:.2f} from the straight leg"
@@ -380,9 +359,4 @@ def _notes(
         f"{count['foretold_below']} of the {count['foretold_of']} foretold."
         for name, count in better.items()
     ]
-    if missing:
-        notes.append(
-            f"Not simulated yet: {', '.join(missing)}; `terraphi study {NAME} --build FOLDER` does "
-            "it."
-        )
     return notes

@@ -10,8 +10,7 @@ at k = 0 is told beside them, for the contact of the paper's text as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,9 +22,11 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.library.build import cases_folder, finished_cases
 from terraphi.library.plan import BASE, Plan
 from terraphi.library.store import Case, Library
+from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, PROTOTYPE_LIBRARY, Beside, Study
 from terraphi_studies.benchmark import PHI_DEG, FinishedCase, in_the_sand, nrmsd_percent
 from terraphi_studies.pictures import speeds_figure
+from terraphi_studies.planned import Simulations, missing_from, not_yet, of_plans
 from terraphi_studies.reading import (
     ENDS_DEG,
     PAPER_ANGLES_DEG,
@@ -34,7 +35,6 @@ from terraphi_studies.reading import (
     engagement_deg,
     off_by_percent,
 )
-from terraphi_studies.sensitivity import finished_for, missing_from, simulate_missing
 
 NAME = "prototype"
 SAND, LEG = "li2013:yuma/straight", "straight"
@@ -93,26 +93,14 @@ class Forces(NamedTuple):
         return {"Fz": float(applied[1] / counted[1]), "Fx": float(applied[0] / counted[0])}
 
 
-def run(
-    *,
-    build: Path | None = None,
-    workers: int | None = None,
-    cluster: str | None = None,
-    progress: Callable[[float, float], None] | None = None,
-) -> Study:
+@of_plans
+def run(cases: Simulations) -> Study:
     """Set what is counted beside what is applied, in the finished cases of the plan.
 
     Parameters
     ----------
-    build
-        Folder of further finished cases. What is neither shipped nor there is simulated first, and
-        kept there; without a folder nothing is simulated.
-    workers
-        Processes to simulate on; 1 if not given.
-    cluster
-        Address of a Dask cluster to simulate on instead.
-    progress
-        Called with the number of finished cases, counting parts, and of all.
+    cases
+        Where they are, and who simulates what is missing.
 
     Returns
     -------
@@ -131,10 +119,8 @@ def run(
     InputError
         If the folder cannot be written, a simulation failed or was interrupted.
     """
-    plan, finished = Plan.load(NAME), finished_for(NAME, build)
-    if build is not None and missing_from(plan, finished):
-        finished = simulate_missing(plan, build, workers, cluster, progress)
-    return study_of(plan, finished, _cases_so_far(PROTOTYPE_LIBRARY))
+    plan = Plan.load(NAME)
+    return study_of(plan, cases.histories(plan), _cases_so_far(PROTOTYPE_LIBRARY))
 
 
 def study_of(
@@ -172,21 +158,24 @@ def study_of(
         for name, s, history in (*text, *own)
     ]
     found.sort(key=lambda f: (f.phi_deg, [TEXT, CODE, ""].index(f.model), f.speed_up))
+    missing = {v.key: v.scenario for v in missing_from(plan, finished)}
     lines, cases = _without_speed(found), [_measured(forces) for forces in found]
     data = {
         "cases": cases,
         "off_by_percent": _off_by(found),
         "without_speed": lines,
         "nrmsd_percent": _in_yuma(library),
-        "missing": [variant.key for variant, _ in missing_from(plan, finished)],
+        "missing": list(missing),
     }
     return Study(
-        title="Force that the contact of the paper's prototype counts, and force that it applies",
-        header=HEADER,
-        rows=_rows(found, lines),
+        table=Table(
+            "Force that the contact of the paper's prototype counts, and force that it applies",
+            HEADER,
+            _rows(found, lines),
+        ),
         data=data,
         figures={NAME: speeds_figure(cases, lines)},
-        notes=_notes(data),
+        notes=[*_notes(data), *not_yet(NAME, missing.items(), finished)],
         beside_paper=_beside_paper(found),
     )
 
@@ -350,11 +339,6 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
     notes += [_about_speed(who, lines) for who, lines in groups.items()]
     notes += _about_parts(data)
     notes += [_about_sand(row) for row in data["nrmsd_percent"] if row["phi_deg"] in TOLD_DEG]
-    if data["missing"]:
-        notes.append(
-            f"Not simulated yet: {'; '.join(data['missing'])}; `terraphi study {NAME} --build "
-            "FOLDER` does it."
-        )
     return notes
 
 

@@ -11,21 +11,18 @@ meets resistance stand beside it. Nothing that the text says is varied.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.documents import shipped_folder
-from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory, Peaks
-from terraphi.library.build import failed_cases
 from terraphi.library.plan import BASE, Plan
 from terraphi.view.plots import readings_figure
+from terraphi.view.table import Table
 from terraphi_studies import Study, page
-from terraphi_studies.sensitivity import finished_for, missing_from, simulate_missing
+from terraphi_studies.planned import Simulations, missing_from, need_base, not_yet, of_plans
 
 NAME = "reading"
 TITLE = "Readings of the paper's text, and how far each is from its forces"
@@ -54,26 +51,14 @@ HEADER = (
 )
 
 
-def run(
-    *,
-    build: Path | None = None,
-    workers: int | None = None,
-    cluster: str | None = None,
-    progress: Callable[[float, float], None] | None = None,
-) -> Study:
+@of_plans
+def run(cases: Simulations) -> Study:
     """Compare the finished readings with the paper.
 
     Parameters
     ----------
-    build
-        Folder of further finished cases. What is neither shipped nor there is simulated first, and
-        kept there; without a folder nothing is simulated.
-    workers
-        Processes to simulate on; 1 if not given.
-    cluster
-        Address of a Dask cluster to simulate on instead.
-    progress
-        Called with the number of finished cases of a plan, counting parts, and of all.
+    cases
+        Where they are, and who simulates what is missing.
 
     Returns
     -------
@@ -86,27 +71,8 @@ def run(
         If the base is not simulated yet, the folder cannot be written, or a simulation failed.
     """
     plans = plans_at_both_ends(Plan.load(NAME))
-    finished, failed = finished_for(NAME, build), _failed(build)
-    if build is not None:
-        for plan in plans.values():
-            if any(v.scenario.hash not in failed for v, _ in missing_from(plan, finished)):
-                finished |= simulate_missing(
-                    plan,
-                    build,
-                    workers,
-                    cluster,
-                    progress,
-                    keep_failures=True,
-                    known_failures=failed,
-                )
-        failed = _failed(build)
-    return study_of(plans, finished, failed)
-
-
-def _failed(build: Path | None) -> dict[str, str]:
-    """Why cases failed, of the shipped ones and those in a folder, by scenario hash."""
-    folders = [shipped_folder("studies", NAME), *([build] if build else [])]
-    return {key: why for folder in folders for key, why in failed_cases(folder).items()}
+    finished = cases.histories(*plans.values(), keep_failures=True)
+    return study_of(plans, finished, cases.failures(NAME))
 
 
 def plans_at_both_ends(plan: Plan) -> dict[float, Plan]:
@@ -146,12 +112,9 @@ def study_of(
     InputError
         If the base is not among the finished, at both ends.
     """
+    for plan in plans.values():
+        need_base(plan, finished)
     pairs = _pairs(plans, finished)
-    if BASE not in pairs:
-        raise InputError(
-            f"study '{NAME}': the base, with which all is compared, is not simulated yet; "
-            "--build FOLDER simulates what is missing"
-        )
     pairs[NORMAL_ONLY] = {phi: normal_part(history) for phi, history in pairs[BASE].items()}
     readings = sorted(
         (_measured(name, pair) for name, pair in pairs.items()),
@@ -160,13 +123,13 @@ def study_of(
     name = next(iter(plans.values())).scenario.name
     for reading in readings:
         reading["reading"] = name if reading["reading"] == BASE else reading["reading"]
-    waiting = [(phi, v) for phi, p in plans.items() for v, _ in missing_from(p, finished)]
-    missing = [f"{v.key} at {phi:g}°" for phi, v in waiting if v.scenario.hash not in failed]
-    broken = {
-        f"{v.key} at {phi:g}°": failed[v.scenario.hash]
-        for phi, v in waiting
-        if v.scenario.hash in failed
+    waiting = {
+        f"{v.key} at {phi:g}°": v.scenario
+        for phi, plan in plans.items()
+        for v in missing_from(plan, finished)
     }
+    broken = {name: failed[s.hash] for name, s in waiting.items() if s.hash in failed}
+    missing = {name: s for name, s in waiting.items() if name not in broken}
     data = {
         "paper": {
             "peaks_N": PAPER_PEAKS_N,
@@ -176,19 +139,18 @@ def study_of(
         "readings": readings,
         "closest": readings[0]["reading"],
         "failed": broken,
-        "missing": missing,
+        "missing": list(missing),
     }
     rows = [_paper_row(), *(_row(reading) for reading in readings)]
     rows += _broken_rows(plans, finished, failed)
-    notes = _notes(data)
+    table = Table(TITLE, HEADER, rows)
+    notes = [*_notes(data), *not_yet(NAME, missing.items(), finished)]
     picture = "peaks of each reading at both ends of the library, and the paper's"
     return Study(
-        title=TITLE,
-        header=HEADER,
-        rows=rows,
+        table=table,
         data=data,
         figures={NAME: readings_figure(readings, PAPER_PEAKS_N)},
-        documents={f"{NAME}.md": page(TITLE, METHOD, notes, HEADER, rows, f"{NAME}.png", picture)},
+        documents={f"{NAME}.md": page(table, METHOD, notes, f"{NAME}.png", picture)},
         notes=notes,
     )
 
@@ -332,9 +294,4 @@ def _notes(data: Mapping[str, Any]) -> Sequence[str]:
     notes += [
         f"Cannot be simulated to the end: {name}: {why}." for name, why in data["failed"].items()
     ]
-    if data["missing"]:
-        notes.append(
-            f"Not simulated yet: {', '.join(data['missing'])}; `terraphi study {NAME} --build "
-            "FOLDER` does it."
-        )
     return notes

@@ -22,6 +22,7 @@ from terraphi.library.shipped import companion
 from terraphi.library.store import Library
 from terraphi.surrogate.paper import LegSurrogate
 from terraphi.view.plots import recovery_figure
+from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, Beside, Study
 from terraphi_studies.pictures import Walkers, walkers_figure
 
@@ -90,9 +91,11 @@ def run(
     assert shown is not None
     summary = _summary(cases)
     return Study(
-        title=f"Recovery of {len(cases)} friction angles ({convention}) with library '{library}'",
-        header=("true φ", "median", "error", "68 %", "95 %", "verdict"),
-        rows=[_row(case) for case in cases],
+        table=Table(
+            f"Recovery of {len(cases)} friction angles ({convention}) with library '{library}'",
+            ("true φ", "median", "error", "68 %", "95 %", "verdict"),
+            [_row(case) for case in cases],
+        ),
         data={"library": library, "yield": convention, "cases": cases, **summary},
         figures={
             "recovery": recovery_figure(cases, convention),

@@ -9,18 +9,17 @@ over the part of the path that holds both.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.library.plan import BASE, Plan, Variant
 from terraphi.view.plots import waterfall_figure
+from terraphi.view.table import Table
 from terraphi_studies import Study, degrees, page
-from terraphi_studies.sensitivity import finished_for, missing_from, simulate_missing
+from terraphi_studies.planned import Simulations, missing_from, need_base, not_yet, of_plans
 
 PLANS = ("waterfall", "resolution")
 TITLE = "Resolution: from preset paper-1 to preset resolved, and whether that has arrived"
@@ -32,26 +31,14 @@ SEED = "seed"
 """Steps whose names begin so are the base with other particle places."""
 
 
-def run(
-    *,
-    build: Path | None = None,
-    workers: int | None = None,
-    cluster: str | None = None,
-    progress: Callable[[float, float], None] | None = None,
-) -> Study:
+@of_plans
+def run(cases: Simulations) -> Study:
     """Measure the finished cases of both plans.
 
     Parameters
     ----------
-    build
-        Folder of further finished cases. What is neither shipped nor there is simulated first, and
-        kept there; without a folder nothing is simulated.
-    workers
-        Processes to simulate on; 1 if not given.
-    cluster
-        Address of a Dask cluster to simulate on instead.
-    progress
-        Called with the number of finished cases of a plan, counting parts, and of all.
+    cases
+        Where they are, and who simulates what is missing.
 
     Returns
     -------
@@ -63,14 +50,8 @@ def run(
     InputError
         If a base is not simulated yet, the folder cannot be written, or a simulation failed.
     """
-    finished: dict[str, ForceHistory] = {}
     way, halved = (Plan.load(name) for name in PLANS)
-    for plan in (way, halved):
-        found = finished_for(plan.name, build)
-        if build is not None and missing_from(plan, found):
-            found = simulate_missing(plan, build, workers, cluster, progress)
-        finished |= found
-    return study_of(way, halved, finished)
+    return study_of(way, halved, cases.histories(way, halved))
 
 
 def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> Study:
@@ -100,11 +81,7 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         If a base is not among the finished.
     """
     for plan in (way, halved):
-        if plan.scenario.hash not in finished:
-            raise InputError(
-                f"plan '{plan.name}': its base, with which all is compared, is not simulated yet; "
-                "--build FOLDER simulates what is missing"
-            )
+        need_base(plan, finished)
     steps = _waterfall(way, finished)
     seeds = [
         _peaks(finished[v.scenario.hash]) for v in _seeds(halved) if v.scenario.hash in finished
@@ -126,7 +103,7 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
     for v in others:
         percent = _percent(_level(finished[v.scenario.hash]), levels)
         changes[v.key] |= {"mean_change_percent": percent, "mean_change_deg": _degrees(percent)}
-    missing = [v.key for p in (way, halved) for v, _ in missing_from(p, finished)]
+    missing = {v.key: v.scenario for p in (way, halved) for v in missing_from(p, finished)}
     apart = [_percent(level, levels) for level in levels]
     resolved = {
         "peaks_N": mean,
@@ -139,15 +116,13 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         "resolved": resolved,
         "halved": changes,
         "percent_per_degree": {f: 100.0 * degrees.rise_of()[f] for f in FORCES},
-        "missing": missing,
+        "missing": list(missing),
     }
-    rows = _rows(steps, resolved, changes)
-    notes = _notes(data)
-    written = page(TITLE, _method(), notes, HEADER, rows, "resolution.png", PICTURE)
+    table = Table(TITLE, HEADER, _rows(steps, resolved, changes))
+    notes = [*_notes(data), *not_yet("resolution", missing.items(), finished)]
+    written = page(table, _method(), notes, "resolution.png", PICTURE)
     return Study(
-        title=TITLE,
-        header=HEADER,
-        rows=rows,
+        table=table,
         data=data,
         figures={"resolution": waterfall_figure(steps, changes, TOLERANCE_PERCENT)},
         documents={"resolution.md": written},
@@ -266,11 +241,6 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         notes.append(
             f"The mean forces over the path (F_z / F_x), which seeds move by {apart['Fz']:.1f} / "
             f"{apart['Fx']:.1f} % at most, change by: {moved}."
-        )
-    if data["missing"]:
-        notes.append(
-            f"Not simulated yet: {', '.join(data['missing'])}; `terraphi study resolution --build "
-            "FOLDER` does it."
         )
     return notes
 

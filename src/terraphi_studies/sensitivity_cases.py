@@ -10,17 +10,22 @@ import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from terraphi.experiment.history import ForceHistory, Peaks
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import BASE, PRESET, Plan, Variant, value_of
+from terraphi_studies import PAPER_LIBRARY, degrees
 from terraphi_studies.benchmark import nrmsd_percent
 
 FORCES = ("Fz", "Fx")
 SEED = "numerics.seed"
+LEAST_TOLERANCE = 2.0
+"""Deviations and changes of peaks below this are of no interest [%]."""
+SCATTERS = 2.0
+"""Deviations below this many times the scatter between seeds cannot be told from it [-]."""
 
 Percent = dict[str, float]
 """A percentage for each force, ``Fz`` and ``Fx``."""
@@ -36,9 +41,9 @@ class Setting(NamedTuple):
     reference: Literal["base", "least", "most"]
     """Which of its values the others are compared with."""
     rule: Literal["limit", "convergence", "share", "scatter", "effect"]
-    """How a conclusion is drawn from it; see :mod:`terraphi_studies.sensitivity_rules`."""
+    """What follows from it; see :func:`conclude`."""
     remark: str = ""
-    """What to know of it; ends the conclusion."""
+    """What to know of it."""
     size: Callable[[Scenario], float] | None = None
     """A step whose limit is zero, where there is one."""
 
@@ -255,3 +260,139 @@ def change(
 ) -> float:
     """Change of a peak from one case to another [% of the first's, or of another's]."""
     return 100.0 * (after.peak(force) - before.peak(force)) / (whole or before).peak(force)
+
+
+# -- what follows, in numbers ----------------------------------------------------------------------
+
+
+class Tolerance(NamedTuple):
+    """Largest deviations that count as none."""
+
+    nrmsd: Percent
+    """[%]."""
+    peak: Percent
+    """[%]."""
+
+    def allows(self, group: Group, case: Simulated) -> bool:
+        """Whether a case is no further from its group's reference than that, in both forces."""
+        moves = {force: change(group.reference, case, force) for force in FORCES}
+        return _within(group.deviation(case), self.nrmsd) and _within(moves, self.peak)
+
+
+def tolerance_of(scatter: Scatter) -> Tolerance:
+    """Tolerance that a scatter allows: twice as much, and never less than 2 %."""
+    return Tolerance(*(_at_least(each) for each in (scatter.nrmsd, scatter.peak)))
+
+
+def _at_least(scatter: Percent) -> Percent:
+    return {force: max(LEAST_TOLERANCE, SCATTERS * scatter[force]) for force in FORCES}
+
+
+def _within(percent: Percent, tolerance: Percent) -> bool:
+    return all(abs(percent[force]) <= tolerance[force] for force in FORCES)
+
+
+def conclude(group: Group, scatter: Scatter) -> dict[str, Any]:
+    """What follows from a group, JSON-able.
+
+    Parameters
+    ----------
+    group
+        Finished cases, at least one beside the base.
+    scatter
+        Between seeds.
+
+    Returns
+    -------
+    dict
+        By the kind of setting. ``scatter``: ``runs``. ``limit``: ``safe``, the largest value up to
+        which every one is within the tolerance, and ``beyond``, the next. ``convergence``: what
+        refining the base does, or what led to it if it is the finest: ``from_to``,
+        ``peak_change_percent``, ``peak_change_deg`` (of the friction angle), ``nrmsd_percent``,
+        ``peaks_converged`` and ``converged`` (within the tolerance), ``trend`` of the peaks and
+        ``limit_N``, the end at size zero of a line through them. ``share``: ``share_percent`` of
+        the base's peaks that goes, and ``against`` which value. ``effect``: ``most``, the value
+        that moves the peaks furthest from the base's, ``peak_change_percent`` and ``matters``.
+        ``awaited``, where the reference is to be another one, not simulated yet.
+    """
+    if group.setting.rule == "scatter":
+        return {"runs": scatter.runs}
+    rules: dict[str, Callable[[Group, Tolerance], dict[str, Any]]] = {
+        "limit": _limit,
+        "convergence": _convergence,
+        "share": _share,
+        "effect": _effect,
+    }
+    numbers = rules[group.setting.rule](group, tolerance_of(scatter))
+    return numbers if group.awaited is None else {**numbers, "awaited": group.awaited}
+
+
+def _limit(group: Group, tolerance: Tolerance) -> dict[str, Any]:
+    beyond = next((case for case in group.cases if not tolerance.allows(group, case)), None)
+    calm = group.cases[: group.cases.index(beyond)] if beyond else group.cases
+    return {"safe": calm[-1].label, "beyond": beyond.label if beyond else None}
+
+
+def _convergence(group: Group, tolerance: Tolerance) -> dict[str, Any]:
+    finest_first = group.cases if group.setting.reference == "least" else group.cases[::-1]
+    finest, next_finest = finest_first[:2]
+    # Where the base is the finest there is, the next coarser value says what refining does.
+    coarse = next_finest if finest is group.base else group.base
+    apart = group.deviation(coarse)
+    moves = {force: change(coarse, finest, force) for force in FORCES}
+    peaks = _within(moves, tolerance.peak)
+    return {
+        "converged": peaks and _within(apart, tolerance.nrmsd),
+        "peaks_converged": peaks,
+        "from_to": [coarse.label, finest.label],
+        "peak_change_percent": moves,
+        "peak_change_deg": {
+            f: degrees.in_degrees(moves[f], f, library=PAPER_LIBRARY) for f in FORCES
+        },
+        "nrmsd_percent": apart,
+        "trend": {force: _trend(finest_first, force) for force in FORCES},
+        "limit_N": {f: _limit_at_zero(group, f, tolerance.peak[f]) for f in FORCES},
+    }
+
+
+def _trend(finest_first: tuple[Simulated, ...], force: str) -> str | None:
+    """Whether peaks ``rise`` or ``fall`` with every refinement, of at least two."""
+    steps = np.diff([case.peak(force) for case in finest_first[::-1]])
+    if len(steps) < 2 or not (np.all(steps > 0.0) or np.all(steps < 0.0)):
+        return None
+    return "rise" if steps[0] > 0.0 else "fall"
+
+
+def _limit_at_zero(group: Group, force: str, tolerance: float) -> float | None:
+    """Where a straight line through the peaks meets a step size of zero [N].
+
+    ``None`` unless there are at least three peaks, all within the tolerance [%] of their line.
+    """
+    if group.setting.size is None or len(group.cases) < 3:
+        return None
+    sizes = np.array([group.setting.size(case.scenario) for case in group.cases])
+    peaks = np.array([case.peak(force) for case in group.cases])
+    slope, limit = np.polyfit(sizes / sizes.max(), peaks, 1)
+    off = np.abs(peaks - limit - slope * sizes / sizes.max()) / peaks
+    return float(limit) if 100.0 * off.max() <= tolerance and limit > 0.0 else None
+
+
+def _share(group: Group, tolerance: Tolerance) -> dict[str, Any]:
+    least = group.cases[0]  # in order of the setting's value
+    if least is group.base:  # turned up, never down
+        return _effect(group, tolerance)
+    share = {force: -change(group.base, least, force) for force in FORCES}
+    return {"share_percent": share, "against": least.label}
+
+
+def _effect(group: Group, tolerance: Tolerance) -> dict[str, Any]:
+    def size(case: Simulated) -> float:
+        return max(abs(change(group.base, case, f)) / tolerance.peak[f] for f in FORCES)
+
+    most = max((case for case in group.cases if case is not group.base), key=size)
+    moves = {force: change(group.base, most, force) for force in FORCES}
+    return {
+        "matters": not _within(moves, tolerance.peak),
+        "most": most.label,
+        "peak_change_percent": moves,
+    }

@@ -24,6 +24,7 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE
+from terraphi.view.table import Table
 from terraphi_studies import Study, page
 
 if TYPE_CHECKING:
@@ -121,14 +122,12 @@ def run(
             rows.append(row_of(trained.name, name, round(every * step, 6), found))
             every_answer += found
         rows.append(row_of(trained.name, name, None, every_answer))
-    table, notes = [_shown(row) for row in rows], _notes(rows)
+    table, notes = Table(TITLE, HEADER, [_shown(row) for row in rows]), _notes(rows)
     return Study(
-        title=TITLE,
-        header=HEADER,
-        rows=table,
+        table=table,
         data={"rows": rows},
         figures={"spacing": _figure(rows)},
-        documents={"spacing.md": page(TITLE, METHOD, notes, HEADER, table, "spacing.png", PICTURE)},
+        documents={"spacing.md": page(table, METHOD, notes, "spacing.png", PICTURE)},
         notes=notes,
     )
 

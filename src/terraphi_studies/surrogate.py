@@ -20,6 +20,7 @@ from terraphi.inference.paper_likelihood import (
 from terraphi.library.shipped import companion
 from terraphi.library.store import Curves, Library
 from terraphi.surrogate.paper import LegSurrogate
+from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, Beside, Study
 from terraphi_studies.pictures import autocorrelation_figure, slices_figure, surfaces_figure
 
@@ -81,18 +82,18 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
     errors = [_error(found, force, at) for force in FORCES for at in ANGLES_DEG]
     rms = np.sqrt(np.mean(residuals.reshape(2, -1) ** 2, axis=1))
     nrmsd = {force: 100.0 * float(value) for force, value in zip(FORCES, rms, strict=True)}
+    rows = [
+        (
+            error["force"],
+            f"{error['theta_deg']:.0f}°",
+            f"{error['relative_error_percent']['median']:.2f} %",
+            f"{error['relative_error_percent']['max']:.2f} %",
+        )
+        for error in errors
+    ]
+    title = f"Surrogate of library '{library}' ({convention}), leg {LEG}, on cases held out"
     return Study(
-        title=f"Surrogate of library '{library}' ({convention}), leg {LEG}, on cases held out",
-        header=("force", "leg angle", "median relative error", "largest"),
-        rows=[
-            (
-                error["force"],
-                f"{error['theta_deg']:.0f}°",
-                f"{error['relative_error_percent']['median']:.2f} %",
-                f"{error['relative_error_percent']['max']:.2f} %",
-            )
-            for error in errors
-        ],
+        table=Table(title, ("force", "leg angle", "median relative error", "largest"), rows),
         data={
             "library": library,
             "yield": convention,

@@ -18,7 +18,7 @@ def test_the_suggested_order_beats_the_even_grid_over_two_parameters(monkeypatch
     assert (2.0 * np.array(found["suggested"][1]) < np.array(found["grid"][1])).all()
     assert len(found["order"]) == 5
     assert seen == [(1, 1)]
-    assert len(study.rows) == 4
+    assert len(study.table.rows) == 4
     assert study.notes[0].startswith("φ, μ_leg, 9 cases: the even grid errs")
 
 

@@ -8,6 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from terraphi.experiment.scenario import Scenario
+from terraphi.view.table import Table
 from terraphi_studies import Study, figures
 
 
@@ -32,7 +33,7 @@ def test_every_figure_has_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
                 progress(1, 2)
             drawn = {each: Figure() for each in names[self.name]}
             beside = {"notes": [self.name], "beside_paper": [("a", "b", "c")]}
-            return Study("", (), (), {"library": library}, drawn, **beside)
+            return Study(Table("", (), ()), {"library": library}, drawn, **beside)
 
     benchmark = figures.benchmark
     for name in names:

@@ -52,13 +52,13 @@ def test_order_counts_pairs_on_the_same_leg_that_have_an_angle_of_repose() -> No
     assert "hardly tell" not in alone.notes[1]
     blind = measured._study([{**answers[0], "told_by_forces": False}, answers[1]])
     assert "in 1 of 2, counted all the same, the forces hardly tell φ" in blind.notes[1]
-    assert [row[-1] for row in blind.rows] == ["misfit, hardly tells φ", "misfit"]
+    assert [row[-1] for row in blind.table.rows] == ["misfit, hardly tells φ", "misfit"]
 
 
 def test_every_measured_history_is_answered_as_invert_answers_it() -> None:
     study = measured.run(library="rft3d")
     answers = study.data["answers"]
-    assert len(answers) == len(names()) == len(study.rows)
+    assert len(answers) == len(names()) == len(study.table.rows)
     one = measurement("li2013:poppy_loose/c")
     found = terraphi.invert(
         one.history, library=Library.load("rft3d"), leg="c", density=one.density_kg_m3

@@ -15,7 +15,7 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import Measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan
-from terraphi_studies import prediction
+from terraphi_studies import planned, prediction
 
 THETA = np.radians(np.arange(-135.0, 135.0, 0.1) + 0.05)
 DENSITY = 1200.0
@@ -137,7 +137,7 @@ def test_rows_that_are_better_are_counted() -> None:
 
 
 def test_without_the_straight_legs_there_is_nothing_to_say(monkeypatch) -> None:
-    monkeypatch.setattr(prediction, "finished_for", lambda *_: {})
+    monkeypatch.setattr(planned, "finished_cases", lambda *_: {})
     with pytest.raises(InputError, match="24 of 24 straight legs are not simulated yet"):
         prediction.run()
 

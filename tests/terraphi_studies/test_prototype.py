@@ -61,7 +61,7 @@ def test_a_force_that_grows_with_the_speed_is_told_from_one_that_does_not() -> N
     (parts,) = [note for note in found.notes if "are not applied" in note]
     assert "50 to 50 % are not applied, 14 to 21 % are applied and go with the speed" in parts
     assert "29 to 36 % are left" in parts
-    row = next(row for row in found.rows if row[0] == "25°, its code, a line to k = 0")
+    row = next(row for row in found.table.rows if row[0] == "25°, its code, a line to k = 0")
     assert row[1:5] == ("4.0 N", "5.0 N", "2.0 / 2.5 N", "50 / 50 %")
     said = next(note for note in found.notes if note.startswith("its code, counted"))
     assert "leaves 57 to 71 % at k = 0" in said

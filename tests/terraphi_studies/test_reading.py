@@ -69,7 +69,7 @@ def test_the_closest_reading_is_the_one_with_the_paper_s_peaks(plans: dict[float
     assert readings["thick"]["angles_deg"][45.0] == {"Fz": -50.0, "Fx": 0.0}
     assert readings["thick"]["engagement_deg"] == pytest.approx(-85.0, abs=0.15)
     assert study.data["missing"] == ["thin at 25°", "thin at 45°"]
-    assert [row[0] for row in study.rows][:2] == ["the paper", "thick"]
+    assert [row[0] for row in study.table.rows][:2] == ["the paper", "thick"]
     assert set(study.figures) == {"reading"}
     assert "thin at 25°" in study.documents["reading.md"]
     assert not any("comes within" in note for note in study.notes)
@@ -95,7 +95,7 @@ def test_a_reading_at_one_end_alone_waits(plans: dict[float, Plan]) -> None:
 
 
 def test_without_the_base_there_is_nothing_to_compare(plans: dict[float, Plan]) -> None:
-    with pytest.raises(InputError, match="the base"):
+    with pytest.raises(InputError, match="its base"):
         reading.study_of(plans, finished(plans, {"thin": PAPER}))
 
 
@@ -121,10 +121,10 @@ def test_a_reading_that_breaks_down_is_a_result(plans: dict[float, Plan]) -> Non
     study = reading.study_of(plans, done, {at_45: "the soil flew away"})
     assert study.data["failed"] == {"thin at 45°": "the soil flew away"}
     assert study.data["missing"] == []
-    row = next(row for row in study.rows if row[0] == "thin")
+    row = next(row for row in study.table.rows if row[0] == "thin")
     assert row[1:5] == ("8.6 N", "10.2 N", "breaks down", "breaks down")
     assert "thin at 45°: the soil flew away." in study.documents["reading.md"]
     # What is not simulated yet has not broken down.
     del done[plans[25.0].variants()[1].scenario.hash]
-    row = next(r for r in reading.study_of(plans, done, {at_45: "so"}).rows if r[0] == "thin")
+    row = next(r for r in reading.study_of(plans, done, {at_45: "so"}).table.rows if r[0] == "thin")
     assert row[1:5] == ("not yet", "not yet", "breaks down", "breaks down")

@@ -13,6 +13,7 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan
 from terraphi_studies import resolution
+from terraphi_studies.planned import Simulations
 
 THETA = np.radians(np.arange(-82.0, 5.0, 0.1) + 0.05)
 
@@ -81,7 +82,7 @@ def test_changes_are_measured_from_the_mean_over_the_seeds(plans: tuple[Plan, Pl
         turned = math.log(1.0 + percent / 100.0) / (study.data["percent_per_degree"][force] / 100)
         assert halved["k doubled"][f"{change}_deg"][force] == pytest.approx(turned, rel=1e-9)
     assert study.data["percent_per_degree"] == pytest.approx({"Fz": 5.1, "Fx": 4.0}, abs=0.1)
-    assert any(row[0] == "resolved, k doubled" and row[4].endswith("°") for row in study.rows)
+    assert any(row[0] == "resolved, k doubled" and row[4].endswith("°") for row in study.table.rows)
     # Bumps of the same shape: their means scatter as the peaks do, and the largest counts.
     assert study.data["resolved"]["mean_scatter_percent"]["Fz"] == pytest.approx(10.0, rel=1e-2)
     assert any("more than 5 % with: k doubled" in note for note in study.notes)
@@ -111,6 +112,6 @@ def test_the_way_ends_at_the_preset() -> None:
 def test_shipped_histories_are_of_the_plans() -> None:
     for name in resolution.PLANS:
         plan = Plan.load(name)
-        finished = resolution.finished_for(name, None)
+        finished = Simulations().histories(plan)
         assert set(finished) <= {scenario.hash for scenario in plan.cases()}
         assert plan.scenario.hash in finished

@@ -60,7 +60,7 @@ def test_rows_count_what_single_inversions_give(monkeypatch: pytest.MonkeyPatch)
     assert sparse["rms_error_deg"] == pytest.approx(np.sqrt(np.mean(np.square(errors))))
     assert sparse["ci68_half_width_deg"] == pytest.approx(np.median(half))
     assert set(found.documents) == {"spacing.md"}
-    assert len(found.rows) == 3
+    assert len(found.table.rows) == 3
 
 
 @pytest.mark.parametrize(

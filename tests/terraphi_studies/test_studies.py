@@ -68,7 +68,9 @@ def test_recovery_samplers_agree(recovery: studies.Study) -> None:
 def test_recovery_says_how_far_it_is(
     recovery: studies.Study, reported: list[tuple[float, float]]
 ) -> None:
-    assert reported == [(done, len(recovery.rows)) for done in range(1, len(recovery.rows) + 1)]
+    assert reported == [
+        (done, len(recovery.table.rows)) for done in range(1, len(recovery.table.rows) + 1)
+    ]
 
 
 def test_recovery_summary_follows_from_its_cases(recovery: studies.Study) -> None:
@@ -77,7 +79,7 @@ def test_recovery_summary_follows_from_its_cases(recovery: studies.Study) -> Non
     assert recovery.data["abs_error_deg"]["max"] == pytest.approx(max(errors))
     halves = [0.5 * (c["ci68"][1] - c["ci68"][0]) for c in cases]
     assert recovery.data["ci68_half_width_deg"]["median"] == pytest.approx(np.median(halves))
-    assert len(recovery.rows) == len(cases)
+    assert len(recovery.table.rows) == len(cases)
 
 
 def test_a_place_that_cannot_be_made_is_refused_before_the_work(

@@ -80,9 +80,9 @@ def test_data_documents_and_figures(found: studies.Study, tmp_path: Path) -> Non
         assert f"![{name}]({name}.png)" in text
     misses = re.findall(r"\| \*\*MISS\*\*", text)
     assert len(misses) == found.data["missed"]
-    assert len(found.rows) == found.data["passed"] + found.data["missed"]
+    assert len(found.table.rows) == found.data["passed"] + found.data["missed"]
     rows = found.data["rows"]
-    assert len(rows) == len(found.rows)
+    assert len(rows) == len(found.table.rows)
     assert sum(row["passed"] for row in rows) == found.data["passed"]
     found.save(tmp_path)
     written = {file.name for file in tmp_path.iterdir()}

@@ -12,6 +12,7 @@ from pathlib import Path
 import numba
 import pytest
 
+from terraphi.experiment import documents
 from terraphi.experiment.documents import shipped_folder, shipped_names
 from terraphi.view import doctor
 
@@ -58,7 +59,7 @@ def own_libraries(tmp_path, monkeypatch) -> Path:
     shutil.copytree(shipped_folder("libraries"), place / "libraries")
     for kind in ("scenarios", "plans", "li2013"):
         (place / kind).symlink_to(shipped_folder(kind))
-    monkeypatch.setattr("importlib.resources.files", lambda _package: tmp_path / "terraphi")
+    monkeypatch.setattr(documents, "data_folders", lambda: (place,))
     return place / "libraries"
 
 

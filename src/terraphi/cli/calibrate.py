@@ -8,6 +8,7 @@ import click
 
 from terraphi.cli.options import IntRange, json_option
 from terraphi.view.console import print_json, print_table, progress_bar, words
+from terraphi.view.table import Table
 
 
 @click.command("calibrate")
@@ -39,8 +40,6 @@ def library_calibrate(
         print_json({"library": made.name, "file": str(out), "certificate": certificate})
         return
     columns = ("coverage68", "coverage95", "rank_chi2_p", "ci68_half_width_deg", "replicates")
-    print_table(
-        ("leg", *columns),
-        [[leg, *(words(found[name]) for name in columns)] for leg, found in certificate.items()],
-        title=f"Coverage of {made.name}'s intervals, written to {out}",
-    )
+    rows = [[leg, *(words(found[name]) for name in columns)] for leg, found in certificate.items()]
+    title = f"Coverage of {made.name}'s intervals, written to {out}"
+    print_table(Table(title, ("leg", *columns), rows))

@@ -8,6 +8,7 @@ import click
 
 from terraphi.cli.options import json_option
 from terraphi.view.console import print_json, print_table
+from terraphi.view.table import Table
 
 
 @click.command()
@@ -25,7 +26,8 @@ def doctor(as_json: bool) -> None:
     if as_json:
         print_json(as_dict(checks))
     else:
-        print_table(("what", "state", "found"), [(c.name, c.state, c.found) for c in checks])
+        rows = [(c.name, c.state, c.found) for c in checks]
+        print_table(Table("", ("what", "state", "found"), rows))
         problems = sum(check.state == "problem" for check in checks)
         click.secho("All is well." if sound(checks) else f"Problems: {problems}.", bold=True)
     if not sound(checks):

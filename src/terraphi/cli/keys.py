@@ -6,6 +6,7 @@ import click
 
 from terraphi.cli.options import json_option
 from terraphi.view.console import print_json, print_table
+from terraphi.view.table import Table
 
 
 @click.command()
@@ -26,4 +27,4 @@ def keys(document: str, as_json: bool) -> None:
     header = ("key", "unit", "default", "allowed", "meaning")
     for table in tables(document):
         rows = [(key.name, key.unit, key.default, key.allowed, key.meaning) for key in table.keys]
-        print_table(header, rows, title=f"{table.title}: {table.about}")
+        print_table(Table(f"{table.title}: {table.about}", header, rows))

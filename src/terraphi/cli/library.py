@@ -28,6 +28,7 @@ from terraphi.view.console import (
     progress_bar,
     words,
 )
+from terraphi.view.table import Table
 
 if TYPE_CHECKING:
     from terraphi.forward.forecast import Forecast
@@ -166,7 +167,7 @@ def _list(found: Sequence[Mapping[str, Any]], title: str) -> None:
         )
         for entry in found
     ]
-    print_table(header, rows, title=title)
+    print_table(Table(title, header, rows))
 
 
 @library.command("show")

@@ -141,7 +141,9 @@ def studies_package() -> Any:
     """
     from importlib.metadata import entry_points
 
-    for found in entry_points(group="terraphi.studies"):
+    from terraphi.experiment.documents import STUDIES
+
+    for found in entry_points(group=STUDIES):
         return found.load()
     raise InputError("no studies are installed; install terraphi again, by 'make install' or pip")
 

@@ -18,6 +18,7 @@ from terraphi.cli.options import (
 )
 from terraphi.experiment.errors import InputError
 from terraphi.view.console import print_json, print_table, progress_bar
+from terraphi.view.table import Table
 
 LIST = "list"
 """In the place of a study's name: which there are."""
@@ -64,9 +65,9 @@ def study(name: str | None, out: Path | None, as_json: bool, **options: Any) -> 
     if as_json:
         print_json(found.everything())
         return
-    print_table(found.header, found.rows, title=found.title)
+    print_table(found.table)
     if found.beside_paper:
-        print_table(("", "ours", "Xu & Wang"), found.beside_paper)
+        print_table(Table("", ("", "ours", "Xu & Wang"), found.beside_paper))
     for note in found.notes:
         click.echo(note)
     if made:
@@ -78,4 +79,4 @@ def _list(outlines: Mapping[str, Any], *, as_json: bool) -> None:
         print_json({"studies": {name: entry._asdict() for name, entry in outlines.items()}})
         return
     rows = [(name, *entry) for name, entry in outlines.items()]
-    print_table(("study", "what it looks at", "takes"), rows)
+    print_table(Table("", ("study", "what it looks at", "takes"), rows))

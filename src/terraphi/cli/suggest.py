@@ -6,6 +6,7 @@ import click
 
 from terraphi.cli.options import FloatRange, IntRange, json_option, leg_names, library_names
 from terraphi.view.console import print_json, print_table
+from terraphi.view.table import Table
 
 
 @click.command("suggest")
@@ -49,6 +50,5 @@ def library_suggest(
     if as_json:
         print_json(found.as_dict())
         return
-    header, rows = found.table()
-    print_table(header, rows, title=found.title())
+    print_table(Table(found.title(), *found.table()))
     click.echo(found.advice())

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import tomllib
-from importlib import resources
+from functools import cache
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,6 +16,17 @@ from terraphi.experiment.errors import InputError, nearest, sentence_from_valida
 from terraphi.experiment.files import read_bytes
 
 Model = TypeVar("Model", bound=BaseModel)
+STUDIES = "terraphi.studies"
+"""Group of the entry points by which packages of studies are found."""
+
+
+@cache
+def data_folders() -> tuple[Path, ...]:
+    """Folders of data: this package's, then those of the packages of studies that are installed."""
+    packages = ["terraphi", *(found.module for found in entry_points(group=STUDIES))]
+    specs = [spec for spec in map(find_spec, packages) if spec is not None]
+    places = [place for spec in specs for place in spec.submodule_search_locations or ()]
+    return tuple(Path(place) / "data" for place in places)
 
 WRITTEN = "written by people"
 """Context in which pydantic checks a document that people write, in contrast to a stored one."""
@@ -21,9 +34,12 @@ WRITTEN = "written by people"
 
 def shipped_names(folder: str, suffix: str) -> list[str]:
     """Names of the shipped files of a kind, without their suffix, sorted."""
-    place = resources.files("terraphi").joinpath("data", folder)
-    entries = [entry.name for entry in place.iterdir()] if place.is_dir() else []
-    return sorted(name.removesuffix(suffix) for name in entries if name.endswith(suffix))
+    found = {
+        file.name.removesuffix(suffix)
+        for place in data_folders()
+        for file in place.joinpath(folder).glob(f"*{suffix}")
+    }
+    return sorted(found)
 
 
 def shipped_file(folder: str, name: str, suffix: str) -> Path:
@@ -32,7 +48,7 @@ def shipped_file(folder: str, name: str, suffix: str) -> Path:
     Parameters
     ----------
     folder
-        Folder within the package's data.
+        Folder within the data.
     name
         Name without suffix.
     suffix
@@ -50,12 +66,16 @@ def shipped_file(folder: str, name: str, suffix: str) -> Path:
     names = shipped_names(folder, suffix)
     if name not in names:
         raise InputError(f"'{name}' is neither a file nor a shipped name; {nearest(name, names)}")
-    return Path(str(resources.files("terraphi").joinpath("data", folder, name + suffix)))
+    return shipped_folder(folder, name + suffix)
 
 
 def shipped_folder(*parts: str) -> Path:
-    """Path of a folder within the package's data, whether it exists or not."""
-    return Path(str(resources.files("terraphi").joinpath("data", *parts)))
+    """Path of a file or folder within the data; if it is nowhere, where this package would have it.
+
+    Where two packages have it, it is that of the first of :func:`data_folders`.
+    """
+    places = [place.joinpath(*parts) for place in data_folders()]
+    return next((place for place in places if place.exists()), places[0])
 
 
 def strictly(content: dict[str, Any], model: type[Model]) -> Model:

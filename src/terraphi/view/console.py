@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import json
 import logging
-import re
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from terraphi.view.table import Table
+
 if TYPE_CHECKING:
     from terraphi.inference.inversion import Inversion
     from terraphi.inference.joint import JointInversion
     from terraphi.library.store import Library
-
-
-_NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?( ?[%°]| N)?")
 
 
 def as_text(data: Any) -> str:
@@ -56,7 +54,7 @@ def print_inversion(inversion: Inversion) -> None:
         f"{inversion.source}: leg {inversion.leg}, library {inversion.library}, "
         f"density {inversion.density:g} kg/m³{assumed}"
     )
-    print_table(("", "median", "68 %", "95 %"), rows, title=title)
+    print_table(Table(title, ("", "median", "68 %", "95 %"), rows))
     if inversion.phi_plane_strain is None:
         click.echo(f"No equivalent in plane strain: {inversion.plane_strain_reason}.")
     if inversion.budget is not None:
@@ -77,12 +75,12 @@ def print_joint_inversion(found: JointInversion) -> None:
     density = "" if found.density is None else f", density {found.density:g} kg/m³"
     assumed = ", assumed" if found.density_assumed else ""
     count = len(answer["histories"])
-    print_table(
-        ("", "median", "68 %", "95 %", "68 %, others known", "R-hat"),
-        [_parameter_row(found, key) for key in found.keys],
-        title=f"{count} {'history' if count == 1 else 'histories'} ({', '.join(of)}), library "
-        f"{found.library}{density}{assumed}",
+    title = (
+        f"{count} {'history' if count == 1 else 'histories'} ({', '.join(of)}), library "
+        f"{found.library}{density}{assumed}"
     )
+    header = ("", "median", "68 %", "95 %", "68 %, others known", "R-hat")
+    print_table(Table(title, header, [_parameter_row(found, key) for key in found.keys]))
     if found.phi_plane_strain is not None and found.convention != "plane_strain":
         angle = found.phi_plane_strain
         click.echo(
@@ -94,13 +92,12 @@ def print_joint_inversion(found: JointInversion) -> None:
     if len(found.groups) > 1:
         legs = {name: f"leg {name} alone" for name in found.expected_sd} | {"all": "all"}
         click.echo()
-        print_table(
-            ("expected standard deviation", *map(found.axis_name, found.keys)),
-            [
-                (words_for, *(f"{sd:.3g}" for sd in found.expected_sd[name]))
-                for name, words_for in legs.items()
-            ],
-        )
+        names = ("expected standard deviation", *map(found.axis_name, found.keys))
+        rows = [
+            (words_for, *(f"{sd:.3g}" for sd in found.expected_sd[name]))
+            for name, words_for in legs.items()
+        ]
+        print_table(Table("", names, rows))
     if not found.draws.converged:
         click.echo("The draws have not converged: do not use them.")
     click.secho(f"Verdict: {answer['verdict'].replace('_', ' ')}. {answer['reason']}\n", bold=True)
@@ -134,39 +131,26 @@ def print_forces(summary: dict[str, Any]) -> None:
         "mean_peak_Fx_N": ".1f",
     }
     rows = {**summary["feet"], "all feet": summary["pooled"]}
-    print_table(
-        header,
-        [
-            (name, *(figure_in_words(found[figure], form) for figure, form in figures.items()))
-            for name, found in rows.items()
-        ],
-        title=f"Ground's forces on the feet, {summary['estimator']}, {summary['frame']} frame",
-    )
+    cells = [
+        (name, *(figure_in_words(found[figure], form) for figure, form in figures.items()))
+        for name, found in rows.items()
+    ]
+    title = f"Ground's forces on the feet, {summary['estimator']}, {summary['frame']} frame"
+    print_table(Table(title, header, cells))
     shown_above = {"feet", "pooled", "estimator", "frame"}
     print_pairs({name: value for name, value in summary.items() if name not in shown_above})
 
 
-def print_table(
-    header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str | None = None
-) -> None:
-    """Columns, aligned to the right where they hold numbers alone."""
-    from rich import box
+def print_table(table: Table) -> None:
+    """Title, columns and note."""
     from rich.console import Console
-    from rich.table import Table
 
-    if title is not None:
-        click.secho(title, bold=True)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
-    for i, name in enumerate(header):
-        cells = [row[i] for row in rows if row[i] not in ("", "-")]
-        numbers = bool(cells) and all(map(_NUMBER.fullmatch, cells))
-        table.add_column(name, justify="right" if numbers else "left")
-    for row in rows:
-        table.add_row(*row)
+    if table.title:
+        click.secho(table.title, bold=True)
     # Where nobody looks at a terminal, a line is as wide as it needs to be.
     width = None if sys.stdout.isatty() else 160
-    Console(highlight=False, markup=False, width=width).print(table)
-    click.echo()
+    Console(highlight=False, markup=False, width=width).print(table.terminal())
+    click.echo(f"{table.note}\n" if table.note else "")
 
 
 def print_pairs(pairs: dict[str, Any]) -> None:

@@ -22,6 +22,7 @@ from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan
 from terraphi.robot.model import Quadruped
+from terraphi.view import table as view
 
 DOCUMENTS: dict[str, tuple[type[BaseModel], str]] = {
     "scenario": (Scenario, "terraphi simulate SCENARIO.toml"),
@@ -162,12 +163,17 @@ def markdown(document: str) -> str:
     for table in tables(document):
         parts += [f"## {_cell(table.title)}", table.about]
         rows = [
-            f"| `{key.name}` | {key.unit} | {_code(key.default)} | {_cell(key.allowed)} "
-            f"| {_cell(key.meaning)} |"
+            (
+                f"`{key.name}`",
+                key.unit,
+                _code(key.default),
+                _cell(key.allowed),
+                _cell(key.meaning),
+            )
             for key in table.keys
         ]
-        head = ["| key | unit | default | allowed | meaning |", "|---|---|---|---|---|"]
-        parts.append("\n".join([*head, *rows]))
+        header = ("key", "unit", "default", "allowed", "meaning")
+        parts.append(view.Table("", header, rows).markdown())
     return "\n\n".join(parts) + "\n"
 
 

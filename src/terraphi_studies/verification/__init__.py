@@ -13,6 +13,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from terraphi.experiment.errors import InputError, nearest
+from terraphi.view.table import Table
 from terraphi_studies import Study
 from terraphi_studies.verification.check import Family
 from terraphi_studies.verification.document import SHORT_HEADER, data_of, markdown, table
@@ -102,9 +103,11 @@ def run(
     }
     data = data_of(families, found, quick=quick)
     study = Study(
-        title=f"Verification: {data['passed']} checks pass, {data['missed']} miss",
-        header=SHORT_HEADER,
-        rows=table(data),
+        table=Table(
+            f"Verification: {data['passed']} checks pass, {data['missed']} miss",
+            SHORT_HEADER,
+            table(data),
+        ),
         data=data,
         figures={key: figure for drawn in figures.values() for key, figure in drawn.items()},
         documents={

@@ -8,6 +8,7 @@ from typing import Any
 
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import software
+from terraphi.view.table import Table
 from terraphi_studies.verification.check import Check, Family, Outcome
 
 HEADER = (
@@ -153,7 +154,7 @@ def _overview(families: Mapping[str, Family], data: Mapping[str, Any]) -> str:
         verdicts = [check["passed"] for check in data["families"][name]["checks"]]
         missed = len(verdicts) - sum(verdicts)
         rows.append((f"`{name}`", family.title, str(sum(verdicts)), str(missed)))
-    return _grid(("`--only`", "family", "pass", "miss"), rows)
+    return Table("", ("`--only`", "family", "pass", "miss"), rows).markdown()
 
 
 def _misses(families: Mapping[str, Family], data: Mapping[str, Any]) -> list[str]:
@@ -190,7 +191,8 @@ def _section(checks: Sequence[Check]) -> str:
     problems = list(dict.fromkeys(check.problem for check in checks))
     if any(check.settings for check in checks):
         header, rows = _by_settings(checks, problems, mark)
-        return "\n\n".join(filter(None, (_grid(header, rows), _numbered(footnotes))))
+        grid = Table("", header, rows).markdown()
+        return "\n\n".join(filter(None, (grid, _numbered(footnotes))))
     for check in sorted(checks, key=lambda check: problems.index(check.problem)):
         # The source stands at the problem if all of it has the same, else at each quantity.
         sources = {other.source for other in checks if other.problem == check.problem}
@@ -202,7 +204,8 @@ def _section(checks: Sequence[Check]) -> str:
         quantity, *numbers = _numbers(check)
         verdict = "pass" if check.passed else f"**MISS**{mark(check.cause)}"
         rows.append((name, quantity + own, *numbers, check.resolution, verdict))
-    return "\n\n".join(filter(None, (_grid(HEADER, rows), _numbered(footnotes))))
+    grid = Table("", HEADER, rows).markdown()
+    return "\n\n".join(filter(None, (grid, _numbered(footnotes))))
 
 
 def _numbered(footnotes: Sequence[str]) -> str:
@@ -259,13 +262,6 @@ def _numbers(check: Check) -> tuple[str, ...]:
         number(check.obtained),
         _difference(check.deviation, check.relative, signed=True),
         _SIGN[check.sense] + _difference(check.tolerance, check.relative),
-    )
-
-
-def _grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(
-        f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines
     )
 
 

@@ -46,6 +46,13 @@ def recovery_data() -> dict:
     }  # fmt: skip
     return {
         "study": "recovery",
+        "about": "friction angles of fresh simulations",
+        "notes": ["All by `quadrature`."],
+        "table": {
+            "title": "Recovery of 2 friction angles",
+            "header": ["true φ", "median"],
+            "rows": [["21.60°", "21.73°"], ["40.00°", "39.50°"]],
+        },
         "library": "quick-plane-strain",
         "yield": "plane_strain",
         "cases": [case, {**case, "phi_true_deg": 40.0, "phi_median_deg": 39.5}],

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from terraphi.view.report.certificate import certificate_of, certificate_parts
-from terraphi.view.report.parts import Table, Text
+from terraphi.view.report.parts import Text
+from terraphi.view.table import Table
 
 LEGS = {"straight": {"coverage68": 0.683, "coverage95": 0.951, "replicates": 5000}, "c": {}}
 

@@ -27,7 +27,8 @@ from terraphi.view.report.inversion import (
     section,
 )
 from terraphi.view.report.page import context, render
-from terraphi.view.report.parts import Plot, Section, Table, Text
+from terraphi.view.report.parts import Plot, Section, Text
+from terraphi.view.table import Table
 
 HOSTILE = "</script><img src=x onerror=alert(1)><b>'\"&$x$"
 
@@ -226,13 +227,13 @@ def test_side_by_side_tells_two_answers_of_one_file_apart(
         (tmp_path / name / "answer.json").write_text(json.dumps(content))
         found.append(section(tmp_path / name))
     (table,) = context(found)["overviews"]
-    assert table["header"][:2] == ("", "verdict")
-    assert table["header"][-4:] == ("likelihood", "density", "noise", "discrepancy")
-    first, second = table["rows"]
+    assert table.header[:2] == ("", "verdict")
+    assert table.header[-4:] == ("likelihood", "density", "noise", "discrepancy")
+    first, second = table.rows
     assert first[-4] == "paper"
     assert second[-4:] == ("calibrated", first[-3] + ", assumed", "given, 0.05 N", "gp")
     (table,) = context([found[0], found[0]])["overviews"]
-    assert "likelihood" not in table["header"]
+    assert "likelihood" not in table.header
 
 
 def test_without_a_certificate_the_page_says_so(inversion_folder: Path) -> None:

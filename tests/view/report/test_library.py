@@ -10,7 +10,8 @@ import numpy as np
 from terraphi.library.store import Case, Library
 from terraphi.view.report.library import section
 from terraphi.view.report.page import render
-from terraphi.view.report.parts import Plot, Table
+from terraphi.view.report.parts import Plot
+from terraphi.view.table import Table
 
 
 def test_curves_and_peaks_are_those_of_the_cases() -> None:

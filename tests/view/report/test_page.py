@@ -16,7 +16,8 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.view.report import page
 from terraphi.view.report import parts as fig
-from terraphi.view.report.parts import Plot, Section, Table, Text, decimals, label, number, pairs
+from terraphi.view.report.parts import Plot, Section, Text, decimals, label, number, pairs
+from terraphi.view.table import Table
 
 HOSTILE = "</script><img src=x onerror=alert(1)><b>'\"&$x$"
 
@@ -30,7 +31,7 @@ def hostile_section() -> Section:
         parts=[
             Plot(HOSTILE, [fig.line([1], [2], HOSTILE, "@blue")], fig.layout("x", "y"), HOSTILE),
             Table(HOSTILE, (HOSTILE, HOSTILE), [(HOSTILE, HOSTILE)], HOSTILE),
-            Table(HOSTILE, (HOSTILE,), [(HOSTILE,)], folded=True, prose=True),
+            Table(HOSTILE, (HOSTILE,), [(HOSTILE,)], folded=True),
             Text(HOSTILE, (HOSTILE,)),
         ],
         provenance={HOSTILE: {HOSTILE: HOSTILE}},

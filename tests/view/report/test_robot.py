@@ -11,8 +11,9 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.robot.logs import read_log, write_npz
 from terraphi.robot.results import analyse, read_stances, write_forces
-from terraphi.view.report.parts import Plot, Section, Table, Text
+from terraphi.view.report.parts import Plot, Section, Text
 from terraphi.view.report.robot import MOST_POINTS, _thinned, section
+from terraphi.view.table import Table
 
 
 def plots(found: Section) -> list[Plot]:

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from terraphi.library.store import Library
-from terraphi.view.report.parts import Part, Table, Text, number
+from terraphi.view.report.parts import Part, Text, number
+from terraphi.view.table import Table
 
 WORDS = {
     "replicates": "worlds tried",

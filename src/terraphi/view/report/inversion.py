@@ -33,12 +33,12 @@ from terraphi.view.report.parts import (
     Plot,
     Section,
     Status,
-    Table,
     Text,
     decimals,
     number,
     smooth_density,
 )
+from terraphi.view.table import Table
 
 FloatArray = NDArray[np.float64]
 

@@ -9,8 +9,9 @@ from typing import Any
 
 from terraphi.experiment.errors import InputError
 from terraphi.view.report.inversion import STATUS
-from terraphi.view.report.parts import Part, Section, Table, Text, number
+from terraphi.view.report.parts import Part, Section, Text, number
 from terraphi.view.report.study import pictures
+from terraphi.view.table import Table
 
 UNCHECKED = "consistent; nobody has checked how often joint intervals hold the truth"
 PICTURES = "Fits, and the corner plot of the posterior"
@@ -52,7 +53,7 @@ def section(path: Path) -> Section:
         Text("What the forces fix", tuple(map(str, answer["identifiability"]["sentences"]))),
         *_expected(answer),
         _histories(answer),
-        *pictures(folder, PICTURES, folded=False),
+        *pictures(folder, PICTURES),
     ]
     about = {key: answer[key] for key in ("library", "likelihood", "sampler", "seed", "fixed")}
     status = STATUS.get(str(answer["verdict"]), "none")

@@ -13,7 +13,8 @@ from terraphi.library.reproduction import account
 from terraphi.library.store import Case, Library
 from terraphi.view.report import parts as fig
 from terraphi.view.report.certificate import certificate_parts
-from terraphi.view.report.parts import Part, Plot, Section, Table, label, number
+from terraphi.view.report.parts import Part, Plot, Section, label, number
+from terraphi.view.table import Table
 
 LEG_WORDS = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C leg"}
 MOST_CURVES = 24
@@ -86,7 +87,7 @@ def _facts(library: Library, summary: dict[str, Any]) -> Table:
         ("particles a cell's side", f"{first.numerics.particles_per_cell_side}"),
         ("speed-up", f"{first.numerics.speed_up:g}"),
     ]
-    return Table("What was simulated", ("", "first case"), rows, prose=True)
+    return Table("What was simulated", ("", "first case"), rows)
 
 
 def _leg_plots(library: Library, leg: str, cases: list[Case]) -> list[Part]:

@@ -23,6 +23,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import replacing
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 from terraphi.view.report.parts import Part, Player, Plot, Section, number, pairs
+from terraphi.view.table import Table
 
 LARGEST_BYTES = 6_000_000
 """Size that a page stays below."""
@@ -198,7 +199,7 @@ def _palette() -> str:
     )
 
 
-def _overviews(sections: Sequence[Section]) -> list[dict[str, Any]]:
+def _overviews(sections: Sequence[Section]) -> list[Table]:
     """A table for each kind of result of which there are several."""
     found = []
     for columns in dict.fromkeys(tuple(s.overview) for s in sections if s.overview):
@@ -213,8 +214,7 @@ def _overviews(sections: Sequence[Section]) -> list[dict[str, Any]]:
                 (s.title, *s.overview.values(), *(s.apart.get(name, "–") for name in more))
                 for s in alike
             ]
-            found.append({"title": "Side by side", "header": ("", *columns, *more), "rows": rows,
-                          "note": "", "prose": True})  # fmt: skip
+            found.append(Table("Side by side", ("", *columns, *more), rows))
     return found
 
 
@@ -229,7 +229,7 @@ def _shown(section: Section, index: int) -> dict[str, Any]:
         "badge": section.badge or WORDS[section.status],
         "reason": section.reason,
         "parts": parts,
-        "provenance": pairs(section.provenance),
+        "provenance": Table("", ("", ""), pairs(section.provenance)),
     }
 
 
@@ -242,6 +242,9 @@ def _fields(part: Part) -> dict[str, Any]:
     if isinstance(part, Plot):
         return {"part": part.part, "title": part.title, "note": part.note, "wide": part.wide,
                 "height": part.height}  # fmt: skip
+    if isinstance(part, Table):
+        return {"part": part.part, "title": part.title, "wide": part.wide, "folded": part.folded,
+                "table": part}  # fmt: skip
     return asdict(part)
 
 

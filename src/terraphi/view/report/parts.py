@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from terraphi.view.plots import PHI_LABEL
+from terraphi.view.table import Table
 
 Status = Literal["good", "doubtful", "bad", "none"]
 """Whether an answer may be believed; said in words beside it too."""
@@ -53,20 +54,6 @@ class Plot:
 
 
 @dataclass(frozen=True)
-class Table:
-    """A table; ``prose`` if its columns after the first hold sentences and not numbers."""
-
-    title: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    note: str = ""
-    wide: bool = False
-    folded: bool = False
-    prose: bool = False
-    part: str = field(default="table", init=False)
-
-
-@dataclass(frozen=True)
 class Text:
     """Paragraphs, or HTML made of somebody's Markdown by a renderer that lets no HTML through."""
 
@@ -86,7 +73,6 @@ class Pictures:
     pictures: Sequence[tuple[str, str]]
     note: str = ""
     wide: bool = True
-    folded: bool = False
     part: str = field(default="pictures", init=False)
 
 
@@ -298,24 +284,6 @@ def layout(x: str, y: str, **more: Any) -> dict[str, Any]:
 def phi_label(convention: object) -> str:
     """Title of an axis of friction angles; an unknown convention is named as it is."""
     return PHI_LABEL.get(str(convention), f"friction angle, {label(convention)} [deg]")
-
-
-def grouped(x: str, y: str) -> dict[str, Any]:
-    """A layout of bars beside each other over words, which may look like numbers."""
-    return layout(x, y, barmode="group", xaxis={"type": "category"})
-
-
-def horizontal(y: float, colour: str, *, dash: str = "dot") -> dict[str, Any]:
-    """A line from left to right."""
-    return {
-        "type": "line",
-        "x0": 0,
-        "x1": 1,
-        "xref": "paper",
-        "y0": y,
-        "y1": y,
-        "line": {"color": colour, "dash": dash, "width": 1.5},
-    }
 
 
 def vertical(x: float, colour: str, *, dash: str = "dot") -> dict[str, Any]:

@@ -20,8 +20,9 @@ from terraphi.robot.model import Quadruped
 from terraphi.robot.results import KIND, SCHEMA, RobotForces, analyse
 from terraphi.robot.stance import AXES
 from terraphi.view.report import parts as fig
-from terraphi.view.report.parts import Part, Plot, Section, Table, Text, number
+from terraphi.view.report.parts import Part, Plot, Section, Text, number
 from terraphi.view.robot_plots import FOOT_NAMES
+from terraphi.view.table import Table
 
 FloatArray = NDArray[np.float64]
 

@@ -21,7 +21,8 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm.fields import LEG, PARTICLES
 from terraphi.forward.vtk import Grid, read_points, read_series
 from terraphi.view.report import parts as fig
-from terraphi.view.report.parts import Part, Player, Plot, Section, Table, number
+from terraphi.view.report.parts import Part, Player, Plot, Section, number
+from terraphi.view.table import Table
 
 FloatArray = NDArray[np.float64]
 

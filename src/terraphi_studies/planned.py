@@ -1,0 +1,189 @@
+"""Studies of planned cases: what is finished, what is missing, and how it is simulated.
+
+Such a study reads the finished cases of shipped plans, of which each is a file named by the hash of
+its scenario, in the package's data and in a folder; what neither has is simulated on request and
+kept in the folder. It measures what is there and says what is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from terraphi.experiment.documents import shipped_folder
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import held
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.scenario import Scenario
+from terraphi.library.build import failed_cases, finished_cases, simulate_cases
+from terraphi.library.cluster import pool
+from terraphi.library.plan import Plan, Variant, label
+from terraphi_studies import Study
+
+SPEED = 6.5e7
+"""Particle-steps a second on one core [1/s], where no finished case says how many."""
+
+
+@dataclass(frozen=True)
+class Simulations:
+    """Where finished cases are, and who simulates the others.
+
+    Attributes
+    ----------
+    build
+        Folder of further finished cases. What is neither shipped nor there is simulated first, and
+        kept there; without a folder nothing is simulated.
+    workers
+        Processes to simulate on; 1 if not given.
+    cluster
+        Address of a Dask cluster to simulate on instead.
+    progress
+        Called with the number of finished cases of a plan, counting parts, and of all.
+
+    Raises
+    ------
+    InputError
+        If workers or a cluster are named, and no folder for what they simulate.
+    """
+
+    build: Path | None = None
+    workers: int | None = None
+    cluster: str | None = None
+    progress: Callable[[float, float], None] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what would do nothing."""
+        if (self.workers or self.cluster) and self.build is None:
+            raise InputError("workers are for what is simulated: name a --build FOLDER")
+
+    def histories(self, *plans: Plan, keep_failures: bool = False) -> dict[str, ForceHistory]:
+        """Usable histories of plans, by the hash of their scenario.
+
+        Parameters
+        ----------
+        *plans
+            Their names are those of the folders of the shipped cases.
+        keep_failures
+            Whether a case that fails is no error; it is not tried again.
+
+        Raises
+        ------
+        InputError
+            If the workers cannot be had or the folder not be written, and if a simulation failed or
+            was interrupted: the others are kept.
+        """
+        found: dict[str, ForceHistory] = {}
+        for plan in plans:
+            for folder in self._folders(plan.name):
+                found |= finished_cases(folder)
+            failed = self.failures(plan.name) if keep_failures else {}
+            waiting = {scenario.hash for scenario in plan.cases()} - found.keys() - failed.keys()
+            if self.build is not None and waiting:
+                found |= self._simulated(plan, self.build, failed, keep_failures=keep_failures)
+        return found
+
+    def failures(self, name: str) -> dict[str, str]:
+        """Why cases of a plan failed, by the hash of their scenario."""
+        return {key: why for f in self._folders(name) for key, why in failed_cases(f).items()}
+
+    def _folders(self, name: str) -> list[Path]:
+        return [shipped_folder("cases", name), *([self.build] if self.build else [])]
+
+    def _simulated(
+        self, plan: Plan, folder: Path, failed: Mapping[str, str], *, keep_failures: bool
+    ) -> dict[str, ForceHistory]:
+        report = self.progress
+        try:
+            with held(folder), pool(self.workers, self.cluster, default=1) as running:
+                finished, failures = simulate_cases(
+                    plan,
+                    folder,
+                    known=finished_cases(shipped_folder("cases", plan.name)),
+                    executor=running.executor,
+                    progress=lambda done, total: report and report(running.counted(done), total),
+                    keep_failures=keep_failures,
+                    known_failures=failed,
+                )
+        except KeyboardInterrupt:
+            raise InputError(
+                f"{folder}: interrupted; what was finished is kept there, and the same command "
+                "goes on from there"
+            ) from None
+        for variant in plan.variants():
+            if variant.scenario.hash in failures and not keep_failures:
+                reason = failures[variant.scenario.hash]
+                raise InputError(f"plan '{plan.name}': {label(variant)} failed: {reason}")
+        return finished
+
+
+def of_plans(study: Callable[[Simulations], Study]) -> Callable[..., Study]:
+    """The ``run`` of a study of planned cases: its options are those of :class:`Simulations`."""
+
+    def run(
+        *,
+        build: Path | None = None,
+        workers: int | None = None,
+        cluster: str | None = None,
+        progress: Callable[[float, float], None] | None = None,
+    ) -> Study:
+        return study(Simulations(build, workers, cluster, progress))
+
+    run.__doc__ = study.__doc__
+    return run
+
+
+def need_base(plan: Plan, finished: Mapping[str, ForceHistory]) -> None:
+    """Raise InputError if a plan's base, with which all is compared, is not among the finished."""
+    if plan.scenario.hash not in finished:
+        raise InputError(
+            f"plan '{plan.name}': its base, with which all is compared, is not simulated yet; "
+            "--build FOLDER simulates what is missing"
+        )
+
+
+def missing_from(plan: Plan, finished: Mapping[str, ForceHistory]) -> list[Variant]:
+    """Variants of a plan that are not finished."""
+    return [v for v in plan.variants() if v.scenario.hash not in finished]
+
+
+def minutes_of(scenario: Scenario, finished: Mapping[str, ForceHistory]) -> float:
+    """Time that a simulation would take on one core, roughly [min].
+
+    At the highest speed of the finished cases: that of the one least disturbed by what else the
+    machine did.
+    """
+    known = [history.provenance for history in finished.values()]
+    speeds = [
+        made["particles"] * made["steps"] / made["seconds"]["all"]
+        for made in known
+        if {"particles", "steps", "seconds"} <= made.keys()
+    ]
+    bed, numerics = scenario.bed, scenario.numerics
+    cells = bed.width * bed.height / numerics.cell_size**2
+    steps = scenario.motion.duration / numerics.speed_up / numerics.time_step
+    work = cells * numerics.particles_per_cell_side**2 * steps
+    return work / max(speeds, default=SPEED) / 60.0
+
+
+def not_yet(
+    study: str, missing: Iterable[tuple[str, Scenario]], finished: Mapping[str, ForceHistory]
+) -> list[str]:
+    """A note on what is not simulated yet, how long it takes and who does it; empty if nothing.
+
+    Parameters
+    ----------
+    study
+        Its name.
+    missing
+        Names of the cases, and the cases.
+    finished
+        Histories by the hash of their scenario, whose speed is expected of the others.
+    """
+    times = {name: minutes_of(scenario, finished) for name, scenario in missing}
+    if not times:
+        return []
+    cases = ", ".join(f"{name} ({minutes:.0f} min)" for name, minutes in times.items())
+    command = f"`terraphi study {study} --build FOLDER`"
+    whole = f"{sum(times.values()):.0f} minutes of one core"
+    return [f"Not simulated yet: {cases}; {command} does it in about {whole}."]
