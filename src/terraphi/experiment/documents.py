@@ -28,6 +28,7 @@ def data_folders() -> tuple[Path, ...]:
     places = [place for spec in specs for place in spec.submodule_search_locations or ()]
     return tuple(Path(place) / "data" for place in places)
 
+
 WRITTEN = "written by people"
 """Context in which pydantic checks a document that people write, in contrast to a stored one."""
 
