@@ -1,17 +1,12 @@
-"""A Gaussian process on a full grid, by the Kronecker structure of its covariance.
+"""A Gaussian process for one force over friction angle and leg angle, known on a full grid.
 
-A library holds each force component on a full grid of friction angles phi and leg angles theta. On
-such a grid the anisotropic squared-exponential kernel with white noise is
+The model is that of the paper (Xu & Wang): one process a force component, the anisotropic
+squared-exponential kernel with white noise,
 
-    K = sigma_f^2 K_phi (x) K_theta + sigma_n^2 I,    (x) the Kronecker product,
+    K = sigma_f^2 K_phi (x) K_theta + sigma_n^2 I,    (x) the Kronecker product (`kronecker`),
 
-so the eigendecompositions of two small matrices, n x n and m x m, give the evidence, its gradient
-and the predictions in closed form: O(n^3 + m^3) where a dense solver needs O(n^3 m^3)
-(Saatchi, *Scalable Inference for Structured Gaussian Process Models*, 2011, ch. 5).
-
-The model is that of the paper (Xu & Wang): one process a force component, hyperparameters by
-maximum marginal likelihood. Values are centred and scaled to unit variance first, as scikit-learn
-does with ``normalize_y=True``.
+and hyperparameters of maximum marginal likelihood. Values are centred and scaled to unit variance
+first, as scikit-learn does with ``normalize_y=True``.
 """
 
 from __future__ import annotations
@@ -22,6 +17,8 @@ from typing import Literal, Self, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
+
+from terraphi.surrogate.kronecker import Kronecker, Posterior, maximise
 
 FloatArray = NDArray[np.float64]
 
@@ -87,9 +84,7 @@ class KroneckerGP:
     log_marginal_likelihood: float
     mean: float
     std: float
-    _mean_weights: FloatArray = field(repr=False)
-    _variance_weights: FloatArray = field(repr=False)
-    _phi_basis: FloatArray = field(repr=False)
+    _posterior: Posterior = field(repr=False)
 
     @classmethod
     def fit(
@@ -150,23 +145,15 @@ class KroneckerGP:
 
     @classmethod
     def _from_grid(cls, grid: _Grid, parameters: KernelParameters) -> Self:
-        spectrum = _Spectrum(grid, parameters)
-        # Leg angles never change, so all but k(phi*, phi) folds into two matrices [phi, theta]:
-        # at a training angle, k_theta V is a row of K_theta V = V diag(roots).
-        sigma2 = parameters.signal_variance
-        basis, roots = spectrum.theta_basis, spectrum.theta_roots
-        mean_weights = sigma2 * spectrum.phi_basis @ (spectrum.weights * roots) @ basis.T
-        variance_weights = sigma2**2 * (roots**2 / spectrum.eigenvalues) @ np.square(basis.T)
+        known = grid.known(parameters)
         return cls(
             phi_deg=_read_only(grid.phi_deg),
             theta_deg=_read_only(grid.theta_deg),
             parameters=parameters,
-            log_marginal_likelihood=spectrum.log_evidence(),
+            log_marginal_likelihood=known.log_evidence(),
             mean=grid.mean,
             std=grid.std,
-            _mean_weights=_read_only(grid.std * mean_weights),
-            _variance_weights=_read_only(variance_weights),
-            _phi_basis=_read_only(spectrum.phi_basis),
+            _posterior=known.posterior(grid.std),
         )
 
     @property
@@ -205,15 +192,13 @@ class KroneckerGP:
         phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))
         if phi.ndim != 1:
             raise ValueError(f"phi_deg has shape {phi.shape}; expected one dimension")
-        distance = (phi[:, None] - self.phi_deg) / self.parameters.phi_length_deg
-        correlation = np.exp(-0.5 * np.square(distance))
-        mean: FloatArray = self.mean + correlation @ self._mean_weights
+        correlation = _correlation(phi[:, None] - self.phi_deg, self.parameters.phi_length_deg)
+        posterior = self._posterior
+        mean = self.mean + posterior.mean(correlation) @ posterior.basis.T
         if not return_variance:
             return mean
-        explained = np.square(correlation @ self._phi_basis) @ self._variance_weights
-        # The difference of two nearly equal numbers may round to a negative one.
-        variance = np.maximum(self.parameters.signal_variance - explained, 0.0)
-        return mean, self.std**2 * variance
+        variance = posterior.variance(correlation, np.ones(phi.size)) @ np.square(posterior.basis.T)
+        return mean, variance
 
 
 class _Grid:
@@ -233,85 +218,59 @@ class _Grid:
         if np.ptp(grid) == 0.0:
             raise ValueError(f"all values equal {self.mean:g}; they must vary over the grid")
         self.standardised = (grid - self.mean) / self.std
-        self.phi_distance2 = np.square(phi[:, None] - phi)
-        self.theta_distance2 = np.square(theta[:, None] - theta)
 
-
-class _Spectrum:
-    """The covariance in its eigenbasis, K = (U (x) V) diag(eigenvalues) (U (x) V)^T.
-
-    ``weights`` is K^-1 y in that basis; arrays over the basis have shape [phi, theta].
-    """
-
-    def __init__(self, grid: _Grid, parameters: KernelParameters) -> None:
-        self.grid, self.parameters = grid, parameters
-        self.phi_factor = np.exp(-0.5 * grid.phi_distance2 / parameters.phi_length_deg**2)
-        self.theta_factor = np.exp(-0.5 * grid.theta_distance2 / parameters.theta_length_deg**2)
-        phi_roots, self.phi_basis = np.linalg.eigh(self.phi_factor)
-        theta_roots, self.theta_basis = np.linalg.eigh(self.theta_factor)
-        # Round-off puts roots near -1e-16 where the exact matrix has tiny positive ones.
-        self.phi_roots, self.theta_roots = phi_roots.clip(min=0.0), theta_roots.clip(min=0.0)
-        self.signal = parameters.signal_variance * np.outer(self.phi_roots, self.theta_roots)
-        self.eigenvalues = self.signal + parameters.noise_variance
-        self.projected = self.phi_basis.T @ grid.standardised @ self.theta_basis
-        self.weights = self.projected / self.eigenvalues
-
-    def log_evidence(self) -> float:
-        """Log p(y) = -(y^T K^-1 y + log |K| + N log 2 pi) / 2 (R & W eq. 2.30)."""
-        quadratic = np.sum(self.projected * self.weights)
-        log_determinant = np.sum(np.log(self.eigenvalues))
-        return float(-0.5 * (quadratic + log_determinant + self.weights.size * np.log(2 * np.pi)))
-
-    def log_evidence_gradient(self) -> FloatArray:
-        """(y^T K^-1 K' K^-1 y - tr(K^-1 K')) / 2, K' by each log parameter (R & W eq. 5.9)."""
-        weights, inverse = self.weights, 1.0 / self.eigenvalues
-        sensitivity = np.square(weights) - inverse
-
-        def along(slope: FloatArray, basis: FloatArray, roots: FloatArray, axis: int) -> float:
-            # K' = sigma_f^2 slope (x) K_theta or, for axis 1, sigma_f^2 K_phi (x) slope; only the
-            # factor that depends on the length loses its diagonal form.
-            w, inv = (weights, inverse) if axis == 0 else (weights.T, inverse.T)
-            rotated = basis.T @ slope @ basis
-            quadratic = np.sum((rotated @ w) * w * roots)
-            trace = np.diag(rotated) @ inv @ roots
-            return self.parameters.signal_variance * float(quadratic - trace)
-
-        grid, parameters = self.grid, self.parameters
-        phi_slope = self.phi_factor * grid.phi_distance2 / parameters.phi_length_deg**2
-        theta_slope = self.theta_factor * grid.theta_distance2 / parameters.theta_length_deg**2
-        return 0.5 * np.array(
-            [
-                np.sum(self.signal * sensitivity),
-                along(phi_slope, self.phi_basis, self.theta_roots, 0),
-                along(theta_slope, self.theta_basis, self.phi_roots, 1),
-                parameters.noise_variance * np.sum(sensitivity),
-            ]
+    def known(self, parameters: KernelParameters) -> Kronecker:
+        """The values with their covariance."""
+        return Kronecker(
+            _correlation(self.phi_deg[:, None] - self.phi_deg, parameters.phi_length_deg),
+            _correlation(self.theta_deg[:, None] - self.theta_deg, parameters.theta_length_deg),
+            self.standardised,
+            signal=parameters.signal_variance,
+            noise=parameters.noise_variance,
         )
+
+    def evidence(self, logarithms: FloatArray) -> tuple[float, FloatArray]:
+        """Log evidence and its gradient by the logarithm of each of `KernelParameters`."""
+        parameters = KernelParameters(*np.exp(logarithms).tolist())
+        known = self.known(parameters)
+        gradient = [
+            known.by_signal(),
+            known.along("left", _by_log_length(self.phi_deg, parameters.phi_length_deg)),
+            known.along("right", _by_log_length(self.theta_deg, parameters.theta_length_deg)),
+            known.by_noise(),
+        ]
+        return known.log_evidence(), np.array(gradient)
+
+
+def _correlation(lag_deg: FloatArray, length_deg: float) -> FloatArray:
+    """Squared exponential [-] (R & W eq. 4.9)."""
+    return np.exp(-0.5 * np.square(lag_deg) / length_deg**2)
+
+
+def _by_log_length(angles_deg: FloatArray, length_deg: float) -> FloatArray:
+    """Derivative of the correlation between angles by the logarithm of its length [-]."""
+    lag_deg = angles_deg[:, None] - angles_deg
+    return _correlation(lag_deg, length_deg) * np.square(lag_deg) / length_deg**2
 
 
 def _maximise_evidence(
     grid: _Grid, shortest_theta_length_deg: float, *, restarts: int, seed: int
 ) -> KernelParameters:
-    from scipy.optimize import minimize
-
-    def objective(logarithms: FloatArray) -> tuple[float, FloatArray]:
-        spectrum = _Spectrum(grid, KernelParameters(*np.exp(logarithms).tolist()))
-        return -spectrum.log_evidence(), -spectrum.log_evidence_gradient()
-
     angles = (grid.phi_deg, grid.theta_deg)
     shortest = (0.5 * np.diff(grid.phi_deg).min(), shortest_theta_length_deg)
     lengths = [(low, 10.0 * np.ptp(a)) for low, a in zip(shortest, angles, strict=True)]
-    low, high = np.log([SIGNAL_VARIANCE_BOUNDS, *lengths, NOISE_VARIANCE_BOUNDS]).T
     # Forces vary slowly with phi and over some tens of degrees with theta; little of it is noise.
     heuristic = np.log([1.0, np.ptp(angles[0]) / 2.0, np.ptp(angles[1]) / 8.0, 1e-3])
-    random = np.random.default_rng(seed).uniform(low, high, size=(restarts, low.size))
-    bounds, tolerances = np.column_stack([low, high]), {"ftol": 1e-13, "gtol": 1e-6}
-    optima = [
-        minimize(objective, start, jac=True, bounds=bounds, method="L-BFGS-B", options=tolerances)
-        for start in (heuristic.clip(low, high), *random)
-    ]
-    best = min(optima, key=lambda optimum: float(optimum.fun))
-    return KernelParameters(*np.exp(best.x).tolist())
+    best = maximise(
+        grid.evidence,
+        [heuristic],
+        np.log([SIGNAL_VARIANCE_BOUNDS, *lengths, NOISE_VARIANCE_BOUNDS]),
+        restarts=restarts,
+        seed=seed,
+        ftol=1e-13,
+        gtol=1e-6,
+    )
+    return KernelParameters(*np.exp(best).tolist())
 
 
 def _increasing(name: str, angles_deg: ArrayLike, *, minimum: int) -> FloatArray:
