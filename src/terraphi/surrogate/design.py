@@ -216,7 +216,7 @@ class DesignGP:
                 even = np.linspace(0, len(data.points) - 1, FIT_CASES).round().astype(int)
                 chosen = _Data(data.points[even], theta_deg, data.values[even])
             kernel = _maximise_evidence(chosen, kind, trend, restarts, seed)
-            return cls._conditioned(data, kernel)
+            return cls.condition(points, theta_deg, values, kernel)
 
     @classmethod
     def condition(
@@ -224,11 +224,8 @@ class DesignGP:
     ) -> Self:
         """Condition on the values at given hyperparameters; arguments and errors as in `fit`."""
         with threadpool_limits(limits=1, user_api="blas"):
-            return cls._conditioned(_Data(points, theta_deg, values), kernel)
-
-    @classmethod
-    def _conditioned(cls, data: _Data, kernel: DesignKernel) -> Self:
-        known = data.known(kernel)
+            data = _Data(points, theta_deg, values)
+            known = data.known(kernel)
         return cls(
             points=data.points,
             theta_deg=data.theta_deg,
