@@ -256,7 +256,7 @@ class DesignGP:
         return self._mean(self.kernel.over_parameters(points, self.points))
 
     def _mean(self, across: FloatArray) -> FloatArray:
-        mean: FloatArray = self.mean @ self.basis + self.posterior.mean(across)
+        mean: FloatArray = self.mean @ self.basis + across @ self.posterior.mean_weights
         return mean
 
     def rotated(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -170,8 +170,8 @@ class Kronecker:
             roots=roots,
             signal=signal,
             unit=unit,
+            mean_weights=unit * signal * self.left.basis @ (self.weights * roots),
             _points_basis=self.left.basis,
-            _mean_weights=unit * signal * self.left.basis @ (self.weights * roots),
             _variance_weights=signal**2 * np.square(roots) / self.eigenvalues,
         )
 
@@ -188,20 +188,17 @@ class Posterior:
         V and b [-], shapes [M, M] and [M].
     signal, unit
         s [-], and the unit of the values.
+    mean_weights
+        s U W diag(b) times the unit: ``across`` times these is the mean, shape [n, M].
     """
 
     basis: FloatArray
     roots: FloatArray
     signal: float
     unit: float
+    mean_weights: FloatArray
     _points_basis: FloatArray
-    _mean_weights: FloatArray
     _variance_weights: FloatArray
-
-    def mean(self, across: FloatArray) -> FloatArray:
-        """Mean, shape [k, M]."""
-        mean: FloatArray = across @ self._mean_weights
-        return mean
 
     def variance(self, across: FloatArray, alone: FloatArray) -> FloatArray:
         """Variance at points of variance ``alone`` a priori, shape [k] -> [k, M]."""

@@ -95,6 +95,7 @@ class GridGP:
     mean: float
     std: float
     _posterior: Posterior = field(repr=False)
+    _mean_weights: FloatArray = field(repr=False)
 
     @classmethod
     def fit(
@@ -153,6 +154,7 @@ class GridGP:
         """Condition on the values at given hyperparameters; arguments and errors as in `fit`."""
         grid = _Grid(phi_deg, theta_deg, values)
         known = grid.known(parameters)
+        posterior = known.posterior()
         return cls(
             phi_deg=_read_only(grid.phi_deg),
             theta_deg=_read_only(grid.theta_deg),
@@ -160,7 +162,9 @@ class GridGP:
             log_marginal_likelihood=known.log_evidence(),
             mean=grid.mean,
             std=grid.std,
-            _posterior=known.posterior(grid.std),
+            _posterior=posterior,
+            # Leg angles never change, so the way back from the basis folds into the weights.
+            _mean_weights=grid.std * (posterior.mean_weights @ posterior.basis.T),
         )
 
     @property
@@ -170,22 +174,22 @@ class GridGP:
 
     def predict(self, phi_deg: ArrayLike) -> FloatArray:
         """Mean of the force at the training leg angles [N], shape [k] -> [k, theta]."""
-        mean: FloatArray = self._posterior.mean(self._across(phi_deg)) @ self._posterior.basis.T
-        return self.mean + mean
+        mean: FloatArray = self.mean + self._across(phi_deg) @ self._mean_weights
+        return mean
 
     def predict_variance(self, phi_deg: ArrayLike) -> FloatArray:
         """Variance of the force `predict`, without the white noise [N^2], same shape."""
         across = self._across(phi_deg)
         variance = self._posterior.variance(across, np.ones(len(across)))
-        there: FloatArray = variance @ np.square(self._posterior.basis.T)
-        return there
+        return self.std**2 * (variance @ np.square(self._posterior.basis.T))
 
     def _across(self, phi_deg: ArrayLike) -> FloatArray:
         """Correlation over phi with the training angles [-], shape [k, phi]."""
         phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))
         if phi.ndim != 1:
             raise ValueError(f"phi_deg has shape {phi.shape}; expected one dimension")
-        return _correlation(phi[:, None] - self.phi_deg, self.parameters.phi_length_deg)
+        distance = (phi[:, None] - self.phi_deg) / self.parameters.phi_length_deg
+        return np.exp(-0.5 * np.square(distance))
 
 
 class _Grid:
