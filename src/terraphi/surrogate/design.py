@@ -176,6 +176,7 @@ class DesignGP:
     mean: FloatArray
     std: float
     posterior: Posterior = field(repr=False)
+    _rotated_centre: FloatArray = field(repr=False)
 
     @classmethod
     def fit(
@@ -216,7 +217,7 @@ class DesignGP:
                 even = np.linspace(0, len(data.points) - 1, FIT_CASES).round().astype(int)
                 chosen = _Data(data.points[even], theta_deg, data.values[even])
             kernel = _maximise_evidence(chosen, kind, trend, restarts, seed)
-            return cls.condition(points, theta_deg, values, kernel)
+            return cls._conditioned(data, kernel)
 
     @classmethod
     def condition(
@@ -224,8 +225,12 @@ class DesignGP:
     ) -> Self:
         """Condition on the values at given hyperparameters; arguments and errors as in `fit`."""
         with threadpool_limits(limits=1, user_api="blas"):
-            data = _Data(points, theta_deg, values)
-            known = data.known(kernel)
+            return cls._conditioned(_Data(points, theta_deg, values), kernel)
+
+    @classmethod
+    def _conditioned(cls, data: _Data, kernel: DesignKernel) -> Self:
+        known = data.known(kernel)
+        posterior = known.posterior(data.std)
         return cls(
             points=data.points,
             theta_deg=data.theta_deg,
@@ -233,7 +238,8 @@ class DesignGP:
             log_marginal_likelihood=known.log_evidence(),
             mean=data.mean,
             std=data.std,
-            posterior=known.posterior(data.std),
+            posterior=posterior,
+            _rotated_centre=data.mean @ posterior.basis,
         )
 
     @property
@@ -256,7 +262,7 @@ class DesignGP:
         return self._mean(self.kernel.over_parameters(points, self.points))
 
     def _mean(self, across: FloatArray) -> FloatArray:
-        mean: FloatArray = self.mean @ self.basis + across @ self.posterior.mean_weights
+        mean: FloatArray = self._rotated_centre + across @ self.posterior.mean_weights
         return mean
 
     def rotated(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:

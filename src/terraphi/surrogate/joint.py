@@ -200,6 +200,7 @@ class Standardised:
         self.parts = (slice(0, theta.size), slice(theta.size, None))
         self.theta_distance2 = np.square(theta[:, None] - theta)
         self.growth = self.root_repeats * scatter.growth(phi)
+        self.growth2 = np.outer(self.growth, self.growth)
         self.profile = self._profile()
 
     def _profile(self) -> FloatArray:
@@ -229,7 +230,7 @@ class Evidence(Kronecker):
         m = data.theta.size
         powers = powers_of(data.phi, (float(data.phi[0]), float(data.phi[-1])))
         # Without the cubic the process pulls the curves towards zero and levels their bend.
-        self.over_phi = np.outer(data.growth, data.growth) * (
+        self.over_phi = data.growth2 * (
             TREND**2 * powers @ powers.T + matern(data.phi, data.phi, kernel.phi_length_deg)
         )
         self.smooth = [
@@ -253,8 +254,7 @@ class Evidence(Kronecker):
         """By the log of each argument of `_pack`, in its order."""
         data, kernel = self.data, self.kernel
         lag = np.sqrt(5.0) * np.abs(data.phi[:, None] - data.phi) / kernel.phi_length_deg
-        growth2 = np.outer(data.growth, data.growth)
-        slope = growth2 * np.square(lag) * (1.0 + lag) / 3.0 * np.exp(-lag)
+        slope = data.growth2 * np.square(lag) * (1.0 + lag) / 3.0 * np.exp(-lag)
         found = [self.along("left", slope)]
         by_prior = self.by_entries("right", data.inverse_factor * data.profile)
         for force, part in enumerate(data.parts):

@@ -32,6 +32,7 @@ FloatArray = NDArray[np.float64]
 
 SHORTEST_THETA_LENGTH_DEG = 12.0
 """Lower bound of the correlation length over the leg angle [deg], twice the residual's 6°."""
+
 # Relative to the variance of the training values. The lower bound of the noise keeps K invertible
 # in double precision where a noise-free forward model leaves nothing else to do so.
 SIGNAL_VARIANCE_BOUNDS = (1e-3, 1e5)
@@ -153,7 +154,7 @@ class GridGP:
     ) -> Self:
         """Condition on the values at given hyperparameters; arguments and errors as in `fit`."""
         grid = _Grid(phi_deg, theta_deg, values)
-        known = grid.known(parameters)
+        known = _Known(grid, parameters)
         posterior = known.posterior()
         return cls(
             phi_deg=_read_only(grid.phi_deg),
@@ -209,39 +210,39 @@ class _Grid:
         if np.ptp(grid) == 0.0:
             raise ValueError(f"all values equal {self.mean:g}; they must vary over the grid")
         self.standardised = (grid - self.mean) / self.std
+        self.distances2 = [np.square(angles[:, None] - angles) for angles in (phi, theta)]
 
-    def known(self, parameters: KernelParameters) -> Kronecker:
-        """The values with their covariance."""
-        return Kronecker(
-            _correlation(self.phi_deg[:, None] - self.phi_deg, parameters.phi_length_deg),
-            _correlation(self.theta_deg[:, None] - self.theta_deg, parameters.theta_length_deg),
-            self.standardised,
+    def evidence(self, logarithms: FloatArray) -> tuple[float, FloatArray]:
+        """Log evidence and its gradient by the logarithm of each of `KernelParameters`."""
+        known = _Known(self, KernelParameters(*np.exp(logarithms).tolist()))
+        return known.log_evidence(), known.gradient()
+
+
+class _Known(Kronecker):
+    """The standardised values with their covariance."""
+
+    def __init__(self, grid: _Grid, parameters: KernelParameters) -> None:
+        # Squared exponentials (R & W eq. 4.9), and their derivatives by log length.
+        lengths_deg = (parameters.phi_length_deg, parameters.theta_length_deg)
+        pairs = list(zip(grid.distances2, lengths_deg, strict=True))
+        left, right = (np.exp(-0.5 * distance2 / length**2) for distance2, length in pairs)
+        self.slopes = [
+            factor * distance2 / length**2
+            for factor, (distance2, length) in zip((left, right), pairs, strict=True)
+        ]
+        super().__init__(
+            left,
+            right,
+            grid.standardised,
             signal=parameters.signal_variance,
             noise=parameters.noise_variance,
         )
 
-    def evidence(self, logarithms: FloatArray) -> tuple[float, FloatArray]:
-        """Log evidence and its gradient by the logarithm of each of `KernelParameters`."""
-        parameters = KernelParameters(*np.exp(logarithms).tolist())
-        known = self.known(parameters)
-        gradient = [
-            known.by_signal(),
-            known.along("left", _by_log_length(self.phi_deg, parameters.phi_length_deg)),
-            known.along("right", _by_log_length(self.theta_deg, parameters.theta_length_deg)),
-            known.by_noise(),
-        ]
-        return known.log_evidence(), np.array(gradient)
-
-
-def _correlation(lag_deg: FloatArray, length_deg: float) -> FloatArray:
-    """Squared exponential [-] (R & W eq. 4.9)."""
-    return np.exp(-0.5 * np.square(lag_deg) / length_deg**2)
-
-
-def _by_log_length(angles_deg: FloatArray, length_deg: float) -> FloatArray:
-    """Derivative of the correlation between angles by the logarithm of its length [-]."""
-    lag_deg = angles_deg[:, None] - angles_deg
-    return _correlation(lag_deg, length_deg) * np.square(lag_deg) / length_deg**2
+    def gradient(self) -> FloatArray:
+        """By the logarithm of each of `KernelParameters`."""
+        by_phi, by_theta = self.slopes
+        along = self.along("left", by_phi), self.along("right", by_theta)
+        return np.array([self.by_signal(), *along, self.by_noise()])
 
 
 def _maximise_evidence(
