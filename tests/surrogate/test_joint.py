@@ -12,9 +12,9 @@ from sklearn.gaussian_process.kernels import Kernel
 
 from terraphi.surrogate import joint as cubic
 from terraphi.surrogate.joint import (
+    Evidence,
     JointKernel,
     JointSurrogate,
-    Spectrum,
     Standardised,
     _pack,
     _unpack,
@@ -98,23 +98,23 @@ def test_repeats_that_are_none_are_refused(curves: np.ndarray) -> None:
 
 def test_evidence_is_that_of_the_dense_normal_density(curves: np.ndarray) -> None:
     data = Standardised(PHI, THETA, curves, scatter())
-    spectrum = Spectrum(data, KERNEL, 1.3)
-    left = np.linalg.inv(data.inverse_factor) @ spectrum.basis
-    prior = left * spectrum.roots @ left.T
+    known = Evidence(data, KERNEL, 1.3)
+    left = np.linalg.inv(data.inverse_factor) @ known.right.basis
+    prior = left * known.right.roots @ left.T
     correlation = scatter().correlation
-    dense = np.kron(spectrum.phi_factor, prior) + 1.69 * np.kron(np.eye(6), correlation)
+    dense = np.kron(known.over_phi, prior) + 1.69 * np.kron(np.eye(6), correlation)
     expected = multivariate_normal(cov=dense).logpdf(data.values.ravel())
     jacobian = 6 * np.log(np.diag(data.factor)).sum()
-    assert spectrum.log_evidence() == pytest.approx(expected + jacobian, rel=1e-8)
+    assert known.log_evidence() == pytest.approx(expected + jacobian, rel=1e-8)
 
 
 def test_gradient_of_the_evidence(curves: np.ndarray) -> None:
     data = Standardised(PHI, THETA, curves, scatter())
     at = _pack(KERNEL, 1.2)
     for i, step in enumerate(1e-5 * np.eye(8)):
-        sides = [Spectrum(data, *_unpack(at + s)).log_evidence() for s in (step, -step)]
+        sides = [Evidence(data, *_unpack(at + s)).log_evidence() for s in (step, -step)]
         slope = (sides[0] - sides[1]) / 2e-5
-        assert Spectrum(data, *_unpack(at)).gradient()[i] == pytest.approx(
+        assert Evidence(data, *_unpack(at)).gradient()[i] == pytest.approx(
             slope, rel=1e-4, abs=1e-3
         )
 
@@ -163,15 +163,15 @@ def test_draws_of_the_prior_have_its_covariance(curves: np.ndarray) -> None:
 
 def test_left_out_squares_are_those_of_predictions_without_the_curve(curves: np.ndarray) -> None:
     data = Standardised(PHI, THETA, curves, scatter())
-    spectrum = Spectrum(data, KERNEL)
-    whole = np.kron(spectrum.phi_factor, np.diag(spectrum.roots)) + np.eye(120)
-    values = (data.white @ spectrum.basis).ravel()
+    known = Evidence(data, KERNEL)
+    whole = np.kron(known.over_phi, np.diag(known.right.roots)) + np.eye(120)
+    values = (data.white @ known.right.basis).ravel()
     out, rest = np.arange(40, 60), np.r_[0:40, 60:120]
     gain = np.linalg.solve(whole[np.ix_(rest, rest)], whole[np.ix_(rest, out)]).T
     residual = values[out] - gain @ values[rest]
     covariance = whole[np.ix_(out, out)] - gain @ whole[np.ix_(rest, out)]
     expected = residual @ np.linalg.solve(covariance, residual)
-    assert spectrum.left_out()[2] == pytest.approx(expected, rel=1e-6)
+    assert known.left_out()[2] == pytest.approx(expected, rel=1e-6)
 
 
 @settings(max_examples=30, deadline=None)

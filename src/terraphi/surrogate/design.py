@@ -1,28 +1,17 @@
 """Forces on a leg over several parameters, known at scattered points, and between them.
 
-The covariance of a force over the parameters and the leg angle, and its hyperparameters.
+Points are scattered over the parameters, yet each brings all leg angles. Over n points x of a
+design in d parameters and M leg angles the covariance of a force is
 
-Over n points x of a design in d parameters and M leg angles the covariance of a force is
-
-    K = sigma^2 K_x (x) K_theta + tau^2 I,         (x) the Kronecker product,
+    K = sigma^2 K_x (x) K_theta + tau^2 I,         (x) the Kronecker product (`kronecker`),
     K_x = t^2 (1 + x.y) + c(r),                    K_theta = exp(-lag^2 / 2 l^2) + f^2 I,
 
 r the distance of x and y, c the Matern correlation of order 5/2 or the squared exponential, with a
 length of its own along each parameter (Rasmussen & Williams, eqs 4.17 and 4.9), t the size of a
 free plane and f that of a part which is smooth over the parameters and jumps over the leg angle, as
 forces do where a face of the leg begins to lead. Parameters are scaled to their bounds, from -1 to
-1.
-
-A Gaussian process for one force at scattered points of a design, on all leg angles at each.
-
-Points are scattered over the parameters, yet each brings all leg angles, so that the covariance is
-a Kronecker product (see `kernel`). Eigendecompositions of an n x n and an M x M matrix give the
-evidence, its gradient and predictions in closed form (Saatchi, *Scalable Inference for Structured
-Gaussian Process Models*, 2011, ch. 5): no matrix is larger than n x n, n x M or M x M. Beyond
-`FIT_CASES` points hyperparameters are those of maximum evidence on as many of them, evenly taken;
-the process is conditioned on all.
-
-How large the forces are over the parameters: what is divided out before they are modelled.
+1. Beyond `FIT_CASES` points hyperparameters are those of maximum evidence on as many of them,
+evenly taken; the process is conditioned on all.
 
 Forces on a leg grow several times over the range of a friction angle, and so do the deviations of
 a curve from its neighbours. Divided by their size they are close to what a stationary process
@@ -40,6 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
+from terraphi.surrogate.kronecker import Kronecker, Posterior, maximise
 from terraphi.surrogate.training import DENSITY, Training
 
 FloatArray = NDArray[np.float64]
@@ -160,7 +150,7 @@ FINES = (1e-4, 1e1)
 class DesignGP:
     """A force over parameters and leg angle.
 
-    In the basis of the leg angles that diagonalises K_theta (columns of ``basis``) the predictive
+    In the basis of the leg angles that diagonalises K_theta (columns of `basis`) the predictive
     covariance is diagonal, and so is white noise: `rotated` predicts there.
 
     Attributes
@@ -175,10 +165,8 @@ class DesignGP:
         Of the standardised values [-].
     mean, std
         Mean at each leg angle, shape [theta], and the standard deviation about it [N].
-    basis
-        Orthogonal, shape [theta, theta].
-    roots
-        Eigenvalues of K_theta [-], shape [theta].
+    posterior
+        Of the force less its mean, in the basis.
     """
 
     points: FloatArray
@@ -187,12 +175,8 @@ class DesignGP:
     log_marginal_likelihood: float
     mean: FloatArray
     std: float
-    basis: FloatArray = field(repr=False)
-    roots: FloatArray = field(repr=False)
+    posterior: Posterior = field(repr=False)
     _rotated_centre: FloatArray = field(repr=False)
-    _mean_weights: FloatArray = field(repr=False)
-    _variance_weights: FloatArray = field(repr=False)
-    _points_basis: FloatArray = field(repr=False)
 
     @classmethod
     def fit(
@@ -245,22 +229,28 @@ class DesignGP:
 
     @classmethod
     def _conditioned(cls, data: _Data, kernel: DesignKernel) -> Self:
-        spectrum = Spectrum(data, kernel)
-        sigma2, roots = kernel.signal_variance, spectrum.theta_roots
+        known = data.known(kernel)
+        posterior = known.posterior(data.std)
         return cls(
             points=data.points,
             theta_deg=data.theta_deg,
             kernel=kernel,
-            log_marginal_likelihood=spectrum.log_evidence(),
+            log_marginal_likelihood=known.log_evidence(),
             mean=data.mean,
             std=data.std,
-            basis=spectrum.theta_basis,
-            roots=roots,
-            _rotated_centre=data.mean @ spectrum.theta_basis,
-            _mean_weights=data.std * sigma2 * spectrum.points_basis @ (spectrum.weights * roots),
-            _variance_weights=sigma2**2 * np.square(roots) / spectrum.eigenvalues,
-            _points_basis=spectrum.points_basis,
+            posterior=posterior,
+            _rotated_centre=data.mean @ posterior.basis,
         )
+
+    @property
+    def basis(self) -> FloatArray:
+        """Orthogonal basis of the leg angles, shape [theta, theta]."""
+        return self.posterior.basis
+
+    @property
+    def roots(self) -> FloatArray:
+        """Eigenvalues of K_theta [-], shape [theta]."""
+        return self.posterior.roots
 
     @property
     def noise_variance(self) -> float:
@@ -269,33 +259,23 @@ class DesignGP:
 
     def rotated_mean(self, points: FloatArray) -> FloatArray:
         """Mean in the basis [N], shape [k, d] -> [k, theta]."""
-        across = self.kernel.over_parameters(points, self.points)
-        mean: FloatArray = self._rotated_centre + across @ self._mean_weights
+        return self._mean(self.kernel.over_parameters(points, self.points))
+
+    def _mean(self, across: FloatArray) -> FloatArray:
+        mean: FloatArray = self._rotated_centre + across @ self.posterior.mean_weights
         return mean
 
     def rotated(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean [N] and variance [N^2] in the basis, without the scatter, each [k, theta]."""
         across = self.kernel.over_parameters(points, self.points)
-        mean = self._rotated_centre + across @ self._mean_weights
-        explained = np.square(across @ self._points_basis) @ self._variance_weights
-        signal = self.kernel.signal_variance * self.kernel.variance(points)
-        # The difference of two nearly equal numbers may round to a negative one.
-        variance = np.maximum(np.outer(signal, self.roots) - explained, 0.0)
-        return mean, self.std**2 * variance
+        variance = self.posterior.variance(across, self.kernel.variance(points))
+        return self._mean(across), variance
 
     def rotated_covariance(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Posterior covariance between points in the basis [N^2], shape [k, l, theta]."""
-        left, right = (
-            self.kernel.over_parameters(points, self.points) @ self._points_basis
-            for points in (one, other)
-        )
-        prior = self.kernel.signal_variance * self.kernel.over_parameters(one, other)
-        # For each angle of the basis a product of [k, case] and [case, l].
-        explained = np.einsum(
-            "ki,it,li->klt", left, self._variance_weights, right, optimize="greedy"
-        )
-        covariance: FloatArray = self.std**2 * (prior[:, :, None] * self.roots - explained)
-        return covariance
+        left, right = (self.kernel.over_parameters(x, self.points) for x in (one, other))
+        between = self.kernel.over_parameters(one, other)
+        return self.posterior.covariance(left, right, between)
 
     def predict(self, points: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Mean [N] and variance [N^2] of the latent force, shape [k, d] -> [k, theta] each.
@@ -334,85 +314,56 @@ class _Data:
             raise ValueError("all points have the same values; they must vary over the design")
         self.standardised = (self.values - self.mean) / self.std
 
+    def known(self, kernel: DesignKernel) -> Kronecker:
+        """The values with their covariance."""
+        return Kronecker(
+            kernel.over_parameters(self.points, self.points),
+            kernel.over_angles(self.theta_deg),
+            self.standardised,
+            signal=kernel.signal_variance,
+            noise=kernel.noise_variance,
+        )
 
-class Spectrum:
-    """The covariance in its eigenbasis, K = (U (x) V) diag(eigenvalues) (U (x) V)^T."""
-
-    def __init__(self, data: _Data, kernel: DesignKernel) -> None:
-        self.data, self.kernel = data, kernel
-        self.theta_factor = kernel.over_angles(data.theta_deg)
-        points_factor = kernel.over_parameters(data.points, data.points)
-        points_roots, self.points_basis = np.linalg.eigh(points_factor)
-        theta_roots, self.theta_basis = np.linalg.eigh(self.theta_factor)
-        # Round-off puts roots near -1e-16 where the exact matrix has tiny positive ones.
-        self.points_roots, self.theta_roots = points_roots.clip(min=0.0), theta_roots.clip(min=0.0)
-        self.signal = kernel.signal_variance * np.outer(self.points_roots, self.theta_roots)
-        self.eigenvalues = self.signal + kernel.noise_variance
-        self.projected = self.points_basis.T @ data.standardised @ self.theta_basis
-        self.weights = self.projected / self.eigenvalues
-
-    def log_evidence(self) -> float:
-        """Log p(y) = -(y^T K^-1 y + log |K| + N log 2 pi) / 2 (R & W eq. 2.30)."""
-        quadratic = np.sum(self.projected * self.weights)
-        log_determinant = np.sum(np.log(self.eigenvalues))
-        return float(-0.5 * (quadratic + log_determinant + self.weights.size * np.log(2 * np.pi)))
-
-    def gradient(self) -> FloatArray:
-        """By each logarithm of `DesignKernel.pack` (R & W eq. 5.9)."""
-        kernel, points, w = self.kernel, self.data.points, self.weights
-        inverse, sigma2 = 1.0 / self.eigenvalues, kernel.signal_variance
-        # dL/dK_x and dL/dK_theta as matrices: each hyperparameter is then a sum of products.
-        middle = (w * self.theta_roots) @ w.T - np.diag(inverse @ self.theta_roots)
-        by_points = sigma2 * self.points_basis @ middle @ self.points_basis.T
-        across = (w.T * self.points_roots) @ w - np.diag(self.points_roots @ inverse)
-        by_theta = sigma2 * self.theta_basis @ across @ self.theta_basis.T
-        slope = by_points * kernel.slope(kernel.distance2(points, points))
+    def evidence(self, kernel: DesignKernel) -> tuple[float, FloatArray]:
+        """Log evidence and its gradient by each logarithm of `DesignKernel.pack`."""
+        known, points = self.known(kernel), self.points
+        slope = known.by_entries("left") * kernel.slope(kernel.distance2(points, points))
+        rows = slope.sum(axis=1)
         found = []
         for k, length in enumerate(kernel.lengths):
             x = points[:, k] / length
             # sum_ij slope_ij (x_i - x_j)^2 without the matrix of differences.
-            rows = slope.sum(axis=1)
             found.append(2.0 * float(rows @ np.square(x) - x @ slope @ x))
-        theta = self.data.theta_deg
-        lag2 = np.square((theta[:, None] - theta) / kernel.theta_length_deg)
+        by_theta = known.by_entries("right")
+        lag2 = np.square((self.theta_deg[:, None] - self.theta_deg) / kernel.theta_length_deg)
         found.append(float(np.sum(by_theta * lag2 * np.exp(-0.5 * lag2))))
-        sensitivity = np.square(w) - inverse
-        found.append(float(np.sum(self.signal * sensitivity)))
+        found.append(known.by_signal())
         found.append(2.0 * kernel.fine**2 * float(np.trace(by_theta)))
-        found.append(kernel.noise_variance * float(np.sum(sensitivity)))
-        return 0.5 * np.array(found)
+        found.append(known.by_noise())
+        return known.log_evidence(), np.array(found)
 
 
 def _maximise_evidence(
     data: _Data, kind: Kind, trend: float, restarts: int, seed: int
 ) -> DesignKernel:
-    from scipy.optimize import minimize
-
-    def objective(logarithms: FloatArray) -> tuple[float, FloatArray]:
-        spectrum = Spectrum(data, DesignKernel.unpack(logarithms, kind, trend))
-        return -spectrum.log_evidence(), -spectrum.gradient()
+    def evidence(logarithms: FloatArray) -> tuple[float, FloatArray]:
+        return data.evidence(DesignKernel.unpack(logarithms, kind, trend))
 
     d = data.points.shape[1]
     # A single leg angle, of a quantity that has none, has no spacing: any will do.
     spacing = float(np.diff(data.theta_deg).min(initial=90.0))
     span = max(float(np.ptp(data.theta_deg)), spacing)
-    low, high = np.log(
-        [*[LENGTHS] * d, (0.5 * spacing, 10.0 * span), SIGNAL_VARIANCES, FINES, NOISE_VARIANCES]
-    ).T
+    bounds = [*[LENGTHS] * d, (0.5 * spacing, 10.0 * span), SIGNAL_VARIANCES, FINES]
+    bounds.append(NOISE_VARIANCES)
     guesses = [
         np.log([*[length] * d, span / 8.0, 1.0, fine, noise])
         for length, fine, noise in ((2.0, 0.1, 1e-4), (5.0, 0.01, 1e-2))
     ]
-    random = np.random.default_rng(seed).uniform(low, high, size=(restarts, low.size))
-    optima = [
-        minimize(
-            objective, start.clip(low, high), jac=True, bounds=np.column_stack([low, high]),
-            method="L-BFGS-B", options={"ftol": 1e-10, "gtol": 1e-4, "maxiter": 200},
-        )
-        for start in (*guesses, *random)
-    ]  # fmt: skip
-    best = min(optima, key=lambda optimum: float(optimum.fun))
-    return DesignKernel.unpack(best.x, kind, trend)
+    best = maximise(
+        evidence, guesses, np.log(bounds), restarts=restarts, seed=seed,
+        ftol=1e-10, gtol=1e-4, maxiter=200,
+    )  # fmt: skip
+    return DesignKernel.unpack(best, kind, trend)
 
 
 @dataclass(frozen=True, eq=False)

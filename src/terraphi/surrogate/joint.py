@@ -1,25 +1,4 @@
-"""Both forces of a leg over phi, and the covariance of all that is not known of them.
-
-The cubic in phi about which the forces vary: a proper prior, as large as the library says.
-
-In each direction of the common basis the forces over scatter are growth(phi) times a cubic in
-x = (phi - centre) / half-span and a Matern process of variance lambda. The coefficient of x^k has
-mean zero and variance
-
-    T_k^2 lambda_max (lambda / lambda_max)^p;
-
-four amplitudes T_k and the power p are found by maximum evidence over all directions together, so
-that forces drawn from the prior vary over phi as much as the library's do. A vaguer prior would
-count the scatter's part of an estimated slope as slope.
-
-Evidence of the process that `process` predicts with, and its hyperparameters.
-
-The standardised curves, white in the directions of the scatter's correlation R = L L^T, are normal
-with covariance K_phi (x) L^-1 B L^-T + tau^2 I, with a vague cubic in K_phi. Two small
-eigendecompositions give the evidence and its gradient, as in `gaussian_process`. tau, 1 if the
-scatter is what it was taken to be, is a hyperparameter as well.
-
-Both forces of a leg between a library's angles, with the covariance of what is not known.
+"""Both forces of a leg between a library's angles, and the covariance of all that is not known.
 
 A library's curves carry particle scatter, y_i = f(phi_i) + e_i (`scatter`). Over phi, theta and the
 two forces f is a Gaussian process; divided by the scatter's standard deviation sigma(phi, theta),
@@ -28,16 +7,27 @@ two forces f is a Gaussian process; divided by the scatter's standard deviation 
 
 where R is the scatter's correlation, K_m a Matern covariance over phi, B its covariance over leg
 angles and forces (for each force a squared exponential in theta and a white part, for what the grid
-leaves in every curve), and B_k that of the coefficients of a cubic (`cubic`); K_m and x^k are times
-the growth of forces over scatter. The mean of n simulations of one case has R / n: its row, and
-the growth there, are taken sqrt(n) times, so that all rows scatter alike.
+leaves in every curve), and B_k that of the coefficients of a cubic in x = (phi - centre) /
+half-span. K_m and x^k are times the growth of forces over scatter. The mean of n simulations of one
+case has R / n: its row, and the growth there, are taken sqrt(n) times, so that all rows scatter
+alike.
 
 B and R are diagonal in a common basis, B = A diag(lambda) A^T and R = A A^T (Rakitsch et al., *It
-is all in the noise*, NIPS 2013), and so is B_k by definition: in that basis every direction is a
-process over phi by itself, and evidence, prediction and the whole covariance of the 2 m forces at
-any phi are in closed form. The covariance holds what interpolation leaves open and what the
-library's own scatter does to the curve, which is the same for every history inverted with that
-library.
+is all in the noise*, NIPS 2013), and so is B_k by definition: the coefficient of x^k has mean zero
+and in the direction of lambda the variance
+
+    T_k^2 lambda_max (lambda / lambda_max)^p.
+
+Hyperparameters are found in two steps. First the cubic is vague, all T_k large and p = 1, so that
+all that is not R is one Kronecker product and `kronecker` gives the evidence; tau^2, a factor on R
+that is 1 if the scatter is what it was taken to be, is found as well. Then the T_k and p are those
+of most evidence over all directions together, so that forces drawn from the prior vary over phi as
+much as the library's do: a vaguer prior would count the scatter's part of an estimated slope as
+slope. With p other than 1 the terms differ from direction to direction, and every direction is a
+process over phi by itself (`kronecker.Blocks`). In that basis prediction and the whole covariance
+of the 2 m forces at any phi are in closed form. The covariance holds what interpolation leaves open
+and what the library's own scatter does to the curve, which is the same for every history inverted
+with that library.
 """
 
 from __future__ import annotations
@@ -50,6 +40,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
+from terraphi.surrogate.kronecker import Blocks, Kronecker, maximise
 from terraphi.surrogate.scatter import Scatter, corrected, with_tail
 
 FloatArray = NDArray[np.float64]
@@ -101,34 +92,25 @@ def fit_cubic(
     curves
         The library's curves in the basis, over sigma [-], shape [case, 2 theta].
     """
-    from scipy.optimize import minimize
-
     rest = roots[:, None, None] * local + np.eye(len(powers))
     logarithms = np.log(np.maximum(roots / roots.max(), LEAST))
 
-    def objective(p: FloatArray) -> tuple[float, FloatArray]:
+    def evidence(p: FloatArray) -> tuple[float, FloatArray]:
         prior = cubic_variances(tuple(np.exp(p[:4])), float(p[4]), roots)
-        covariance = (powers * prior.T[:, None, :]) @ powers.T + rest
-        inverse = np.linalg.inv(covariance)
-        weights = (inverse @ curves.T[:, :, None])[:, :, 0]
-        volume = np.linalg.slogdet(covariance)[1].sum()
-        value = 0.5 * (np.sum(weights * curves.T) + volume)
-        # By the variance of each coefficient (Rasmussen & Williams eq. 5.9).
-        squares = np.square(weights @ powers)
-        traces = np.sum((inverse @ powers) * powers, axis=1)
-        slope = 0.5 * (traces - squares) * prior.T
-        return float(value), np.append(2.0 * slope.sum(axis=0), (slope.sum(axis=1) @ logarithms))
+        blocks = Blocks((powers * prior.T[:, None, :]) @ powers.T + rest)
+        value, by_variances = blocks.evidence(curves, powers)
+        slope = by_variances * prior.T
+        return value, np.append(2.0 * slope.sum(axis=0), slope.sum(axis=1) @ logarithms)
 
-    bounds = [np.log(AMPLITUDES)] * 4 + [POWERS]
     start = np.append(np.log([40.0, 20.0, 15.0, 8.0]), 1.0)
-    found = minimize(objective, start, jac=True, bounds=bounds, method="L-BFGS-B").x
+    found = maximise(evidence, [start], [np.log(AMPLITUDES)] * 4 + [POWERS])
     a, b, c, d = np.exp(found[:4]).tolist()
     return (a, b, c, d), float(found[4])
 
 
 TREND = 30.0
 """Prior standard deviation of the cubic's coefficients over that of the Matern process [-], until
-`cubic` finds it: so large that the process is fitted to what no cubic explains."""
+`fit_cubic` finds it: so large that the process is fitted to what no cubic explains."""
 NOISE_BOUNDS = (0.3, 3.0)
 """Least and largest factor on the scatter that curves may ask for [-]."""
 PROFILE_DEG = 8.0
@@ -152,7 +134,7 @@ class JointKernel:
     fine
         Amplitude of the part that is white over the leg angle, over that of the smooth part [-].
     cubic, cubic_power
-        T_k and p of the cubic's prior [-], see `cubic`.
+        T_k and p of the cubic's prior [-].
     """
 
     phi_length_deg: float
@@ -215,8 +197,10 @@ class Standardised:
         self.factor = np.linalg.cholesky(scatter.correlation)
         self.inverse_factor = np.linalg.inv(self.factor)
         self.white = self.values @ self.inverse_factor.T
+        self.parts = (slice(0, theta.size), slice(theta.size, None))
         self.theta_distance2 = np.square(theta[:, None] - theta)
         self.growth = self.root_repeats * scatter.growth(phi)
+        self.growth2 = np.outer(self.growth, self.growth)
         self.profile = self._profile()
 
     def _profile(self) -> FloatArray:
@@ -230,80 +214,56 @@ class Standardised:
         return profile.ravel()
 
 
-class Spectrum:
-    """The covariance of the white curves, (U (x) V)(kappa (x) lambda + 1)(U (x) V)^T."""
+class Evidence(Kronecker):
+    """The white curves L^-1 y / sigma with their covariance, R = L L^T; of the noise tau^2 I.
+
+    Attributes
+    ----------
+    over_phi
+        Covariance over phi, of the Matern process and a vague cubic, shape [case, case].
+    smooth
+        Part of B that is smooth over theta, of each force, over the profile, shape [theta, theta].
+    """
 
     def __init__(self, data: Standardised, kernel: JointKernel, noise: float = 1.0) -> None:
-        self.data, self.kernel, self.noise = data, kernel, noise
+        self.data, self.kernel = data, kernel
         m = data.theta.size
-        self.growth2 = np.outer(data.growth, data.growth)
         powers = powers_of(data.phi, (float(data.phi[0]), float(data.phi[-1])))
         # Without the cubic the process pulls the curves towards zero and levels their bend.
-        self.phi_factor = self.growth2 * (
+        self.over_phi = data.growth2 * (
             TREND**2 * powers @ powers.T + matern(data.phi, data.phi, kernel.phi_length_deg)
         )
-        self.smooth = []
+        self.smooth = [
+            amplitude**2 * np.exp(-0.5 * data.theta_distance2 / length**2)
+            for amplitude, length in zip(kernel.amplitude, kernel.theta_length_deg, strict=True)
+        ]
         prior = np.zeros((2 * m, 2 * m))
-        for part, length, amplitude, fine in zip(
-            (slice(0, m), slice(m, None)), kernel.theta_length_deg, kernel.amplitude, kernel.fine,
-            strict=True,
-        ):  # fmt: skip
-            smooth = amplitude**2 * np.exp(-0.5 * data.theta_distance2 / length**2)
-            self.smooth.append(smooth)
-            prior[part, part] = smooth + (amplitude * fine) ** 2 * np.eye(m)
+        for part, smooth, fine in zip(data.parts, self.smooth, self._fine2, strict=True):
+            prior[part, part] = smooth + fine * np.eye(m)
         prior *= np.outer(data.profile, data.profile)
         inverse = data.inverse_factor
-        phi_roots, self.phi_basis = np.linalg.eigh(self.phi_factor)
-        roots, self.basis = np.linalg.eigh(inverse @ prior @ inverse.T)
-        # Round-off puts roots near -1e-16 where the exact matrix has tiny positive ones.
-        self.phi_roots, self.roots = phi_roots.clip(min=0.0), roots.clip(min=0.0)
-        self.eigenvalues = np.outer(self.phi_roots, self.roots) + noise**2
-        self.projected = self.phi_basis.T @ data.white @ self.basis
-        self.weights = self.projected / self.eigenvalues
+        super().__init__(self.over_phi, inverse @ prior @ inverse.T, data.white, noise=noise**2)
 
-    def log_evidence(self) -> float:
-        """Log p of the white curves (Rasmussen & Williams eq. 2.30)."""
-        quadratic = np.sum(self.projected * self.weights)
-        log_determinant = np.sum(np.log(self.eigenvalues))
-        return float(-0.5 * (quadratic + log_determinant + self.weights.size * np.log(2 * np.pi)))
+    @property
+    def _fine2(self) -> list[float]:
+        """Variance of each force's part that is white over theta, over the profile [-]."""
+        pairs = zip(self.kernel.amplitude, self.kernel.fine, strict=True)
+        return [(amplitude * fine) ** 2 for amplitude, fine in pairs]
 
     def gradient(self) -> FloatArray:
-        """By the log of each argument of `_pack`, in its order (R & W eq. 5.9)."""
+        """By the log of each argument of `_pack`, in its order."""
         data, kernel = self.data, self.kernel
-        inverse = 1.0 / self.eigenvalues
         lag = np.sqrt(5.0) * np.abs(data.phi[:, None] - data.phi) / kernel.phi_length_deg
-        slope = self.growth2 * np.square(lag) * (1.0 + lag) / 3.0 * np.exp(-lag)
-        rotated = self.phi_basis.T @ slope @ self.phi_basis
-        w = self.weights
-        quadratic = np.sum((rotated @ w) * w * self.roots)
-        found = [0.5 * float(quadratic - np.diag(rotated) @ inverse @ self.roots)]
-        m = data.theta.size
-        left = self.basis.T @ (data.inverse_factor * data.profile)
-        middle = (w.T * self.phi_roots) @ w
-        trace = self.phi_roots @ inverse
-        for force, part in enumerate((slice(0, m), slice(m, None))):
-            block = left[:, part]
-            # d/dB of the quadratic form and of the log determinant, seen from this force's block.
-            sensitivity = block.T @ (middle - np.diag(trace)) @ block
-            smooth = self.smooth[force]
-            fine = (kernel.amplitude[force] * kernel.fine[force]) ** 2
+        slope = data.growth2 * np.square(lag) * (1.0 + lag) / 3.0 * np.exp(-lag)
+        found = [self.along("left", slope)]
+        by_prior = self.by_entries("right", data.inverse_factor * data.profile)
+        for force, part in enumerate(data.parts):
+            sensitivity, smooth = by_prior[part, part], self.smooth[force]
             length = kernel.theta_length_deg[force]
             by_length = np.sum(sensitivity * smooth * data.theta_distance2) / length**2
-            by_fine = 2.0 * fine * np.trace(sensitivity)
-            by_amplitude = 2.0 * np.sum(sensitivity * smooth) + by_fine
-            found += [0.5 * by_length, 0.5 * by_amplitude, 0.5 * by_fine]
-        found.append(self.noise**2 * float(np.sum(np.square(w) - inverse)))
-        return np.array(found)
-
-    def left_out(self) -> FloatArray:
-        """Mahalanobis square of each curve, predicted from all others [-], shape [case].
-
-        Closed form of leave-one-out (R & W eqs 5.10-5.12), in every direction of the basis.
-        """
-        inverse_diagonal = np.square(self.phi_basis) @ (1.0 / self.eigenvalues)
-        squares: FloatArray = np.square(self.phi_basis @ self.weights) / inverse_diagonal
-        total: FloatArray = squares.sum(axis=1)
-        return total
+            by_fine = 2.0 * self._fine2[force] * np.trace(sensitivity)
+            found += [by_length, 2.0 * np.sum(sensitivity * smooth) + by_fine, by_fine]
+        return np.array([*found, 2.0 * self.by_noise()])
 
 
 def matern(one_deg: FloatArray, other_deg: FloatArray, length_deg: float) -> FloatArray:
@@ -335,18 +295,11 @@ def _unpack(logarithms: FloatArray) -> tuple[JointKernel, float]:
 
 
 def maximise_evidence(data: Standardised) -> tuple[JointKernel, float]:
-    """Hyperparameters of maximum evidence, and a factor on the scatter [-].
+    """Hyperparameters of maximum evidence, and a factor on the scatter [-]."""
 
-    Parameters
-    ----------
-    data
-        The curves.
-    """
-    from scipy.optimize import minimize
-
-    def objective(logarithms: FloatArray) -> tuple[float, FloatArray]:
-        spectrum = Spectrum(data, *_unpack(logarithms))
-        return -spectrum.log_evidence(), -spectrum.gradient()
+    def evidence(logarithms: FloatArray) -> tuple[float, FloatArray]:
+        found = Evidence(data, *_unpack(logarithms))
+        return found.log_evidence(), found.gradient()
 
     span, step = float(np.ptp(data.phi)), float(np.diff(data.phi).min())
     spacing = float(np.diff(data.theta).min())
@@ -357,15 +310,8 @@ def maximise_evidence(data: Standardised) -> tuple[JointKernel, float]:
         JointKernel(span * a, (b, b), (1.0, 1.0), (c, c))
         for a, b, c in ((0.7, 20.0, 0.02), (2.0, 10.0, 0.005))
     ]
-    optima = [
-        minimize(
-            objective, _pack(start, 1.0).clip(*bounds.T), jac=True, bounds=bounds,
-            method="L-BFGS-B", options={"ftol": 1e-10, "gtol": 1e-4},
-        )
-        for start in starts
-    ]  # fmt: skip
-    best = min(optima, key=lambda optimum: float(optimum.fun))
-    return _unpack(best.x)
+    packed = [_pack(start, 1.0) for start in starts]
+    return _unpack(maximise(evidence, packed, bounds, ftol=1e-10, gtol=1e-4))
 
 
 ROUNDS = 2
@@ -410,7 +356,13 @@ class JointSurrogate:
     standard_curves: FloatArray = field(repr=False)
     prior_variance: FloatArray = field(repr=False)
     cubic_variance: FloatArray = field(repr=False)
-    _inverse: FloatArray = field(repr=False)
+    _blocks: Blocks = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Condition each direction of the basis on its curves."""
+        covariance = self._between(self.phi_deg) * self.root_repeats[:, None]
+        covariance += np.eye(self.phi_deg.size)
+        object.__setattr__(self, "_blocks", Blocks(covariance))
 
     @classmethod
     def fit(
@@ -450,25 +402,21 @@ class JointSurrogate:
             if kernel is None:
                 scatter, kernel = _learn(phi_deg, theta_deg, curves, scatter, repeats)
             data = Standardised(phi_deg, theta_deg, curves, scatter, repeats)
-            spectrum = Spectrum(data, kernel)
-            whitener = spectrum.basis.T @ data.inverse_factor
-            variances = cubic_variances(kernel.cubic, kernel.cubic_power, spectrum.roots)
-            known = cls(
+            roots, basis = Evidence(data, kernel).right
+            whitener = basis.T @ data.inverse_factor
+            variances = cubic_variances(kernel.cubic, kernel.cubic_power, roots)
+            return cls(
                 phi_deg=data.phi,
                 theta_deg=data.theta,
                 scatter=scatter,
                 kernel=kernel,
                 root_repeats=data.root_repeats,
-                basis=data.factor @ spectrum.basis,
+                basis=data.factor @ basis,
                 whitener=whitener,
                 standard_curves=data.values @ whitener.T,
-                prior_variance=spectrum.roots,
+                prior_variance=roots,
                 cubic_variance=variances,
-                _inverse=np.empty(0),
             )
-            covariance = known._between(data.phi) * data.root_repeats[:, None]
-            covariance += np.eye(data.phi.size)
-            return replace(known, _inverse=np.linalg.inv(covariance).astype(np.float64))
 
     @property
     def phi_bounds_deg(self) -> tuple[float, float]:
@@ -539,8 +487,7 @@ class JointSurrogate:
         The variance of the particle scatter itself is 1 in this basis.
         """
         between = self._between(phi_deg)
-        explained: FloatArray = np.sum((between @ self._inverse) * between, axis=2).T
-        return np.maximum(self._alone(phi_deg) - explained, 0.0)
+        return np.maximum(self._alone(phi_deg) - self._blocks.explained(between), 0.0)
 
     def standard_terms(self, phi_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The two parts of :meth:`standard_variance`: interpolation, and the library's scatter.
@@ -548,8 +495,7 @@ class JointSurrogate:
         The prediction is W y with weights W; its error (f - W f(phi_i)) - W e has a part that the
         prior of f gives and one that the scatter e of the library gives.
         """
-        between = self._between(phi_deg)
-        scatter = np.square(between @ self._inverse).sum(axis=2).T
+        scatter = self._blocks.carried(self._between(phi_deg))
         total = self.standard_variance(phi_deg)
         return np.maximum(total - scatter, 0.0), np.minimum(scatter, total)
 
@@ -608,8 +554,7 @@ class JointSurrogate:
 
     def _weights(self, curves: FloatArray) -> FloatArray:
         """What a mean gives each curve's angle: K^-1 y times root_repeats, [..., case, 2 theta]."""
-        solved = np.einsum("jab,...bj->...aj", self._inverse, curves, optimize=True)
-        weights: FloatArray = self.root_repeats[:, None] * solved
+        weights: FloatArray = self.root_repeats[:, None] * self._blocks.weights(curves)
         return weights
 
     def _powers(self, phi_deg: FloatArray) -> FloatArray:
@@ -634,11 +579,11 @@ def _learn(
     for _ in range(ROUNDS):
         data = Standardised(phi_deg, theta_deg, curves, scatter, repeats)
         kernel, noise = maximise_evidence(data)
-        squares = Spectrum(data, kernel, noise).left_out()
+        squares = Evidence(data, kernel, noise).left_out()
         scatter = corrected(scatter, data.phi, noise**2 * squares)
     data = Standardised(phi_deg, theta_deg, curves, scatter, repeats)
     kernel, noise = maximise_evidence(data)
-    squares = Spectrum(data, kernel, noise).left_out()
+    squares = Evidence(data, kernel, noise).left_out()
     scatter = with_tail(scatter.scaled(noise), squares)
     vague = JointSurrogate.fit(phi_deg, theta_deg, curves, scatter, kernel=kernel, repeats=repeats)
     return scatter, _with_cubic(vague)
