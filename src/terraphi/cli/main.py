@@ -16,7 +16,14 @@ from terraphi.cli.doctor import doctor
 from terraphi.cli.invert import DEFAULT_LIBRARY, KIND, MADE, invert, save_inversion
 from terraphi.cli.keys import keys
 from terraphi.cli.library import library
-from terraphi.cli.options import json_option, shipped, tells_as_much_as_asked
+from terraphi.cli.options import (
+    ESTIMATORS,
+    FRAMES,
+    Choice,
+    json_option,
+    shipped,
+    tells_as_much_as_asked,
+)
 from terraphi.cli.report import report
 from terraphi.cli.simulate import simulate
 from terraphi.cli.study import study
@@ -155,11 +162,18 @@ library.add_command(library_suggest)
 )
 @click.option(
     "--estimator",
+    type=Choice(ESTIMATORS),
     default="momentum_observer",
     show_default=True,
-    help="quasi_static (the paper's), gravity, inverse_dynamics or momentum_observer.",
+    help="How forces follow from torques; quasi_static is the paper's way.",
 )
-@click.option("--frame", default="world", show_default=True, help="world, heading or body.")
+@click.option(
+    "--frame",
+    type=Choice(FRAMES),
+    default="world",
+    show_default=True,
+    help="Axes of the forces: the world's, level ones along the robot, or the body's.",
+)
 @click.option("--topic", help="Topic of a bag; the only fitting one if not given.")
 @click.option(
     "--joint-names",

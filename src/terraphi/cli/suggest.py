@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from terraphi.cli.options import FloatRange, IntRange, json_option, leg_names, library_names
+from terraphi.cli.options import LEGS, Choice, FloatRange, IntRange, json_option, library_names
 from terraphi.view.console import print_json, print_table
 
 
@@ -14,7 +14,7 @@ from terraphi.view.console import print_json, print_table
     "--count", type=IntRange(1, 64), default=1, show_default=True, help="Number of points."
 )
 @click.option(
-    "--leg", help="Leg that will be inverted; all together if not given.", shell_complete=leg_names
+    "--leg", type=Choice(LEGS), help="Leg that will be inverted; all together if not given."
 )
 @click.option("--parameter", help="Key of the parameter whose variance counts; all if not given.")
 @click.option(
