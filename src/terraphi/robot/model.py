@@ -1,4 +1,4 @@
-"""What the force estimators know of a quadruped: its geometry, its masses, its joints' names.
+"""Geometry, masses and joint names of a quadruped, for the force estimators.
 
 Every leg is a chain of three revolute joints whose frames are parallel when all angles are zero:
 the hip turns about x (forward), the thigh and the calf about y (left); z is up. That is the build
@@ -105,8 +105,8 @@ class Legs(_Part):
 class Chain:
     """Constants of the four legs as arrays, feet in the order FR, FL, RR, RL.
 
-    The second moments Σ = ∫ r rᵀ dm about a link's origin say what the inertia matrix says, and
-    make the equations of motion shorter.
+    The second moments Σ = ∫ r rᵀ dm about a link's origin hold the same information as the inertia
+    matrix, and make the equations of motion shorter.
     """
 
     origin: FloatArray

@@ -49,7 +49,7 @@ class Topic:
     encoding
         Of its messages; ROS 2 writes ``cdr``.
     number
-        By which the file knows it.
+        Number of the topic in the file.
     """
 
     name: str
@@ -85,7 +85,7 @@ class Storage(ABC):
         self.notes: list[str] = []
 
     def note(self, text: str) -> None:
-        """Remember something for the report, once."""
+        """Add a remark to the log's report, unless it is there already."""
         if text not in self.notes:
             self.notes.append(text)
 
@@ -105,7 +105,7 @@ _PACKAGES = {"lz4": "lz4", "zstd": "zstandard"}
 
 
 def _mcap(shown: Path) -> ModuleType:
-    """The package, or a sentence that says how to get it."""
+    """Import the package mcap; raises InputError that says how to install it."""
     try:
         import mcap.exceptions
         import mcap.reader
@@ -273,7 +273,7 @@ class SqliteFile(Storage):
         return messages, np.array([time for time, _ in sound], dtype=np.int64)
 
     def _inflated(self, message: bytes) -> bytes:
-        """A message of a bag that compresses each one by itself; others as they are."""
+        """Decompress a message if it is compressed (compression mode MESSAGE of rosbag2)."""
         if message[:4] != ZSTD_MAGIC:
             return message
         zstandard = _zstandard(self.shown)
@@ -304,7 +304,7 @@ class SqliteFile(Storage):
 
 
 def _zstandard(shown: Path) -> ModuleType:
-    """The package, or a sentence that says how to get it."""
+    """Import the package zstandard; raises InputError that says how to install it."""
     try:
         import zstandard
     except ImportError as error:
@@ -316,16 +316,16 @@ def _zstandard(shown: Path) -> ModuleType:
 
 
 def open_database(path: Path, stack: ExitStack, *, shown: Path | None = None) -> SqliteFile:
-    """Storage of a database, of its whole pages only if it was cut off.
+    """Open a database; of one that was cut off, only the whole pages.
 
-    SQLite reads the missing part of a page as zeros, and so makes rows that nobody wrote.
+    SQLite reads the missing part of a page as zeros, which would give rows that nobody wrote.
 
     Parameters
     ----------
     path
         The file.
     stack
-        Takes care of a temporary copy, if there has to be one.
+        Removes the temporary copy at the end, if one is needed.
     shown
         What to call the file in messages.
 
@@ -347,14 +347,14 @@ def open_database(path: Path, stack: ExitStack, *, shown: Path | None = None) ->
 
 
 def open_bag(path: Path, stack: ExitStack) -> list[Storage]:
-    """Storages of a folder, in the order of recording.
+    """Open the files of a rosbag2 folder, in the order of recording.
 
     Parameters
     ----------
     path
         The folder.
     stack
-        Takes care of files that have to be unpacked.
+        Removes unpacked files at the end.
 
     Returns
     -------
@@ -392,7 +392,7 @@ def open_bag(path: Path, stack: ExitStack) -> list[Storage]:
 
 
 def _unpacked(file: Path, stack: ExitStack) -> Path:
-    """A temporary copy of a compressed file."""
+    """Unpack a compressed file into a temporary folder; the path of the copy."""
     zstandard = _zstandard(file)
     folder = Path(stack.enter_context(TemporaryDirectory()))
     plain = folder / file.stem

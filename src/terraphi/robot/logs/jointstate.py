@@ -36,8 +36,7 @@ class JointStateDecoder:
     Attributes
     ----------
     refusal
-        Why the first message of another kind was passed over: what to tell people if no message
-        was of any use.
+        Why the first unusable message was dropped; the error if no message is usable.
     """
 
     def __init__(self, joint_names: Sequence[str] | None = None) -> None:
@@ -85,7 +84,7 @@ class JointStateDecoder:
         return Block(np.array(stamps, dtype=np.int64), values, recorded[kept], dropped)
 
     def _order(self, names: tuple[str, ...], columns: tuple[str, ...]) -> list[int] | None:
-        """Places of the twelve joints among these names; None if such messages are passed over."""
+        """Indices of the twelve joints among these names; None if such messages are dropped."""
         kind = (names, columns)
         if kind in self._orders:
             return self._orders[kind]
@@ -105,7 +104,7 @@ class JointStateDecoder:
 
 
 def _columns(message: Any) -> tuple[str, ...]:
-    """Columns that a message has numbers for; none if it has not as many numbers as names."""
+    """Columns that a message holds; empty if the numbers do not match the names."""
     joints = len(message.name)
     numbers = {column: len(getattr(message, field)) for column, field in _FIELDS.items()}
     if not numbers["angle"] or not set(numbers.values()) <= {0, joints}:
@@ -118,7 +117,7 @@ NAMES = tuple(f"{foot}_{joint}_joint" for foot in FEET for joint in JOINTS)
 
 
 def joint_order(names: Sequence[str], wanted: Sequence[str] | None = None) -> list[int]:
-    """Places of the twelve joints in a message's list of names.
+    """Indices of the twelve joints in a message's list of names.
 
     Parameters
     ----------

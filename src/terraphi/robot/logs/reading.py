@@ -1,4 +1,4 @@
-"""Read a log, whatever its format."""
+"""Read a log in any of the known formats."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def read_log(
     motors: Sequence[str] = JOINT_NAMES,
     precision: Precision = "double",
 ) -> JointLog:
-    """Read what a walking robot recorded.
+    """Read the log of a walking robot.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def read_log(
 def _sniff(
     path: Path, stack: ExitStack
 ) -> tuple[str, list[Storage] | Callable[[Path], Iterator[Block]]]:
-    """Name of the format, and what reads it."""
+    """Recognise the format by the content; its name, and what reads it."""
     if path.is_dir():
         storages = open_bag(path, stack)
         inner = "mcap" if isinstance(storages[0], McapFile) else "sqlite3"
@@ -172,7 +172,7 @@ def _supported(topic: Topic) -> bool:
 
 
 def _choose(path: Path, topics: list[Topic], wanted: str | None) -> Topic:
-    """The topic to read."""
+    """Choose the topic to read."""
     listed = ", ".join(sorted({f"'{t.name}' ({t.type})" for t in topics})[:12]) or "none"
     expected = f"expected {lowstate.TYPE} or {jointstate.TYPE}"
     if wanted is not None:
