@@ -4,7 +4,7 @@
 
 writes ``walk/truth.nc`` and, twice in each format that terraphi reads, what the robot would have
 logged: ``exact.*`` without errors, ``realistic.*`` with those of encoders, currents and messages.
-It needs the packages ``mujoco`` and ``example-robot-data``.
+It needs the packages ``mujoco`` and ``example-robot-data``, and the extra ``robot``.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+from go2 import logs
 from go2.control import Aim
 from go2.gait import PHASES, Gait
 from go2.model import Physics
@@ -93,8 +94,6 @@ def write_logs(folder: Path, name: str, log: JointLog, formats: tuple[str, ...])
     list of Path
         What was written.
     """
-    from terraphi.robot import logs
-
     writers = {
         "csv": logs.write_csv,
         "npz": logs.write_npz,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,7 +13,12 @@ from pathlib import Path
 import click
 import pytest
 
+from terraphi.cli import options
 from terraphi.cli.main import cli
+from terraphi.experiment.leg import LEG_SHAPES
+from terraphi.inference import inversion
+from terraphi.robot import forces
+from terraphi.view import keys
 
 PROGRAM = Path(sys.executable).with_name("terraphi")
 
@@ -52,6 +58,10 @@ def test_every_option_says_what_it_does(path) -> None:
         (["keys", "scenaro"], "scenario"),
         (["invert", "li2013:yuma/strait"], "li2013:yuma/straight"),
         (["library", "show", "rtf3d"], "rft3d"),
+        (["library", "suggest", "rft3d", "--leg", "plat"], "plate"),
+        (["forces", "walk.npz", "--estimator", "gravty"], "gravity"),
+        (["forces", "walk.npz", "--frame", "worl"], "world"),
+        (["invert", "li2013:yuma/c", "--discrepancy", "no"], "none"),
         (["invert", "li2013:yuma/c", "--leg", "reverse_c"], "reversed_c"),
         (["invert", "li2013:yuma/c", "--library", "rft3d", "--sampler", "emcee3"], "emcee"),
         (["invert", "li2013:yuma/c", "--library", "rft3d", "--likelihood", "papr"], "paper"),
@@ -63,6 +73,35 @@ def test_a_slip_is_answered_with_the_right_name(words, right, terraphi) -> None:
     assert out == ""
     assert right in err
     assert "Traceback" not in err
+
+
+def test_a_choice_is_refused_in_one_sentence(terraphi) -> None:
+    status, out, err = terraphi("invert", "absent.csv", "--sampler", "emce")
+    assert (status, out) == (2, "")
+    assert err == "terraphi: unknown sampler 'emce'; did you mean 'emcee'?\n"
+
+
+def test_choices_are_those_of_the_rooms_that_take_them() -> None:
+    assert options.LEGS == LEG_SHAPES
+    assert options.LIKELIHOODS == inversion.LIKELIHOODS
+    assert options.SAMPLERS == inversion.SAMPLERS
+    assert options.DISCREPANCIES == inversion.DISCREPANCIES
+    assert options.ESTIMATORS == forces.ESTIMATORS
+    assert options.FRAMES == forces.FRAMES
+    assert set(options.DOCUMENTS) == set(keys.DOCUMENTS)
+
+
+def test_help_of_invert_groups_its_options_and_lists_their_choices(terraphi) -> None:
+    _, out, _ = terraphi("invert", "--help")
+    what, how, output = (
+        out.index(f"\n{name}:\n") for name in ("What is inverted", "How", "Output")
+    )
+    assert what < out.index("--leg [straight|c|reversed_c|plate]") < how
+    assert how < out.index("--sampler [quadrature|emcee]") < output < out.index("--out PATH")
+    named = re.findall(r"^  (?:-\w, )?(--[a-z]+)", out, flags=re.MULTILINE)
+    command = cli.commands["invert"]
+    wanted = [o.opts[-1] for o in command.params if isinstance(o, click.Option)]
+    assert sorted(named) == sorted([*wanted, "--help"])
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -81,6 +120,9 @@ def test_completion_script_of_each_shell(shell: str) -> None:
         ("terraphi invert --lib", "--library", "--leg"),
         ("terraphi invert --library rf", "rft3d", "quick-paper"),
         ("terraphi invert --leg s", "straight", "plate"),
+        ("terraphi invert --sampler e", "emcee", "quadrature"),
+        ("terraphi forces --frame h", "heading", "body"),
+        ("terraphi keys pl", "plan", "robot"),
         ("terraphi study rec", "recovery", "k0"),
         ("terraphi simulate pap", "paper-1", "quick"),
         ("terraphi library build quick-k", "quick-k0-half", "rft3d"),

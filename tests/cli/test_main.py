@@ -139,7 +139,7 @@ def test_simulate_then_invert(terraphi: Terraphi, tmp_path) -> None:
 def test_library_list_and_show(terraphi: Terraphi) -> None:
     listed = json.loads(terraphi("library", "list", "--json").out)["libraries"]
     assert "rft3d" in [entry["name"] for entry in listed]
-    usable, others = terraphi("library", "list").out.split("To try those with")
+    usable, others = terraphi("library", "list").out.split("To test those with")
     assert re.search(r"^rft3d +rft3d +15 to 50 +c, reversed_c, straight +45 ", usable, re.MULTILINE)
     assert "quick-plane-strain-seeds" in others
     assert "quick-plane-strain-seeds" not in usable

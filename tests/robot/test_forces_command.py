@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from go2.logs import write_csv, write_mcap, write_npz, write_rosbag2
 
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.kinematics import jacobian
-from terraphi.robot.logs import jointstate, write_csv, write_mcap, write_npz, write_rosbag2
+from terraphi.robot.logs import jointstate
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import analyse
 from terraphi.robot.stance import Criteria, find_stances

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from go2.logs import write_csv, write_mcap, write_npz, write_rosbag2
 
 from terraphi.robot.joint_log import FEET, JointLog
-from terraphi.robot.logs import write_csv, write_mcap, write_npz, write_rosbag2
 from terraphi.robot.results import RobotForces, analyse
 from terraphi.robot.stance import Ensemble, Stance, find_stances
 
 pytest.importorskip("mujoco")
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 LOADED = 1.0
 """A foot stands where the ground pushes it up with more than this [N]."""
 
@@ -32,17 +29,13 @@ class Run(NamedTuple):
 
 
 @pytest.fixture(scope="session")
-def simulation() -> Iterator[Any]:
+def simulation() -> Any:
     """The modules of examples/go2."""
-    sys.path.insert(0, str(EXAMPLES))
-    try:
-        from go2 import control, gait, model, sensors, walk
+    from go2 import control, gait, model, sensors, walk
 
-        yield type("Simulation", (), {
-            "control": control, "gait": gait, "model": model, "sensors": sensors, "walk": walk,
-        })  # fmt: skip
-    finally:
-        sys.path.remove(str(EXAMPLES))
+    return type("Simulation", (), {
+        "control": control, "gait": gait, "model": model, "sensors": sensors, "walk": walk,
+    })  # fmt: skip
 
 
 def run(simulation: Any, **options: Any) -> Run:

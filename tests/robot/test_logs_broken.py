@@ -11,12 +11,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from go2.logs import write_csv, write_mcap, write_npz, write_rosbag2
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import JointLog
-from terraphi.robot.logs import read_log, write_csv, write_mcap, write_npz, write_rosbag2
+from terraphi.robot.logs import read_log
 
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")

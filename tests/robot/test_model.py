@@ -199,7 +199,7 @@ def test_what_a_hip_hangs_on_counts_as_part_of_the_trunk(tmp_path: Path) -> None
     [
         ('<sphere radius="0.02"/>', '<sphere radius="${r}"/>', "a number cannot be read"),
         ('<sphere radius="0.02"/>', "<sphere/>", "lacks its radius"),
-        ('<link name="FL_foot">', '<link name="other">', "speaks of link 'FL_foot', which is not"),
+        ('<link name="FL_foot">', '<link name="other">', "names link 'FL_foot', which is not"),
         ('<parent link="FL_calf"/><child', '<parent link="FL_foot"/><child', "or on itself"),
         ("FR_calf_joint", "front_wheel", "no revolute joint is named like FR_calf"),
         ("</robot>", "", "not valid XML"),

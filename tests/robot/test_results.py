@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from go2.logs import write_npz
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.kinematics import jacobian
-from terraphi.robot.logs import write_npz
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import RobotForces, analyse, read_stances, write_forces
 from terraphi.view import robot_plots as plots

@@ -13,7 +13,9 @@ from terraphi.view.table import Table
 
 @click.command("calibrate")
 @click.argument("name")
-@click.option("--replicates", help="Library of some of its cases under other particle seeds.")
+@click.option(
+    "--replicates", help="Library with some of the same cases under other particle seeds."
+)
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file to make.")
 @click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed.")
 @json_option
@@ -22,7 +24,7 @@ def library_calibrate(
 ) -> None:
     """Learn the particle scatter of library NAME, check its intervals, and write both into a copy.
 
-    Replicates go into the copy too: forces at their angles are known the better for them.
+    The replicates go into the copy too, where they make the forces at their angles more certain.
 
     Example: terraphi library calibrate mine.nc --replicates seeds.nc --out calibrated.nc
     """

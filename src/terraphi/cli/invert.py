@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from terraphi.cli.options import Float, IntRange, completed, json_option, leg_names, library_names
+from terraphi.cli.options import (
+    DISCREPANCIES,
+    LEGS,
+    LIKELIHOODS,
+    SAMPLERS,
+    Choice,
+    Float,
+    Grouped,
+    IntRange,
+    json_option,
+    library_names,
+)
 from terraphi.experiment.errors import InputError
 from terraphi.view.console import as_text, print_inversion, print_joint_inversion, print_json
 
@@ -28,44 +39,61 @@ MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
 """Files that an inversion of any kind may leave in its folder."""
 
 
-@click.command()
+@click.command(
+    cls=Grouped,
+    groups={
+        "What is inverted": ("--leg", "--density", "--library", "--prior"),
+        "How": ("--likelihood", "--noise", "--discrepancy", "--sampler", "--seed"),
+    },
+)
 @click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
 @click.option(
     "--leg",
     "legs",
+    type=Choice(LEGS),
     multiple=True,
-    help="Shape of the leg: straight, c, reversed_c or plate; once for all, or once each.",
-    shell_complete=leg_names,
+    help="Shape of the leg: once for all FORCES, or once for each in their order.  [default: as "
+    "measured, else straight]",
 )
-@click.option("--density", type=Float(), help="Bulk density of the soil [kg/m³].")
+@click.option(
+    "--density",
+    type=Float(),
+    help="Bulk density of the soil [kg/m³].  [default: as measured, else the library's]",
+)
 @click.option(
     "--library",
     default=DEFAULT_LIBRARY,
     show_default=True,
-    help="Name, or a .nc file.",
+    help="Name of a shipped library, or a .nc file.",
     shell_complete=library_names,
 )
 @click.option(
     "--prior",
     multiple=True,
     metavar="KEY=PRIOR",
-    help="Of a parameter: LOW:HIGH, MEAN+-SD or VALUE, as density=1500:1700; may be repeated.",
+    help="Prior of a parameter: LOW:HIGH, MEAN+-SD or VALUE, as density=1500:1700; may be "
+    "repeated.",
 )
 @click.option(
     "--likelihood",
-    help=f"Error model of one history and φ alone: calibrated or paper.  [default: "
-    f"{DEFAULT_LIKELIHOOD}]",
-    shell_complete=completed(lambda: ("calibrated", "paper")),
+    type=Choice(LIKELIHOODS),
+    help=f"Error model, of one history and φ alone.  [default: {DEFAULT_LIKELIHOOD}]",
 )
 @click.option(
-    "--noise", help="Noise of a force reading [N], or a TOML file on the sensor; else inferred."
+    "--noise",
+    help="Noise of a force reading [N], or a TOML file on the sensor.  [default: inferred]",
 )
 @click.option(
-    "--discrepancy", help="none or gp; not given: gp, but none for a history that we simulated."
+    "--discrepancy",
+    type=Choice(DISCREPANCIES),
+    help="What the model leaves unexplained: nothing, or a Gaussian process.  [default: gp, but "
+    "none for a history that terraphi simulated]",
 )
 @click.option(
     "--sampler",
-    help=f"quadrature (exact, φ alone) or emcee.  [default: {DEFAULT_SAMPLER}; emcee if joint]",
+    type=Choice(SAMPLERS),
+    help="How the posterior is computed: quadrature is exact, and for φ alone.  [default: "
+    f"{DEFAULT_SAMPLER}; emcee for several histories or parameters]",
 )
 @click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of emcee.")
 @click.option(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import click
 
-from terraphi.cli.options import json_option
+from terraphi.cli.options import DOCUMENTS, Choice, json_option
 from terraphi.view.console import print_json, print_table
 from terraphi.view.table import Table
 
 
 @click.command()
-@click.argument("document", default="scenario")
+@click.argument("document", type=Choice(DOCUMENTS), default="scenario", metavar="[DOCUMENT]")
 @json_option
 def keys(document: str, as_json: bool) -> None:
     """List every key of a DOCUMENT with unit, default, what is allowed, and meaning.

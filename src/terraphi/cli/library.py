@@ -62,7 +62,7 @@ def library_build(
 ) -> None:
     """Simulate all cases of PLAN, a TOML file or the name of a shipped plan.
 
-    An interrupted or killed build is resumed by the same command, cases that were running included.
+    The same command resumes a build that was interrupted or killed, and the cases it was running.
 
     Example: terraphi library build quick-plane-strain --out my.nc --workers 4
     """
@@ -119,7 +119,7 @@ def library_build(
 
 
 def foreseen(plan: Plan, cores: int) -> Forecast:
-    """What the build will take, on so many cores of this machine; refused if it cannot fit."""
+    """Forecast the time and memory of a build; raises InputError if it cannot fit."""
     from terraphi.forward import register_bits
     from terraphi.forward.forecast import forecast, refuse_too_many
 
@@ -133,7 +133,7 @@ def foreseen(plan: Plan, cores: int) -> Forecast:
 @library.command("list")
 @json_option
 def library_list(as_json: bool) -> None:
-    """List the shipped libraries: those to invert with, then those that try them.
+    """List the shipped libraries: first those to invert with, then those that test them.
 
     Example: terraphi library list
     """
@@ -149,11 +149,11 @@ def library_list(as_json: bool) -> None:
     some = [entry for entry in found if entry["name"] in usable]
     rest = [entry for entry in found if entry["name"] not in usable]
     _list(some, "To invert with, as --library NAME")
-    _list(rest, "To try those with: other angles, particle seeds or settings")
+    _list(rest, "To test those with: other angles, particle seeds or settings")
 
 
 def _list(found: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Libraries as a table; they are of several conventions and soils."""
+    """Print libraries as a table."""
     header = ("", "φ means", "φ [deg]", "legs", "histories", "density [kg/m³]", "certificate")
     rows = [
         (
@@ -172,7 +172,7 @@ def _list(found: Sequence[Mapping[str, Any]], title: str) -> None:
 
 @library.command("show")
 @click.argument("name", shell_complete=library_names)
-@click.option("--check", is_flag=True, help="Simulate a case again and compare all bits.")
+@click.option("--check", is_flag=True, help="Simulate a case again and compare it bit by bit.")
 @click.option(
     "--case",
     "number",
@@ -185,7 +185,7 @@ def _list(found: Sequence[Mapping[str, Any]], title: str) -> None:
 def library_show(name: str, check: bool, number: int, as_json: bool) -> None:
     """Show what the library NAME (or a .nc file) holds and where it comes from.
 
-    It says too whether a build here would give the same forces to the last bit.
+    Also says whether building it on this machine would give bit-identical forces.
 
     Example: terraphi library show quick-paper --check
     """

@@ -16,7 +16,14 @@ from terraphi.cli.doctor import doctor
 from terraphi.cli.invert import DEFAULT_LIBRARY, KIND, MADE, invert, save_inversion
 from terraphi.cli.keys import keys
 from terraphi.cli.library import library
-from terraphi.cli.options import json_option, shipped, tells_as_much_as_asked
+from terraphi.cli.options import (
+    ESTIMATORS,
+    FRAMES,
+    Choice,
+    json_option,
+    shipped,
+    tells_as_much_as_asked,
+)
 from terraphi.cli.report import report
 from terraphi.cli.simulate import simulate
 from terraphi.cli.study import study
@@ -40,10 +47,10 @@ DEMO_SOURCES = ("li2013:yuma/straight", "li2013:glass03_close/straight")
 
 
 class Commands(click.Group):
-    """All commands; an empty word is refused before one of them takes it for a folder or a name."""
+    """All commands; refuses empty arguments, such as those of unset shell variables."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """The words that are left for a command."""
+        """Check that no argument is empty, then parse as usual."""
         before = ""
         command: click.Command = self
         for word in args:
@@ -60,7 +67,7 @@ class Commands(click.Group):
 
 
 def _takes_a_value(command: click.Command, word: str) -> bool:
-    """Whether a word is an option that takes the next word, as ``--out`` does, no flag's name."""
+    """Whether a word is an option that takes a value, as ``--out`` does."""
     options = (option for option in command.params if isinstance(option, click.Option))
     return any(word in o.opts and not (o.is_flag or o.count) for o in options)
 
@@ -155,20 +162,29 @@ library.add_command(library_suggest)
 )
 @click.option(
     "--estimator",
+    type=Choice(ESTIMATORS),
     default="momentum_observer",
     show_default=True,
-    help="quasi_static (the paper's), gravity, inverse_dynamics or momentum_observer.",
+    help="How forces follow from torques; quasi_static is the paper's way.",
 )
-@click.option("--frame", default="world", show_default=True, help="world, heading or body.")
-@click.option("--topic", help="Topic of a bag; the only fitting one if not given.")
+@click.option(
+    "--frame",
+    type=Choice(FRAMES),
+    default="world",
+    show_default=True,
+    help="Axes of the forces: the world's, level ones along the robot, or the body's.",
+)
+@click.option("--topic", help="Topic of a bag; if not given, the one with joint states.")
 @click.option(
     "--joint-names",
     metavar="NAME,...",
-    help="A bag's twelve JointState names, where they do not tell by themselves: FR, FL, RR, RL, "
-    "each hip, thigh, calf.",
+    help="Names of the twelve joints in a bag's JointState messages, if they are not recognised; "
+    "in the order FR, FL, RR, RL, each hip, thigh, calf.",
 )
-@click.option("--out", type=click.Path(path_type=Path), help="NetCDF file to make.")
-@click.option("--figures", type=click.Path(path_type=Path), help="Folder for two figures.")
+@click.option("--out", type=click.Path(path_type=Path), help="NetCDF file for forces and stances.")
+@click.option(
+    "--figures", type=click.Path(path_type=Path), help="Folder for forces.png and stance.png."
+)
 @json_option
 def forces(
     log: str,
@@ -244,7 +260,9 @@ def main() -> None:
         click.echo("terraphi: interrupted; nothing was written", err=True)
         sys.exit(UNUSABLE)
     except OSError as error:
-        click.echo(f"terraphi: the system refused ({error}); nothing more was written", err=True)
+        click.echo(
+            f"terraphi: the operating system reports: {error}; nothing more was written", err=True
+        )
         sys.exit(UNUSABLE)
     except MemoryError as error:
         why = f" ({error})" if str(error) else ""

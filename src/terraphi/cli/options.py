@@ -1,23 +1,23 @@
-"""Commands that need more than a few lines, and the options that commands share."""
+"""Options and types of options that commands share."""
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, nearest
 from terraphi.view.console import listen
 
 
 def _check_plain(
     kind: click.ParamType[Any], value: Any, param: click.Parameter | None, ctx: click.Context | None
 ) -> None:
-    """Refuse numbers that only Python reads, as ``1_000``, and what is not finite."""
+    """Refuse what only Python takes for a number, as ``1_000``, and infinite values."""
     from terraphi.experiment.files import plain_number
 
     if not isinstance(value, str):
@@ -27,11 +27,11 @@ def _check_plain(
     except ValueError:
         finite = False
     if not finite:
-        kind.fail(f"{value[:40]!r} is not a number, as 1000 and 0.25 are", param, ctx)
+        kind.fail(f"{value[:40]!r} is not a number; expected one such as 1000 or 0.25", param, ctx)
 
 
 class Float(click.types.FloatParamType):
-    """A number on the command line, in the letters that our files have."""
+    """A number on the command line, written as in data files: ``1000``, ``0.25``, ``2e7``."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         """The number."""
@@ -40,7 +40,7 @@ class Float(click.types.FloatParamType):
 
 
 class FloatRange(click.FloatRange):
-    """The same within bounds."""
+    """A number within bounds."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         """The number."""
@@ -49,13 +49,62 @@ class FloatRange(click.FloatRange):
 
 
 class IntRange(click.IntRange):
-    """The same of whole numbers."""
+    """A whole number within bounds."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         """The number."""
         _check_plain(self, value, param, ctx)
         return super().convert(value, param, ctx)
 
+
+class Choice(click.Choice[str]):
+    """One of some words: help lists them, tab completes them, and a slip is told the nearest."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: Any) -> str:
+        """The word, if it is one of the choices."""
+        if value in self.choices:
+            return str(value)
+        name = param.opts[0].lstrip("-").replace("_", " ") if param is not None else "word"
+        hint = nearest(str(value), self.choices)
+        raise click.UsageError(f"unknown {name} '{value}'; {hint}", ctx)
+
+
+class Grouped(click.Command):
+    """A command whose help shows its options under headings.
+
+    Parameters
+    ----------
+    groups
+        Heading to the names of its options, as ``--leg``; the others come last, under
+        ``Output``.
+    """
+
+    def __init__(self, *args: Any, groups: Mapping[str, Sequence[str]], **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.groups = groups
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, heading by heading."""
+        found: dict[str, list[tuple[str, str]]] = {name: [] for name in [*self.groups, "Output"]}
+        for option in self.get_params(ctx):
+            record = option.get_help_record(ctx)
+            if record is not None and isinstance(option, click.Option):
+                named = (name for name, some in self.groups.items() if option.opts[0] in some)
+                found[next(named, "Output")].append(record)
+        for name, records in found.items():
+            with formatter.section(name):
+                formatter.write_dl(records)
+
+
+# The same words stand in the rooms that take them, which are too heavy to import for --help;
+# tests/cli/test_help.py compares them.
+LEGS = ("straight", "c", "reversed_c", "plate")
+LIKELIHOODS = ("calibrated", "paper")
+SAMPLERS = ("quadrature", "emcee")
+DISCREPANCIES = ("none", "gp")
+ESTIMATORS = ("quasi_static", "gravity", "inverse_dynamics", "momentum_observer")
+FRAMES = ("world", "heading", "body")
+DOCUMENTS = ("scenario", "plan", "robot")
 
 EVERY_SECONDS = 20.0
 """Least time between two checkpoints [s]."""
@@ -67,12 +116,12 @@ checkpoint_every_option = click.option(
     default=EVERY_SECONDS,
     show_default=True,
     metavar="SECONDS",
-    help="Least time between two checkpoints; longer where they would take over 1 % of the time.",
+    help="Least time between two checkpoints; longer if writing them took over 1 % of the time.",
 )
 
 
 def _listen(context: click.Context, parameter: click.Parameter, value: int) -> int:
-    """Set what is told on standard error; wherever in a command the option stands."""
+    """Set how much is printed on standard error, wherever the option stands."""
     if value:
         opposite = context.meta.setdefault("terraphi.loudness", parameter.name) != parameter.name
         if opposite:
@@ -85,21 +134,21 @@ def _listen(context: click.Context, parameter: click.Parameter, value: int) -> i
 
 
 def tells_as_much_as_asked(command: click.Command) -> None:
-    """Give a command, and those in it, the options on what is told on standard error."""
+    """Add --verbose and --quiet to a command and to the commands in it."""
     more = [
         click.Option(
             ["-v", "--verbose"],
             count=True,
             expose_value=False,
             callback=_listen,
-            help="Tell on standard error what is being done; -vv: in detail.",
+            help="Print on standard error what is being done; -vv: in detail.",
         ),
         click.Option(
             ["-q", "--quiet"],
             is_flag=True,
             expose_value=False,
             callback=_listen,
-            help="Tell nothing there but errors: no warnings, no progress.",
+            help="Print only errors on standard error: no warnings, no progress.",
         ),
     ]
     command.params.extend(more)
@@ -110,7 +159,7 @@ def tells_as_much_as_asked(command: click.Command) -> None:
 def completed(
     names: Callable[[], Iterable[str]], *, files: bool = False
 ) -> Callable[[Any, Any, str], list[CompletionItem]]:
-    """What the tab key completes: names that exist, and files where one may stand as well."""
+    """Shell completion with some names; with files too, where a file is allowed."""
 
     def complete(_context: Any, _parameter: Any, begun: str) -> list[CompletionItem]:
         found = [CompletionItem(name) for name in names() if name.startswith(begun)]
@@ -121,7 +170,7 @@ def completed(
 
 
 def shipped(folder: str, suffix: str) -> Callable[[Any, Any, str], list[CompletionItem]]:
-    """Completion of a file's name or that of a shipped one."""
+    """Shell completion with the names of shipped files, and with files."""
 
     def names() -> list[str]:
         from terraphi.experiment.documents import shipped_names
@@ -132,7 +181,7 @@ def shipped(folder: str, suffix: str) -> Callable[[Any, Any, str], list[Completi
 
 
 def studies_package() -> Any:
-    """The package of studies, found by its entry point; the core does not know its name.
+    """Load the package of studies, which terraphi finds by its entry point.
 
     Raises
     ------
@@ -148,21 +197,14 @@ def studies_package() -> Any:
     raise InputError("no studies are installed; install terraphi again, by 'make install' or pip")
 
 
-def _legs() -> Iterable[str]:
-    from terraphi.experiment.leg import LEG_SHAPES
-
-    return LEG_SHAPES
-
-
 def _studies() -> Iterable[str]:
     return ["list", *studies_package().STUDIES]
 
 
-leg_names = completed(_legs)
 study_names = completed(_studies)
 library_names = shipped("libraries", ".nc")
 cluster_option = click.option(
     "--cluster",
     metavar="ADDRESS",
-    help="Simulate on the Dask cluster whose scheduler answers there, as at tcp://127.0.0.1:8786.",
+    help="Address of a Dask scheduler to simulate on, such as tcp://127.0.0.1:8786.",
 )

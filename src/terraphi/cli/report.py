@@ -19,7 +19,8 @@ SUFFIXES = (".html", ".htm")
     "--out", type=click.Path(path_type=Path), required=True, help="HTML file to make, under 6 MB."
 )
 @click.option(
-    "--library", help="Library that the inversions used: name, or a .nc file if it is your own."
+    "--library",
+    help="Library that the inversions used, by name or as a .nc file; needed for your own.",
 )
 @click.option(
     "--robot", default="go2", show_default=True, help="Name, TOML or URDF, for a robot's log."
@@ -32,8 +33,7 @@ def report(
 
     RESULT is what --out of another command made: the folder of an inversion, of several (as that of
     the demo) or of a study, a library (or the name of a shipped one), foot forces, or a
-    simulation's history with its folder of fields for an animation. A robot's log itself will do
-    too.
+    simulation's history, with its folder of fields for an animation. A robot's log works too.
 
     Example: terraphi report answer --out report.html
     """

@@ -1,4 +1,4 @@
-"""``terraphi simulate``: one simulation, what it leaves behind, and how it is taken up again."""
+"""``terraphi simulate``: run one simulation, write its results, resume it if interrupted."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ file_type = click.Path(path_type=Path)
     type=IntRange(min=2),
     default=100,
     show_default=True,
-    help="Frames of the fields and the animation, one each 2000 steps at most.",
+    help="Frames of the fields and the animation; at most one every 2000 steps.",
 )
 @click.option(
     "--checkpoint",
     type=file_type,
-    help="File that keeps the state until all is written; if not given, beside what is written.",
+    help="File for the state, kept until all output is written; by default beside the output.",
 )
 @checkpoint_every_option
 @json_option
@@ -56,8 +56,8 @@ def simulate(
 
     Presets: quick, paper-1, resolved.
 
-    A simulation that was interrupted or killed is taken up again by the same command, and ends in
-    the same bits.
+    The same command resumes a simulation that was interrupted or killed; the result is
+    bit-identical to that of an uninterrupted run.
 
     Example: terraphi simulate quick --out quick.nc
     """
@@ -105,7 +105,7 @@ def simulate(
 
 
 def foreseen(scenario: Scenario, source: str) -> Forecast:
-    """What the simulation will take; one that cannot fit is refused by the name of its file."""
+    """Forecast time and memory; raises InputError with the file's name if it cannot fit."""
     from terraphi.forward import register_bits
     from terraphi.forward.forecast import forecast, refuse_what_cannot_fit
 
@@ -119,14 +119,14 @@ def foreseen(scenario: Scenario, source: str) -> Forecast:
 def kept_state(
     scenario: Scenario, named: Path | None, made: Path | None, every: float
 ) -> Checkpoint | None:
-    """Where the state is kept: in the file that was named, or else beside what is made."""
+    """The checkpoint: in the file that was named, or else beside the output."""
     from terraphi.forward import Checkpoint
 
     if scenario.model != "mpm":
         if named is not None:
             raise InputError(
-                f"model = '{scenario.model}' is done in no time and keeps no state: leave out "
-                "--checkpoint"
+                f"model = '{scenario.model}' takes under a second and has no checkpoints: "
+                "leave out --checkpoint"
             )
         return None
     if named is not None:
@@ -140,7 +140,7 @@ def kept_state(
 def field_series(
     scenario: Scenario, fields: Path | None, animation: Path | None, frames: int
 ) -> FieldSeries | None:
-    """Series of the fields; those of an animation alone stay beside it until it is drawn."""
+    """Folder of the fields; for an animation alone, a temporary one beside it."""
     place = fields
     if place is None and animation is not None:
         place = animation.with_name(animation.name + ".frames")
@@ -157,7 +157,7 @@ def field_series(
 
 
 def run(scenario: Scenario, kept: Checkpoint | None, series: FieldSeries | None) -> ForceHistory:
-    """Simulate; Ctrl-C ends in a sentence that says how to go on."""
+    """Simulate; Ctrl-C raises InputError that says how to resume."""
     from terraphi import forward
 
     try:

@@ -1,4 +1,4 @@
-"""``terraphi study``: the experiments that anyone can run again."""
+"""``terraphi study``: run a shipped study again."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ LIST = "list"
     help="Library to use instead of the study's own.",
     shell_complete=library_names,
 )
-@click.option("--only", help="Family of problems, for verification.")
-@click.option("--quick", is_flag=True, default=None, help="Coarse and fast, for verification.")
+@click.option("--only", help="For verification: only this family of problems.")
+@click.option("--quick", is_flag=True, default=None, help="For verification: coarse and fast.")
 @click.option(
     "--build",
     type=click.Path(path_type=Path),
-    help="Folder: simulate what the study lacks, and keep it there; not for all.",
+    help="Folder: simulate what the study still needs, and keep it there; only some studies.",
 )
 @click.option("--workers", type=IntRange(min=1), help="Processes; 1 if not given.")
 @cluster_option

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from terraphi.cli.options import FloatRange, IntRange, json_option, leg_names, library_names
+from terraphi.cli.options import LEGS, Choice, FloatRange, IntRange, json_option, library_names
 from terraphi.view.console import print_json, print_table
 from terraphi.view.table import Table
 
@@ -15,13 +15,13 @@ from terraphi.view.table import Table
     "--count", type=IntRange(1, 64), default=1, show_default=True, help="Number of points."
 )
 @click.option(
-    "--leg", help="Leg that will be inverted; all together if not given.", shell_complete=leg_names
+    "--leg", type=Choice(LEGS), help="Leg that will be inverted; all legs together if not given."
 )
 @click.option("--parameter", help="Key of the parameter whose variance counts; all if not given.")
 @click.option(
     "--noise",
     type=FloatRange(min=0.0, min_open=True),
-    help="Noise of a window mean to expect [N]; 1 % of the peak-to-peak if not given.",
+    help="Expected noise of a window mean [N]; 1 % of the peak-to-peak force if not given.",
 )
 @click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed.")
 @json_option
@@ -36,8 +36,9 @@ def library_suggest(
 ) -> None:
     """Name the friction angle, or design point, to simulate next for library NAME.
 
-    It is the one after which the expected posterior variance is least; further ones follow one by
-    one. Add them to the plan, and build it under the same name: what is finished is kept.
+    It is the point that minimises the expected posterior variance; with --count, more points are
+    chosen one after another. Add them to the plan and build it under the same name: finished
+    cases are kept.
 
     Example: terraphi library suggest mine.nc --count 4
     """

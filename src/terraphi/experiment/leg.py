@@ -136,30 +136,23 @@ class Panels(NamedTuple):
 
 
 class Leg(BaseModel):
-    """A rigid leg or plate; the defaults are those of Li et al. (2013).
+    """A rigid leg or plate; the defaults are those of Li et al. (2013)."""
 
-    Attributes
-    ----------
-    shape
-        ``straight``; ``c``, a semicircle that bulges where it moves; ``reversed_c``, away from
-        it; ``plate``, a rectangle with sharp corners.
-    chord
-        Distance from hip to tip, 2R [m]; for the plate its length.
-    half_thickness
-        Half thickness [m].
-    width
-        Extent across the plane of motion [m].
-    friction
-        Coulomb coefficient between leg and soil [-].
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
     shape: LegShape = "straight"
+    """``straight``; ``c``, a semicircle that bulges where it moves; ``reversed_c``, away from
+    it; ``plate``, a rectangle with sharp corners."""
     chord: float = Field(0.0762, gt=0)
+    """Distance from hip to tip, 2R [m]; for the plate its length."""
     half_thickness: float = Field(0.0032, gt=0)
+    """Half the leg's thickness [m]."""
     width: float = Field(0.0254, gt=0)
+    """Extent across the plane of motion [m]."""
     friction: float = Field(0.35, ge=0)
+    """Coulomb coefficient between leg and soil [-]."""
 
     @model_validator(mode="after")
     def _thinner_than_long(self) -> Self:

@@ -31,32 +31,26 @@ class Poses(NamedTuple):
 
 
 class _Motion(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 class Rotation(_Motion):
-    """Rotation about a fixed hip, at a constant rate or along a profile ω(θ).
-
-    Attributes
-    ----------
-    kind
-        ``rotation``; the kind of motion if none is given.
-    hip
-        Position of the hip (x, z) [m].
-    start_deg, stop_deg
-        First and last leg angle [deg], start below stop.
-    rate
-        Constant angular rate ω [rad/s]; or, if ``rate_profile`` is given, left alone.
-    rate_profile
-        Knots (θ [deg], ω [rad/s]) of a rate that is linear between them and constant outside.
-    """
+    """Rotation about a fixed hip, at a constant rate or along a profile ω(θ)."""
 
     kind: Literal["rotation"] = "rotation"
+    """``rotation``; the kind of motion if none is given."""
     hip: tuple[float, float] = (0.150, 0.190)
+    """Position of the hip (x, z) [m]."""
     start_deg: float = -135.0
+    """First leg angle [deg], below stop_deg."""
     stop_deg: float = 135.0
+    """Last leg angle [deg]."""
     rate: float = Field(0.2, gt=0)
+    """Constant angular rate ω [rad/s]; not used if ``rate_profile`` is given."""
     rate_profile: tuple[tuple[float, Annotated[float, Field(gt=0)]], ...] | None = None
+    """Knots (θ [deg], ω [rad/s]) of a rate that is linear between them and constant outside."""
 
     @model_validator(mode="after")
     def _turns_forward(self) -> Self:
@@ -172,30 +166,20 @@ class Rotation(_Motion):
 
 
 class Translation(_Motion):
-    """Straight motion at a constant velocity and orientation, for plates and penetration.
-
-    Attributes
-    ----------
-    kind
-        ``translation``.
-    start
-        First position of the origin of the leg's frame (x, z) [m].
-    orientation_deg
-        Angle of the chord from the downward vertical [deg]: 0 hangs down, 90 points along -x.
-    velocity
-        Velocity (x, z) [m/s].
-    distance
-        Length of the path [m].
-    bin_width
-        Width of a history bin [m].
-    """
+    """Straight motion at a constant velocity and orientation, for plates and penetration."""
 
     kind: Literal["translation"] = "translation"
+    """``translation``."""
     start: tuple[float, float]
+    """First position of the origin of the leg's frame (x, z) [m]."""
     orientation_deg: float = 0.0
+    """Angle of the chord from the downward vertical [deg]: 0 hangs down, 90 points along -x."""
     velocity: tuple[float, float]
+    """Velocity (x, z) [m/s]."""
     distance: float = Field(gt=0)
+    """Length of the path [m]."""
     bin_width: float = Field(1e-4, gt=0)
+    """Width of a history bin [m]."""
 
     @model_validator(mode="after")
     def _moves(self) -> Self:

@@ -55,39 +55,33 @@ PAPER_DAMPING_RATE = -math.log(0.997) / 8e-6
 class Section(BaseModel):
     """Frozen, strict and finite."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 class Bed(Section):
-    """The box of soil; its walls are fixed in space whatever the grid.
-
-    Attributes
-    ----------
-    left, floor
-        Position of the left wall x and of the floor z [m].
-    width, height
-        Extent of the box x and of the soil z [m]; the right wall stands at left + width.
-    floor_friction
-        ``rough``: soil that presses on the floor sticks; ``smooth``: it slips freely. The side
-        walls always let soil slip.
-    soil_left, soil_width
-        Where the soil begins, x, and how far it reaches [m]; ``None``: from the left wall, and
-        to the right one.
-    surcharge
-        Pressure on the free surface [Pa]: dead weight that the uppermost particles carry.
-    gravity
-        Acceleration of gravity g [m/s²].
-    """
+    """The box of soil; its walls are fixed in space whatever the grid."""
 
     left: float = Field(0.005, ge=0)
+    """Position of the left wall x [m]."""
     floor: float = Field(0.005, ge=0)
+    """Position of the floor z [m]."""
     width: float = Field(0.290, gt=0)
+    """Width of the box [m]; the right wall stands at left + width."""
     height: float = Field(0.165, gt=0)
+    """Height of the soil above the floor [m]."""
     floor_friction: Literal["rough", "smooth"] = "rough"
+    """``rough``: soil that presses on the floor sticks; ``smooth``: it slips freely. The side
+    walls always let soil slip."""
     soil_left: float | None = Field(None, ge=0)
+    """Where the soil begins, x [m]; ``None``: at the left wall."""
     soil_width: float | None = Field(None, gt=0)
+    """How far the soil reaches to the right [m]; ``None``: to the right wall."""
     surcharge: float = Field(0.0, ge=0)
+    """Pressure on the free surface [Pa]: dead weight that the uppermost particles carry."""
     gravity: float = Field(GRAVITY, ge=0)
+    """Acceleration of gravity g [m/s²]."""
 
     @model_validator(mode="after")
     def _holds_its_soil(self) -> Self:
@@ -119,91 +113,65 @@ class Bed(Section):
 
 
 class Relief(Section):
-    """Fading of soil that the leg has carried away (the paper's tail-phase relief).
-
-    Attributes
-    ----------
-    enabled
-        Whether particles fade at all; only in a rotation.
-    distance
-        Displacement from its first place beyond which a particle fades once θ > 0 [m].
-    rate
-        Decay rate per turned angle [1/rad].
-    least
-        Smallest weight q of a particle [-].
-    """
+    """Fading of soil that the leg has carried away (the paper's tail-phase relief)."""
 
     enabled: bool = True
+    """Whether particles fade at all; only in a rotation."""
     distance: float = Field(0.020, ge=0)
+    """Displacement from its first place beyond which a particle fades once θ > 0 [m]."""
     rate: float = Field(2.0, ge=0)
+    """Decay rate per turned angle [1/rad]."""
     least: float = Field(0.05, gt=0, le=1)
+    """Smallest weight q of a particle [-]."""
 
 
 class Numerics(Section):
-    """Discretisation of the material point method.
-
-    Attributes
-    ----------
-    domain
-        Side of the square background grid [m].
-    cells
-        Cells along a side.
-    particles_per_cell_side
-        Particles along a side of a cell; 2 makes 4 a cell in the plane.
-    particle_jitter
-        Share of its sub-cell over which a particle's place is drawn [-]: 0 a lattice, 1 anywhere.
-    seed
-        Seed of the particle places.
-    time_step
-        Time step Δt [s], below the CFL limit.
-    speed_up
-        Factor k [-]: the motion runs k times faster, and the damping rate is divided by k, so
-        that its drag on the soil stays the same.
-    damping_rate
-        Decay rate of grid velocities [1/s], a drag on the soil; 0: none.
-    damping_order
-        Whether grid velocities decay ``after_contact`` with leg and walls or ``before_contact``.
-    transfer
-        What particles keep of the grid's velocities: ``apic``, value and gradient; ``pic``, the
-        value alone, whose smoothing at every step acts like a viscosity.
-    contact
-        ``nodes``: the nodes of the grid near the leg take its velocity; ``surface``: the material
-        points press on its true surface; ``unbalanced``: near nodes as in the public prototype of
-        Xu & Wang, which counts more force than it applies (``unbalanced_contact.py``).
-    contact_band_cells
-        Nodes closer to the leg than this many cells are in contact [-].
-    remap_interval
-        For how long the grid keeps its velocities before it takes them from the particles anew [s],
-        rounded to steps; 0: it does so at every step.
-    dilatation
-        Volumetric strain rate that the stress follows: ``particle``, that at each particle;
-        ``cell``: their mean over a cell (B-bar; Hughes, 1980, doi 10.1002/nme.1620150914), without
-        which plastic flow at constant volume locks. Not for soil that dilates: what one particle of
-        a cell dilates, its neighbours would have to give back, and the soil gets stiffer instead.
-    stress_rate
-        How stress turns with the soil: ``jaumann``, with its spin; ``none``, not at all, as in the
-        public prototype of Xu & Wang.
-    particle_volume
-        Volume of a particle: ``fixed``, that at the start, V₀; ``updated``, J V₀ by the
-        deformation's determinant J.
-    """
+    """Discretisation of the material point method."""
 
     domain: float = Field(0.300, gt=0)
+    """Side of the square background grid [m]."""
     cells: int = Field(128, ge=8, le=4096)
+    """Cells along a side."""
     particles_per_cell_side: int = Field(2, ge=1, le=8)
+    """Particles along a side of a cell; 2 makes 4 a cell in the plane."""
     particle_jitter: float = Field(1.0, ge=0, le=1)
+    """Share of its sub-cell over which a particle's place is drawn [-]: 0 a lattice, 1 anywhere."""
     seed: int = Field(0, ge=0)
+    """Seed of the particle places."""
     time_step: float = Field(8e-6, gt=0)
+    """Time step Δt [s], below the CFL limit."""
     speed_up: float = Field(1.0, gt=0)
+    """Factor k [-]: the motion runs k times faster, and the damping rate is divided by k, so
+    that its drag on the soil stays the same."""
     damping_rate: float = Field(PAPER_DAMPING_RATE, ge=0)
+    """Decay rate of grid velocities [1/s], a drag on the soil; 0: none."""
     damping_order: Literal["after_contact", "before_contact"] = "after_contact"
+    """Whether grid velocities decay ``after_contact`` with leg and walls or ``before_contact``."""
     transfer: Literal["apic", "pic"] = "apic"
+    """What particles keep of the grid's velocities: ``apic``, value and gradient; ``pic``, the
+    value alone, whose smoothing at every step acts like a viscosity."""
     contact: Literal["nodes", "surface", "unbalanced"] = "nodes"
+    """``nodes``: the nodes of the grid near the leg take its velocity; ``surface``: the
+    material points press on its true surface; ``unbalanced``: near nodes as in the public
+    prototype of Xu & Wang, which counts more force than it applies
+    (``unbalanced_contact.py``)."""
     contact_band_cells: float = Field(2.0, ge=0)
+    """Nodes closer to the leg than this many cells are in contact [-]."""
     remap_interval: float = Field(0.0, ge=0)
+    """For how long the grid keeps its velocities before it takes them from the particles anew
+    [s], rounded to steps; 0: it does so at every step."""
     dilatation: Literal["particle", "cell"] = "particle"
+    """Volumetric strain rate that the stress follows: ``particle``, that at each particle;
+    ``cell``: their mean over a cell (B-bar; Hughes, 1980, doi 10.1002/nme.1620150914), without
+    which plastic flow at constant volume locks. Not for soil that dilates: what one particle of
+    a cell dilates, its neighbours would have to give back, and the soil gets stiffer
+    instead."""
     stress_rate: Literal["jaumann", "none"] = "jaumann"
+    """How stress turns with the soil: ``jaumann``, with its spin; ``none``, not at all, as in
+    the public prototype of Xu & Wang."""
     particle_volume: Literal["fixed", "updated"] = "fixed"
+    """Volume of a particle: ``fixed``, that at the start, V₀; ``updated``, J V₀ by the
+    deformation's determinant J."""
 
     @model_validator(mode="before")
     @classmethod
@@ -259,18 +227,7 @@ class Numerics(Section):
 
 
 class Resistive(Section):
-    """Resistive force theory.
-
-    Attributes
-    ----------
-    medium
-        In two dimensions, whose coefficients to take (Li et al., 2013); the friction angle plays
-        no part. In three dimensions the coefficients follow from φ and ρ (Agarwal et al., 2023).
-    scale
-        Factor ζ on the two-dimensional coefficients [-].
-    panels
-        Elements along the leg.
-    """
+    """Resistive force theory."""
 
     medium: Literal[
         "generic",
@@ -280,8 +237,12 @@ class Resistive(Section):
         "glass03_close",
         "glass3_close",
     ] = "generic"
+    """In two dimensions, whose coefficients to take (Li et al., 2013); the friction angle plays
+    no part. In three dimensions the coefficients follow from φ and ρ (Agarwal et al., 2023)."""
     scale: float = Field(1.0, gt=0)
+    """Factor ζ on the two-dimensional coefficients [-]."""
     panels: int = Field(200, ge=10, le=100_000)
+    """Elements along the leg."""
 
 
 COURANT_LIMIT = 0.9
@@ -300,21 +261,14 @@ LEAST, LARGEST = 1e-15, 1e15
 
 
 class Scenario(Section):
-    """A soil, a leg, a motion and the numerics that bring them together.
-
-    Attributes
-    ----------
-    name
-        For people; not part of the hash.
-    model
-        ``mpm``: material point method; ``rft``: resistive force theory.
-    dimensions
-        2: plane strain; 3: ``rft`` only, so far.
-    """
+    """A soil, a leg, a motion and the numerics that bring them together."""
 
     name: str = ""
+    """Name of the scenario, for people; not part of the hash."""
     model: Literal["mpm", "rft"] = "mpm"
+    """``mpm``: material point method; ``rft``: resistive force theory."""
     dimensions: Literal[2, 3] = 2
+    """2: plane strain; 3: ``rft`` only, so far."""
     soil: Soil = Field(default_factory=Soil)
     leg: Leg = Field(default_factory=Leg)
     motion: Motion = Field(default_factory=Rotation)

@@ -157,46 +157,34 @@ def friction_angle_from_plane_strain_deg(
 
 
 class Soil(BaseModel):
-    """Dry soil: hypoelastic, Drucker-Prager.
+    """Dry soil: hypoelastic, Drucker-Prager."""
 
-    Attributes
-    ----------
-    density
-        Bulk density ρ [kg/m³].
-    youngs_modulus
-        Young's modulus E [Pa].
-    poisson_ratio
-        Poisson's ratio ν [-].
-    friction_angle_deg
-        Friction angle φ [deg] in the convention of ``yield_criterion``.
-    yield_criterion
-        What φ means: ``paper``, as printed by Xu & Wang; ``plane_strain``, Mohr-Coulomb in plane
-        strain; ``triaxial``, Drucker-Prager matched at triaxial compression.
-    dilation_angle_deg
-        Dilation angle ψ [deg], same convention, at most φ; ignored by associated flow.
-    flow
-        ``dilation``: plastic potential of slope β(ψ); ``associated``: β = α.
-    cohesion
-        Cohesion c [Pa].
-    tension_cutoff
-        Mean stress [Pa] beyond which a trial state goes to the tip of the cut cone whatever the
-        flow rule; ``None``: tension is left to the cone's own apex.
-    k0
-        Ratio of horizontal to vertical stress at rest [-]; ``None``: 1 - sin φ (Jaky).
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
     density: float = Field(1650.0, gt=0)
+    """Bulk density ρ [kg/m³]."""
     youngs_modulus: float = Field(20e6, gt=0)
+    """Young's modulus E [Pa]."""
     poisson_ratio: float = Field(0.30, ge=0, lt=0.5)
+    """Poisson's ratio ν [-]."""
     friction_angle_deg: float = Field(35.0, gt=0, lt=90)
+    """Friction angle φ [deg] in the convention of ``yield_criterion``."""
     yield_criterion: YieldCriterion = "paper"
+    """What φ means: ``paper``, as printed by Xu & Wang; ``plane_strain``, Mohr-Coulomb in plane
+    strain; ``triaxial``, Drucker-Prager matched at triaxial compression."""
     dilation_angle_deg: float = Field(0.0, ge=0, lt=90)
+    """Dilation angle ψ [deg], same convention, at most φ; ignored by associated flow."""
     flow: Literal["dilation", "associated"] = "dilation"
+    """``dilation``: plastic potential of slope β(ψ); ``associated``: β = α."""
     cohesion: float = Field(0.0, ge=0)
+    """Cohesion c [Pa]."""
     tension_cutoff: float | None = Field(None, ge=0)
+    """Mean stress [Pa] beyond which a trial state goes to the tip of the cut cone whatever the
+    flow rule; ``None``: tension is left to the cone's own apex."""
     k0: float | None = Field(None, gt=0)
+    """Ratio of horizontal to vertical stress at rest [-]; ``None``: 1 - sin φ (Jaky)."""
 
     @model_validator(mode="after")
     def _dilates_no_more_than_it_rubs(self) -> Self:

@@ -40,23 +40,16 @@ class Variant(NamedTuple):
 
 
 class Step(BaseModel):
-    """A change of some keys at once.
+    """A change of some keys at once."""
 
-    Attributes
-    ----------
-    name
-        For people.
-    changes
-        Dotted scenario key to its value.
-    after
-        What is changed: the ``previous`` step's scenario, or the ``base``.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     name: str = Field(min_length=1)
+    """Name of the step, for people."""
     changes: dict[str, JsonValue] = Field(min_length=1)
+    """Dotted scenario key to its value."""
     after: Literal["previous", "base"] = "previous"
+    """What is changed: the ``previous`` step's scenario, or the ``base``."""
 
 
 class Sample(BaseModel):
@@ -64,26 +57,21 @@ class Sample(BaseModel):
 
     A larger count goes on where a smaller one of the same seed ended, so that a library built
     anew with more points computes only those.
-
-    Attributes
-    ----------
-    keys
-        Dotted scenario key, of a number, to its lower and upper bound.
-    count
-        Number of points; powers of two fill the box most evenly.
-    seed
-        Seed of the scrambling (Owen, *J. Complexity* 14:466, 1998).
-    also
-        Further points, values in the order of the keys, such as those that ``terraphi library
-        suggest`` names.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
     keys: dict[str, tuple[float, float]] = Field(min_length=1)
+    """Dotted scenario key, of a number, to its lower and upper bound."""
     count: int = Field(ge=0, le=65536)
+    """Number of points; powers of two fill the box most evenly."""
     seed: int = Field(0, ge=0)
+    """Seed of the scrambling (Owen, *J. Complexity* 14:466, 1998)."""
     also: list[list[float]] = Field(default_factory=list)
+    """Further points, values in the order of the keys, such as those that ``terraphi library
+    suggest`` names."""
 
     @model_validator(mode="after")
     def _is_a_box(self) -> Self:
@@ -112,42 +100,32 @@ class Sample(BaseModel):
 
 
 class Plan(BaseModel):
-    """What a library or a study is to contain.
+    """What a library or a study is to contain."""
 
-    Attributes
-    ----------
-    name, description
-        For people.
-    scenario
-        What all cases share.
-    sweep
-        Dotted scenario key to its values; the cases are all combinations, the first key slowest.
-    sample
-        Points in the bounds of some keys, each with all combinations of the sweep, if there is one.
-    one_at_a_time
-        Instead of a sweep: dotted scenario key to its values; the cases are the scenario itself,
-        the base, and then one for each value of each key, all other keys as in the base.
-    steps
-        Instead of a sweep: changes with names, one after another; the cases are the base and one
-        for each step.
-    presets
-        Names of shipped scenarios to set beside the base, each a case as it stands.
-    vary_seed
-        Whether case number i of a sweep takes the scenario's seed plus i, so that the particle
-        scatter of neighbouring cases is independent.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     name: str = Field(min_length=1)
+    """Name of the plan, for people."""
     description: str = ""
+    """What it is for, for people."""
     scenario: Scenario = Field(default_factory=Scenario)
+    """What all cases share."""
     sweep: dict[str, list[JsonValue]] = Field(default_factory=dict)
+    """Dotted scenario key to its values; the cases are all combinations, the first key slowest."""
     sample: Sample | None = None
+    """Points in the bounds of some keys, each with all combinations of the sweep, if there is
+    one."""
     one_at_a_time: dict[str, list[JsonValue]] = Field(default_factory=dict)
+    """Instead of a sweep: dotted scenario key to its values; the cases are the scenario itself,
+    the base, and then one for each value of each key, all other keys as in the base."""
     steps: list[Step] = Field(default_factory=list)
+    """Instead of a sweep: changes with names, one after another; the cases are the base and one
+    for each step."""
     presets: list[str] = Field(default_factory=list)
+    """Names of shipped scenarios to set beside the base, each a case as it stands."""
     vary_seed: bool = False
+    """Whether case number i of a sweep takes the scenario's seed plus i, so that the particle
+    scatter of neighbouring cases is independent."""
 
     @model_validator(mode="after")
     def _is_one_of_two_kinds(self) -> Self:

@@ -39,7 +39,7 @@ REST = BodyMotion(np.array([0.0, 0.0, GRAVITY]), np.zeros(3), np.zeros(3))
 
 
 def moved(motion: BodyMotion, place: FloatArray) -> BodyMotion:
-    """Motion at the origin of the body's frame from that measured elsewhere on the body.
+    """Move a measured motion from where the IMU sits to the origin of the body's frame.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def inverse_dynamics(
     *,
     body: BodyMotion = REST,
 ) -> FloatArray:
-    """Joint torques that a motion asks for while the feet touch nothing.
+    """Joint torques that a motion needs while the feet touch nothing.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ class _Planar(NamedTuple):
 def _load(
     robot: Quadruped, link: int, s: Triple, matrix: tuple[Triple, Triple, Triple]
 ) -> tuple[Triple, Triple]:
-    """Force and moment about its origin that a link's motion asks for."""
+    """Force on a link, and moment about its origin, that its motion needs."""
     mass = robot.chain.mass[:, link]
     fx, fy, fz = robot.chain.first[:, link].T
     second = robot.chain.second[:, link]
@@ -257,7 +257,7 @@ def _load(
 def _spun(
     w: Triple, alpha: Triple, rate: FloatArray, second_rate: FloatArray, *, about_x: bool
 ) -> tuple[Triple, Triple]:
-    """Angular velocity and acceleration beyond a joint, in the link's frame."""
+    """Angular velocity and acceleration of the link behind a joint, in that link's frame."""
     x, y, z = w
     ax, ay, az = alpha
     if about_x:
@@ -278,7 +278,7 @@ def _rate_matrix(w: Triple, alpha: Triple) -> tuple[Triple, Triple, Triple]:
 
 
 def _joints(robot: Quadruped, values: FloatArray) -> Triple:
-    """Hip, thigh and calf, counted about +x, +y, +y; each shape [sample, foot]."""
+    """Values of hip, thigh and calf, with signs about +x, +y, +y; each shape [sample, foot]."""
     turned = np.asarray(values, dtype=np.float64) * robot.chain.sign
     # Contiguous: each is read dozens of times.
     hip, thigh, calf = np.ascontiguousarray(np.moveaxis(turned, -1, 0))
@@ -286,7 +286,7 @@ def _joints(robot: Quadruped, values: FloatArray) -> Triple:
 
 
 def _along_feet(vector: FloatArray) -> Triple:
-    """Components, each shape [sample, 1], to go with [sample, foot]."""
+    """Split vectors into components of shape [sample, 1], which broadcast over [sample, foot]."""
     x, y, z = np.asarray(vector, dtype=np.float64).reshape(-1, 3, 1).transpose(1, 0, 2)
     return x, y, z
 

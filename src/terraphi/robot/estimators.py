@@ -1,10 +1,9 @@
-"""Torques that contact with the ground explains: Jᵀ f = M q̈ + h + friction − τ, in four ways.
+"""Joint torques caused by ground contact, Jᵀ f = M q̈ + h + friction − τ, by four estimators.
 
-A low-pass filter that is exact between samples, whatever their spacing.
-
-The filter is the first-order lag of a momentum observer, ẏ = K (x − y), run forwards and backwards
-in time; the mean of the two has the gain K² / (K² + ω²) and no delay. Between samples x is taken to
-be linear, and a derivative to be constant, so that jitter and dropped samples need no resampling.
+They share a low-pass filter that is exact for samples at any spacing. The filter is the first-order
+lag of a momentum observer, ẏ = K (x − y), run forwards and backwards in time; the mean of the two
+has the gain K² / (K² + ω²) and no delay. Between samples x is taken to be linear, and a derivative
+to be constant, so that jitter and dropped samples need no resampling.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ _TWICE = math.sqrt(2.0**0.25 - 1.0)
 
 @dataclass(frozen=True)
 class Settings:
-    """How contact torques are found.
+    """Which estimator finds the contact torques, and its settings.
 
     Attributes
     ----------
@@ -76,7 +75,7 @@ class Settings:
 
     @property
     def margin(self) -> float:
-        """Time before and after a chunk that its filters remember [s]."""
+        """How far samples before and after a chunk influence its filtered values [s]."""
         if self.estimator == "momentum_observer":
             return _MEMORY / self.gain
         if self.estimator == "inverse_dynamics":
@@ -85,7 +84,7 @@ class Settings:
 
 
 class Signals(NamedTuple):
-    """A stretch of a log, in double precision."""
+    """The values of a part of a log, in double precision."""
 
     time: FloatArray
     angle: FloatArray
@@ -97,7 +96,7 @@ class Signals(NamedTuple):
 
 
 class Chunk(NamedTuple):
-    """A part of a log and the wider part that its filters need."""
+    """A part of a log to estimate, and the wider part that the filters need for it."""
 
     start: int
     stop: int
@@ -106,7 +105,7 @@ class Chunk(NamedTuple):
 
     @property
     def inner(self) -> slice:
-        """The part within the wider one."""
+        """Place of the part to estimate within the wider part."""
         return slice(self.start - self.first, self.stop - self.first)
 
 
@@ -121,7 +120,7 @@ def chunks(time: FloatArray, margin: float, *, size: int = CHUNK) -> Iterator[Ch
 
 
 def signals(log: JointLog, robot: Quadruped, part: slice) -> Signals:
-    """A stretch of a log, and the trunk's motion as far as the log tells it.
+    """Values of a part of a log, and the motion of the trunk as far as it was recorded.
 
     Without an accelerometer the trunk is taken to be unaccelerated, without a gyroscope not to
     turn, without attitude and accelerometer to be level.
@@ -211,7 +210,7 @@ def momentum_rate(seen: Signals, robot: Quadruped, reflected: FloatArray) -> Flo
 
 
 def external(seen: Signals, robot: Quadruped) -> FloatArray:
-    """What moves the joints besides the ground and friction, h − τ [N m]."""
+    """Torques other than those of ground contact and friction, h − τ [N m]."""
     still = np.zeros_like(seen.velocity)
     return inverse_dynamics(robot, seen.angle, seen.velocity, still, body=seen.body) - seen.torque
 
@@ -219,7 +218,7 @@ def external(seen: Signals, robot: Quadruped) -> FloatArray:
 def observed(
     seen: Signals, settings: Settings, rate: FloatArray | None, values: FloatArray | None
 ) -> FloatArray:
-    """Residual of a momentum observer: the lag of gain K applied to momentum's balance."""
+    """Residual of a momentum observer with gain K: the filtered balance of momentum."""
     return low_pass(
         seen.time,
         settings.gain,
@@ -302,7 +301,7 @@ def low_pass(
 def _one_way(
     decay: FloatArray, near: FloatArray, values: FloatArray | None, slopes: FloatArray | None
 ) -> FloatArray:
-    """Solution of y[k] = decay[k] y[k−1] + what the step from k−1 to k adds."""
+    """Solve y[k] = decay[k] y[k−1] + added[k] for all samples."""
     like = slopes if values is None else values
     assert like is not None, "values or slopes"
     trailing = (1,) * (like.ndim - 1)

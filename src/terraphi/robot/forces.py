@@ -1,4 +1,4 @@
-"""Forces of the ground on the feet, from what the joints' motors felt."""
+"""Forces of the ground on the feet, from the torques of the joints' motors."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def estimate(
 def _leverage(
     seen: Signals, robot: Quadruped, chunk: Chunk, settings: Settings, frame: Frame
 ) -> tuple[FloatArray, BoolArray]:
-    """J⁻ᵀ in the wanted frame, and where it means nothing."""
+    """J⁻ᵀ in the wanted frame, and the samples whose leg is too straight to invert J."""
     turn, angle = seen.turn[chunk.inner], seen.angle[chunk.inner]
     offset = None
     if settings.estimator != "quasi_static" and robot.foot_radius > 0.0:
@@ -218,7 +218,7 @@ def _leverage(
 
 
 def _levelled(turn: FloatArray) -> FloatArray:
-    """Attitudes without their heading: x stays above where the body's x points."""
+    """Remove the heading from attitudes: x points level along the body, z up."""
     heading = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
     back = np.zeros_like(turn)
     back[:, 0, 0] = back[:, 1, 1] = np.cos(heading)
@@ -258,7 +258,7 @@ def _torque_sigma(overview: Survey) -> FloatArray:
 
 
 def _timing_variance(time: FloatArray, torque: FloatArray, gap: float) -> FloatArray:
-    """Variance [N² m²] for not knowing when, between its neighbours, a sample was taken.
+    """Variance of contact torques [N² m²] because the time of a sample is not known exactly.
 
     A torque that changes at a rate r is uncertain by r Δt/√12: much where a foot strikes.
     """
@@ -271,7 +271,7 @@ def _timing_variance(time: FloatArray, torque: FloatArray, gap: float) -> FloatA
 
 
 def _torque_limit(robot: Quadruped, overview: Survey) -> FloatArray:
-    """Torques from which on motors are at their limit [N m], shape [foot, joint]."""
+    """Torques at which the motors are saturated [N m], shape [foot, joint]."""
     known = (math.inf,) * len(JOINTS) if robot.torque_limit is None else robot.torque_limit
     return np.minimum(SATURATED * np.array(known), overview.ceiling)
 
@@ -342,7 +342,7 @@ def _check_log(log: JointLog, frame: Frame) -> None:
 
 
 def _without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
-    """The log without accelerations that do not hold the robot up on the whole, and why."""
+    """Drop accelerations whose mean is not gravity, pointing up; return the log and remarks."""
     if log.acceleration is None:
         return log, []
     every = slice(None, None, max(1, len(log.time) // 10_000))

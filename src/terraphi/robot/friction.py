@@ -37,7 +37,7 @@ _GAUSS = 1.4826
 
 @dataclass(frozen=True)
 class JointFriction:
-    """What the motors' torques lose on their way to the links; each shape [foot, joint].
+    """Friction and rotor inertia of each joint; each shape [foot, joint].
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class JointFriction:
         return self.coulomb * smooth_sign(velocity) + self.viscous * velocity
 
     def doubt(self, velocity: FloatArray) -> FloatArray:
-        """Coulomb torque whose sense is unknown, near standstill [N m]."""
+        """Coulomb torque whose sign is unknown because the joint hardly moves [N m]."""
         return self.coulomb * np.sqrt(np.maximum(1.0 - smooth_sign(velocity) ** 2, 0.0))
 
     def summary(self) -> dict[str, Any]:
@@ -83,7 +83,7 @@ class JointFriction:
 
 
 def smooth_sign(velocity: FloatArray) -> FloatArray:
-    """Sense of motion, tanh(velocity / :data:`STANDSTILL`)."""
+    """Smooth sign of a velocity, tanh(velocity / :data:`STANDSTILL`)."""
     return np.tanh(velocity / STANDSTILL)
 
 
@@ -134,7 +134,7 @@ def in_swing(
 
 
 def one_way(time: FloatArray, velocity: FloatArray) -> BoolArray:
-    """When joints keep moving one way, so that the sense of their friction is sure.
+    """Samples at which a joint keeps moving one way, so that the sign of its friction is sure.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def one_way(time: FloatArray, velocity: FloatArray) -> BoolArray:
 def fit(
     residual: FloatArray, terms: FloatArray, swing: BoolArray, sure: BoolArray
 ) -> JointFriction:
-    """Friction that explains the torques in swing.
+    """Fit the joint friction to the torques in swing.
 
     Parameters
     ----------

@@ -102,7 +102,7 @@ def _turned_y(
 def _with_offset(
     columns: tuple[FloatArray, ...], offset: FloatArray, a: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Add axis × offset to each column; the axes are x and, twice, the y that the hip turns."""
+    """Add axis × offset to each column; the axes are x, then twice the y axis turned by the hip."""
     x, y, z = np.moveaxis(offset, -1, 0)
     sine, cosine = np.sin(a), np.cos(a)
     about_y = np.stack(np.broadcast_arrays(cosine * z - sine * y, sine * x, -cosine * x), axis=-1)

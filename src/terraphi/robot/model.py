@@ -1,4 +1,4 @@
-"""What the force estimators know of a quadruped: its geometry, its masses, its joints' names.
+"""Geometry, masses and joint names of a quadruped, for the force estimators.
 
 Every leg is a chain of three revolute joints whose frames are parallel when all angles are zero:
 the hip turns about x (forward), the thigh and the calf about y (left); z is up. That is the build
@@ -31,29 +31,23 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 class Body(_Part):
-    """A rigid body fixed to one of a leg's links.
-
-    Attributes
-    ----------
-    link
-        The link that carries it.
-    mass
-        Mass [kg].
-    centre
-        Centre of mass in the link's frame, whose origin is the joint that moves it [m].
-    inertia
-        About the centre of mass, in the link's axes: xx, yy, zz, xy, xz, yz [kg m²], products
-        with the sign of the inertia matrix (xy = −∫xy dm).
-    """
+    """A rigid body fixed to one of a leg's links."""
 
     link: Literal["hip", "thigh", "calf"]
+    """The link that carries it."""
     mass: float = Field(ge=0)
+    """Mass of the body [kg]."""
     centre: Vector
+    """Centre of mass in the link's frame, whose origin is the joint that moves it [m]."""
     inertia: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Moments of inertia about the centre of mass, in the link's axes: xx, yy, zz, xy, xz, yz
+    [kg m²], products with the sign of the inertia matrix (xy = −∫xy dm)."""
 
     @model_validator(mode="after")
     def _can_be_matter(self) -> Self:
@@ -71,31 +65,21 @@ class Body(_Part):
 
 
 class QuadrupedLeg(_Part):
-    """Geometry and masses of one leg, in axes x forward, y left, z up.
-
-    Attributes
-    ----------
-    hip
-        Hip joint in the body's frame [m].
-    thigh
-        Thigh joint in the hip link's frame [m]; its y is the lateral offset L, positive on the
-        left.
-    calf
-        Knee in the thigh's frame [m]; for a straight thigh (0, 0, −length).
-    foot
-        Centre of the foot's ball in the calf's frame [m].
-    signs
-        −1 for each joint whose logged angle, velocity and torque count the other way round.
-    bodies
-        Everything that has mass; empty if unknown.
-    """
+    """Geometry and masses of one leg, in axes x forward, y left, z up."""
 
     hip: Vector
+    """Hip joint in the body's frame [m]."""
     thigh: Vector
+    """Thigh joint in the hip link's frame [m]; its y is the lateral offset L, positive on the
+    left."""
     calf: Vector
+    """Knee in the thigh's frame [m]; for a straight thigh (0, 0, −length)."""
     foot: Vector
+    """Centre of the foot's ball in the calf's frame [m]."""
     signs: tuple[Sign, Sign, Sign] = (1, 1, 1)
+    """−1 for each joint whose logged angle, velocity and torque count the other way round."""
     bodies: tuple[Body, ...] = ()
+    """Everything that has mass; empty if unknown."""
 
     @model_validator(mode="after")
     def _has_length(self) -> Self:
@@ -121,8 +105,8 @@ class Legs(_Part):
 class Chain:
     """Constants of the four legs as arrays, feet in the order FR, FL, RR, RL.
 
-    The second moments Σ = ∫ r rᵀ dm about a link's origin say what the inertia matrix says, and
-    make the equations of motion shorter.
+    The second moments Σ = ∫ r rᵀ dm about a link's origin hold the same information as the inertia
+    matrix, and make the equations of motion shorter.
     """
 
     origin: FloatArray
@@ -138,36 +122,24 @@ class Chain:
 
 
 class Quadruped(_Part):
-    """A quadruped with three joints a leg.
-
-    Attributes
-    ----------
-    name
-        For people.
-    source
-        Where the numbers come from.
-    mass
-        Mass of the whole robot [kg].
-    foot_radius
-        Of the foot's ball [m].
-    torque_limit
-        Largest torque of hip, thigh and calf [N m]; ``None``: unknown.
-    imu
-        Place of the accelerometer in the body's frame [m].
-    joint_order
-        The joints in the order in which the robot's motors are numbered.
-    legs
-        Front right, front left, rear right and rear left.
-    """
+    """A quadruped with three joints a leg."""
 
     name: str = ""
+    """Name of the robot, for people."""
     source: str = ""
+    """Where the numbers come from."""
     mass: float = Field(gt=0)
+    """Mass of the whole robot [kg]."""
     foot_radius: float = Field(0.0, ge=0)
+    """Radius of the foot's ball [m]."""
     torque_limit: tuple[Positive, Positive, Positive] | None = None
+    """Largest torque of hip, thigh and calf [N m]; ``None``: unknown."""
     imu: Vector = (0.0, 0.0, 0.0)
+    """Place of the accelerometer in the body's frame [m]."""
     joint_order: tuple[str, ...] = JOINT_NAMES
+    """The joints in the order in which the robot's motors are numbered."""
     legs: Legs
+    """Front right, front left, rear right and rear left."""
 
     @model_validator(mode="after")
     def _knows_each_joint_once(self) -> Self:

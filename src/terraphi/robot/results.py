@@ -1,4 +1,4 @@
-"""From a log to foot forces, stances and their mean course, with what people want to know of it."""
+"""From a log to foot forces, stances and the mean stance, with a summary."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SENSOR_AGREEMENT = 0.5
 
 @dataclass(frozen=True)
 class RobotForces:
-    """Foot forces of a log and what they amount to.
+    """Foot forces of a log, their stances and mean stances.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class RobotForces:
     report: Mapping[str, Any]
 
     def summary(self) -> dict[str, Any]:
-        """For people and programs, JSON-able.
+        """Main numbers of the analysis, JSON-able.
 
         ``dropped`` counts samples that were left out as unsound or never arrived; ``mean_peak_*``
         are the signed extremes of the mean stance [N], null without stances.
@@ -93,7 +93,7 @@ class RobotForces:
         }
 
     def provenance(self) -> dict[str, Any]:
-        """Where all this comes from, JSON-able."""
+        """Log, robot, settings and versions that the forces come from, JSON-able."""
         return {
             **self.forces.provenance,
             "log": dict(self.report),
@@ -184,7 +184,7 @@ def _figures(ensemble: Ensemble) -> dict[str, Any]:
 
 
 def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
-    """Correlation of each foot's counts with its vertical force; none for silent sensors."""
+    """Correlation of each foot sensor that ever changes with the vertical force."""
     if log.foot_counts is None:
         return {}
     found = {}

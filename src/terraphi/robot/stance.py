@@ -30,7 +30,7 @@ POINTS = 101
 
 @dataclass(frozen=True)
 class Criteria:
-    """What makes a stance.
+    """Thresholds that decide what counts as a stance.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class Stance:
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Stances of one foot or of several, over normalised time.
+    """All stances of one foot or of several, over normalised time, with their mean.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class Ensemble:
         return cls(part, courses.mean(axis=0), spread, len(stances), duration)
 
     def peak(self, axis: str) -> float | None:
-        """Signed extreme of the mean course along an axis [N]; ``None`` without stances."""
+        """Largest force of the mean stance along an axis, signed [N]; None without stances."""
         if not self.count:
             return None
         course = self.mean[:, AXES.index(axis)]
@@ -259,11 +259,12 @@ def _bounds(time: FloatArray, lift: Forces, criteria: Criteria) -> list[tuple[in
 def _crossings(
     lift: Forces, starts: IntArray, ends: IntArray, *, touch: float, leave: float
 ) -> tuple[IntArray, IntArray]:
-    """Samples around each run at which the force is down at a level; -1 and beyond if none is.
+    """Nearest samples before and after each run where the force has fallen to a level.
 
-    One level [N] counts before the run, the other after it.
+    -1 before, or the number of samples after, if there is none.
 
-    Where the force does not come down between two runs, its least value there parts them.
+    One level [N] applies before the run, the other after it. If the force does not fall that low
+    between two runs, they are split at its lowest value there.
     """
     down = np.where(lift <= touch, np.arange(len(lift)), -1)
     before = np.maximum.accumulate(down)
@@ -277,7 +278,7 @@ def _crossings(
 
 
 def _smoothed(values: Forces, width: int) -> FloatArray:
-    """Centred moving mean over an odd number of samples, of fewer at the ends."""
+    """Centred moving mean over an odd number of samples, over fewer at the ends."""
     half = min(width // 2, (len(values) - 1) // 2)
     total = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
     centre = np.arange(len(values))
@@ -294,7 +295,7 @@ def _runs(flag: BoolArray) -> tuple[IntArray, IntArray]:
 def _joined(
     time: FloatArray, starts: IntArray, ends: IntArray, lift_s: float
 ) -> tuple[IntArray, IntArray]:
-    """Runs with pauses shorter than a lift taken as one."""
+    """Join runs that are separated by less than the shortest lift of a foot."""
     apart = time[starts[1:]] - time[ends[:-1]] >= lift_s
     return (
         starts[np.concatenate([[True], apart])] if len(starts) else starts,

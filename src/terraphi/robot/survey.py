@@ -1,4 +1,4 @@
-"""A look at parts of a log, for what holds all along it: joint friction, noise of torques."""
+"""What is constant over a whole log, estimated from parts of it: joint friction, torque noise."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _WINDOW = 4096
 
 
 class Survey(NamedTuple):
-    """What holds all along a log.
+    """Joint friction, resolution and noise of the torques of a log.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ def survey(log: JointLog, robot: Quadruped, settings: Settings, *, friction: boo
 def _alternate(
     windows: list[_Window], weight: float
 ) -> tuple[JointFriction | None, list[BoolArray]]:
-    """Swing from the forces without friction, friction from swing, and again."""
+    """Find swing phases from the forces and friction from the swing phases, alternately."""
     torque = np.concatenate([w.torque for w in windows])
     terms = np.concatenate([w.terms for w in windows])
     sure = np.concatenate([w.sure for w in windows])
@@ -147,7 +147,7 @@ def _alternate(
 
 
 def _lift(seen: Signals, robot: Quadruped, inner: slice) -> FloatArray:
-    """World's vertical row of J⁻ᵀ; zero where the leg tells no force."""
+    """Vertical row of J⁻ᵀ in the world; zero where J cannot be inverted."""
     up = seen.turn[inner][:, 2, :]
     inverse, _ = inverse_transpose(jacobian(robot, seen.angle[inner]))
     row = np.einsum("sk,sfkj->sfj", up, inverse)
@@ -155,14 +155,14 @@ def _lift(seen: Signals, robot: Quadruped, inner: slice) -> FloatArray:
 
 
 def _resolution(steps: FloatArray) -> FloatArray:
-    """Smallest step of quantised torques; next to nothing if they are not quantised."""
+    """Smallest step between recorded torques [N m]; almost zero if they are not quantised."""
     sizes = np.abs(steps)
     smallest = np.where(sizes > 1e-6, sizes, np.inf).min(axis=0, initial=np.inf)
     return np.asarray(np.where(np.isfinite(smallest), smallest, 0.0))
 
 
 def _ceiling(torque: FloatArray) -> FloatArray:
-    """Torques at which motors' were cut off; infinite where they were not."""
+    """Torques at which recorded torques saturate [N m]; infinite where they do not."""
     size = np.abs(torque)
     largest = size.max(axis=0) * (1.0 - 1e-6)
     there = size >= largest
@@ -175,7 +175,7 @@ def _ceiling(torque: FloatArray) -> FloatArray:
 
 
 def _noise(steps: FloatArray) -> FloatArray:
-    """Noise from second differences, which the motion hardly has."""
+    """Torque noise from second differences, to which the motion hardly contributes."""
     bends = np.diff(steps, axis=0).reshape(-1, 12)
     if len(bends) == 0:
         return np.zeros((4, 3))

@@ -34,7 +34,7 @@ class _Joint:
 
 
 def document_from_urdf(text: str, source: str) -> dict[str, Any]:
-    """What a TOML for :class:`~terraphi.robot.model.Quadruped` would say, from a URDF.
+    """Read a URDF into the keys that a robot's TOML has (:class:`~terraphi.robot.model.Quadruped`).
 
     Joints are found by :func:`~terraphi.robot.joint_log.joint_place`, the feet as the links fixed
     to the calves whose names say so, or the farthest ones. What is fixed to a link counts as part
@@ -128,9 +128,9 @@ def _leg_joints(joints: list[_Joint], source: str) -> dict[str, list[_Joint]]:
 def _hips(
     chains: Mapping[str, list[_Joint]], joints: list[_Joint], source: str
 ) -> tuple[str, dict[str, tuple[float, ...]]]:
-    """The link that all legs hang on, and the places of the hips in its frame [m].
+    """The link that carries all legs, and the positions of the hips in its frame [m].
 
-    That is the link that the hips themselves hang on, or the first that all mounts are fixed to.
+    That is the parent link of the hip joints, or the first link that all their mounts are fixed to.
     """
     above = {joint.child: joint for joint in joints if joint.kind == "fixed"}
     ways = {foot: [chain[0].parent] for foot, chain in chains.items()}
@@ -198,7 +198,7 @@ def _leg(
 
 
 def _fixed_to(link: str, joints: list[_Joint]) -> list[tuple[str, FloatArray, FloatArray]]:
-    """A link and whatever is fixed to it, with places and rotations in its frame."""
+    """A link and all links fixed to it, with positions and rotations in its frame."""
     found = [(link, np.zeros(3), np.eye(3))]
     for parent, place, rotation in found:  # grows while it is read: a tree from its root
         found += [
@@ -223,13 +223,13 @@ def _radius(link: ET.Element) -> float:
 
 
 def _check_tree(joints: list[_Joint], links: Mapping[str, object], source: str) -> None:
-    """Refuse joints on links that are not there, and links that hang on more than one joint."""
+    """Refuse joints with unknown links, and links that are the child of more than one joint."""
     children = [joint.child for joint in joints]
     for joint in joints:
         for link in (joint.parent, joint.child):
             if link not in links:
                 raise InputError(
-                    f"{source}: joint '{joint.name}' speaks of link '{link}', which is not there"
+                    f"{source}: joint '{joint.name}' names link '{link}', which is not there"
                 )
         if children.count(joint.child) > 1 or joint.child == joint.parent:
             raise InputError(

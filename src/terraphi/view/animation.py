@@ -42,7 +42,7 @@ ARROW = "simple,head_width=9,head_length=9,tail_width=3"
 
 
 def check_animation(path: Path) -> None:
-    """Refuse an animation that could not be written, before anything is simulated for it.
+    """Check that an animation can be written, before hours are spent on simulating it.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def animate(
 
 
 class Scene:
-    """Picture of one moment, changed from frame to frame.
+    """The figure of one frame; drawing the next frame changes it in place.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ class Scene:
         self._title.set_text(f"{_name(scenario)}, {where}")
 
     def _draw_room(self, part: Any) -> None:
-        """Everything on the left that stays, and empty artists for what moves."""
+        """Draw the fixed parts of the left panel, and empty artists for the moving ones."""
         from matplotlib.patches import Polygon
 
         axes, scenario = self._soil_axes, self._scenario
@@ -208,7 +208,7 @@ class Scene:
         self._draw_key(axes)
 
     def _draw_key(self, axes: Axes) -> None:
-        """Arrow that says how long a force is, above the picture, where it covers nothing."""
+        """Draw the scale arrow of the force, above the picture where it covers nothing."""
         most = float(np.hypot(*self._force.T).max())
         size, top = axes.get_xlim()[1], axes.get_ylim()[1]
         # The largest force is a quarter of the picture long.
@@ -248,7 +248,7 @@ class Scene:
         self._arrow = self._add_arrow(1e3 * tail, force)
 
     def _draw_forces(self, axes: Axes, component: int) -> tuple[Any, Any]:
-        """Empty curve and its head; the axes already have the limits of the whole history."""
+        """Draw the axes of the forces with their final limits, and curves that are still empty."""
         axes.axhline(0.0, color=GREY, lw=0.6)
         low = min(0.0, float(self._force[:, component].min()))
         high = max(0.0, float(self._force[:, component].max()))
@@ -263,7 +263,7 @@ class Scene:
 
 
 def _smoothed(history: ForceHistory) -> tuple[FloatArray, FloatArray]:
-    """Places for people [deg or mm] and forces [N], averaged over some bins; [sample], [.., 2]."""
+    """Leg angle [deg] or path [mm], and forces [N], both averaged over a few bins."""
     centre = history.position
     if len(centre) < 2:
         return _shown(centre, history.coordinate), history.force
@@ -276,13 +276,13 @@ def _shown(position: FloatArray, coordinate: str) -> FloatArray:
 
 
 def _in_room(pose: Poses, points: FloatArray) -> FloatArray:
-    """Points of the leg's frame where they are [m], shape [point, 2]."""
+    """Points of the leg's frame in the frame of the bed [m], shape [point, 2]."""
     along, motion = frame_axes(pose.theta[0])
     return np.asarray(pose.hip[0] + points[:, :1] * along + points[:, 1:] * motion)
 
 
 def _marker_area(scenario: Scenario) -> float:
-    """Area of a marker [pt²], so wide that the markers of neighbours touch even where scattered."""
+    """Area of a marker [pt²], large enough that the markers of neighbouring particles touch."""
     numerics = scenario.numerics
     points_per_metre = 72.0 * SOIL_INCHES / numerics.domain
     spacing = numerics.cell_size / numerics.particles_per_cell_side
@@ -290,7 +290,7 @@ def _marker_area(scenario: Scenario) -> float:
 
 
 def _ceiling(scenario: Scenario) -> float:
-    """Height up to which there is something to see [m]: the leg wherever it gets, and splashes."""
+    """Upper end of the picture [m]: above the leg in all its positions, and above thrown soil."""
     poses = scenario.motion.poses(np.linspace(0.0, scenario.motion.duration, 181))
     along, motion = frame_axes(poses.theta)
     s, m = scenario.leg.outline().T
@@ -305,7 +305,7 @@ def _round_down(value: float) -> float:
 
 
 def _tick(span: FloatArray) -> float:
-    """Distance of ticks on an axis of angles [deg]: parts of a right angle."""
+    """Distance between ticks on an axis of angles [deg], a fraction of 90°."""
     steps = (1.0, 5.0, 15.0, 45.0, 90.0, 180.0)
     return next((step for step in steps if np.ptp(span) <= 7.0 * step), 360.0)
 
@@ -325,9 +325,9 @@ COLOURS = "viridis"
 
 
 def durations(times: FloatArray) -> list[int]:
-    """How long each frame is shown [ms], so that a leg at a constant rate turns at one.
+    """How long each frame is shown [ms], so that the motion plays at an even pace.
 
-    Frames are taken between blocks of steps, and so not evenly in time.
+    Frames are taken between blocks of steps, so they are not evenly spaced in time.
     """
     if len(times) < 2:
         return [round(1e3 / FRAMES_PER_SECOND)] * len(times)
@@ -339,7 +339,7 @@ def durations(times: FloatArray) -> list[int]:
 
 @contextmanager
 def recording(figure: Figure, path: Path, lasts: list[int]) -> Iterator[Callable[[], None]]:
-    """A function that adds the figure as it stands to an animation."""
+    """Open an animation; yields a function that adds the current figure as a frame."""
     if path.suffix == ".gif":
         with _recording_gif(figure, path, lasts) as grab:
             yield grab

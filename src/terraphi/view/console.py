@@ -1,4 +1,4 @@
-"""What people see in a terminal: tables, answers, progress. JSON for programs."""
+"""Output in a terminal: tables, answers and progress for people, JSON for programs."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def words(value: Any) -> str:
 
 
 class _OnStandardError(logging.Handler):
-    """Prints what our own code logs; at the level of debugging with the name of who says it."""
+    """Prints log messages of terraphi; debug messages with the name of their module."""
 
     def emit(self, record: logging.LogRecord) -> None:
         who = record.name if record.levelno <= logging.DEBUG else "terraphi"
@@ -189,7 +189,7 @@ class _OnStandardError(logging.Handler):
 
 
 def listen(level: int = logging.WARNING) -> None:
-    """Print on standard error what our own code logs from a level on, and nothing below it.
+    """Print log messages of terraphi on standard error, from a level upwards.
 
     Parameters
     ----------
@@ -204,19 +204,19 @@ def listen(level: int = logging.WARNING) -> None:
 
 
 def quiet() -> bool:
-    """Whether only errors are wanted."""
+    """Whether --quiet was given, so that only errors are printed."""
     handlers = logging.getLogger("terraphi").handlers
     return any(isinstance(h, _OnStandardError) and h.level > logging.WARNING for h in handlers)
 
 
 def note(sentence: str) -> None:
-    """Say something on standard error that is no result, unless only errors are wanted."""
+    """Print a remark on standard error, unless --quiet was given."""
     if not quiet():
         click.echo(f"terraphi: {sentence}", err=True)
 
 
 def ignore_interrupts() -> None:
-    """Once is enough: a second Ctrl-C must not cut off what is said about the first."""
+    """Ignore further Ctrl-C, so that the message about the first one is printed whole."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

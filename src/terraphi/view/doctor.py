@@ -26,7 +26,7 @@ State = Literal["ok", "note", "problem"]
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at.
+    """The result of one check.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Check:
 
 
 def examine() -> list[Check]:
-    """Look at all that an installation rests on.
+    """Check Python, packages, processor, kernels and shipped files.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def _software() -> Iterator[Check]:
 
 
 def _extra(requirement: Requirement) -> str | None:
-    """Name of the extra that asks for a package; ``None`` if terraphi itself does."""
+    """Name of the extra that installs a package; None if terraphi always needs it."""
     if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
         return None
     extras = importlib.metadata.metadata("terraphi").get_all("Provides-Extra") or []

@@ -1,22 +1,18 @@
 """The keys of the documents that people write: unit, default, what is allowed, and meaning.
 
-All of it is read off the models that check the documents, and off their docstrings, so that what
-is said here is what is accepted.
+All of it comes from the JSON schema that pydantic makes of the models that check the documents, so
+that what is said here is what is accepted. A key's meaning is the docstring of its field.
 """
 
 from __future__ import annotations
 
-import inspect
 import json
 import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Any
 
-import annotated_types
 from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.scenario import Scenario
@@ -31,18 +27,19 @@ DOCUMENTS: dict[str, tuple[type[BaseModel], str]] = {
 }
 """Kind of document to its model, and to the command that reads it."""
 REQUIRED = "required"
-_WORDS: dict[type, str] = {
-    bool: "true or false",
-    int: "whole number",
-    float: "number",
-    str: "text",
+NOT_GIVEN = "not given"
+_WORDS = {
+    "boolean": "true or false",
+    "integer": "whole number",
+    "number": "number",
+    "string": "text",
 }
-_BOUNDS = (
-    (annotated_types.Ge, "ge", "≥ {}"),
-    (annotated_types.Gt, "gt", "> {}"),
-    (annotated_types.Le, "le", "≤ {}"),
-    (annotated_types.Lt, "lt", "< {}"),
-)
+_LIMITS = {
+    "minimum": "≥ {:g}",
+    "exclusiveMinimum": "> {:g}",
+    "maximum": "≤ {:g}",
+    "exclusiveMaximum": "< {:g}",
+}
 
 
 @dataclass(frozen=True)
@@ -117,8 +114,9 @@ def tables(document: str) -> list[Table]:
     """
     if document not in DOCUMENTS:
         raise InputError(f"unknown document '{document}'; {nearest(document, DOCUMENTS)}")
-    places: dict[type[BaseModel], list[str]] = {}
-    for model, name in _walk(DOCUMENTS[document][0], ""):
+    schema = DOCUMENTS[document][0].model_json_schema()
+    places: dict[str, list[str]] = {}
+    for model, name in _walk(schema, "", "", schema["$defs"]):
         places.setdefault(model, []).append(name)
     if document != "scenario":  # a plan's scenario has a page of its own
         places = {
@@ -126,7 +124,7 @@ def tables(document: str) -> list[Table]:
             for model, names in places.items()
             if not any(re.match(r"scenario\b", name) for name in names)
         }
-    found = [_table(model, names) for model, names in places.items()]
+    found = [_table(schema["$defs"].get(model, schema), names) for model, names in places.items()]
     return [table for table in found if table.keys]
 
 
@@ -177,55 +175,83 @@ def markdown(document: str) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-# -- reading models ------------------------------------------------------------------------------
+# -- reading the schema --------------------------------------------------------------------------
+
+Schema = dict[str, Any]
+"""A JSON schema, or a part of one."""
 
 
-def _walk(model: type[BaseModel], prefix: str) -> Iterator[tuple[type[BaseModel], str]]:
-    """Every model that a document may hold, with the dotted name of its place."""
-    yield model, prefix
-    for name, field in model.model_fields.items():
-        many = _is_list(field.annotation)
-        for inner in _models(field.annotation):
-            place = f"{prefix}.{name}" if prefix else name
-            yield from _walk(inner, f"{place}[]" if many else place)
+def _walk(
+    schema: Schema, model: str, place: str, models: dict[str, Schema]
+) -> Iterator[tuple[str, str]]:
+    """Every model that a document may hold, by its name in the schema, with its dotted place."""
+    yield model, place
+    for name, value in schema["properties"].items():
+        inside = f"{place}.{name}" if place else name
+        for inner, many in _models(value):
+            yield from _walk(models[inner], inner, f"{inside}[]" if many else inside, models)
 
 
-def _table(model: type[BaseModel], names: list[str]) -> Table:
-    meanings = attributes(model)
-    about, _, _ = (inspect.getdoc(model) or "").partition("\n\n")
+def _models(value: Schema) -> list[tuple[str, bool]]:
+    """Models that a value is one of, and whether it is a list of them."""
+    found = []
+    for part in _parts(value):
+        inner = part.get("items", part)
+        name = inner.get("$ref", "").rpartition("/")[2]
+        if name and name != "JsonValue":
+            found.append((name, inner is not part))
+    return found
+
+
+def _parts(value: Schema) -> list[Schema]:
+    """What a value may be, without null."""
+    either = value.get("anyOf") or value.get("oneOf") or [value]
+    return [part for part in either if part.get("type") != "null"]
+
+
+def _table(schema: Schema, names: list[str]) -> Table:
+    properties = schema["properties"]
     found = tuple(
-        _key(name, field, meanings.get(name, ""))
-        for name, field in model.model_fields.items()
-        if not _models(field.annotation)
+        _key(name, value, required=name in schema.get("required", ()))
+        for name, value in properties.items()
+        if not _models(value)
     )
-    kind = model.model_fields.get("kind")
-    return Table(tuple(names), about, found, f'kind = "{kind.default}"' if kind else "")
+    about = " ".join(schema["description"].partition("\n\n")[0].split())
+    kind = properties.get("kind")
+    return Table(tuple(names), about, found, f'kind = "{kind["default"]}"' if kind else "")
 
 
-def _key(name: str, field: FieldInfo, meaning: str) -> Key:
+def _key(name: str, value: Schema, *, required: bool) -> Key:
+    meaning = " ".join(value.get("description", "").split())
     units = dict.fromkeys(re.findall(r"\[([^\]]+)\]", meaning))
-    limits = [
-        form.format(f"{getattr(bound, sign):g}")
-        for kind, sign, form in _BOUNDS
-        for bound in field.metadata
-        if isinstance(bound, kind)
-    ]
-    allowed = " ".join([_kind(field.annotation), *limits[:1]])
     return Key(
         name=name,
         unit=", ".join(units),
-        default=REQUIRED if field.is_required() else _toml(_default(field)),
-        allowed=", ".join([allowed, *limits[1:]]),
+        default=REQUIRED if required else _toml(value.get("default")),
+        allowed=_allowed(_parts(value)[0]),
         meaning=_without_units(meaning),
     )
 
 
-def _default(field: FieldInfo) -> Any:
-    return field.get_default(call_default_factory=True)
+def _allowed(value: Schema) -> str:
+    """The values that a schema allows, in words."""
+    choices = value.get("enum", [value["const"]] if "const" in value else [])
+    if choices:
+        return ", ".join(_toml(choice) for choice in choices)
+    if "additionalProperties" in value:
+        return f"table of key to {_allowed(value['additionalProperties'])}"
+    if "prefixItems" in value:
+        inner = [_allowed(item) for item in value["prefixItems"]]
+        same = len(set(inner)) == 1
+        return f"list of {len(inner)}: {inner[0]}" if same else f"[{', '.join(inner)}]"
+    if "items" in value:
+        return f"list of {_allowed(value['items'])}"
+    limits = [form.format(value[limit]) for limit, form in _LIMITS.items() if limit in value]
+    return f"{_WORDS.get(value.get('type', ''), 'value')} {', '.join(limits)}".strip()
 
 
 def _without_units(meaning: str) -> str:
-    text = re.sub(r"\s*\[[^\]]+\]", "", meaning).replace("``None``", "not given")
+    text = re.sub(r"\s*\[[^\]]+\]", "", meaning).replace("``None``", NOT_GIVEN)
     return text.replace("``", "`")
 
 
@@ -236,87 +262,17 @@ def _heading(name: str) -> str:
     return f"[[{name[:-2]}]]" if name.endswith("[]") else f"[{name.replace('[]', '')}]"
 
 
-def attributes(model: type[BaseModel]) -> dict[str, str]:
-    """What the docstring of a model says of each of its attributes.
-
-    Parameters
-    ----------
-    model
-        Documented as numpydoc has it.
-
-    Returns
-    -------
-    dict
-        Attribute to its description in one line, units included.
-    """
-    _, _, section = (inspect.getdoc(model) or "").partition("Attributes\n----------\n")
-    found: dict[str, str] = {}
-    names: list[str] = []
-    for line in section.splitlines():
-        if not line.strip():
-            continue
-        if not line.startswith(" "):
-            names = [name.strip() for name in line.split(",")]
-            continue
-        for name in names:
-            found[name] = f"{found.get(name, '')} {line.strip()}".strip()
-    return found
-
-
-def _parts(annotation: Any) -> list[Any]:
-    """Members of a union, without ``None`` and without annotations."""
-    if get_origin(annotation) is Annotated:
-        return _parts(get_args(annotation)[0])
-    if get_origin(annotation) in (Union, UnionType):
-        return [p for a in get_args(annotation) if a is not NoneType for p in _parts(a)]
-    return [annotation]
-
-
-def _is_list(annotation: Any) -> bool:
-    return any(get_origin(part) in (list, tuple) for part in _parts(annotation))
-
-
-def _models(annotation: Any) -> list[type[BaseModel]]:
-    """Models that a value of this type is, or is a list of."""
-    found: list[type[BaseModel]] = []
-    for part in _parts(annotation):
-        if isinstance(part, type) and issubclass(part, BaseModel):
-            found.append(part)
-        elif get_origin(part) in (list, tuple):
-            found += [m for inner in get_args(part) if inner is not ... for m in _models(inner)]
-    return found
-
-
-def _kind(annotation: Any) -> str:
-    """The values that a type allows, in words."""
-    (part, *more) = _parts(annotation)
-    if get_origin(part) is Literal:
-        return ", ".join(_toml(choice) for choice in get_args(part))
-    inner = get_args(part)
-    if get_origin(part) is dict:
-        return f"table of key to {_kind(inner[1])}"
-    if get_origin(part) in (list, tuple):
-        if get_origin(part) is list or inner[-1] is ...:
-            return f"list of {_kind(inner[0])}"
-        if len({_kind(one) for one in inner}) == 1 and len(inner) > 1:
-            return f"list of {len(inner)}: {_kind(inner[0])}"
-        return f"[{', '.join(_kind(one) for one in inner)}]"
-    if more:  # JSON's values, whatever their order
-        return "value"
-    return _WORDS.get(part, "value")
-
-
 def _toml(value: Any) -> str:
     """A default as TOML has it."""
     if value is None:
-        return "not given"
+        return NOT_GIVEN
     if isinstance(value, float):
         return re.sub(r"e([+-])0*", lambda found: "e" + found[1].strip("+"), f"{value:g}")
     return json.dumps(value, ensure_ascii=False)
 
 
 def _code(default: str) -> str:
-    return default if default in (REQUIRED, "not given") else f"`{default}`"
+    return default if default in (REQUIRED, NOT_GIVEN) else f"`{default}`"
 
 
 def _cell(text: str) -> str:

@@ -455,7 +455,7 @@ def corner_figure(found: JointInversion) -> Figure:
 
 
 def _range(found: JointInversion, key: str, drawn: FloatArray) -> tuple[float, float]:
-    """Where the draws lie, with some room, within the prior."""
+    """Limits of an axis: the range of the draws and a margin, cut at the prior's ends."""
     low, high = np.quantile(drawn, [0.001, 0.999])
     room = 0.15 * (high - low)
     prior = found.priors[key]
@@ -501,7 +501,7 @@ def _draw_pair(
 
 
 def _label(axes: Axes, found: JointInversion, row: int, column: int, d: int) -> None:
-    """Names at the left and lower edge of the corner alone, as everywhere in such plots."""
+    """Label only the left and the lower edge of a corner plot."""
     from matplotlib.ticker import MaxNLocator
 
     lowest, leftmost = row == d - 1, column == 0 and row > 0

@@ -221,7 +221,7 @@ def test_a_file_of_which_no_more_comes_is_given_up(places: Path, caplog) -> None
         answer.begin()
         refused = json.loads(answer.read())["refused"]
         assert answer.status == 408
-        assert refused == "mine.csv: nothing of it came for 0.2 s; drop it again"
+        assert refused == "mine.csv: no data arrived for 0.2 s; drop it again"
     assert list(places.iterdir()) == []
     assert caplog.messages == []
 

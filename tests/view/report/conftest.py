@@ -7,6 +7,7 @@ import runpy
 from pathlib import Path
 
 import pytest
+from go2.logs import write_npz
 
 from terraphi.cli.invert import save_inversion
 from terraphi.experiment.measurements import measurement
@@ -15,7 +16,6 @@ from terraphi.forward import simulate
 from terraphi.forward.mpm.fields import FieldSeries
 from terraphi.inference.inversion import Inversion, invert
 from terraphi.library.store import Library
-from terraphi.robot.logs import write_npz
 from terraphi.robot.results import analyse, write_forces
 
 

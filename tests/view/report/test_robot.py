@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from go2.logs import write_npz
 
 from terraphi.experiment.errors import InputError
-from terraphi.robot.logs import read_log, write_npz
+from terraphi.robot.logs import read_log
 from terraphi.robot.results import analyse, read_stances, write_forces
 from terraphi.view.report.parts import Plot, Section, Text
 from terraphi.view.report.robot import MOST_POINTS, _thinned, section

@@ -1,4 +1,4 @@
-"""Time of a log: which clock, in seconds, strictly increasing; jitter and gaps."""
+"""The time of a log in seconds, strictly increasing, with its jitter and gaps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BACKWARDS = "time ran backwards"
 def seconds(
     stamp: NDArray[Any], recorded: NDArray[np.int64] | None, clock: Clock
 ) -> tuple[FloatArray, str, dict[str, Any]]:
-    """Turn stamps into seconds.
+    """Convert time stamps into seconds.
 
     Parameters
     ----------
@@ -71,9 +71,9 @@ def seconds(
 def increasing(time: FloatArray) -> tuple[NDArray[np.bool_], Counter[str]]:
     """Choose samples whose time increases strictly.
 
-    Repeats go, and so do single stamps that jump away and back. A few samples out of order go too.
-    Where the clock was set back for good, the longest piece stays, for pieces of different runs
-    must not be joined.
+    Repeated stamps are dropped, single stamps that jump away and back, and a few samples out of
+    order. If the clock was set back for good, only the longest piece is kept, because pieces of
+    different runs must not be joined.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def increasing(time: FloatArray) -> tuple[NDArray[np.bool_], Counter[str]]:
 
 
 def _strays(t: FloatArray) -> NDArray[np.intp]:
-    """Single stamps that jump away from their neighbours and back."""
+    """Indices of single stamps that jump away from their neighbours and back."""
     back = np.flatnonzero(np.diff(t) <= 0)
     before = np.where(back > 0, t[back - 1], -np.inf)
     after = np.append(t, np.inf)[back + 2]

@@ -1,4 +1,4 @@
-"""Gather the sound samples of a log and say what became of the others."""
+"""Collect the valid samples of a log, and count those that are dropped, by reason."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _FIRST_ROWS = 4_096
 
 
 class Column:
-    """A column that grows in place: no second copy is ever made of what is there."""
+    """A column of values that grows in place, without a second copy in memory."""
 
     def __init__(self, shape: tuple[int, ...], dtype: Any) -> None:
         self.values = np.empty((0, *shape), dtype=dtype)
@@ -71,13 +71,13 @@ class Column:
         self.length = end
 
     def finish(self) -> Array:
-        """The rows, and no memory beyond them."""
+        """Return the rows, and free the memory reserved beyond them."""
         self.values.resize((self.length, *self.values.shape[1:]), refcheck=False)
         return self.values
 
 
 class Collector:
-    """Takes blocks, keeps what is sound, makes a JointLog.
+    """Takes blocks of samples, drops invalid ones, and makes a JointLog.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class Collector:
         return self._stamp is None or not self._stamp.length
 
     def add(self, block: Block) -> None:
-        """Keep the sound samples of a block."""
+        """Add the valid samples of a block."""
         self.dropped.update(block.dropped)
         if not len(block.stamp):
             return
@@ -202,7 +202,7 @@ class Collector:
             raise InputError(f"{self._path}: {number} of {kept + lost} samples: {reason}; {remedy}")
 
     def _drop_unlevel(self) -> None:
-        """Without any attitude there is none; without some, those samples go."""
+        """Drop samples without attitude (a zero quaternion), unless all samples lack it."""
         column = self._columns.get("quaternion")
         if column is None or self._stamp is None:
             return
@@ -215,7 +215,7 @@ class Collector:
                 each.keep(level)
 
     def _present(self, values: dict[str, Array]) -> dict[str, Array]:
-        """Columns without those of sensors that only ever gave zeros; unit quaternions."""
+        """Drop columns that are zero throughout, and normalise the quaternions."""
         silent = [name for name in _IMU if name in values and not values[name].any()]
         if silent:
             self.facts["notes"].append(f"always zero, taken as absent: {', '.join(silent)}")
@@ -278,7 +278,7 @@ REQUIRED = ("angle", "torque")
 
 @dataclass(frozen=True)
 class Block:
-    """A run of samples.
+    """Consecutive samples of a log.
 
     Attributes
     ----------

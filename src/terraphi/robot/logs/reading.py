@@ -1,4 +1,4 @@
-"""Read a log, whatever its format."""
+"""Read a log in any of the known formats."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from terraphi.robot.logs.bags import MAGIC as MCAP_MAGIC
 from terraphi.robot.logs.bags import SQLITE_MAGIC, McapFile, Storage, Topic, open_bag, open_database
 from terraphi.robot.logs.collect import Block, Collector, Precision
 from terraphi.robot.logs.jointstate import NAMES
+from terraphi.robot.logs.messages import typestore
 from terraphi.robot.logs.tables import read_csv, read_npz
 
 ROS1_MAGIC = b"#ROSBAG V"
@@ -31,7 +32,7 @@ def read_log(
     motors: Sequence[str] = JOINT_NAMES,
     precision: Precision = "double",
 ) -> JointLog:
-    """Read what a walking robot recorded.
+    """Read the log of a walking robot.
 
     Parameters
     ----------
@@ -95,7 +96,7 @@ def read_log(
 def _sniff(
     path: Path, stack: ExitStack
 ) -> tuple[str, list[Storage] | Callable[[Path], Iterator[Block]]]:
-    """Name of the format, and what reads it."""
+    """Recognise the format by the content; its name, and what reads it."""
     if path.is_dir():
         storages = open_bag(path, stack)
         inner = "mcap" if isinstance(storages[0], McapFile) else "sqlite3"
@@ -134,6 +135,12 @@ def _read_bag(
         raise InputError(f"{path}: cut off or damaged before its first message; copy it again")
     chosen = _choose(path, [t for _, topics in present for t in topics], topic)
     low = chosen.plain_type == _LOW_STATE
+    try:
+        typestore()
+    except ImportError as error:
+        raise InputError(
+            f"{path}: reading bags needs the package rosbags: pip install 'terraphi[robot]'"
+        ) from error
     if low and joint_names is not None:
         raise InputError(
             f"{path}, topic '{chosen.name}': {lowstate.TYPE} numbers its motors and has no names; "
@@ -147,8 +154,7 @@ def _read_bag(
             if low:
                 collector.add(lowstate.decode(messages, recorded, motors))
             else:
-                for block in decoder.decode(messages, recorded):
-                    collector.add(block)
+                collector.add(decoder.decode(messages, recorded))
         collector.facts["notes"] += storage.notes
     others = sorted(
         {t.name for _, topics in present for t in topics if _supported(t)} - {chosen.name}
@@ -166,7 +172,7 @@ def _supported(topic: Topic) -> bool:
 
 
 def _choose(path: Path, topics: list[Topic], wanted: str | None) -> Topic:
-    """The topic to read."""
+    """Choose the topic to read."""
     listed = ", ".join(sorted({f"'{t.name}' ({t.type})" for t in topics})[:12]) or "none"
     expected = f"expected {lowstate.TYPE} or {jointstate.TYPE}"
     if wanted is not None:

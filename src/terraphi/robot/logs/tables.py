@@ -115,7 +115,7 @@ def check_arrays(place: str, names: Iterable[str]) -> list[str]:
 
 
 def _hint(name: str, known: list[str]) -> str:
-    """The nearest name, or what names look like: seventy of them are no help."""
+    """The nearest known name, or an example, since a list of seventy would not help."""
     hint = nearest(name, known)
     return f"expected {TIME_COLUMN}, {known[1]} and the like" if len(hint) > 200 else hint
 
@@ -192,7 +192,7 @@ def _block(lines: bytes, width: int, time: int, places: dict[str, list[int]]) ->
 
 
 def _numbers(lines: bytes, width: int) -> FloatArray:
-    """Parse lines of the right number of cells; what is no number becomes NaN."""
+    """Parse lines that have the right number of cells; cells that are not numbers become NaN."""
     import pandas as pd  # type: ignore[import-untyped]
 
     options = {"header": None, "names": range(width), "index_col": False, "quoting": 3}

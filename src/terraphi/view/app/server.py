@@ -1,8 +1,8 @@
 """A server for one person on one machine.
 
-It listens on the loopback address alone, answers only to that name (so that no foreign site can
-have its own name point here) and takes a file only with a header of ours, which browsers send from
-no other site's page. Files are streamed to a temporary folder under a name of ours, and counted.
+It listens on the loopback address alone. Requests with another host name are refused (against DNS
+rebinding), and an upload needs a header that browsers do not send from another site's page (against
+cross-site requests). Files go to a temporary folder under a generated name, up to a limit.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ HEADER = "x-terraphi"
 
 
 class Limits(NamedTuple):
-    """Of one file."""
+    """Limits for one file."""
 
     bytes: int
     seconds: float
@@ -100,7 +100,7 @@ def serve(port: int = PORT, *, ready: Callable[[str], None] = lambda _: None) ->
 
 
 def _bound(port: int) -> socket.socket:
-    """A socket on the loopback address that listens already."""
+    """Open a listening socket on the loopback address."""
     ours = socket.socket()
     try:
         if os.name == "posix":  # elsewhere the option would share a port that is in use
@@ -110,7 +110,7 @@ def _bound(port: int) -> socket.socket:
     except OSError as error:
         ours.close()
         raise InputError(
-            f"port {port} on {HOST} cannot be had ({error.strerror}); name another with --port"
+            f"port {port} on {HOST} cannot be opened ({error.strerror}); name another with --port"
         ) from error
     return ours
 
@@ -127,7 +127,7 @@ def application(
     most_seconds: float = MOST_SECONDS,
     most_idle_seconds: float = MOST_IDLE_SECONDS,
 ) -> Starlette:
-    """The application.
+    """Make the Starlette application.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ async def page_of(request: Request, one_at_a_time: asyncio.Lock, limits: Limits)
 
 
 def job_of(query: dict[str, str]) -> dict[str, Any]:
-    """What is asked for, every word of it checked; raises RefusedError."""
+    """Read and check the options of a request; raises RefusedError."""
     name = shown_name(query.get("name", ""))
     suffix = PurePosixPath(name).suffix.lower()
     if suffix not in SUFFIXES:
@@ -252,7 +252,7 @@ def job_of(query: dict[str, str]) -> dict[str, Any]:
 
 
 def _number(query: dict[str, str], key: str, unit: str) -> float | None:
-    """A number that may be left out; raises RefusedError."""
+    """Read an optional number; raises RefusedError."""
     if not query.get(key):
         return None
     try:
@@ -262,7 +262,7 @@ def _number(query: dict[str, str], key: str, unit: str) -> float | None:
 
 
 def shown_name(text: str) -> str:
-    """A file's own name without folders or what cannot be printed, for people only."""
+    """A file's name for messages: without folders and characters that cannot be printed."""
     last = PureWindowsPath(PurePosixPath(text).name).name
     plain = "".join(letter for letter in last if letter.isprintable())
     if len(plain) > LONGEST_NAME:
@@ -291,10 +291,10 @@ async def _received(request: Request, path: Path, name: str, limits: Limits) -> 
                     raise too_large
                 stream.write(part)
         except TimeoutError:
-            idle = f"{name}: nothing of it came for {limits.idle_seconds:g} s; drop it again"
+            idle = f"{name}: no data arrived for {limits.idle_seconds:g} s; drop it again"
             raise RefusedError(408, idle) from None
         except ClientDisconnect:
-            raise RefusedError(400, f"{name}: broken off by who sent it") from None
+            raise RefusedError(400, f"{name}: the upload was broken off; drop it again") from None
 
 
 async def _worked(folder: Path, most_seconds: float) -> None:

@@ -1,4 +1,4 @@
-"""What reads a dropped file: a process of its own, which leaves a page or a sentence behind.
+"""The process that reads a dropped file and writes a page, or the reason for refusing it.
 
 ``python -m terraphi.view.app.work FOLDER`` reads ``job.json`` and the file that it names, and
 writes ``page.html`` or ``refused.txt``.
@@ -30,7 +30,7 @@ MOST_SECONDS = 600
 
 
 def work(folder: Path) -> None:
-    """Do a job.
+    """Read the dropped file of a job and write its page.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def work(folder: Path) -> None:
 
 
 def named(sentence: str, file: Path, name: str) -> str:
-    """A sentence about a file with the name by which people know it, and with that in any case."""
+    """Put the file's own name into an error message, in place of that of the temporary file."""
     ours = "|".join(re.escape(text) for text in (str(file), file.name, f"{file.parent}{os.sep}"))
     found = re.sub(ours, lambda match: name if match[0].endswith(file.name) else "", sentence)
     return found if name in found else f"{name}: {found}"
@@ -99,7 +99,7 @@ def _inverted(file: Path, folder: Path, job: Mapping[str, Any]) -> Section:
 
 
 def bounded() -> None:
-    """Bound memory, time and files of this process, as far as the system can."""
+    """Limit memory, time and open files of this process, as far as the system can."""
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
 

@@ -20,10 +20,7 @@ WORDS = {
 
 
 def certificate_of(library: Library) -> Mapping[str, Mapping[str, Any]]:
-    """Coverage by leg as a library's file says, empty if it says nothing.
-
-    The attribute is optional and may be absent from the class too: this function alone knows.
-    """
+    """Coverage by leg from a library's certificate; empty if the library has none."""
     calibration = getattr(library, "calibration", None)
     if not isinstance(calibration, Mapping):
         return {}

@@ -127,7 +127,7 @@ def _leg_plots(library: Library, leg: str, cases: list[Case]) -> list[Part]:
 
 
 def _curve(case: Case, name: str) -> dict[str, Any]:
-    """1° means over the window, or 200 places of a translation."""
+    """A history for a plot: means over 1° of a rotation, or 200 points of a translation."""
     history = case.history
     assert history is not None
     if history.coordinate != "theta":

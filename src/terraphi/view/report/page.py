@@ -126,7 +126,7 @@ def context(sections: Sequence[Section]) -> dict[str, Any]:
 
 
 def template(name: str, *, package: str = "terraphi.view.report") -> Any:
-    """A template that escapes whatever it is given, and knows the ``style`` of our pages.
+    """Load a template that escapes all values, with the ``style`` of the pages.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def asset(name: str, *, package: str = "terraphi.view.report") -> str:
 
 
 def embedded(data: Any) -> str:
-    """JSON that may stand in a script element: nothing in it can end that element."""
+    """JSON escaped so that it can stand inside a script element."""
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     for character in "<>&\u2028\u2029":
         text = text.replace(character, f"\\u{ord(character):04x}")
@@ -184,7 +184,7 @@ def _policy(*scripts: str) -> str:
 
 
 def _palette() -> str:
-    """Colours as properties: light, dark where the reader likes it so, and either on request."""
+    """The colours as CSS properties: light by default, dark if the browser or the reader asks."""
 
     def properties(colours: Mapping[str, str]) -> str:
         return "".join(f"--{name}:{value};" for name, value in colours.items())
@@ -219,7 +219,7 @@ def _overviews(sections: Sequence[Section]) -> list[Table]:
 
 
 def _shown(section: Section, index: int) -> dict[str, Any]:
-    """A section as the template takes it; drawings stand in the data, by their names."""
+    """A section for the template; the data of its plots are passed separately, by name."""
     parts = [{**_fields(part), "id": name} for name, part in _named(section, index)]
     return {
         "kind": section.kind,
@@ -234,7 +234,7 @@ def _shown(section: Section, index: int) -> dict[str, Any]:
 
 
 def _fields(part: Part) -> dict[str, Any]:
-    """What the template shows of a part."""
+    """The fields of a part that the template shows."""
     if isinstance(part, Player):
         curves = [_fields(curve) for curve in part.curves]
         return {"part": part.part, "title": part.title, "note": part.note, "wide": part.wide,
@@ -253,7 +253,7 @@ def _named(section: Section, index: int) -> list[tuple[str, Part]]:
 
 
 def drawings(sections: Sequence[Section]) -> dict[str, Any]:
-    """What the scripts draw, by the name of its place."""
+    """Data for the scripts that draw, by the id of the element."""
     found: dict[str, Any] = {}
     for index, section in enumerate(sections):
         for name, part in _named(section, index):

@@ -55,7 +55,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Text:
-    """Paragraphs, or HTML made of somebody's Markdown by a renderer that lets no HTML through."""
+    """Paragraphs of plain text, or safe HTML rendered from Markdown with raw HTML disabled."""
 
     title: str
     paragraphs: Sequence[str] = ()
@@ -67,7 +67,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Pictures:
-    """Pictures by name, their sources data addresses."""
+    """Pictures: pairs of a name and the image as a ``data:`` URL."""
 
     title: str
     pictures: Sequence[tuple[str, str]]
@@ -78,7 +78,7 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Player:
-    """Particles of a simulation frame by frame, to be scrubbed.
+    """Particles of a simulation as an animation with a slider.
 
     Attributes
     ----------
@@ -112,15 +112,15 @@ class Section:
     kind
         What it is, in a word or two.
     title
-        Whose.
+        Name of the file, record or library that it is about.
     headline
         The answer in one sentence.
     parts
-        The rest, in order.
+        Plots, tables and texts below the headline, in order.
     status
-        Whether to believe it.
+        Whether the answer can be trusted.
     reason
-        A second sentence, why.
+        Why, in one sentence.
     provenance
         Where it comes from, JSON-able; folded away.
     badge
@@ -144,7 +144,7 @@ class Section:
 
 
 def label(text: object) -> str:
-    """A text for a plot, where it is taken literally and is not overlong."""
+    """Escape a text for plotly, and shorten it if it is long."""
     plain = str(text)
     if len(plain) > LONGEST_LABEL:
         plain = plain[: LONGEST_LABEL - 1] + "…"
@@ -160,7 +160,7 @@ def decimals(ends: Sequence[float], fewest: int) -> int:
 
 
 def number(value: Any, digits: int = 4) -> str:
-    """A value as people read it."""
+    """Format a value for a table: yes or no, a rounded number, or its parts."""
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "–"}[value]
     if isinstance(value, float):
@@ -173,7 +173,7 @@ def number(value: Any, digits: int = 4) -> str:
 
 
 def pairs(data: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Nested values as names with dots and words."""
+    """Flatten a nested mapping into pairs of a dotted name and a formatted value."""
     found: list[tuple[str, str]] = []
     for key, value in data.items():
         name = f"{prefix}{key}"
@@ -197,9 +197,9 @@ MOST_DIGITS = 12
 
 
 def numbers(values: ArrayLike) -> list[float | None]:
-    """Numbers for a page, no longer than a reader can use; ``None`` where there is none.
+    """Round numbers for a plot, to keep the page small; None where a value is not finite.
 
-    Where they lie close to each other they have more digits, so that they stay apart.
+    Numbers that lie close together keep more digits, so that they stay distinct.
     """
     array = np.asarray(values, dtype=np.float64).ravel()
     finite = array[np.isfinite(array)]
@@ -270,9 +270,9 @@ def bars(x: Sequence[Any], y: ArrayLike, name: str, colour: str, **more: Any) ->
 
 
 def layout(x: str, y: str, **more: Any) -> dict[str, Any]:
-    """A layout with titles of the two axes; what else it takes goes in by name.
+    """A plotly layout with titles of the two axes.
 
-    ``xaxis`` and ``yaxis`` are added to what the axes have.
+    Keyword arguments are added to the layout, ``xaxis`` and ``yaxis`` to the axes.
     """
     axes: dict[str, Mapping[str, Any]] = {"xaxis": {"title": {"text": x}}}
     axes["yaxis"] = {"title": {"text": y}}
@@ -282,12 +282,12 @@ def layout(x: str, y: str, **more: Any) -> dict[str, Any]:
 
 
 def phi_label(convention: object) -> str:
-    """Title of an axis of friction angles; an unknown convention is named as it is."""
+    """Title of an axis of friction angles in a convention."""
     return PHI_LABEL.get(str(convention), f"friction angle, {label(convention)} [deg]")
 
 
 def vertical(x: float, colour: str, *, dash: str = "dot") -> dict[str, Any]:
-    """A line from bottom to top."""
+    """A vertical line across the whole plot."""
     return {
         "type": "line",
         "x0": x,
@@ -300,7 +300,7 @@ def vertical(x: float, colour: str, *, dash: str = "dot") -> dict[str, Any]:
 
 
 def shade(low: float, high: float) -> dict[str, Any]:
-    """A grey ground between two places of the abscissa."""
+    """A grey background between two values of x."""
     return {
         "type": "rect",
         "x0": low,

@@ -30,7 +30,7 @@ LOGS = {".csv", ".npz", ".mcap", ".db3", ".bag"}
 
 
 class Result(NamedTuple):
-    """A file or folder and what it is."""
+    """A file or folder, and which kind of result it holds."""
 
     kind: Kind
     path: Path
@@ -174,7 +174,7 @@ def sections(
 
 
 def _answers_in(source: str) -> list[str]:
-    """The inversions in a folder of theirs, as the demo's is; else the source itself."""
+    """The inversions inside a folder such as the demo's; otherwise the source itself."""
     place = Path(source)
     if not place.is_dir() or any((place / name).is_file() for _, name in FOLDERS):
         return [source]
@@ -182,7 +182,7 @@ def _answers_in(source: str) -> list[str]:
 
 
 def _made(maker: Callable[[Path], Section], path: Path) -> Section:
-    """A section; whatever a file holds in place of what we write ends in a sentence."""
+    """Make a section; a file with unexpected content raises InputError."""
     try:
         section = maker(path)
         page.embedded(page.drawings([section]))
@@ -197,7 +197,7 @@ def _made(maker: Callable[[Path], Section], path: Path) -> Section:
 def _maker(
     kind: Kind, library: str | None, robot: str, fields: Path | None, share: float
 ) -> Callable[[Path], Section]:
-    """The function that makes the section; its module is loaded only when it is needed."""
+    """The function that makes a section; its module is imported only when needed."""
     if kind == "inversion":
         from terraphi.view.report import inversion
 

@@ -42,7 +42,7 @@ NAMES: dict[str, str] = {name: name.replace("_", " ") for name in ESTIMATORS}
 
 @dataclass(frozen=True)
 class Forces:
-    """What a page shows of a log.
+    """The results of a log that a page shows.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Forces:
 
     @classmethod
     def of(cls, found: RobotForces) -> Forces:
-        """What an analysis found."""
+        """From a finished analysis."""
         return cls(
             found.forces.time,
             found.forces.force.astype(np.float64),
@@ -160,9 +160,9 @@ def _notes(summary: Mapping[str, Any]) -> list[str]:
 def comparison(
     path: Path, *, robot: Quadruped, frame: Any = None, topic: str | None = None
 ) -> tuple[dict[str, Forces], str]:
-    """What every estimator makes of a log, and of the last that could not, why.
+    """Run every estimator on a log; if one fails, the error of the last that did.
 
-    In the frame of the world if none is named, or of the body where the log has no attitude.
+    In the frame of the world unless one is named, or of the body if the log has no attitude.
     """
     log = read_log(path, topic=topic, motors=robot.joint_order, precision="single")
     log = replace(log, report={"source": str(path), **log.report})
@@ -225,7 +225,7 @@ def _feet_table(summary: Mapping[str, Any]) -> Table:
 
 
 def _figures(found: Mapping[str, Any]) -> tuple[str, ...]:
-    """Stances, duration and peaks in a fixed number of digits."""
+    """Number of stances, duration and peaks, formatted for a table."""
     digits = {"mean_duration_s": ".3f", "mean_peak_Fz_N": ".1f", "mean_peak_Fx_N": ".1f"}
     values = (format(found[key], d) if found[key] is not None else "–" for key, d in digits.items())
     return (str(found["stances"]), *values)
@@ -275,7 +275,7 @@ def _over_time(shown: Forces) -> list[Part]:
 def _thinned(
     time: FloatArray, values: FloatArray, name: str, colour: str, dash: str
 ) -> dict[str, Any]:
-    """A curve of bounded length that keeps its peaks: least and greatest of each few samples."""
+    """Shorten a curve but keep its peaks: the minimum and maximum of each few samples."""
     step = -(-len(time) // (MOST_POINTS // 2))
     if len(time) > MOST_POINTS:
         starts = np.arange(0, len(time) - step + 1, step)
@@ -295,7 +295,7 @@ def _shading(
     length: float,
     force: FloatArray,
 ) -> dict[str, Any]:
-    """Rectangles over a foot's stances, one trace that the legend can hide."""
+    """Shade a foot's stances; all in one trace, so that the legend can hide them."""
     finite = force[np.isfinite(force)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     x: list[float | None] = []

@@ -1,7 +1,7 @@
 """The report of a simulation: its particles in motion, and the forces beside them.
 
-Of the particles that ``terraphi simulate --fields`` wrote, some hundred thousand places in all are
-taken, two bytes a coordinate and one byte a speed; that is as much as a screen shows.
+Of the particles that ``terraphi simulate --fields`` wrote, about a hundred thousand positions in
+all are kept, with two bytes a coordinate and one byte a speed, which is as fine as a screen shows.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ COORDINATES = {"theta": fig.THETA, "displacement": "displacement [mm]", "time": 
 
 
 class Frame(NamedTuple):
-    """A moment."""
+    """The particles and the leg at one time."""
 
     at: float
     """θ [deg], or displacement [mm]."""
@@ -74,7 +74,7 @@ def section(history_file: Path, fields: Path | None, *, share: float = 1.0) -> S
     parts: list[Part] = list(curves)
     if fields is not None:
         if scenario is None:
-            raise InputError(f"{history_file}: says no scenario; simulate it again with --out")
+            raise InputError(f"{history_file}: names no scenario; simulate it again with --out")
         parts = [_player(fields, scenario, curves, share)]
     parts.append(_peaks(history))
     about = {key: value for key, value in known.items() if key != "scenario"}
@@ -202,12 +202,12 @@ def _player(fields: Path, scenario: Scenario, curves: list[Plot], share: float) 
 
 
 def _first(frames: list[Frame]) -> int:
-    """The frame that a page opens with, and that is printed: where the most soil moves."""
+    """The frame shown first and in print: the one in which most soil moves."""
     return int(np.argmax([float(frame.soil.point_data["speed"].mean()) for frame in frames]))
 
 
 def _frames(fields: Path, scenario: Scenario) -> list[Frame]:
-    """Moments evenly chosen; raises InputError if the fields are of another scenario."""
+    """Choose frames at even distances; raises InputError if the fields are of another scenario."""
     particles, _ = read_series(fields / f"{PARTICLES}.pvd")
     legs = {number_of(name): name for _, name in read_series(fields / f"{LEG}.pvd")[0]}
     if scenario.hash != scenario_of(fields):
@@ -225,18 +225,20 @@ def _frames(fields: Path, scenario: Scenario) -> list[Frame]:
             place = float(soil.field_data["theta_deg"][0])
             time = np.array([float(soil.field_data["TimeValue"][0])])
         except (KeyError, IndexError) as error:
-            raise InputError(f"{fields / name}: says no angle; simulate it again") from error
+            raise InputError(f"{fields / name}: holds no angle; simulate it again") from error
         if scenario.motion.coordinate != "theta":
             slow = time * scenario.numerics.speed_up
             place = 1e3 * float(scenario.motion.coordinates(slow)[0])
         found.append(Frame(place, soil, leg.points[:, [0, 2]].astype(np.float64)))
     if len({len(frame.soil.points) for frame in found}) != 1:
-        raise InputError(f"{fields}: frames of different numbers of particles")
+        raise InputError(
+            f"{fields}: its frames have different numbers of particles; simulate it again"
+        )
     return found
 
 
 def scenario_of(fields: Path) -> str:
-    """Hash of the scenario that a folder of fields says it is of; empty if it says none."""
+    """Scenario hash stored in a folder of fields; empty if there is none."""
     _, note = read_series(fields / f"{PARTICLES}.pvd")
     words = note.replace(",", " ").split()
     return words[words.index("scenario") + 1] if "scenario" in words[:-1] else ""
