@@ -17,8 +17,9 @@ from terraphi.experiment.history import Observation
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.inference.budget import Budget
+from terraphi.inference.findings import Doubt, Verdict
 from terraphi.inference.posterior import Posterior
-from terraphi.inference.verdict import Verdict
+from terraphi.inference.words import of_doubt, reason
 
 __all__ = ["AngleSummary", "Inversion", "plane_strain_summary"]
 
@@ -86,7 +87,7 @@ class Inversion:
     verdict
         Whether to believe it.
     warnings
-        Sentences on why the answer may not be what was asked for; the verdict's reason has them.
+        Why the answer may not be what was asked for.
     likelihood
         Name of the likelihood.
     data
@@ -115,7 +116,7 @@ class Inversion:
     nrmsd: Mapping[str, float]
     verdict: Verdict
     likelihood: str
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Doubt, ...] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
     budget: Budget | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -124,6 +125,11 @@ class Inversion:
     def origin(self) -> str:
         """What its forces are, in a word: ``measured`` or ``simulated``."""
         return "simulated" if "simulation" in self.provenance else "measured"
+
+    @property
+    def reason(self) -> str:
+        """The verdict and all warnings, in words."""
+        return reason(self.verdict, self.warnings)
 
     def __repr__(self) -> str:
         """What a person at a prompt wants to see; :meth:`as_dict` has all numbers."""
@@ -137,7 +143,7 @@ class Inversion:
             f"  φ ({self.convention}): {self.phi}",
             f"  φ, equivalent in plane strain: {equal}" if equal else "",
             f"  deviation of the best curve: {deviation} of peak-to-peak",
-            f"  verdict: {self.verdict.verdict}; why: .verdict.reason",
+            f"  verdict: {self.verdict.verdict}; why: .reason",
         )
         return "\n".join(filter(None, lines))
 
@@ -149,9 +155,10 @@ class Inversion:
             "phi_plane_strain_deg": equivalent.as_dict() if equivalent else None,
             "phi_plane_strain_reason": self.plane_strain_reason,
             "verdict": self.verdict.verdict,
-            "reason": self.verdict.reason,
+            "reason": self.reason,
             "edge": self.verdict.edge,
-            "warnings": list(self.warnings),
+            "warnings": list(map(of_doubt, self.warnings)),
+            "measures": [measure.as_dict() for measure in self.verdict.measures],
             "data": dict(self.data),
             "nrmsd": dict(self.nrmsd),
             "density_kg_m3": self.density,

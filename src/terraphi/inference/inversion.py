@@ -6,7 +6,6 @@ import functools
 import importlib.metadata
 import logging
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -21,22 +20,26 @@ from terraphi.inference.budget import Budget, budget_of
 from terraphi.inference.calibrated import CalibratedLikelihood, Problem
 from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
 from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
+from terraphi.inference.explanation import OFFSETS, Explanation, explain
+from terraphi.inference.findings import Doubt, Verdict
 from terraphi.inference.fit import Fit, fit_without_discrepancy
 from terraphi.inference.noise import Noise, shape_of, window_covariance
 from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature, tabulated
 from terraphi.inference.prepared_leg import prepare, single_threaded
 from terraphi.inference.verdict import (
-    MOVED,
-    TARED,
-    Verdict,
-    explain,
+    NRMSD_LIMIT,
+    damaged,
+    deviations,
+    edge_by_density,
+    edge_by_mass,
+    fit_measures,
     judge,
-    judge_calibrated,
     nrmsd,
     uninformed,
 )
-from terraphi.library.shipped import there_to_try_others
+from terraphi.inference.words import of_doubt
+from terraphi.library.shipped import is_there_to_try_others
 from terraphi.library.store import Library
 from terraphi.surrogate.paper import LegSurrogate
 
@@ -72,7 +75,7 @@ class _Found(NamedTuple):
     band: FloatArray
     nrmsd: dict[str, float]
     verdict: Verdict
-    question: str
+    why: Explanation
     budget: Budget | None
     scenario: Scenario
     curves: FloatArray
@@ -142,7 +145,8 @@ def invert(
     try:
         observation, how = history.observation(), {"sampler": sampler, "seed": seed}
     except InputError as error:
-        raise InputError(" ".join([f"{error}.", *inspection.sentences]).rstrip(".")) from error
+        said = [f"{error}.", *map(of_doubt, inspection.doubts)]
+        raise InputError(" ".join(said).rstrip(".")) from error
     if likelihood == "paper":
         found = _by_paper(history, observation, library, leg, density, how)
     else:
@@ -189,25 +193,24 @@ def _told(
     library: Library,
     leg: str,
     density: float,
-) -> tuple[Verdict, list[str]]:
-    """The verdict with all remarks, and these alone; of a spoilt record it is a misfit."""
+) -> tuple[Verdict, list[Doubt]]:
+    """The verdict, of a spoilt record a misfit, and all doubts."""
     history, verdict = inspection.history, found.verdict
     curves = density / found.scenario.soil.density * found.curves
+    question = found.why.question
     # A consistent record was not misread, and a zero that is seen to be off is told as such.
-    told = bool(inspection.spoilt) and found.question.startswith((TARED, MOVED))
-    asks = verdict.verdict == "misfit" and not told
-    question = found.question if asks else ""
+    told = inspection.spoilt and question is not None and question.code in OFFSETS
+    if verdict.verdict != "misfit" or told:
+        question = None
     warnings = [
-        *inspection.sentences,
+        *inspection.doubts,
         *filter(None, [question, unlike(history, found.scenario, leg)]),
-        *doubts(history, observation, curves, density, asked=bool(question)),
+        *doubts(history, observation, curves, density, asked=question is not None),
         *uninformed(found.posterior),
-        *there_to_try_others(library.name),
     ]
-    if inspection.spoilt:
-        why = verdict.reason if verdict.verdict == "misfit" else "No angle is to be believed."
-        verdict = Verdict("misfit", None, f"The record is damaged. {why}")
-    return replace(verdict, reason=" ".join([verdict.reason, *warnings])), warnings
+    if is_there_to_try_others(library.name):
+        warnings.append(Doubt("tries_others", {"name": library.name}))
+    return damaged(verdict) if inspection.spoilt else verdict, warnings
 
 
 def _check_options(
@@ -262,15 +265,13 @@ def _by_paper(
     core = time.perf_counter() - began
     phi, best, band, deviation = _curves(posterior, surrogate, observation, scale)
     verdict = judge(
-        posterior,
-        bounds_deg=surrogate.phi_bounds_deg,
-        step_deg=surrogate.phi_step_deg,
-        residual_nrmsd=deviation,
-        convention=scenario.convention,
-        explanation=why,
+        deviations(deviation, most=NRMSD_LIMIT),
+        edge_by_mass(posterior, step_deg=surrogate.phi_step_deg, convention=scenario.convention),
+        kind="paper",
+        beyond=why.beyond,
     )
     vectors = np.hstack([curves.Fx, curves.Fz])
-    about = (verdict, why.question, None, scenario)
+    about = (verdict, why, None, scenario)
     return _Found(posterior, phi, best, band, deviation, *about, vectors, core)
 
 
@@ -309,15 +310,14 @@ def _calibrated(
     fit: Fit = fit_without_discrepancy(likelihood.problem, likelihood.without, scale=scale)
     budget = budget_of(likelihood, phi.median, fit, scale=scale)
     why = explain(observation.vector, scale * prepared.mean, prepared.phi_deg)
-    verdict = judge_calibrated(
-        posterior,
-        fit,
-        residual_nrmsd=deviation,
-        convention=scenario.convention,
-        explanation=why,
+    verdict = judge(
+        [*fit_measures(fit), *deviations(deviation)],
+        edge_by_density(posterior, convention=scenario.convention),
+        kind="calibrated",
+        beyond=why.beyond,
     )
     vectors = np.hstack([prepared.curves.Fx, prepared.curves.Fz])
-    about = (verdict, why.question, budget, scenario)
+    about = (verdict, why, budget, scenario)
     return _Found(posterior, phi, best, band, deviation, *about, vectors, core)
 
 

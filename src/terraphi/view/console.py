@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
+    from terraphi.inference.findings import Doubt, Verdict
     from terraphi.inference.inversion import Inversion
     from terraphi.inference.joint import JointInversion
     from terraphi.library.store import Library
@@ -66,8 +67,20 @@ def print_inversion(inversion: Inversion) -> None:
         told = inversion.budget.information_without_force
         if told > MOST_WITHOUT_FORCE:
             click.echo(f"Told of φ by angles at which the measured force is zero: {told:.0%}.")
-    verdict = inversion.verdict
-    click.secho(f"Verdict: {verdict.verdict.replace('_', ' ')}. {verdict.reason}\n", bold=True)
+    print_verdict(inversion.verdict, inversion.warnings)
+
+
+def print_verdict(verdict: Verdict, warnings: Sequence[Doubt]) -> None:
+    """The numbers that a verdict rests on, the verdict in a sentence, and all warnings."""
+    from terraphi.inference import words as said
+
+    click.echo()
+    print_table(("", "found", "limit"), said.rows_of(verdict.measures))
+    name = verdict.verdict.replace("_", " ")
+    click.secho(f"Verdict: {name}. {said.of_verdict(verdict)}", bold=True)
+    for doubt in warnings:
+        click.echo(said.of_doubt(doubt))
+    click.echo()
 
 
 def print_joint_inversion(found: JointInversion) -> None:
@@ -101,9 +114,7 @@ def print_joint_inversion(found: JointInversion) -> None:
                 for name, words_for in legs.items()
             ],
         )
-    if not found.draws.converged:
-        click.echo("The draws have not converged: do not use them.")
-    click.secho(f"Verdict: {answer['verdict'].replace('_', ' ')}. {answer['reason']}\n", bold=True)
+    print_verdict(found.verdict, found.warnings)
 
 
 def _parameter_row(found: JointInversion, key: str) -> tuple[str, ...]:

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from terraphi.experiment.files import write_netcdf
 from terraphi.inference.answer import AngleSummary
 from terraphi.inference.convergence import chains
+from terraphi.inference.findings import Doubt, Verdict
 from terraphi.inference.joint.identifiability import Identifiability, axis_label, label
 from terraphi.inference.joint.prior import Marginal
 from terraphi.inference.joint.sampler import Draws
 from terraphi.inference.joint.trials import Repeats
-from terraphi.inference.verdict import Verdict
+from terraphi.inference.words import of_doubt, reason
 
 FloatArray = NDArray[np.float64]
 
@@ -99,7 +100,7 @@ class JointInversion:
     discrepancy
         ``none`` or ``gp``.
     warnings
-        Sentences on why the answer may not be what was asked for; the verdict's reason has them.
+        Why the answer may not be what was asked for.
     provenance
         Versions, hashes and time taken [s]; JSON-able.
     """
@@ -125,8 +126,13 @@ class JointInversion:
     nrmsd: tuple[Mapping[str, float], ...]
     verdict: Verdict
     discrepancy: str
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Doubt, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def reason(self) -> str:
+        """The verdict and all warnings, in words."""
+        return reason(self.verdict, self.warnings)
 
     def __repr__(self) -> str:
         """What a person at a prompt wants to see; :meth:`as_dict` has all numbers."""
@@ -143,7 +149,7 @@ class JointInversion:
             f"  library {self.library} ({self.convention})",
             *named,
             f"  converged: {'yes' if self.draws.converged else 'no'}",
-            f"  verdict: {self.verdict.verdict}; why: .verdict.reason",
+            f"  verdict: {self.verdict.verdict}; why: .reason",
         )
         return "\n".join(lines)
 
@@ -168,9 +174,10 @@ class JointInversion:
             "phi_plane_strain_deg": equivalent.as_dict() if equivalent else None,
             "phi_plane_strain_reason": self.plane_strain_reason,
             "verdict": self.verdict.verdict,
-            "reason": self.verdict.reason,
+            "reason": self.reason,
             "edge": self.verdict.edge,
-            "warnings": list(self.warnings),
+            "warnings": list(map(of_doubt, self.warnings)),
+            "measures": [measure.as_dict() for measure in self.verdict.measures],
             "density_kg_m3": self.density,
             "density_assumed": self.density_assumed,
             "n_angles": len(self.groups[0].observations[0].theta_deg),

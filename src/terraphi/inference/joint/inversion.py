@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.forward import package_version
 from terraphi.inference.answer import AngleSummary, plane_strain_summary
 from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
+from terraphi.inference.findings import Doubt, Side, Verdict
 from terraphi.inference.joint.answer import PHI, JointInversion, Summary
 from terraphi.inference.joint.identifiability import Identifiability, label
 from terraphi.inference.joint.prior import Marginal, is_on, priors
@@ -32,7 +33,16 @@ from terraphi.inference.joint.trials import (
 )
 from terraphi.inference.noise import Noise, window_covariance
 from terraphi.inference.posterior import Posterior, quadrature
-from terraphi.inference.verdict import AT_EDGE, EDGE_DENSITY, Verdict, nrmsd
+from terraphi.inference.verdict import (
+    AT_EDGE,
+    EDGE_DENSITY,
+    NRMSD_LIMIT,
+    Edge,
+    damaged,
+    deviations,
+    judge,
+    nrmsd,
+)
 from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.training import DENSITY, Training, parameters, training
@@ -45,12 +55,6 @@ SLOPE_STEP = 1e-3
 """Step of differences over a parameter, of its prior standard deviation [-]."""
 EDGE = 0.02
 """Width of an edge of a prior, of its span [-]."""
-NRMSD_LIMIT = 0.10
-NOT_TO_BE_USED = (
-    "Do not use these parameters: intervals of a joint inversion do not allow for a model that is "
-    "this far off."
-)
-"""Said of a misfit. Intervals of one history do allow for it: docs/inference.md."""
 
 
 def invert_jointly(
@@ -137,24 +141,23 @@ def invert_jointly(
         for said in warnings_on(group, d, _density_of(marginals, d))
     ]
     warnings = [*_damage(trials, inspections), *warnings]
+    if not answer.draws.converged:
+        warnings.append(Doubt("not_converged"))
     return _told(answer, warnings, spoilt=any(i.spoilt for i in inspections))
 
 
-def _told(answer: JointInversion, warnings: Sequence[str], *, spoilt: bool) -> JointInversion:
-    """The answer with all remarks; of a spoilt record it is a misfit."""
-    verdict = answer.verdict
-    if spoilt:
-        verdict = Verdict("misfit", None, "A record is damaged. " + NOT_TO_BE_USED)
-    verdict = replace(verdict, reason=" ".join([verdict.reason, *warnings]))
+def _told(answer: JointInversion, warnings: Sequence[Doubt], *, spoilt: bool) -> JointInversion:
+    """The answer with all doubts; of a spoilt record it is a misfit."""
+    verdict = damaged(answer.verdict) if spoilt else answer.verdict
     return replace(answer, verdict=verdict, warnings=tuple(warnings))
 
 
-def _damage(trials: Sequence[Trial], inspections: Sequence[Inspection]) -> list[str]:
+def _damage(trials: Sequence[Trial], inspections: Sequence[Inspection]) -> list[Doubt]:
     """What was left out of each trial."""
     return [
-        f"{trial.source}: {said}" if trial.source else said
+        replace(doubt, source=trial.source)
         for trial, inspection in zip(trials, inspections, strict=True)
-        for said in inspection.sentences
+        for doubt in inspection.doubts
     ]
 
 
@@ -282,7 +285,9 @@ def _answer(
         expected_sd=_expected(groups, target, (np.median(noise), np.median(amplitude)), named, sd),
         fits=fits,
         nrmsd=tuple(misfits),
-        verdict=_judge(target, flat, identifiability, _worst(groups, misfits)),
+        verdict=_judge(
+            target, flat, identifiability, list(zip(_sources(groups), misfits, strict=True))
+        ),
         discrepancy="gp" if target.discrepancy else "none",
         provenance=about,
     )
@@ -344,52 +349,39 @@ def _expected(
     }
 
 
-def _worst(groups: Sequence[Repeats], misfits: Sequence[Mapping[str, float]]) -> tuple[str, float]:
-    """Source of the history that fits worst, and by how much it deviates [-]."""
-    sources = [t.source or f"the history of leg {g.leg}" for g in groups for t in g.trials]
-    largest = [max(misfit.values()) for misfit in misfits]
-    return max(zip(sources, largest, strict=True), key=lambda pair: pair[1])
+def _sources(groups: Sequence[Repeats]) -> list[str]:
+    """Name of each history, leg by leg."""
+    return [t.source or f"the history of leg {g.leg}" for g in groups for t in g.trials]
 
 
 def _judge(
-    target: Target, flat: FloatArray, identifiability: Identifiability, worst: tuple[str, float]
+    target: Target,
+    flat: FloatArray,
+    identifiability: Identifiability,
+    misfits: Sequence[tuple[str, Mapping[str, float]]],
 ) -> Verdict:
-    """Out of range if an edge cuts off a parameter that was learnt; misfit if forces deviate.
-
-    As with one history, a posterior that reaches an edge is a misfit's, unless it is at the edge.
-    """
-    source, largest = worst
-    deviation = f"the best curve deviates from {source} by {largest:.1%}"
-    misfit = largest > NRMSD_LIMIT
-    limit = AT_EDGE if misfit else EDGE_DENSITY
+    """A misfit if forces deviate; out of range if an edge cuts off a parameter that was learnt."""
+    fit = [
+        measure
+        for source, misfit in misfits
+        for measure in deviations(misfit, most=NRMSD_LIMIT, source=source)
+    ]
     edges = [
         _edge(key, target.priors[key], flat[:, i])
         for i, key in enumerate(target.keys)
         if identifiability.kinds[key] != "open"
     ]
-    density, side, edge = max(edges, default=(0.0, None, ""))
-    if side is not None and density > limit:
-        reason = f"The posterior is cut off by {edge} (limit {limit:.0%}); {deviation}"
-        return Verdict("out_of_range", side, f"{reason} of peak-to-peak.")
-    if misfit:
-        reach = f"; the posterior reaches {edge}" if density > EDGE_DENSITY else ""
-        limits = f"{deviation} of peak-to-peak (limit {NRMSD_LIMIT:.0%}){reach}"
-        return Verdict("misfit", None, f"No parameters fit: {limits}. {NOT_TO_BE_USED}")
-    return Verdict(
-        "consistent", None,
-        f"No edge of the priors cuts off what was learnt, and {deviation} of peak-to-peak at most "
-        f"(limit {NRMSD_LIMIT:.0%}).",
-    )  # fmt: skip
+    worst, _ = max(misfits, key=lambda pair: max(pair[1].values()))
+    edge = max(edges, key=lambda edge: edge.size, default=None)
+    return judge(fit, edge, kind="parameters", numbers={"worst": worst})
 
 
-def _edge(
-    key: str, prior: Marginal, values: FloatArray
-) -> tuple[float, Literal["low", "high"], str]:
-    """Density at the edge of a prior where it is larger, over the largest; which, and in words."""
+def _edge(key: str, prior: Marginal, values: FloatArray) -> Edge:
+    """The edge of a prior where the density is larger."""
     counts, _ = np.histogram(values, bins=round(1.0 / EDGE), range=(prior.low, prior.high))
     cuts = zip(prior.cut_off, (counts[0], counts[-1]), strict=True)
     low, high = (float(count / counts.max()) if cut else 0.0 for cut, count in cuts)
     name, unit = label(key)
-    at = prior.low if low >= high else prior.high
-    words = f"the edge of {name} at {at:g} {unit}, where its density is {max(low, high):.0%} of its"
-    return max(low, high), "low" if low >= high else "high", f"{words} largest"
+    numbers = {"at": prior.low if low >= high else prior.high, "unit": unit, "name": name}
+    side: Side = "low" if low >= high else "high"
+    return Edge(side, max(low, high), EDGE_DENSITY, AT_EDGE, "edge_density", numbers)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,7 @@ from terraphi.experiment.history import (
 )
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
+from terraphi.inference.findings import Doubt
 from terraphi.surrogate.training import Training
 
 FloatArray = NDArray[np.float64]
@@ -184,8 +185,8 @@ def check_trials(
         check_same_setup(trial.history, scenario, source=trial.source, varied=varied)
 
 
-def warnings_on(repeats: Repeats, training: Training, density: float | None) -> list[str]:
-    """Sentences on why the trials of a leg may not be what they were taken for.
+def warnings_on(repeats: Repeats, training: Training, density: float | None) -> list[Doubt]:
+    """Why the trials of a leg may not be what they were taken for.
 
     Parameters
     ----------
@@ -197,9 +198,7 @@ def warnings_on(repeats: Repeats, training: Training, density: float | None) -> 
         Density that the trials are inverted with [kg/m3]; ``None`` if it is inferred.
     """
     found = [
-        f"{trial.source or 'A history'} is read at other angles than another history of leg "
-        f"{repeats.leg}, more than {DENSE_DEG:g}° apart: the angle found may be off by some tenths "
-        "of a degree."
+        Doubt("read_twice", {"leg": repeats.leg, "spacing_deg": DENSE_DEG}, trial.source)
         for trial in repeats.read_twice
     ]
     curves = training.forces
@@ -208,5 +207,5 @@ def warnings_on(repeats: Repeats, training: Training, density: float | None) -> 
     for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
         other = unlike(trial.history, training.scenario, repeats.leg, varied=training.bounds)
         said = [*filter(None, [other]), *doubts(trial.history, observation, curves, density)]
-        found += [f"{trial.source}: {s}" if trial.source else s for s in said]
+        found += [replace(one, source=trial.source) for one in said]
     return found

@@ -21,8 +21,10 @@ from terraphi.inference.budget import (
     share_without_force,
     without_force,
 )
+from terraphi.inference.findings import Measure
 from terraphi.inference.paper_likelihood import PaperLikelihood, peak_to_peak
 from terraphi.inference.prepared_leg import prepare
+from terraphi.inference.words import rows_of
 from terraphi.library.store import Library
 from terraphi.surrogate.joint import JointSurrogate
 from terraphi.surrogate.paper import LegSurrogate
@@ -95,7 +97,7 @@ def section(path: Path, *, library: str | None = None) -> Section:
     share = saved.share if again is None else again.share
     if share is not None:
         parts.append(_information(saved, share))
-    parts.append(_numbers(answer))
+    parts += [_numbers(answer), *measures(answer)]
     if again is not None:
         parts += _certificate(answer, again)
     parts += [*_budget(answer), _convergence(answer)]
@@ -232,6 +234,13 @@ def _numbers(answer: Mapping[str, Any]) -> Table:
             f"the {_origin(answer)} forces by {misfit} of their peak-to-peak."
         ),
     )
+
+
+def measures(answer: Mapping[str, Any]) -> list[Part]:
+    """The numbers that the verdict rests on."""
+    told = [Measure(**one) for one in answer.get("measures", ())]
+    title = "What the verdict rests on"
+    return [Table(title, ("", "found", "limit"), rows_of(told), wide=True)] if told else []
 
 
 def _density(saved: Saved, again: Again | None) -> Plot:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from terraphi.experiment.errors import InputError
-from terraphi.view.report.inversion import STATUS
+from terraphi.view.report.inversion import STATUS, measures
 from terraphi.view.report.parts import Part, Section, Table, Text, number
 from terraphi.view.report.study import pictures
 
@@ -49,6 +49,7 @@ def section(path: Path) -> Section:
         raise InputError(f"{file}: not an answer as 'terraphi invert --out' writes it") from error
     parts: list[Part] = [
         _parameters(answer),
+        *measures(answer),
         Text("What the forces fix", tuple(map(str, answer["identifiability"]["sentences"]))),
         *_expected(answer),
         _histories(answer),
