@@ -12,8 +12,7 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement
 from terraphi.inference.defects import inspect_record, touches_soil_deg
 from terraphi.inference.inversion import invert
-from terraphi.inference.joint.inversion import invert_jointly
-from terraphi.inference.joint.trials import Trial
+from terraphi.inference.trials import Trial
 from terraphi.library.store import Library
 
 RNG = np.random.default_rng(3)
@@ -164,7 +163,9 @@ def test_a_joint_inversion_leaves_them_out_too(library: Library) -> None:
     force = whole.force.copy()
     force[np.abs(whole.theta_deg + 36.0) < 8.0] = 0.0
     record = replace(whole, force=force)
-    answer = invert_jointly([Trial(record, "straight")], library=library, steps=300)
+    answer = invert(
+        [Trial(record, "straight")], library=library, prior=["density=1500:1800"], steps=300
+    )
     assert any(said.code == "dropout" for said in answer.warnings)
     phi = answer.marginal["soil.friction_angle_deg"]
     assert phi.ci95[0] < PHI < phi.ci95[1]

@@ -92,3 +92,10 @@ class Verdict:
     code: str
     numbers: Mapping[str, Any] = field(default_factory=dict)
     measures: tuple[Measure, ...] = ()
+
+    @property
+    def reason(self) -> str:
+        """The verdict as a sentence."""
+        from terraphi.inference.words import of_verdict
+
+        return of_verdict(self)

@@ -109,6 +109,8 @@ def judge(
         if cut and (not misfit or beyond == edge.side):
             code = "beyond" if misfit else "parameter_edge" if kind == "parameters" else "edge"
             return Verdict("out_of_range", edge.side, code, told, tuple(measures))
+    if {measure.code for measure in fit if measure.exceeded} == {"agreement"}:
+        return Verdict("misfit", None, "disagreement", told, tuple(measures))
     if misfit:
         reaches = edge is not None and edge.size > edge.limit
         code = f"{kind}_misfit_at_edge" if reaches else f"{kind}_misfit"

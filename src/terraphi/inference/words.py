@@ -40,6 +40,10 @@ VERDICTS = {
         "No parameters fit: {worst} deviates by more than it may. Do not use them; the posterior "
         "reaches the {edge}."
     ),
+    "disagreement": (
+        "No one friction angle fits all histories, though one fits each: they are not of one soil, "
+        "or not as they were told."
+    ),
     "damaged": "The record is damaged. No angle is to be believed.",
     "edge": ("The posterior is cut off by the {edge}, so the friction angle may lie {beyond} it."),
     "beyond": (
@@ -51,10 +55,11 @@ VERDICTS = {
 """Sentence of each verdict, of at most 25 words; its numbers stand in a table of the measures."""
 
 MEASURES = {
-    "chi2_per_freedom": "residual over what scatter and noise allow",
+    "chi2_per_freedom": "chi-square over its degrees of freedom",
     "probability": "probability of a residual as large",
     "log10_odds": "odds of a model discrepancy",
     "amplitude": "discrepancy, if there is one, of peak-to-peak",
+    "agreement": "probability that histories of one angle differ as much",
     "nrmsd": "deviation of the best curve, of peak-to-peak",
     "edge_mass": "posterior mass near the edge",
     "edge_density": "density at the edge, over the largest",
@@ -189,8 +194,10 @@ def _number(code: str, value: float) -> str:
         # The largest that was tried stands for all beyond it.
         more = " or more" if value >= AMPLITUDES[-1] else ""
         return f"{100.0 * value:.2g} %{more}"
-    if code in ("chi2_per_freedom", "probability"):
-        return f"{value:.2g}" if code == "probability" else f"{value:.1f}"
+    if code in ("probability", "agreement"):
+        return f"{value:.2g}"
+    if code == "chi2_per_freedom":
+        return f"{value:.1f}"
     return f"{100.0 * value:.1f} %"
 
 
