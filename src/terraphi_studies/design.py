@@ -21,8 +21,8 @@ from scipy.stats import qmc
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
-from terraphi.inference.joint.identifiability import axis_label, label
-from terraphi.inference.joint.suggestion import NOISE, suggest
+from terraphi.inference.identifiability import axis_label, label
+from terraphi.inference.suggestion import NOISE, suggest
 from terraphi.library.plan import Plan, Sample
 from terraphi.library.store import Case, Library
 from terraphi.surrogate.design import DesignSurrogate

@@ -119,7 +119,7 @@ def _answer(library: str, one: Measurement, found: Inversion) -> dict[str, Any]:
         "phi_plane_strain_deg": plane.median if plane else None,
         "nrmsd_percent": {force: 100.0 * value for force, value in found.nrmsd.items()},
         "verdict": found.verdict.verdict,
-        "reason": found.verdict.reason,
+        "reason": found.reason,
         "angle_of_repose_deg": one.angle_of_repose_deg,
     }
 

@@ -134,7 +134,7 @@ def test_a_wrong_model_is_not_believed_though_the_interval_widens(
     answer = invert(shifted, library=library, likelihood="calibrated")
     clean = invert(history, library=library, likelihood="calibrated")
     assert answer.verdict.verdict == "misfit"
-    assert "No friction angle fits" in answer.verdict.reason
+    assert answer.verdict.code == "calibrated_misfit"
     assert np.diff(answer.phi.ci68) > np.diff(clean.phi.ci68)
     assert answer.budget is not None
     assert answer.budget.shares["discrepancy"] > 0.1

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from terraphi.inference.findings import Verdict
 from terraphi.inference.fit import Fit
 from terraphi.inference.posterior import Posterior, ensemble, quadrature, tabulated
 from terraphi.inference.verdict import (
+    AT_EDGE,
     EDGE_DENSITY,
-    Explanation,
-    Verdict,
+    deviations,
+    edge_by_density,
     edge_densities,
-    judge_calibrated,
+    fit_measures,
+    judge,
     uninformed,
 )
 
@@ -27,13 +30,17 @@ def normal(mean: float, sigma: float) -> Posterior:
 
 
 def judged(posterior: Posterior, fit: Fit, beyond: str | None = None) -> Verdict:
-    return judge_calibrated(
-        posterior,
-        fit,
-        residual_nrmsd={"Fx": 0.2, "Fz": 0.1},
-        convention="plane_strain",
-        explanation=Explanation(beyond=beyond),
+    return judge(
+        [*fit_measures(fit), *deviations({"Fx": 0.2, "Fz": 0.1})],
+        edge_by_density(posterior, convention="plane_strain"),
+        kind="calibrated",
+        beyond=beyond,
     )
+
+
+def limit_of(verdict: Verdict) -> float | None:
+    (density,) = (m for m in verdict.measures if m.code == "edge_density")
+    return density.most
 
 
 @pytest.mark.parametrize(
@@ -69,14 +76,14 @@ def test_a_flat_posterior_of_a_misfit_is_a_misfit() -> None:
 
 
 def test_the_limit_that_counted_is_told() -> None:
-    assert "(limit 90%)" in judged(normal(15.0, 2.0), BAD, "low").reason
-    assert "(limit 14%)" in judged(normal(15.0, 2.0), GOOD).reason
+    assert limit_of(judged(normal(15.0, 2.0), BAD, "low")) == AT_EDGE
+    assert limit_of(judged(normal(15.0, 2.0), GOOD)) == EDGE_DENSITY
 
 
 def test_a_posterior_that_is_nearly_the_prior_is_remarked_on() -> None:
     uniform = quadrature(lambda phi: np.zeros_like(phi), BOUNDS, nodes=2001)
     (remark,) = uninformed(uniform)
-    assert "they add 0.00 bits" in remark
+    assert (remark.code, remark.numbers["bits"]) == ("uninformed", pytest.approx(0.0, abs=1e-9))
     assert uninformed(normal(32.5, 30.0)) != []
     assert uninformed(normal(32.5, 9.0)) == []
     assert uninformed(normal(16.0, 1.0)) == []
@@ -89,10 +96,10 @@ def test_a_posterior_that_is_nearly_the_prior_is_remarked_on() -> None:
 
 
 def test_a_misfit_whose_posterior_reaches_an_edge_says_so() -> None:
-    reason = judged(normal(18.0, 2.0), BAD).reason
-    assert reason.startswith("No friction angle fits")
-    assert "reaches the lower edge of the library at 15° (plane_strain)" in reason
-    assert "edge" not in judged(normal(30.0, 1.0), BAD).reason
+    verdict = judged(normal(18.0, 2.0), BAD)
+    assert verdict.code == "calibrated_misfit_at_edge"
+    assert (verdict.numbers["side"], verdict.numbers["at"]) == ("low", 15.0)
+    assert judged(normal(30.0, 1.0), BAD).code == "calibrated_misfit"
 
 
 def test_two_standard_deviations_are_the_limit() -> None:

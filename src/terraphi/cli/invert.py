@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,15 +21,11 @@ from terraphi.cli.options import (
     library_names,
 )
 from terraphi.experiment.errors import InputError
-from terraphi.view.console import as_text, print_inversion, print_joint_inversion, print_json
+from terraphi.view.console import as_text, print_inversion, print_json
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from terraphi.experiment.measurements import Measurement
     from terraphi.inference.inversion import Inversion
-    from terraphi.inference.joint import JointInversion
-    from terraphi.library.store import Library
 
 DEFAULT_LIBRARY = "quick-plane-strain"
 DEFAULT_LIKELIHOOD = "calibrated"
@@ -77,7 +73,7 @@ MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
 @click.option(
     "--likelihood",
     type=Choice(LIKELIHOODS),
-    help=f"Error model, of one history and φ alone.  [default: {DEFAULT_LIKELIHOOD}]",
+    help=f"Error model of φ alone.  [default: {DEFAULT_LIKELIHOOD}]",
 )
 @click.option(
     "--noise",
@@ -93,7 +89,7 @@ MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
     "--sampler",
     type=Choice(SAMPLERS),
     help="How the posterior is computed: quadrature is exact, and for φ alone.  [default: "
-    f"{DEFAULT_SAMPLER}; emcee for several histories or parameters]",
+    f"{DEFAULT_SAMPLER}; emcee for several parameters]",
 )
 @click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of emcee.")
 @click.option(
@@ -106,7 +102,6 @@ def invert(
     forces: tuple[str, ...],
     legs: tuple[str, ...],
     library: str,
-    prior: tuple[str, ...],
     out: Path | None,
     as_json: bool,
     **options: Any,
@@ -117,8 +112,8 @@ def invert(
     from the downward vertical, increasing in time; x forward, z up; the soil's force on the leg),
     a NetCDF that terraphi wrote, or a shipped measurement such as li2013:yuma/c.
 
-    Several FORCES, of several legs or repeated trials in one soil, are inverted as one data set;
-    so is one with a --prior or a library of several parameters.
+    Several FORCES, of several legs or repeated trials in one soil, are inverted as one data set.
+    With a library of several parameters, or a --prior on the density, these are inferred too.
 
     Example: terraphi invert forces.csv --density 1600 --out answer
 
@@ -126,85 +121,25 @@ def invert(
     """
     from terraphi.experiment.measurements import open_forces
     from terraphi.experiment.outputs import check_folder
+    from terraphi.inference.inversion import Trial
+    from terraphi.inference.inversion import invert as run
     from terraphi.library.store import Library
-    from terraphi.surrogate.training import is_of_several
 
     if out is not None:
         check_folder(out, kind=KIND, names=MADE)
     measured = [open_forces(source) for source in forces]
-    shapes = legs_of(legs, measured)
-    chosen = Library.load(library)
-    joint = len(measured) > 1 or bool(prior) or is_of_several(chosen)
-    made: tuple[str, ...]
-    if joint:
-        found = jointly(measured, shapes, chosen, prior=prior, **options)
-        made = () if out is None else save_joint_inversion(found, out)
-    else:
-        found = alone(measured[0], shapes[0], chosen, **options)
-        made = () if out is None else save_inversion(found, out)
+    trials = [
+        Trial(m.history, leg, m.name, m.density_kg_m3, m.density_assumed)
+        for m, leg in zip(measured, legs_of(legs, measured), strict=True)
+    ]
+    found = run(trials, library=Library.load(library), **options)
+    made = () if out is None else save_inversion(found, out)
     if as_json:
         print_json(found.as_dict())
         return
-    if joint:
-        print_joint_inversion(found)
-    else:
-        print_inversion(found)
+    print_inversion(found)
     if made:
         click.echo(f"Written: {out}/{', '.join(made)}")
-
-
-def alone(
-    measured: Measurement,
-    leg: str,
-    library: Library,
-    *,
-    density: float | None,
-    likelihood: str | None,
-    sampler: str | None,
-    **options: Any,
-) -> Any:
-    """Invert one history for the friction angle."""
-    from terraphi.inference.inversion import invert as run
-
-    return run(
-        measured.history,
-        library=library,
-        leg=leg,
-        density=measured.density_kg_m3 if density is None else density,
-        density_assumed=density is None and measured.density_assumed,
-        likelihood=likelihood or DEFAULT_LIKELIHOOD,
-        sampler=sampler or DEFAULT_SAMPLER,
-        source=measured.name,
-        **options,
-    )
-
-
-def jointly(
-    measured: Sequence[Measurement],
-    legs: Sequence[str],
-    library: Library,
-    *,
-    likelihood: str | None,
-    sampler: str | None,
-    **options: Any,
-) -> Any:
-    """Invert all histories as one data set."""
-    from terraphi.inference.joint import Trial, invert_jointly
-
-    for name, given, only in (
-        ("--likelihood", likelihood, "joint"),
-        ("--sampler", sampler, "emcee"),
-    ):
-        if given not in (None, only):
-            raise InputError(
-                f"{name} {given} is for one history and the friction angle alone; several "
-                f"histories or parameters know {only} only: leave it out"
-            )
-    trials = [
-        Trial(m.history, leg, m.name, m.density_kg_m3, m.density_assumed)
-        for m, leg in zip(measured, legs, strict=True)
-    ]
-    return invert_jointly(trials, library=library, **options)
 
 
 def legs_of(legs: Sequence[str], measured: Sequence[Measurement]) -> list[str]:
@@ -230,33 +165,15 @@ def legs_of(legs: Sequence[str], measured: Sequence[Measurement]) -> list[str]:
     return shapes
 
 
-def save_inversion(inversion: Inversion, place: Path) -> tuple[str, ...]:
-    """Write posterior, figure and answer, the answer last; their names."""
-    from terraphi.view import plots
-
-    return _save(inversion, place, {"figure.png": lambda: plots.inversions_figure([inversion])})
-
-
-def save_joint_inversion(found: JointInversion, place: Path) -> tuple[str, ...]:
-    """The same, with the corner plot."""
-    from terraphi.view import plots as joint_plots
-
-    figures = {
-        "figure.png": lambda: joint_plots.fits_figure(found),
-        "corner.png": lambda: joint_plots.corner_figure(found),
-    }
-    return _save(found, place, figures)
-
-
-def _save(
-    found: Inversion | JointInversion, place: Path, figures: Mapping[str, Callable[[], Figure]]
-) -> tuple[str, ...]:
+def save_inversion(found: Inversion, place: Path) -> tuple[str, ...]:
+    """Write posterior, figures and answer, the answer last; their names."""
     from terraphi.experiment.outputs import filling
     from terraphi.view import plots
 
+    figures = plots.figures_of(found)
     with filling(place, kind=KIND, last=ANSWER) as made:
         found.to_netcdf(made / "posterior.nc")
-        for name, draw in figures.items():
-            plots.save(draw(), made.joinpath(name))
+        for name, figure in figures.items():
+            plots.save(figure, made.joinpath(name))
         made.joinpath(ANSWER).write_text(as_text(found.as_dict()), encoding="utf-8")
     return ANSWER, "posterior.nc", *figures

@@ -42,7 +42,7 @@ def library_suggest(
 
     Example: terraphi library suggest mine.nc --count 4
     """
-    from terraphi.inference.joint.suggestion import suggest
+    from terraphi.inference.suggestion import suggest
     from terraphi.library.store import Library
 
     found = suggest(

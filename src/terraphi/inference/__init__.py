@@ -12,6 +12,7 @@ from terraphi.inference.convergence import (
     median_standard_error,
     split_rhat,
 )
+from terraphi.inference.findings import Verdict
 from terraphi.inference.paper_likelihood import (
     Likelihood,
     PaperLikelihood,
@@ -19,7 +20,7 @@ from terraphi.inference.paper_likelihood import (
     residual_correlation_length_deg,
 )
 from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature
-from terraphi.inference.verdict import Verdict, judge, nrmsd
+from terraphi.inference.verdict import judge, nrmsd
 
 __all__ = [
     "EnsembleDiagnostics",

@@ -1,8 +1,8 @@
-"""The answer of an inversion: the friction angle, its interval, the verdict, and a file of them."""
+"""The answer of an inversion: what was inferred from one history or several, and the verdict."""
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,22 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import write_netcdf
 from terraphi.experiment.history import Observation
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.inference.budget import Budget
+from terraphi.inference.findings import Doubt, Verdict
+from terraphi.inference.identifiability import Identifiability, axis_label, label
 from terraphi.inference.posterior import Posterior
-from terraphi.inference.verdict import Verdict
+from terraphi.inference.prior import Marginal
+from terraphi.inference.sampler import Draws
+from terraphi.inference.words import of_doubt, reason
 
 __all__ = ["AngleSummary", "Inversion", "plane_strain_summary"]
 
 FloatArray = NDArray[np.float64]
 
+PHI = "soil.friction_angle_deg"
 NARROW_DEG = 0.1
 """Width of the 68 % interval below which angles are shown with another digit [deg]."""
-QUADRATURE_DRAWS = (4, 1000)
-"""Chains and draws that stand for a posterior by quadrature in a file."""
+QUANTILES = 4000
+"""Quantiles that stand for a posterior by quadrature where draws are wanted."""
+MOST_NAMED = 5
+"""Parameters that a representation has room for."""
 
 
 @dataclass(frozen=True)
@@ -51,131 +57,386 @@ class AngleSummary:
 
 
 @dataclass(frozen=True)
-class Inversion:
-    """What an inversion found.
+class Summary:
+    """Median, standard deviation and equal-tailed intervals of a parameter, in its unit."""
+
+    median: float
+    sd: float
+    ci68: tuple[float, float]
+    ci95: tuple[float, float]
+
+    @classmethod
+    def of(cls, draws: FloatArray) -> Summary:
+        """From draws of any shape."""
+        q = np.quantile(draws, [0.5, 0.16, 0.84, 0.025, 0.975]).tolist()
+        return cls(q[0], float(draws.std()), (q[1], q[2]), (q[3], q[4]))
+
+    @classmethod
+    def of_posterior(cls, posterior: Posterior) -> Summary:
+        """From a posterior of the friction angle [deg]."""
+        ends = posterior.interval(0.68), posterior.interval(0.95)
+        return cls(posterior.median, posterior.sd, *ends)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists."""
+        return {
+            "median": self.median, "sd": self.sd, "ci68": list(self.ci68), "ci95": list(self.ci95),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One of the histories that were inverted.
 
     Attributes
     ----------
     source
         Where the forces come from.
+    leg
+        Shape of the leg.
     observation
         The data d.
     readings
         Leg angles at which the record was read [rad], shape [sample].
-    leg
-        Shape of the leg.
-    library
-        Name of the library.
-    convention
-        What φ means: a yield criterion, or ``rft3d``.
-    posterior
-        Of φ in that convention.
-    phi, phi_plane_strain
-        Summaries [deg]; the latter ``None`` where there is no equivalent.
-    plane_strain_reason
-        Why there is no equivalent; empty if there is one.
-    density
-        Bulk density that the curves were scaled to [kg/m³].
-    density_assumed
-        Whether it was taken from the library for want of a better one.
-    best, band
-        Curve at the median [N], shape [2M], and the smallest and largest force over the 95 %
-        interval [N], shape [2, 2M].
+    best
+        Curve at the median of φ alone, or at the best draw of several parameters [N], shape [2M].
     nrmsd
-        Misfit of the best curve by force, fractions of peak-to-peak.
-    verdict
-        Whether to believe it.
-    warnings
-        Sentences on why the answer may not be what was asked for; the verdict's reason has them.
-    likelihood
-        Name of the likelihood.
+        Misfit of that curve by force, fractions of peak-to-peak.
     data
         What was found in the record before the inversion: readings (``rows``), how many were
         ``left_out``, and the ``defects`` that they show; JSON-able.
+    simulation
+        What a history that was simulated says of its simulation; empty for any other.
+    band
+        Smallest and largest force over the 95 % interval of φ alone [N], shape [2, 2M].
+    """
+
+    source: str
+    leg: str
+    observation: Observation
+    readings: FloatArray
+    best: FloatArray
+    nrmsd: Mapping[str, float]
+    data: Mapping[str, Any] = field(default_factory=dict)
+    simulation: Mapping[str, Any] = field(default_factory=dict)
+    band: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Together:
+    """What is to be said of several histories or parameters beside their posterior.
+
+    Attributes
+    ----------
+    conditional
+        Summary of each parameter with all others held at the best point.
+    point
+        The best point, all parameters: where the curves are drawn.
+    identifiability
+        Which parameters are fixed, which bound up with each other.
+    expected_sd
+        What each leg alone, and all together, would leave of each parameter: leg, or ``all``, to
+        standard deviations, shape [d].
+    noise_N, amplitude
+        Draws of the noise of a window mean of the noisier force [N], and of the relative size of
+        the discrepancy [-], shape [draw] or that of the draws.
+    discrepancy
+        ``none`` or ``gp``.
+    draws
+        Of the parameters, and then of noise and discrepancy as far as they were inferred; ``None``
+        where φ alone was inferred.
+    """
+
+    conditional: Mapping[str, Summary]
+    point: Mapping[str, float]
+    identifiability: Identifiability
+    expected_sd: Mapping[str, FloatArray]
+    noise_N: FloatArray
+    amplitude: FloatArray
+    discrepancy: str
+    draws: Draws | None = None
+
+    def as_dict(self, keys: tuple[str, ...]) -> dict[str, Any]:
+        """Plain numbers, lists and words."""
+        told: dict[str, Any] = {
+            "best": dict(self.point),
+            "identifiability": self.identifiability.as_dict(),
+            "expected_sd": {
+                name: dict(zip(keys, map(float, sd), strict=True))
+                for name, sd in self.expected_sd.items()
+            },
+            "noise_N": Summary.of(self.noise_N).as_dict(),
+            "discrepancy": self.discrepancy,
+            "discrepancy_of_peak": Summary.of(self.amplitude).as_dict(),
+            "converged": self.draws is None or self.draws.converged,
+        }
+        if self.draws is not None:
+            told["acceptance_fraction"] = self.draws.acceptance_fraction
+        return told
+
+
+@dataclass(frozen=True, eq=False)
+class Inversion:
+    """What an inversion found.
+
+    Attributes
+    ----------
+    records
+        The histories.
+    library, convention
+        Name of the library, and what φ means there: a yield criterion, or ``rft3d``.
+    likelihood, sampler, seed
+        How: ``calibrated``, ``paper`` or ``joint``; ``quadrature`` or ``emcee``.
+    marginal
+        Summary of each parameter that was inferred, by its dotted scenario key.
+    priors
+        Of every parameter, fixed ones too.
+    of_phi
+        Posterior of φ, if it was inferred.
+    phi_plane_strain
+        The friction angle as one of plane strain [deg]; ``None`` where there is no equivalent or
+        the angle was not inferred.
+    plane_strain_reason
+        Why there is none; empty if there is one.
+    density
+        Bulk density that the curves were scaled to [kg/m³]; ``None`` if it was inferred.
+    density_assumed
+        Whether it was taken from the library for want of a better one, or is a guess.
+    verdict
+        Whether to believe it.
+    warnings
+        Why the answer may not be what was asked for.
     budget
-        Where the interval comes from; ``None`` under the paper's likelihood.
+        Where the interval comes from; ``None`` but for one leg, φ alone and the calibrated
+        likelihood.
+    together
+        What there is to say of several histories or parameters; ``None`` for one history and φ.
     provenance
         Versions of the software, hash and versions of the library, time taken [s]; JSON-able.
     """
 
-    source: str
-    observation: Observation
-    readings: FloatArray
-    leg: str
+    records: tuple[Record, ...]
     library: str
     convention: str
-    posterior: Posterior
-    phi: AngleSummary
+    likelihood: str
+    sampler: str
+    seed: int | None
+    marginal: Mapping[str, Summary]
+    priors: Mapping[str, Marginal]
+    of_phi: Posterior | None
     phi_plane_strain: AngleSummary | None
     plane_strain_reason: str
-    density: float
+    density: float | None
     density_assumed: bool
-    best: FloatArray
-    band: FloatArray
-    nrmsd: Mapping[str, float]
     verdict: Verdict
-    likelihood: str
-    warnings: tuple[str, ...] = ()
-    data: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[Doubt, ...] = ()
     budget: Budget | None = None
+    together: Together | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Parameters that were inferred, dotted scenario keys."""
+        return tuple(self.marginal)
+
+    @property
+    def phi(self) -> AngleSummary:
+        """Summary of φ [deg]; ValueError if it was not inferred."""
+        if PHI not in self.marginal:
+            raise ValueError("the friction angle was not inferred")
+        one = self.marginal[PHI]
+        return AngleSummary(one.median, one.ci68, one.ci95)
+
+    @property
+    def posterior(self) -> Posterior:
+        """Posterior of φ; ValueError if it was not inferred."""
+        if self.of_phi is None:
+            raise ValueError("the friction angle was not inferred")
+        return self.of_phi
+
+    @property
+    def reason(self) -> str:
+        """The verdict and all warnings, in words."""
+        return reason(self.verdict, self.warnings)
+
+    @property
+    def record(self) -> Record:
+        """The history, if there is one alone; ValueError if there are several."""
+        if len(self.records) != 1:
+            raise ValueError(f"there are {len(self.records)} histories; take .records")
+        return self.records[0]
+
+    @property
+    def source(self) -> str:
+        """Where the forces of the only history come from, or of each."""
+        return ", ".join(record.source for record in self.records)
+
+    @property
+    def leg(self) -> str:
+        """Leg of the only history."""
+        return self.record.leg
+
+    @property
+    def observation(self) -> Observation:
+        """Data of the only history."""
+        return self.record.observation
+
+    @property
+    def readings(self) -> FloatArray:
+        """Leg angles at which the only history was read [rad], shape [sample]."""
+        return self.record.readings
+
+    @property
+    def best(self) -> FloatArray:
+        """Best curve of the only history [N], shape [2M]."""
+        return self.record.best
+
+    @property
+    def band(self) -> FloatArray:
+        """Band of the curves of the only history [N], shape [2, 2M]; φ alone."""
+        band = self.record.band
+        if band is None:
+            raise ValueError("several parameters have no band of curves over φ")
+        return band
+
+    @property
+    def nrmsd(self) -> Mapping[str, float]:
+        """Misfit of the only history by force, fractions of peak-to-peak."""
+        return self.record.nrmsd
+
+    @property
+    def data(self) -> Mapping[str, Any]:
+        """What was found in the only history before the inversion."""
+        return self.record.data
 
     @property
     def origin(self) -> str:
         """What its forces are, in a word: ``measured`` or ``simulated``."""
-        return "simulated" if "simulation" in self.provenance else "measured"
+        return "simulated" if all(r.simulation for r in self.records) else "measured"
+
+    @property
+    def drawn(self) -> FloatArray:
+        """Draws of all parameters, or quantiles of equal probability of one, [draw, parameter]."""
+        draws = self.together.draws if self.together else None
+        if draws is not None:
+            flat = draws.values.reshape(-1, draws.values.shape[-1])
+            return flat[:, : len(self.keys)]
+        posterior = self.posterior
+        if posterior.draws_deg is not None:
+            return posterior.draws_deg.reshape(-1, 1)
+        shares = (np.arange(QUANTILES) + 0.5) / QUANTILES
+        return np.array([posterior.quantile(share) for share in shares])[:, None]
+
+    @property
+    def by_leg(self) -> dict[str, list[Record]]:
+        """The histories of each leg."""
+        found: dict[str, list[Record]] = {}
+        for record in self.records:
+            found.setdefault(record.leg, []).append(record)
+        return found
 
     def __repr__(self) -> str:
         """What a person at a prompt wants to see; :meth:`as_dict` has all numbers."""
         assumed = ", assumed" if self.density_assumed else ""
+        density = "" if self.density is None else f", density {self.density:g} kg/m³{assumed}"
+        named = [
+            f"  {self.axis_name(key)}: {one.median:{self.digits(key)}}, 68 %: "
+            f"{self.span(key, one.ci68)}, 95 %: {self.span(key, one.ci95)}"
+            for key, one in self.marginal.items()
+        ]
+        if len(named) > MOST_NAMED:
+            named[MOST_NAMED - 1 :] = [f"  and {len(named) - MOST_NAMED + 1} more, in .marginal"]
         equal = self.phi_plane_strain if self.convention != "plane_strain" else None
-        deviation = " and ".join(f"{share:.1%} ({name})" for name, share in self.nrmsd.items())
+        what = self.records[0].source or "a force history"
+        if len(self.records) > 1:
+            what = f"{len(self.records)} histories"
+        legs = "legs" if len(self.by_leg) > 1 else "leg"
         lines = (
-            f"Inversion of {self.source or 'a force history'}",
-            f"  leg {self.leg}, library {self.library}, density {self.density:g} kg/m³{assumed}",
-            f"  {self.likelihood} likelihood, {self.posterior.sampler}",
-            f"  φ ({self.convention}): {self.phi}",
+            f"Inversion of {what}",
+            f"  {legs} {', '.join(self.by_leg)}, library {self.library}{density}",
+            f"  {self.likelihood} likelihood, {self.sampler}",
+            *named,
             f"  φ, equivalent in plane strain: {equal}" if equal else "",
-            f"  deviation of the best curve: {deviation} of peak-to-peak",
-            f"  verdict: {self.verdict.verdict}; why: .verdict.reason",
+            f"  verdict: {self.verdict.verdict}; why: .reason",
         )
         return "\n".join(filter(None, lines))
 
+    def axis_name(self, key: str) -> str:
+        """Name of a parameter for people, with its unit, and φ with its convention."""
+        return f"φ, {self.convention} [deg]" if key == PHI else axis_label(key)
+
+    def digits(self, key: str) -> str:
+        """Format that gives the numbers of a parameter the digits they deserve."""
+        one = self.marginal[key]
+        if self.together is None or self.together.draws is None:
+            return ".3f" if one.ci68[1] - one.ci68[0] < NARROW_DEG else ".2f"
+        smallest = min(one.sd, self.together.conditional[key].sd)
+        places = -math.floor(math.log10(0.5 * smallest)) if smallest > 0.0 else 2
+        return f".{min(max(places, 0), 12)}f"
+
+    def span(self, key: str, ends: tuple[float, float]) -> str:
+        """An interval of a parameter, in words."""
+        form = self.digits(key)
+        return f"{ends[0]:{form}} to {ends[1]:{form}}"
+
+    def convergence_of(self, key: str) -> dict[str, float]:
+        """Diagnostics of a parameter."""
+        draws = self.together.draws if self.together else None
+        if draws is None:
+            return self.posterior.convergence
+        return draws.diagnostics[self.keys.index(key)].as_dict()
+
     def as_dict(self) -> dict[str, Any]:
         """Answer as the command line prints it with ``--json``."""
-        equivalent = self.phi_plane_strain
-        return {
-            "phi_deg": {**self.phi.as_dict(), "yield": self.convention},
+        phi, equivalent = self.marginal.get(PHI), self.phi_plane_strain
+        told: dict[str, Any] = {
+            "phi_deg": {**phi.as_dict(), "yield": self.convention} if phi else None,
             "phi_plane_strain_deg": equivalent.as_dict() if equivalent else None,
             "phi_plane_strain_reason": self.plane_strain_reason,
             "verdict": self.verdict.verdict,
-            "reason": self.verdict.reason,
+            "reason": self.reason,
             "edge": self.verdict.edge,
-            "warnings": list(self.warnings),
-            "data": dict(self.data),
-            "nrmsd": dict(self.nrmsd),
+            "warnings": list(map(of_doubt, self.warnings)),
+            "measures": [measure.as_dict() for measure in self.verdict.measures],
             "density_kg_m3": self.density,
             "density_assumed": self.density_assumed,
-            "n_angles": len(self.observation.theta_deg),
-            "source": self.source,
-            "leg": self.leg,
+            "n_angles": len(self.records[0].observation.theta_deg),
+            "histories": [
+                {"source": r.source, "leg": r.leg, "nrmsd": dict(r.nrmsd), "data": dict(r.data)}
+                for r in self.records
+            ],
+            "parameters": {key: self._parameter(key) for key in self.keys},
+            "fixed": {k: p.low for k, p in self.priors.items() if p.fixed},
             "library": self.library,
             "likelihood": self.likelihood,
-            "sampler": self.posterior.sampler,
-            "seed": self.posterior.seed,
-            "convergence": self.posterior.convergence,
+            "sampler": self.sampler,
+            "seed": self.seed,
             "error_budget": self.budget.as_dict() if self.budget else None,
-            "provenance": dict(self.provenance),
+        }
+        if len(self.records) == 1:
+            only = told["histories"][0]
+            told |= {name: only[name] for name in ("source", "leg", "nrmsd", "data")}
+        if self.together is None or self.together.draws is None:
+            told["convergence"] = self.posterior.convergence
+        if self.together is not None:
+            told |= self.together.as_dict(self.keys)
+        return {**told, "provenance": dict(self.provenance)}
+
+    def _parameter(self, key: str) -> dict[str, Any]:
+        """One parameter, as plain numbers and words."""
+        alone = self.marginal[key]
+        known = alone if self.together is None else self.together.conditional[key]
+        return {
+            "name": label(key)[0],
+            "unit": label(key)[1],
+            **alone.as_dict(),
+            "conditional": known.as_dict(),
+            "prior": self.priors[key].as_dict(),
+            "convergence": self.convergence_of(key),
         }
 
     def to_netcdf(self, path: Path | str) -> None:
-        """Write the posterior in the layout of ArviZ, which can open it.
-
-        Groups ``posterior`` (``phi_deg`` over chain and draw), ``observed_data`` (the window
-        means, and where the record was read), ``posterior_predictive_mean`` (the best curve) and,
-        if there is a budget, ``information_share`` (what each angle told of φ); the answer stands
-        in the attributes. A posterior by quadrature is written as quantiles of equal probability
-        in a random order, which are as good as independent draws.
+        """Write the posterior in the layout of ArviZ, which can open it: see `answer_file`.
 
         Parameters
         ----------
@@ -187,55 +448,9 @@ class Inversion:
         InputError
             If the place cannot be written.
         """
-        import xarray as xr
+        from terraphi.inference.answer_file import write
 
-        angle = ("theta_deg", self.observation.theta_deg, {"units": "degree"})
-        draws = self._chains()
-        half = len(self.observation.theta_deg)
-        pairs = {
-            "observed_data": (self.observation.Fx, self.observation.Fz, "N"),
-            "posterior_predictive_mean": (self.best[:half], self.best[half:], "N"),
-        }
-        if self.budget is not None:
-            pairs["information_share"] = (*self.budget.information, "1")
-        tree = xr.DataTree.from_dict(
-            {
-                "/": xr.Dataset(
-                    attrs={
-                        "terraphi_file": "inversion",
-                        "terraphi_schema": 1,
-                        "answer": json.dumps(self.as_dict()),
-                    }
-                ),
-                "/posterior": xr.Dataset(
-                    {"phi_deg": (("chain", "draw"), draws, {"units": "degree"})},
-                    coords={"chain": np.arange(draws.shape[0]), "draw": np.arange(draws.shape[1])},
-                    attrs={"yield": self.convention, "sampler": self.posterior.sampler},
-                ),
-                **{
-                    f"/{name}": xr.Dataset(
-                        {
-                            "Fx": ("theta_deg", fx, {"units": units}),
-                            "Fz": ("theta_deg", fz, {"units": units}),
-                        },
-                        coords={"theta_deg": angle},
-                    )
-                    for name, (fx, fz, units) in pairs.items()
-                },
-            }
-        )
-        tree["observed_data/reading_deg"] = xr.DataArray(
-            np.degrees(self.readings), dims="reading", attrs={"units": "degree"}
-        )
-        write_netcdf(tree, Path(path))
-
-    def _chains(self) -> FloatArray:
-        """Draws of φ [deg], shape [chain, draw]."""
-        if self.posterior.draws_deg is not None:
-            return self.posterior.chains()
-        count = QUADRATURE_DRAWS[0] * QUADRATURE_DRAWS[1]
-        draws = np.array([self.posterior.quantile((i + 0.5) / count) for i in range(count)])
-        return np.random.default_rng(0).permutation(draws).reshape(QUADRATURE_DRAWS)
+        write(self, Path(path))
 
 
 def plane_strain_summary(phi: AngleSummary, scenario: Scenario) -> tuple[AngleSummary | None, str]:

@@ -70,7 +70,7 @@ def covariance_terms(
     return {
         "interpolation": (left * interpolation) @ left.T,
         "library_scatter": (left * library) @ left.T,
-        "particle_scatter": left @ left.T,
+        "particle_scatter": left @ left.T / problem.leg.trials,
         "readings": problem.leg.opened,
         "noise": noise_variance * problem.noise_shape,
         "registration": off * np.outer(along, along),

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory, Observation
 from terraphi.experiment.scenario import Scenario
+from terraphi.inference.findings import Doubt
 
 DENSITIES = (100.0, 10000.0)
 """Bulk densities that are accepted [kg/m³]; 1.6 is one in g/cm³."""
@@ -29,8 +30,6 @@ IDLE = {"mpm": ("rft.",), "rft": ("numerics.", "relief.", "bed.", "soil.")}
 READ = {"mpm": (), "rft": ("bed.gravity",)}
 """Keys of such sections that it does read."""
 HIP = "hip above the surface"
-TOLD = 4
-"""Differences that are named."""
 
 
 def check_magnitudes(density: float | None, observation: Observation, scenario: Scenario) -> None:
@@ -61,8 +60,8 @@ def check_magnitudes(density: float | None, observation: Observation, scenario: 
 
 def unlike(
     history: ForceHistory, scenario: Scenario, leg: str, *, varied: Iterable[str] = ()
-) -> str:
-    """A sentence on how a simulated history differs from the library; empty if it does not.
+) -> Doubt | None:
+    """How a simulated history differs from the library; ``None`` if it does not.
 
     The friction angle is what is asked for, forces are scaled by the density, and seeds are to
     differ; all else makes the library another model than the one that the history is of.
@@ -80,31 +79,22 @@ def unlike(
     """
     made_by = scenario_of(history)
     if made_by is None:
-        return ""
+        return None
     expected = scenario.replace(**{"leg.shape": leg})
     if made_by.model != expected.model:
-        differences = [f"model = {made_by.model} ({expected.model})"]
+        differences: list[tuple[str, Any, Any]] = [("model", made_by.model, expected.model)]
     else:
         own, other = (dict(_flat(s.model_dump(mode="json"))) for s in (made_by, expected))
         idle, read = IDLE[made_by.model], READ[made_by.model]
         free = FREE.union(varied)
         differences = [
-            f"{key} = {_word(own.get(key))} ({_word(other.get(key))})"
+            (key, own.get(key), other.get(key))
             for key in {**other, **own}
             if key not in free
             and (key in read or not key.startswith(idle))
             and own.get(key) != other.get(key)
         ]
-    if not differences:
-        return ""
-    told, rest = differences[:TOLD], len(differences) - TOLD
-    if rest > 0:
-        told.append(f"{rest} more")
-    listed = told[0] if len(told) == 1 else f"{', '.join(told[:-1])} and {told[-1]}"
-    return (
-        "The history was not simulated as the library was (the library's in brackets): "
-        f"{listed}; so the angle found is not the one that it was simulated with."
-    )
+    return Doubt("unlike", {"differences": differences}) if differences else None
 
 
 def doubts(
@@ -114,8 +104,8 @@ def doubts(
     density: float | None,
     *,
     asked: bool = False,
-) -> list[str]:
-    """Sentences on what is likely to be a slip: of units, of signs, or of the density.
+) -> list[Doubt]:
+    """What is likely to be a slip: of units, of signs, or of the density.
 
     Parameters
     ----------
@@ -135,33 +125,23 @@ def doubts(
     how = "simulated with" if made_by else "measured at"
     own = made_by.soil.density if made_by else history.provenance.get("density_kg_m3")
     if density and own and abs(own - density) > 1e-6 * density:
-        found.append(
-            f"The history was {how} a density of {own:g} kg/m³ and is inverted with "
-            f"{density:g} kg/m³."
-        )
+        found.append(Doubt("other_density", {"made": how, "own": own, "used": density}))
     return found
 
 
-def _slips(observation: Observation, curves: NDArray[np.float64]) -> list[str]:
+def _slips(observation: Observation, curves: NDArray[np.float64]) -> list[Doubt]:
     """Questions on units and signs."""
     found = []
     names, measured = ("Fx", "Fz"), observation.vector.reshape(2, -1)
     library = curves.reshape(len(curves), 2, -1)
     peak, peaks = np.abs(measured).max(), np.abs(library).max(axis=(1, 2))
-    for ratio, words in ((peak / peaks.max(), "largest"), (peaks.min() / peak, "smallest")):
+    for code, ratio in (("too_large", peak / peaks.max()), ("too_small", peaks.min() / peak)):
         if ratio > OUT_OF_SCALE:
-            far = f"{ratio:.3g} times" if words == "largest" else f"one {ratio:.3g}th of"
-            found.append(
-                f"The largest mean force, {peak:.3g} N, is {far} that of the library's {words} "
-                "curve: are the forces in newtons?"
-            )
+            found.append(Doubt(code, {"peak_N": float(peak), "ratio": float(ratio)}))
     for name, force, own in zip(names, measured, library.mean(axis=0), strict=True):
-        correlation = np.corrcoef(force, own)[0, 1]
+        correlation = float(np.corrcoef(force, own)[0, 1])
         if correlation < TURNED:
-            found.append(
-                f"{name} runs against the library's ({correlation:.2f} correlation): is its sign "
-                "right? Fx points forward and Fz up, as forces on the leg."
-            )
+            found.append(Doubt("runs_against", {"force": name, "correlation": correlation}))
     return found
 
 
@@ -191,10 +171,6 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield from _flat(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
-
-
-def _word(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def check_same_setup(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import WIDEST_GAP_DEG, WINDOW_DEG, ForceHistory
+from terraphi.inference.findings import Doubt
 from terraphi.library.store import Library
 
 FloatArray = NDArray[np.float64]
@@ -58,21 +59,13 @@ IN_AIR, MARGIN_DEG = 0.005, 5.0
 from the soil a measured one has to be [deg]."""
 MOST_LEFT_OUT = 0.5
 """Share of readings that may be left out [-]."""
-WORDS = {
-    "dropout": "readings of zero under load",
-    "held": "held values",
-    "spike": "spikes",
-    "clipped": "a flat top at the largest force, as of a saturated sensor",
-    "step": "a step, after which the zero is another",
-    "offset": "a force on the leg in air",
-}
 BRIEFLY = {
     "dropout": "dropouts",
     "held": "held values",
     "spike": "spikes",
     "clipped": "a clipped top",
 }
-"""The same in a word or two."""
+"""Kinds of defects that are left out, in a word or two."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +75,7 @@ class Defect:
     Attributes
     ----------
     code
-        A key of :data:`WORDS`.
+        A key of `words.DEFECTS`.
     force
         ``"Fx"``, ``"Fz"`` or ``"both"``.
     rows
@@ -110,18 +103,9 @@ class Defect:
         return {**vars(self), "theta_deg": list(self.theta_deg), "treatment": treatment}
 
     @property
-    def sentence(self) -> str:
-        """For people."""
-        low, high = self.theta_deg
-        if self.size_N is not None:
-            return (
-                f"{self.force} shows {WORDS[self.code]}: {self.size_N:.2g} N between {low:.1f} and "
-                f"{high:.1f}°. Mend the record."
-            )
-        force = "" if self.force == "both" else f" of {self.force}"
-        where = f"between {low:.1f} and {high:.1f}°" if high > low else f"at {low:.1f}°"
-        readings = "1 reading" if self.rows == 1 else f"{self.rows} readings"
-        return f"{readings} left out: {WORDS[self.code]}{force} {where}."
+    def doubt(self) -> Doubt:
+        """Why an answer from the rest may not be what was asked for."""
+        return Doubt(self.code, {k: v for k, v in vars(self).items() if k != "code"})
 
 
 @dataclass(frozen=True)
@@ -151,14 +135,14 @@ class Inspection:
         }
 
     @property
-    def sentences(self) -> list[str]:
-        """For people."""
-        return [d.sentence for d in self.defects]
+    def doubts(self) -> list[Doubt]:
+        """One each defect."""
+        return [d.doubt for d in self.defects]
 
     @property
-    def spoilt(self) -> str:
-        """What makes any answer a misfit, for people; empty if nothing does."""
-        return " ".join(d.sentence for d in self.defects if not d.left_out)
+    def spoilt(self) -> bool:
+        """Whether any answer is a misfit: readings are wrong, and nobody knows which."""
+        return not all(d.left_out for d in self.defects)
 
 
 def inspect_record(

@@ -116,7 +116,7 @@ def _best(problem: Problem, without: Hypotheses) -> tuple[float, int, float, flo
     residual = problem.data - surrogate.predict([phi])[0]
     base = problem.leg.known(phi) + without.noise[best] ** 2 * problem.noise_shape
     sizes, log_p = surrogate.scatter.sizes
-    total = base + sizes[:, None, None] * surrogate.scatter.covariance(phi)
+    total = base + sizes[:, None, None] * problem.leg.scatter_at(phi)
     chi2, _ = gaussian_parts(total, np.broadcast_to(residual, (len(sizes), residual.size)))
     probability = float(np.exp(log_p) @ chdtrc(residual.size - 1, chi2))
     return phi, best, float(chi2[len(sizes) // 2]), probability
@@ -133,7 +133,7 @@ def _odds(problem: Problem, phi: float, noise: float) -> tuple[float, float, flo
     slope = problem.leg.surrogate.slope(phi)
     free = FREEDOM * (high - low)
     base = problem.leg.known(phi) + free**2 * np.outer(slope, slope)
-    scatter = surrogate.scatter.covariance(phi)
+    scatter = problem.leg.scatter_at(phi)
     residual = problem.data - surrogate.predict([phi])[0]
 
     def log_p(extra: FloatArray) -> FloatArray:

@@ -74,6 +74,15 @@ class Posterior:
         """Median [deg]."""
         return self.quantile(0.5)
 
+    @property
+    def sd(self) -> float:
+        """Standard deviation [deg]."""
+        if self.density is None:
+            return float(self.phi_deg.std())
+        mean = float(np.trapezoid(self.density * self.phi_deg, self.phi_deg))
+        apart = np.square(self.phi_deg - mean)
+        return float(np.sqrt(np.trapezoid(self.density * apart, self.phi_deg)))
+
     def interval(self, probability: float) -> tuple[float, float]:
         """Equal-tailed credible interval [deg].
 

@@ -94,6 +94,8 @@ class PreparedLeg:
         What readings at points leave open.
     opened
         The same of one record, by :meth:`read_for` [N^2], shape [2 theta, 2 theta].
+    trials
+        Records that the data are the mean of: their particle scatter is that of a mean.
     """
 
     surrogate: JointSurrogate
@@ -104,6 +106,7 @@ class PreparedLeg:
     scatter: FloatArray = field(repr=False)
     reading: Reading = field(repr=False)
     opened: FloatArray = field(repr=False)
+    trials: int = 1
 
     @classmethod
     def of(
@@ -136,6 +139,23 @@ class PreparedLeg:
         opened = self.reading.covariance(self.phi_deg[[near]], self.mean[[near]])[0]
         total = self.covariance + opened
         return replace(self, covariance=total, opened=opened)
+
+    def averaged(self, trials: int) -> PreparedLeg:
+        """The same for the mean of some records: beds differ, what is not known of the model not.
+
+        Parameters
+        ----------
+        trials
+            How many.
+        """
+        if trials == 1:
+            return self
+        return replace(self, scatter=self.scatter / trials, trials=trials)
+
+    def scatter_at(self, phi_deg: float) -> FloatArray:
+        """Particle scatter of the data at a friction angle [N^2], shape [2 theta, 2 theta]."""
+        scatter: FloatArray = self.surrogate.scatter.covariance(phi_deg) / self.trials
+        return scatter
 
     def known(self, phi_deg: float) -> FloatArray:
         """Covariance of surrogate and readings at a friction angle [N^2], [2 theta, 2 theta]."""

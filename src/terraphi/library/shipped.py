@@ -44,11 +44,9 @@ def offered() -> Mapping[str, frozenset[str]]:
     return {name: legs for name, legs in found.items() if legs}
 
 
-def there_to_try_others(name: str) -> list[str]:
-    """A remark if a shipped library could be inverted with, and is there to try others."""
-    if name.endswith(TRY_OTHERS) and name in shipped_names("libraries", ".nc"):
-        return [f"Library '{name}' is shipped to try others, not to invert with."]
-    return []
+def is_there_to_try_others(name: str) -> bool:
+    """Whether a shipped library could be inverted with, but is there to try others."""
+    return name.endswith(TRY_OTHERS) and name in shipped_names("libraries", ".nc")
 
 
 def has_companion(library: str, role: str) -> bool:

@@ -6,7 +6,7 @@ import json
 import logging
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +15,8 @@ import click
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
+    from terraphi.inference.findings import Doubt, Verdict
     from terraphi.inference.inversion import Inversion
-    from terraphi.inference.joint import JointInversion
     from terraphi.library.store import Library
 
 
@@ -30,89 +30,92 @@ def print_json(data: Any) -> None:
     click.echo(as_text(data))
 
 
-def print_inversion(inversion: Inversion) -> None:
-    """A small table, then the verdict in words."""
-    from terraphi.inference.answer import NARROW_DEG
+def print_inversion(found: Inversion) -> None:
+    """A table of what was inferred, what it rests on, then the verdict in words."""
+    several = found.together is not None and found.together.draws is not None
+    header = ("", "median", "68 %", "95 %", *(("68 %, others known", "R-hat") if several else ()))
+    print_table(Table(_title(found), header, _parameter_rows(found, several)))
+    remarks = _remarks(found, several)
+    for remark in remarks:
+        click.echo(remark)
+    if len(found.by_leg) > 1 and found.together is not None:
+        _print_expected(found)
+    elif remarks:
+        click.echo()
+    print_verdict(found.verdict, found.warnings)
+
+
+def _title(found: Inversion) -> str:
+    """What was inverted, and with what."""
+    assumed = ", assumed" if found.density_assumed else ""
+    density = "" if found.density is None else f", density {found.density:g} kg/m³{assumed}"
+    of = [f"{len(records)} of leg {leg}" for leg, records in found.by_leg.items()]
+    what = f"{len(found.records)} histories ({', '.join(of)})"
+    if len(found.records) == 1:
+        what = f"{found.source}: leg {found.leg}"
+    return f"{what}, library {found.library}{density}"
+
+
+def _parameter_rows(found: Inversion, several: bool) -> list[tuple[str, ...]]:
+    """A row each parameter, and one for the equivalent in plane strain."""
+    rows: list[tuple[str, ...]] = []
+    for key, one in found.marginal.items():
+        spans = [found.span(key, one.ci68), found.span(key, one.ci95)]
+        row: tuple[str, ...] = (found.axis_name(key), f"{one.median:{found.digits(key)}}", *spans)
+        if several and found.together is not None:
+            known = found.span(key, found.together.conditional[key].ci68)
+            row = (*row, known, f"{found.convergence_of(key)['split_rhat']:.3f}")
+        rows.append(row)
+    angle = found.phi_plane_strain
+    if angle is not None and found.convention != "plane_strain":
+        form = found.digits("soil.friction_angle_deg")
+        spans = [f"{low:{form}} to {high:{form}}" for low, high in (angle.ci68, angle.ci95)]
+        row = ("φ, equivalent in plane strain [deg]", f"{angle.median:{form}}", *spans)
+        rows.append((*row, "-", "-") if several else row)
+    return rows
+
+
+def _remarks(found: Inversion, several: bool) -> list[str]:
+    """Sentences between the table and the verdict."""
     from terraphi.inference.budget import MOST_WITHOUT_FORCE
 
-    angles = [(f"φ, {inversion.convention} [deg]", inversion.phi)]
-    if inversion.phi_plane_strain and inversion.convention != "plane_strain":
-        angles.append(("φ, equivalent in plane strain [deg]", inversion.phi_plane_strain))
-    narrow = inversion.phi.ci68[1] - inversion.phi.ci68[0] < NARROW_DEG
-    number = "{:.3f}".format if narrow else "{:.2f}".format
-    rows = [
-        (
-            name,
-            number(angle.median),
-            " to ".join(map(number, angle.ci68)),
-            " to ".join(map(number, angle.ci95)),
-        )
-        for name, angle in angles
-    ]
-    assumed = ", assumed" if inversion.density_assumed else ""
-    title = (
-        f"{inversion.source}: leg {inversion.leg}, library {inversion.library}, "
-        f"density {inversion.density:g} kg/m³{assumed}"
-    )
-    print_table(Table(title, ("", "median", "68 %", "95 %"), rows))
-    if inversion.phi_plane_strain is None:
-        click.echo(f"No equivalent in plane strain: {inversion.plane_strain_reason}.")
-    if inversion.budget is not None:
-        shares = inversion.budget.shares.items()
+    told = []
+    if found.phi_plane_strain is None and not several:
+        told.append(f"No equivalent in plane strain: {found.plane_strain_reason}.")
+    if found.budget is not None:
+        shares = found.budget.shares.items()
         parts = ", ".join(f"{name.replace('_', ' ')} {share:.0%}" for name, share in shares)
-        click.echo(f"Variance of φ: {parts}.")
-        told = inversion.budget.information_without_force
-        if told > MOST_WITHOUT_FORCE:
-            click.echo(f"Told of φ by angles at which the measured force is zero: {told:.0%}.")
-    verdict = inversion.verdict
-    click.secho(f"Verdict: {verdict.verdict.replace('_', ' ')}. {verdict.reason}\n", bold=True)
+        told.append(f"Variance of φ: {parts}.")
+        without = found.budget.information_without_force
+        if without > MOST_WITHOUT_FORCE:
+            told.append(f"Told of φ by angles at which the measured force is zero: {without:.0%}.")
+    if found.together is not None:
+        told += found.together.identifiability.sentences()
+    return told
 
 
-def print_joint_inversion(found: JointInversion) -> None:
-    """A table of the parameters, what the forces fix, what each leg adds, then the verdict."""
-    answer = found.as_dict()
-    of = [f"{len(group.trials)} of leg {group.leg}" for group in found.groups]
-    density = "" if found.density is None else f", density {found.density:g} kg/m³"
-    assumed = ", assumed" if found.density_assumed else ""
-    count = len(answer["histories"])
-    title = (
-        f"{count} {'history' if count == 1 else 'histories'} ({', '.join(of)}), library "
-        f"{found.library}{density}{assumed}"
-    )
-    header = ("", "median", "68 %", "95 %", "68 %, others known", "R-hat")
-    print_table(Table(title, header, [_parameter_row(found, key) for key in found.keys]))
-    if found.phi_plane_strain is not None and found.convention != "plane_strain":
-        angle = found.phi_plane_strain
-        click.echo(
-            f"φ, equivalent in plane strain: {angle.median:.2f} deg, 68 % {angle.ci68[0]:.2f} to "
-            f"{angle.ci68[1]:.2f}."
-        )
-    for sentence in found.identifiability.sentences():
-        click.echo(sentence)
-    if len(found.groups) > 1:
-        legs = {name: f"leg {name} alone" for name in found.expected_sd} | {"all": "all"}
-        click.echo()
-        names = ("expected standard deviation", *map(found.axis_name, found.keys))
-        rows = [
-            (words_for, *(f"{sd:.3g}" for sd in found.expected_sd[name]))
-            for name, words_for in legs.items()
-        ]
-        print_table(Table("", names, rows))
-    if not found.draws.converged:
-        click.echo("The draws have not converged: do not use them.")
-    click.secho(f"Verdict: {answer['verdict'].replace('_', ' ')}. {answer['reason']}\n", bold=True)
+def _print_expected(found: Inversion) -> None:
+    """What each leg alone would leave of each parameter."""
+    assert found.together is not None
+    legs = {name: f"leg {name} alone" for name in found.together.expected_sd} | {"all": "all"}
+    rows = [
+        (named, *(f"{sd:.3g}" for sd in found.together.expected_sd[name]))
+        for name, named in legs.items()
+    ]
+    click.echo()
+    print_table(Table("", ("expected standard deviation", *map(found.axis_name, found.keys)), rows))
 
 
-def _parameter_row(found: JointInversion, key: str) -> tuple[str, ...]:
-    one, known = found.marginal[key], found.conditional[key]
-    diagnostics = found.draws.diagnostics[found.keys.index(key)]
-    form = found.digits(key)
-    return (
-        found.axis_name(key),
-        f"{one.median:{form}}",
-        *(f"{low:{form}} to {high:{form}}" for low, high in (one.ci68, one.ci95, known.ci68)),
-        f"{diagnostics.split_rhat:.3f}",
-    )
+def print_verdict(verdict: Verdict, warnings: Sequence[Doubt]) -> None:
+    """The numbers that a verdict rests on, the verdict in a sentence, and all warnings."""
+    from terraphi.inference import words as said
+
+    print_table(Table("", ("", "found", "limit"), said.rows_of(verdict.measures)))
+    name = verdict.verdict.replace("_", " ")
+    click.secho(f"Verdict: {name}. {said.of_verdict(verdict)}", bold=True)
+    for doubt in warnings:
+        click.echo(said.of_doubt(doubt))
+    click.echo()
 
 
 def print_library(found: Library) -> None:

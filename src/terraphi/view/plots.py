@@ -3,7 +3,7 @@
 Figures are made without a display. Colours are those of Okabe & Ito, told apart by colour-blind
 readers, and every curve differs in its line as well.
 
-Pictures of a joint inversion: the corner plot of its posterior, and every history with its fit.
+Pictures of several histories or parameters: the corner plot, and every history with its fit.
 
 Colours and saving as in `plots`.
 """
@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.files import replacing
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
+from terraphi.inference.identifiability import label
 from terraphi.inference.inversion import Inversion
-from terraphi.inference.joint import JointInversion
-from terraphi.inference.joint.identifiability import label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -412,7 +411,7 @@ HELD = (0.95, 0.68)
 """Probability within each contour of two parameters."""
 
 
-def corner_figure(found: JointInversion) -> Figure:
+def corner_figure(found: Inversion) -> Figure:
     """Corner plot: each parameter on the diagonal, each pair of them below it.
 
     On the diagonal stand the draws, their median and 68 % interval, and hatched beyond it the
@@ -434,7 +433,7 @@ def corner_figure(found: JointInversion) -> Figure:
     side = 2.3 if d > 2 else 3.0
     figure = Figure(figsize=(side * d + 0.6, side * d + 0.6), layout="constrained")
     panels = figure.subplots(d, d, squeeze=False)
-    flat = found.draws.values.reshape(-1, found.draws.values.shape[-1])
+    flat = found.drawn
     ranges = [_range(found, key, flat[:, i]) for i, key in enumerate(found.keys)]
     for row in range(d):
         for column in range(d):
@@ -448,13 +447,14 @@ def corner_figure(found: JointInversion) -> Figure:
             else:
                 axes.set_ylim(*ranges[row])
                 _draw_pair(axes, flat[:, [column, row]], (ranges[column], ranges[row]))
-                best = [found.best[found.keys[i]] for i in (column, row)]
-                axes.plot(*best, "+", color=ORANGE, ms=8, mew=1.5)
+                if found.together is not None:
+                    best = [found.together.point[found.keys[i]] for i in (column, row)]
+                    axes.plot(*best, "+", color=ORANGE, ms=8, mew=1.5)
             _label(axes, found, row, column, d)
     return figure
 
 
-def _range(found: JointInversion, key: str, drawn: FloatArray) -> tuple[float, float]:
+def _range(found: Inversion, key: str, drawn: FloatArray) -> tuple[float, float]:
     """Limits of an axis: the range of the draws and a margin, cut at the prior's ends."""
     low, high = np.quantile(drawn, [0.001, 0.999])
     room = 0.15 * (high - low)
@@ -463,14 +463,15 @@ def _range(found: JointInversion, key: str, drawn: FloatArray) -> tuple[float, f
 
 
 def _draw_one(
-    axes: Axes, found: JointInversion, i: int, drawn: FloatArray, ends: tuple[float, float]
+    axes: Axes, found: Inversion, i: int, drawn: FloatArray, ends: tuple[float, float]
 ) -> None:
     key = found.keys[i]
-    one, known = found.marginal[key], found.conditional[key]
+    one = found.marginal[key]
     axes.hist(drawn, bins=BINS, range=ends, density=True, histtype="step", color=BLUE)
     axes.axvspan(*one.ci68, color=BLUE, alpha=0.20, lw=0)
     axes.axvline(one.median, color=BLUE, ls="--", lw=1.0)
-    if len(found.keys) > 1:
+    if len(found.keys) > 1 and found.together is not None:
+        known = found.together.conditional[key]
         axes.axvspan(*known.ci68, facecolor="none", edgecolor=ORANGE, hatch="////", lw=0)
     axes.set_yticks([])
     name, unit = label(key)
@@ -500,7 +501,7 @@ def _draw_pair(
     axes.contour(*centres, density.T, levels=levels[:-1], colors=BLUE, linewidths=0.9)
 
 
-def _label(axes: Axes, found: JointInversion, row: int, column: int, d: int) -> None:
+def _label(axes: Axes, found: Inversion, row: int, column: int, d: int) -> None:
     """Label only the left and the lower edge of a corner plot."""
     from matplotlib.ticker import MaxNLocator
 
@@ -517,7 +518,7 @@ def _label(axes: Axes, found: JointInversion, row: int, column: int, d: int) -> 
         axes.set_ylabel(found.axis_name(found.keys[row]))
 
 
-def fits_figure(found: JointInversion) -> Figure:
+def fits_figure(found: Inversion) -> Figure:
     """Both forces of all histories, a row each leg, with the best curve.
 
     Parameters
@@ -531,24 +532,31 @@ def fits_figure(found: JointInversion) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 3.2 * len(found.groups) + 0.3), layout="constrained")
-    rows = figure.subplots(len(found.groups), 2, squeeze=False)
+    figure = Figure(figsize=(9.0, 3.2 * len(found.by_leg) + 0.3), layout="constrained")
+    rows = figure.subplots(len(found.by_leg), 2, squeeze=False)
     marks = "os^vD"
-    for row, group in zip(rows, found.groups, strict=True):
+    for row, (leg, records) in zip(rows, found.by_leg.items(), strict=True):
         for axes, force in zip(row, ("Fx", "Fz"), strict=True):
-            theta = group.observations[0].theta_deg
+            theta = records[0].observation.theta_deg
             half = slice(0, theta.size) if force == "Fx" else slice(theta.size, None)
-            axes.plot(theta, found.fits[group.leg][half], color=BLUE, label="best curve")
-            for i, (trial, seen) in enumerate(zip(group.trials, group.vectors, strict=True)):
+            axes.plot(theta, records[0].best[half], color=BLUE, label="best curve")
+            for i, record in enumerate(records):
                 colour = ORANGE if i % 2 == 0 else GREY
                 axes.plot(
-                    theta, seen[half], marks[i % len(marks)], ms=3.5, color=colour, mec="black",
-                    mew=0.4, label=trial.source or f"history {i + 1}",
+                    theta, record.observation.vector[half], marks[i % len(marks)], ms=3.5,
+                    color=colour, mec="black", mew=0.4, label=record.source or f"history {i + 1}",
                 )  # fmt: skip
             finish_force_axes(axes, force)
-            axes.set_title(f"leg {group.leg}", fontsize=10)
+            axes.set_title(f"leg {leg}", fontsize=10)
         row[0].legend(fontsize=8, frameon=False)
     return figure
+
+
+def figures_of(found: Inversion) -> dict[str, Figure]:
+    """The figures of an answer, by the names of their files: one of φ alone, else a corner too."""
+    if found.together is None:
+        return {"figure.png": inversions_figure([found])}
+    return {"figure.png": fits_figure(found), "corner.png": corner_figure(found)}
 
 
 LOOKS = (

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.measurements import measurement
@@ -268,6 +269,27 @@ def test_a_calibrated_answer_that_fits_has_its_certificate(tmp_path: Path) -> No
     told = plots(page)["Which angles told the friction angle"]
     assert "Beware" not in told.note
     assert told.layout["shapes"] == []
+
+
+def test_a_file_of_the_first_schema_is_read_too(inversion_folder: Path, tmp_path: Path) -> None:
+    # It had one history alone, without a dimension for it.
+    with xr.open_datatree(inversion_folder / "posterior.nc", engine="h5netcdf") as opened:
+        tree = opened.load()
+    old = {"/posterior": tree["posterior"].to_dataset()[["phi_deg"]]}
+    for name in ("observed_data", "posterior_predictive_mean"):
+        old[f"/{name}"] = tree[name].to_dataset().isel(record=0).drop_vars(["source", "leg"])
+    old["/observed_data"] = old["/observed_data"].rename(reading_0_deg="reading_deg")
+    answer = json.loads(tree.attrs["answer"])
+    for added in ("measures", "histories", "parameters", "fixed"):
+        del answer[added]
+    root = {"terraphi_file": "inversion", "terraphi_schema": 1, "answer": json.dumps(answer)}
+    old["/"] = xr.Dataset(attrs=root)
+    old["/information_share"] = tree["information_share"].to_dataset()
+    xr.DataTree.from_dict(old).to_netcdf(tmp_path / "posterior.nc", engine="h5netcdf")
+    one, other = load(inversion_folder), load(tmp_path / "posterior.nc")
+    for name in ("draws_deg", "theta_deg", "data", "best", "share", "readings"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert section(tmp_path / "posterior.nc").headline == section(inversion_folder).headline
 
 
 def test_a_curve_that_is_not_the_librarys_costs_the_band(inversion_folder: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -21,8 +21,10 @@ from terraphi.inference.budget import (
     share_without_force,
     without_force,
 )
+from terraphi.inference.findings import Measure
 from terraphi.inference.paper_likelihood import PaperLikelihood, peak_to_peak
 from terraphi.inference.prepared_leg import prepare
+from terraphi.inference.words import rows_of
 from terraphi.library.store import Library
 from terraphi.surrogate.joint import JointSurrogate
 from terraphi.surrogate.paper import LegSurrogate
@@ -38,6 +40,7 @@ from terraphi.view.report.parts import (
     number,
     smooth_density,
 )
+from terraphi.view.report.study import pictures
 from terraphi.view.table import Table
 
 FloatArray = NDArray[np.float64]
@@ -54,6 +57,11 @@ UNCHECKED = "consistent, with a library whose intervals nobody has checked"
 OTHER_LIKELIHOOD = (
     "consistent; its intervals were not checked, only those of the calibrated likelihood"
 )
+UNCHECKED_TOGETHER = (
+    "consistent; nobody has checked how often intervals of several histories or parameters hold "
+    "the truth"
+)
+PICTURES = "Fits, and the corner plot of the posterior"
 UNKNOWN = "consistent, but whether its library's intervals were checked is not known here"
 WORDS = {
     "nodes": "nodes of the quadrature",
@@ -87,15 +95,17 @@ def section(path: Path, *, library: str | None = None) -> Section:
         If the result is not whole, or the library named is not the one that was used.
     """
     saved = load(path)
-    again, why_not = recomputed(saved, library)
     answer = saved.answer
+    if is_several(answer):
+        return _of_several(path, answer)
+    again, why_not = recomputed(saved, library)
     parts: list[Part] = []
     if saved.draws_deg.size:
         parts += [_density(saved, again), *_forces(saved, again, why_not), _residuals(saved)]
     share = saved.share if again is None else again.share
     if share is not None:
         parts.append(_information(saved, share))
-    parts.append(_numbers(answer))
+    parts += [_numbers(answer), *measures(answer)]
     if again is not None:
         parts += _certificate(answer, again)
     parts += [*_budget(answer), _convergence(answer)]
@@ -113,6 +123,94 @@ def section(path: Path, *, library: str | None = None) -> Section:
         overview=_overview(answer),
         apart=_apart(answer),
     )
+
+
+def is_several(answer: Mapping[str, Any]) -> bool:
+    """Whether an answer is one of several histories or parameters."""
+    return isinstance(answer.get("expected_sd"), Mapping)
+
+
+def _of_several(path: Path, answer: Mapping[str, Any]) -> Section:
+    """Report of several histories or parameters."""
+    status = STATUS.get(str(answer["verdict"]), "none")
+    sound = status == "good"
+    about = {key: answer[key] for key in ("library", "likelihood", "sampler", "seed", "fixed")}
+    named = _names(answer)
+    found = [
+        f"{name} = {number(one['median'])} (68 %: {_ends(one['ci68'])})"
+        for name, one in zip(named, answer["parameters"].values(), strict=True)
+    ]
+    fixed = tuple(map(str, answer["identifiability"]["sentences"]))
+    return Section(
+        kind="inversion",
+        title=", ".join(str(history["source"]) for history in answer["histories"]) or path.name,
+        headline=f"{'; '.join(found)}. Verdict: {str(answer['verdict']).replace('_', ' ')}.",
+        reason=str(answer["reason"]),
+        status="doubtful" if sound else status,
+        badge=UNCHECKED_TOGETHER if sound else "",
+        parts=[
+            _parameters(answer, named),
+            *measures(answer),
+            Text("What the forces fix", fixed),
+            *_expected(answer, named),
+            _histories(answer),
+            *pictures(path if path.is_dir() else path.parent, PICTURES),
+        ],
+        provenance={"result": path.name, **about, **answer.get("provenance", {})},
+    )
+
+
+def _names(answer: Mapping[str, Any]) -> list[str]:
+    """Parameters with their units, φ with its convention."""
+    convention = (answer["phi_deg"] or {}).get("yield", "")
+    found = []
+    for one in answer["parameters"].values():
+        name = f"φ, {convention}" if one["name"] == "φ" else str(one["name"])
+        found.append(f"{name} [{one['unit'] or '-'}]")
+    return found
+
+
+def _ends(ends: Any) -> str:
+    return f"{number(ends[0], 5)} to {number(ends[1], 5)}"
+
+
+def _parameters(answer: Mapping[str, Any], names: Sequence[str]) -> Table:
+    rows = []
+    for name, one in zip(names, answer["parameters"].values(), strict=True):
+        rhat = one["convergence"].get("split_rhat")
+        draws = one["convergence"].get("effective_sample_size")
+        rows.append(
+            (
+                name,
+                number(one["median"], 5),
+                *map(_ends, (one["ci68"], one["ci95"], one["conditional"]["ci68"])),
+                "–" if rhat is None else f"{rhat:.3f}",
+                "–" if draws is None else f"{draws:.0f}",
+            )
+        )
+    header = ("", "median", "68 %", "95 %", "68 %, others known", "R-hat", "effective draws")
+    note = "" if answer["converged"] else "The draws have not converged: do not use them."
+    return Table("Parameters", header, rows, note, wide=True)
+
+
+def _expected(answer: Mapping[str, Any], names: Sequence[str]) -> list[Part]:
+    """What each leg alone would leave of every parameter, if there are several."""
+    expected = answer["expected_sd"]
+    if len(expected) < 3:
+        return []
+    rows = [
+        ("all" if leg == "all" else f"leg {leg} alone", *(number(sd, 3) for sd in by.values()))
+        for leg, by in expected.items()
+    ]
+    return [Table("Expected standard deviations", ("", *names), rows, wide=True)]
+
+
+def _histories(answer: Mapping[str, Any]) -> Table:
+    rows = [
+        (str(h["source"]), str(h["leg"]), f"{h['nrmsd']['Fx']:.1%}", f"{h['nrmsd']['Fz']:.1%}")
+        for h in answer["histories"]
+    ]
+    return Table("Histories, and deviation of the best curve", ("", "leg", "Fx", "Fz"), rows)
 
 
 def _belief(answer: Mapping[str, Any], again: Again | None) -> tuple[Status, str]:
@@ -232,6 +330,13 @@ def _numbers(answer: Mapping[str, Any]) -> Table:
             f"the {_origin(answer)} forces by {misfit} of their peak-to-peak."
         ),
     )
+
+
+def measures(answer: Mapping[str, Any]) -> list[Part]:
+    """The numbers that the verdict rests on."""
+    told = [Measure(**one) for one in answer.get("measures", ())]
+    title = "What the verdict rests on"
+    return [Table(title, ("", "found", "limit"), rows_of(told), wide=True)] if told else []
 
 
 def _density(saved: Saved, again: Again | None) -> Plot:
@@ -463,6 +568,8 @@ def load(path: Path) -> Saved:
     folder = path if path.is_dir() else path.parent
     answer_file = path if path.suffix == ".json" else folder / "answer.json"
     posterior = path if path.suffix == ".nc" else folder / "posterior.nc"
+    if path.suffix != ".nc" and answer_file.is_file() and is_several(_answer(answer_file)):
+        return Saved(_answer(answer_file), *(np.empty(0),) * 4)
     if not posterior.is_file():
         return _checked(Saved(_answer(answer_file), *(np.empty(0),) * 4), answer_file)
     import xarray as xr
@@ -471,6 +578,9 @@ def load(path: Path) -> Saved:
     with damage_told(why, AttributeError, TypeError):
         with xr.open_datatree(posterior, engine="h5netcdf") as opened:
             tree = opened.load()
+        answer = json.loads(tree.attrs["answer"])
+        if is_several(answer):
+            return Saved(answer, *(np.empty(0),) * 4)
         vectors = [
             np.concatenate([_array(tree, f"{group}/{name}") for name in ("Fx", "Fz")])
             for group in ("observed_data", "posterior_predictive_mean")
@@ -481,9 +591,10 @@ def load(path: Path) -> Saved:
         if "information_share" in tree:
             share = np.stack([_array(tree, f"information_share/{name}") for name in ("Fx", "Fz")])
         readings = None
-        if "reading_deg" in tree["observed_data"]:
-            readings = np.radians(_array(tree, "observed_data/reading_deg"))
-        answer = json.loads(tree.attrs["answer"])
+        # Of schema 1, and of 2 that has several.
+        for name in ("reading_deg", "reading_0_deg"):
+            if name in tree["observed_data"]:
+                readings = np.radians(_array(tree, f"observed_data/{name}"))
     sound = len(vectors[0]) == len(vectors[1]) == 2 * len(theta) and len(draws) >= 10
     told = np.zeros((2, len(theta))) if share is None else share
     sound = sound and told.shape == (2, len(theta))

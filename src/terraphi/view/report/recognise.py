@@ -62,7 +62,7 @@ def recognise(source: str) -> Result:
     if path.name == "data.json":
         return Result("study", path.parent)
     if path.suffix == ".json":
-        return Result(_kind_of_answer(path), path)
+        return Result("inversion", path)
     if path.suffix == ".csv" and _has_leg_forces(path):
         raise InputError(
             f"{source}: forces on a leg over its angle; run `terraphi invert` on it first, and "
@@ -83,15 +83,9 @@ def _has_leg_forces(path: Path) -> bool:
     return angle in names or names.issuperset(forces)
 
 
-def _kind_of_answer(path: Path) -> Kind:
-    from terraphi.view.report.joint import is_joint
-
-    return "joint inversion" if is_joint(path) else "inversion"
-
-
 def _kind_of_folder(path: Path) -> Kind:
     if (path / "answer.json").is_file():
-        return _kind_of_answer(path / "answer.json")
+        return "inversion"
     for kind, name in FOLDERS:
         if (path / name).is_file():
             return kind
@@ -202,10 +196,6 @@ def _maker(
         from terraphi.view.report import inversion
 
         return lambda path: inversion.section(path, library=library)
-    if kind == "joint inversion":
-        from terraphi.view.report import joint
-
-        return joint.section
     if kind == "library":
         from terraphi.view.report import library as simulations
 

@@ -1,4 +1,4 @@
-"""The section of a joint inversion, from what the command line leaves in its folder."""
+"""The section of an inversion of several histories, from what its folder holds."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from terraphi.experiment.errors import InputError
-from terraphi.view.report.joint import UNCHECKED
+from terraphi.view.report.inversion import UNCHECKED_TOGETHER
 from terraphi.view.report.recognise import recognise, sections
 
 
@@ -47,11 +47,11 @@ def folder(tmp_path: Path) -> Path:
 
 def test_a_joint_inversion_is_told_and_shown(folder: Path) -> None:
     for source in (folder, folder / "answer.json"):
-        assert recognise(str(source)).kind == "joint inversion"
+        assert recognise(str(source)).kind == "inversion"
         (found,) = sections([str(source)])
         assert found.headline.startswith("φ, rft3d [deg] = 31 (68 %: 30.9 to 31.1); ρ [kg/m³]")
         # Its likelihood has no certificate: coverage was never simulated.
-        assert (found.status, found.badge) == ("doubtful", UNCHECKED)
+        assert (found.status, found.badge) == ("doubtful", UNCHECKED_TOGETHER)
         assert [part.title for part in found.parts] == [
             "Parameters",
             "What the forces fix",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terraphi.inference.joint.sampler import sample
+from terraphi.inference.sampler import sample
 
 
 def box(low, high):

@@ -9,7 +9,7 @@ import pytest
 
 from terraphi.experiment.errors import InputError
 from terraphi.forward import simulate
-from terraphi.inference.joint.suggestion import _Search, suggest
+from terraphi.inference.suggestion import _Search, suggest
 from terraphi.library.plan import Plan
 from terraphi.library.store import Case, Library
 from terraphi.surrogate.design import DesignGP, DesignSurrogate

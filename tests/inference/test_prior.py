@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
-from terraphi.inference.joint.prior import Marginal, priors
+from terraphi.inference.prior import Marginal, priors
 
 BOUNDS = {"soil.friction_angle_deg": (20.0, 45.0), "motion.hip.1": (0.18, 0.2)}
 

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference.joint.prior import Marginal
+from terraphi.inference.prior import Marginal
 from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.training import DENSITY
 

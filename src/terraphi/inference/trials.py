@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,10 @@ from terraphi.experiment.history import (
 )
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
+from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
+from terraphi.inference.findings import Doubt
+from terraphi.inference.words import of_doubt
+from terraphi.library.store import Library
 from terraphi.surrogate.training import Training
 
 FloatArray = NDArray[np.float64]
@@ -47,6 +53,14 @@ class Trial:
     source: str = ""
     density: float | None = None
     density_assumed: bool = False
+
+    @property
+    def simulation(self) -> dict[str, Any]:
+        """What a history that was simulated says of its simulation; empty for any other."""
+        if "scenario" not in self.history.provenance:
+            return {}
+        known = ("scenario_hash", "model_version", "seed")
+        return {key: self.history.provenance.get(key) for key in known}
 
     def made_as(self, training: Training) -> bool:
         """Whether the library's own model made it, whatever the parameters that it varies."""
@@ -96,9 +110,98 @@ class Repeats:
         ]
 
     @property
+    def mean(self) -> FloatArray:
+        """Mean of the observation vectors [N], shape [2 theta]."""
+        mean: FloatArray = self.vectors[0] if len(self.trials) == 1 else self.vectors.mean(axis=0)
+        return mean
+
+    @property
     def vectors(self) -> FloatArray:
         """Observation vectors [N], shape [trial, 2 theta]."""
         return np.stack([o.vector for o in self.observations])
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """Histories that were looked at, without what is not to be believed of them.
+
+    Attributes
+    ----------
+    trials
+        What is left of each, in the order given.
+    inspections
+        What was found in each.
+    groups
+        The same by leg.
+    """
+
+    trials: tuple[Trial, ...]
+    inspections: tuple[Inspection, ...]
+    groups: tuple[Repeats, ...]
+
+    @property
+    def several(self) -> bool:
+        """Whether there is more than one, so that what is said of one has to name it."""
+        return len(self.trials) > 1
+
+    @property
+    def spoilt(self) -> bool:
+        """Whether one is damaged such that any answer is a misfit."""
+        return any(inspection.spoilt for inspection in self.inspections)
+
+    @property
+    def damage(self) -> list[Doubt]:
+        """What was left out of each."""
+        return [
+            replace(doubt, source=trial.source if self.several else "")
+            for trial, inspection in zip(self.trials, self.inspections, strict=True)
+            for doubt in inspection.doubts
+        ]
+
+    def data_of(self, trial: Trial) -> dict[str, Any]:
+        """What was found in a history, as plain numbers."""
+        at = next(i for i, one in enumerate(self.trials) if one is trial)
+        return self.inspections[at].as_dict()
+
+
+@contextmanager
+def named(trial: Trial, several: bool) -> Iterator[None]:
+    """Name the history in what is refused, where there are several."""
+    try:
+        yield
+    except InputError as error:
+        if several and trial.source and trial.source not in str(error):
+            raise InputError(f"{trial.source}: {error}") from error
+        raise
+
+
+def look(trials: Sequence[Trial], library: Library) -> Looked:
+    """Look for what a damaged sensor leaves in each history, and put those of a leg together.
+
+    Parameters
+    ----------
+    trials
+        One or more.
+    library
+        Whose curves say where the leg may touch the soil.
+
+    Raises
+    ------
+    InputError
+        If there is none, the same history is given twice, or one cannot be used.
+    """
+    found, left = [], []
+    for trial in trials:
+        with named(trial, len(trials) > 1):
+            seen = inspect_record(trial.history, touches_deg=touches_soil_deg(library, trial.leg))
+            found.append(seen)
+            left.append(replace(trial, history=seen.history))
+            try:
+                seen.history.observation()
+            except InputError as error:
+                said = [f"{error}.", *map(of_doubt, seen.doubts)]
+                raise InputError(" ".join(said).rstrip(".")) from error
+    return Looked(tuple(left), tuple(found), tuple(grouped(left)))
 
 
 def grouped(trials: Sequence[Trial]) -> list[Repeats]:
@@ -126,7 +229,8 @@ def grouped(trials: Sequence[Trial]) -> list[Repeats]:
             )
         seen[key] = trial.source
     for trial in trials:
-        trial.history.observation()  # refuses by itself what does not cover the window
+        with named(trial, len(trials) > 1):
+            trial.history.observation()  # refuses by itself what does not cover the window
     found = []
     for leg in dict.fromkeys(t.leg for t in trials):
         same = tuple(t for t in trials if t.leg == leg)
@@ -159,7 +263,12 @@ def common_density(trials: Sequence[Trial]) -> tuple[float | None, bool]:
 
 
 def check_trials(
-    repeats: Repeats, scenario: Scenario, varied: Mapping[str, object], density: float | None
+    repeats: Repeats,
+    scenario: Scenario,
+    varied: Iterable[str] = (),
+    density: float | None = None,
+    *,
+    several: bool = True,
 ) -> None:
     """Refuse what cannot be inverted with a library: odd magnitudes, or another leg or hip.
 
@@ -173,6 +282,8 @@ def check_trials(
         Keys that it varies, and that histories may differ in.
     density
         Density that is taken as known [kg/m3]; ``None`` if it is inferred.
+    several
+        Whether there are other histories, so that this one has to be named.
 
     Raises
     ------
@@ -180,12 +291,19 @@ def check_trials(
         With the number that is wrong.
     """
     for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
-        check_magnitudes(density, observation, scenario)
-        check_same_setup(trial.history, scenario, source=trial.source, varied=varied)
+        with named(trial, several):
+            check_magnitudes(density, observation, scenario)
+            check_same_setup(trial.history, scenario, varied=varied)
 
 
-def warnings_on(repeats: Repeats, training: Training, density: float | None) -> list[str]:
-    """Sentences on why the trials of a leg may not be what they were taken for.
+def read_twice(repeats: Repeats) -> list[Doubt]:
+    """Doubts about coarse records that are compared at other angles than their own."""
+    numbers = {"leg": repeats.leg, "spacing_deg": DENSE_DEG}
+    return [Doubt("read_twice", numbers, trial.source) for trial in repeats.read_twice]
+
+
+def warnings_on(repeats: Repeats, training: Training, density: float | None) -> list[Doubt]:
+    """Why the trials of a leg may not be what they were taken for.
 
     Parameters
     ----------
@@ -196,17 +314,12 @@ def warnings_on(repeats: Repeats, training: Training, density: float | None) -> 
     density
         Density that the trials are inverted with [kg/m3]; ``None`` if it is inferred.
     """
-    found = [
-        f"{trial.source or 'A history'} is read at other angles than another history of leg "
-        f"{repeats.leg}, more than {DENSE_DEG:g}° apart: the angle found may be off by some tenths "
-        "of a degree."
-        for trial in repeats.read_twice
-    ]
+    found = read_twice(repeats)
     curves = training.forces
     if density is not None:
         curves = curves * (density / training.density)[:, None]
     for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
         other = unlike(trial.history, training.scenario, repeats.leg, varied=training.bounds)
         said = [*filter(None, [other]), *doubts(trial.history, observation, curves, density)]
-        found += [f"{trial.source}: {s}" if trial.source else s for s in said]
+        found += [replace(one, source=trial.source) for one in said]
     return found

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.inference.joint.identifiability import axis_label, label
+from terraphi.inference.identifiability import axis_label, label
 from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignGP, DesignSurrogate, from_unit
 from terraphi.surrogate.training import training

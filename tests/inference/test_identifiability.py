@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terraphi.inference.joint.identifiability import Identifiability
+from terraphi.inference.identifiability import Identifiability
 
 PHI, DENSITY, FRICTION = "soil.friction_angle_deg", "soil.density", "leg.friction"
 

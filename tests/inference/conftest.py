@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from terraphi.forward import simulate
-from terraphi.inference.joint import Trial
+from terraphi.inference.trials import Trial
 from terraphi.library.plan import Plan
 from terraphi.library.store import Case, Library
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
-from terraphi.inference.joint.target import JointLikelihood, LegLikelihood
+from terraphi.inference.target import JointLikelihood, LegLikelihood
 from terraphi.surrogate.design import DesignGP, DesignKernel, DesignSurrogate, Size
 
 THETA_DEG = np.linspace(-85.0, 85.0, 6)
