@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from terraphi.experiment import files as netcdf
+from terraphi.experiment import files
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, replacing, write_netcdf
 
@@ -206,7 +206,7 @@ def test_what_is_no_damage_is_not_called_that(
     def fails(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr(netcdf, "read", fails)
+    monkeypatch.setattr(files, "read_whole", fails)
     with pytest.raises(type(error)):
         open_netcdf(file, kind="thing", schema=3)
 
