@@ -173,8 +173,8 @@ def _notes(
     """What counts as a change, what causes one, and what to know beside."""
     tolerance = tolerance_of(scatter)
     apart = (
-        f"{scatter.runs} runs that differ in their seed alone are {_both(scatter.nrmsd)} apart in "
-        f"NRMSD and {_both(scatter.peak)} in their peaks"
+        f"{scatter.runs} runs that differ in their seed alone are {_both(scatter.nrmsd)} "
+        f"(F_z / F_x) apart in NRMSD and {_both(scatter.peak)} in their peaks"
         if scatter.runs > 1
         else "The scatter between seeds is not known yet"
     )
