@@ -183,7 +183,7 @@ def test_suggest_refuses_what_it_does_not_know(terraphi) -> None:
         (("--noise", "50"), "noise = 50 N: all Fx of the record lies within 0.014 to 9.01 N"),
         (
             ("--noise", "50", "--prior", "density=1550:1750"),
-            "noise = 50 N: all Fx of li2013:yuma/straight lies within 0.014 to 9.01 N",
+            "noise = 50 N: all Fx of the record lies within 0.014 to 9.01 N",
         ),
         (
             ("li2013:yuma/c", "--noise", "12"),
