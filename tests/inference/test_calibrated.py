@@ -130,8 +130,8 @@ def test_a_wrong_model_is_not_believed_though_the_interval_widens(
     library: Library, truths: list[tuple[float, ForceHistory]]
 ) -> None:
     _, history = truths[4]
-    shifted = ForceHistory(history.position, history.force + 0.05 * np.abs(history.force).max())
-    answer = invert(shifted, library=library, likelihood="calibrated")
+    other = ForceHistory(history.position, history.force * [1.3, 1.0])  # of another law
+    answer = invert(other, library=library, likelihood="calibrated")
     clean = invert(history, library=library, likelihood="calibrated")
     assert answer.verdict.verdict == "misfit"
     assert answer.verdict.code == "calibrated_misfit"

@@ -154,7 +154,7 @@ class Numerics(Section):
     """``nodes``: the nodes of the grid near the leg take its velocity; ``surface``: the
     material points press on its true surface; ``unbalanced``: near nodes as in the public
     prototype of Xu & Wang, which counts more force than it applies
-    (``unbalanced_contact.py``)."""
+    (``forward/mpm/contact.py``)."""
     contact_band_cells: float = Field(2.0, ge=0)
     """Nodes closer to the leg than this many cells are in contact [-]."""
     remap_interval: float = Field(0.0, ge=0)

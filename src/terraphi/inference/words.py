@@ -45,7 +45,9 @@ VERDICTS = {
         "or not as they were told."
     ),
     "damaged": "The record is damaged. No angle is to be believed.",
-    "edge": ("The posterior is cut off by the {edge}, so the friction angle may lie {beyond} it."),
+    "edge": (
+        "Too much of the posterior lies at the {edge}, so the friction angle may lie {beyond} it."
+    ),
     "beyond": (
         "No curve of the library fits, but one beyond its {edge} would: the friction angle may lie "
         "{beyond} it."
@@ -72,8 +74,8 @@ DOUBTS = {
     "turned_Fz": "Is the sign of Fz turned? It points up, as a force on the leg.",
     "on_the_soil": "Are these the forces of the leg on the soil? Those on the leg are meant.",
     "backwards": "Does theta run backwards? It grows as the leg moves.",
-    "pounds_force": "Are the forces in pounds-force? Newtons are meant.",
-    "kilograms_force": "Are the forces in kilograms-force? Newtons are meant.",
+    "pounds_force": "Are the forces in pounds-force, or kilograms-force? Newtons are meant.",
+    "kilograms_force": "Are the forces in kilograms-force, or pounds-force? Newtons are meant.",
     "grams_force": "Are the forces in grams-force? Newtons are meant.",
     "kilonewtons": "Are the forces in kilonewtons? Newtons are meant.",
     "millinewtons": "Are the forces in millinewtons? Newtons are meant.",
@@ -86,7 +88,7 @@ DOUBTS = {
     ),
     "unlike": (
         "The history was not simulated as the library was (the library's in brackets): "
-        "{differences}; so the angle found is not the one that it was simulated with."
+        "{differences}; so the angle found may differ from the one that it was simulated with."
     ),
     "too_large": (
         "The largest mean force, {peak_N:.3g} N, is {ratio:.3g} times that of the library's "

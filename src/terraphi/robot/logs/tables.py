@@ -77,6 +77,10 @@ def check_columns(place: str, header: list[str]) -> list[str]:
     known = [TIME_COLUMN, *(name for names in GROUPS.values() for name in names)]
     for name in header:
         if name not in known:
+            if name == "theta_deg":
+                raise InputError(
+                    f"{place}: forces on a leg, and not a robot's log; 'terraphi invert' takes them"
+                )
             if name.endswith(("_deg", "_deg_s")):
                 raise InputError(
                     f"{place}: column '{name[:60]}': radians are expected, not degrees"
