@@ -72,6 +72,30 @@ def test_a_narrow_prior_bounds_the_posterior(library: Library, truth: ForceHisto
     found = invert(truth, library=library, prior=["friction_angle_deg=30:40"])
     assert found.posterior.bounds_deg == (30.0, 40.0)
     assert found.verdict.verdict == "out_of_range"
+    assert found.verdict.numbers["of"] == "prior"  # a wider library would not help
+
+
+@pytest.mark.parametrize(
+    ("prior", "code"),
+    [
+        ("28.9+-1", "calibrated_consistent"),
+        ("26.3+-0.01", "against_prior"),
+        ("40+-0.5", "against_prior"),
+    ],
+)
+def test_a_prior_that_the_forces_exclude_is_not_believed(
+    library: Library, truth: ForceHistory, prior: str, code: str
+) -> None:
+    found = invert(truth, library=library, prior=[f"friction_angle_deg={prior}"])
+    assert found.verdict.code == code
+    assert found.budget is None  # it would leave the prior out
+
+
+def test_the_likelihood_of_several_parameters_is_not_that_of_one(
+    library: Library, truth: ForceHistory
+) -> None:
+    with pytest.raises(InputError, match="several parameters"):
+        invert(truth, library=library, likelihood="joint")
 
 
 def test_several_legs_of_one_soil_narrow_the_interval(library: Library) -> None:

@@ -169,7 +169,7 @@ def infer(
         began = time.perf_counter()
         posterior, flat, prior = _posterior(legs, prior, ways)
         core = time.perf_counter() - began
-        verdict, warnings, budget = _judged(looked, legs, posterior, ways)
+        verdict, warnings, budget = _judged(looked, legs, posterior, prior, ways)
     warnings += uninformed(flat)
     scenario = legs[0].scenario
     summary = Summary.of_posterior(posterior)
@@ -294,17 +294,13 @@ def _default_discrepancy(looked: Looked, library: Library) -> str:
     return "none" if all(ours) else "gp"
 
 
-def _posterior(
-    legs: Sequence[_Leg], prior: Marginal | None, ways: Ways
-) -> tuple[Posterior, Posterior, Marginal]:
-    """Posterior of φ by all legs, the same under a uniform prior, and the prior."""
-    low = max(leg.bounds_deg[0] for leg in legs)
-    high = min(leg.bounds_deg[1] for leg in legs)
-    if prior is not None:
-        low, high = max(low, prior.low), min(high, prior.high)
-    if not low < high:
-        raise InputError("the legs of the library have no friction angles in common")
-    known = Marginal(low, high, None if prior is None else prior.normal)
+def _common(legs: Sequence[_Leg]) -> tuple[float, float]:
+    """Ends of the friction angles that the library has of all legs [deg]."""
+    return max(leg.bounds_deg[0] for leg in legs), min(leg.bounds_deg[1] for leg in legs)
+
+
+def _whole(legs: Sequence[_Leg]) -> LogLikelihood:
+    """Log likelihood of all legs, which err independently."""
 
     def likelihood(phi_deg: FloatArray) -> FloatArray:
         total = legs[0].whole(phi_deg)
@@ -312,12 +308,23 @@ def _posterior(
             total = total + leg.whole(phi_deg)
         return total
 
-    def density(phi_deg: FloatArray) -> FloatArray:
-        return likelihood(phi_deg) + known.log_density(phi_deg)
+    return likelihood
 
+
+def _posterior(
+    legs: Sequence[_Leg], prior: Marginal | None, ways: Ways
+) -> tuple[Posterior, Posterior, Marginal]:
+    """Posterior of φ by all legs, the same under a uniform prior, and the prior."""
+    low, high = _common(legs)
+    if prior is not None:
+        low, high = max(low, prior.low), min(high, prior.high)
+    if not low < high:
+        raise InputError("the legs of the library have no friction angles in common")
+    known = Marginal(low, high, None if prior is None else prior.normal)
+    likelihood = _whole(legs)
     nodes = NODES[ways.likelihood]
     log.info("sampling φ over %g to %g deg by %s", low, high, ways.sampler)
-    log_p = likelihood if known.normal is None else density
+    log_p = likelihood if known.normal is None else _times(likelihood, known)
     if ways.sampler == "emcee":
         table = tabulated(log_p, (low, high), nodes=nodes)
         posterior = ensemble(table, (low, high), seed=ways.seed)
@@ -351,9 +358,9 @@ def _records(looked: Looked, leg: _Leg, posterior: Posterior) -> list[Record]:
 
 
 def _judged(
-    looked: Looked, legs: Sequence[_Leg], posterior: Posterior, ways: Ways
+    looked: Looked, legs: Sequence[_Leg], posterior: Posterior, prior: Marginal, ways: Ways
 ) -> tuple[Verdict, list[Doubt], Budget | None]:
-    """Verdict, doubts, and the budget if there is one."""
+    """Verdict, doubts, and the budget, which knows of no normal prior: then there is none."""
     measures, warnings, budget = [], looked.damage, None
     questions: list[tuple[Doubt, Trial]] = []
     beyond: set[Side | None] = set()
@@ -368,7 +375,7 @@ def _judged(
                 problem = likelihood.problem
                 fit = fit_without_discrepancy(problem, likelihood.without, scale=leg.scale)
                 own = [*fit_measures(fit, source=source), *deviations(off, source=source)]
-                if not looked.several:
+                if not looked.several and prior.normal is None:
                     budget = budget_of(likelihood, posterior.median, fit, scale=leg.scale)
             else:
                 own = deviations(off, most=NRMSD_LIMIT, source=source)
@@ -379,11 +386,15 @@ def _judged(
                     questions.append((why.question, trial))
     if looked.several:
         measures.append(_agreement(legs, posterior))
+    if prior.normal is not None:
+        measures.append(_against(legs, prior.normal, ways))
     convention = legs[0].scenario.convention
     if ways.likelihood == "paper":
         edge = edge_by_mass(posterior, step_deg=legs[0].step_deg, convention=convention)
     else:
         edge = edge_by_density(posterior, convention=convention)
+    at_library = edge.numbers["at"] in _common(legs)
+    edge = replace(edge, numbers={**edge.numbers, "of": "library" if at_library else "prior"})
     verdict = judge(
         measures,
         edge,
@@ -414,6 +425,16 @@ def _agreement(legs: Sequence[_Leg], posterior: Posterior) -> Measure:
     return Measure("agreement", probability, least=SMALLEST_PROBABILITY)
 
 
+def _against(legs: Sequence[_Leg], normal: tuple[float, float], ways: Ways) -> Measure:
+    """How probable it is that the forces and a normal prior differ as much."""
+    from scipy.special import chdtrc
+
+    mean, sd = normal
+    free = quadrature(_whole(legs), _common(legs), nodes=NODES[ways.likelihood])
+    apart = (free.median - mean) ** 2 / (free.sd**2 + sd**2)
+    return Measure("prior_agreement", float(chdtrc(1, apart)), least=SMALLEST_PROBABILITY)
+
+
 def _doubts(
     looked: Looked, legs: Sequence[_Leg], questions: Sequence[tuple[Doubt, Trial]]
 ) -> list[Doubt]:
@@ -438,12 +459,19 @@ def _doubts(
     return found
 
 
+def _times(likelihood: LogLikelihood, prior: Marginal) -> LogLikelihood:
+    """Log density of a likelihood and a prior."""
+    return lambda phi_deg: likelihood(phi_deg) + prior.log_density(phi_deg)
+
+
 def _together(
     legs: Sequence[_Leg], posterior: Posterior, prior: Marginal, density: float, ways: Ways
 ) -> Together:
     """What each leg adds, and the noise and discrepancy that were inferred of all."""
     sd = {
-        leg.group.leg: quadrature(leg.whole, posterior.bounds_deg, nodes=NODES[ways.likelihood]).sd
+        leg.group.leg: quadrature(
+            _times(leg.whole, prior), posterior.bounds_deg, nodes=NODES[ways.likelihood]
+        ).sd
         for leg in legs
     }
     sd["all"] = posterior.sd

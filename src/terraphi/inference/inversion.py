@@ -119,6 +119,11 @@ def invert(
     looked = look(_trials(histories, leg, source), library)
     known = _known(looked, library, prior, density, density_assumed)
     if known.phi_alone:
+        if likelihood == "joint":
+            raise InputError(
+                "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or "
+                "'paper'"
+            )
         ways = friction_angle.Ways(
             likelihood or "calibrated",
             Noise.parse(noise),

@@ -369,15 +369,22 @@ def _judge(
             record.nrmsd, most=NRMSD_LIMIT, source=record.source if several else ""
         )
     ]
-    edges = [
-        _edge(key, target.priors[key], flat[:, i])
+    edges = {
+        key: _edge(key, target.priors[key], flat[:, i])
         for i, key in enumerate(target.keys)
         if identifiability.kinds[key] != "open"
-    ]
+    }
     worst = max(records, key=lambda record: max(record.nrmsd.values()))
-    edge = max(edges, key=lambda edge: edge.size, default=None)
+    at = max(edges, key=lambda key: edges[key].size, default="")
     name = worst.source or "the history"
-    return judge(fit, edge, kind="parameters", beyond=beyond, numbers={"worst": name})
+    # It is beyond an end of φ that the forces would fit.
+    return judge(
+        fit,
+        edges.get(at),
+        kind="parameters",
+        beyond=beyond if at == PHI else None,
+        numbers={"worst": name},
+    )
 
 
 def _edge(key: str, prior: Marginal, values: FloatArray) -> Edge:

@@ -6,8 +6,7 @@ edge; the verdict says so instead of letting the edge pass for an answer.
 
 What counts as a fit and as an edge depends on the likelihood: the paper's has a largest deviation
 and a largest mass near an edge; the calibrated one tests of fit (`fit`) and the density at an edge;
-that of several parameters the odds of a discrepancy, the deviation, and the density at the edges of
-what was learnt.
+that of several parameters the deviation and the density at the edges of what was learnt.
 """
 
 from __future__ import annotations
@@ -109,8 +108,10 @@ def judge(
         if cut and (not misfit or beyond == edge.side):
             code = "beyond" if misfit else "parameter_edge" if kind == "parameters" else "edge"
             return Verdict("out_of_range", edge.side, code, told, tuple(measures))
-    if {measure.code for measure in fit if measure.exceeded} == {"agreement"}:
-        return Verdict("misfit", None, "disagreement", told, tuple(measures))
+    alone = {"agreement": "disagreement", "prior_agreement": "against_prior"}
+    exceeded = {measure.code for measure in fit if measure.exceeded}
+    if len(exceeded) == 1 and exceeded <= alone.keys():
+        return Verdict("misfit", None, alone[exceeded.pop()], told, tuple(measures))
     if misfit:
         reaches = edge is not None and edge.size > edge.limit
         code = f"{kind}_misfit_at_edge" if reaches else f"{kind}_misfit"

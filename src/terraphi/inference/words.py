@@ -44,6 +44,9 @@ VERDICTS = {
         "No one friction angle fits all histories, though one fits each: they are not of one soil, "
         "or not as they were told."
     ),
+    "against_prior": (
+        "The forces and the prior of the friction angle exclude each other: one of them is wrong."
+    ),
     "damaged": "The record is damaged. No angle is to be believed.",
     "edge": (
         "Too much of the posterior lies at the {edge}, so the friction angle may lie {beyond} it."
@@ -62,6 +65,7 @@ MEASURES = {
     "log10_odds": "odds of a model discrepancy",
     "amplitude": "discrepancy, if there is one, of peak-to-peak",
     "agreement": "probability that histories of one angle differ as much",
+    "prior_agreement": "probability that forces and prior of one angle differ as much",
     "nrmsd": "deviation of the best curve, of peak-to-peak",
     "edge_mass": "posterior mass near the edge",
     "edge_density": "density at the edge, over the largest",
@@ -147,8 +151,9 @@ def of_verdict(verdict: Verdict) -> str:
         else:
             of = f" ({name})" if name else ""
             edge = f"{'lower' if low else 'upper'} edge"
-            numbers["edge"] = f"{edge} {'' if verdict.code == 'beyond' else 'of the library '}at"
-            numbers["edge"] += f" {at:g}{unit}{of}"
+            whose = "" if verdict.code == "beyond" else f"of the {numbers.get('of', 'library')} "
+            numbers["edge"] = f"{edge} {whose}at"
+            numbers["edge"] += f" {at:g}{'' if unit == '°' else ' '}{unit}{of}"
     numbers["beyond"] = "below" if low else "above"
     return VERDICTS[verdict.code].format(**numbers)
 
@@ -196,7 +201,7 @@ def _number(code: str, value: float) -> str:
         # The largest that was tried stands for all beyond it.
         more = " or more" if value >= AMPLITUDES[-1] else ""
         return f"{100.0 * value:.2g} %{more}"
-    if code in ("probability", "agreement"):
+    if code in ("probability", "agreement", "prior_agreement"):
         return f"{value:.2g}"
     if code == "chi2_per_freedom":
         return f"{value:.1f}"

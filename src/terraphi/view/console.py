@@ -89,7 +89,7 @@ def _remarks(found: Inversion, several: bool) -> list[str]:
         without = found.budget.information_without_force
         if without > MOST_WITHOUT_FORCE:
             told.append(f"Told of φ by angles at which the measured force is zero: {without:.0%}.")
-    if found.together is not None:
+    if found.together is not None and found.verdict.verdict != "misfit":
         told += found.together.identifiability.sentences()
     return told
 

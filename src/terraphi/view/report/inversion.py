@@ -57,6 +57,7 @@ UNCHECKED = "consistent, with a library whose intervals nobody has checked"
 OTHER_LIKELIHOOD = (
     "consistent; its intervals were not checked, only those of the calibrated likelihood"
 )
+OWN_PRIOR = "consistent; its interval rests on the prior that was given, and was not checked"
 UNCHECKED_TOGETHER = (
     "consistent; nobody has checked how often intervals of several histories or parameters hold "
     "the truth"
@@ -224,12 +225,25 @@ def _belief(answer: Mapping[str, Any], again: Again | None) -> tuple[Status, str
         return "doubtful", UNCHECKED
     if answer["likelihood"] != "calibrated":
         return "doubtful", OTHER_LIKELIHOOD
+    if _has_own_prior(answer, again):
+        return "doubtful", OWN_PRIOR
     return status, ""
+
+
+def _has_own_prior(answer: Mapping[str, Any], again: Again) -> bool:
+    """Whether φ had another prior than the uniform one over the library."""
+    prior = answer.get("parameters", {}).get("soil.friction_angle_deg", {}).get("prior")
+    if prior is None:
+        return False
+    return prior["kind"] != "uniform" or (prior["low"], prior["high"]) != again.bounds_deg
 
 
 def _certificate(answer: Mapping[str, Any], again: Again) -> list[Part]:
     """The library's certificate, but for forces of which it says nothing."""
     leg, library = str(answer["leg"]), again.library
+    if leg in certificate_of(library) and _has_own_prior(answer, again):
+        why = f"That of library {library.name} is of a uniform prior; this answer had another."
+        return [Text("No certificate", (why,), wide=False)]
     if answer["verdict"] != "misfit" or leg not in certificate_of(library):
         return certificate_parts(library, leg=leg)
     why = (
