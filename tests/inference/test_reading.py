@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.history import ForceHistory
+from terraphi.inference import prepared_leg
 from terraphi.inference.inversion import invert
 from terraphi.inference.prepared_leg import (
     WHITE,
@@ -192,3 +193,17 @@ def test_ripple_of_the_libraries(name: str, percent: tuple[float, float]) -> Non
     low, high = percent
     assert (100.0 * np.median(found, axis=0) > low).all()
     assert (100.0 * np.median(found, axis=0) < high).all()
+
+
+def test_a_coarse_library_gets_the_variance_that_its_errors_ask_for(monkeypatch) -> None:
+    found = []
+
+    def kept(errors, surrogate):
+        found.append(white_of(errors, surrogate))
+        return found[-1]
+
+    monkeypatch.setattr(prepared_leg, "white_of", kept)
+    prepare(Library.load("resolved"), "straight", readings=np.radians(np.arange(-94.0, 95.0, 4.0)))
+    assert found
+    assert prepared_leg.WHITES[0] < found[0] < prepared_leg.WHITES[-1]
+    assert found[0] > 4.0  # five degrees between angles: errors that no neighbour shows

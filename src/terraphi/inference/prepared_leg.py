@@ -347,8 +347,8 @@ MOST_SHIFTS = 10
 """Shifts of the readings within their spacing that are tried at most."""
 FEWEST_FOR_GROWTH = 3
 """Cases over phi from which on the size of errors may grow."""
-WHITES = np.geomspace(0.01, 4.0, 14)
-"""Variances that may be added at each window by itself, of that learnt [-]."""
+WHITES = 0.01 * 400.0 ** (np.arange(21) / 13.0)
+"""Variances that may be added at each window by itself, of that learnt [-]: up to 100."""
 WHITE = 0.5
 """The same if curves are too few to leave some out."""
 
