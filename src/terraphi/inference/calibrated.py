@@ -55,7 +55,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.inference.prepared_leg import PreparedLeg, single_threaded
+from terraphi.inference.prepared_leg import PreparedLeg
+from terraphi.surrogate.kronecker import single_threaded
 
 FloatArray = NDArray[np.float64]
 

@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
 from terraphi.inference.calibrated import log_sum
-from terraphi.inference.prepared_leg import PreparedLeg, learn, single_threaded
+from terraphi.inference.prepared_leg import PreparedLeg, learn
 from terraphi.library.store import Library, hash_of, unseeded
 from terraphi.surrogate.joint import JointSurrogate
+from terraphi.surrogate.kronecker import single_threaded
 
 FloatArray = NDArray[np.float64]
 

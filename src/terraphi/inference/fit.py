@@ -23,7 +23,7 @@ from terraphi.inference.calibrated import (
     gaussian_parts,
     log_sum,
 )
-from terraphi.inference.prepared_leg import single_threaded
+from terraphi.surrogate.kronecker import single_threaded
 
 FloatArray = NDArray[np.float64]
 

@@ -43,7 +43,7 @@ from terraphi.inference.identifiability import Identifiability
 from terraphi.inference.noise import Noise, shape_of, window_covariance
 from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature, tabulated
-from terraphi.inference.prepared_leg import prepare, single_threaded
+from terraphi.inference.prepared_leg import prepare
 from terraphi.inference.prior import Marginal
 from terraphi.inference.trials import Looked, Repeats, Trial, check_trials, read_twice
 from terraphi.inference.verdict import (
@@ -58,6 +58,7 @@ from terraphi.inference.verdict import (
     uninformed,
 )
 from terraphi.library.store import Library
+from terraphi.surrogate.kronecker import single_threaded
 from terraphi.surrogate.paper import LegSurrogate
 from terraphi.surrogate.training import DENSITY
 

@@ -25,25 +25,23 @@ would count as known. So variance is added at each window by itself: as much as 
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import logging
 import weakref
 from collections import OrderedDict
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.inference.paper_likelihood import peak_to_peak
 from terraphi.library.store import Case, Curves, Library
 from terraphi.surrogate.joint import JointKernel, JointSurrogate
+from terraphi.surrogate.kronecker import single_threaded
 from terraphi.surrogate.scatter import Scatter, estimate
 
 FloatArray = NDArray[np.float64]
@@ -219,20 +217,6 @@ class Spectra:
         part = slice(int(nodes[0]), int(nodes[-1]) + 1, step)
         arrays = (self._rotation, self._roots, self._mean)
         return Spectrum(*(array[size, part] for array in arrays))
-
-
-def single_threaded() -> AbstractContextManager[Any]:
-    """Context in which BLAS uses one thread: more cost small matrices far more than they gain."""
-    limit: AbstractContextManager[Any] = _threads().limit(limits=1, user_api="blas")
-    return limit
-
-
-@functools.cache
-def _threads() -> ThreadpoolController:
-    """Threads of NumPy's BLAS and of SciPy's, which is another and must have been loaded."""
-    import scipy.linalg  # noqa: F401
-
-    return ThreadpoolController()
 
 
 _Key = tuple[int, str, bytes]

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
@@ -41,6 +40,7 @@ from terraphi.inference.verdict import (
 )
 from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignSurrogate
+from terraphi.surrogate.kronecker import single_threaded
 from terraphi.surrogate.training import DENSITY, Training, training
 
 FloatArray = NDArray[np.float64]
@@ -89,7 +89,7 @@ def infer(
     """
     groups = looked.groups
     keys = tuple(k for k, p in priors.items() if not p.fixed)
-    with threadpool_limits(limits=1, user_api="blas"):
+    with single_threaded():
         data = _checked(looked, library, priors)
         ours = all(t.made_as(d) for g, d in zip(groups, data, strict=True) for t in g.trials)
         gp = discrepancy == "gp" or (discrepancy is None and not ours)

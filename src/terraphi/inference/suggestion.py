@@ -21,12 +21,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.inference.identifiability import axis_label, label
 from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignGP, DesignSurrogate, from_unit
+from terraphi.surrogate.kronecker import single_threaded
 from terraphi.surrogate.training import training
 
 FloatArray = NDArray[np.float64]
@@ -149,7 +149,7 @@ def suggest(
     if count < 1 or (noise is not None and not 0.0 < noise < np.inf):
         raise InputError(f"count = {count} and noise = {noise} N must be positive")
     legs = tuple(library.legs if leg is None else [leg])
-    with threadpool_limits(limits=1, user_api="blas"):
+    with single_threaded():
         data = {name: training(library, name) for name in legs}
         bounds = data[legs[0]].bounds
         counted = _counted(parameter, list(bounds))

@@ -27,9 +27,8 @@ from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits
 
-from terraphi.surrogate.kronecker import Kronecker, Posterior, maximise
+from terraphi.surrogate.kronecker import Kronecker, Posterior, maximise, single_threaded
 from terraphi.surrogate.training import DENSITY, Training
 
 FloatArray = NDArray[np.float64]
@@ -210,7 +209,7 @@ class DesignGP:
         ValueError
             If shapes disagree, points are too few, or a value is not finite or all are equal.
         """
-        with threadpool_limits(limits=1, user_api="blas"):
+        with single_threaded():
             data = _Data(points, theta_deg, values)
             chosen = data
             if len(data.points) > FIT_CASES:
@@ -224,7 +223,7 @@ class DesignGP:
         cls, points: ArrayLike, theta_deg: ArrayLike, values: ArrayLike, kernel: DesignKernel
     ) -> Self:
         """Condition on the values at given hyperparameters; arguments and errors as in `fit`."""
-        with threadpool_limits(limits=1, user_api="blas"):
+        with single_threaded():
             return cls._conditioned(_Data(points, theta_deg, values), kernel)
 
     @classmethod

@@ -38,9 +38,8 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits
 
-from terraphi.surrogate.kronecker import Blocks, Kronecker, maximise
+from terraphi.surrogate.kronecker import Blocks, Kronecker, maximise, single_threaded
 from terraphi.surrogate.scatter import Scatter, corrected, with_tail
 
 FloatArray = NDArray[np.float64]
@@ -398,7 +397,7 @@ class JointSurrogate:
         ValueError
             If shapes disagree, angles do not increase or are too few, or a value is not finite.
         """
-        with threadpool_limits(limits=1, user_api="blas"):
+        with single_threaded():
             if kernel is None:
                 scatter, kernel = _learn(phi_deg, theta_deg, curves, scatter, repeats)
             data = Standardised(phi_deg, theta_deg, curves, scatter, repeats)

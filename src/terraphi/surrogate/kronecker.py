@@ -30,13 +30,16 @@ finds the hyperparameters of most evidence.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import ThreadpoolController
 
 FloatArray = NDArray[np.float64]
 Side = Literal["left", "right"]
@@ -318,3 +321,17 @@ def maximise(
     ]  # fmt: skip
     best: FloatArray = min(optima, key=lambda optimum: float(optimum.fun)).x
     return best
+
+
+def single_threaded() -> AbstractContextManager[Any]:
+    """Context in which BLAS uses one thread: more cost small matrices far more than they gain."""
+    limit: AbstractContextManager[Any] = _threads().limit(limits=1, user_api="blas")
+    return limit
+
+
+@functools.cache
+def _threads() -> ThreadpoolController:
+    """Threads of NumPy's BLAS and of SciPy's, which is another and must have been loaded."""
+    import scipy.linalg  # noqa: F401
+
+    return ThreadpoolController()

@@ -24,9 +24,8 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits
 
-from terraphi.surrogate.kronecker import Kronecker, Posterior, maximise
+from terraphi.surrogate.kronecker import Kronecker, Posterior, maximise, single_threaded
 
 FloatArray = NDArray[np.float64]
 
@@ -138,7 +137,7 @@ class GridGP:
         if restarts < 0:
             raise ValueError(f"restarts is {restarts}; it must be 0 or more")
         # Threads cost these small matrices far more than they gain, and starve other processes.
-        with threadpool_limits(limits=1, user_api="blas"):
+        with single_threaded():
             grid = _Grid(phi_deg, theta_deg, values)
             shortest = shortest_theta_length_deg or 0.5 * float(np.diff(grid.theta_deg).min())
             parameters = _maximise_evidence(grid, shortest, restarts=restarts, seed=seed)

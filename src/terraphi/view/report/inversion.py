@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import damage_told
+from terraphi.inference.answer import PHI
 from terraphi.inference.budget import (
     MOST_WITHOUT_FORCE,
     ZERO_FORCE,
@@ -232,7 +233,7 @@ def _belief(answer: Mapping[str, Any], again: Again | None) -> tuple[Status, str
 
 def _has_own_prior(answer: Mapping[str, Any], again: Again) -> bool:
     """Whether φ had another prior than the uniform one over the library."""
-    prior = answer.get("parameters", {}).get("soil.friction_angle_deg", {}).get("prior")
+    prior = answer.get("parameters", {}).get(PHI, {}).get("prior")
     if prior is None:
         return False
     return prior["kind"] != "uniform" or (prior["low"], prior["high"]) != again.bounds_deg
