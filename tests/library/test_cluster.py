@@ -83,6 +83,7 @@ def names(folder: Path) -> list[str]:
 # -- nothing is lost -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_worker_killed_in_the_middle_costs_nothing(
     local: LocalCluster, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -341,6 +342,7 @@ def test_a_cluster_without_terraphi(scheduler: tuple[str, Any], tmp_path: Path) 
     assert not (tmp_path / "x.nc").exists()
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_lost(scheduler: tuple[str, Any], tmp_path: Path) -> None:
     plan, file = coarse_plan(3), tmp_path / "x.nc"
 
