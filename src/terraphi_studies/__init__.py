@@ -44,6 +44,10 @@ STUDIES = {
         "friction angles of the measured sands, by every library, and the verdicts",
         "half a minute",
     ),
+    "real_soil": Outline(
+        "measured sands, each inverted with what the others taught; and false records",
+        "a minute",
+    ),
     "prediction": Outline(
         "calibrated on the straight leg: the C and the reversed C foretold", "seconds"
     ),

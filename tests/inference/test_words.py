@@ -42,9 +42,14 @@ EXAMPLES = {
 """Numbers of each doubt that has some, and a part of what it then says."""
 
 
+WHERE = {"force": "Fx", "low": -20.2, "high": 30.3, "percent": 35.2}
+
+
 @pytest.mark.parametrize("code", words.VERDICTS)
 def test_a_verdict_is_said_in_25_words(code: str) -> None:
-    said = words.of_verdict(Verdict("misfit", None, code, {**PLACE, "worst": "straight.csv"}))
+    said = words.of_verdict(
+        Verdict("misfit", None, code, {**PLACE, **WHERE, "worst": "straight.csv"})
+    )
     assert len(said.split()) <= 25, said
     assert said[0].isupper()
     assert said.endswith(".")

@@ -101,7 +101,7 @@ class Grouped(click.Command):
 LEGS = ("straight", "c", "reversed_c", "plate")
 LIKELIHOODS = ("calibrated", "paper")
 SAMPLERS = ("quadrature", "emcee")
-DISCREPANCIES = ("none", "gp")
+DISCREPANCIES = ("none", "gp", "soils")
 ESTIMATORS = ("quasi_static", "gravity", "inverse_dynamics", "momentum_observer")
 FRAMES = ("world", "heading", "body")
 DOCUMENTS = ("scenario", "plan", "robot")

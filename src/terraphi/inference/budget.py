@@ -99,9 +99,11 @@ class Budget:
     discrepancy_of_peak
         Standard deviation of the discrepancy over the peak-to-peak of the data [-], likewise.
     fit
-        The best fit without a discrepancy.
+        The best fit without a discrepancy; ``None`` beside that of real soils.
     noise, discrepancy
-        How these were treated: ``given`` or ``inferred``; ``none`` or ``gp``.
+        How these were treated: ``given`` or ``inferred``; ``none``, ``gp`` or ``soils``.
+    degrees
+        Standard deviation of the friction angle by each term [deg].
     """
 
     shares: Mapping[str, float]
@@ -110,9 +112,10 @@ class Budget:
     sigma_N: Mapping[str, FloatArray]
     noise_N: float
     discrepancy_of_peak: float
-    fit: Fit
+    fit: Fit | None
     noise: str
     discrepancy: str
+    degrees: Mapping[str, float]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, without those of each window."""
@@ -123,7 +126,8 @@ class Budget:
             "noise_N": self.noise_N,
             "discrepancy": self.discrepancy,
             "discrepancy_of_peak": self.discrepancy_of_peak,
-            "fit_without_discrepancy": self.fit.as_dict(),
+            "fit_without_discrepancy": self.fit.as_dict() if self.fit else None,
+            "degrees": dict(self.degrees),
         }
 
 
@@ -166,6 +170,7 @@ def budget_of(
         fit=fit,
         noise="inferred" if problem.noise_sigma is None else "given",
         discrepancy="gp" if problem.discrepancy else "none",
+        degrees={n: float(np.sqrt(part)) / float(direction @ slope) for n, part in parts.items()},
     )
 
 

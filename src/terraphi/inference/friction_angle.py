@@ -18,6 +18,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,14 @@ from terraphi.inference.answer import (
 from terraphi.inference.budget import Budget, budget_of
 from terraphi.inference.calibrated import CalibratedLikelihood, Problem
 from terraphi.inference.checks import doubts, unlike
+from terraphi.inference.discrepancy import (
+    ACCEPTED,
+    ALONE,
+    Learnt,
+    Level,
+    SoilLikelihood,
+    learnt_for,
+)
 from terraphi.inference.explanation import OFFSETS, explain
 from terraphi.inference.findings import Doubt, Measure, Side, Verdict
 from terraphi.inference.fit import SMALLEST_PROBABILITY, fit_without_discrepancy
@@ -48,6 +57,7 @@ from terraphi.inference.prior import Marginal
 from terraphi.inference.trials import Looked, Repeats, Trial, check_trials, read_twice
 from terraphi.inference.verdict import (
     NRMSD_LIMIT,
+    Edge,
     damaged,
     deviations,
     edge_by_density,
@@ -79,9 +89,10 @@ class Ways:
 
     likelihood: str
     noise: Noise
-    discrepancy: str | None
+    discrepancy: str | Learnt | None
     sampler: str
     seed: int
+    level: Level | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,9 +179,11 @@ def infer(
         legs = [_leg(group, looked, library, density, ways) for group in looked.groups]
         # After the library is ready: the time that one more history takes.
         began = time.perf_counter()
-        posterior, flat, prior = _posterior(legs, prior, ways)
-        core = time.perf_counter() - began
-        verdict, warnings, budget = _judged(looked, legs, posterior, prior, ways)
+        level = _level(legs, ways, assumed=density is None or density_assumed)
+        posterior, flat, core, prior = _posterior(legs, prior, ways, level)
+        seconds = time.perf_counter() - began
+        found = posterior, flat, core
+        verdict, warnings, budget = _judged(looked, legs, found, prior, ways, level)
     warnings += uninformed(flat)
     scenario = legs[0].scenario
     summary = Summary.of_posterior(posterior)
@@ -198,7 +211,7 @@ def infer(
         warnings=tuple(warnings),
         budget=budget,
         together=_together(legs, posterior, prior, used, ways) if looked.several else None,
-        provenance={"core_seconds": core},
+        provenance={"core_seconds": seconds},
     )
 
 
@@ -251,6 +264,7 @@ def _calibrated(
     scale = 1.0 if density is None else density / curves.scenario.soil.density
     for trial in group.trials:
         ways.noise.check_against(trial.history, source=trial.source if looked.several else "")
+    learnt = _learnt(looked, library, ways.discrepancy, group.leg)
     gp = (ways.discrepancy or _default_discrepancy(looked, library)) == "gp"
     shape, sigma = shape_of(ways.noise, _windows(group))
 
@@ -261,6 +275,8 @@ def _calibrated(
         data = vector / scale
         size = None if sigma is None else sigma / scale / np.sqrt(trials)
         leg = prepared.averaged(trials).read_for(data)
+        if learnt is not None:
+            return SoilLikelihood(Problem(leg, data, shape, size, True), learnt, group.leg)
         return CalibratedLikelihood(Problem(leg, data, shape, size, gp))
 
     return _Leg(
@@ -283,6 +299,33 @@ def _windows(group: Repeats) -> FloatArray:
         for t, o in zip(group.trials, group.observations, strict=True)
     ]
     return each[0] if len(each) == 1 else np.mean(each, axis=0)
+
+
+def _learnt(
+    looked: Looked, library: Library, asked: str | Learnt | None, leg: str
+) -> Learnt | None:
+    """The discrepancy of real soils, for measured records or where it is asked for."""
+    if isinstance(asked, Learnt):
+        return asked
+    if asked not in (None, "soils"):
+        return None
+    learnt = learnt_for(library)
+    measured = all("scenario" not in t.history.provenance for t in looked.trials)
+    if asked == "soils" and (learnt is None or leg not in learnt.shapes):
+        raise InputError(
+            f"discrepancy 'soils': none was learnt for leg '{leg}' of library '{library.name}'; "
+            "take 'gp'"
+        )
+    return learnt if learnt and leg in learnt.shapes and (measured or asked) else None
+
+
+def _level(legs: Sequence[_Leg], ways: Ways, *, assumed: bool) -> Level | None:
+    """How far the angle of a soil may lie from that of the library; ``None``: it is the same."""
+    soils = [leg.whole for leg in legs if isinstance(leg.whole, SoilLikelihood)]
+    level = ways.level or (soils[0].learnt.level if soils else None)
+    if level is None or not soils or not assumed:
+        return level
+    return level.wider(float(np.mean([one.by_density_deg for one in soils])))
 
 
 def _default_discrepancy(looked: Looked, library: Library) -> str:
@@ -313,17 +356,25 @@ def _whole(legs: Sequence[_Leg]) -> LogLikelihood:
 
 
 def _posterior(
-    legs: Sequence[_Leg], prior: Marginal | None, ways: Ways
-) -> tuple[Posterior, Posterior, Marginal]:
-    """Posterior of φ by all legs, the same under a uniform prior, and the prior."""
-    low, high = _common(legs)
-    if prior is not None:
+    legs: Sequence[_Leg], prior: Marginal | None, ways: Ways, level: Level | None
+) -> tuple[Posterior, Posterior, Posterior, Marginal]:
+    """Posterior of φ by all legs, under a uniform prior, of the library's angle, and the prior."""
+    ends = low, high = _common(legs)
+    likelihood: LogLikelihood = _whole(legs)
+    nodes = NODES[ways.likelihood]
+    core = None
+    if level is not None:
+        if not low < high:
+            raise InputError("the legs of the library have no friction angles in common")
+        core = quadrature(likelihood, ends, nodes=nodes)
+        low, high = level.bounds(low, high)
+        likelihood = _about(level, core)
+    every = low, high
+    if prior is not None and (level is None or prior.normal is None):
         low, high = max(low, prior.low), min(high, prior.high)
     if not low < high:
         raise InputError("the legs of the library have no friction angles in common")
     known = Marginal(low, high, None if prior is None else prior.normal)
-    likelihood = _whole(legs)
-    nodes = NODES[ways.likelihood]
     log.info("sampling φ over %g to %g deg by %s", low, high, ways.sampler)
     log_p = likelihood if known.normal is None else _times(likelihood, known)
     if ways.sampler == "emcee":
@@ -333,14 +384,25 @@ def _posterior(
         posterior = quadrature(log_p, (low, high), nodes=nodes)
     flat = posterior
     if known.normal is not None:
-        flat = quadrature(likelihood, (low, high), nodes=nodes)
-    return posterior, flat, known
+        flat = quadrature(likelihood, every, nodes=nodes)
+    return posterior, flat, core or posterior, known
+
+
+def _about(level: Level, core: Posterior) -> LogLikelihood:
+    """Log-likelihood of a soil's angle, by that of the library's."""
+    return lambda phi_deg: level.log_density(core, phi_deg)
+
+
+def _best(leg: _Leg, posterior: Posterior) -> FloatArray:
+    """The library's curve at the median, or at its end if that lies beyond [N], [2 theta]."""
+    best: FloatArray = leg.predict(np.clip([posterior.median], *leg.bounds_deg))[0]
+    return best
 
 
 def _records(looked: Looked, leg: _Leg, posterior: Posterior) -> list[Record]:
     """The histories of a leg, with the curve at the median and the band of the 95 %."""
-    best = leg.predict(np.array([posterior.median]))[0]
-    inside = leg.predict(np.linspace(*posterior.interval(0.95), 101))
+    best = _best(leg, posterior)
+    inside = leg.predict(np.clip(np.linspace(*posterior.interval(0.95), 101), *leg.bounds_deg))
     band = np.stack([inside.min(axis=0), inside.max(axis=0)])
     return [
         Record(
@@ -359,51 +421,101 @@ def _records(looked: Looked, leg: _Leg, posterior: Posterior) -> list[Record]:
 
 
 def _judged(
-    looked: Looked, legs: Sequence[_Leg], posterior: Posterior, prior: Marginal, ways: Ways
+    looked: Looked,
+    legs: Sequence[_Leg],
+    found: tuple[Posterior, Posterior, Posterior],
+    prior: Marginal,
+    ways: Ways,
+    level: Level | None,
 ) -> tuple[Verdict, list[Doubt], Budget | None]:
-    """Verdict, doubts, and the budget, which knows of no normal prior: then there is none."""
-    measures, warnings, budget = [], looked.damage, None
+    """Verdict, doubts, and the budget, which knows of no normal prior: then there is none.
+
+    ``found``: the posterior, that under a uniform prior, and that of the library's angle.
+    """
+    posterior, flat, core = found
+    measures: list[Measure] = []
+    warnings, budget = looked.damage, None
     questions: list[tuple[Doubt, Trial]] = []
     beyond: set[Side | None] = set()
     for leg in legs:
-        best = leg.predict(np.array([posterior.median]))[0]
+        best = _best(leg, posterior)
         trials = zip(leg.group.trials, leg.group.observations, leg.each, strict=True)
         for trial, observation, likelihood in trials:
             source = trial.source if looked.several else ""
             why = explain(observation.vector, leg.nodes[1], leg.nodes[0])
-            off = nrmsd(observation.vector, best)
-            if isinstance(likelihood, CalibratedLikelihood):
-                problem = likelihood.problem
-                fit = fit_without_discrepancy(problem, likelihood.without, scale=leg.scale)
-                own = [*fit_measures(fit, source=source), *deviations(off, source=source)]
-                if not looked.several and prior.normal is None:
-                    budget = budget_of(likelihood, posterior.median, fit, scale=leg.scale)
-            else:
-                own = deviations(off, most=NRMSD_LIMIT, source=source)
+            own, budget = _fit_of(likelihood, posterior, level, scale=leg.scale, source=source)
+            limit = NRMSD_LIMIT if ways.likelihood == "paper" else None
+            own += deviations(nrmsd(observation.vector, best), most=limit, source=source)
             measures += own
             if any(measure.exceeded for measure in own):
                 beyond.add(why.beyond)
                 if why.question is not None:
                     questions.append((why.question, trial))
     if looked.several:
-        measures.append(_agreement(legs, posterior))
+        measures += [*_together_as_soils(legs), _agreement(legs, posterior)]
     if prior.normal is not None:
-        measures.append(_against(legs, prior.normal, ways))
+        measures.append(_against(flat, prior.normal))
+    worst = _worst(legs)
+    verdict = judge(
+        measures,
+        _edge(legs, posterior, core, ways),
+        kind="soil" if worst else ways.likelihood,
+        beyond=beyond.pop() if len(beyond) == 1 else None,
+        numbers=worst,
+    )
+    asked = questions if verdict.verdict == "misfit" else []
+    budget = None if looked.several or prior.normal is not None else budget
+    return verdict, [*warnings, *_doubts(looked, legs, asked)], budget
+
+
+def _fit_of(
+    likelihood: LogLikelihood, posterior: Posterior, level: Level | None, *, scale: float,
+    source: str,
+) -> tuple[list[Measure], Budget | None]:  # fmt: skip
+    """How well one history fits, and where the interval would come from if it were alone."""
+    if isinstance(likelihood, SoilLikelihood):
+        own = [likelihood.measure(source=source, accepted=ALONE if source else ACCEPTED)]
+        return own, likelihood.budget(level, scale=scale) if level else None
+    if isinstance(likelihood, CalibratedLikelihood):
+        fit = fit_without_discrepancy(likelihood.problem, likelihood.without, scale=scale)
+        budget = budget_of(likelihood, posterior.median, fit, scale=scale)
+        return fit_measures(fit, source=source), budget
+    return [], None
+
+
+def _soils(legs: Sequence[_Leg]) -> list[SoilLikelihood]:
+    """Likelihoods of measured histories, each by itself."""
+    return [one for leg in legs for one in leg.each if isinstance(one, SoilLikelihood)]
+
+
+def _together_as_soils(legs: Sequence[_Leg]) -> list[Measure]:
+    """The deviation of all measured histories: the geometric mean of those of each."""
+    soils = _soils(legs)
+    if not soils:
+        return []
+    mean = float(np.exp(np.mean([np.log(one.deviation) for one in soils])))
+    return [Measure("soil_deviation", mean, most=soils[0].learnt.most(), about="all")]
+
+
+def _worst(legs: Sequence[_Leg]) -> dict[str, Any] | None:
+    """Where the measured history deviates that real soils are least like; ``None`` if none is."""
+    soils = _soils(legs)
+    if not soils:
+        return None
+    worst = max(soils, key=lambda one: one.deviation)
+    return worst.learnt.where(worst.leg, worst.fitted)
+
+
+def _edge(legs: Sequence[_Leg], posterior: Posterior, core: Posterior, ways: Ways) -> Edge:
+    """Where the posterior, or that of the library's angle, is cut off."""
     convention = legs[0].scenario.convention
     if ways.likelihood == "paper":
         edge = edge_by_mass(posterior, step_deg=legs[0].step_deg, convention=convention)
     else:
-        edge = edge_by_density(posterior, convention=convention)
-    at_library = edge.numbers["at"] in _common(legs)
-    edge = replace(edge, numbers={**edge.numbers, "of": "library" if at_library else "prior"})
-    verdict = judge(
-        measures,
-        edge,
-        kind=ways.likelihood,
-        beyond=beyond.pop() if len(beyond) == 1 else None,
-    )
-    asked = questions if verdict.verdict == "misfit" else []
-    return verdict, [*warnings, *_doubts(looked, legs, asked)], budget
+        both = (edge_by_density(one, convention=convention) for one in (core, posterior))
+        edge = max(both, key=lambda one: one.size)
+    whose = "library" if edge.numbers["at"] in _common(legs) else "prior"
+    return replace(edge, numbers={**edge.numbers, "of": whose})
 
 
 def _agreement(legs: Sequence[_Leg], posterior: Posterior) -> Measure:
@@ -426,12 +538,11 @@ def _agreement(legs: Sequence[_Leg], posterior: Posterior) -> Measure:
     return Measure("agreement", probability, least=SMALLEST_PROBABILITY)
 
 
-def _against(legs: Sequence[_Leg], normal: tuple[float, float], ways: Ways) -> Measure:
+def _against(free: Posterior, normal: tuple[float, float]) -> Measure:
     """How probable it is that the forces and a normal prior differ as much."""
     from scipy.special import chdtrc
 
     mean, sd = normal
-    free = quadrature(_whole(legs), _common(legs), nodes=NODES[ways.likelihood])
     apart = (free.median - mean) ** 2 / (free.sd**2 + sd**2)
     return Measure("prior_agreement", float(chdtrc(1, apart)), least=SMALLEST_PROBABILITY)
 
@@ -479,11 +590,14 @@ def _together(
     noise, amplitude = [np.zeros(1)], [np.zeros(1)]
     rng = np.random.default_rng(ways.seed)
     for leg in legs:
-        if isinstance(leg.whole, CalibratedLikelihood):
+        root = np.sqrt(len(leg.group.trials))
+        if isinstance(leg.whole, SoilLikelihood):
+            noise.append(np.full(2, root * leg.scale * leg.whole.noise_N))
+            amplitude.append(np.full(2, leg.whole.learnt.amplitude))
+        elif isinstance(leg.whole, CalibratedLikelihood):
             used = leg.whole.used
             weights = leg.whole.weights(posterior.median)
             drawn = rng.choice(len(weights), DRAWS // len(legs), p=weights / weights.sum())
-            root = np.sqrt(len(leg.group.trials))
             noise.append(root * leg.scale * used.noise[drawn])
             amplitude.append(used.amplitude[drawn])
     some = slice(1, None) if len(noise) > 1 else slice(None)
@@ -495,7 +609,11 @@ def _together(
         expected_sd={name: np.array([one]) for name, one in sd.items()},
         noise_N=np.concatenate(noise[some]),
         amplitude=np.concatenate(amplitude[some]),
-        discrepancy="gp" if any(_allows(leg.whole) for leg in legs) else "none",
+        discrepancy="soils"
+        if _soils(legs)
+        else "gp"
+        if any(_allows(leg.whole) for leg in legs)
+        else "none",
     )
 
 

@@ -18,6 +18,7 @@ from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.history import ForceHistory
 from terraphi.inference import friction_angle, several_parameters
 from terraphi.inference.answer import PHI, AngleSummary, Inversion, plane_strain_summary
+from terraphi.inference.discrepancy import Learnt
 from terraphi.inference.findings import Doubt
 from terraphi.inference.noise import Noise
 from terraphi.inference.prior import Marginal, is_on, priors
@@ -41,7 +42,7 @@ Likelihood = Literal["calibrated", "paper"]
 Sampler = Literal["quadrature", "emcee"]
 LIKELIHOODS: tuple[Likelihood, ...] = ("calibrated", "paper")
 SAMPLERS: tuple[Sampler, ...] = ("quadrature", "emcee")
-DISCREPANCIES = ("none", "gp")
+DISCREPANCIES = ("none", "gp", "soils")
 NODES = friction_angle.NODES["calibrated"]
 """Nodes of the quadrature to begin with, where the likelihood is smooth."""
 
@@ -58,7 +59,7 @@ def invert(
     density_assumed: bool = False,
     likelihood: str | None = None,
     noise: float | str | Path | None = None,
-    discrepancy: str | None = None,
+    discrepancy: str | Learnt | None = None,
     sampler: str | None = None,
     seed: int = 0,
     source: str = "",
@@ -94,9 +95,11 @@ def invert(
         ``sigma_Fz_N``; ``None`` or ``inferred`` infers it. Not of the paper's likelihood. Of
         several parameters, noise that is inferred is of one size in newtons for both forces.
     discrepancy
-        ``gp``: the model may be wrong by a Gaussian process over θ; ``none``: it is right.
-        ``None`` takes ``none`` for histories simulated as the library was and ``gp`` for any
-        other. Likewise.
+        ``soils``: the model is wrong as it is for real soils, by what was learnt of the library
+        from measured media (`discrepancy`; or an object of that kind); ``gp``: it may be wrong by
+        a Gaussian process over θ; ``none``: it is right. ``None`` takes ``none`` for histories
+        simulated as the library was, ``soils`` for measured ones if it was learnt, and ``gp`` for
+        any other. Likewise.
     sampler
         Of φ alone: ``quadrature`` (exact, the default) or ``emcee`` (the paper's settings).
     seed
@@ -141,6 +144,8 @@ def invert(
         )
     else:
         _check_several(likelihood, sampler)
+        if discrepancy == "soils" or isinstance(discrepancy, Learnt):
+            raise InputError("discrepancy 'soils' is for the friction angle alone; take 'gp'")
         found = several_parameters.infer(
             looked,
             library=library,
@@ -204,13 +209,13 @@ def _check_options(
     likelihood: str | None,
     sampler: str | None,
     noise: float | str | Path | None,
-    discrepancy: str | None,
+    discrepancy: str | Learnt | None,
 ) -> None:
     """Refuse options that do not exist, or not together."""
     for name, given, known in (
         ("likelihood", likelihood, (*LIKELIHOODS, "joint")),
         ("sampler", sampler, SAMPLERS),
-        ("discrepancy", discrepancy, DISCREPANCIES),
+        ("discrepancy", None if isinstance(discrepancy, Learnt) else discrepancy, DISCREPANCIES),
     ):
         if given is not None and given not in known:
             raise InputError(f"unknown {name} '{given}'; {nearest(given, known)}")

@@ -13,6 +13,10 @@ VERDICTS = {
         "Scatter and noise explain what the model leaves of the forces, and no edge of the library "
         "cuts the posterior off."
     ),
+    "soil_consistent": (
+        "The forces deviate from the model as those of real soils do, or less, and no edge of the "
+        "library cuts the posterior off."
+    ),
     "paper_consistent": (
         "The model deviates from the forces by no more than the limit, and no edge of the library "
         "cuts the posterior off."
@@ -27,6 +31,14 @@ VERDICTS = {
     ),
     "calibrated_misfit_at_edge": (
         "No friction angle fits within scatter and noise; the posterior reaches the {edge}."
+    ),
+    "soil_misfit": (
+        "Unlike known soils: {force} is off by {percent:+.0f} % of its range at {low:.0f} to "
+        "{high:.0f}°. Do not use the angle."
+    ),
+    "soil_misfit_at_edge": (
+        "Unlike known soils: {force} is off by {percent:+.0f} % at {low:.0f} to {high:.0f}°; the "
+        "posterior reaches the {edge}."
     ),
     "paper_misfit": (
         "No friction angle fits: the model deviates from the forces by more than the limit."
@@ -64,6 +76,7 @@ MEASURES = {
     "probability": "probability of a residual as large",
     "log10_odds": "odds of a model discrepancy",
     "amplitude": "discrepancy, if there is one, of peak-to-peak",
+    "soil_deviation": "deviation, over that of known soils",
     "agreement": "probability that histories of one angle differ as much",
     "prior_agreement": "probability that forces and prior of one angle differ as much",
     "nrmsd": "deviation of the best curve, of peak-to-peak",
@@ -203,7 +216,7 @@ def _number(code: str, value: float) -> str:
         return f"{100.0 * value:.2g} %{more}"
     if code in ("probability", "agreement", "prior_agreement"):
         return f"{value:.2g}"
-    if code == "chi2_per_freedom":
+    if code in ("chi2_per_freedom", "soil_deviation"):
         return f"{value:.1f}"
     return f"{100.0 * value:.1f} %"
 
