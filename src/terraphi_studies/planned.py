@@ -7,7 +7,7 @@ kept in the folder. It measures what is there and says what is not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,8 +18,7 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.build import failed_cases, finished_cases, simulate_cases
 from terraphi.library.cluster import pool
-from terraphi.library.plan import Plan, Variant, label
-from terraphi_studies import Study
+from terraphi.library.plan import BASE, Plan, label
 
 SPEED = 6.5e7
 """Particle-steps a second on one core [1/s], where no finished case says how many."""
@@ -117,22 +116,6 @@ class Simulations:
         return finished
 
 
-def of_plans(study: Callable[[Simulations], Study]) -> Callable[..., Study]:
-    """The ``run`` of a study of planned cases: its options are those of :class:`Simulations`."""
-
-    def run(
-        *,
-        build: Path | None = None,
-        workers: int | None = None,
-        cluster: str | None = None,
-        progress: Callable[[float, float], None] | None = None,
-    ) -> Study:
-        return study(Simulations(build, workers, cluster, progress))
-
-    run.__doc__ = study.__doc__
-    return run
-
-
 def need_base(plan: Plan, finished: Mapping[str, ForceHistory]) -> None:
     """Raise InputError if a plan's base, with which all is compared, is not among the finished."""
     if plan.scenario.hash not in finished:
@@ -142,9 +125,19 @@ def need_base(plan: Plan, finished: Mapping[str, ForceHistory]) -> None:
         )
 
 
-def missing_from(plan: Plan, finished: Mapping[str, ForceHistory]) -> list[Variant]:
-    """Variants of a plan that are not finished."""
-    return [v for v in plan.variants() if v.scenario.hash not in finished]
+def steps_of(plan: Plan) -> dict[str, Scenario]:
+    """Scenarios of a plan by the names of its steps; the base has its own."""
+    return {
+        plan.scenario.name if variant.key == BASE else variant.key: variant.scenario
+        for variant in plan.variants()
+    }
+
+
+def missing_from(
+    cases: Mapping[str, Scenario], finished: Mapping[str, ForceHistory]
+) -> dict[str, Scenario]:
+    """Those cases, by name, that are not finished."""
+    return {name: scenario for name, scenario in cases.items() if scenario.hash not in finished}
 
 
 def minutes_of(scenario: Scenario, finished: Mapping[str, ForceHistory]) -> float:
@@ -167,7 +160,7 @@ def minutes_of(scenario: Scenario, finished: Mapping[str, ForceHistory]) -> floa
 
 
 def not_yet(
-    study: str, missing: Iterable[tuple[str, Scenario]], finished: Mapping[str, ForceHistory]
+    study: str, missing: Mapping[str, Scenario], finished: Mapping[str, ForceHistory]
 ) -> list[str]:
     """A note on what is not simulated yet, how long it takes and who does it; empty if nothing.
 
@@ -176,11 +169,11 @@ def not_yet(
     study
         Its name.
     missing
-        Names of the cases, and the cases.
+        The cases by name.
     finished
         Histories by the hash of their scenario, whose speed is expected of the others.
     """
-    times = {name: minutes_of(scenario, finished) for name, scenario in missing}
+    times = {name: minutes_of(scenario, finished) for name, scenario in missing.items()}
     if not times:
         return []
     cases = ", ".join(f"{name} ({minutes:.0f} min)" for name, minutes in times.items())
