@@ -1,11 +1,7 @@
-"""Pictures: forces over the leg angle, and the posterior of the friction angle.
+"""Pictures: forces over the leg angle, posteriors, the corner plot, and what pictures share.
 
 Figures are made without a display. Colours are those of Okabe & Ito, told apart by colour-blind
 readers, and every curve differs in its line as well.
-
-Pictures of several histories or parameters: the corner plot, and every history with its fit.
-
-Colours and saving as in `plots`.
 """
 
 from __future__ import annotations
@@ -110,18 +106,14 @@ def inversions_figure(inversions: Sequence[Inversion]) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 3.4 * len(inversions) + 0.3), layout="constrained")
-    axes = figure.subplots(len(inversions), 3, squeeze=False)
+    size = (12.0, 3.4 * len(inversions) + 0.3)
+    figure, axes = panels_of(len(inversions), 3, size=size)
     for row, inversion in zip(axes, inversions, strict=True):
         _draw_forces(row[0], inversion, "Fx")
         _draw_forces(row[1], inversion, "Fz")
         _draw_posterior(row[2], inversion)
-    # One legend outside the axes: inside, it would hide data in one panel or another.
-    parts = [panel.get_legend_handles_labels() for panel in (axes[0, 0], axes[0, 2])]
-    handles, labels = ([*one, *other] for one, other in zip(*parts, strict=True))
-    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
+    # Outside the axes: inside, it would hide data in one panel or another.
+    one_legend(figure, ncols=6)
     return figure
 
 
@@ -130,10 +122,9 @@ def _draw_forces(axes: Axes, inversion: Inversion, component: str) -> None:
     half = len(seen.theta_deg)
     part = slice(0, half) if component == "Fx" else slice(half, None)
     data = seen.Fx if component == "Fx" else seen.Fz
-    axes.fill_between(
-        seen.theta_deg, *inversion.band[:, part], color=BLUE, alpha=0.25, lw=0,
-        label="curves within the 95 % interval",
-    )  # fmt: skip
+    pale: dict[str, Any] = {"color": BLUE, "alpha": 0.25, "lw": 0}
+    within = "curves within the 95 % interval"
+    axes.fill_between(seen.theta_deg, *inversion.band[:, part], label=within, **pale)
     axes.plot(seen.theta_deg, inversion.best[part], color=BLUE, label="curve at the median")
     label = inversion.origin
     axes.plot(seen.theta_deg, data, "o", ms=3.5, color=ORANGE, mec="black", mew=0.4, label=label)
@@ -157,10 +148,8 @@ def _draw_posterior(axes: Axes, inversion: Inversion) -> None:
     if posterior.density is not None:
         axes.plot(posterior.phi_deg, posterior.density, color=BLUE)
         inside = (posterior.phi_deg >= phi.ci68[0]) & (posterior.phi_deg <= phi.ci68[1])
-        axes.fill_between(
-            posterior.phi_deg[inside], posterior.density[inside], color=GREEN, alpha=0.25, lw=0,
-            label="68 % interval",
-        )  # fmt: skip
+        within = posterior.phi_deg[inside], posterior.density[inside]
+        axes.fill_between(*within, color=GREEN, alpha=0.25, lw=0, label="68 % interval")
     else:
         axes.hist(posterior.phi_deg, bins=80, density=True, color=BLUE, alpha=0.5)
         axes.axvspan(*phi.ci68, color=GREEN, alpha=0.15, lw=0, label="68 % interval")
@@ -173,10 +162,8 @@ def _draw_posterior(axes: Axes, inversion: Inversion) -> None:
     for edge in (low, high):
         # Beyond the library's edge there is no posterior: say so instead of drawing a cliff.
         outside = (edge - 90.0, edge) if edge == low else (edge, edge + 90.0)
-        label = "outside the library" if edge == low else None
-        axes.axvspan(
-            *outside, facecolor="none", edgecolor=GREY, alpha=0.5, hatch="///", lw=0, label=label
-        )
+        hatched: dict[str, Any] = {"facecolor": "none", "edgecolor": GREY, "hatch": "///"}
+        axes.axvspan(*outside, alpha=0.5, lw=0, label="outside the library", **hatched)
     axes.set_ylim(bottom=0.0)
     axes.set_yticks([])
     axes.set_ylabel("posterior density")
@@ -222,12 +209,9 @@ def corner_figure(found: Inversion) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
     d = len(found.keys)
-    side = 2.3 if d > 2 else 3.0
-    figure = Figure(figsize=(side * d + 0.6, side * d + 0.6), layout="constrained")
-    panels = figure.subplots(d, d, squeeze=False)
+    side = (2.3 if d > 2 else 3.0) * d + 0.6
+    figure, panels = panels_of(d, d, size=(side, side))
     flat = found.drawn
     ranges = [_range(found, key, flat[:, i]) for i, key in enumerate(found.keys)]
     for row in range(d):
@@ -325,10 +309,8 @@ def fits_figure(found: Inversion) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 3.2 * len(found.by_leg) + 0.3), layout="constrained")
-    rows = figure.subplots(len(found.by_leg), 2, squeeze=False)
+    count = len(found.by_leg)
+    figure, rows = panels_of(count, 2, size=(9.0, 3.2 * count + 0.3))
     marks = "os^vD"
     for row, (leg, records) in zip(rows, found.by_leg.items(), strict=True):
         for axes, force in zip(row, ("Fx", "Fz"), strict=True):
@@ -336,11 +318,10 @@ def fits_figure(found: Inversion) -> Figure:
             half = slice(0, theta.size) if force == "Fx" else slice(theta.size, None)
             axes.plot(theta, records[0].best[half], color=BLUE, label="best curve")
             for i, record in enumerate(records):
-                colour = ORANGE if i % 2 == 0 else GREY
-                axes.plot(
-                    theta, record.observation.vector[half], marks[i % len(marks)], ms=3.5,
-                    color=colour, mec="black", mew=0.4, label=record.source or f"history {i + 1}",
-                )  # fmt: skip
+                values, name = record.observation.vector[half], record.source or f"history {i + 1}"
+                look: dict[str, Any] = {"color": GREY if i % 2 else ORANGE, "ms": 3.5}
+                look |= {"mec": "black", "mew": 0.4, "label": name}
+                axes.plot(theta, values, marks[i % len(marks)], **look)
             finish_force_axes(axes, force)
             axes.set_title(f"leg {leg}", fontsize=10)
         row[0].legend(fontsize=8, frameon=False)
@@ -384,13 +365,10 @@ def budget_figure(inversion: Inversion) -> Figure:
     ValueError
         If the inversion has no budget: the paper's likelihood has no terms.
     """
-    from matplotlib.figure import Figure
-
     budget, theta = inversion.budget, inversion.observation.theta_deg
     if budget is None:
         raise ValueError(f"likelihood '{inversion.likelihood}' has no terms; take 'calibrated'")
-    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
-    panels = figure.subplots(1, 2)
+    figure, (panels,) = panels_of(1, 2, size=(10.0, 4.2))
     for (name, sigma), (colour, style) in zip(budget.sigma_N.items(), LOOKS, strict=True):
         label = f"{name.replace('_', ' ')}, {budget.shares[name]:.0%}"
         for axes, half in zip(panels, np.split(sigma, 2), strict=True):
@@ -401,8 +379,5 @@ def budget_figure(inversion: Inversion) -> Figure:
         axes.set_xlim(-WINDOW_DEG, WINDOW_DEG)
         axes.set_xlabel("leg angle θ [deg]")
         axes.set_ylabel(f"standard deviation of ${force}$ [N]")
-    figure.legend(
-        *panels[0].get_legend_handles_labels(),
-        loc="outside lower center", ncols=3, frameon=False, title="share in the variance of φ",
-    )  # fmt: skip
+    one_legend(figure, ncols=3, title="share in the variance of φ")
     return figure

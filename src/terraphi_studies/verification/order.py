@@ -222,7 +222,10 @@ FULL: list[tuple[dict[str, Any], float]] = [
     *(({**wave, "grids": FINE}, 25.0) for wave in WAVES),
 ]
 """Smooth solutions at small and at large amplitude, and the time that they take [s]."""
-QUICK: list[dict[str, Any]] = [{**FULL[0][0], "grids": FINE[:3]}, *({**wave, "grids": FINE[1:4]} for wave in WAVES)]
+QUICK: list[dict[str, Any]] = [
+    {**FULL[0][0], "grids": FINE[:3]},
+    *({**wave, "grids": FINE[1:4]} for wave in WAVES),
+]
 STEPS = {"cells": 64, "courants": [0.8 / 2**n for n in range(6)]}
 
 
