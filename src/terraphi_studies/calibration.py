@@ -150,21 +150,14 @@ def run(
         return found
 
     leg = prepare(trained, "straight")
+    counts = {kind: min(replicates, BESIDE) for kind in WORLDS} | {"prior": replicates}
     worlds = {
-        kind: done_with(
-            calibrate(
-                leg,
-                replicates=replicates if kind == "prior" else min(replicates, BESIDE),
-                seed=seed,
-                worlds=kind,
-            )
-        )
-        for kind in WORLDS
+        kind: done_with(calibrate(leg, replicates=count, seed=seed, worlds=kind))
+        for kind, count in counts.items()
     }
     anew = done_with(learnt_anew(leg, worlds=ANEW[0], truths=ANEW[1], seed=seed + 3))
-    one = done_with(
-        through_one_library(leg, worlds=ONE_LIBRARY[0], truths=ONE_LIBRARY[1], seed=seed + 1)
-    )
+    count, truths = ONE_LIBRARY
+    one = done_with(through_one_library(leg, worlds=count, truths=truths, seed=seed + 1))
     right = done_with(
         {
             name: matched(leg, noise=noise, worlds=MATCHED[0], truths=MATCHED[1], seed=seed + 4)

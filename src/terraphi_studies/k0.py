@@ -72,10 +72,11 @@ def run(*, library: str = LIBRARIES) -> Study:
     changes = [max(case["relative_change"].values()) for case in cases]
     worst = int(np.argmax(changes))
     convention = jaky.cases[0].scenario.convention
+    soils = [[case.scenario.soil for case in library.cases] for library in (jaky, half)]
     beyond = [
-        one.scenario.soil.friction_angle_deg
-        for one, other in zip(jaky.cases, half.cases, strict=True)
-        if yields_at_rest(one.scenario.soil) and yields_at_rest(other.scenario.soil)
+        soil.friction_angle_deg
+        for soil, other in zip(*soils, strict=True)
+        if yields_at_rest(soil) and yields_at_rest(other)
     ]
     notes = []
     if beyond:
@@ -84,6 +85,9 @@ def run(*, library: str = LIBRARIES) -> Study:
             "stresses at rest lie beyond the yield surface, to which the first step takes them "
             "back."
         )
+    title = f"The case that changes most, φ = {angles[worst]:g}° ({convention})"
+    before, after = pairs[worst]
+    curves = [Curve("K0 = 1 − sin φ", before, BLUE), Curve("K0 = 0.5", after, ORANGE, "--")]
     return Study(
         table=Table.of(
             f"Largest change of a history from K0 = 1 - sin φ to 0.5, libraries '{library}-jaky' "
@@ -98,15 +102,7 @@ def run(*, library: str = LIBRARIES) -> Study:
             "cases": cases,
         },
         notes=notes,
-        figures={
-            "k0": comparison_figure(
-                f"The case that changes most, φ = {angles[worst]:g}° ({convention})",
-                [
-                    Curve("K0 = 1 − sin φ", pairs[worst][0], BLUE),
-                    Curve("K0 = 0.5", pairs[worst][1], ORANGE, "--"),
-                ],
-            )
-        },
+        figures={"k0": comparison_figure(title, curves)},
         beside_paper=[
             (
                 "largest change of a history",

@@ -16,12 +16,10 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import held
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.forecast import forecast
 from terraphi.library.build import failed_cases, finished_cases, simulate_cases
 from terraphi.library.cluster import pool
 from terraphi.library.plan import BASE, Plan, label
-
-SPEED = 6.5e7
-"""Particle-steps a second on one core [1/s], where no finished case says how many."""
 
 
 @dataclass(frozen=True)
@@ -140,40 +138,17 @@ def missing_from(
     return {name: scenario for name, scenario in cases.items() if scenario.hash not in finished}
 
 
-def minutes_of(scenario: Scenario, finished: Mapping[str, ForceHistory]) -> float:
-    """Time that a simulation would take on one core, roughly [min].
+def minutes_of(scenario: Scenario) -> float:
+    """Time that a simulation would take on one core, roughly [min]."""
+    return forecast([scenario]).seconds() / 60.0
 
-    At the highest speed of the finished cases: that of the one least disturbed by what else the
-    machine did.
+
+def not_yet(study: str, missing: Mapping[str, Scenario]) -> list[str]:
+    """A note on the cases that are not simulated yet, how long they take and who does it.
+
+    Empty if there are none.
     """
-    known = [history.provenance for history in finished.values()]
-    speeds = [
-        made["particles"] * made["steps"] / made["seconds"]["all"]
-        for made in known
-        if {"particles", "steps", "seconds"} <= made.keys()
-    ]
-    bed, numerics = scenario.bed, scenario.numerics
-    cells = bed.width * bed.height / numerics.cell_size**2
-    steps = scenario.motion.duration / numerics.speed_up / numerics.time_step
-    work = cells * numerics.particles_per_cell_side**2 * steps
-    return work / max(speeds, default=SPEED) / 60.0
-
-
-def not_yet(
-    study: str, missing: Mapping[str, Scenario], finished: Mapping[str, ForceHistory]
-) -> list[str]:
-    """A note on what is not simulated yet, how long it takes and who does it; empty if nothing.
-
-    Parameters
-    ----------
-    study
-        Its name.
-    missing
-        The cases by name.
-    finished
-        Histories by the hash of their scenario, whose speed is expected of the others.
-    """
-    times = {name: minutes_of(scenario, finished) for name, scenario in missing.items()}
+    times = {name: minutes_of(scenario) for name, scenario in missing.items()}
     if not times:
         return []
     cases = ", ".join(f"{name} ({minutes:.0f} min)" for name, minutes in times.items())

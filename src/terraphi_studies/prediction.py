@@ -266,7 +266,7 @@ def study_of(
     ]
     table, missing = Table.of(TITLE, COLUMNS, rows), missing_from(wanted, finished)
     repose = {medium: legs[CALIBRATED_ON].angle_of_repose_deg for medium, legs in media.items()}
-    notes = [*_notes(fits, repose, better), *not_yet(NAME, missing, finished)]
+    notes = [*_notes(fits, repose, better), *not_yet(NAME, missing)]
     return Study(
         table=table,
         data={

@@ -172,7 +172,7 @@ def study_of(
         ),
         data=data,
         figures={NAME: speeds_figure(cases, lines)},
-        notes=[*_notes(data), *not_yet(NAME, missing, finished)],
+        notes=[*_notes(data), *not_yet(NAME, missing)],
         beside_paper=[
             *(
                 peaks_beside_paper(case["phi_deg"], case["counted_peaks_N"])

@@ -168,7 +168,7 @@ def study_of(
     }
     first = {**paper, "reading": "the paper", "angles_deg": {ENDS_DEG[-1]: PAPER_ANGLES_DEG}}
     table = Table.of(TITLE, COLUMNS, [first, *readings, *_broken(hashes, finished, failed)])
-    notes = [*_notes(data), *not_yet(NAME, missing, finished)]
+    notes = [*_notes(data), *not_yet(NAME, missing)]
     return Study(
         table=table,
         data=data,

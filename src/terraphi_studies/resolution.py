@@ -114,7 +114,7 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         "missing": list(missing),
     }
     table = Table.of(TITLE, COLUMNS, _rows(steps, resolved, changes))
-    notes = [*_notes(data), *not_yet(NAME, missing, finished)]
+    notes = [*_notes(data), *not_yet(NAME, missing)]
     return Study(
         table=table,
         data=data,

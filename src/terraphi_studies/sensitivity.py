@@ -331,7 +331,7 @@ def study_of(plan: Plan, finished: Mapping[str, ForceHistory]) -> Study:
         f"{(setting := setting_of(v.key)).name} {setting.write(v.scenario)}": v.scenario
         for v in missing
     }
-    notes = [*_notes(groups, scatter), *not_yet(NAME, waiting, finished)]
+    notes = [*_notes(groups, scatter), *not_yet(NAME, waiting)]
     rows = [_row(g, case, not tolerance.allows(g, case)) for g in groups for case in g.cases]
     table = Table(TITLE, HEADER, rows)
     return Study(
@@ -350,8 +350,7 @@ def study_of(plan: Plan, finished: Mapping[str, ForceHistory]) -> Study:
             "tolerance_percent": tolerance._asdict(),
             "groups": {group.key: _group_data(group, tolerance) for group in groups},
             "missing": [
-                {"case": label(v), "core_minutes": minutes_of(v.scenario, finished)}
-                for v in missing
+                {"case": label(v), "core_minutes": minutes_of(v.scenario)} for v in missing
             ],
         },
         figures=_figures(groups, tolerance),

@@ -36,8 +36,8 @@ def test_workers_that_have_nothing_to_do_are_refused(given: dict) -> None:
 
 def test_what_is_missing_is_told_with_its_time() -> None:
     scenario = Plan.model_validate(PLAN).scenario
-    assert not_yet("mine", {}, {}) == []
-    (note,) = not_yet("mine", {"one": scenario, "two": scenario}, {})
+    assert not_yet("mine", {}) == []
+    (note,) = not_yet("mine", {"one": scenario, "two": scenario})
     assert note.startswith("Not simulated yet: one (")
     assert "`terraphi study mine --build FOLDER` does it in about" in note
 

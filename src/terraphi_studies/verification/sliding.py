@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from terraphi.experiment.leg import Leg
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.solver import Kernel
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, panels_of
@@ -29,6 +29,11 @@ if TYPE_CHECKING:
 BLOCK = (0.080, 0.040)
 """Length along the incline and height [m]."""
 BAND_CELLS = 0.5
+SETTLED = {
+    "numerics.contact_band_cells": BAND_CELLS,
+    "numerics.damping_rate": 500.0,
+    "soil.cohesion": ELASTIC,
+}
 SETTLING = 0.03
 """Time in which the block is put down, damped [s]."""
 SLIDING = 0.12
@@ -69,20 +74,7 @@ def slide(
     Outcome
     """
     on_surface = contact == "surface"
-    scenario = benchmark(
-        cells,
-        courant=0.4,
-        on_nodes=True,
-        **{
-            "numerics.contact_band_cells": BAND_CELLS,
-            "numerics.damping_rate": 500.0,
-            "soil.cohesion": ELASTIC,
-        },
-    )
-    if on_surface:
-        interval = PHASE * scenario.numerics.time_step
-        phases = {"numerics.contact": "surface", "numerics.remap_interval": interval}
-        scenario = scenario.replace(**phases)
+    scenario = _scenario(cells, on_surface)
     numerics, slope = scenario.numerics, math.radians(slope_deg)
     cell, time_step = numerics.cell_size, numerics.time_step
     down = np.array([math.cos(slope), -math.sin(slope)])
@@ -126,6 +118,21 @@ def slide(
     )
     curves = {"slope_deg": slope_deg, "friction": friction, "a": obtained, "cells": cells}
     return Outcome([check], curves)
+
+
+def _scenario(cells: int, on_surface: bool) -> Scenario:
+    """Soil that never yields, and how it meets the plate."""
+    scenario = benchmark(
+        cells,
+        courant=0.4,
+        on_nodes=True,
+        **SETTLED,
+    )
+    if on_surface:
+        interval = PHASE * scenario.numerics.time_step
+        phases = {"numerics.contact": "surface", "numerics.remap_interval": interval}
+        scenario = scenario.replace(**phases)
+    return scenario
 
 
 CASES = ((25.0, 0.0), (25.0, 0.2), (22.0, 0.35), (30.0, 0.35), (45.0, 0.35), (15.0, 0.35))
