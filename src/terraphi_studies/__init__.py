@@ -80,6 +80,9 @@ PAPER_LIBRARY = "paper"
 PROTOTYPE_LIBRARY = "paper-code"
 """Library of the contact of the paper's public prototype, which its text does not describe."""
 
+SIMULATING = ("build", "workers", "cluster")
+"""Options of studies of planned cases."""
+
 Beside = tuple[str, str, str]
 """A line of a table ``ours | paper``: what, ours, the paper's."""
 
@@ -155,30 +158,30 @@ def kept_in(name: str) -> str:
     return f"{name}.tasks"
 
 
-def page(table: Table, method: str, notes: Sequence[str], figure: str, picture: str) -> str:
-    """A study as a page in Markdown.
+def page(
+    name: str, table: Table, method: str, notes: Sequence[str], picture: str, figure: str = ""
+) -> dict[str, str]:
+    """A study's page in Markdown, by the name of its file.
 
     Parameters
     ----------
+    name
+        Of the page, and of the figure beside it if that has no other.
     table
-        What it found; its title is the heading.
+        What the study found; its title is the heading.
     method, notes
-        A paragraph, and sentences.
-    figure, picture
-        File of the figure that lies beside the page, and what it shows in words.
-
-    Returns
-    -------
-    str
+        Paragraphs, and sentences.
+    picture, figure
+        What the figure shows in words, and its name.
     """
     parts = [
         f"# {table.title}",
         method,
         "\n".join(f"- {note}" for note in notes),
         table.markdown(),
-        f"![{picture}]({figure})",
+        f"![{picture}]({figure or name}.png)",
     ]
-    return "\n\n".join(parts) + "\n"
+    return {f"{name}.md": "\n\n".join(parts) + "\n"}
 
 
 def capitalised(words: str) -> str:
@@ -218,10 +221,15 @@ def run(
         raise InputError(f"unknown study '{name}'; {nearest(name, STUDIES)}")
     module = importlib.import_module(f"terraphi_studies.{name}")
     known = inspect.signature(module.run).parameters
+    planned = "cases" in known
     given = {option: value for option, value in options.items() if value is not None}
     for option in given:
-        if option not in known:
+        if option not in known and not (planned and option in SIMULATING):
             raise InputError(f"study '{name}' has no option '{option}'; leave it out")
+    if planned:
+        from terraphi_studies.planned import Simulations
+
+        given = {"cases": Simulations(**given, progress=progress)}
     services = {"out": out, "progress": progress}
     given |= {service: value for service, value in services.items() if service in known}
     if out is not None:

@@ -9,16 +9,13 @@ its library is whole.
 
 from __future__ import annotations
 
-import math
-from contextlib import suppress
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import WINDOW_DEG, ForceHistory
+from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import Measurement, measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
@@ -27,8 +24,7 @@ from terraphi.library.store import Library
 from terraphi.view.plots import BLUE, GREEN, ORANGE, PURPLE, Curve, comparison_figure
 from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, PROTOTYPE_LIBRARY, Beside, Study
-
-FloatArray = NDArray[np.float64]
+from terraphi_studies.measures import PEAK_CELLS, both, nrmsd_percent, peaks_and_angles
 
 LEGS = ("straight", "c", "reversed_c")
 PHI_DEG = 35.0
@@ -40,6 +36,29 @@ COUNTED, APPLIED = "paper_code", "paper_code_applied"
 """Models: the contact of the paper's prototype, the force that it counts and the one it applies."""
 YUMA_SCALE = 0.597
 """ζ that makes the generic coefficients reproduce the dashed curves of Li et al. for Yuma sand."""
+PRINTED = (
+    ("mpm", "MPM", PAPER_NRMSD),
+    (COUNTED, "prototype", PAPER_NRMSD),
+    ("rft2d", "RFT", PAPER_RFT),
+)
+"""Our models, their names beside the paper's, and what the paper prints."""
+LOOKS = {
+    "measured": ("measured, Li et al. 2013", ORANGE, ""),
+    "mpm": ("our MPM, library {library}", BLUE, "-"),
+    # RFT 3-D stays in the table: at 35° it is five times the measured force, and would leave the
+    # others no room.
+    "rft2d": (f"RFT 2-D, generic, ζ = {YUMA_SCALE:g}", GREEN, "--"),
+    COUNTED: ("counted by the prototype", PURPLE, "-."),
+    APPLIED: ("applied by it", PURPLE, ":"),
+}
+"""Label, colour and line of what is drawn."""
+COLUMNS = (
+    ("leg", "{leg}"),
+    ("model", "{model}"),
+    ("NRMSD Fz", lambda row: f"{row['nrmsd']['Fz']:.1f} %" if row["nrmsd"] else ""),
+    ("NRMSD Fx", lambda row: f"{row['nrmsd']['Fx']:.1f} %" if row["nrmsd"] else ""),
+    *PEAK_CELLS,
+)
 
 
 class FinishedCase(NamedTuple):
@@ -71,52 +90,43 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
     InputError
         If the library lacks such a case.
     """
-    simulated = Library.load(library)
-    convention = simulated.cases[0].scenario.convention
-    if simulated.cases[0].scenario.model != "mpm":
+    first = Library.load(library).cases[0].scenario
+    if first.model != "mpm":
         raise InputError(f"library '{library}' is not one of the material point method")
-    deviations: dict[str, dict[str, dict[str, float]]] = {}
-    peaks: dict[str, dict[str, dict[str, float]]] = {}
-    figures, rows = {}, []
+    title = f"φ = {PHI_DEG:g}° ({first.convention})"
+    found: dict[str, dict[str, ForceHistory]] = {}
     missing: dict[str, str] = {}
     for leg in LEGS:
-        sand = measurement(f"li2013:yuma/{leg}")
-        measured = sand.history
-        models = {
-            "mpm": in_the_sand(case_at(library, leg), sand),
-            "rft2d": simulate(_rft(sand, dimensions=2)),
-            "rft3d": simulate(_rft(sand, dimensions=3)),
-        }
-        try:
-            models |= by_the_prototype(leg, sand)
-        except InputError as error:
-            missing[leg] = str(error)
-        deviations[leg] = {name: nrmsd_percent(measured, h) for name, h in models.items()}
-        everything = {"measured": measured, **models}
-        peaks[leg] = {name: _peaks(history) for name, history in everything.items()}
-        figures[f"benchmark-{leg}"] = comparison_figure(
-            f"Leg {leg} in Yuma sand; MPM at φ = {PHI_DEG:g}° ({convention})",
-            curves_of(library, leg),
-        )
-        rows += [
-            _row(leg, name, deviations[leg].get(name), peaks[leg][name]) for name in peaks[leg]
-        ]
+        found[leg], why = histories_of(library, leg)
+        missing |= {leg: why} if why else {}
+    deviations = {leg: deviations_of(models) for leg, models in found.items()}
+    peaks = {
+        leg: {name: peaks_and_angles(history.peaks()) for name, history in models.items()}
+        for leg, models in found.items()
+    }
+    rows: list[dict[str, Any]] = [
+        {"leg": leg, "model": name, "nrmsd": deviations[leg].get(name), **tops}
+        for leg, models in peaks.items()
+        for name, tops in models.items()
+    ]
     return Study(
-        table=Table(
-            f"Forces at φ = {PHI_DEG:g}° ({convention}) and measured in Yuma sand, "
-            f"library '{library}'",
-            ("leg", "model", "NRMSD Fz", "NRMSD Fx", "peak Fz", "peak Fx"),
-            rows,
+        table=Table.of(
+            f"Forces at {title} and measured in Yuma sand, library '{library}'", COLUMNS, rows
         ),
         data={
             "library": library,
             "phi_deg": PHI_DEG,
-            "yield": convention,
+            "yield": first.convention,
             "nrmsd_percent": deviations,
             "peaks": peaks,
             "missing": missing,
         },
-        figures=figures,
+        figures={
+            f"benchmark-{leg}": comparison_figure(
+                f"Leg {leg} in Yuma sand; MPM at {title}", curves_of(library, models)
+            )
+            for leg, models in found.items()
+        },
         notes=[_about_rft3d(peaks), *_left_out(missing)],
         beside_paper=_beside_paper(deviations),
     )
@@ -145,43 +155,46 @@ def _beside_paper(deviations: dict[str, dict[str, dict[str, float]]]) -> list[Be
     return [
         (
             f"leg {leg}, {name}: NRMSD Fz / Fx",
-            f"{deviations[leg][model]['Fz']:.1f} / {deviations[leg][model]['Fx']:.1f} %",
-            f"{printed[leg][0]:.1f} / {printed[leg][1]:.1f} %",
+            both(deviations[leg][model], " %"),
+            both(dict(zip(("Fz", "Fx"), printed[leg], strict=True)), " %"),
         )
         for leg in LEGS
-        for model, name, printed in (
-            ("mpm", "MPM", PAPER_NRMSD),
-            (COUNTED, "prototype", PAPER_NRMSD),
-            ("rft2d", "RFT", PAPER_RFT),
-        )
+        for model, name, printed in PRINTED
         if model in deviations[leg]
     ]
 
 
-def curves_of(library: str, leg: str) -> list[Curve]:
-    """A leg's measured forces in Yuma sand and those of the models, as the study draws them.
+def histories_of(library: str, leg: str) -> tuple[dict[str, ForceHistory], str]:
+    """A leg's forces in Yuma sand, ``measured`` and of each model; why the prototype's are not.
 
     Raises InputError if the library lacks the leg at 35°.
     """
     sand = measurement(f"li2013:yuma/{leg}")
-    curves = [
-        Curve("measured, Li et al. 2013", sand.history, ORANGE, ""),
-        Curve(
-            f"our MPM, library {Library.load(library).name}",
-            in_the_sand(case_at(library, leg), sand),
-            BLUE,
-        ),
-        # RFT 3-D stays in the table: at 35° it is five times the measured force, and would leave
-        # the others no room.
-        Curve(
-            f"RFT 2-D, generic, ζ = {YUMA_SCALE:g}", simulate(_rft(sand, dimensions=2)), GREEN, "--"
-        ),
+    found = {
+        "measured": sand.history,
+        "mpm": in_the_sand(case_at(library, leg), sand),
+        "rft2d": simulate(_rft(sand, dimensions=2)),
+        "rft3d": simulate(_rft(sand, dimensions=3)),
+    }
+    try:
+        return found | by_the_prototype(leg, sand), ""
+    except InputError as error:
+        return found, str(error)
+
+
+def deviations_of(histories: dict[str, ForceHistory]) -> dict[str, dict[str, float]]:
+    """NRMSD of each model from what was ``measured`` [%]."""
+    measured = histories["measured"]
+    return {m: nrmsd_percent(measured, h) for m, h in histories.items() if m != "measured"}
+
+
+def curves_of(library: str, histories: dict[str, ForceHistory]) -> list[Curve]:
+    """Those of :func:`histories_of` that are drawn."""
+    return [
+        Curve(label.format(library=Library.load(library).name), histories[name], colour, style)
+        for name, (label, colour, style) in LOOKS.items()
+        if name in histories
     ]
-    with suppress(InputError):  # the study says why
-        found = by_the_prototype(leg, sand)
-        looks = {COUNTED: ("counted by the prototype", "-."), APPLIED: ("applied by it", ":")}
-        curves += [Curve(looks[m][0], h, PURPLE, looks[m][1]) for m, h in found.items()]
-    return curves
 
 
 def by_the_prototype(leg: str, sand: Measurement) -> dict[str, ForceHistory]:
@@ -205,31 +218,6 @@ def in_the_sand(case: FinishedCase, sand: Measurement) -> ForceHistory:
     return case.history.scaled((sand.density_kg_m3 or own) / own)
 
 
-def means_of(history: ForceHistory) -> FloatArray:
-    """Means over 1° [N] at whole degrees within |θ| < 85°, shape [theta, 2]."""
-    theta = np.radians(np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG))
-    return history.means(theta, math.radians(0.5))
-
-
-def nrmsd_percent(measured: ForceHistory, model: ForceHistory) -> dict[str, float]:
-    """Deviation of a model from a measurement on 1° means, percent of the measured range.
-
-    Parameters
-    ----------
-    measured, model
-        Histories that cover |θ| < 85°.
-
-    Returns
-    -------
-    dict
-        ``Fx`` and ``Fz`` [%].
-    """
-    data, guess = (means_of(history) for history in (measured, model))
-    rms = np.sqrt(np.mean((data - guess) ** 2, axis=0))
-    fx, fz = (100.0 * rms / np.ptp(data, axis=0)).tolist()
-    return {"Fx": fx, "Fz": fz}
-
-
 def case_at(library: str, leg: str) -> FinishedCase:
     """The case of a leg at the benchmark's friction angle.
 
@@ -240,29 +228,19 @@ def case_at(library: str, leg: str) -> FinishedCase:
     leg
         ``straight``, ``c`` or ``reversed_c``.
 
-    Returns
-    -------
-    FinishedCase
-
     Raises
     ------
     InputError
         If neither has it.
     """
-    case = _found_in(Library.load(library), leg)
-    if case is None and has_companion(library, "legs"):
-        case = _found_in(companion(library, "legs"), leg)
-    if case is not None:
-        return case
-    raise InputError(f"library '{library}' has no case of leg '{leg}' at {PHI_DEG:g} deg")
-
-
-def _found_in(library: Library, leg: str) -> FinishedCase | None:
-    for case in library.cases:
-        found = (case.scenario.leg.shape, case.scenario.soil.friction_angle_deg)
-        if found == (leg, PHI_DEG) and case.history is not None:
+    cases = list(Library.load(library).cases)
+    if has_companion(library, "legs"):
+        cases += companion(library, "legs").cases
+    for case in cases:
+        at = (case.scenario.leg.shape, case.scenario.soil.friction_angle_deg)
+        if at == (leg, PHI_DEG) and case.history is not None:
             return FinishedCase(case.scenario, case.history)
-    return None
+    raise InputError(f"library '{library}' has no case of leg '{leg}' at {PHI_DEG:g} deg")
 
 
 def _rft(sand: Measurement, *, dimensions: int) -> Scenario:
@@ -276,27 +254,4 @@ def _rft(sand: Measurement, *, dimensions: int) -> Scenario:
             "soil": {"friction_angle_deg": PHI_DEG, **density},
             "rft": {"medium": "generic", "scale": YUMA_SCALE},
         }
-    )
-
-
-def _peaks(history: ForceHistory) -> dict[str, float]:
-    peaks = history.peaks()
-    return {
-        "Fx_N": peaks.Fx,
-        "theta_Fx_deg": peaks.theta_Fx_deg,
-        "Fz_N": peaks.Fz,
-        "theta_Fz_deg": peaks.theta_Fz_deg,
-    }
-
-
-def _row(
-    leg: str, model: str, deviation: dict[str, float] | None, peaks: dict[str, float]
-) -> tuple[str, ...]:
-    return (
-        leg,
-        model,
-        f"{deviation['Fz']:.1f} %" if deviation else "",
-        f"{deviation['Fx']:.1f} %" if deviation else "",
-        f"{peaks['Fz_N']:.1f} N at {peaks['theta_Fz_deg']:.0f}°",
-        f"{peaks['Fx_N']:.1f} N at {peaks['theta_Fx_deg']:.0f}°",
     )

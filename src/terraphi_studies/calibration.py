@@ -7,12 +7,13 @@ they are and made worse; histories that the model must not explain.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,13 +38,16 @@ from terraphi.inference.inversion import DISCREPANCIES, NODES, Inversion, invert
 from terraphi.inference.posterior import quadrature
 from terraphi.inference.prepared_leg import PreparedLeg, prepare
 from terraphi.library.store import Library
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, panels_of
 from terraphi.view.table import Table
 from terraphi_studies import Study
+from terraphi_studies.measures import Truth, recovered, straight_truths
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+FloatArray = NDArray[np.float64]
+Found = TypeVar("Found")
 
 REPLICATES = 5000
 BESIDE = 2000
@@ -70,8 +74,33 @@ ORIGIN = (
     "[inference.md](inference.md). How many are inside an interval is told in percent of worlds "
     "and of matched histories, and counted of truths."
 )
-CERTIFICATE = ("library, leg", "replicates", "in 68 %", "in 95 %", "p", "p of other seeds",
-               "68 % half-width")  # fmt: skip
+COVERAGES = (("in 68 %", "{coverage68:.1%}"), ("in 95 %", "{coverage95:.1%}"))
+CERTIFICATE = (
+    ("library, leg", "`{name}`, {leg}"),
+    ("replicates", "{replicates}"),
+    *COVERAGES,
+    ("p", "{rank_chi2_p:.2g}"),
+    ("p of other seeds", lambda row: ", ".join(f"{p:.2g}" for p in row["others"])),
+    ("68 % half-width", "{ci68_half_width_deg:.3f}°"),
+)
+"""Columns of the certificates."""
+WORLD_CELLS = (
+    ("cases", "{replicates}"),
+    ("median error", "{abs_error_deg:.3f}°"),
+    ("68 % half-width", "{ci68_half_width_deg:.3f}°"),
+    *COVERAGES,
+)
+MATCHED_CELLS = (("cases", "{cases}"), *COVERAGES, ("not believed", "{misfit}"))
+TRUTH_CELLS = (
+    ("cases", "{cases}"),
+    ("median error", "{abs_error_deg[median]:.3f}°"),
+    ("largest", "{abs_error_deg[max]:.2f}°"),
+    ("68 % half-width", "{ci68_half_width_deg[median]:.3f}°"),
+    ("in 68 %", "{inside68}"),
+    ("in 95 %", "{inside95}"),
+    ("not believed", "{misfit}"),
+)
+"""Which cells of :data:`HEADER` each kind of row has; the others are empty."""
 
 
 def run(
@@ -113,50 +142,55 @@ def run(
     """
     trained = Library.load(library)
     todo = ways(library, np.random.default_rng(seed + 2))
-    done = iter(range(1, 8 + len(todo)))
+    total, done = 7 + len(todo), itertools.count(1)
 
-    def report() -> None:
+    def done_with(found: Found) -> Found:
         if progress is not None:
-            progress(next(done), 7 + len(todo))
+            progress(next(done), total)
+        return found
 
     leg = prepare(trained, "straight")
-    found = {}
-    for worlds in WORLDS:
-        count = replicates if worlds == "prior" else min(replicates, BESIDE)
-        found[worlds] = calibrate(leg, replicates=count, seed=seed, worlds=worlds)
-        report()
-    anew = learnt_anew(leg, worlds=ANEW[0], truths=ANEW[1], seed=seed + 3)
-    report()
-    one = through_one_library(leg, worlds=ONE_LIBRARY[0], truths=ONE_LIBRARY[1], seed=seed + 1)
-    report()
-    right = {
-        name: matched(leg, noise=noise, worlds=MATCHED[0], truths=MATCHED[1], seed=seed + 4)
-        for name, noise in MATCHED_NOISE.items()
+    counts = {kind: min(replicates, BESIDE) for kind in WORLDS} | {"prior": replicates}
+    worlds = {
+        kind: done_with(calibrate(leg, replicates=count, seed=seed, worlds=kind))
+        for kind, count in counts.items()
     }
-    report()
-    tables = {}
-    for way in todo:
-        tables[way.name] = inverted(trained, way)
-        report()
+    anew = done_with(learnt_anew(leg, worlds=ANEW[0], truths=ANEW[1], seed=seed + 3))
+    count, truths = ONE_LIBRARY
+    one = done_with(through_one_library(leg, worlds=count, truths=truths, seed=seed + 1))
+    right = done_with(
+        {
+            name: matched(leg, noise=noise, worlds=MATCHED[0], truths=MATCHED[1], seed=seed + 4)
+            for name, noise in MATCHED_NOISE.items()
+        }
+    )
     data = {
         "library": library,
         "yield": leg.curves.scenario.convention,
-        **found["prior"].as_dict(),
+        **worlds["prior"].as_dict(),
         "seed": seed,
-        "fitted_surface": found["fitted"].as_dict(),
-        "heavy_tails": found["tails"].as_dict(),
+        "fitted_surface": worlds["fitted"].as_dict(),
+        "heavy_tails": worlds["tails"].as_dict(),
         "learnt_anew": {"worlds": ANEW[0], **anew.as_dict()},
         "one_library": {
             name: {"mean": float(part.mean()), "p05_p95": np.quantile(part, [0.05, 0.95]).tolist()}
             for name, part in zip(("coverage68", "coverage95"), one, strict=True)
         },
         "matched": right,
-        "truths": tables,
+        "truths": {way.name: done_with(inverted(trained, way)) for way in todo},
         "clean_known": _known(leg, library, seed=seed + 5),
-        "strangers": strangers(trained),
+        "strangers": done_with(strangers(trained)),
     }
-    report()
-    return _study(data, calibration_figure(found["prior"], leg, one[0]))
+    title = f"Calibration of the intervals of library '{library}', leg straight"
+    table, notes = Table(title, HEADER, _rows(data)), _notes(data)
+    name = "calibration" if library == DEFAULT else f"calibration-{Path(library).stem}"
+    return Study(
+        table=table,
+        data=data,
+        figures={name: calibration_figure(worlds["prior"], leg, one[0])},
+        documents={f"{name}.md": _page(library, name, table, notes)},
+        notes=notes,
+    )
 
 
 def _known(leg: PreparedLeg, library: str, *, seed: int) -> dict[str, Any]:
@@ -177,21 +211,6 @@ def _known(leg: PreparedLeg, library: str, *, seed: int) -> dict[str, Any]:
     }
 
 
-def _study(data: Mapping[str, Any], figure: Figure) -> Study:
-    """Table, sentences, page and picture."""
-    notes, library = _notes(data), str(data["library"])
-    title = f"Calibration of the intervals of library '{library}', leg straight"
-    table = Table(title, HEADER, _rows(data))
-    name = "calibration" if library == DEFAULT else f"calibration-{Path(library).stem}"
-    return Study(
-        table=table,
-        data=data,
-        figures={name: figure},
-        documents={f"{name}.md": _page(library, name, table, notes)},
-        notes=notes,
-    )
-
-
 def _rows(data: Mapping[str, Any]) -> list[tuple[str, ...]]:
     kinds = {
         "simulated worlds": data,
@@ -199,44 +218,28 @@ def _rows(data: Mapping[str, Any]) -> list[tuple[str, ...]]:
         "worlds of heavy-tailed libraries": data["heavy_tails"],
         "worlds learnt anew": data["learnt_anew"],
     }
-    rows: list[tuple[str, ...]] = [
-        (
-            name,
-            "none",
-            str(part["replicates"]),
-            f"{part['abs_error_deg']:.3f}°",
-            "",
-            f"{part['ci68_half_width_deg']:.3f}°",
-            f"{part['coverage68']:.1%}",
-            f"{part['coverage95']:.1%}",
-            "",
-        )
-        for name, part in kinds.items()
+    one = {name: part["mean"] for name, part in data["one_library"].items()}
+    one["cases"] = ONE_LIBRARY[0] * ONE_LIBRARY[1]
+    return [
+        *(_row(name, "none", WORLD_CELLS, part) for name, part in kinds.items()),
+        _row("through the one library", "none", MATCHED_CELLS[:-1], one),
+        *(
+            _row(f"matched histories, {name}", "none", MATCHED_CELLS, part)
+            for name, part in data["matched"].items()
+        ),
+        *(
+            _row(f"truths, {name}", discrepancy, TRUTH_CELLS, part)
+            for name, by_discrepancy in data["truths"].items()
+            for discrepancy, part in by_discrepancy.items()
+        ),
     ]
-    one = (f"{data['one_library'][name]['mean']:.1%}" for name in ("coverage68", "coverage95"))
-    cases = str(ONE_LIBRARY[0] * ONE_LIBRARY[1])
-    rows.append(("through the one library", "none", cases, "", "", "", *one, ""))
-    for name, part in data["matched"].items():
-        covers = (f"{part[key]:.1%}" for key in ("coverage68", "coverage95"))
-        what, count = f"matched histories, {name}", str(part["cases"])
-        rows.append((what, "none", count, "", "", "", *covers, str(part["misfit"])))
-    for name, by_discrepancy in data["truths"].items():
-        for discrepancy, part in by_discrepancy.items():
-            error, cases = part["abs_error_deg"], str(part["cases"])
-            rows.append(
-                (
-                    f"truths, {name}",
-                    discrepancy,
-                    cases,
-                    f"{error['median']:.3f}°",
-                    f"{error['max']:.2f}°",
-                    f"{part['ci68_half_width_deg']['median']:.3f}°",
-                    f"{part['inside68']}",
-                    f"{part['inside95']}",
-                    f"{part['misfit']}",
-                )
-            )
-    return rows
+
+
+def _row(
+    what: str, discrepancy: str, cells: Sequence[tuple[str, str]], part: Mapping[str, Any]
+) -> tuple[str, ...]:
+    filled = {name: cell.format_map(part) for name, cell in cells}
+    return (what, discrepancy, *(filled.get(name, "") for name in HEADER[2:]))
 
 
 def _notes(data: Mapping[str, Any]) -> list[str]:
@@ -277,17 +280,19 @@ def _by_seed(seeds: Sequence[Mapping[str, Any]]) -> list[str]:
     """Clean truths, apart by particle seed."""
     if len(seeds) < 2:
         return []
-    numbers = {
-        "median errors": [f"{part['abs_error_deg']['median']:.3f}°" for part in seeds],
-        "largest": [f"{part['abs_error_deg']['max']:.2f}°" for part in seeds],
-        "median 68 % half-widths": [
-            f"{part['ci68_half_width_deg']['median']:.3f}°" for part in seeds
-        ],
-        "in 68 %": [str(part["inside68"]) for part in seeds],
-        "in 95 %": [str(part["inside95"]) for part in seeds],
-    }
-    lists = "; ".join(f"{name} {', '.join(values)}" for name, values in numbers.items())
+    lists = "; ".join(
+        f"{name} {', '.join(cell.format_map(part) for part in seeds)}" for name, cell in OF_SEEDS
+    )
     return [f"Clean truths, {seeds[0]['cases']} of each of {len(seeds)} particle seeds: {lists}."]
+
+
+OF_SEEDS = (
+    ("median errors", "{abs_error_deg[median]:.3f}°"),
+    ("largest", "{abs_error_deg[max]:.2f}°"),
+    ("median 68 % half-widths", "{ci68_half_width_deg[median]:.3f}°"),
+    ("in 68 %", "{inside68}"),
+    ("in 95 %", "{inside95}"),
+)
 
 
 def _page(library: str, picture: str, table: Table, notes: Sequence[str]) -> str:
@@ -297,7 +302,7 @@ def _page(library: str, picture: str, table: Table, notes: Sequence[str]) -> str
         f"# Are the intervals {'' if usual else f'of {library} '}calibrated?",
         ORIGIN.format(option="" if usual else f" --library {library}"),
         "## Certificates",
-        Table("", CERTIFICATE, certificates()).markdown(),
+        certificates().markdown(),
         f"## {table.title}",
         table.markdown(),
         "\n".join(f"- {note}" for note in notes),
@@ -306,27 +311,16 @@ def _page(library: str, picture: str, table: Table, notes: Sequence[str]) -> str
     return "\n\n".join(parts) + "\n"
 
 
-def certificates() -> list[tuple[str, ...]]:
-    """Rows of the certificates that shipped libraries carry."""
-    rows: list[tuple[str, ...]] = []
+def certificates() -> Table:
+    """The certificates that shipped libraries carry."""
+    found = []
     for name in shipped_names("libraries", ".nc"):
         certificate = Library.load(name).calibration.get("certificate", {})
-        for leg, found in certificate.get("legs", {}).items():
-            again = certificate["rank_chi2_p_of_other_seeds"][leg]
-            rows.append(
-                (
-                    f"`{name}`, {leg}",
-                    str(found["replicates"]),
-                    *(f"{found[key]:.1%}" for key in ("coverage68", "coverage95")),
-                    f"{found['rank_chi2_p']:.2g}",
-                    ", ".join(f"{p:.2g}" for p in again),
-                    f"{found['ci68_half_width_deg']:.3f}°",
-                )
-            )
-    return rows
+        for leg, numbers in certificate.get("legs", {}).items():
+            others = certificate["rank_chi2_p_of_other_seeds"][leg]
+            found.append({"name": name, "leg": leg, "others": others, **numbers})
+    return Table.of("", CERTIFICATE, found)
 
-
-FloatArray = NDArray[np.float64]
 
 NOISES = (0.02, 0.05, 0.10)
 """White noise of a reading, of the peak force [-]."""
@@ -341,13 +335,6 @@ DENSITY = 1.2
 """Error of the density, a factor [-]."""
 OTHER_MODEL = "rft3d"
 """Library of another forward model, whose histories the model must not explain."""
-
-
-class Truth(NamedTuple):
-    """A history whose friction angle is known."""
-
-    phi_deg: float
-    history: ForceHistory
 
 
 class Way(NamedTuple):
@@ -368,27 +355,15 @@ def truths_of(library: str) -> list[Truth]:
 
 
 def _straight(name: str) -> list[Truth]:
+    """Straight truths of a shipped library; none if there is none of that name."""
     try:
-        found = Library.load(name)
+        return straight_truths(Library.load(name))
     except InputError:
         return []
-    return [
-        Truth(case.scenario.soil.friction_angle_deg, case.history)
-        for case in found.cases
-        if case.history and case.scenario.leg.shape == "straight"
-    ]
 
 
 def ways(library: str, rng: np.random.Generator) -> list[Way]:
-    """All that is done, in the order of the table; empty if the library has no truths.
-
-    Parameters
-    ----------
-    library
-        Name of the library.
-    rng
-        Of the noise.
-    """
+    """All that is done, in the order of the table; empty if the library has no truths."""
     truths, hips = truths_of(library), _straight(f"{library}-hip")
     if not truths:
         return []
@@ -540,16 +515,8 @@ def _correlated(history: ForceHistory, rng: np.random.Generator) -> FloatArray:
 
 
 def _summary(found: list[tuple[float, Inversion]]) -> dict[str, Any]:
-    error = np.array([abs(a.phi.median - phi) for phi, a in found])
-    half = np.array([0.5 * (a.phi.ci68[1] - a.phi.ci68[0]) for _, a in found])
-    return {
-        "cases": len(found),
-        "abs_error_deg": {"median": float(np.median(error)), "max": float(error.max())},
-        "ci68_half_width_deg": {"median": float(np.median(half)), "max": float(half.max())},
-        "inside68": sum(a.phi.ci68[0] <= phi <= a.phi.ci68[1] for phi, a in found),
-        "inside95": sum(a.phi.ci95[0] <= phi <= a.phi.ci95[1] for phi, a in found),
-        "misfit": sum(a.verdict.verdict != "consistent" for _, a in found),
-    }
+    misfit = sum(answer.verdict.verdict != "consistent" for _, answer in found)
+    return {**recovered(found), "misfit": misfit}
 
 
 def calibration_figure(coverage: Coverage, leg: PreparedLeg, one_library: FloatArray) -> Figure:
@@ -564,10 +531,7 @@ def calibration_figure(coverage: Coverage, leg: PreparedLeg, one_library: FloatA
     one_library
         Coverage of 68 % intervals in each world that the one library may be of [-], shape [world].
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, 7.2), layout="constrained")
-    (ranks, covers), (widths, scatter) = figure.subplots(2, 2)
+    figure, ((ranks, covers), (widths, scatter)) = panels_of(2, 2, size=(11.0, 7.2))
     counts = coverage.histogram
     expected = counts.sum() / counts.size
     ranks.bar((np.arange(counts.size) + 0.5) / counts.size, counts, 0.9 / counts.size, color=BLUE)
@@ -579,13 +543,10 @@ def calibration_figure(coverage: Coverage, leg: PreparedLeg, one_library: FloatA
 
     nominal = np.linspace(0.02, 0.98, 49)
     covers.plot([0, 1], [0, 1], color=GREY, lw=0.8)
-    covers.plot(
-        nominal, [coverage.within(p) for p in nominal], color=BLUE, label="simulated worlds"
-    )
-    covers.plot(
-        np.full(one_library.size, 0.68), one_library, "_", color=ORANGE, ms=9,
-        label="one library, world by world",
-    )  # fmt: skip
+    within = [coverage.within(p) for p in nominal]
+    covers.plot(nominal, within, color=BLUE, label="simulated worlds")
+    at, label = np.full(one_library.size, 0.68), "one library, world by world"
+    covers.plot(at, one_library, "_", color=ORANGE, ms=9, label=label)
     covers.set_xlabel("mass of the interval")
     covers.set_ylabel("fraction that hold the truth")
     covers.legend(frameon=False, fontsize=9)

@@ -17,12 +17,12 @@ import numpy as np
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.library.store import Library
+from terraphi_studies.measures import FORCES, both
 
 LIBRARY = "resolved"
 """Library by which measured forces are inverted."""
 LEG = "straight"
 BETWEEN_DEG = (30.0, 35.0)
-FORCES = ("Fz", "Fx")
 
 
 def histories_of(library: Library) -> dict[float, ForceHistory]:
@@ -43,18 +43,13 @@ def histories_of(library: Library) -> dict[float, ForceHistory]:
 
 
 def rise_per_degree(histories: Mapping[float, ForceHistory]) -> dict[str, float]:
-    """Logarithmic slope of the forces, d ln F/dφ, between 30 and 35°.
+    """Logarithmic slope of the forces, d ln F/dφ, between 30 and 35° [1/deg], by force.
 
     Parameters
     ----------
     histories
         By friction angle [deg]; on both sides of that range, or at its ends. Between two of them
         ln F goes with φ along a straight line.
-
-    Returns
-    -------
-    dict
-        By force, ``Fz`` and ``Fx`` [1/deg].
 
     Raises
     ------
@@ -84,24 +79,8 @@ def rise_of(library: str = LIBRARY) -> dict[str, float]:
 def in_degrees(percent: float, force: str, *, library: str = LIBRARY) -> float:
     """The friction angle that does to a force what a change by some percent does [deg].
 
-    Parameters
-    ----------
-    percent
-        Change of the force [%], more than -100.
-    force
-        ``Fz`` or ``Fx``.
-    library
-        Whose forces say what a degree is worth; its convention is that of the degrees.
-
-    Returns
-    -------
-    float
-        ln(1 + percent/100) / (d ln F/dφ) [deg].
-
-    Raises
-    ------
-    ValueError
-        If nothing is left of the force.
+    ln(1 + percent/100) / (d ln F/dφ), in the convention of the library whose forces say what a
+    degree is worth. Raises ValueError if nothing is left of the force.
     """
     if percent <= -100.0:
         raise ValueError(f"a change by {percent:g} % leaves no force")
@@ -110,15 +89,16 @@ def in_degrees(percent: float, force: str, *, library: str = LIBRARY) -> float:
 
 def worth(percent: Mapping[str, float], *, library: str = LIBRARY) -> str:
     """Changes of both forces [%] in degrees, such as ``-1.4 / -2.2°``, that of F_z first."""
-    return " / ".join(f"{in_degrees(percent[f], f, library=library):+.1f}" for f in FORCES) + "°"
+    turned = {force: in_degrees(percent[force], force, library=library) for force in FORCES}
+    return both(turned, "°", "+.1f")
 
 
 def said(library: str = LIBRARY) -> str:
     """What a degree is worth, and by which library, in a sentence."""
-    rise = rise_of(library)
+    percent = {force: 100.0 * rise for force, rise in rise_of(library).items()}
     return (
         f"Degrees of φ: what the change does to a force, the friction angle would; by library "
-        f"`{library}` a degree is worth {100.0 * rise['Fz']:.1f} / {100.0 * rise['Fx']:.1f} % of "
+        f"`{library}` a degree is worth {both(percent, ' %')} of "
         f"F_z / F_x (its d ln F/dφ at {BETWEEN_DEG[0]:g} to {BETWEEN_DEG[1]:g}°, straight leg, in "
         "its own convention of φ)."
     )

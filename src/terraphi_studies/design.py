@@ -27,12 +27,12 @@ from terraphi.library.plan import Plan, Sample
 from terraphi.library.store import Case, Library
 from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.training import training
-from terraphi.view.plots import BLUE, GREY, ORANGE
+from terraphi.view.plots import BLUE, GREY, ORANGE, panels_of
 from terraphi.view.table import Table
 from terraphi_studies import Study
+from terraphi_studies.measures import PHI
 
 FloatArray = NDArray[np.float64]
-Key = str
 
 BASE: dict[str, Any] = {
     "model": "rft",
@@ -43,7 +43,6 @@ BASE: dict[str, Any] = {
 }
 """Setting of the simulations: the leg's path in the soil alone, and coarse."""
 LEG = "straight"
-PHI = "soil.friction_angle_deg"
 SLOPE_STEP = 1e-3
 """Step of differences over a parameter, of its span [-]."""
 
@@ -62,7 +61,7 @@ class Box:
         Number of truths.
     """
 
-    bounds: Mapping[Key, tuple[float, float]]
+    bounds: Mapping[str, tuple[float, float]]
     sizes: Sequence[int]
     truths: int
     _made: dict[tuple[float, ...], ForceHistory] = field(default_factory=dict, repr=False)
@@ -115,11 +114,9 @@ class Box:
         precision = np.tile(np.diag(12.0 / np.square(spans)), (len(truths), 1, 1))
         scale = surrogate.scale(named)[:, None]
         forces, slopes, whole = [], [], []
-        for process, slope in zip(
-            surrogate.processes,
-            surrogate.slopes(named, keys, (SLOPE_STEP * spans).tolist()),
-            strict=True,
-        ):
+        steps = (SLOPE_STEP * spans).tolist()
+        by_force = zip(surrogate.processes, surrogate.slopes(named, keys, steps), strict=True)
+        for process, slope in by_force:
             mean, variance = process.rotated(surrogate.points(named))
             forces.append(scale * mean)
             slopes.append(slope)
@@ -127,9 +124,9 @@ class Box:
             whole.append(own + np.square(noise)[:, None])
         curve, slope, variance = np.hstack(forces), np.dstack(slopes), np.hstack(whole)
         bases = block_diag(*(process.basis for process in surrogate.processes))
-        covariance = variance[:, :, None] * np.eye(variance.shape[1]) + surrogate.factor_variance(
-            named
-        )[:, None, None] * np.einsum("xt,xu->xtu", curve, curve)
+        together = surrogate.factor_variance(named)[:, None, None]
+        covariance = variance[:, :, None] * np.eye(variance.shape[1])
+        covariance = covariance + together * np.einsum("xt,xu->xtu", curve, curve)
         weighted = np.linalg.solve(covariance, slope.swapaxes(1, 2))
         precision += slope @ weighted
         score = np.einsum("xtk,xt->xk", weighted, data @ bases - curve)
@@ -167,9 +164,9 @@ def run(*, progress: Callable[[float, float], None] | None = None) -> Study:
         if progress is not None:
             progress(len(comparisons), len(BOXES))
     return Study(
-        table=Table(
+        table=Table.of(
             "Errors of a library's own: an even grid, a Sobol sequence, the suggested order",
-            ("", "cases", "grid", "Sobol", "suggested", "grid / suggested"),
+            COLUMNS,
             [row for comparison in comparisons for row in _rows(comparison)],
         ),
         data={"noise_of_peak_to_peak": NOISE, "comparisons": comparisons},
@@ -193,22 +190,25 @@ def _compared(box: Box) -> dict[str, Any]:
     return {"keys": list(box.bounds), "cases": list(box.sizes), **found, "order": order}
 
 
-def _rows(comparison: Mapping[str, Any]) -> list[tuple[str, ...]]:
+COLUMNS = (
+    ("", "{parameter}"),
+    ("cases", "{size}"),
+    ("grid", "{grid:.2g}"),
+    ("Sobol", "{sobol:.2g}"),
+    ("suggested", "{suggested:.2g}"),
+    ("grid / suggested", lambda row: f"{row['grid'] / row['suggested']:.2f}"),
+)
+
+
+def _rows(comparison: Mapping[str, Any]) -> list[dict[str, Any]]:
     rows = []
     names = [label(key)[0] for key in comparison["keys"]]
     for i, key in enumerate(comparison["keys"]):
-        others = [name for j, name in enumerate(names) if j != i]
-        beside = f", beside {', '.join(others)}" if others else ""
+        others = ", ".join(name for j, name in enumerate(names) if j != i)
+        parameter = axis_label(key) + (f", beside {others}" if others else "")
         for j, size in enumerate(comparison["cases"]):
-            errors = [comparison[order][j][i] for order in ORDERS]
-            rows.append(
-                (
-                    axis_label(key) + beside,
-                    f"{size}",
-                    *(f"{error:.2g}" for error in errors),
-                    f"{errors[0] / errors[-1]:.2f}",
-                )
-            )
+            errors = {order: comparison[order][j][i] for order in ORDERS}
+            rows.append({"parameter": parameter, "size": size, **errors})
     return rows
 
 
@@ -232,11 +232,8 @@ def _spread(ratios: FloatArray) -> tuple[float, float, float]:
 
 def _figure(comparisons: Sequence[Mapping[str, Any]]) -> Any:
     """Error of the friction angle over the number of cases, a panel each number of parameters."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(3.2 * len(comparisons), 3.2), layout="constrained")
+    figure, (panels,) = panels_of(1, len(comparisons), size=(3.2 * len(comparisons), 3.2))
     looks = {"grid": (BLUE, "o-"), "sobol": (GREY, "^:"), "suggested": (ORANGE, "s--")}
-    panels = figure.subplots(1, len(comparisons), squeeze=False)[0]
     for axes, comparison in zip(panels, comparisons, strict=True):
         for order, (colour, style) in looks.items():
             errors = [found[0] for found in comparison[order]]

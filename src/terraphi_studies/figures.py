@@ -6,15 +6,26 @@ those of ``terraphi forces``; its photograph is left out.
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward import Snapshot, simulate
+from terraphi.view.plots import GREY, panels_of
 from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, Study, benchmark, phi_sensitivity, recovery, surrogate
-from terraphi_studies.pictures import Moment, legs_figure, moments, snapshots_figure
+from terraphi_studies.pictures import COLOURS, LEG_NAMES, legs_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FloatArray = NDArray[np.float64]
 
 LEGS = ("straight", "c", "reversed_c")
 SNAPSHOTS_DEG = (-60.0, -30.0, 0.0, 40.0)
@@ -25,24 +36,34 @@ three would take over an hour, for forces that differ by 3 to 4 % (docs/sensitiv
 SNAPSHOTS_SHARE = 0.95
 """Share of the time that those three simulations take, roughly."""
 DOTS_PER_INCH = 300
-WHAT = {
-    "forces-phi": "forces against the leg angle at every friction angle",
-    "peaks-phi": "peak forces against the friction angle",
-    "legs": "three legs at 35° beside the measured forces and resistive force theory",
-    "surrogate-surfaces": "mean forces of the surrogate, with what it has and has not seen",
-    "surrogate-slices": "surrogate and simulations at three leg angles",
-    "residuals": "correlation of the residuals",
-    "walkers": "walkers and posterior at 33.97°",
-    "recovery": "inferred against true friction angles",
-    "snapshots": f"the soil around the three legs, sped up {SNAPSHOT_SPEED_UP:g} times or more",
+PALEST = 0.25
+"""Opacity of a particle that has lost all its weight [-]."""
+PANEL_INCHES = 3.0
+FIGURES = {
+    "forces-phi": (
+        "phi_sensitivity/forces",
+        "forces against the leg angle at every friction angle",
+    ),
+    "peaks-phi": ("phi_sensitivity/peaks", "peak forces against the friction angle"),
+    "legs": ("", "three legs at 35° beside the measured forces and resistive force theory"),
+    "surrogate-surfaces": (
+        "surrogate/surfaces",
+        "mean forces of the surrogate, with what it has and has not seen",
+    ),
+    "surrogate-slices": ("surrogate/slices", "surrogate and simulations at three leg angles"),
+    "residuals": ("surrogate/residuals", "correlation of the residuals"),
+    "walkers": ("recovery/walkers", "walkers and posterior at 33.97°"),
+    "recovery": ("recovery/recovery", "inferred against true friction angles"),
+    "snapshots": (
+        "",
+        f"the soil around the three legs, sped up {SNAPSHOT_SPEED_UP:g} times or more",
+    ),
 }
+"""Study and name of each figure, nothing for those that are drawn here; and what it shows."""
 
 
 def run(
-    *,
-    library: str = PAPER_LIBRARY,
-    build: Path | None = None,
-    progress: Callable[[float, float], None] | None = None,
+    *, library: str = PAPER_LIBRARY, progress: Callable[[float, float], None] | None = None
 ) -> Study:
     """Draw all figures.
 
@@ -51,10 +72,6 @@ def run(
     library
         Name of a shipped library that has truths, ``NAME-truths``. Legs at 35° that it lacks are
         taken from ``NAME-legs``.
-    build
-        Folder that keeps the particles of the three simulations that the snapshots are taken from,
-        sped up at least :data:`SNAPSHOT_SPEED_UP` times; without, they are simulated anew each
-        time.
     progress
         Called with the share of the work that is done, and 1.
 
@@ -67,67 +84,159 @@ def run(
     Raises
     ------
     InputError
-        As the studies; and if the folder cannot be written.
+        As the studies.
     """
 
-    def tell(done: float, total: float, *, first: float, last: float) -> None:
+    def tell(done: float) -> None:
         if progress is not None:
-            progress(first + (last - first) * done / total, 1.0)
+            progress(done, 1.0)
 
-    begun = partial(tell, first=0.0, last=1.0 - SNAPSHOTS_SHARE)
     parts = {
-        module.__name__.rpartition(".")[2]: module.run(library=library)
-        for module in (phi_sensitivity, benchmark, surrogate)
-    }
-    parts["recovery"] = recovery.run(library=library, progress=begun)
-    legs = {leg: benchmark.curves_of(library, leg) for leg in LEGS}
-    figures = {
-        "forces-phi": parts["phi_sensitivity"].figures["forces"],
-        "peaks-phi": parts["phi_sensitivity"].figures["peaks"],
-        "legs": legs_figure(legs),
-        "surrogate-surfaces": parts["surrogate"].figures["surfaces"],
-        "surrogate-slices": parts["surrogate"].figures["slices"],
-        "residuals": parts["surrogate"].figures["residuals"],
-        "walkers": parts["recovery"].figures["walkers"],
-        "recovery": parts["recovery"].figures["recovery"],
-        "snapshots": snapshots_figure(
-            _particles(library, build, partial(tell, first=1.0 - SNAPSHOTS_SHARE, last=1.0))
+        "phi_sensitivity": phi_sensitivity.run(library=library),
+        "benchmark": benchmark.run(library=library),
+        "surrogate": surrogate.run(library=library),
+        "recovery": recovery.run(
+            library=library,
+            progress=lambda done, total: tell((1.0 - SNAPSHOTS_SHARE) * done / total),
         ),
     }
+    legs = {}
+    for leg in LEGS:
+        histories, _ = benchmark.histories_of(library, leg)
+        legs[leg] = benchmark.curves_of(library, histories)
+    seen = {}
+    for number, leg in enumerate(LEGS):
+        scenario = sped_up(benchmark.case_at(library, leg).scenario)
+
+        def along(fraction: float, number: int = number) -> None:
+            tell(1.0 - SNAPSHOTS_SHARE * (1.0 - (number + fraction) / len(LEGS)))
+
+        seen[leg] = scenario, moments(scenario, SNAPSHOTS_DEG, progress=along)
+    drawn = {
+        f"{study}/{name}": figure
+        for study, part in parts.items()
+        for name, figure in part.figures.items()
+    }
+    here = {"legs": legs_figure(legs), "snapshots": snapshots_figure(seen)}
     return Study(
         table=Table(
             f"Figures from library '{library}'",
             ("figure", "what it shows"),
-            [(f"{name}.png", what) for name, what in WHAT.items()],
+            [(f"{name}.png", what) for name, (_, what) in FIGURES.items()],
         ),
         data={"library": library, **{name: part.everything() for name, part in parts.items()}},
-        figures=figures,
+        figures={name: drawn[of] if of else here[name] for name, (of, _) in FIGURES.items()},
         notes=[note for part in parts.values() for note in part.notes],
         beside_paper=[line for part in parts.values() for line in part.beside_paper],
         dpi=DOTS_PER_INCH,
     )
 
 
-def _particles(
-    library: str,
-    place: Path | None,
-    progress: Callable[[float, float], None],
-) -> dict[str, tuple[Scenario, list[Moment]]]:
-    """Scenario and moments of each leg at 35°."""
-    cases = {leg: sped_up(benchmark.case_at(library, leg).scenario) for leg in LEGS}
-    found = {}
-    with tempfile.TemporaryDirectory() as passing:
-        for number, (leg, scenario) in enumerate(cases.items()):
-
-            def tell(fraction: float, number: int = number) -> None:
-                progress(number + fraction, len(LEGS))
-
-            kept = place or Path(passing)
-            found[leg] = scenario, moments(scenario, SNAPSHOTS_DEG, kept, progress=tell)
-    return found
-
-
 def sped_up(scenario: Scenario) -> Scenario:
     """A scenario as it is simulated for the snapshots: not slower than sped up ten times."""
     factor = max(scenario.numerics.speed_up, SNAPSHOT_SPEED_UP)
     return scenario.replace(**{"numerics.speed_up": factor})
+
+
+class Moment(NamedTuple):
+    """The soil at one leg angle."""
+
+    theta: float
+    """Leg angle [rad]."""
+    hip: FloatArray
+    """Where the leg turns (x, z) [m]."""
+    points: FloatArray
+    """Particles (x, z) [m], shape [particle, 2]."""
+    speed: FloatArray
+    """Their speed, as slow as the leg's own [m/s], shape [particle]."""
+    weight: FloatArray
+    """How much of their weight they still have [-], shape [particle]."""
+
+
+def moments(
+    scenario: Scenario,
+    theta_deg: Sequence[float],
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> list[Moment]:
+    """Simulate, and keep the soil when the leg first reaches given angles.
+
+    Parameters
+    ----------
+    scenario
+        What to simulate.
+    theta_deg
+        Leg angles, increasing [deg].
+    progress
+        Called now and then with the fraction done, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If the leg does not come to an angle.
+    """
+    left = [float(np.radians(angle)) for angle in theta_deg]
+    kept: list[Moment] = []
+
+    def observe(seen: Snapshot) -> None:
+        theta = float(seen.pose.theta[0])
+        if not left or theta < left[0]:
+            return
+        while left and theta >= left[0]:
+            left.pop(0)
+        soil = seen.soil
+        speed = np.linalg.norm(soil.velocity, axis=1) / seen.scenario.numerics.speed_up
+        places = (seen.pose.hip[0].copy(), soil.position.copy())
+        kept.append(Moment(theta, *places, speed, soil.weight.copy()))
+
+    simulate(scenario, progress=progress, observe=observe)
+    if len(kept) < len(theta_deg):
+        raise InputError(
+            f"the simulation has {len(kept)} moments for the leg angles "
+            f"{', '.join(f'{angle:g}' for angle in theta_deg)} deg; ask for angles that its motion "
+            "passes, farther apart"
+        )
+    return kept
+
+
+def snapshots_figure(legs: Mapping[str, tuple[Scenario, Sequence[Moment]]]) -> Figure:
+    """Particles of several legs at the same leg angles: a row a leg, a column an angle."""
+    columns = max(len(found) for _, found in legs.values())
+    size = (PANEL_INCHES * columns + 1.0, 0.72 * PANEL_INCHES * len(legs) + 0.3)
+    figure, panels = panels_of(len(legs), columns, size=size, sharex=True, sharey=True)
+    shown: Any = None
+    for row, (leg, (scenario, found)) in zip(panels, legs.items(), strict=True):
+        for axes, moment in zip(row, found, strict=True):
+            shown = _draw(axes, scenario, moment)
+            title = f"{LEG_NAMES.get(leg, leg)}, θ = {np.degrees(moment.theta):+.0f}°"
+            axes.set_title(title, fontsize=9)
+            axes.label_outer()
+        row[0].set_ylabel("z [mm], up")
+    for axes in panels[-1]:
+        axes.set_xlabel("x [mm], forward")
+    bar = figure.colorbar(shown, ax=panels, shrink=0.6, aspect=40, extend="max")
+    bar.set_label("speed of the soil over that of the leg's tip\n(pale: faded by the relief)")
+    return figure
+
+
+def _draw(axes: Axes, scenario: Scenario, moment: Moment) -> Any:
+    from matplotlib.patches import Polygon
+
+    bed, numerics = scenario.bed, scenario.numerics
+    tip = scenario.motion.top_speed(scenario.leg.reach())
+    spacing = numerics.cell_size / numerics.particles_per_cell_side
+    marker = (1.5 * 72.0 * 0.85 * PANEL_INCHES / numerics.domain * spacing) ** 2
+    x, z = 1e3 * moment.points.T
+    look: dict[str, Any] = {"cmap": COLOURS, "vmin": 0.0, "vmax": 1.0, "lw": 0, "rasterized": True}
+    faded: Any = np.maximum(moment.weight, PALEST)
+    shown = axes.scatter(x, z, s=marker, c=moment.speed / tip, alpha=faded, **look)
+    along, motion = (axis[0] for axis in frame_axes(np.array([moment.theta])))
+    outline = scenario.leg.outline()
+    leg = moment.hip + outline[:, :1] * along + outline[:, 1:] * motion
+    axes.add_patch(Polygon(1e3 * leg, closed=True, facecolor="white", edgecolor="black", lw=1.0))
+    axes.plot(*(1e3 * moment.hip), "+", color="black", ms=6)
+    axes.axhline(1e3 * bed.surface, color=GREY, lw=0.6, ls="--")
+    axes.set_xlim(1e3 * bed.left, 1e3 * (bed.left + bed.width))
+    axes.set_ylim(60.0, 1e3 * (bed.surface + 0.085))
+    axes.set_aspect("equal")
+    return shown

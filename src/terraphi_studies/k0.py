@@ -7,7 +7,6 @@ Two libraries of the same cases, particles included, that differ in K0 alone. Ch
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,12 +19,17 @@ from terraphi.library.store import Case
 from terraphi.view.plots import BLUE, ORANGE, Curve, comparison_figure
 from terraphi.view.table import Table
 from terraphi_studies import Study
-from terraphi_studies.benchmark import means_of
+from terraphi_studies.measures import means_of
 
 LIBRARIES = "k0"
 """Common beginning of the names of the two shipped libraries."""
 PAPER_LIMIT_PERCENT = 0.5
-FORCES = ("Fz", "Fx")
+COLUMNS = (
+    ("φ", "{phi_deg:g}°"),
+    ("1 - sin φ", "{k0_jaky:.3f}"),
+    ("change of Fz", lambda case: f"{100.0 * case['relative_change']['Fz']:.2f} %"),
+    ("change of Fx", lambda case: f"{100.0 * case['relative_change']['Fx']:.2f} %"),
+)
 
 
 def run(*, library: str = LIBRARIES) -> Study:
@@ -56,30 +60,40 @@ def run(*, library: str = LIBRARIES) -> Study:
             "both libraries from one scenario"
         )
     pairs = [_pair(one, other) for one, other in zip(jaky.cases, half.cases, strict=True)]
+    angles = [case.scenario.soil.friction_angle_deg for case in jaky.cases]
     cases: list[dict[str, Any]] = [
         {
-            "phi_deg": one.scenario.soil.friction_angle_deg,
-            "k0_jaky": 1.0 - math.sin(math.radians(one.scenario.soil.friction_angle_deg)),
-            "relative_change": relative_change(before, after),
+            "phi_deg": phi,
+            "k0_jaky": 1.0 - math.sin(math.radians(phi)),
+            "relative_change": relative_change(*pair),
         }
-        for one, (before, after) in zip(jaky.cases, pairs, strict=True)
+        for phi, pair in zip(angles, pairs, strict=True)
     ]
     changes = [max(case["relative_change"].values()) for case in cases]
     worst = int(np.argmax(changes))
     convention = jaky.cases[0].scenario.convention
+    soils = [[case.scenario.soil for case in library.cases] for library in (jaky, half)]
+    beyond = [
+        soil.friction_angle_deg
+        for soil, other in zip(*soils, strict=True)
+        if yields_at_rest(soil) and yields_at_rest(other)
+    ]
+    notes = []
+    if beyond:
+        notes.append(
+            f"At {len(beyond)} of {len(cases)} angles, {min(beyond):g} to {max(beyond):g}°, both "
+            "stresses at rest lie beyond the yield surface, to which the first step takes them "
+            "back."
+        )
+    title = f"The case that changes most, φ = {angles[worst]:g}° ({convention})"
+    before, after = pairs[worst]
+    curves = [Curve("K0 = 1 − sin φ", before, BLUE), Curve("K0 = 0.5", after, ORANGE, "--")]
     return Study(
-        table=Table(
+        table=Table.of(
             f"Largest change of a history from K0 = 1 - sin φ to 0.5, libraries '{library}-jaky' "
             f"and '{library}-half' (φ: {convention})",
-            ("φ", "1 - sin φ", "change of Fz", "change of Fx"),
-            [
-                (
-                    f"{case['phi_deg']:g}°",
-                    f"{case['k0_jaky']:.3f}",
-                    *(f"{100.0 * case['relative_change'][force]:.2f} %" for force in FORCES),
-                )
-                for case in cases
-            ],
+            COLUMNS,
+            cases,
         ),
         data={
             "library": library,
@@ -87,8 +101,8 @@ def run(*, library: str = LIBRARIES) -> Study:
             "max_relative_change": max(changes),
             "cases": cases,
         },
-        notes=_about_yield(jaky.cases, half.cases),
-        figures={"k0": _figure(cases[worst]["phi_deg"], convention, *pairs[worst])},
+        notes=notes,
+        figures={"k0": comparison_figure(title, curves)},
         beside_paper=[
             (
                 "largest change of a history",
@@ -97,20 +111,6 @@ def run(*, library: str = LIBRARIES) -> Study:
             )
         ],
     )
-
-
-def _about_yield(jaky: Sequence[Case], half: Sequence[Case]) -> list[str]:
-    """Where neither stress at rest can be carried, so that soon little of either is left."""
-    both = [
-        one.scenario.soil.friction_angle_deg
-        for one, other in zip(jaky, half, strict=True)
-        if yields_at_rest(one.scenario.soil) and yields_at_rest(other.scenario.soil)
-    ]
-    if not both:
-        return []
-    where = f"{len(both)} of {len(jaky)} angles, {min(both):g} to {max(both):g}°"
-    beyond = "both stresses at rest lie beyond the yield surface"
-    return [f"At {where}, {beyond}, to which the first step takes them back."]
 
 
 def yields_at_rest(soil: Soil) -> bool:
@@ -124,13 +124,7 @@ def yields_at_rest(soil: Soil) -> bool:
 
 
 def relative_change(before: ForceHistory, after: ForceHistory) -> dict[str, float]:
-    """Largest change of each force on 1° means over its largest value [-], by force.
-
-    Parameters
-    ----------
-    before, after
-        Histories that cover |θ| < 85°.
-    """
+    """Largest change of each force on 1° means over its largest value [-], by force."""
     old, new = (means_of(history) for history in (before, after))
     fx, fz = (np.abs(new - old).max(axis=0) / np.abs(old).max(axis=0)).tolist()
     return {"Fz": fz, "Fx": fx}
@@ -147,13 +141,3 @@ def _pair(one: Case, other: Case) -> tuple[ForceHistory, ForceHistory]:
     if one.history is None or other.history is None:
         raise InputError(f"a case failed: {one.failure or other.failure}")
     return one.history, other.history
-
-
-def _figure(phi_deg: float, convention: str, before: ForceHistory, after: ForceHistory) -> Any:
-    return comparison_figure(
-        f"The case that changes most, φ = {phi_deg:g}° ({convention})",
-        [
-            Curve("K0 = 1 − sin φ", before, BLUE),
-            Curve("K0 = 0.5", after, ORANGE, "--"),
-        ],
-    )

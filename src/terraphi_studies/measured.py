@@ -37,18 +37,29 @@ LIBRARIES = (
     "rft3d",
 )
 """Libraries to invert with, as far as they are shipped."""
-HEADER = ("library", "medium", "leg", "φ [deg]", "95 %", "NRMSD Fz", "NRMSD Fx", "verdict")
+COLUMNS = (
+    ("library", "{library}"),
+    ("medium", "{medium}"),
+    ("leg", "{leg}"),
+    ("φ [deg]", "{phi_median_deg:.1f} ({yield})"),
+    ("95 %", "{ci95_deg[0]:.1f} to {ci95_deg[1]:.1f}"),
+    ("NRMSD Fz", "{nrmsd_percent[Fz]:.0f} %"),
+    ("NRMSD Fx", "{nrmsd_percent[Fx]:.0f} %"),
+    ("verdict", lambda a: a["verdict"] + ("" if a["told_by_forces"] else ", hardly tells φ")),
+)
 METHOD = (
     "`terraphi invert` on every shipped measurement of Li et al. (2013) with every library, each "
     "in its own convention of φ. NRMSD: of the fit at the median, in percent of the measured "
     "peak-to-peak. Run again: `terraphi study measured`."
 )
+PICTURE = "friction angles by medium, leg and library, with their 95 % intervals"
+
+Answers = Sequence[Mapping[str, Any]]
 
 
 def run(
     *,
     library: str | None = None,
-    likelihood: str | None = None,
     progress: Callable[[float, float], None] | None = None,
 ) -> Study:
     """Invert all shipped measurements.
@@ -57,8 +68,6 @@ def run(
     ----------
     library
         Name or file of the one library to use; all of :data:`LIBRARIES` if not given.
-    likelihood
-        As :func:`terraphi.invert` takes it; its default if not given.
     progress
         Called with the number of inversions done and of all.
 
@@ -76,34 +85,29 @@ def run(
     Raises
     ------
     InputError
-        If a library or an option cannot be used.
+        If a library cannot be used.
     """
     shipped = shipped_names("libraries", ".nc")
     chosen = [library] if library else [name for name in LIBRARIES if name in shipped]
-    options = {"likelihood": likelihood} if likelihood else {}
+    loaded = {name: Library.load(name) for name in chosen}
     wanted = [(name, measurement(source)) for name in chosen for source in names()]
     answers: list[dict[str, Any]] = []
-    loaded = {name: Library.load(name) for name in chosen}
     for done, (name, one) in enumerate(wanted):
         if progress is not None:
             progress(done, len(wanted))
         if any(case.scenario.leg.shape == one.leg for case in loaded[name].cases):
-            answers.append(_answer(name, one, _inverted(loaded[name], one, options)))
+            found = invert(
+                one.history,
+                library=loaded[name],
+                leg=one.leg,
+                density=one.density_kg_m3,
+                density_assumed=one.density_assumed,
+                source=one.name,
+            )
+            answers.append(_answer(name, one, found))
     if not answers:
         raise InputError(f"library '{library}' has none of the measured legs")
     return _study(answers)
-
-
-def _inverted(library: Library, one: Measurement, options: Mapping[str, Any]) -> Inversion:
-    return invert(
-        one.history,
-        library=library,
-        leg=one.leg,
-        density=one.density_kg_m3,
-        density_assumed=one.density_assumed,
-        source=one.name,
-        **options,
-    )
 
 
 def _answer(library: str, one: Measurement, found: Inversion) -> dict[str, Any]:
@@ -124,93 +128,72 @@ def _answer(library: str, one: Measurement, found: Inversion) -> dict[str, Any]:
     }
 
 
-def _study(answers: Sequence[Mapping[str, Any]]) -> Study:
+def _study(answers: Answers) -> Study:
     libraries = dict.fromkeys(answer["library"] for answer in answers)
     of = {name: [a for a in answers if a["library"] == name] for name in libraries}
-    told = {name: Counter(sorted(a["verdict"] for a in some)) for name, some in of.items()}
-    spread = {name: _spread(some) for name, some in of.items()}
-    order = {name: _order(some) for name, some in of.items()}
-    off = {name: _off_repose(some) for name, some in of.items()}
-    table = Table(TITLE, HEADER, [_row(answer) for answer in answers])
+    data = {
+        "answers": list(answers),
+        "spread_deg": {name: _spread(some) for name, some in of.items()},
+        "verdicts": {name: Counter(sorted(a["verdict"] for a in s)) for name, s in of.items()},
+        "order": {name: _order(some) for name, some in of.items()},
+        "off_repose_deg": {name: _off_repose(some) for name, some in of.items()},
+    }
     repose = {
         a["medium"]: f"{a['medium']} {a['angle_of_repose_deg']:g}°"
         for a in answers
         if a["angle_of_repose_deg"] is not None
     }
-    told_repose = [f"Angle of repose: {', '.join(repose.values())}."] if repose else []
-    notes = told_repose + [
-        f"{name}: {_note(some, told[name], spread[name], order[name], off[name])}."
-        for name, some in of.items()
-    ]
-    picture = "friction angles by medium, leg and library, with their 95 % intervals"
+    notes = [f"Angle of repose: {', '.join(repose.values())}."] if repose else []
+    notes += [f"{name}: {_note(name, some, data)}." for name, some in of.items()]
+    table = Table.of(TITLE, COLUMNS, answers)
     return Study(
         table=table,
-        data={
-            "answers": list(answers),
-            "spread_deg": spread,
-            "verdicts": told,
-            "order": order,
-            "off_repose_deg": off,
-        },
+        data=data,
         figures={NAME: measured_figure(answers)},
-        documents={f"{NAME}.md": page(table, METHOD, notes, f"{NAME}.png", picture)},
+        documents=page(NAME, table, METHOD, notes, PICTURE),
         notes=notes,
     )
 
 
-def _spread(answers: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+def _spread(answers: Answers) -> dict[str, float]:
     """Largest less smallest median between the legs, by medium that has several [deg]."""
     media = dict.fromkeys(answer["medium"] for answer in answers)
     found = {m: [a["phi_median_deg"] for a in answers if a["medium"] == m] for m in media}
     return {medium: float(np.ptp(values)) for medium, values in found.items() if len(values) > 1}
 
 
-def _order(answers: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+def _of_known_repose(answers: Answers) -> list[Mapping[str, Any]]:
+    return [a for a in answers if a["angle_of_repose_deg"] is not None]
+
+
+def _order(answers: Answers) -> dict[str, int]:
     """Pairs of media on one leg whose φ come out in the order of their angles of repose, or not."""
-    known = [a for a in answers if a["angle_of_repose_deg"] is not None]
     pairs = [
         (a["angle_of_repose_deg"] - b["angle_of_repose_deg"])
         * (a["phi_median_deg"] - b["phi_median_deg"])
-        for a, b in combinations(known, 2)
+        for a, b in combinations(_of_known_repose(answers), 2)
         if a["leg"] == b["leg"] and a["angle_of_repose_deg"] != b["angle_of_repose_deg"]
     ]
     return {"right": sum(p > 0.0 for p in pairs), "of": len(pairs)}
 
 
-def _off_repose(answers: Sequence[Mapping[str, Any]]) -> list[float]:
+def _off_repose(answers: Answers) -> list[float]:
     """Least and largest offset of a median from the angle of repose [deg]; empty if none has one.
 
     Of the equivalents in plane strain, which are what soil mechanics means by φ, if there are any.
     """
-    known = [a for a in answers if a["angle_of_repose_deg"] is not None]
+    known = _of_known_repose(answers)
     acting = [a for a in known if a["phi_plane_strain_deg"] is not None]
     key = "phi_plane_strain_deg" if acting else "phi_median_deg"
     found = [a[key] - a["angle_of_repose_deg"] for a in acting or known]
     return [min(found), max(found)] if found else []
 
 
-def _row(answer: Mapping[str, Any]) -> tuple[str, ...]:
-    low, high = answer["ci95_deg"]
-    return (
-        answer["library"],
-        answer["medium"],
-        answer["leg"],
-        f"{answer['phi_median_deg']:.1f} ({answer['yield']})",
-        f"{low:.1f} to {high:.1f}",
-        f"{answer['nrmsd_percent']['Fz']:.0f} %",
-        f"{answer['nrmsd_percent']['Fx']:.0f} %",
-        answer["verdict"] + ("" if answer["told_by_forces"] else ", hardly tells φ"),
-    )
-
-
-def _note(
-    answers: Sequence[Mapping[str, Any]],
-    verdicts: Mapping[str, int],
-    spread: Mapping[str, float],
-    order: Mapping[str, int],
-    off: Sequence[float],
-) -> str:
+def _note(library: str, answers: Answers, data: Mapping[str, Any]) -> str:
     """What a library's answers come to."""
+    verdicts, spread, order, off = (
+        data[key][library] for key in ("verdicts", "spread_deg", "order", "off_repose_deg")
+    )
     said = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
     if spread:
         apart = ", ".join(f"{medium} {value:.1f}" for medium, value in spread.items())

@@ -6,25 +6,31 @@ at every leg angle a force that moves one way.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numpy.typing import NDArray
 
 from terraphi.experiment.history import ForceHistory
 from terraphi.library.store import Library
 from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, Beside, Study, capitalised
 from terraphi_studies.degrees import LEG, histories_of
-from terraphi_studies.pictures import histories_figure, peaks_figure
-from terraphi_studies.reading import (
+from terraphi_studies.measures import (
+    FORCES,
     PAPER_ANGLES_DEG,
-    PAPER_ENGAGEMENT_DEG,
     PAPER_PEAKS_N,
+    engagement_beside_paper,
     engagement_deg,
+    peaks_beside_paper,
 )
-
-FloatArray = NDArray[np.float64]
+from terraphi_studies.pictures import histories_figure, peaks_figure
 
 ANOTHER_ANGLE = "Not beside the paper's forces, whose friction angles mean something else."
+COLUMNS = (
+    ("φ", "{phi:g}°"),
+    ("peak Fz", "{peak.Fz:.2f} N at {peak.theta_Fz_deg:.0f}°"),
+    ("peak Fx", "{peak.Fx:.2f} N at {peak.theta_Fx_deg:.0f}°"),
+)
 
 
 def run(*, library: str = PAPER_LIBRARY) -> Study:
@@ -50,45 +56,31 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
     """
     found = Library.load(library)
     histories = histories_of(found)
-    phi = np.array(list(histories))
     peaks = [history.peaks() for history in histories.values()]
-    data = {
-        "library": library,
-        "yield": found.cases[0].scenario.convention,
-        "phi_deg": phi.tolist(),
-        "peak_Fz_N": [peak.Fz for peak in peaks],
-        "peak_Fx_N": [peak.Fx for peak in peaks],
-        "theta_peak_Fz_deg": [peak.theta_Fz_deg for peak in peaks],
-        "theta_peak_Fx_deg": [peak.theta_Fx_deg for peak in peaks],
-        "theta_engages_deg": [engagement_deg(history) for history in histories.values()],
-    }
+    convention = found.cases[0].scenario.convention
+    data: dict[str, Any] = {"library": library, "yield": convention, "phi_deg": list(histories)}
+    for force in FORCES:
+        data[f"peak_{force}_N"] = [getattr(peak, force) for peak in peaks]
+        data[f"theta_peak_{force}_deg"] = [getattr(peak, f"theta_{force}_deg") for peak in peaks]
+    data["theta_engages_deg"] = [engagement_deg(history) for history in histories.values()]
     data["peaks_increase"] = {
-        force: bool(np.all(np.diff(data[f"peak_{force}_N"]) > 0.0)) for force in ("Fz", "Fx")
+        force: bool(np.all(np.diff(data[f"peak_{force}_N"]) > 0.0)) for force in FORCES
     }
     data["share_of_angles_monotone"] = {
-        force: _share_monotone(list(histories.values()), force) for force in ("Fz", "Fx")
+        force: _share_monotone(list(histories.values()), force) for force in FORCES
     }
-    comparable = data["yield"] == "paper"
+    comparable = convention == "paper"
     return Study(
-        table=Table(
-            f"Peak forces against φ ({data['yield']}), leg {LEG}, library '{library}'",
-            ("φ", "peak Fz", "peak Fx"),
-            [
-                (
-                    f"{angle:g}°",
-                    f"{peak.Fz:.2f} N at {peak.theta_Fz_deg:.0f}°",
-                    f"{peak.Fx:.2f} N at {peak.theta_Fx_deg:.0f}°",
-                )
-                for angle, peak in zip(phi, peaks, strict=True)
-            ],
+        table=Table.of(
+            f"Peak forces against φ ({convention}), leg {LEG}, library '{library}'",
+            COLUMNS,
+            [{"phi": phi, "peak": peak} for phi, peak in zip(histories, peaks, strict=True)],
         ),
         data=data,
         figures={
-            "forces": histories_figure(histories, data["yield"]),
+            "forces": histories_figure(histories, convention),
             "peaks": peaks_figure(
-                data,
-                PAPER_PEAKS_N if comparable else {},
-                PAPER_ANGLES_DEG if comparable else {},
+                data, *((PAPER_PEAKS_N, PAPER_ANGLES_DEG) if comparable else ({}, {}))
             ),
         },
         notes=[_monotone(data), *([] if comparable else [ANOTHER_ANGLE])],
@@ -103,41 +95,27 @@ def _share_monotone(histories: list[ForceHistory], force: str) -> float:
     return float(np.mean(np.all(steps > 0.0, axis=0) | np.all(steps < 0.0, axis=0)))
 
 
-def _monotone(data: dict[str, object]) -> str:
-    rises, shares = data["peaks_increase"], data["share_of_angles_monotone"]
-    assert isinstance(rises, dict)
-    assert isinstance(shares, dict)
+def _monotone(data: dict[str, Any]) -> str:
     words = [
-        f"the peak of {force} {'rises' if rises[force] else 'does not rise'} with φ throughout, "
-        f"and {force} itself moves one way at {shares[force]:.0%} of the leg angles"
-        for force in ("Fz", "Fx")
+        f"the peak of {force} {'rises' if data['peaks_increase'][force] else 'does not rise'} with "
+        f"φ throughout, and {force} itself moves one way at "
+        f"{data['share_of_angles_monotone'][force]:.0%} of the leg angles"
+        for force in FORCES
     ]
     return f"{capitalised('; '.join(words))}."
 
 
-def _beside_paper(data: dict[str, list[float]]) -> list[Beside]:
-    lines: list[Beside] = []
-    for phi, printed in PAPER_PEAKS_N.items():
-        if phi not in data["phi_deg"]:
-            continue
-        i = data["phi_deg"].index(phi)
-        ours = f"{data['peak_Fz_N'][i]:.1f} / {data['peak_Fx_N'][i]:.1f} N"
-        paper = f"{printed['Fz']:.1f} / {printed['Fx']:.1f} N"
-        lines.append((f"peaks Fz / Fx at {phi:g}°", ours, paper))
-    angles = [np.median(data[f"theta_peak_{force}_deg"]) for force in ("Fz", "Fx")]
-    lines.append(
-        (
-            "leg angle of the peaks Fz / Fx (ours: median)",
-            f"{angles[0]:.0f} / {angles[1]:.0f}°",
-            f"about {PAPER_ANGLES_DEG['Fz']:.0f} / {PAPER_ANGLES_DEG['Fx']:.0f}°",
-        )
-    )
-    engages = np.median(data["theta_engages_deg"])
-    lines.append(
-        (
-            "leg angle of first resistance (ours: median)",
-            f"{engages:.0f}°",
-            f"about {PAPER_ENGAGEMENT_DEG:.0f}°",
-        )
-    )
-    return lines
+def _beside_paper(data: dict[str, Any]) -> list[Beside]:
+    lines = [
+        peaks_beside_paper(phi, {force: data[f"peak_{force}_N"][i] for force in FORCES})
+        for i, phi in enumerate(data["phi_deg"])
+        if phi in PAPER_PEAKS_N
+    ]
+    ours = [f"{np.median(data[f'theta_peak_{force}_deg']):.0f}" for force in FORCES]
+    paper = [f"{PAPER_ANGLES_DEG[force]:.0f}" for force in FORCES]
+    what = "leg angle of the peaks Fz / Fx (ours: median)"
+    return [
+        *lines,
+        (what, f"{' / '.join(ours)}°", f"about {' / '.join(paper)}°"),
+        engagement_beside_paper(data["theta_engages_deg"]),
+    ]

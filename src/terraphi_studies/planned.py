@@ -7,7 +7,7 @@ kept in the folder. It measures what is there and says what is not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,13 +16,10 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import held
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.forecast import forecast
 from terraphi.library.build import failed_cases, finished_cases, simulate_cases
 from terraphi.library.cluster import pool
-from terraphi.library.plan import Plan, Variant, label
-from terraphi_studies import Study
-
-SPEED = 6.5e7
-"""Particle-steps a second on one core [1/s], where no finished case says how many."""
+from terraphi.library.plan import BASE, Plan, label
 
 
 @dataclass(frozen=True)
@@ -117,22 +114,6 @@ class Simulations:
         return finished
 
 
-def of_plans(study: Callable[[Simulations], Study]) -> Callable[..., Study]:
-    """The ``run`` of a study of planned cases: its options are those of :class:`Simulations`."""
-
-    def run(
-        *,
-        build: Path | None = None,
-        workers: int | None = None,
-        cluster: str | None = None,
-        progress: Callable[[float, float], None] | None = None,
-    ) -> Study:
-        return study(Simulations(build, workers, cluster, progress))
-
-    run.__doc__ = study.__doc__
-    return run
-
-
 def need_base(plan: Plan, finished: Mapping[str, ForceHistory]) -> None:
     """Raise InputError if a plan's base, with which all is compared, is not among the finished."""
     if plan.scenario.hash not in finished:
@@ -142,45 +123,32 @@ def need_base(plan: Plan, finished: Mapping[str, ForceHistory]) -> None:
         )
 
 
-def missing_from(plan: Plan, finished: Mapping[str, ForceHistory]) -> list[Variant]:
-    """Variants of a plan that are not finished."""
-    return [v for v in plan.variants() if v.scenario.hash not in finished]
+def steps_of(plan: Plan) -> dict[str, Scenario]:
+    """Scenarios of a plan by the names of its steps; the base has its own."""
+    return {
+        plan.scenario.name if variant.key == BASE else variant.key: variant.scenario
+        for variant in plan.variants()
+    }
 
 
-def minutes_of(scenario: Scenario, finished: Mapping[str, ForceHistory]) -> float:
-    """Time that a simulation would take on one core, roughly [min].
+def missing_from(
+    cases: Mapping[str, Scenario], finished: Mapping[str, ForceHistory]
+) -> dict[str, Scenario]:
+    """Those cases, by name, that are not finished."""
+    return {name: scenario for name, scenario in cases.items() if scenario.hash not in finished}
 
-    At the highest speed of the finished cases: that of the one least disturbed by what else the
-    machine did.
+
+def minutes_of(scenario: Scenario) -> float:
+    """Time that a simulation would take on one core, roughly [min]."""
+    return forecast([scenario]).seconds() / 60.0
+
+
+def not_yet(study: str, missing: Mapping[str, Scenario]) -> list[str]:
+    """A note on the cases that are not simulated yet, how long they take and who does it.
+
+    Empty if there are none.
     """
-    known = [history.provenance for history in finished.values()]
-    speeds = [
-        made["particles"] * made["steps"] / made["seconds"]["all"]
-        for made in known
-        if {"particles", "steps", "seconds"} <= made.keys()
-    ]
-    bed, numerics = scenario.bed, scenario.numerics
-    cells = bed.width * bed.height / numerics.cell_size**2
-    steps = scenario.motion.duration / numerics.speed_up / numerics.time_step
-    work = cells * numerics.particles_per_cell_side**2 * steps
-    return work / max(speeds, default=SPEED) / 60.0
-
-
-def not_yet(
-    study: str, missing: Iterable[tuple[str, Scenario]], finished: Mapping[str, ForceHistory]
-) -> list[str]:
-    """A note on what is not simulated yet, how long it takes and who does it; empty if nothing.
-
-    Parameters
-    ----------
-    study
-        Its name.
-    missing
-        Names of the cases, and the cases.
-    finished
-        Histories by the hash of their scenario, whose speed is expected of the others.
-    """
-    times = {name: minutes_of(scenario, finished) for name, scenario in missing}
+    times = {name: minutes_of(scenario) for name, scenario in missing.items()}
     if not times:
         return []
     cases = ", ".join(f"{name} ({minutes:.0f} min)" for name, minutes in times.items())

@@ -23,20 +23,28 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan, Step
 from terraphi.view.plots import BLUE, ORANGE, Curve
 from terraphi.view.table import Table
-from terraphi_studies import Study, benchmark, page
-from terraphi_studies.benchmark import LEGS, FinishedCase, in_the_sand, means_of, nrmsd_percent
+from terraphi_studies import PAPER_LIBRARY, Study, benchmark, page
+from terraphi_studies.benchmark import LEGS, FinishedCase, in_the_sand
+from terraphi_studies.measures import FORCES, PHI, means_of, nrmsd_percent
 from terraphi_studies.pictures import legs_figure
-from terraphi_studies.planned import Simulations, not_yet, of_plans
+from terraphi_studies.planned import Simulations, missing_from, not_yet
 
 FloatArray = NDArray[np.float64]
 
 NAME = "prediction"
 TITLE = "Calibrated on the straight leg, and what that foretells of the C and the reversed C"
-PHI, FRICTION, SHAPE = "soil.friction_angle_deg", "leg.friction", "leg.shape"
+FRICTION, SHAPE = "leg.friction", "leg.shape"
 CALIBRATED_ON = "straight"
 OURS = "resolved"
-FORETOLD = ("foretold_below", "foretold_of")
-HEADER = ("medium", "leg", "model", "NRMSD Fz", "NRMSD Fx")
+COLUMNS = (
+    ("medium", "{medium}"),
+    ("leg", "{leg}"),
+    ("model", "{model}"),
+    ("NRMSD Fz", "{Fz:.1f} %"),
+    ("NRMSD Fx", "{Fx:.1f} %"),
+)
+OTHERS = {"mpm": "preset paper-1", "rft2d": "RFT 2-D", "rft3d": "RFT 3-D"}
+"""Models of the benchmark that stand beside ours in Yuma sand."""
 METHOD = (
     "Preset `resolved` (plane strain), φ and the leg's friction μ fitted to the straight leg "
     "alone; C and reversed C are simulated with that pair. NRMSD on 1° means over |θ| < 85°, in "
@@ -45,6 +53,7 @@ METHOD = (
     f"{benchmark.YUMA_SCALE}, which gives their own curves for that sand. Plan: `prediction`. Run "
     "again: `terraphi study prediction`."
 )
+PICTURE = "forces on the three legs in Yuma sand, measured and from the calibrated model"
 
 
 @dataclass(frozen=True)
@@ -68,8 +77,7 @@ class Calibration:
     nrmsd_percent: Mapping[str, float]
 
 
-@of_plans
-def run(cases: Simulations) -> Study:
+def run(*, cases: Simulations) -> Study:
     """Calibrate and predict every shipped sand.
 
     Parameters
@@ -103,8 +111,7 @@ def run(cases: Simulations) -> Study:
     forces = Interpolated(plan, finished)
     media = sands()
     fits = {medium: calibrate(legs[CALIBRATED_ON], forces) for medium, legs in media.items()}
-    wanted = foretold(plan, media, fits)
-    lacking = {place: s for place, s in wanted.items() if s.hash not in finished}
+    lacking = missing_from(foretold(plan, media, fits), finished)
     if lacking:
         finished |= cases.histories(legs_plan(plan, lacking))
     return study_of(plan, media, fits, finished)
@@ -133,48 +140,28 @@ class Interpolated:
     def __init__(self, plan: Plan, finished: Mapping[str, ForceHistory]) -> None:
         from scipy.interpolate import CubicSpline
 
-        self.phi_deg = np.array(sorted({float(v) for v in _numbers(plan, PHI)}))
-        self.friction = np.array(sorted({float(v) for v in _numbers(plan, FRICTION)}))
+        at = {(s.soil.friction_angle_deg, s.leg.friction): s.hash for s in plan.cases()}
+        self.phi_deg, self.friction = (
+            np.array(sorted(set(values))) for values in zip(*at, strict=True)
+        )
         self.density = plan.scenario.soil.density
-        found = {_pair(s): means_of(finished[s.hash]) for s in plan.cases()}
-        grid = np.array([[found[(phi, mu)] for mu in self.friction] for phi in self.phi_deg])
-        self._over_phi = CubicSpline(self.phi_deg, grid)
+        grid = [
+            [means_of(finished[at[phi, mu]]) for mu in self.friction.tolist()]
+            for phi in self.phi_deg.tolist()
+        ]
+        self._over_phi = CubicSpline(self.phi_deg, np.array(grid))
 
     def __call__(self, phi_deg: float, friction: float) -> FloatArray:
         """1° means [N] over |θ| < 85°, shape [theta, 2], of the library's density."""
-        across = self._over_phi(phi_deg)
-        weights = np.array(
-            [
-                np.prod([(friction - b) / (a - b) for b in self.friction if b != a])
-                for a in self.friction
-            ]
-        )
-        forces: FloatArray = np.tensordot(weights, across, axes=1)
-        return forces
-
-
-def _numbers(plan: Plan, key: str) -> list[float]:
-    return [float(str(value)) for value in plan.sweep[key]]
-
-
-def _pair(scenario: Scenario) -> tuple[float, float]:
-    return scenario.soil.friction_angle_deg, scenario.leg.friction
+        weights = [
+            np.prod([(friction - b) / (a - b) for b in self.friction if b != a])
+            for a in self.friction
+        ]
+        return np.asarray(np.tensordot(np.array(weights), self._over_phi(phi_deg), axes=1))
 
 
 def calibrate(measured: Measurement, forces: Interpolated) -> Calibration:
-    """Fit φ and μ to one measured history.
-
-    Parameters
-    ----------
-    measured
-        Forces on the leg that was simulated.
-    forces
-        What they would be.
-
-    Returns
-    -------
-    Calibration
-    """
+    """Fit φ and μ to one measured history of the leg that was simulated."""
     from scipy.optimize import least_squares
 
     data = means_of(measured.history)
@@ -205,10 +192,10 @@ def foretold(
     plan: Plan,
     media: Mapping[str, Mapping[str, Measurement]],
     fits: Mapping[str, Calibration],
-) -> dict[tuple[str, str], Scenario]:
-    """Each measured leg with its sand's pair, the straight one as a check of the fit."""
+) -> dict[str, Scenario]:
+    """Each measured leg, ``MEDIUM/LEG``, with its sand's pair; the straight one checks the fit."""
     return {
-        (medium, leg): plan.scenario.replace(
+        f"{medium}/{leg}": plan.scenario.replace(
             **{SHAPE: leg, PHI: fit.phi_deg, FRICTION: fit.friction}
         )
         for medium, fit in fits.items()
@@ -217,9 +204,9 @@ def foretold(
     }
 
 
-def legs_plan(plan: Plan, wanted: Mapping[tuple[str, str], Scenario]) -> Plan:
+def legs_plan(plan: Plan, wanted: Mapping[str, Scenario]) -> Plan:
     """What is wanted as a plan, once where two sands came to the same pair."""
-    distinct = {s.hash: (f"{medium}/{leg}", s) for (medium, leg), s in wanted.items()}
+    distinct = {s.hash: (name, s) for name, s in wanted.items()}
     steps = [
         Step(
             name=name,
@@ -241,7 +228,7 @@ def study_of(
     fits: Mapping[str, Calibration],
     finished: Mapping[str, ForceHistory],
 ) -> Study:
-    """The study on what is finished.
+    """The study on what is finished, as :func:`run` says.
 
     Parameters
     ----------
@@ -251,96 +238,73 @@ def study_of(
         Measurements and calibrations by medium.
     finished
         Histories by the hash of their scenario.
-
-    Returns
-    -------
-    Study
-        As :func:`run` says.
     """
     deviations: dict[str, dict[str, dict[str, Mapping[str, float]]]] = {}
     curves: dict[str, dict[str, list[Curve]]] = {}
-    missing: dict[str, Scenario] = {}
-    others = _others()
-    for (medium, leg), scenario in foretold(plan, media, fits).items():
-        measured = media[medium][leg]
+    wanted = foretold(plan, media, fits)
+    for name, scenario in wanted.items():
+        medium, leg = name.split("/")
+        measured, fit = media[medium][leg], fits[medium]
         row = deviations.setdefault(medium, {}).setdefault(leg, {})
-        history = finished.get(scenario.hash)
-        if history is None:
-            missing[f"{medium}/{leg}"] = scenario
-        else:
-            scaled = in_the_sand(FinishedCase(scenario, history), measured)
-            row[OURS] = nrmsd_percent(measured.history, scaled)
-            curves.setdefault(medium, {})[leg] = [
-                Curve("measured, Li et al. 2013", measured.history, ORANGE, ""),
-                Curve(
-                    f"{OURS}, φ = {fits[medium].phi_deg:.1f}° ({scenario.convention}), μ = "
-                    f"{fits[medium].friction:.2f}: fitted to the {CALIBRATED_ON} leg, the others "
-                    "foretold",
-                    scaled,
-                    BLUE,
-                ),
-            ]
+        if scenario.hash in finished:
+            ours = in_the_sand(FinishedCase(scenario, finished[scenario.hash]), measured)
+            row[OURS] = nrmsd_percent(measured.history, ours)
+            label = (
+                f"{OURS}, φ = {fit.phi_deg:.1f}° ({scenario.convention}), μ = {fit.friction:.2f}: "
+                f"fitted to the {CALIBRATED_ON} leg, the others foretold"
+            )
+            sand = Curve("measured, Li et al. 2013", measured.history, ORANGE, "")
+            curves.setdefault(medium, {})[leg] = [sand, Curve(label, ours, BLUE)]
         if medium == "yuma":
-            row |= others[leg]
+            row |= _others(leg)
     better = _better(deviations.get("yuma", {}))
-    table = Table(TITLE, HEADER, _rows(deviations))
+    rows = [
+        {"medium": medium, "leg": leg, "model": model, **percent}
+        for medium, legs in deviations.items()
+        for leg, models in legs.items()
+        for model, percent in models.items()
+    ]
+    table, missing = Table.of(TITLE, COLUMNS, rows), missing_from(wanted, finished)
     repose = {medium: legs[CALIBRATED_ON].angle_of_repose_deg for medium, legs in media.items()}
-    notes = [*_notes(fits, repose, better), *not_yet(NAME, missing.items(), finished)]
-    data = {
-        "calibrated": {medium: vars(fit) for medium, fit in fits.items()},
-        "nrmsd_percent": deviations,
-        "better_than": better,
-        "missing": list(missing),
-    }
-    picture = "forces on the three legs in Yuma sand, measured and from the calibrated model"
+    notes = [*_notes(fits, repose, better), *not_yet(NAME, missing)]
     return Study(
         table=table,
-        data=data,
+        data={
+            "calibrated": {medium: vars(fit) for medium, fit in fits.items()},
+            "nrmsd_percent": deviations,
+            "better_than": better,
+            "missing": list(missing),
+        },
         figures={f"{NAME}-{medium}": legs_figure(legs) for medium, legs in curves.items()},
-        documents={f"{NAME}.md": page(table, METHOD, notes, f"{NAME}-yuma.png", picture)},
+        documents=page(NAME, table, METHOD, notes, PICTURE, f"{NAME}-yuma"),
         notes=notes,
     )
 
 
-def _others() -> dict[str, dict[str, Mapping[str, float]]]:
-    """Deviations of the other models in Yuma sand, ours and printed, by leg."""
-    found = {}
-    for leg, ours in benchmark.run().data["nrmsd_percent"].items():
-        fz, fx = benchmark.PAPER_NRMSD[leg]
-        found[leg] = {
-            "the paper's MPM": {"Fz": fz, "Fx": fx},
-            "preset paper-1": ours["mpm"],
-            "RFT 2-D": ours["rft2d"],
-            "RFT 3-D": ours["rft3d"],
-        }
-    return found
+def _others(leg: str) -> dict[str, Mapping[str, float]]:
+    """Deviations of the other models in Yuma sand, ours and printed."""
+    histories, _ = benchmark.histories_of(PAPER_LIBRARY, leg)
+    ours = benchmark.deviations_of(histories)
+    fz, fx = benchmark.PAPER_NRMSD[leg]
+    return {
+        "the paper's MPM": {"Fz": fz, "Fx": fx},
+        **{name: ours[model] for model, name in OTHERS.items()},
+    }
 
 
 def _better(legs: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, dict[str, int]]:
     """Of the deviations that both have, fitted or foretold, how many of ours lie below."""
     found: dict[str, dict[str, int]] = {}
     for leg, models in legs.items():
-        for name, other in models.items():
-            if name != OURS and OURS in models:
-                count = found.setdefault(name, dict.fromkeys(("below", "of", *FORETOLD), 0))
-                below = sum(models[OURS][force] < other[force] for force in ("Fz", "Fx"))
-                count["below"] += below
-                count["of"] += 2
-                if leg != CALIBRATED_ON:
-                    count["foretold_below"] += below
-                    count["foretold_of"] += 2
+        for name in [n for n in models if n != OURS and OURS in models]:
+            below = sum(models[OURS][force] < models[name][force] for force in FORCES)
+            count = found.setdefault(
+                name, dict.fromkeys(("below", "of", "foretold_below", "foretold_of"), 0)
+            )
+            for part in ("", "foretold_") if leg != CALIBRATED_ON else ("",):
+                count[f"{part}below"] += below
+                count[f"{part}of"] += len(FORCES)
     return found
-
-
-def _rows(
-    deviations: Mapping[str, Mapping[str, Mapping[str, Mapping[str, float]]]],
-) -> list[tuple[str, ...]]:
-    return [
-        (medium, leg, model, f"{value['Fz']:.1f} %", f"{value['Fx']:.1f} %")
-        for medium, legs in deviations.items()
-        for leg, models in legs.items()
-        for model, value in models.items()
-    ]
 
 
 def _notes(
@@ -354,9 +318,8 @@ def _notes(
         + (", at an edge of what was simulated." if fit.at_edge else ".")
         for medium, fit in fits.items()
     ]
-    notes += [
+    return notes + [
         f"In Yuma sand {count['below']} of our {count['of']} deviations lie below those of {name}, "
         f"{count['foretold_below']} of the {count['foretold_of']} foretold."
         for name, count in better.items()
     ]
-    return notes

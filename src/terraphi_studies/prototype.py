@@ -10,8 +10,9 @@ at k = 0 is told beside them, for the contact of the paper's text as well.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,32 +21,36 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.build import cases_folder, finished_cases
-from terraphi.library.plan import BASE, Plan
+from terraphi.library.plan import Plan
 from terraphi.library.store import Case, Library
 from terraphi.view.table import Table
-from terraphi_studies import PAPER_LIBRARY, PROTOTYPE_LIBRARY, Beside, Study
-from terraphi_studies.benchmark import PHI_DEG, FinishedCase, in_the_sand, nrmsd_percent
-from terraphi_studies.pictures import speeds_figure
-from terraphi_studies.planned import Simulations, missing_from, not_yet, of_plans
-from terraphi_studies.reading import (
+from terraphi_studies import PAPER_LIBRARY, PROTOTYPE_LIBRARY, Study
+from terraphi_studies.benchmark import PHI_DEG, FinishedCase, in_the_sand
+from terraphi_studies.measures import (
     ENDS_DEG,
+    FORCES,
     PAPER_ANGLES_DEG,
     PAPER_ENGAGEMENT_DEG,
     PAPER_PEAKS_N,
+    both,
+    engagement_beside_paper,
     engagement_deg,
+    nrmsd_percent,
     off_by_percent,
+    peak_angles_of,
+    peaks_beside_paper,
+    peaks_of,
 )
+from terraphi_studies.pictures import speeds_figure
+from terraphi_studies.planned import Simulations, missing_from, not_yet, steps_of
 
 NAME = "prototype"
 SAND, LEG = "li2013:yuma/straight", "straight"
-FORCES = ("Fz", "Fx")
 TOLD_DEG = (*ENDS_DEG, PHI_DEG)
 """Friction angles at which the deviation from the sand is told in words [deg]."""
 CODE, TEXT = "its code", "its text"
-HEADER = (
-    *("", "counted Fz", "counted Fx", "applied Fz / Fx"),
-    *("of the peaks", "of the path", "engages"),
-)
+MODELS = (TEXT, CODE, "")
+"""Whose contact a case has, in the table's order; empty of one with something else changed."""
 SPEED_ASIDE = {
     "soil.friction_angle_deg": 35.0,
     "numerics.seed": 0,
@@ -57,44 +62,39 @@ SPEED_ASIDE = {
 """Keys in which cases of one model may differ: damping goes with the speed."""
 
 
-class Forces(NamedTuple):
-    """What a case counted and applied."""
+def _counted(force: str) -> Any:
+    def cell(case: Mapping[str, Any]) -> str:
+        angles = case.get("angles_deg")
+        at = f" at {angles[force]:.0f}°" if angles else ""
+        return f"{case['counted_peaks_N'][force]:.1f} N{at}"
 
-    name: str
-    model: str
-    """:data:`CODE` or :data:`TEXT`; empty of a case with something else changed."""
-    scenario: Scenario
-    counted: ForceHistory
-    applied: ForceHistory
-    """The counted one itself of a contact that counts what it applies."""
-
-    @property
-    def phi_deg(self) -> float:
-        """Friction angle [deg], by the paper's convention."""
-        return self.scenario.soil.friction_angle_deg
-
-    @property
-    def speed_up(self) -> float:
-        """Factor k of the speed [-]."""
-        return self.scenario.numerics.speed_up
-
-    def peaks(self, kind: str) -> dict[str, float]:
-        """Largest means over a degree [N], by force; ``kind`` is ``counted`` or ``applied``."""
-        if kind == "counted" or self.applied is self.counted:
-            found = self.counted.peaks()
-            return {"Fz": found.Fz, "Fx": found.Fx}
-        return {"Fz": float(self.applied.Fz.max()), "Fx": float(self.applied.Fx.max())}
-
-    def share_of_path(self) -> dict[str, float]:
-        """Mean of the applied over mean of the counted force along the path [-], by force."""
-        ends = self.counted.position[0], self.counted.position[-1]
-        middle, half = np.array([sum(ends) / 2.0]), (ends[1] - ends[0]) / 2.0
-        applied, counted = self.applied.force.mean(axis=0), self.counted.means(middle, half)[0]
-        return {"Fz": float(applied[1] / counted[1]), "Fx": float(applied[0] / counted[0])}
+    return cell
 
 
-@of_plans
-def run(cases: Simulations) -> Study:
+def _share(key: str) -> Any:
+    return lambda case: (
+        both({f: 100.0 * case[key][f] for f in FORCES}, " %", ".0f") if key in case else ""
+    )
+
+
+COLUMNS = (
+    ("", "{name}"),
+    ("counted Fz", _counted("Fz")),
+    ("counted Fx", _counted("Fx")),
+    (
+        "applied Fz / Fx",
+        lambda case: both(case["applied_peaks_N"], " N") if "applied_peaks_N" in case else "",
+    ),
+    ("of the peaks", _share("share_of_peaks")),
+    ("of the path", _share("share_of_path")),
+    (
+        "engages",
+        lambda case: f"{case['engagement_deg']:.0f}°" if "engagement_deg" in case else "",
+    ),
+)
+
+
+def run(*, cases: Simulations) -> Study:
     """Set what is counted beside what is applied, in the finished cases of the plan.
 
     Parameters
@@ -142,41 +142,44 @@ def study_of(
     Study
         As :func:`run` describes it.
     """
-    text = [
+    runs = [
         (f"{case.scenario.soil.friction_angle_deg:g}°, {TEXT}", case.scenario, case.history)
         for case in Library.load(PAPER_LIBRARY).cases
         if case.scenario.soil.friction_angle_deg in ENDS_DEG and case.history
     ]
-    own = [
-        (plan.scenario.name if v.key == BASE else v.key, v.scenario, finished[v.scenario.hash])
-        for v in plan.variants()
-        if v.scenario.hash in finished
+    models = {_speed_aside(runs[0][1]): TEXT, _speed_aside(plan.scenario): CODE}
+    steps = steps_of(plan)
+    runs += [(name, s, finished[s.hash]) for name, s in steps.items() if s.hash in finished]
+    cases = [
+        _measured(name, models.get(_speed_aside(scenario), ""), scenario, history)
+        for name, scenario, history in runs
     ]
-    models = {_speed_aside(text[0][1]): TEXT, _speed_aside(plan.scenario): CODE}
-    found = [
-        Forces(name, models.get(_speed_aside(s), ""), s, history, history.applied() or history)
-        for name, s, history in (*text, *own)
-    ]
-    found.sort(key=lambda f: (f.phi_deg, [TEXT, CODE, ""].index(f.model), f.speed_up))
-    missing = {v.key: v.scenario for v in missing_from(plan, finished)}
-    lines, cases = _without_speed(found), [_measured(forces) for forces in found]
+    cases.sort(key=lambda case: (case["phi_deg"], MODELS.index(case["model"]), case["speed_up"]))
+    lines, missing = _without_speed(cases), missing_from(steps, finished)
     data = {
         "cases": cases,
-        "off_by_percent": _off_by(found),
+        "off_by_percent": _off_by(cases),
         "without_speed": lines,
         "nrmsd_percent": _in_yuma(library),
         "missing": list(missing),
     }
+    at_true_speed = [case for case in cases if (case["model"], case["speed_up"]) == (CODE, 1.0)]
     return Study(
-        table=Table(
+        table=Table.of(
             "Force that the contact of the paper's prototype counts, and force that it applies",
-            HEADER,
-            _rows(found, lines),
+            COLUMNS,
+            _rows(cases, lines),
         ),
         data=data,
         figures={NAME: speeds_figure(cases, lines)},
-        notes=[*_notes(data), *not_yet(NAME, missing.items(), finished)],
-        beside_paper=_beside_paper(found),
+        notes=[*_notes(data), *not_yet(NAME, missing)],
+        beside_paper=[
+            *(
+                peaks_beside_paper(case["phi_deg"], case["counted_peaks_N"])
+                for case in at_true_speed
+            ),
+            engagement_beside_paper([case["engagement_deg"] for case in at_true_speed]),
+        ],
     )
 
 
@@ -199,66 +202,72 @@ def _speed_aside(scenario: Scenario) -> str:
     return scenario.replace(**SPEED_ASIDE).hash
 
 
-def _measured(forces: Forces) -> dict[str, Any]:
-    counted, applied = forces.peaks("counted"), forces.peaks("applied")
-    peaks = forces.counted.peaks()
+def _measured(name: str, model: str, scenario: Scenario, history: ForceHistory) -> dict[str, Any]:
+    """What a case counted and applied: the same, unless its contact kept what it applied."""
+    counted, kept = peaks_of(history), history.applied()
+    applied = {f: float(getattr(kept, f).max()) for f in FORCES} if kept else counted
+    ends = history.position[0], history.position[-1]
+    middle, half = np.array([sum(ends) / 2.0]), (ends[1] - ends[0]) / 2.0
+    fx, fz = ((kept or history).force.mean(axis=0) / history.means(middle, half)[0]).tolist()
+    share = {"Fz": fz, "Fx": fx}
     return {
-        "name": forces.name,
-        "model": forces.model,
-        "phi_deg": forces.phi_deg,
-        "speed_up": forces.speed_up,
+        "name": name,
+        "model": model,
+        "phi_deg": scenario.soil.friction_angle_deg,
+        "speed_up": scenario.numerics.speed_up,
         "counted_peaks_N": counted,
         "applied_peaks_N": applied,
         "share_of_peaks": {force: applied[force] / counted[force] for force in FORCES},
-        "share_of_path": forces.share_of_path(),
-        "angles_deg": {"Fz": peaks.theta_Fz_deg, "Fx": peaks.theta_Fx_deg},
-        "engagement_deg": engagement_deg(forces.counted),
+        "share_of_path": share,
+        "angles_deg": peak_angles_of(history),
+        "engagement_deg": engagement_deg(history),
     }
 
 
-def _off_by(found: Sequence[Forces]) -> dict[str, float]:
+def _off_by(cases: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Error of the peaks at the true speed, by model, root mean square [%]."""
     peaks = {
-        model: {f.phi_deg: f.counted.peaks() for f in found if (f.model, f.speed_up) == (model, 1)}
+        model: {
+            case["phi_deg"]: case["counted_peaks_N"]
+            for case in cases
+            if (case["model"], case["speed_up"]) == (model, 1.0)
+        }
         for model in (TEXT, CODE)
     }
     return {m: off_by_percent(ends) for m, ends in peaks.items() if len(ends) == len(ENDS_DEG)}
 
 
-def _without_speed(found: Sequence[Forces]) -> list[dict[str, Any]]:
+def _without_speed(cases: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Peaks that lines over the speed leave at k = 0, where two speeds at least are finished."""
-    groups: dict[tuple[str, float], list[Forces]] = {}
-    for forces in found:
-        if forces.model:
-            groups.setdefault((forces.model, forces.phi_deg), []).append(forces)
     lines = []
-    for (model, phi), group in groups.items():
-        speeds = np.array([forces.speed_up for forces in group])
-        if len(speeds) < 2 or speeds[0] != 1.0:
+    for (phi, model), some in itertools.groupby(cases, lambda c: (c["phi_deg"], c["model"])):
+        group = list(some)
+        speeds = np.array([case["speed_up"] for case in group])
+        if not model or len(speeds) < 2 or speeds[0] != 1.0:
             continue
-        for kind in ("counted", "applied")[: 2 if model == CODE else 1]:
-            for force in FORCES:
-                peaks = np.array([forces.peaks(kind)[force] for forces in group])
-                slope, left = np.polyfit(speeds, peaks, 1)
-                off = np.abs(left + slope * speeds - peaks) / peaks
-                lines.append(
-                    {
-                        "model": model,
-                        "phi_deg": phi,
-                        "kind": kind,
-                        "force": force,
-                        "speeds": speeds.tolist(),
-                        "peak_N": float(left),
-                        "slope_N": float(slope),
-                        "share": float(left / peaks[0]),
-                        "line_off_percent": 100.0 * float(off.max()),
-                    }
-                )
+        kinds = ("counted", "applied") if model == CODE else ("counted",)
+        for kind, force in itertools.product(kinds, FORCES):
+            peaks = np.array([case[f"{kind}_peaks_N"][force] for case in group])
+            slope, left = np.polyfit(speeds, peaks, 1)
+            off = np.abs(left + slope * speeds - peaks) / peaks
+            lines.append(
+                {
+                    "model": model,
+                    "phi_deg": phi,
+                    "kind": kind,
+                    "force": force,
+                    "speeds": speeds.tolist(),
+                    "peak_N": float(left),
+                    "slope_N": float(slope),
+                    "share": float(left / peaks[0]),
+                    "line_off_percent": 100.0 * float(off.max()),
+                }
+            )
     return lines
 
 
 def _in_yuma(library: Sequence[FinishedCase]) -> list[dict[str, Any]]:
-    """Deviation from measured forces [%] by φ: of the counted, the applied, and the text's."""
+    """Deviations from the sand of what is counted and applied, and of the text's forces."""
     sand = measurement(SAND)
     by_text = {
         case.scenario.soil.friction_angle_deg: FinishedCase(case.scenario, case.history)
@@ -280,53 +289,42 @@ def _in_yuma(library: Sequence[FinishedCase]) -> list[dict[str, Any]]:
 # -- what people see -------------------------------------------------------------------------------
 
 
-def _rows(found: Sequence[Forces], lines: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    rows = []
-    for phi, paper in PAPER_PEAKS_N.items():
-        peaks = [f"{paper[f]:.1f} N at {PAPER_ANGLES_DEG[f]:.0f}°" for f in FORCES]
-        rows.append((f"{phi:g}°, the paper", *peaks, "", "", "", f"{PAPER_ENGAGEMENT_DEG:.0f}°"))
-        cases = [_measured(forces) for forces in found if forces.phi_deg == phi]
-        for model in (TEXT, CODE, ""):
-            rows += [_row(case) for case in cases if case["model"] == model]
-            left = [line for line in lines if (line["model"], line["phi_deg"]) == (model, phi)]
+def _rows(
+    cases: Sequence[Mapping[str, Any]], lines: Sequence[Mapping[str, Any]]
+) -> list[Mapping[str, Any]]:
+    """At each end the paper's peaks, then each model's cases and what is left without speed."""
+    rows: list[Mapping[str, Any]] = []
+    for phi, printed in PAPER_PEAKS_N.items():
+        rows.append(
+            {
+                "name": f"{phi:g}°, the paper",
+                "counted_peaks_N": printed,
+                "angles_deg": PAPER_ANGLES_DEG,
+                "engagement_deg": PAPER_ENGAGEMENT_DEG,
+            }
+        )
+        for model in MODELS:
+            at = (model, phi)
+            rows += [case for case in cases if (case["model"], case["phi_deg"]) == at]
+            left = [line for line in lines if (line["model"], line["phi_deg"]) == at]
             if left:
-                rows.append(_row_of_lines(left))
+                rows.append(_row_of_lines(*at, left))
     return rows
 
 
-def _row(case: Mapping[str, Any]) -> tuple[str, ...]:
-    return (
-        case["name"],
-        *(f"{case['counted_peaks_N'][f]:.1f} N at {case['angles_deg'][f]:.0f}°" for f in FORCES),
-        _pair(case["applied_peaks_N"], "N"),
-        *(_percent(case[f"share_of_{what}"]) for what in ("peaks", "path")),
-        f"{case['engagement_deg']:.0f}°",
-    )
-
-
-def _row_of_lines(lines: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+def _row_of_lines(model: str, phi: float, lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """What is left without speed: a row of figures that no simulation has."""
     peaks: dict[str, dict[str, float]] = {}
     for line in lines:
         peaks.setdefault(line["kind"], {})[line["force"]] = line["peak_N"]
     counted = peaks["counted"]
     applied = peaks.get("applied", counted)
-    return (
-        f"{lines[0]['phi_deg']:g}°, {lines[0]['model']}, a line to k = 0",
-        *(f"{counted[force]:.1f} N" for force in FORCES),
-        _pair(applied, "N"),
-        _percent({force: applied[force] / counted[force] for force in FORCES}),
-        "",
-        "",
-    )
-
-
-def _pair(values: Mapping[str, float], unit: str) -> str:
-    return " / ".join(f"{values[force]:.1f}" for force in FORCES) + f" {unit}"
-
-
-def _percent(shares: Mapping[str, float]) -> str:
-    return " / ".join(f"{100.0 * shares[force]:.0f}" for force in FORCES) + " %"
+    return {
+        "name": f"{phi:g}°, {model}, a line to k = 0",
+        "counted_peaks_N": counted,
+        "applied_peaks_N": applied,
+        "share_of_peaks": {force: applied[force] / counted[force] for force in FORCES},
+    }
 
 
 def _notes(data: Mapping[str, Any]) -> list[str]:
@@ -338,8 +336,7 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         groups.setdefault(who, []).append(line)
     notes += [_about_speed(who, lines) for who, lines in groups.items()]
     notes += _about_parts(data)
-    notes += [_about_sand(row) for row in data["nrmsd_percent"] if row["phi_deg"] in TOLD_DEG]
-    return notes
+    return notes + [_about_sand(row) for row in data["nrmsd_percent"] if row["phi_deg"] in TOLD_DEG]
 
 
 def _about_speed(who: str, lines: Sequence[Mapping[str, Any]]) -> str:
@@ -359,14 +356,13 @@ def _about_speed(who: str, lines: Sequence[Mapping[str, Any]]) -> str:
 def _about_parts(data: Mapping[str, Any]) -> list[str]:
     """What the counted peaks at k = 1 are made of, if lines tell what is left of them."""
     shares = {
-        (case["phi_deg"], force): case["share_of_peaks"][force]
+        case["phi_deg"]: case["share_of_peaks"]
         for case in data["cases"]
-        for force in FORCES
         if (case["model"], case["speed_up"]) == (CODE, 1.0)
     }
     parts = []
     for line in (line for line in data["without_speed"] if line["kind"] == "applied"):
-        applied = shares[line["phi_deg"], line["force"]]
+        applied = shares[line["phi_deg"]][line["force"]]
         left = applied * line["share"]
         parts.append([1.0 - applied, applied - left, left])
     if not parts:
@@ -380,20 +376,5 @@ def _about_parts(data: Mapping[str, Any]) -> list[str]:
 
 def _about_sand(row: Mapping[str, Any]) -> str:
     names = {"counted": "counted", "applied": "applied", "text": TEXT}
-    parts = [f"{name} {_pair(row[kind], '%')}" for kind, name in names.items() if kind in row]
+    parts = [f"{name} {both(row[kind], ' %')}" for kind, name in names.items() if kind in row]
     return f"NRMSD Fz / Fx from Yuma sand at {row['phi_deg']:g}°: {', '.join(parts)}."
-
-
-def _beside_paper(found: Sequence[Forces]) -> list[Beside]:
-    code = [forces for forces in found if (forces.model, forces.speed_up) == (CODE, 1.0)]
-    lines: list[Beside] = [
-        (
-            f"peaks Fz / Fx at {forces.phi_deg:g}°",
-            _pair(forces.peaks("counted"), "N"),
-            _pair(PAPER_PEAKS_N[forces.phi_deg], "N"),
-        )
-        for forces in code
-    ]
-    engages = float(np.median([engagement_deg(forces.counted) for forces in code]))
-    what = "leg angle of first resistance (ours: median)"
-    return [*lines, (what, f"{engages:.0f}°", f"about {PAPER_ENGAGEMENT_DEG:.0f}°")]

@@ -14,31 +14,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import ForceHistory
 from terraphi.inference.inversion import Inversion, invert
 from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import ensemble, tabulated
 from terraphi.library.shipped import companion
-from terraphi.library.store import Library
+from terraphi.library.store import Case, Library
 from terraphi.surrogate.paper import LegSurrogate
-from terraphi.view.plots import recovery_figure
 from terraphi.view.table import Table
-from terraphi_studies import PAPER_LIBRARY, Beside, Study
-from terraphi_studies.pictures import Walkers, walkers_figure
+from terraphi_studies import PAPER_LIBRARY, Study
+from terraphi_studies.measures import recovered
+from terraphi_studies.pictures import Walkers, recovery_figure, walkers_figure
 
 FloatArray = NDArray[np.float64]
 
 SHOWN_DEG = 33.97
 """The case whose walkers the paper shows; the nearest one is taken."""
 BURN_IN = 1000
-PAPER = {
-    "median error": "0.09°",
-    "largest error": "0.73°",
-    "median 68 % half-width": "1.34°",
-    "largest 68 % half-width": "1.93°",
-    "truths inside their 68 % interval": "14 of 14",
-}
-"""What Xu & Wang print."""
+BESIDE_PAPER = (
+    ("median error", "{abs_error_deg[median]:.2f}°", "0.09°"),
+    ("largest error", "{abs_error_deg[max]:.2f}°", "0.73°"),
+    ("median 68 % half-width", "{ci68_half_width_deg[median]:.2f}°", "1.34°"),
+    ("largest 68 % half-width", "{ci68_half_width_deg[max]:.2f}°", "1.93°"),
+    ("truths inside their 68 % interval", "{inside68} of {cases}", "14 of 14"),
+)
+"""What Xu & Wang print, and what of ours stands beside it."""
+COLUMNS = (
+    ("true φ", "{phi_true_deg:.2f}°"),
+    ("median", "{phi_median_deg:.2f}°"),
+    ("error", lambda case: f"{case['phi_median_deg'] - case['phi_true_deg']:+.2f}°"),
+    ("68 %", "{ci68[0]:.2f} to {ci68[1]:.2f}°"),
+    ("95 %", "{ci95[0]:.2f} to {ci95[1]:.2f}°"),
+    ("verdict", lambda case: case["verdict"].replace("_", " ")),
+)
 
 
 def run(
@@ -70,11 +77,10 @@ def run(
     InputError
         If there is no such library, or none of its truths.
     """
-    trained = Library.load(library)
-    truths = companion(library, "truths")
+    trained, truths = Library.load(library), companion(library, "truths")
     convention = trained.cases[0].scenario.convention
     cases: list[dict[str, Any]] = []
-    shown: tuple[ForceHistory, Inversion, float] | None = None
+    answers: list[tuple[float, Inversion]] = []
     for number, truth in enumerate(truths.cases, start=1):
         if truth.history is None:
             raise InputError(f"library '{truths.name}' holds a failed case: {truth.failure}")
@@ -83,26 +89,29 @@ def run(
             invert(truth.history, library=trained, leg=leg, likelihood="paper", sampler=sampler)
             for sampler in ("quadrature", "emcee")
         )
-        if shown is None or abs(phi - SHOWN_DEG) < abs(shown[2] - SHOWN_DEG):
-            shown = truth.history, exact, phi
+        answers.append((phi, exact))
         cases.append(_case(phi, exact, sampled))
         if progress is not None:
             progress(number, len(truths.cases))
-    assert shown is not None
-    summary = _summary(cases)
+    summary = recovered(answers)
+    shown = min(range(len(cases)), key=lambda i: abs(answers[i][0] - SHOWN_DEG))
     return Study(
-        table=Table(
+        table=Table.of(
             f"Recovery of {len(cases)} friction angles ({convention}) with library '{library}'",
-            ("true φ", "median", "error", "68 %", "95 %", "verdict"),
-            [_row(case) for case in cases],
+            COLUMNS,
+            cases,
         ),
-        data={"library": library, "yield": convention, "cases": cases, **summary},
+        data={"library": library, "yield": convention, **summary, "cases": cases},
         figures={
             "recovery": recovery_figure(cases, convention),
-            "walkers": walkers_figure(_walkers(trained, *shown), convention),
+            "walkers": walkers_figure(
+                _walkers(trained, truths.cases[shown], answers[shown][1]), convention
+            ),
         },
         notes=[_about_emcee(cases)],
-        beside_paper=_beside_paper(summary, len(cases)),
+        beside_paper=[
+            (what, ours.format_map(summary), paper) for what, ours, paper in BESIDE_PAPER
+        ],
     )
 
 
@@ -134,11 +143,12 @@ def _about_emcee(cases: list[dict[str, Any]]) -> str:
     )
 
 
-def _walkers(library: Library, history: ForceHistory, exact: Inversion, phi: float) -> Walkers:
+def _walkers(library: Library, truth: Case, exact: Inversion) -> Walkers:
     """An ensemble's way from the prior to the posterior, the first of those that were inverted."""
+    assert truth.history is not None
     curves = library.curves(exact.leg)
     surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
-    likelihood = PaperLikelihood(history.observation().vector, curves.theta_deg)
+    likelihood = PaperLikelihood(truth.history.observation().vector, curves.theta_deg)
 
     def log_p(phi_deg: FloatArray) -> FloatArray:
         return likelihood(surrogate.predict(phi_deg))
@@ -146,43 +156,4 @@ def _walkers(library: Library, history: ForceHistory, exact: Inversion, phi: flo
     table = tabulated(log_p, surrogate.phi_bounds_deg)
     draws = ensemble(table, surrogate.phi_bounds_deg, burn_in=0, seed=0).draws_deg
     assert draws is not None
-    return Walkers(draws[0], BURN_IN, exact.posterior, phi)
-
-
-def _beside_paper(summary: dict[str, Any], cases: int) -> list[Beside]:
-    error, half = summary["abs_error_deg"], summary["ci68_half_width_deg"]
-    ours = (
-        f"{error['median']:.2f}°",
-        f"{error['max']:.2f}°",
-        f"{half['median']:.2f}°",
-        f"{half['max']:.2f}°",
-        f"{summary['inside68']} of {cases}",
-    )
-    return [(what, found, PAPER[what]) for what, found in zip(PAPER, ours, strict=True)]
-
-
-def _summary(cases: list[dict[str, Any]]) -> dict[str, Any]:
-    """Errors, widths and coverage over all cases."""
-    error = np.array([abs(case["phi_median_deg"] - case["phi_true_deg"]) for case in cases])
-    half = np.array([0.5 * (case["ci68"][1] - case["ci68"][0]) for case in cases])
-
-    def inside(key: str) -> int:
-        return sum(case[key][0] <= case["phi_true_deg"] <= case[key][1] for case in cases)
-
-    return {
-        "abs_error_deg": {"median": float(np.median(error)), "max": float(error.max())},
-        "ci68_half_width_deg": {"median": float(np.median(half)), "max": float(half.max())},
-        "inside68": inside("ci68"),
-        "inside95": inside("ci95"),
-    }
-
-
-def _row(case: dict[str, Any]) -> tuple[str, ...]:
-    return (
-        f"{case['phi_true_deg']:.2f}°",
-        f"{case['phi_median_deg']:.2f}°",
-        f"{case['phi_median_deg'] - case['phi_true_deg']:+.2f}°",
-        "{:.2f} to {:.2f}°".format(*case["ci68"]),
-        "{:.2f} to {:.2f}°".format(*case["ci95"]),
-        case["verdict"].replace("_", " "),
-    )
+    return Walkers(draws[0], BURN_IN, exact.posterior, truth.scenario.soil.friction_angle_deg)

@@ -15,24 +15,33 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.history import ForceHistory
-from terraphi.library.plan import BASE, Plan, Variant
-from terraphi.view.plots import waterfall_figure
+from terraphi.library.plan import Plan
 from terraphi.view.table import Table
 from terraphi_studies import Study, degrees, page
-from terraphi_studies.planned import Simulations, missing_from, need_base, not_yet, of_plans
+from terraphi_studies.measures import FORCES, both, peaks_of
+from terraphi_studies.pictures import waterfall_figure
+from terraphi_studies.planned import Simulations, missing_from, need_base, not_yet, steps_of
 
 PLANS = ("waterfall", "resolution")
+NAME = "resolution"
 TITLE = "Resolution: from preset paper-1 to preset resolved, and whether that has arrived"
-HEADER = ("step", "peak Fz", "peak Fx", "change of Fz", "change of Fx")
-FORCES = ("Fz", "Fx")
+COLUMNS = (
+    ("step", "{step}"),
+    ("peak Fz", "{peaks_N[Fz]:.2f} N"),
+    ("peak Fx", "{peaks_N[Fx]:.2f} N"),
+    ("change of Fz", "{said[Fz]}"),
+    ("change of Fx", "{said[Fx]}"),
+)
 TOLERANCE_PERCENT = 5.0
 """What halving anything may do to a peak [%]."""
 SEED = "seed"
 """Steps whose names begin so are the base with other particle places."""
+PICTURE = "peaks along the way, and what is left of them when things are halved"
+
+ByForce = Mapping[str, float]
 
 
-@of_plans
-def run(cases: Simulations) -> Study:
+def run(*, cases: Simulations) -> Study:
     """Measure the finished cases of both plans.
 
     Parameters
@@ -83,33 +92,19 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
     for plan in (way, halved):
         need_base(plan, finished)
     steps = _waterfall(way, finished)
-    seeds = [
-        _peaks(finished[v.scenario.hash]) for v in _seeds(halved) if v.scenario.hash in finished
-    ]
-    mean = {f: float(np.mean([peaks[f] for peaks in seeds])) for f in FORCES}
-    scatter = {
-        f: 100.0 * float(np.std([p[f] for p in seeds], ddof=1)) / mean[f]
-        if len(seeds) > 1
-        else None
-        for f in FORCES
+    done = {name: finished[s.hash] for name, s in steps_of(halved).items() if s.hash in finished}
+    seeds = {n: h for n, h in done.items() if n == halved.scenario.name or n.startswith(SEED)}
+    levels = [_level(history) for history in seeds.values()]
+    resolved = _seeds([peaks_of(history) for history in seeds.values()], levels)
+    changes = {
+        name: _change(history, resolved["peaks_N"], _mean(levels))
+        for name, history in done.items()
+        if name not in seeds
     }
-    others = [
-        v for v in halved.variants() if v not in _seeds(halved) and v.scenario.hash in finished
-    ]
-    changes = {v.key: _change(_peaks(finished[v.scenario.hash]), mean) for v in others}
-    levels = [
-        _level(finished[v.scenario.hash]) for v in _seeds(halved) if v.scenario.hash in finished
-    ]
-    for v in others:
-        percent = _percent(_level(finished[v.scenario.hash]), levels)
-        changes[v.key] |= {"mean_change_percent": percent, "mean_change_deg": _degrees(percent)}
-    missing = {v.key: v.scenario for p in (way, halved) for v in missing_from(p, finished)}
-    apart = [_percent(level, levels) for level in levels]
-    resolved = {
-        "peaks_N": mean,
-        "seeds": len(seeds),
-        "seed_scatter_percent": scatter,
-        "mean_scatter_percent": {f: max(abs(a[f]) for a in apart) for f in FORCES},
+    missing = {
+        name: s
+        for plan in (way, halved)
+        for name, s in missing_from(steps_of(plan), finished).items()
     }
     data = {
         "waterfall": steps,
@@ -118,14 +113,13 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         "percent_per_degree": {f: 100.0 * degrees.rise_of()[f] for f in FORCES},
         "missing": list(missing),
     }
-    table = Table(TITLE, HEADER, _rows(steps, resolved, changes))
-    notes = [*_notes(data), *not_yet("resolution", missing.items(), finished)]
-    written = page(table, _method(), notes, "resolution.png", PICTURE)
+    table = Table.of(TITLE, COLUMNS, _rows(steps, resolved, changes))
+    notes = [*_notes(data), *not_yet(NAME, missing)]
     return Study(
         table=table,
         data=data,
-        figures={"resolution": waterfall_figure(steps, changes, TOLERANCE_PERCENT)},
-        documents={"resolution.md": written},
+        figures={NAME: waterfall_figure(steps, changes, TOLERANCE_PERCENT)},
+        documents=page(NAME, table, _method(), notes, PICTURE),
         notes=notes,
     )
 
@@ -133,24 +127,14 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
 def _waterfall(way: Plan, finished: Mapping[str, ForceHistory]) -> list[dict[str, Any]]:
     """Peaks along the way and what each step took; ends where the first case is missing."""
     steps: list[dict[str, Any]] = []
-    for variant in way.variants():
-        if variant.scenario.hash not in finished:
+    for name, scenario in steps_of(way).items():
+        if scenario.hash not in finished:
             break
-        peaks = _peaks(finished[variant.scenario.hash])
+        peaks = peaks_of(finished[scenario.hash])
         before = steps[-1]["peaks_N"] if steps else peaks
-        name = way.scenario.name if variant.key == BASE else variant.key
         change = {f: peaks[f] - before[f] for f in FORCES}
         steps.append({"step": name, "peaks_N": peaks, "change_N": change})
     return steps
-
-
-def _seeds(plan: Plan) -> list[Variant]:
-    return [v for v in plan.variants() if v.key == BASE or v.key.startswith(SEED)]
-
-
-def _peaks(history: ForceHistory) -> dict[str, float]:
-    peaks = history.peaks()
-    return {"Fz": peaks.Fz, "Fx": peaks.Fx}
 
 
 def _level(history: ForceHistory) -> dict[str, float]:
@@ -158,27 +142,45 @@ def _level(history: ForceHistory) -> dict[str, float]:
     return {"Fz": float(history.Fz.mean()), "Fx": float(history.Fx.mean())}
 
 
-def _percent(
-    level: Mapping[str, float], references: Sequence[Mapping[str, float]]
-) -> dict[str, float]:
-    """How far mean forces are from the mean of others [%]."""
-    return {
-        f: 100.0 * (level[f] / float(np.mean([other[f] for other in references])) - 1.0)
-        for f in FORCES
-    }
+def _mean(values: Sequence[ByForce]) -> dict[str, float]:
+    return {f: float(np.mean([value[f] for value in values])) for f in FORCES}
 
 
-def _degrees(percent: Mapping[str, float]) -> dict[str, float]:
+def _percent(values: ByForce, whole: ByForce) -> dict[str, float]:
+    return {f: 100.0 * (values[f] / whole[f] - 1.0) for f in FORCES}
+
+
+def _degrees(percent: ByForce) -> dict[str, float]:
     return {f: degrees.in_degrees(percent[f], f) for f in FORCES}
 
 
-def _change(peaks: Mapping[str, float], mean: Mapping[str, float]) -> dict[str, Any]:
-    percent = {f: 100.0 * (peaks[f] / mean[f] - 1.0) for f in FORCES}
+def _seeds(peaks: Sequence[ByForce], levels: Sequence[ByForce]) -> dict[str, Any]:
+    """Mean over runs that differ in their particle seed alone, and their scatter."""
+    mean = _mean(peaks)
+    apart = [_percent(level, _mean(levels)) for level in levels]
     return {
-        "peaks_N": dict(peaks),
+        "peaks_N": mean,
+        "seeds": len(peaks),
+        "seed_scatter_percent": {
+            f: 100.0 * float(np.std([p[f] for p in peaks], ddof=1)) / mean[f]
+            if len(peaks) > 1
+            else None
+            for f in FORCES
+        },
+        "mean_scatter_percent": {f: max(abs(a[f]) for a in apart) for f in FORCES},
+    }
+
+
+def _change(history: ForceHistory, peaks: ByForce, level: ByForce) -> dict[str, Any]:
+    """How far a run's peaks, and means over the path, are from those of the seeds."""
+    percent, of_mean = _percent(peaks_of(history), peaks), _percent(_level(history), level)
+    return {
+        "peaks_N": peaks_of(history),
         "change_percent": percent,
         "change_deg": _degrees(percent),
         "within_5_percent": all(abs(v) <= TOLERANCE_PERCENT for v in percent.values()),
+        "mean_change_percent": of_mean,
+        "mean_change_deg": _degrees(of_mean),
     }
 
 
@@ -187,60 +189,54 @@ def _change(peaks: Mapping[str, float], mean: Mapping[str, float]) -> dict[str, 
 
 def _rows(
     steps: Sequence[Mapping[str, Any]], resolved: Mapping[str, Any], changes: Mapping[str, Any]
-) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = []
-    for step in steps:
-        peaks, change = step["peaks_N"], step["change_N"]
-        taken = [f"{change[f]:+.2f} N" if rows else "" for f in FORCES]
-        rows.append((step["step"], *(f"{peaks[f]:.2f} N" for f in FORCES), *taken))
+) -> list[dict[str, Any]]:
+    nothing = dict.fromkeys(FORCES, "")
+    rows = [
+        {**step, "said": {f: f"{step['change_N'][f]:+.2f} N" for f in FORCES} if i else nothing}
+        for i, step in enumerate(steps)
+    ]
     scatter = resolved["seed_scatter_percent"]
     rows.append(
-        (
-            f"resolved, mean of {resolved['seeds']} seeds",
-            *(f"{resolved['peaks_N'][f]:.2f} N" for f in FORCES),
-            *("" if scatter[f] is None else f"scatter {scatter[f]:.1f} %" for f in FORCES),
-        )
+        {
+            "step": f"resolved, mean of {resolved['seeds']} seeds",
+            "peaks_N": resolved["peaks_N"],
+            "said": {
+                f: "" if scatter[f] is None else f"scatter {scatter[f]:.1f} %" for f in FORCES
+            },
+        }
     )
     for name, change in changes.items():
-        peaks, percent, turned = (
-            change[key] for key in ("peaks_N", "change_percent", "change_deg")
-        )
-        rows.append(
-            (
-                f"resolved, {name}",
-                *(f"{peaks[f]:.2f} N" for f in FORCES),
-                *(f"{percent[f]:+.1f} %, {turned[f]:+.1f}°" for f in FORCES),
-            )
-        )
+        percent, turned = change["change_percent"], change["change_deg"]
+        said = {f: f"{percent[f]:+.1f} %, {turned[f]:+.1f}°" for f in FORCES}
+        rows.append({"step": f"resolved, {name}", "peaks_N": change["peaks_N"], "said": said})
     return rows
 
 
 def _notes(data: Mapping[str, Any]) -> list[str]:
     notes = []
-    steps = data["waterfall"][1:]
+    steps, halved = data["waterfall"][1:], data["halved"]
     if steps:
         largest = max(steps, key=lambda step: abs(step["change_N"]["Fz"]))
         notes.append(
             f"The largest step in F_z is '{largest['step']}': {largest['change_N']['Fz']:+.1f} N."
         )
-    within = [name for name, change in data["halved"].items() if change["within_5_percent"]]
-    beyond = [name for name in data["halved"] if name not in within]
+    within = [name for name, change in halved.items() if change["within_5_percent"]]
+    beyond = [name for name in halved if name not in within]
     bound = f"{TOLERANCE_PERCENT:g} %"
     if within:
         notes.append(f"Both peaks of resolved move by at most {bound} with: {', '.join(within)}.")
     if beyond:
         notes.append(f"A peak of resolved moves by more than {bound} with: {', '.join(beyond)}.")
-    if data["halved"]:
-        apart = data["resolved"]["mean_scatter_percent"]
+    if halved:
+        means = {name: change["mean_change_percent"] for name, change in halved.items()}
         moved = ", ".join(
-            f"{name} {change['mean_change_percent']['Fz']:+.1f} / "
-            f"{change['mean_change_percent']['Fx']:+.1f} % "
-            f"({degrees.worth(change['mean_change_percent'])})"
-            for name, change in data["halved"].items()
+            f"{name} {both(mean, ' %', '+.1f')} ({degrees.worth(mean)})"
+            for name, mean in means.items()
         )
+        apart = both(data["resolved"]["mean_scatter_percent"], " %")
         notes.append(
-            f"The mean forces over the path (F_z / F_x), which seeds move by {apart['Fz']:.1f} / "
-            f"{apart['Fx']:.1f} % at most, change by: {moved}."
+            f"The mean forces over the path (F_z / F_x), which seeds move by {apart} at most, "
+            f"change by: {moved}."
         )
     return notes
 
@@ -272,6 +268,3 @@ def _method() -> str:
         "(`terraphi study verification --only plate`). Phases three times as long take a little of "
         "it away."
     )
-
-
-PICTURE = "peaks along the way, and what is left of them when things are halved"

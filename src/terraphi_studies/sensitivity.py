@@ -1,67 +1,280 @@
 """Sensitivity: what moves the simulated forces, one setting of the simulation changed at a time.
 
 The cases are those of the shipped plan ``sensitivity``: preset ``paper-1`` four times sped up, and
-each value of each key in the plan by itself. Their simulations are shipped, a file each, named by
-the hash of the scenario. Reading them takes seconds; what is missing is simulated on request and
-kept in a folder. Grouping and measures are in :mod:`~terraphi_studies.sensitivity_cases`.
+each value of each key in the plan by itself, brought together key by key. The deviation between two
+histories is the NRMSD of the benchmark: on 1° means over |θ| < 85°, in percent of the reference's
+peak-to-peak. Peaks are taken on 1° means as well. What counts as a change is measured by runs that
+differ in the places of their particles alone.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
-from typing import Any
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
 
 from terraphi.experiment.history import ForceHistory, Peaks
-from terraphi.library.plan import Plan, Variant, label
-from terraphi.view.plots import (
-    BLUE,
-    GREEN,
-    ORANGE,
-    PURPLE,
-    Curve,
-    comparison_figure,
-    sensitivity_figure,
-)
+from terraphi.experiment.scenario import Scenario
+from terraphi.library.plan import BASE, PRESET, Plan, Variant, label, value_of
+from terraphi.view.plots import BLUE, GREEN, ORANGE, PURPLE, Curve, comparison_figure
 from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, Study, capitalised, degrees, page
-from terraphi_studies.planned import (
-    Simulations,
-    minutes_of,
-    missing_from,
-    need_base,
-    not_yet,
-    of_plans,
-)
-from terraphi_studies.sensitivity_cases import (
-    FORCES,
-    Group,
-    Percent,
-    Scatter,
-    Simulated,
-    Tolerance,
-    change,
-    conclude,
-    groups_of,
-    scatter_of,
-    setting_of,
-    tolerance_of,
-)
+from terraphi_studies.measures import FORCES, both, nrmsd_percent, peaks_and_angles, rms
+from terraphi_studies.pictures import sensitivity_figure
+from terraphi_studies.planned import Simulations, minutes_of, need_base, not_yet
 
 NAME = "sensitivity"
 TITLE = "Sensitivity of the simulated forces to the settings of the simulation"
-HEADER = (
-    *("setting", "value", "peak Fz", "peak Fx", "change of peaks", "as degrees of φ"),
-    *("NRMSD Fz", "NRMSD Fx", "moves"),
-)
+PICTURE = "change of the peak forces with each setting"
 BASE_LOOK = ("black", "-")
 LOOKS = ((BLUE, "--"), (ORANGE, "-."), (GREEN, ":"), (PURPLE, "-"))
 """Colour and line of the other curves of a group, which differ in grey as well."""
+SEED = "numerics.seed"
+LEAST_TOLERANCE = 2.0
+"""Deviations and changes of peaks below this are of no interest [%]."""
+SCATTERS = 2.0
+"""Deviations below this many times the scatter between seeds cannot be told from it [-]."""
+
+Percent = dict[str, float]
+"""A percentage for each force, ``Fz`` and ``Fx``."""
 
 
-@of_plans
-def run(cases: Simulations) -> Study:
-    """Measure the finished cases of the shipped plan and draw the conclusions.
+class Setting(NamedTuple):
+    """How a key of a scenario is named and judged in this study."""
+
+    name: str
+    """For people."""
+    write: Callable[[Scenario], str]
+    """Its value in a scenario, for people."""
+    reference: Literal["base", "least", "most"] = "base"
+    """Which of its values the others are compared with."""
+    remark: str = ""
+    """What to know of it."""
+    size: Callable[[Scenario], float] | None = None
+    """A step whose limit is zero, where there is one."""
+
+
+def _damping(scenario: Scenario) -> str:
+    numerics = scenario.numerics
+    if numerics.damping_rate == 0.0:
+        return "none"
+    return f"{math.exp(-numerics.damping_rate * numerics.time_step):.4g} a step"
+
+
+def _remap(scenario: Scenario) -> str:
+    interval = scenario.numerics.remap_interval
+    return f"each {1e3 * interval:g} ms" if interval else "each step"
+
+
+SETTINGS = {
+    "numerics.speed_up": Setting("speed-up k", lambda s: f"{s.numerics.speed_up:g}", "least"),
+    "numerics.cells": Setting(
+        "cell size Δx",
+        lambda s: f"{1e3 * s.numerics.cell_size:.2f} mm",
+        "most",
+        "The contact band is counted in cells: a finer grid also thins what the soil meets as leg",
+        lambda s: s.numerics.cell_size,
+    ),
+    "numerics.time_step": Setting(
+        "time step Δt",
+        lambda s: f"{1e6 * s.numerics.time_step:g} µs",
+        "least",
+        size=lambda s: s.numerics.time_step,
+    ),
+    "numerics.damping_rate": Setting(
+        "damping",
+        _damping,
+        remark="The factor is that at k = 1; at any other k the drag on the soil is the same",
+    ),
+    "numerics.contact_band_cells": Setting(
+        "contact band", lambda s: f"{s.numerics.contact_band_cells:g} Δx"
+    ),
+    "soil.youngs_modulus": Setting(
+        "Young's modulus E", lambda s: f"{1e-6 * s.soil.youngs_modulus:g} MPa"
+    ),
+    "numerics.particles_per_cell_side": Setting(
+        "particles per cell", lambda s: f"{s.numerics.particles_per_cell_side**2:d}", "most"
+    ),
+    "numerics.transfer": Setting("transfer", lambda s: s.numerics.transfer.upper()),
+    "numerics.remap_interval": Setting("transfer takes place", _remap),
+    SEED: Setting("seed", lambda s: f"{s.numerics.seed:d}"),
+    PRESET: Setting("preset", lambda s: s.name),
+}
+"""Keys that the study has names for."""
+
+
+def setting_of(key: str) -> Setting:
+    """The setting of a key, named by the key itself where the study has no name for it."""
+    name = key.rpartition(".")[2].replace("_", " ")
+    return SETTINGS.get(key) or Setting(name, lambda scenario: str(value_of(scenario, key)))
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """One finished case, with its value of the setting for people, and its largest forces."""
+
+    scenario: Scenario
+    history: ForceHistory
+    label: str
+    peaks: Peaks
+
+    def peak(self, force: str) -> float:
+        """Largest ``Fz`` or ``Fx`` [N]."""
+        return float(getattr(self.peaks, force))
+
+    def change_from(self, other: Simulated, whole: Simulated | None = None) -> Percent:
+        """Change of the peaks from another case's [% of that case's, or of a third's]."""
+        return {
+            f: 100.0 * (self.peak(f) - other.peak(f)) / (whole or other).peak(f) for f in FORCES
+        }
+
+
+@dataclass(frozen=True)
+class Group:
+    """The finished cases that differ in one setting, the base among them.
+
+    Attributes
+    ----------
+    key, setting
+        Which.
+    cases
+        In order of the setting's value where it is a number, else the base first.
+    base
+        The base among them.
+    reference
+        The case that the others are compared with, among those finished.
+    awaited
+        What the reference would be if everything were finished, where it is another one.
+    """
+
+    key: str
+    setting: Setting
+    cases: tuple[Simulated, ...]
+    base: Simulated
+    reference: Simulated
+    awaited: str | None
+
+    def deviation(self, case: Simulated) -> Percent:
+        """NRMSD of a case from the reference [%]."""
+        return nrmsd_percent(self.reference.history, case.history)
+
+    def limits(self, tolerance: Percent) -> dict[str, float | None]:
+        """Where straight lines through the peaks meet a step size of zero [N], by force.
+
+        Empty if the setting is no such step; ``None`` unless there are at least three peaks, all
+        within the tolerance [%] of their line.
+        """
+        if self.setting.size is None:
+            return {}
+        sizes = np.array([self.setting.size(case.scenario) for case in self.cases])
+        found: dict[str, float | None] = dict.fromkeys(FORCES)
+        for force in FORCES if len(sizes) >= 3 else ():
+            peaks = np.array([case.peak(force) for case in self.cases])
+            slope, limit = np.polyfit(sizes / sizes.max(), peaks, 1)
+            off = np.abs(peaks - limit - slope * sizes / sizes.max()) / peaks
+            if 100.0 * off.max() <= tolerance[force] and limit > 0.0:
+                found[force] = float(limit)
+        return found
+
+
+def groups_of(plan: Plan, finished: Mapping[str, ForceHistory]) -> list[Group]:
+    """Groups of a plan that have at least one finished case beside the base, in its order.
+
+    Parameters
+    ----------
+    plan
+        A plan that changes one key at a time.
+    finished
+        Histories by the hash of their scenario, the base's among them.
+    """
+    found = []
+    for key, members in itertools.groupby(plan.variants()[1:], key=lambda variant: variant.key):
+        planned = _in_order([Variant(BASE, None, plan.scenario), *members], key)
+        setting = setting_of(key)
+        done = {
+            hashed: Simulated(v.scenario, history, setting.write(v.scenario), history.peaks())
+            for v in planned
+            if (history := finished.get(hashed := v.scenario.hash)) is not None
+        }
+        if len(done) < 2:
+            continue
+        base, cases = done[plan.scenario.hash], tuple(done.values())
+        reference, wanted = base, plan.scenario
+        if setting.reference != "base":
+            place = 0 if setting.reference == "least" else -1
+            reference, wanted = cases[place], planned[place].scenario
+        awaited = None if wanted.hash in done else setting.write(wanted)
+        found.append(Group(key, setting, cases, base, reference, awaited))
+    return found
+
+
+def _in_order(variants: list[Variant], key: str) -> list[Variant]:
+    """Variants in order of their value where all are numbers."""
+    if key == PRESET:
+        return variants
+    values = [value_of(variant.scenario, key) for variant in variants]
+    if not all(isinstance(value, int | float) for value in values):
+        return variants
+    return [variants[i] for i in np.argsort(np.array(values, dtype=np.float64), kind="stable")]
+
+
+class Scatter(NamedTuple):
+    """How far apart two runs are that differ in the places of their particles alone."""
+
+    runs: int
+    """How many seeds there are; with fewer than two the scatter is unknown, and 0 below."""
+    nrmsd: Percent
+    """Root mean square, over all pairs of runs, of their NRMSD [%]."""
+    peak: Percent
+    """Root mean square, over all pairs, of the difference of their peaks [% of the base's]."""
+
+
+def scatter_of(groups: list[Group]) -> Scatter:
+    """Scatter between seeds."""
+    group = next((group for group in groups if group.key == SEED), None)
+    if group is None:
+        return Scatter(1, dict.fromkeys(FORCES, 0.0), dict.fromkeys(FORCES, 0.0))
+    pairs = list(itertools.combinations(group.cases, 2))
+    apart = [nrmsd_percent(one.history, other.history) for one, other in pairs]
+    peaks = [other.change_from(one, group.base) for one, other in pairs]
+    return Scatter(
+        len(group.cases),
+        *({force: rms([each[force] for each in found]) for force in FORCES}
+          for found in (apart, peaks)),
+    )  # fmt: skip
+
+
+class Tolerance(NamedTuple):
+    """Largest deviations that count as none [%]."""
+
+    nrmsd: Percent
+    peak: Percent
+
+    def allows(self, group: Group, case: Simulated) -> bool:
+        """Whether a case is no further from its group's reference than that, in both forces."""
+        moves, apart = case.change_from(group.reference), group.deviation(case)
+        return all(apart[f] <= self.nrmsd[f] and abs(moves[f]) <= self.peak[f] for f in FORCES)
+
+
+def tolerance_of(scatter: Scatter) -> Tolerance:
+    """Tolerance that a scatter allows: twice as much, and never less than 2 %."""
+    return Tolerance(
+        *(
+            {force: max(LEAST_TOLERANCE, SCATTERS * percent[force]) for force in FORCES}
+            for percent in (scatter.nrmsd, scatter.peak)
+        )
+    )
+
+
+# -- the study -------------------------------------------------------------------------------------
+
+
+def run(*, cases: Simulations) -> Study:
+    """Measure the finished cases of the shipped plan.
 
     Parameters
     ----------
@@ -98,52 +311,73 @@ def study_of(plan: Plan, finished: Mapping[str, ForceHistory]) -> Study:
     Study
         ``data``: ``plan``; ``base`` (``scenario_hash``, ``peaks``); ``scatter_percent`` and
         ``tolerance_percent`` (``nrmsd`` and ``peak`` for ``Fz`` and ``Fx``); ``groups`` by key
-        (``setting``, ``reference``, ``cases``; ``conclusion``, the numbers of
-        :func:`~terraphi_studies.sensitivity_cases.conclude`); ``missing`` (``case``,
-        ``core_minutes``). A figure of all peaks, one of the histories in each group, and a page
-        with the first of them.
+        (``setting``, ``reference``, ``cases``, and of a step size ``limit_N``, see
+        :meth:`Group.limits`); ``missing`` (``case``, ``core_minutes``). A figure of all peaks, one
+        of the histories in each group, and a page with the first of them.
 
     Raises
     ------
     InputError
         If the base is not among the finished.
     """
-    missing = missing_from(plan, finished)
     need_base(plan, finished)
+    missing = [v for v in plan.variants() if v.scenario.hash not in finished]
     groups = groups_of(plan, finished)
     scatter = scatter_of(groups)
     tolerance = tolerance_of(scatter)
-    conclusions = {group.key: conclude(group, scatter) for group in groups}
-    base = finished[plan.scenario.hash].peaks()
     # The scatter first: all that follows is measured by it.
-    groups.sort(key=lambda group: group.setting.rule != "scatter")
-    waiting = {_named(v): v.scenario for v in missing}
-    notes = [*_notes(groups, conclusions, scatter), *not_yet(NAME, waiting.items(), finished)]
-    rows = [_row(group, case, tolerance) for group in groups for case in group.cases]
+    groups.sort(key=lambda group: group.key != SEED)
+    waiting = {
+        f"{(setting := setting_of(v.key)).name} {setting.write(v.scenario)}": v.scenario
+        for v in missing
+    }
+    notes = [*_notes(groups, scatter), *not_yet(NAME, waiting)]
+    rows = [_row(g, case, not tolerance.allows(g, case)) for g in groups for case in g.cases]
     table = Table(TITLE, HEADER, rows)
-    picture = "change of the peak forces with each setting"
-    written = page(table, _method(plan), notes, f"{NAME}.png", picture)
     return Study(
         table=table,
         data={
             "plan": plan.name,
-            "base": {"scenario_hash": plan.scenario.hash, "peaks": _peaks(base)},
+            "base": {
+                "scenario_hash": plan.scenario.hash,
+                "peaks": peaks_and_angles(finished[plan.scenario.hash].peaks()),
+            },
             "scatter_percent": {
                 "seeds": scatter.runs,
                 "nrmsd": scatter.nrmsd,
                 "peak": scatter.peak,
             },
-            "tolerance_percent": {"nrmsd": tolerance.nrmsd, "peak": tolerance.peak},
-            "groups": {g.key: _group_data(g, tolerance, conclusions[g.key]) for g in groups},
+            "tolerance_percent": tolerance._asdict(),
+            "groups": {group.key: _group_data(group, tolerance) for group in groups},
             "missing": [
-                {"case": label(v), "core_minutes": minutes_of(v.scenario, finished)}
-                for v in missing
+                {"case": label(v), "core_minutes": minutes_of(v.scenario)} for v in missing
             ],
         },
         figures=_figures(groups, tolerance),
-        documents={f"{NAME}.md": written},
+        documents=page(NAME, table, _method(plan), notes, PICTURE),
         notes=notes,
     )
+
+
+def _group_data(group: Group, tolerance: Tolerance) -> dict[str, Any]:
+    limits = group.limits(tolerance.peak)
+    return {
+        "setting": group.setting.name,
+        "reference": group.reference.label,
+        "cases": [
+            {
+                "value": case.label,
+                "scenario_hash": case.scenario.hash,
+                "peaks": peaks_and_angles(case.peaks),
+                "peak_change_percent": case.change_from(group.base),
+                "change_from_reference_percent": case.change_from(group.reference),
+                "nrmsd_percent": None if case is group.reference else group.deviation(case),
+                "moves": not tolerance.allows(group, case),
+            }
+            for case in group.cases
+        ],
+        **({"limit_N": limits} if limits else {}),
+    }
 
 
 # -- what people see -------------------------------------------------------------------------------
@@ -162,29 +396,21 @@ def _method(plan: Plan) -> str:
     )
 
 
-def _named(variant: Variant) -> str:
-    setting = setting_of(variant.key)
-    return f"{setting.name} {setting.write(variant.scenario)}"
-
-
-def _notes(
-    groups: Sequence[Group], conclusions: Mapping[str, Mapping[str, Any]], scatter: Scatter
-) -> list[str]:
+def _notes(groups: Sequence[Group], scatter: Scatter) -> list[str]:
     """What counts as a change, what causes one, and what to know beside."""
     tolerance = tolerance_of(scatter)
     apart = (
-        f"{scatter.runs} runs that differ in their seed alone are {_both(scatter.nrmsd)} "
-        f"(F_z / F_x) apart in NRMSD and {_both(scatter.peak)} in their peaks"
+        f"{scatter.runs} runs that differ in their seed alone are {both(scatter.nrmsd, ' %')} "
+        f"(F_z / F_x) apart in NRMSD and {both(scatter.peak, ' %')} in their peaks"
         if scatter.runs > 1
         else "The scatter between seeds is not known yet"
     )
-    bound = f"{_both(tolerance.nrmsd)} in NRMSD or {_both(tolerance.peak)} in a peak"
-    moving = [[case.label for case in g.cases if not tolerance.allows(g, case)] for g in groups]
-    told = [
-        f"{g.setting.name} {', '.join(labels)}"
-        for g, labels in zip(groups, moving, strict=True)
-        if labels
-    ]
+    bound = f"{both(tolerance.nrmsd, ' %')} in NRMSD or {both(tolerance.peak, ' %')} in a peak"
+    moving = {
+        g.setting.name: [case.label for case in g.cases if not tolerance.allows(g, case)]
+        for g in groups
+    }
+    told = [f"{name} {', '.join(labels)}" for name, labels in moving.items() if labels]
     notes = [
         f"{apart}. A case moves the forces if it is more than {bound} from the reference.",
         f"The forces are moved by: {'; '.join(told) or 'nothing that was tried'}.",
@@ -192,94 +418,54 @@ def _notes(
     ends = [
         f"{g.setting.name}, {force} {value:.2f} N (the base: {past:+.0f} %, {turned:+.1f}°)"
         for g in groups
-        for force, value in conclusions[g.key].get("limit_N", {}).items()
+        for force, value in g.limits(tolerance.peak).items()
         if value is not None
         for past in [100.0 * (g.base.peak(force) - value) / value]
         for turned in [degrees.in_degrees(past, force, library=PAPER_LIBRARY)]
     ]
     if ends:
         notes.append(f"Straight lines through the peaks end, at size zero, at: {'; '.join(ends)}.")
-    remarks = [(g.setting.name, g.setting.remark) for g in groups if g.setting.remark]
-    notes += [f"{capitalised(name)}: {remark}." for name, remark in remarks]
-    notes += [
-        f"{capitalised(g.setting.name)}: the reference is to be {g.awaited}, not simulated yet."
-        for g in groups
+    named = [(capitalised(g.setting.name), g) for g in groups]
+    notes += [f"{name}: {g.setting.remark}." for name, g in named if g.setting.remark]
+    return notes + [
+        f"{name}: the reference is to be {g.awaited}, not simulated yet."
+        for name, g in named
         if g.awaited is not None
     ]
-    return notes
 
 
-def _both(percent: Percent, sign: str = "") -> str:
-    """Two percentages, such as ``1.2 / 0.9 %``, in the order of :data:`FORCES`."""
-    return " / ".join(f"{percent[force]:{sign}.1f}" for force in FORCES) + " %"
+HEADER = (
+    *("setting", "value", "peak Fz", "peak Fx", "change of peaks", "as degrees of φ"),
+    *("NRMSD Fz", "NRMSD Fx", "moves"),
+)
 
 
-def _from_reference(group: Group, case: Simulated) -> Percent:
-    return {force: change(group.reference, case, force) for force in FORCES}
-
-
-def _row(group: Group, case: Simulated, tolerance: Tolerance) -> tuple[str, ...]:
-    name = group.setting.name if case is group.cases[0] else ""
-    value = f"{case.label} (base)" if case is group.base else case.label
-    peaks = [
-        f"{case.peak(force):.2f} N at {getattr(case.peaks, f'theta_{force}_deg'):.0f}°"
-        for force in FORCES
-    ]
-    if case is group.reference:
-        return (name, value, *peaks, *[""] * (len(HEADER) - 4))
-    moves, deviation = _from_reference(group, case), group.deviation(case)
-    return (
-        *(name, value, *peaks, _both(moves, "+"), degrees.worth(moves, library=PAPER_LIBRARY)),
-        *(f"{deviation[force]:.1f} %" for force in FORCES),
-        "no" if tolerance.allows(group, case) else "yes",
+def _row(group: Group, case: Simulated, moves: bool) -> tuple[str, ...]:
+    """Cells of a case; those that compare are empty at the reference."""
+    first = (
+        group.setting.name if case is group.cases[0] else "",
+        case.label + (" (base)" if case is group.base else ""),
+        *(f"{case.peak(f):.2f} N at {getattr(case.peaks, f'theta_{f}_deg'):.0f}°" for f in FORCES),
     )
-
-
-def _group_data(
-    group: Group, tolerance: Tolerance, conclusion: Mapping[str, Any]
-) -> dict[str, Any]:
-    return {
-        "setting": group.setting.name,
-        "reference": group.reference.label,
-        "cases": [
-            {
-                "value": case.label,
-                "scenario_hash": case.scenario.hash,
-                "peaks": _peaks(case.peaks),
-                "peak_change_percent": {f: change(group.base, case, f) for f in FORCES},
-                "change_from_reference_percent": _from_reference(group, case),
-                "nrmsd_percent": None if case is group.reference else group.deviation(case),
-                "moves": not tolerance.allows(group, case),
-            }
-            for case in group.cases
-        ],
-        "conclusion": dict(conclusion),
-    }
-
-
-def _peaks(peaks: Peaks) -> dict[str, float]:
-    return {
-        "Fz_N": peaks.Fz,
-        "theta_Fz_deg": peaks.theta_Fz_deg,
-        "Fx_N": peaks.Fx,
-        "theta_Fx_deg": peaks.theta_Fx_deg,
-    }
+    if case is group.reference:
+        return (*first, *[""] * (len(HEADER) - len(first)))
+    change, deviation = case.change_from(group.reference), group.deviation(case)
+    return (
+        *first,
+        both(change, " %", "+.1f"),
+        degrees.worth(change, library=PAPER_LIBRARY),
+        *(f"{deviation[force]:.1f} %" for force in FORCES),
+        "yes" if moves else "no",
+    )
 
 
 def _figures(groups: list[Group], tolerance: Tolerance) -> dict[str, Any]:
     """All peaks in one picture, and the histories of each group in one each."""
-    found = {
-        NAME: sensitivity_figure(
-            {
-                group.setting.name: [
-                    (case.label, {f: change(group.base, case, f) for f in FORCES})
-                    for case in group.cases
-                ]
-                for group in groups
-            },
-            tolerance.peak,
-        )
+    changes = {
+        group.setting.name: [(case.label, case.change_from(group.base)) for case in group.cases]
+        for group in groups
     }
+    found = {NAME: sensitivity_figure(changes, tolerance.peak)}
     for group in groups:
         looks = itertools.cycle(LOOKS)
         curves = [

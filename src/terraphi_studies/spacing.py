@@ -11,6 +11,7 @@ errors that are as alike within a truth as those of the records (analysis of var
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -23,15 +24,17 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, panels_of
 from terraphi.view.table import Table
 from terraphi_studies import Study, page
+from terraphi_studies.measures import Truth, rms, straight_truths
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FloatArray = NDArray[np.float64]
 
+NAME = "spacing"
 LIBRARIES = ("quick-plane-strain", "quick-paper")
 ROLES = ("fourteen", "truths")
 """Endings of the names of libraries that hold truths."""
@@ -47,9 +50,21 @@ DRAWS = 4000
 DOUBTFUL = 0.05
 """Share of the consistent answers that may lie outside their 95 % interval [-]."""
 TITLE = "Records of few readings: how often their intervals hold the truth"
-HEADER = (
-    *("truths", "spacing", "records", "in 68 %", "expected", "in 95 %", "expected"),
-    *("68 % half-width", "RMS error", "consistent", "of these outside 95 %"),
+COLUMNS = (
+    ("truths", "{truths}"),
+    (
+        "spacing",
+        lambda row: "all" if row["spacing_deg"] is None else f"{row['spacing_deg']:g}°",
+    ),
+    ("records", "{records}"),
+    ("in 68 %", "{coverage68:.0%}"),
+    ("expected", lambda row: _band(row["expected68"])),
+    ("in 95 %", "{coverage95:.0%}"),
+    ("expected", lambda row: _band(row["expected95"])),
+    ("68 % half-width", "{ci68_half_width_deg:.3f}°"),
+    ("RMS error", "{rms_error_deg:.3f}°"),
+    ("consistent", "{consistent:.0%}"),
+    ("of these outside 95 %", "{consistent_outside95:.0%}"),
 )
 METHOD = (
     "Written by `terraphi study spacing --out DIR`. Fresh simulations, off the library's grid, are "
@@ -105,55 +120,46 @@ def run(
         If there is no such library, or none of its truths.
     """
     sets = [pair for name in ([library] if library else LIBRARIES) for pair in sets_of(name)]
-    counts = [len(truths) * len(phases(every)) for _, _, truths in sets for every in EVERY]
-    total, done = sum(counts), 0
-    rows = []
+    total = sum(len(truths) * len(phases(every)) for _, _, truths in sets for every in EVERY)
+    done, rows = itertools.count(1), []
     for trained, name, truths in sets:
-        every_answer: list[Answer] = []
+        step = float(np.median(np.diff(truths[0].history.theta_deg)))
+        answers: list[Answer] = []
         for every in EVERY:
-            found = []
-            for phase in phases(every):
-                for phi, history in truths:
-                    found.append(answer_of(trained, phi, thinned(history, every, phase)))
-                    done += 1
-                    if progress is not None:
-                        progress(done, total)
-            step = float(np.median(np.diff(truths[0][1].theta_deg)))
-            rows.append(row_of(trained.name, name, round(every * step, 6), found))
-            every_answer += found
-        rows.append(row_of(trained.name, name, None, every_answer))
-    table, notes = Table(TITLE, HEADER, [_shown(row) for row in rows]), _notes(rows)
+            before = len(answers)
+            for phase, truth in itertools.product(phases(every), truths):
+                record = thinned(truth.history, every, phase)
+                answers.append(answer_of(trained, truth.phi_deg, record))
+                if progress is not None:
+                    progress(next(done), total)
+            rows.append(row_of(trained.name, name, round(every * step, 6), answers[before:]))
+        rows.append(row_of(trained.name, name, None, answers))
+    table, notes = Table.of(TITLE, COLUMNS, rows), _notes(rows)
     return Study(
         table=table,
         data={"rows": rows},
-        figures={"spacing": _figure(rows)},
-        documents={"spacing.md": page(table, METHOD, notes, "spacing.png", PICTURE)},
+        figures={NAME: _figure(rows)},
+        documents=page(NAME, table, METHOD, notes, PICTURE),
         notes=notes,
     )
 
 
-def sets_of(library: str) -> list[tuple[Library, str, list[tuple[float, ForceHistory]]]]:
+def sets_of(library: str) -> list[tuple[Library, str, list[Truth]]]:
     """A library and, of each set of its truths, the name, and one history of each angle.
 
     Raises InputError if there is no such library, or none of its truths.
     """
     trained, found = Library.load(library), []
     shipped = shipped_names("libraries", ".nc")
-    for role in ROLES:
-        name = f"{library}-{role}"
+    for name in (f"{library}-{role}" for role in ROLES):
         if name in shipped:
-            first: dict[float, ForceHistory] = {}
-            for case in Library.load(name).cases:
-                if case.history and case.scenario.leg.shape == "straight":
-                    first.setdefault(case.scenario.soil.friction_angle_deg, case.history)
-            found.append((trained, name, list(first.items())))
+            first: dict[float, Truth] = {}
+            for truth in straight_truths(Library.load(name)):
+                first.setdefault(truth.phi_deg, truth)
+            found.append((trained, name, list(first.values())))
     if not found:
-        known = {
-            name.removesuffix(f"-{role}")
-            for name in shipped
-            for role in ROLES
-            if name.endswith(f"-{role}")
-        }
+        endings = tuple(f"-{role}" for role in ROLES)
+        known = {name.rpartition("-")[0] for name in shipped if name.endswith(endings)}
         raise InputError(
             f"library '{library}': no truths of it are shipped, which this study needs; those that "
             f"have some: {', '.join(sorted(known))}"
@@ -202,7 +208,7 @@ def row_of(
         **{f"coverage{level}": float(inside[level].mean()) for level in LEVELS},
         **{f"expected{level}": expected[level] for level in LEVELS},
         "ci68_half_width_deg": float(np.median(half)),
-        "rms_error_deg": float(np.sqrt(np.mean(np.square(median - truth)))),
+        "rms_error_deg": rms(median - truth),
         "consistent": float(consistent.mean()),
         "consistent_outside95": float(outside.mean()) if outside.size else 0.0,
         "likeness": likeness,
@@ -251,51 +257,36 @@ def expected_of(
     return likeness, expected
 
 
-def _shown(row: Mapping[str, Any]) -> tuple[str, ...]:
-    spacing = row["spacing_deg"]
-    cells = [row["truths"], "all" if spacing is None else f"{spacing:g}°", str(row["records"])]
-    for level in LEVELS:
-        low, high = row[f"expected{level}"]
-        cells += [f"{row[f'coverage{level}']:.0%}", f"{100 * low:.0f} to {high:.0%}"]
-    cells += [f"{row[key]:.3f}°" for key in ("ci68_half_width_deg", "rms_error_deg")]
-    return *cells, f"{row['consistent']:.0%}", f"{row['consistent_outside95']:.0%}"
+def _band(ends: tuple[float, float]) -> str:
+    return f"{100 * ends[0]:.0f} to {ends[1]:.0%}"
 
 
 def _notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     notes = []
-    single = [row for row in rows if row["spacing_deg"] is not None]
+    single = {
+        f"{row['spacing_deg']:g}° (`{row['truths']}`)": row
+        for row in rows
+        if row["spacing_deg"] is not None
+    }
     for level in LEVELS:
         key, band = f"coverage{level}", f"expected{level}"
-        low, high = (
-            [_name(row) for row in single if sign * (row[key] - row[band][end]) > 0.0]
-            for sign, end in ((-1.0, 0), (1.0, 1))
-        )
-        told = [f"too few at {_listed(low)}"] if low else []
-        told += [f"too many at {_listed(high)}"] if high else []
+        low = ", ".join(name for name, row in single.items() if row[key] < row[band][0])
+        high = ", ".join(name for name, row in single.items() if row[key] > row[band][1])
+        told = [f"too few at {low}"] if low else []
+        told += [f"too many at {high}"] if high else []
         all_right = "as many as expected, within chance, in every row"
         notes.append(f"In {level} % intervals: {'; '.join(told) or all_right}.")
-    doubtful = [_name(row) for row in single if row["consistent_outside95"] > DOUBTFUL]
+    doubtful = [name for name, row in single.items() if row["consistent_outside95"] > DOUBTFUL]
     notes.append(
         f"Of the consistent ones more than {DOUBTFUL:.0%} are outside their 95 % interval at "
-        f"{_listed(doubtful) if doubtful else 'no spacing'}."
+        f"{', '.join(doubtful) or 'no spacing'}."
     )
     return notes
 
 
-def _name(row: Mapping[str, Any]) -> str:
-    return f"{row['spacing_deg']:g}° (`{row['truths']}`)"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)
-
-
 def _figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Shares inside, and errors beside half-widths, over the spacing."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
-    shares, errors = figure.subplots(1, 2)
+    figure, ((shares, errors),) = panels_of(1, 2, size=(10.0, 4.2))
     for level in LEVELS:
         shares.axhline(level, color=GREY, lw=0.8)
     sets = list(dict.fromkeys(row["truths"] for row in rows))
@@ -303,13 +294,14 @@ def _figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     for name, colour, mark in looks:
         mine = [row for row in rows if row["truths"] == name and row["spacing_deg"] is not None]
         x = [row["spacing_deg"] for row in mine]
+        look: dict[str, Any] = {"color": colour, "marker": mark, "ms": 5}
         for level, line in zip(LEVELS, ("-", "--"), strict=True):
-            share = [100.0 * row[f"coverage{level}"] for row in mine]
-            shares.plot(x, share, line, color=colour, marker=mark, ms=5)
-        errors.plot(x, [row["rms_error_deg"] for row in mine], "-", color=colour, marker=mark,
-                    ms=5, label=f"{name}, RMS error")  # fmt: skip
-        errors.plot(x, [row["ci68_half_width_deg"] for row in mine], "--", color=colour,
-                    marker=mark, ms=5, mfc="white", label="68 % half-width")  # fmt: skip
+            shares.plot(x, [100.0 * row[f"coverage{level}"] for row in mine], line, **look)
+        errors.plot(
+            x, [row["rms_error_deg"] for row in mine], "-", label=f"{name}, RMS error", **look
+        )
+        half = [row["ci68_half_width_deg"] for row in mine]
+        errors.plot(x, half, "--", mfc="white", label="68 % half-width", **look)
     shares.set_ylabel("inside the interval [%]")
     errors.set_ylabel("[deg of φ]")
     errors.set_yscale("log")

@@ -21,16 +21,23 @@ from terraphi.library.shipped import companion
 from terraphi.library.store import Curves, Library
 from terraphi.surrogate.paper import LegSurrogate
 from terraphi.view.table import Table
-from terraphi_studies import PAPER_LIBRARY, Beside, Study
+from terraphi_studies import PAPER_LIBRARY, Study
+from terraphi_studies.degrees import LEG
+from terraphi_studies.measures import straight_truths
 from terraphi_studies.pictures import autocorrelation_figure, slices_figure, surfaces_figure
 
 FloatArray = NDArray[np.float64]
 
-LEG = "straight"
 ANGLES_DEG = (-50.0, -25.0, 0.0)
 """Leg angles at which held-out errors are told [deg]: from the peak of F_z to that of F_x."""
 PAPER_LENGTH_DEG = 6.0
 FORCES = ("Fx", "Fz")
+COLUMNS = (
+    ("force", "{force}"),
+    ("leg angle", "{theta_deg:.0f}°"),
+    ("median relative error", "{relative_error_percent[median]:.2f} %"),
+    ("largest", "{relative_error_percent[max]:.2f} %"),
+)
 
 
 class HeldOut(NamedTuple):
@@ -82,18 +89,20 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
     errors = [_error(found, force, at) for force in FORCES for at in ANGLES_DEG]
     rms = np.sqrt(np.mean(residuals.reshape(2, -1) ** 2, axis=1))
     nrmsd = {force: 100.0 * float(value) for force, value in zip(FORCES, rms, strict=True)}
-    rows = [
-        (
-            error["force"],
-            f"{error['theta_deg']:.0f}°",
-            f"{error['relative_error_percent']['median']:.2f} %",
-            f"{error['relative_error_percent']['max']:.2f} %",
-        )
-        for error in errors
-    ]
-    title = f"Surrogate of library '{library}' ({convention}), leg {LEG}, on cases held out"
+    seen = np.hstack([found.curves.Fx, found.curves.Fz])
+    points = {"library": (found.curves.phi_deg, seen), "held out": (found.phi_deg, found.truth)}
+    indices = [_index(theta, at) for at in ANGLES_DEG]
+    rho = residual_autocorrelation(theta, residuals)
+    whole = (
+        f"Over all {theta.size} leg angles the held-out forces deviate by {nrmsd['Fx']:.2f} % (Fx) "
+        f"and {nrmsd['Fz']:.2f} % (Fz) of their peak-to-peak, root mean square."
+    )
     return Study(
-        table=Table(title, ("force", "leg angle", "median relative error", "largest"), rows),
+        table=Table.of(
+            f"Surrogate of library '{library}' ({convention}), leg {LEG}, on cases held out",
+            COLUMNS,
+            errors,
+        ),
         data={
             "library": library,
             "yield": convention,
@@ -104,30 +113,17 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
         },
         figures={
             "surfaces": surfaces_figure(found.surrogate, found.phi_deg, convention),
-            "slices": slices_figure(
-                found.surrogate,
-                {"library": (found.curves.phi_deg, np.hstack([found.curves.Fx, found.curves.Fz])),
-                 "held out": (found.phi_deg, found.truth)},
-                [_index(theta, at) for at in ANGLES_DEG],
-                convention,
-            ),
-            "residuals": autocorrelation_figure(
-                *residual_autocorrelation(theta, residuals), length, PAPER_LENGTH_DEG
-            ),
+            "slices": slices_figure(found.surrogate, points, indices, convention),
+            "residuals": autocorrelation_figure(*rho, length, PAPER_LENGTH_DEG),
         },
-        notes=[
-            _over_all(theta.size, nrmsd),
-            _about_the_spread(found),
-            *_about_the_length(theta, residuals, length),
+        notes=[whole, _about_the_spread(found), *_about_the_length(theta, residuals, length)],
+        beside_paper=[
+            (
+                "correlation length of the residuals",
+                f"{length:.1f}°",
+                f"about {PAPER_LENGTH_DEG:.0f}°",
+            )
         ],
-        beside_paper=_beside_paper(length),
-    )  # fmt: skip
-
-
-def _over_all(angles: int, nrmsd: dict[str, float]) -> str:
-    return (
-        f"Over all {angles} leg angles the held-out forces deviate by {nrmsd['Fx']:.2f} % (Fx) and "
-        f"{nrmsd['Fz']:.2f} % (Fz) of their peak-to-peak, root mean square."
     )
 
 
@@ -169,14 +165,13 @@ def held_out(library: str) -> HeldOut:
     Raises InputError if there is no such library or it has no truths of the straight leg.
     """
     curves = Library.load(library).curves(LEG)
-    cases = [c for c in companion(library, "truths").cases if c.scenario.leg.shape == LEG]
-    whole = [(c.scenario.soil.friction_angle_deg, c.history) for c in cases if c.history]
-    if not whole:
+    truths = straight_truths(companion(library, "truths"))
+    if not truths:
         raise InputError(f"library '{library}-truths' has no leg '{LEG}'")
-    phi = np.array([angle for angle, _ in whole])
+    phi = np.array([truth.phi_deg for truth in truths])
     surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
-    truth = np.stack([history.observation().vector for _, history in whole])
-    return HeldOut(curves, surrogate, phi, truth, surrogate.predict(phi))
+    observed = np.stack([truth.history.observation().vector for truth in truths])
+    return HeldOut(curves, surrogate, phi, observed, surrogate.predict(phi))
 
 
 def _index(theta_deg: FloatArray, at_deg: float) -> int:
@@ -205,13 +200,3 @@ def _parameters(surrogate: LegSurrogate, force: str) -> dict[str, float]:
         "theta_length_deg": process.parameters.theta_length_deg,
         "noise_N": process.noise_std,
     }
-
-
-def _beside_paper(length_deg: float) -> list[Beside]:
-    return [
-        (
-            "correlation length of the residuals",
-            f"{length_deg:.1f}°",
-            f"about {PAPER_LENGTH_DEG:.0f}°",
-        )
-    ]

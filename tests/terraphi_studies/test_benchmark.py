@@ -15,7 +15,8 @@ from terraphi.library import shipped as choices
 from terraphi.library.plan import Plan
 from terraphi.library.store import Case, Library
 from terraphi_studies import benchmark
-from terraphi_studies.benchmark import case_at, nrmsd_percent
+from terraphi_studies.benchmark import case_at
+from terraphi_studies.measures import nrmsd_percent
 
 
 def test_deviation_of_a_constant_offset() -> None:

@@ -43,7 +43,7 @@ def test_every_figure_has_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[float] = []
     found = figures.run(progress=lambda done, total: told.append(done / total))
     assert told == pytest.approx([0.025])
-    assert set(found.figures) == set(figures.WHAT)
+    assert set(found.figures) == set(figures.FIGURES)
     assert found.dpi == 300
     assert len(found.beside_paper) == 4
     assert found.notes == list(names)

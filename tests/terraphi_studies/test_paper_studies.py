@@ -20,8 +20,7 @@ from terraphi.inference.paper_likelihood import (
     residual_correlation_length_deg,
 )
 from terraphi.library.store import Library
-from terraphi_studies import k0, phi_sensitivity, surrogate
-from terraphi_studies import pictures as snapshots
+from terraphi_studies import figures, k0, phi_sensitivity, surrogate
 
 
 def test_phi_sensitivity_tells_peaks_over_phi() -> None:
@@ -209,31 +208,18 @@ COARSE = {
 }
 
 
-def test_moments_are_taken_once_and_kept(tmp_path, monkeypatch) -> None:
+def test_moments_are_taken_as_the_leg_comes_to_its_angles() -> None:
     scenario = Scenario.model_validate(COARSE)
-    taken = snapshots.moments(scenario, (-90.0, -60.0), tmp_path)
+    taken = figures.moments(scenario, (-90.0, -60.0))
     assert [np.degrees(m.theta) for m in taken] == pytest.approx([-90.0, -60.0], abs=25.0)
     assert all(np.degrees(m.theta) >= wanted for m, wanted in zip(taken, (-90, -60), strict=True))
     assert taken[1].points.shape == (len(taken[1].speed), 2)
     assert np.abs(taken[1].points - taken[0].points).max() > 1e-3
-    monkeypatch.setattr(snapshots, "simulate", None)
-    again = snapshots.moments(scenario, (-90.0, -60.0), tmp_path)
-    for one, other in zip(taken, again, strict=True):
-        for a, b in zip(one, other, strict=True):
-            assert np.array_equal(a, b)
-    figure = snapshots.snapshots_figure({"straight": (scenario, taken)})
+    figure = figures.snapshots_figure({"straight": (scenario, taken)})
     assert len(figure.axes) == 3
-    # Of another version of the model they are taken anew.
-    monkeypatch.setattr(snapshots, "model_version", lambda _: "later")
-    with pytest.raises(TypeError):
-        snapshots.moments(scenario, (-90.0, -60.0), tmp_path)
 
 
-def test_an_angle_that_the_leg_does_not_come_to_is_told(tmp_path, monkeypatch) -> None:
-    def stops_early(_, *, progress, observe) -> None:
-        observe.kept.append(None)
-
-    monkeypatch.setattr(snapshots, "simulate", stops_early)
-    with pytest.raises(InputError, match="has 1 moments for the leg angles -90, -30 deg"):
-        snapshots.moments(Scenario.model_validate(COARSE), (-90.0, -30.0), tmp_path)
-    assert not list(tmp_path.iterdir())
+def test_an_angle_that_the_leg_does_not_come_to_is_told(monkeypatch) -> None:
+    monkeypatch.setattr(figures, "simulate", lambda *_, **__: None)
+    with pytest.raises(InputError, match="has 0 moments for the leg angles -90, -30 deg"):
+        figures.moments(Scenario.model_validate(COARSE), (-90.0, -30.0))

@@ -8,7 +8,7 @@ import pytest
 
 from terraphi.experiment.errors import InputError
 from terraphi.library.plan import Plan
-from terraphi_studies.planned import Simulations, need_base, not_yet, of_plans
+from terraphi_studies.planned import Simulations, need_base, not_yet
 
 PLAN = {
     "name": "nobody-ships-this",
@@ -30,15 +30,14 @@ def test_every_case_of_a_sweep_is_simulated_once_and_read_again(tmp_path: Path) 
 
 @pytest.mark.parametrize("given", [{"workers": 2}, {"cluster": "tcp://127.0.0.1:1"}])
 def test_workers_that_have_nothing_to_do_are_refused(given: dict) -> None:
-    run = of_plans(lambda _: pytest.fail("it computes"))
     with pytest.raises(InputError, match="name a --build FOLDER"):
-        run(**given)
+        Simulations(**given)
 
 
 def test_what_is_missing_is_told_with_its_time() -> None:
     scenario = Plan.model_validate(PLAN).scenario
-    assert not_yet("mine", [], {}) == []
-    (note,) = not_yet("mine", [("one", scenario), ("two", scenario)], {})
+    assert not_yet("mine", {}) == []
+    (note,) = not_yet("mine", {"one": scenario, "two": scenario})
     assert note.startswith("Not simulated yet: one (")
     assert "`terraphi study mine --build FOLDER` does it in about" in note
 

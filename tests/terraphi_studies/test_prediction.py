@@ -100,7 +100,7 @@ def test_sands_that_come_to_one_pair_share_a_simulation(plan) -> None:
     media = {"a": {"straight": straight, "c": c}, "b": {"straight": straight}, "d": {"c": c}}
     fits = {"a": corner, "b": corner, "d": other}
     wanted = prediction.foretold(plan, media, fits)
-    assert set(wanted) == {("a", "straight"), ("a", "c"), ("b", "straight"), ("d", "c")}
+    assert set(wanted) == {"a/straight", "a/c", "b/straight", "d/c"}
     cases = prediction.legs_plan(plan, wanted).variants()
     assert {v.scenario.hash for v in cases} == {
         plan.scenario.hash,
@@ -139,7 +139,7 @@ def test_rows_that_are_better_are_counted() -> None:
 def test_without_the_straight_legs_there_is_nothing_to_say(monkeypatch) -> None:
     monkeypatch.setattr(planned, "finished_cases", lambda *_: {})
     with pytest.raises(InputError, match="24 of 24 straight legs are not simulated yet"):
-        prediction.run()
+        studies.run("prediction")
 
 
 def test_the_page_in_the_documentation_is_of_what_is_shipped() -> None:

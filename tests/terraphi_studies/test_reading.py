@@ -13,7 +13,7 @@ import terraphi_studies as studies
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.library.plan import Plan
-from terraphi_studies import reading
+from terraphi_studies import measures, reading
 
 THETA = np.radians(np.arange(-135.0, 135.0, 0.1) + 0.05)
 PAPER = [(8.6, 10.2), (14.0, 15.5)]
@@ -110,7 +110,7 @@ def test_what_is_left_without_friction() -> None:
 def test_a_spike_is_no_engagement() -> None:
     force = history(10.0, 5.0).force.copy()
     force[300] = 4.0
-    found = reading.engagement_deg(ForceHistory(THETA, force))
+    found = measures.engagement_deg(ForceHistory(THETA, force))
     assert found == pytest.approx(-85.0, abs=0.15)
 
 

@@ -10,6 +10,7 @@ import pytest
 
 import terraphi_studies as studies
 from terraphi.experiment.errors import InputError
+from terraphi_studies.pictures import recovery_figure
 
 
 def test_unknown_study_names_the_nearest() -> None:
@@ -91,3 +92,20 @@ def test_a_place_that_cannot_be_made_is_refused_before_the_work(
         with pytest.raises(InputError, match="file: is a file; name a folder"):
             studies.run("k0", out=place)
     assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_recovery_shows_errors_with_their_intervals() -> None:
+    truth, median = np.array([20.0, 30.0]), np.array([20.1, 29.7])
+    cases = [
+        {"phi_true_deg": t, "phi_median_deg": m, "ci68": [m - 0.5, m + 0.5], "ci95": [m - 1, m + 1],
+         "verdict": verdict}
+        for t, m, verdict in zip(truth, median, ("consistent", "out_of_range"), strict=True)
+    ]  # fmt: skip
+    figure = recovery_figure(cases, "paper")
+    errors = {line.get_label(): line.get_ydata().tolist() for line in figure.axes[1].lines[1:]}
+    assert errors["median"] == pytest.approx([0.1])
+    assert errors["median, not consistent"] == pytest.approx([-0.3])
+    whole, narrow = (lines.get_segments() for lines in figure.axes[1].collections)
+    assert whole[1][:, 1] == pytest.approx([-1.3, 0.7])
+    assert narrow[1][:, 1] == pytest.approx([-0.8, 0.2])
+    assert "paper's yield criterion" in figure.axes[0].get_xlabel()

@@ -16,7 +16,7 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import Soil
 from terraphi.forward.mpm import plasticity
 from terraphi_studies import verification
-from terraphi_studies.verification import element, limit_loads, limit_scenarios
+from terraphi_studies.verification import elements, limit_loads, limit_scenarios
 from terraphi_studies.verification import limit_scenarios as limit_values
 from terraphi_studies.verification.check import Check
 from terraphi_studies.verification.conservation import spin_of
@@ -98,7 +98,7 @@ def test_page_is_that_of_the_full_tier_and_of_all_families() -> None:
     assert "Tier: full" in text
     for name in verification.FAMILIES:
         assert f"| `{name}` |" in text, f"{name}: run `terraphi study verification` again"
-        assert f"## {verification._family(name).title}" in text
+        assert f"## {verification.family_of(name).title}" in text
     for picture in re.findall(r"\]\((.+\.png)\)", text):
         assert (PAGE.parent / picture).is_file()
 
@@ -117,11 +117,11 @@ def test_wrong_return_mapping_is_found(monkeypatch) -> None:
     """Return along another flow rule: the strength is right, the dilation is not."""
     soil = Soil(yield_criterion="plane_strain", friction_angle_deg=35.0, dilation_angle_deg=10.0)
     monkeypatch.setattr(
-        element,
+        elements,
         "return_to_cone",
         lambda trial, cone: plasticity.return_to_cone(trial, cone._replace(drop=0.0)),
     )
-    wrong, right = (element.simple_shear(soil, mapping) for mapping in reversed(element.MAPPINGS))
+    wrong, right = (elements.simple_shear(soil, mapping) for mapping in reversed(elements.MAPPINGS))
     assert right.dilatancy == pytest.approx(math.sin(math.radians(10.0)), rel=1e-6)
     assert abs(wrong.dilatancy) < 0.01
 
@@ -397,7 +397,7 @@ def test_load_that_still_moves_where_it_is_read_is_noted() -> None:
 
 
 def test_full_tier_has_the_preset_first_at_all_angles_and_frictions() -> None:
-    tasks = [t for t in limit_loads.tasks(False) if t.arguments.get("settings") == "preset"]
+    tasks = [t for t in limit_loads.FAMILY.full if t.arguments.get("settings") == "preset"]
     walls = {
         (t.arguments["phi_deg"], t.arguments["friction"])
         for t in tasks
@@ -415,7 +415,7 @@ def test_full_tier_has_the_preset_first_at_all_angles_and_frictions() -> None:
 
 
 def test_no_check_holds_a_moving_wall_against_the_first_geometry() -> None:
-    moving = [t for t in limit_loads.tasks(False) if t.function is limit_loads.move_wall]
+    moving = [t for t in limit_loads.FAMILY.full if t.function is limit_loads.move_wall]
     assert moving
     assert all("friction" not in t.arguments for t in moving)
 

@@ -15,7 +15,7 @@ from terraphi.experiment.errors import InputError
 from terraphi_studies import verification
 from terraphi_studies.verification import running
 from terraphi_studies.verification.check import Check, Family, Outcome, Task
-from terraphi_studies.verification.document import data_of, markdown, number, table
+from terraphi_studies.verification.document import data_of, markdown, number, short_table
 from terraphi_studies.verification.running import forget, run_tasks
 
 
@@ -158,12 +158,12 @@ def test_what_is_forgotten_is_gone_and_what_is_not_stays(tmp_path: Path) -> None
 
 
 def made_up(*checks: Check) -> Family:
-    return Family("Columns", "What they mean.", lambda quick: [Task("all", lambda: checks)])
+    return Family("Columns", "What they mean.", [Task("all", lambda: checks)], [])
 
 
 def written(*checks: Check) -> str:
     families = {"columns": made_up(*checks)}
-    data = data_of(families, {"columns": {"all": Outcome(checks)}}, quick=False)
+    data = data_of({"columns": {"all": Outcome(checks)}}, quick=False)
     return markdown(families, data, {"columns": ["columns-1"]})
 
 
@@ -244,7 +244,7 @@ def test_deviations_beyond_all_are_no_powers_of_ten(obtained: float, text: str) 
 
 def test_rows_for_machines_are_those_of_all_families() -> None:
     checks = [check_of(settings="preset"), check_of(obtained=1.0, relative=False)]
-    data = data_of({"columns": made_up()}, {"columns": {"all": Outcome(checks)}}, quick=True)
+    data = data_of({"columns": {"all": Outcome(checks)}}, quick=True)
     first, second = data["rows"]
     assert first["family"] == "columns"
     assert first["problem"] == "Column"
@@ -256,11 +256,10 @@ def test_rows_for_machines_are_those_of_all_families() -> None:
 
 
 def test_table_for_a_terminal() -> None:
-    families = {"columns": made_up()}
     checks = [check_of(), check_of(obtained=1e-9, relative=False)]
-    data = data_of(families, {"columns": {"all": Outcome(checks)}}, quick=True)
+    data = data_of({"columns": {"all": Outcome(checks)}}, quick=True)
     assert data["tier"] == "quick"
-    assert table(data) == [
+    assert short_table(data).rows == [
         ("Column: smooth", "K", "2", "2.1", "+5 %", "pass"),
         ("Column: smooth", "K", "2", "1.000e-09", "-2", "MISS"),
     ]
@@ -292,7 +291,8 @@ def test_unknown_family_names_the_nearest() -> None:
 @pytest.mark.parametrize("quick", [False, True])
 def test_tasks_can_travel(name: str, quick: bool) -> None:
     """Unlike names, arguments that are JSON, functions that another process finds."""
-    tasks = verification._family(name).tasks(quick)
+    family = verification.family_of(name)
+    tasks = family.quick if quick else family.full
     assert len({task.name for task in tasks}) == len(tasks)
     for task in tasks:
         json.dumps(dict(task.arguments), allow_nan=False)
@@ -319,8 +319,8 @@ def command(*args: str):
 
 
 def test_command_writes_page_and_data(tmp_path: Path, monkeypatch) -> None:
-    family = Family("Columns", "", lambda quick: tasks_of(2, 5 if quick else 9).values())
-    monkeypatch.setattr(verification, "_family", lambda name: family)
+    family = Family("Columns", "", [], list(tasks_of(2, 5).values()))
+    monkeypatch.setattr(verification, "family_of", lambda name: family)
     out = tmp_path / "found"
     ran = command("verification", "--only", "waves", "--quick", "--out", str(out))
     assert ran.exit_code == 0, ran.output

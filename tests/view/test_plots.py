@@ -59,20 +59,3 @@ def test_comparison_draws_both_forces_of_every_curve(found: Inversion) -> None:
     figure = plots.comparison_figure("title", curves)
     assert [len(axes.lines) for axes in figure.axes] == [3, 3]
     assert max(figure.axes[1].lines[0].get_ydata()) == pytest.approx(history.Fz.max(), rel=0.02)
-
-
-def test_recovery_shows_errors_with_their_intervals() -> None:
-    truth, median = np.array([20.0, 30.0]), np.array([20.1, 29.7])
-    cases = [
-        {"phi_true_deg": t, "phi_median_deg": m, "ci68": [m - 0.5, m + 0.5], "ci95": [m - 1, m + 1],
-         "verdict": verdict}
-        for t, m, verdict in zip(truth, median, ("consistent", "out_of_range"), strict=True)
-    ]  # fmt: skip
-    figure = plots.recovery_figure(cases, "paper")
-    errors = {line.get_label(): line.get_ydata().tolist() for line in figure.axes[1].lines[1:]}
-    assert errors["median"] == pytest.approx([0.1])
-    assert errors["median, not consistent"] == pytest.approx([-0.3])
-    whole, narrow = (lines.get_segments() for lines in figure.axes[1].collections)
-    assert whole[1][:, 1] == pytest.approx([-1.3, 0.7])
-    assert narrow[1][:, 1] == pytest.approx([-0.8, 0.2])
-    assert "paper's yield criterion" in figure.axes[0].get_xlabel()

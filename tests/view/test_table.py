@@ -63,3 +63,10 @@ def test_without_names_of_columns_there_is_no_head() -> None:
 
 def test_a_note_stands_below_in_a_page() -> None:
     assert Table("", ("a",), [("1",)], "x < y").html().endswith('<p class="note">x &lt; y</p>')
+
+
+def test_cells_of_records_are_written_by_formats_or_functions() -> None:
+    columns = (("x", "{x:.1f} N"), ("of", "{of[Fz]}"), ("more", lambda one: "-" * one["x"]))
+    table = Table.of("t", columns, [{"x": 2, "of": {"Fz": "a"}}])
+    assert (table.title, table.header) == ("t", ("x", "of", "more"))
+    assert table.rows == [("2.0 N", "a", "--")]

@@ -3,8 +3,10 @@
 ArviZ 0.x reads the groups into an ``InferenceData``, ArviZ 1.x into a ``DataTree``: the file is
 the same. Groups ``posterior`` and ``prior`` (chain and draw first; a variable each parameter,
 ``phi_deg`` or named by the last parts of its key), ``observed_data`` (the window means of each
-record, and where it was read), ``posterior_predictive_mean`` (its best curve) and, if there is a
-budget, ``information_share`` (what each angle told of φ); the answer stands in the attributes.
+record, and where it was read), ``posterior_predictive_mean`` (its best curve) and, of φ alone,
+``curves_within_ci95`` (the least and the largest force of the curves within the interval) and, if
+there is a budget, ``information_share`` (what each angle told of φ); the answer stands in the
+attributes.
 
 A posterior by quadrature is written as quantiles of equal probability in a random order, which are
 as good as independent draws; of an ensemble one step in every autocorrelation time is kept, a chain
@@ -128,6 +130,13 @@ def _data(found: Inversion) -> dict[str, Any]:
         "/observed_data": observed,
         "/posterior_predictive_mean": both(np.stack([r.best for r in found.records])),
     }
+    if found.together is None:
+        ends = {
+            name: (("end", "theta_deg"), part, {"units": "N"})
+            for name, part in zip(("Fx", "Fz"), np.hsplit(found.band, 2), strict=True)
+        }
+        angle = {"theta_deg": coords["theta_deg"]}
+        groups["/curves_within_ci95"] = xr.Dataset(ends, coords=angle)
     if found.budget is not None:
         shares = zip(("Fx", "Fz"), found.budget.information, strict=True)
         told = {name: ("theta_deg", share, {"units": "1"}) for name, share in shares}

@@ -135,8 +135,11 @@ def print_forces(summary: dict[str, Any]) -> None:
     }
     rows = {**summary["feet"], "all feet": summary["pooled"]}
     cells = [
-        (name, *(figure_in_words(found[figure], form) for figure, form in figures.items()))
-        for name, found in rows.items()
+        (
+            name,
+            *("-" if one[key] is None else f"{one[key]:{form}}" for key, form in figures.items()),
+        )
+        for name, one in rows.items()
     ]
     title = f"Ground's forces on the feet, {summary['estimator']}, {summary['frame']} frame"
     print_table(Table(title, header, cells))
@@ -161,11 +164,6 @@ def print_pairs(pairs: dict[str, Any]) -> None:
     width = max(map(len, pairs))
     for name, value in pairs.items():
         click.echo(f"{name:<{width}}  {words(value)}")
-
-
-def figure_in_words(value: float | None, form: str) -> str:
-    """A number with the digits that it deserves."""
-    return "-" if value is None else format(value, form)
 
 
 def words(value: Any) -> str:

@@ -13,15 +13,15 @@ import numpy as np
 from terraphi.robot.joint_log import FEET
 from terraphi.robot.results import RobotForces
 from terraphi.robot.stance import AXES, Ensemble
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, panels_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = {"FR": "#0072B2", "FL": "#D55E00", "RR": "#009E73", "RL": "#CC79A7"}
+COLOURS = {"FR": BLUE, "FL": ORANGE, "RR": GREEN, "RL": PURPLE}
 STYLES = {"FR": "-", "FL": "--", "RR": "-.", "RL": ":"}
 FOOT_NAMES = {"FR": "front right", "FL": "front left", "RR": "rear right", "RL": "rear left"}
-GREY = "#666666"
 SHOWN = ("x", "z")
 """Components of the paper's figures, forward and up."""
 AXIS_LABEL = {"x": "$F_x$ [N]", "z": "$F_z$ [N], up"}
@@ -45,15 +45,13 @@ def forces_figure(
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
     time = result.forces.time
     if start is None:
         first = result.stances[0].begin if result.stances else time[0]
         start = float(max(min(first - 0.1, time[-1] - seconds), time[0]))
     shown = slice(*np.searchsorted(time, [start, start + seconds]).tolist())
-    figure = Figure(figsize=(12.0, 9.0), layout="constrained")
-    grid = figure.subplots(len(FEET), len(SHOWN), sharex=True, sharey="col", squeeze=False)
+    size = (len(FEET), len(SHOWN))
+    figure, grid = panels_of(*size, size=(12.0, 9.0), sharex=True, sharey="col")
     for i, foot in enumerate(FEET):
         for axes, name in zip(grid[i], SHOWN, strict=True):
             force = result.forces.force[shown, i, AXES.index(name)]
@@ -85,19 +83,19 @@ def stance_figure(result: RobotForces) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
-    for axes, name in zip(figure.subplots(1, 2), SHOWN, strict=True):
+    figure, (panels,) = panels_of(1, len(SHOWN), size=(10.0, 4.0))
+    for axes, name in zip(panels, SHOWN, strict=True):
         if result.stances:
             _draw_mean(axes, result.pooled, name)
         for foot in FEET:
             ensemble = result.feet[foot]
             if ensemble.count:
-                axes.plot(
-                    ensemble.part, ensemble.mean[:, AXES.index(name)], STYLES[foot],
-                    color=COLOURS[foot], lw=1.0, label=f"{foot}, {ensemble.count} stances",
-                )  # fmt: skip
+                mean, label = (
+                    ensemble.mean[:, AXES.index(name)],
+                    f"{foot}, {ensemble.count} stances",
+                )
+                look = {"color": COLOURS[foot], "lw": 1.0, "label": label}
+                axes.plot(ensemble.part, mean, STYLES[foot], **look)
         axes.axhline(0.0, color=GREY, lw=0.6)
         axes.set_xlim(0.0, 1.0)
         axes.set_xlabel("normalised time in the stance [-]")
@@ -113,10 +111,8 @@ def stance_figure(result: RobotForces) -> Figure:
 def _draw_mean(axes: Axes, ensemble: Ensemble, name: str) -> None:
     column = AXES.index(name)
     mean, spread = ensemble.mean[:, column], ensemble.spread[:, column]
-    axes.fill_between(
-        ensemble.part, mean - spread, mean + spread, color=GREY, alpha=0.3, lw=0,
-        label="± one standard deviation",
-    )  # fmt: skip
+    ends, label = (mean - spread, mean + spread), "± one standard deviation"
+    axes.fill_between(ensemble.part, *ends, color=GREY, alpha=0.3, lw=0, label=label)
     axes.plot(ensemble.part, mean, color="black", lw=2.0, label=f"all, {ensemble.count} stances")
 
 

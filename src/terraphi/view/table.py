@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
@@ -16,6 +16,10 @@ _NOTHING = ("", "-", "–")
 """Cells that say nothing about what their column holds."""
 LONG = 24
 """Rows above which a table may be split where a page ends."""
+
+
+Column = tuple[str, str | Callable[[Any], str]]
+"""A column's name, and a cell of it: a format string over a record's keys, or a function of it."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,19 @@ class Table:
     wide: bool = False
     folded: bool = False
     part: str = field(default="table", init=False)
+
+    @classmethod
+    def of(
+        cls, title: str, columns: Sequence[Column], records: Iterable[Mapping[str, Any]]
+    ) -> Table:
+        """A table with a row for each record."""
+        rows = [
+            tuple(
+                cell.format_map(one) if isinstance(cell, str) else cell(one) for _, cell in columns
+            )
+            for one in records
+        ]
+        return cls(title, tuple(name for name, _ in columns), rows)
 
     def numeric(self) -> list[bool]:
         """Whether each column holds numbers alone, and so is aligned to the right."""

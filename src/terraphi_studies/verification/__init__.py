@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.view.table import Table
-from terraphi_studies import Study
-from terraphi_studies.verification.check import Family
-from terraphi_studies.verification.document import SHORT_HEADER, data_of, markdown, table
+from terraphi.library.workers import WorkerPool
+from terraphi_studies import Study, kept_in
+from terraphi_studies.verification.check import Family, Outcome
+from terraphi_studies.verification.document import data_of, markdown, short_table
 from terraphi_studies.verification.running import forget, run_tasks
 
 FAMILIES = (
@@ -40,7 +39,6 @@ def run(
     quick: bool = False,
     out: Path | None = None,
     workers: int = 1,
-    executor: Executor | None = None,
     progress: Callable[[float, float], None] | None = None,
 ) -> Study:
     """Compute all problems, or one family of them.
@@ -55,9 +53,7 @@ def run(
         Folder in which finished tasks are kept while the study is under way: the same call goes on
         from there after an interruption.
     workers
-        Processes; 1 computes here. Ignored if there is an ``executor``.
-    executor
-        Runs the tasks.
+        Processes; 1 computes here.
     progress
         Called with the work done and the work of all, in seconds by estimate.
 
@@ -74,16 +70,17 @@ def run(
     SimulationError
         If a solution breaks down.
     """
-    families = {name: _family(name) for name in _chosen(only)}
+    if only is not None and only not in FAMILIES:
+        raise InputError(f"unknown family of problems '{only}'; {nearest(only, FAMILIES)}")
+    families = {name: family_of(name) for name in ((only,) if only else FAMILIES)}
     tasks = {
-        (name, task.name): task for name, family in families.items() for task in family.tasks(quick)
+        (name, task.name): task
+        for name, family in families.items()
+        for task in (family.quick if quick else family.full)
     }
-    keep = None if out is None else out / "verification.tasks"
+    keep = None if out is None else out / kept_in("verification")
     with ExitStack() as stack:
-        if executor is None and workers > 1:
-            from terraphi.library.workers import WorkerPool
-
-            executor = stack.enter_context(WorkerPool(workers)).executor
+        executor = stack.enter_context(WorkerPool(workers)).executor if workers > 1 else None
         try:
             done = run_tasks(tasks, keep=keep, executor=executor, progress=progress)
         except KeyboardInterrupt:
@@ -93,21 +90,13 @@ def run(
                 f"{out}: interrupted; finished tasks are kept in {keep}, and the same command "
                 "goes on from there"
             ) from None
-    found = {
-        name: {task: outcome for (family, task), outcome in done.items() if family == name}
-        for name in families
-    }
-    figures = {
-        name: family.figures(found[name]) if family.figures is not None else {}
-        for name, family in families.items()
-    }
-    data = data_of(families, found, quick=quick)
+    found: dict[str, dict[str, Outcome]] = {name: {} for name in families}
+    for (name, task), outcome in done.items():
+        found[name][task] = outcome
+    figures = {name: family.figures(found[name]) for name, family in families.items()}
+    data = data_of(found, quick=quick)
     study = Study(
-        table=Table(
-            f"Verification: {data['passed']} checks pass, {data['missed']} miss",
-            SHORT_HEADER,
-            table(data),
-        ),
+        table=short_table(data),
         data=data,
         figures={key: figure for drawn in figures.values() for key, figure in drawn.items()},
         documents={
@@ -119,15 +108,7 @@ def run(
     return study
 
 
-def _chosen(only: str | None) -> tuple[str, ...]:
-    if only is None:
-        return FAMILIES
-    if only not in FAMILIES:
-        raise InputError(f"unknown family of problems '{only}'; {nearest(only, FAMILIES)}")
-    return (only,)
-
-
-def _family(name: str) -> Family:
-    module = importlib.import_module(f"terraphi_studies.verification.{name}")
-    family: Family = module.FAMILY
+def family_of(name: str) -> Family:
+    """The family of a module of problems."""
+    family: Family = importlib.import_module(f"terraphi_studies.verification.{name}").FAMILY
     return family

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -82,12 +82,9 @@ class Check:
     @property
     def passed(self) -> bool:
         """Whether the deviation is within the tolerance."""
-        deviation = self.deviation
-        if self.sense == "at_most":
-            return bool(deviation <= self.tolerance)
-        if self.sense == "at_least":
-            return bool(deviation >= -self.tolerance)
-        return bool(abs(deviation) <= self.tolerance)
+        too_low = self.sense != "at_most" and not self.deviation >= -self.tolerance
+        too_high = self.sense != "at_least" and not self.deviation <= self.tolerance
+        return not (too_low or too_high)
 
     def as_dict(self) -> dict[str, Any]:
         """Fields, deviation and verdict, JSON-able: a number that is none becomes null.
@@ -112,7 +109,8 @@ class Check:
         """Check that :meth:`as_dict` wrote."""
         names = {entry.name for entry in dataclasses.fields(cls)}
         known = {key: value for key, value in content.items() if key in names}
-        return cls(**{**known, "obtained": _number(known["obtained"])})
+        obtained = known["obtained"]
+        return cls(**{**known, "obtained": math.nan if obtained is None else float(obtained)})
 
 
 @dataclass(frozen=True)
@@ -164,23 +162,24 @@ class Family:
         Heading.
     meaning
         One or two sentences: what it means if these pass.
-    tasks
-        From whether a quick tier is wanted (seconds, for tests) to the tasks.
+    full, quick
+        The tasks, and those of a tier of seconds, for tests.
     figures
         From task name to outcome, to file name (without suffix) to figure.
     """
 
     title: str
     meaning: str
-    tasks: Callable[[bool], Sequence[Task]]
-    figures: Callable[[Mapping[str, Outcome]], Mapping[str, Figure]] | None = None
-
-    def checks(self, *, quick: bool = False) -> list[Check]:
-        """Checks of all tasks, done here one after another."""
-        return [
-            check for task in self.tasks(quick) for check in task.function(**task.arguments).checks
-        ]
+    full: Sequence[Task]
+    quick: Sequence[Task]
+    figures: Callable[[Mapping[str, Outcome]], Mapping[str, Figure]] = lambda _: {}
 
 
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)
+def numbered(
+    name: str,
+    function: Callable[..., Outcome],
+    runs: Iterable[Mapping[str, Any]],
+    cost: float = 1.0,
+) -> list[Task]:
+    """A task of a function for each of some arguments, named by their number."""
+    return [Task(f"{name}-{n}", function, run, cost) for n, run in enumerate(runs)]

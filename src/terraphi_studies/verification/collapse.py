@@ -18,6 +18,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.mpm.bed import Particles, geostatic_bed
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, one_legend, panels_of
 from terraphi_studies.verification.check import Check, Family, Outcome, Task
 from terraphi_studies.verification.driver import advance, rig_of
 
@@ -45,6 +46,7 @@ SOURCE = (
     "fit to columns of rods, d the maximum run-out (Nguyen et al. 2017, Landslides 14, 69; "
     "arXiv:1512.05180)"
 )
+FARTHEST = "farthest particle"
 NO_FARTHER = "no farther than the maximum run-out"
 SHARE = 0.999
 """Part of the mass whose run-out is reported beside that of the farthest particle [-]."""
@@ -226,43 +228,53 @@ def let_go(aspect: float, across: int, transfer: str = "phases", times: float = 
     speed = float(np.hypot(*soil.velocity.T).mean()) / math.sqrt(GRAVITY * height)
     distance, thickness = surface_of(scenario, soil)
     reached = {
-        "farthest particle": reach_of(soil, 1.0) - scenario.bed.left,
+        FARTHEST: reach_of(soil, 1.0) - scenario.bed.left,
         "99.9 % of the mass": reach_of(soil, SHARE) - scenario.bed.left,
         "connected deposit half a cell thick": front_of(distance, thickness, 0.5 * cell),
     }
-    common: dict[str, Any] = {
-        "problem": "Column collapse",
-        "case": f"a = {aspect:g}, φ = {FRICTION_ANGLE:g}°, ψ = 0, {_WORDS[transfer]}",
-        "resolution": f"d0/Δx = {across}",
-    }
+    case = f"a = {aspect:g}, φ = {FRICTION_ANGLE:g}°, ψ = 0, {_WORDS[transfer]}"
+    check = partial(Check, problem="Column collapse", case=case, resolution=f"d0/Δx = {across}")
     checks = [
         *(
-            Check(
-                quantity=f"run-out (d − d0)/d0, {what}", expected=run_out(aspect),
-                obtained=reach / WIDTH - 1.0, tolerance=0.10, cause=CAUSE,
-                sense="equal" if what == "farthest particle" else "at_most",
-                source=SOURCE if what == "farthest particle" else NO_FARTHER, **common,
+            check(
+                quantity=f"run-out (d − d0)/d0, {what}",
+                expected=run_out(aspect),
+                obtained=reach / WIDTH - 1.0,
+                tolerance=0.10,
+                cause=CAUSE,
+                sense="equal" if what == FARTHEST else "at_most",
+                source=SOURCE if what == FARTHEST else NO_FARTHER,
             )
             for what, reach in reached.items()
         ),
-        Check(
-            quantity="height h/d0 at the wall", expected=final_height(aspect),
-            obtained=float(thickness[:2].mean()) / WIDTH, tolerance=0.10, source=SOURCE,
-            cause=CAUSE, **common,
+        check(
+            quantity="height h/d0 at the wall",
+            expected=final_height(aspect),
+            obtained=float(thickness[:2].mean()) / WIDTH,
+            tolerance=0.10,
+            source=SOURCE,
+            cause=CAUSE,
         ),
-        Check(
-            quantity=f"mean speed/√(g h0) after {times:g} √(h0/g)", expected=0.0, obtained=speed,
-            tolerance=STILL, relative=False, sense="at_most", source="it stands", **common,
+        check(
+            quantity=f"mean speed/√(g h0) after {times:g} √(h0/g)",
+            expected=0.0,
+            obtained=speed,
+            tolerance=STILL,
+            relative=False,
+            sense="at_most",
+            source="it stands",
         ),
-    ]  # fmt: skip
-    return Outcome(
-        checks,
-        {
-            "case": common["case"], "aspect": aspect, "across": across, "transfer": transfer,
-            "farthest": round(reached["farthest particle"] / WIDTH, 4),
-            "x": (distance / WIDTH).round(4).tolist(), "y": (thickness / WIDTH).round(4).tolist(),
-        },
-    )  # fmt: skip
+    ]
+    curves = {
+        "case": case,
+        "aspect": aspect,
+        "across": across,
+        "transfer": transfer,
+        "farthest": round(reached[FARTHEST] / WIDTH, 4),
+        "x": (distance / WIDTH).round(4).tolist(),
+        "y": (thickness / WIDTH).round(4).tolist(),
+    }
+    return Outcome(checks, curves)
 
 
 _WORDS = {"steps": "transfer at every step", "phases": "transfer every 20 steps, mean dilatation"}
@@ -274,67 +286,47 @@ CAUSE = (
 )
 
 
-def tasks(quick: bool) -> list[Task]:
-    """Columns of several aspect ratios, on several grids, with either transfer."""
-    if quick:
-        return [Task("column", let_go, {"aspect": 0.7, "across": 10})]
-    return [
-        Task(
-            f"{transfer}-{aspect:g}-{across}", let_go,
-            {"aspect": aspect, "across": across, "transfer": transfer},
-            4.0 * (across / 20) ** 2.5 * aspect,
-        )
-        for transfer, aspect, across in (
-            *itertools.product(("phases",), (0.7, 1.0, 1.5), (20, 40)),
-            ("phases", 1.0, 80),
-            ("phases", 2.0, 20),
-            *itertools.product(("steps",), (0.7, 1.0, 1.5), (20,)),
-        )
-    ]  # fmt: skip
+FULL = [
+    Task(
+        f"{transfer}-{aspect:g}-{across}",
+        let_go,
+        {"aspect": aspect, "across": across, "transfer": transfer},
+        4.0 * (across / 20) ** 2.5 * aspect,
+    )
+    for transfer, aspect, across in (
+        *itertools.product(("phases",), (0.7, 1.0, 1.5), (20, 40)),
+        ("phases", 1.0, 80),
+        ("phases", 2.0, 20),
+        *itertools.product(("steps",), (0.7, 1.0, 1.5), (20,)),
+    )
+]
+"""Columns of several aspect ratios, on several grids, with either transfer."""
 
 
 def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
     """Deposits, and where the fit has their front and height."""
-    from matplotlib.figure import Figure
-
     runs = [outcome.curves for outcome in outcomes.values()]
     aspects = sorted({run["aspect"] for run in runs})
-    figure = Figure(figsize=(8.0, 1.0 + 1.6 * len(aspects)), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(len(aspects), 1, sharex=True))
-    for axes, aspect in zip(panels, aspects, strict=True):
+    size = (8.0, 1.0 + 1.6 * len(aspects))
+    figure, panels = panels_of(len(aspects), 1, size=size, sharex=True)
+    free: dict[str, Any] = {"clip_on": False}
+    for axes, aspect in zip(panels[:, 0], aspects, strict=True):
         axes.plot([0, 1, 1], [aspect, aspect, 0], color=GREY, lw=0.8, label="column")
-        axes.plot(
-            [0.0, 1.0 + run_out(aspect)], [final_height(aspect), 0.0], "x", color="black", ms=7,
-            label="fit to measurements", clip_on=False,
-        )  # fmt: skip
+        fit = [0.0, 1.0 + run_out(aspect)], [final_height(aspect), 0.0]
+        axes.plot(*fit, "x", color="black", ms=7, label="fit to measurements", **free)
         for run in (run for run in runs if run["aspect"] == aspect):
-            axes.plot(
-                run["x"], run["y"], "-" if run["transfer"] == "phases" else "--", lw=1.1,
-                color={20: ORANGE, 40: BLUE, 80: GREEN}.get(run["across"], ORANGE),
-                label=f"{_WORDS[run['transfer']]}, d0/Δx = {run['across']}",
-            )  # fmt: skip
-            axes.plot(
-                run["farthest"], 0.0, "|", ms=12, mew=2, clip_on=False,
-                color={20: ORANGE, 40: BLUE, 80: GREEN}.get(run["across"], ORANGE),
-                label=f"farthest particle, d0/Δx = {run['across']}",
-            )  # fmt: skip
+            grid = f"d0/Δx = {run['across']}"
+            colour = {40: BLUE, 80: GREEN}.get(run["across"], ORANGE)
+            line = "-" if run["transfer"] == "phases" else "--"
+            label = f"{_WORDS[run['transfer']]}, {grid}"
+            axes.plot(run["x"], run["y"], line, lw=1.1, color=colour, label=label)
+            mark: dict[str, Any] = {"ms": 12, "mew": 2, "color": colour, **free}
+            axes.plot(run["farthest"], 0.0, "|", label=f"{FARTHEST}, {grid}", **mark)
         axes.set_ylabel(f"a = {aspect:g}\nheight / d0")
         axes.set_ylim(0.0, 1.05 * aspect)
         axes.grid(lw=0.4)
-    entries = {
-        label: line
-        for axes in panels
-        for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(
-        list(entries.values()),
-        list(entries),
-        fontsize=7,
-        frameon=False,
-        ncols=2,
-        loc="outside upper center",
-    )
-    panels[-1].set_xlabel("distance from the wall / d0")
+    one_legend(figure, "outside upper center", fontsize=7, ncols=2)
+    panels[-1, 0].set_xlabel("distance from the wall / d0")
     return {"verification-collapse": figure}
 
 
@@ -344,6 +336,7 @@ FAMILY = Family(
     "run-out and height are measured ones, the run-out the maximum one: that of the farthest "
     "particle here. What 99.9 % of the mass and the connected deposit reach can only be less. If "
     "these pass, soil that flows far and stops is as in the laboratory.",
-    tasks=tasks,
+    full=FULL,
+    quick=[Task("column", let_go, {"aspect": 0.7, "across": 10})],
     figures=figures,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm.bed import Grid, Particles, geostatic_bed
 from terraphi.forward.mpm.solver import Kernel, step_count
 from terraphi.forward.mpm.transfer import grid_to_particle, particles_to_grid
-from terraphi_studies.verification.check import Check, Family, Outcome, Task
+from terraphi_studies.verification.check import Check, Family, Outcome, Task, numbered
 from terraphi_studies.verification.driver import advance, block_of, follow, in_words, rig_of
 from terraphi_studies.verification.waves import elastic
 
@@ -68,27 +69,25 @@ def sweep_books(leg: str, relief: bool, kernel: Kernel, stop_deg: float = 135.0)
     follow(scenario, soil, rig, 0, steps, kernel=kernel)
     momentum = (soil.weight * soil.mass) @ soil.velocity
     miss = np.abs(rig.audit.ledger.sum(axis=0) - momentum).sum() / np.abs(rig.audit.ledger).sum()
-    common: dict[str, Any] = {
-        "problem": "Whole coarse sweep of a leg",
-        "case": f"`{leg}`, relief {'on' if relief else 'off'}, kernel `{kernel}`, {steps} steps",
-        "relative": False,
-        "tolerance": ROUND_OFF,
-        "sense": "at_most",
-        "expected": 0.0,
-        "resolution": in_words(scenario),
-        "source": BOOKS,
-    }
+    check = partial(
+        Check,
+        problem="Whole coarse sweep of a leg",
+        case=f"`{leg}`, relief {'on' if relief else 'off'}, kernel `{kernel}`, {steps} steps",
+        expected=0.0,
+        tolerance=ROUND_OFF,
+        relative=False,
+        sense="at_most",
+        resolution=in_words(scenario),
+        source=BOOKS,
+    )
+    worst = float(rig.audit.worst[0])
     checks = [
-        Check(
-            quantity="momentum, largest mismatch of a step",
-            obtained=float(rig.audit.worst[0]), **common,
-        ),
-        Check(quantity="momentum, all impulses less the last", obtained=float(miss), **common),
-    ]  # fmt: skip
+        check(quantity="momentum, largest mismatch of a step", obtained=worst),
+        check(quantity="momentum, all impulses less the last", obtained=float(miss)),
+    ]
     if not relief:
         kept = abs(float(rig.grid.mass.sum()) / laid - 1.0)
-        checks.append(Check(quantity="mass of the grid over mass laid, less 1", obtained=kept,
-                            **common))  # fmt: skip
+        checks.append(check(quantity="mass of the grid over mass laid, less 1", obtained=kept))
     return Outcome(checks)
 
 
@@ -118,14 +117,9 @@ def transfer_spin(cells: int = 32) -> Outcome:
         soil.velocity[p], soil.gradient[p] = (vx, vz), gradient
     after = spin_of(soil, cell)
     scale = _spin_scale(soil)
-    return Outcome(
-        [
-            _spin_check("Transfer of random velocities", "particles to grid",
-                        (between - before) / scale, scenario),
-            _spin_check("Transfer of random velocities", "grid to particles",
-                        (after - between) / scale, scenario),
-        ]
-    )  # fmt: skip
+    problem, turned = "Transfer of random velocities", (between - before, after - between)
+    ways = zip(("particles to grid", "grid to particles"), turned, strict=True)
+    return Outcome([_spin_check(problem, way, part / scale, scenario) for way, part in ways])
 
 
 def spinning_block(kernel: Kernel, steps: int, cells: int = 32) -> Outcome:
@@ -151,16 +145,9 @@ def spinning_block(kernel: Kernel, steps: int, cells: int = 32) -> Outcome:
     advance(soil, rig, steps, kernel=kernel)
     after = spin_of(soil, scenario.numerics.cell_size)
     turned = math.degrees(_SPIN * steps * scenario.numerics.time_step)
-    return Outcome(
-        [
-            _spin_check(
-                "Elastic block in flight",
-                f"kernel `{kernel}`, {steps} steps, turned by {turned:.0f}°",
-                (after - before) / _spin_scale(soil),
-                scenario,
-            )
-        ]
-    )
+    case = f"kernel `{kernel}`, {steps} steps, turned by {turned:.0f}°"
+    change = (after - before) / _spin_scale(soil)
+    return Outcome([_spin_check("Elastic block in flight", case, change, scenario)])
 
 
 _SPIN = 100.0
@@ -216,24 +203,11 @@ def _spin_check(problem: str, case: str, change: float, scenario: Scenario) -> C
     )
 
 
-def tasks(quick: bool) -> list[Task]:
-    """Sweeps of all legs by both kernels; the transfer; a block in flight."""
-    steps = 300 if quick else 5000
-    found = [
+def _spins(steps: int) -> list[Task]:
+    """The transfer, and a block in flight."""
+    return [
         Task("transfer", transfer_spin),
         *(Task(f"spin-{k}", spinning_block, {"kernel": k, "steps": steps}) for k in KERNELS),
-    ]
-    runs: list[dict[str, Any]] = [
-        {"leg": leg, "relief": True, "kernel": kernel}
-        for leg in ("straight", "c", "reversed_c")
-        for kernel in KERNELS
-    ]
-    runs += [{"leg": "straight", "relief": False, "kernel": kernel} for kernel in KERNELS]
-    if quick:
-        runs = [{**run, "stop_deg": -60.0} for run in runs[-2:]]
-    return [
-        *found,
-        *(Task(f"sweep-{n}", sweep_books, run, 4.0) for n, run in enumerate(runs)),
     ]
 
 
@@ -241,5 +215,34 @@ FAMILY = Family(
     title="Conservation",
     meaning="What must not change, or only by what is accounted for. The force on a leg is the "
     "momentum that the contact takes out of the soil; if these pass, none of it goes astray.",
-    tasks=tasks,
+    full=[
+        *_spins(5000),
+        *numbered(
+            "sweep",
+            sweep_books,
+            [
+                {"leg": leg, "relief": relief, "kernel": kernel}
+                for leg, relief in (
+                    ("straight", True),
+                    ("c", True),
+                    ("reversed_c", True),
+                    ("straight", False),
+                )
+                for kernel in KERNELS
+            ],
+            4.0,
+        ),
+    ],
+    quick=[
+        *_spins(300),
+        *numbered(
+            "sweep",
+            sweep_books,
+            [
+                {"leg": "straight", "relief": False, "kernel": kernel, "stop_deg": -60.0}
+                for kernel in KERNELS
+            ],
+            4.0,
+        ),
+    ],
 )

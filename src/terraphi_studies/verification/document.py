@@ -12,14 +12,8 @@ from terraphi.view.table import Table
 from terraphi_studies.verification.check import Check, Family, Outcome
 
 HEADER = (
-    "problem",
-    "quantity",
-    "expected",
-    "obtained",
-    "deviation",
-    "allowed",
-    "resolution",
-    "verdict",
+    *("problem", "quantity", "expected", "obtained", "deviation", "allowed"),
+    *("resolution", "verdict"),
 )
 ROW = (
     *("problem", "case", "settings", "quantity", "resolution", "expected", "obtained"),
@@ -53,19 +47,8 @@ numerics, each has a column of deviations; `preset` are those of preset `resolve
 deviation say which other φ has the force that was obtained, by the exact solution."""
 
 
-def data_of(
-    families: Mapping[str, Family], found: Mapping[str, Mapping[str, Outcome]], *, quick: bool
-) -> dict[str, Any]:
-    """Everything that was found, JSON-able.
-
-    Parameters
-    ----------
-    families
-        By name.
-    found
-        Outcomes by family and task.
-    quick
-        Whether it is the quick tier.
+def data_of(found: Mapping[str, Mapping[str, Outcome]], *, quick: bool) -> dict[str, Any]:
+    """Everything that was found, JSON-able, from the outcomes by family and task.
 
     Returns
     -------
@@ -76,45 +59,48 @@ def data_of(
     """
     content: dict[str, dict[str, Any]] = {
         name: {
-            "checks": [check.as_dict() for task in found[name].values() for check in task.checks],
-            "curves": {task: dict(o.curves) for task, o in found[name].items() if o.curves},
+            "checks": [check.as_dict() for one in outcomes.values() for check in one.checks],
+            "curves": {task: dict(o.curves) for task, o in outcomes.items() if o.curves},
         }
-        for name in families
+        for name, outcomes in found.items()
     }
-    verdicts = [check["passed"] for family in content.values() for check in family["checks"]]
+    rows = [
+        {"family": name} | {key: check[key] for key in ROW}
+        for name, family in content.items()
+        for check in family["checks"]
+    ]
+    passed = sum(row["passed"] for row in rows)
     return {
         "tier": "quick" if quick else "full",
         "software": software(Scenario()),
-        "passed": sum(verdicts),
-        "missed": len(verdicts) - sum(verdicts),
-        "rows": [
-            {"family": name} | {key: check[key] for key in ROW}
-            for name, family in content.items()
-            for check in family["checks"]
-        ],
+        "passed": passed,
+        "missed": len(rows) - passed,
+        "rows": rows,
         "families": content,
     }
 
 
-def table(data: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Rows for a terminal under :data:`SHORT_HEADER`."""
-    return [
-        (
-            ", ".join(
-                filter(None, (f"{check.problem}: {check.case}".replace("`", ""), check.settings))
-            ),
-            *_numbers(check)[:4],
-            "pass" if check.passed else "MISS",
-        )
-        for family in data["families"].values()
-        for check in map(Check.from_dict, family["checks"])
-    ]
+def checks_in(data: Mapping[str, Any]) -> dict[str, list[Check]]:
+    """The checks of each family, from what :func:`data_of` gave."""
+    families = data["families"].items()
+    return {name: [Check.from_dict(one) for one in family["checks"]] for name, family in families}
+
+
+def short_table(data: Mapping[str, Any]) -> Table:
+    """All checks, for a terminal."""
+    rows = []
+    for check in (check for checks in checks_in(data).values() for check in checks):
+        name = f"{check.problem}: {check.case}".replace("`", "")
+        of = f"{name}, {check.settings}" if check.settings else name
+        rows.append((of, *_numbers(check)[:4], "pass" if check.passed else "MISS"))
+    title = f"Verification: {data['passed']} checks pass, {data['missed']} miss"
+    return Table(title, SHORT_HEADER, rows)
 
 
 def markdown(
     families: Mapping[str, Family], data: Mapping[str, Any], pictures: Mapping[str, Sequence[str]]
 ) -> str:
-    """The document.
+    """The document, in which each family has a table, numbered sources and notes.
 
     Parameters
     ----------
@@ -124,55 +110,46 @@ def markdown(
         As :func:`data_of` gives it.
     pictures
         Names of each family's figures, which stand beside the document as PNG.
-
-    Returns
-    -------
-    str
-        Markdown, in which each family has a table, numbered sources and notes.
     """
     only = f" --only {next(iter(families))}" if len(families) == 1 else ""
     quick = " --quick" if data["tier"] == "quick" else ""
     command = f"terraphi study verification{only}{quick} --out DIR"
     versions = ", ".join(f"{name} {version}" for name, version in data["software"].items())
+    of = checks_in(data)
+    passed = {name: sum(check.passed for check in checks) for name, checks in of.items()}
+    overview = Table(
+        "",
+        ("`--only`", "family", "pass", "miss"),
+        [
+            (f"`{name}`", family.title, str(passed[name]), str(len(of[name]) - passed[name]))
+            for name, family in families.items()
+        ],
+    )
     parts = [
         "# Verification",
         _INTRODUCTION.format(**{**data, "command": command, "software": versions}),
-        _overview(families, data),
-        *_misses(families, data),
+        overview.markdown(),
+        *_misses([check for checks in of.values() for check in checks if not check.passed]),
         _CLOSING,
     ]
     for name, family in families.items():
-        checks = [Check.from_dict(entry) for entry in data["families"][name]["checks"]]
-        parts += [f"## {family.title}", family.meaning, _section(checks)]
+        parts += [f"## {family.title}", family.meaning, _section(of[name])]
         parts += [f"![{picture}]({picture}.png)" for picture in pictures.get(name, ())]
     return "\n\n".join(parts) + "\n"
 
 
-def _overview(families: Mapping[str, Family], data: Mapping[str, Any]) -> str:
-    rows = []
-    for name, family in families.items():
-        verdicts = [check["passed"] for check in data["families"][name]["checks"]]
-        missed = len(verdicts) - sum(verdicts)
-        rows.append((f"`{name}`", family.title, str(sum(verdicts)), str(missed)))
-    return Table("", ("`--only`", "family", "pass", "miss"), rows).markdown()
-
-
-def _misses(families: Mapping[str, Family], data: Mapping[str, Any]) -> list[str]:
+def _misses(checks: Sequence[Check]) -> list[str]:
     """What misses, by cause."""
     by_cause: dict[str, list[str]] = {}
-    for name in families:
-        for check in map(Check.from_dict, data["families"][name]["checks"]):
-            if not check.passed:
-                of = f"settings: {check.settings}" if check.settings else ""
-                where = ", ".join(filter(None, (check.problem, check.case, of, check.resolution)))
-                found = f"{check.quantity} ({number(check.obtained)}, not {number(check.expected)})"
-                by_cause.setdefault(check.cause or "not known", []).append(f"{where}: {found}")
-    if not by_cause:
-        return []
+    for check in checks:
+        of = f"settings: {check.settings}" if check.settings else ""
+        where = ", ".join(filter(None, (check.problem, check.case, of, check.resolution)))
+        found = f"{check.quantity} ({number(check.obtained)}, not {number(check.expected)})"
+        by_cause.setdefault(check.cause or "not known", []).append(f"{where}: {found}")
     lines = []
     for cause, places in by_cause.items():
         lines += [f"- Cause: {cause}.", *(f"  - {place}" for place in places)]
-    return ["## What misses, and why", "\n".join(lines)]
+    return ["## What misses, and why", "\n".join(lines)] if lines else []
 
 
 def _section(checks: Sequence[Check]) -> str:
@@ -186,15 +163,19 @@ def _section(checks: Sequence[Check]) -> str:
             footnotes.append(text)
         return f" [{footnotes.index(text) + 1}]"
 
+    problems = list(dict.fromkeys(check.problem for check in checks))
+    ordered = sorted(checks, key=lambda check: problems.index(check.problem))
+    make = _by_settings if any(check.settings for check in checks) else _by_problem
+    grid = make(ordered, mark).markdown()
+    listed = "\n".join(f"{number}. {text}." for number, text in enumerate(footnotes, start=1))
+    return "\n\n".join(filter(None, (grid, listed)))
+
+
+def _by_problem(checks: Sequence[Check], mark: Callable[[str], str]) -> Table:
+    """A row a check. The source stands at the problem if all of it has the same, else at each."""
     rows: list[tuple[str, ...]] = []
     before = ""
-    problems = list(dict.fromkeys(check.problem for check in checks))
-    if any(check.settings for check in checks):
-        header, rows = _by_settings(checks, problems, mark)
-        grid = Table("", header, rows).markdown()
-        return "\n\n".join(filter(None, (grid, _numbered(footnotes))))
-    for check in sorted(checks, key=lambda check: problems.index(check.problem)):
-        # The source stands at the problem if all of it has the same, else at each quantity.
+    for check in checks:
         sources = {other.source for other in checks if other.problem == check.problem}
         shared = mark(check.source) if len(sources) == 1 else ""
         own = "" if shared else mark(check.source)
@@ -204,25 +185,20 @@ def _section(checks: Sequence[Check]) -> str:
         quantity, *numbers = _numbers(check)
         verdict = "pass" if check.passed else f"**MISS**{mark(check.cause)}"
         rows.append((name, quantity + own, *numbers, check.resolution, verdict))
-    grid = Table("", HEADER, rows).markdown()
-    return "\n\n".join(filter(None, (grid, _numbered(footnotes))))
+    return Table("", HEADER, rows)
 
 
-def _numbered(footnotes: Sequence[str]) -> str:
-    return "\n".join(f"{number}. {text}." for number, text in enumerate(footnotes, start=1))
-
-
-def _by_settings(
-    checks: Sequence[Check], problems: Sequence[str], mark: Callable[[str], str]
-) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Header and rows of problems that several settings solve: a column each, the preset's first.
+def _by_settings(checks: Sequence[Check], mark: Callable[[str], str]) -> Table:
+    """Problems that several settings solve: a column each, the preset's first.
 
     A cell has the deviation, in degrees of φ too where it is that of a force, and the verdict if
     that is a miss.
     """
-    columns = sorted(dict.fromkeys(check.settings for check in checks), key=_preset_first)
+    columns = sorted(
+        dict.fromkeys(check.settings for check in checks), key=lambda name: name != "preset"
+    )
     found: dict[tuple[str, ...], dict[str, Check]] = {}
-    for check in sorted(checks, key=lambda check: problems.index(check.problem)):
+    for check in checks:
         key = (check.problem, check.case, check.quantity, check.resolution)
         found.setdefault(key, {})[check.settings] = check
     rows: list[tuple[str, ...]] = []
@@ -236,11 +212,8 @@ def _by_settings(
         cells = [_cell(by_settings.get(settings), mark) for settings in columns]
         name = "<br>".join(filter(None, (head, case)))
         rows.append((name, of, resolution, expected, allowed, *cells))
-    return ("problem", "quantity", "resolution", "expected", "allowed", *columns), rows
-
-
-def _preset_first(settings: str) -> bool:
-    return settings != "preset"
+    header = ("problem", "quantity", "resolution", "expected", "allowed", *columns)
+    return Table("", header, rows)
 
 
 def _cell(check: Check | None, mark: Callable[[str], str]) -> str:

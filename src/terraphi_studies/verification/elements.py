@@ -1,18 +1,42 @@
-"""Element tests: strength and dilation of one material point, under each yield criterion."""
+"""Element tests: strength and dilation of one material point, under each yield criterion.
+
+A point is driven along a strain path by the predictor and return mapping of either kernel.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terraphi.experiment.soil import Soil, YieldCriterion, friction_angle_from_plane_strain_deg
-from terraphi_studies.verification import element
+from terraphi.forward.mpm.plasticity import (
+    Four,
+    cone_of,
+    jaumann_predictor,
+    material_of,
+    return_mapping,
+    return_to_cone,
+)
 from terraphi_studies.verification.check import Check, Family, Outcome, Task
-from terraphi_studies.verification.element import CONFINEMENT, ELASTIC_COHESION, MAPPINGS, Failure
 
+FloatArray = NDArray[np.float64]
+
+Update = Callable[[Four, Four, float], Four]
+"""From stress [Pa], gradient of the displacement in the plane [-] and strain across it [-]."""
+
+MAPPINGS = ("return_mapping", "return_to_cone")
+"""The return mapping of the reference kernel and that of the fast one."""
+STRAIN_STEPS = 800
+LARGE_STRAIN_STEPS = 10_000
+CONFINEMENT = 1000.0
+"""Stress that is held along a path [Pa], that of soil six centimetres deep."""
+ELASTIC_COHESION = 1e12
+"""Cohesion with which soil never yields [Pa]."""
 TOLERANCE = 1e-3
 COHESION = 500.0
 """[Pa]."""
@@ -39,26 +63,179 @@ MATCHED = (
     "over p = −I1/3: associated 3 tan φ/√(9 + 12 tan² φ), ψ = 0 sin φ"
 )
 DIENES = "Dienes (1979), *Acta Mech.* 32, 217: simple shear with the Jaumann rate, τ = G sin γ"
-STEPS = f"{element.STRAIN_STEPS} strain steps"
 
 
-def checks(*, quick: bool) -> list[Check]:
-    """All element tests.
+# -- a point on its path ---------------------------------------------------------------------------
 
-    Parameters
-    ----------
-    quick
-        Leaves out the flow rules between none and associated, and most friction angles.
 
-    Returns
-    -------
-    list
-        Each obtained value is that of the return mapping that deviates the more.
+class Failure(NamedTuple):
+    """Where a path ends: the soil flows and its stress changes no more."""
+
+    stress: FloatArray
+    """(σ_xx, σ_zz, σ_xz, σ_yy) [Pa]."""
+    strain: FloatArray
+    """Last increment of (ε_xx, ε_zz, γ_xz, ε_yy) [-], all of it plastic by then."""
+
+    @property
+    def mean(self) -> float:
+        """In-plane mean stress p, compression negative [Pa]."""
+        return float(0.5 * (self.stress[0] + self.stress[1]))
+
+    @property
+    def radius(self) -> float:
+        """Radius of Mohr's circle in the plane, (σ1 - σ3)/2 [Pa]."""
+        return math.hypot(0.5 * (self.stress[0] - self.stress[1]), self.stress[2])
+
+    @property
+    def root_j2(self) -> float:
+        """√J2 [Pa]."""
+        sxx, szz, sxz, syy = self.stress
+        third = (sxx + szz + syy) / 3.0
+        normal = (sxx - third) ** 2 + (szz - third) ** 2 + (syy - third) ** 2
+        return math.sqrt(0.5 * normal + sxz**2)
+
+    @property
+    def i1(self) -> float:
+        """First invariant, compression negative [Pa]."""
+        return float(self.stress[0] + self.stress[1] + self.stress[3])
+
+    @property
+    def dilatancy(self) -> float:
+        """Volumetric strain rate over the rate of the largest shear strain in the plane [-]."""
+        exx, ezz, gxz, _ = self.strain
+        return float((exx + ezz) / math.hypot(exx - ezz, gxz))
+
+
+def update_of(soil: Soil, mapping: str) -> Update:
+    """Stress update of a soil by one of :data:`MAPPINGS`.
+
+    The kernels' own predictor and return mapping. Strain across the plane, which they never see,
+    adds its elastic part to the trial stress: what the return does with it is theirs.
     """
+    material = material_of(soil)
+    cone = cone_of(material)
+    across = np.array([material.lame_lambda] * 2 + [0.0, material.lame_lambda])
+    across[3] += 2.0 * material.shear_modulus
+
+    def update(stress: Four, gradient: Four, strain_yy: float) -> Four:
+        trial = jaumann_predictor(
+            stress, gradient, 1.0, material.lame_lambda, material.shear_modulus
+        )
+        sxx, szz, sxz, syy = (np.array(trial) + across * strain_yy).tolist()
+        if mapping == "return_mapping":
+            return return_mapping((sxx, szz, sxz, syy), material)
+        return return_to_cone((sxx, szz, sxz, syy), cone)
+
+    return update
+
+
+def held(guess: float, wanted: float, component: Callable[[float], float]) -> float:
+    """Strain at which a stress component has the wanted value, by secants."""
+    before, here = 0.0, guess
+    low, high = component(before) - wanted, component(here) - wanted
+    for _ in range(60):
+        if high == low or abs(high) <= 1e-12 * abs(wanted):
+            break
+        before, here, low = here, here - high * (here - before) / (high - low), high
+        high = component(here) - wanted
+    return here
+
+
+def simple_shear(soil: Soil, mapping: str) -> Failure:
+    """Shear by γ_xz without strain along x, under a constant σ_zz."""
+    update, shear = update_of(soil, mapping), _strain_step(soil)
+    stress = (-CONFINEMENT, -CONFINEMENT, 0.0, -CONFINEMENT)
+    rise = 0.1 * shear
+    for _ in range(STRAIN_STEPS):
+
+        def pressed(ezz: float, now: Four = stress) -> float:
+            return update(now, (0.0, shear, 0.0, ezz), 0.0)[1]
+
+        rise = held(rise or shear, -CONFINEMENT, pressed)
+        stress = update(stress, (0.0, shear, 0.0, rise), 0.0)
+    return Failure(np.array(stress), np.array([0.0, rise, shear, 0.0]))
+
+
+def compression(soil: Soil, mapping: str, across: float = 0.0) -> Failure:
+    """Compression along z under a constant σ_xx.
+
+    Strain across the plane is ``across`` times that along x: 0 is biaxial compression, 1 triaxial,
+    for the ``triaxial`` criterion.
+    """
+    update, step = update_of(soil, mapping), -_strain_step(soil)
+    stress = (-CONFINEMENT, -CONFINEMENT, 0.0, -CONFINEMENT)
+    wide = -0.3 * step
+    for _ in range(STRAIN_STEPS):
+
+        def pressed(exx: float, now: Four = stress) -> float:
+            return update(now, (exx, 0.0, 0.0, step), across * exx)[0]
+
+        wide = held(wide, -CONFINEMENT, pressed)
+        stress = update(stress, (wide, 0.0, 0.0, step), across * wide)
+    return Failure(np.array(stress), np.array([wide, step, 0.0, across * wide]))
+
+
+def extension(soil: Soil, mapping: str) -> Failure:
+    """Equal extension along x and z, far beyond what any soil bears."""
+    update, step = update_of(soil, mapping), _strain_step(soil)
+    stress = (0.0, 0.0, 0.0, 0.0)
+    for _ in range(STRAIN_STEPS):
+        stress = update(stress, (step, 0.0, 0.0, step), 0.0)
+    return Failure(np.array(stress), np.array([step, step, 0.0, 0.0]))
+
+
+def elastic_shear(soil: Soil, mapping: str) -> Failure:
+    """Simple shear by γ = 1 from zero stress at constant volume, v_x = γ̇ z."""
+    update, step = update_of(soil, mapping), 1.0 / LARGE_STRAIN_STEPS
+    stress = (0.0, 0.0, 0.0, 0.0)
+    for _ in range(LARGE_STRAIN_STEPS):
+        stress = update(stress, (0.0, step, 0.0, 0.0), 0.0)
+    return Failure(np.array(stress), np.array([0.0, 0.0, step, 0.0]))
+
+
+def _strain_step(soil: Soil) -> float:
+    """Increment: some dozens reach failure, the other hundreds flow until all is steady [-]."""
+    return 0.05 * (CONFINEMENT + soil.cohesion) / soil.shear_modulus
+
+
+# -- the tests -------------------------------------------------------------------------------------
+
+
+def _compare(
+    path: Callable[[Soil, str], Failure],
+    soil: Soil,
+    *known: tuple[str, str, float, str, Callable[[Failure], float]],
+    case: str,
+    note: str = "",
+    resolution: str = f"{STRAIN_STEPS} strain steps",
+) -> list[Check]:
+    """Drive a soil along a path with both mappings, and check the one that deviates the more.
+
+    Each of ``known`` is a problem, a quantity, its exact value, where that comes from, and how it
+    is read off where the path ends.
+    """
+    ends = [path(soil, mapping) for mapping in MAPPINGS]
+    return [
+        Check(
+            problem=problem,
+            case=case,
+            quantity=quantity,
+            expected=expected,
+            obtained=float(max(map(read, ends), key=lambda value: abs(value - expected))),
+            tolerance=TOLERANCE,
+            resolution=resolution,
+            source=source,
+            note=note,
+        )
+        for problem, quantity, expected, source, read in known
+    ]
+
+
+def element_tests(quick: bool) -> Outcome:
+    """All element tests; quick ones leave out flow rules in between, and most friction angles."""
     found = []
-    dilations = (DILATIONS[0], DILATIONS[-1]) if quick else DILATIONS
     for criterion in PHI_DEG:
-        for dilation in dilations:
+        for dilation in (DILATIONS[0], DILATIONS[-1]) if quick else DILATIONS:
             found += _plane_strain(criterion, dilation)
     for phi in (35.0,) if quick else (25.0, 30.0, 35.0, 40.0, 45.0):
         found += _triaxial_compression(phi)
@@ -66,7 +243,7 @@ def checks(*, quick: bool) -> list[Check]:
         found += _matched(35.0, associated=associated)
     for criterion in PHI_DEG:
         found += _cohesion(criterion)
-    return found + _tip() + _objectivity()
+    return Outcome(found + _tip() + _objectivity())
 
 
 def _plane_strain(criterion: YieldCriterion, dilation: str) -> list[Check]:
@@ -76,79 +253,66 @@ def _plane_strain(criterion: YieldCriterion, dilation: str) -> list[Check]:
     soil = Soil(yield_criterion=criterion, friction_angle_deg=phi, dilation_angle_deg=psi)
     strength, dilatancy = equivalent(soil)
     slope = strength * math.sqrt(1.0 - dilatancy**2) / (1.0 - strength * dilatancy)
-    common: dict[str, Any] = {
-        "case": f"`{criterion}`, φ = {phi:g}°, ψ = {dilation}",
-        "note": "" if criterion == "plane_strain" else EQUIVALENT,
-    }
-    shear = _ends(element.simple_shear, soil)
-    compressed = _ends(element.biaxial, soil)
-    found = [
-        _check(
-            "Simple shear under a constant normal stress", "τ/σ_n", slope, DAVIS,
-            [end.stress[2] / -end.stress[1] for end in shear], **common,
-        ),
-        _check(
-            "Biaxial compression", "(σ1 − σ3)/(σ1 + σ3)", strength, MOHR,
-            [end.radius / -end.mean for end in compressed], **common,
-        ),
-    ]  # fmt: skip
-    if psi > 0.0:
-        found.append(
-            _check(
-                "Dilation in simple shear", "volumetric over shear strain rate", dilatancy,
-                "sin ψ = ε̇_v/γ̇_max, the definition of the dilation angle",
-                [end.dilatancy for end in shear], **common,
-            )
-        )  # fmt: skip
-    return found
+    compare = partial(
+        _compare,
+        case=f"`{criterion}`, φ = {phi:g}°, ψ = {dilation}",
+        note="" if criterion == "plane_strain" else EQUIVALENT,
+    )
+    sheared = compare(
+        simple_shear,
+        soil,
+        ("Simple shear under a constant normal stress", "τ/σ_n", slope, DAVIS,
+         lambda end: end.stress[2] / -end.stress[1]),
+        ("Dilation in simple shear", "volumetric over shear strain rate", dilatancy,
+         "sin ψ = ε̇_v/γ̇_max, the definition of the dilation angle", lambda end: end.dilatancy),
+    )  # fmt: skip
+    (pressed,) = compare(
+        compression,
+        soil,
+        ("Biaxial compression", "(σ1 − σ3)/(σ1 + σ3)", strength, MOHR,
+         lambda end: end.radius / -end.mean),
+    )  # fmt: skip
+    return [sheared[0], pressed, *(sheared[1:] if psi > 0.0 else ())]
 
 
 def _triaxial_compression(phi: float) -> list[Check]:
     """Axisymmetric compression, to which the ``triaxial`` criterion is matched."""
-    soil = Soil(yield_criterion="triaxial", friction_angle_deg=phi, flow="associated")
-    ends = _ends(element.triaxial_compression, soil)
     sine = math.sin(math.radians(phi))
     expected = 6.0 * sine / (3.0 - sine)
-    rates = [
-        float((e[0] + e[1] + e[3]) / (2.0 / 3.0 * (e[0] - e[1])))
-        for e in (end.strain for end in ends)
-    ]
-    ratios = [float(end.stress[0] - end.stress[1]) / (-end.i1 / 3.0) for end in ends]
-    common: dict[str, Any] = {"case": f"`triaxial`, φ = ψ = {phi:g}°"}
-    name = "Triaxial compression"
-    return [
-        _check(name, "q/p", expected, COMPRESSION, ratios, **common),
-        _check(name, "ε̇_v/ε̇_q", expected, COMPRESSION, rates, **common),
-    ]
+
+    def stresses(end: Failure) -> float:
+        return float(end.stress[0] - end.stress[1]) / (-end.i1 / 3.0)
+
+    def rates(end: Failure) -> float:
+        exx, ezz, _, eyy = end.strain
+        return float((exx + ezz + eyy) / (2.0 / 3.0 * (exx - ezz)))
+
+    return _compare(
+        partial(compression, across=1.0),
+        Soil(yield_criterion="triaxial", friction_angle_deg=phi, flow="associated"),
+        ("Triaxial compression", "q/p", expected, COMPRESSION, stresses),
+        ("Triaxial compression", "ε̇_v/ε̇_q", expected, COMPRESSION, rates),
+        case=f"`triaxial`, φ = ψ = {phi:g}°",
+    )
 
 
 def _matched(phi: float, *, associated: bool) -> list[Check]:
     """The cone that is matched to Mohr-Coulomb in plane strain, driven in plane strain."""
     angle = friction_angle_from_plane_strain_deg(phi, "triaxial", associated=associated)
-    soil = Soil(
-        yield_criterion="triaxial",
-        friction_angle_deg=angle,
-        flow="associated" if associated else "dilation",
-    )
-    ends = _ends(element.biaxial, soil)
-    tangent = math.tan(math.radians(phi))
-    slope = (
-        3.0 * tangent / math.sqrt(9.0 + 12.0 * tangent**2)
-        if associated
-        else math.sin(math.radians(phi))
-    )
-    flow = "associated" if associated else "ψ = 0"
-    common: dict[str, Any] = {"case": f"φ = {phi:g}° in plane strain, {flow}"}
+    sine, tangent = math.sin(math.radians(phi)), math.tan(math.radians(phi))
+    slope = 3.0 * tangent / math.sqrt(9.0 + 12.0 * tangent**2) if associated else sine
     name = "Drucker-Prager cone matched to plane strain"
-    return [
-        _check(
-            name, "√J2/p", slope, MATCHED, [end.root_j2 / (-end.i1 / 3.0) for end in ends], **common
+    return _compare(
+        compression,
+        Soil(
+            yield_criterion="triaxial",
+            friction_angle_deg=angle,
+            flow="associated" if associated else "dilation",
         ),
-        _check(
-            name, "(σ1 − σ3)/(σ1 + σ3)", math.sin(math.radians(phi)), MOHR,
-            [end.radius / -end.mean for end in ends], **common,
-        ),
-    ]  # fmt: skip
+        (name, "√J2/p", slope, MATCHED, lambda end: end.root_j2 / (-end.i1 / 3.0)),
+        (name, "(σ1 − σ3)/(σ1 + σ3)", sine, MOHR, lambda end: end.radius / -end.mean),
+        case=f"φ = {phi:g}° in plane strain, {'associated' if associated else 'ψ = 0'}",
+    )
 
 
 def _cohesion(criterion: YieldCriterion) -> list[Check]:
@@ -157,29 +321,26 @@ def _cohesion(criterion: YieldCriterion) -> list[Check]:
     soil = Soil(yield_criterion=criterion, friction_angle_deg=phi, cohesion=COHESION)
     strength, _ = equivalent(soil)
     sine, cosine = math.sin(math.radians(phi)), math.cos(math.radians(phi))
-    intercept = 6.0 * COHESION * cosine / (math.sqrt(3.0) * (3.0 - sine))
-    if criterion == "plane_strain":
-        intercept = COHESION * cosine
+    intercept, note = COHESION * cosine, ""
+    if criterion != "plane_strain":
+        intercept = 6.0 * COHESION * cosine / (math.sqrt(3.0) * (3.0 - sine))
+        note = EQUIVALENT + "; there k = 6 c cos φ/(√3 (3 − sin φ))"
     # σ3 = -p - r is what is held, and r = k - p sin φ.
     expected = (intercept + CONFINEMENT * strength) / (1.0 - strength)
-    return [
-        _check(
-            "Cohesive soil in biaxial compression",
-            "(σ1 − σ3)/2 [Pa]",
-            expected,
-            MOHR,
-            [end.radius for end in _ends(element.biaxial, soil)],
-            case=f"`{criterion}`, φ = {phi:g}°, c = {COHESION:g} Pa, σ3 = {CONFINEMENT:g} Pa",
-            note=""
-            if criterion == "plane_strain"
-            else EQUIVALENT + "; there k = 6 c cos φ/(√3 (3 − sin φ))",
-        )
-    ]
+    name = "Cohesive soil in biaxial compression"
+    return _compare(
+        compression,
+        soil,
+        (name, "(σ1 − σ3)/2 [Pa]", expected, MOHR, lambda end: end.radius),
+        case=f"`{criterion}`, φ = {phi:g}°, c = {COHESION:g} Pa, σ3 = {CONFINEMENT:g} Pa",
+        note=note,
+    )
 
 
 def _tip() -> list[Check]:
     """Tension: the tip of the cone, and the cut-off before it."""
     found = []
+    source = "Tip of the cone c cot φ, or the tension cut-off if that is lower"
     for cutoff in (None, 100.0):
         soil = Soil(
             yield_criterion="plane_strain",
@@ -187,18 +348,13 @@ def _tip() -> list[Check]:
             cohesion=COHESION,
             tension_cutoff=cutoff,
         )
-        tip = COHESION / math.tan(math.radians(35.0))
-        ends = [element.extension(soil, mapping) for mapping in MAPPINGS]
-        found.append(
-            _check(
-                "Cohesive soil pulled apart",
-                "p [Pa]",
-                tip if cutoff is None else cutoff,
-                "Tip of the cone c cot φ, or the tension cut-off if that is lower",
-                [end.mean for end in ends],
-                case=f"`plane_strain`, φ = 35°, c = {COHESION:g} Pa, "
-                + ("no cut-off" if cutoff is None else f"cut-off {cutoff:g} Pa"),
-            )
+        tip = COHESION / math.tan(math.radians(35.0)) if cutoff is None else cutoff
+        found += _compare(
+            extension,
+            soil,
+            ("Cohesive soil pulled apart", "p [Pa]", tip, source, lambda end: end.mean),
+            case=f"`plane_strain`, φ = 35°, c = {COHESION:g} Pa, "
+            + ("no cut-off" if cutoff is None else f"cut-off {cutoff:g} Pa"),
         )
     return found
 
@@ -206,36 +362,20 @@ def _tip() -> list[Check]:
 def _objectivity() -> list[Check]:
     """Large simple shear of elastic soil."""
     soil = Soil(yield_criterion="plane_strain", cohesion=ELASTIC_COHESION)
-    shear = 1.0
-    ends = [element.elastic_shear(soil, mapping, shear) for mapping in MAPPINGS]
-    name = "Elastic soil in large simple shear"
-    modulus = soil.shear_modulus
-    common: dict[str, Any] = {"case": f"γ = {shear:g}", "resolution": "10000 strain steps"}
-    return [
-        _check(
-            name, "τ/G", math.sin(shear), DIENES,
-            [float(end.stress[2]) / modulus for end in ends], **common,
-        ),
-        _check(
-            name, "σ_xx/G", 1.0 - math.cos(shear), DIENES + ", σ_xx = −σ_zz = G (1 − cos γ)",
-            [float(end.stress[0]) / modulus for end in ends], **common,
-        ),
-    ]  # fmt: skip
+    modulus, name = soil.shear_modulus, "Elastic soil in large simple shear"
+    return _compare(
+        elastic_shear,
+        soil,
+        (name, "τ/G", math.sin(1.0), DIENES, lambda end: float(end.stress[2]) / modulus),
+        (name, "σ_xx/G", 1.0 - math.cos(1.0), DIENES + ", σ_xx = −σ_zz = G (1 − cos γ)",
+         lambda end: float(end.stress[0]) / modulus),
+        case="γ = 1",
+        resolution=f"{LARGE_STRAIN_STEPS} strain steps",
+    )  # fmt: skip
 
 
 def equivalent(soil: Soil) -> tuple[float, float]:
-    """Sines of the Mohr-Coulomb friction and dilation angles that a soil has in plane strain.
-
-    Parameters
-    ----------
-    soil
-        Of any criterion.
-
-    Returns
-    -------
-    tuple
-        sin φ', sin ψ' [-].
-    """
+    """Sines of the Mohr-Coulomb friction and dilation angles that a soil has in plane strain."""
     friction = math.sin(math.radians(soil.friction_angle_deg))
     dilation = math.sin(math.radians(soil.potential_angle_deg))
     if soil.yield_criterion == "plane_strain":
@@ -248,45 +388,11 @@ def equivalent(soil: Soil) -> tuple[float, float]:
     return 3.0 * alpha * room / (1.0 - 3.0 * alpha * beta), 3.0 * beta / room
 
 
-def _ends(path: Callable[[Soil, str], Failure], soil: Soil) -> list[Failure]:
-    return [path(soil, mapping) for mapping in MAPPINGS]
-
-
-def _check(
-    problem: str,
-    quantity: str,
-    expected: float,
-    source: str,
-    obtained: Sequence[float],
-    *,
-    case: str,
-    note: str = "",
-    resolution: str = STEPS,
-) -> Check:
-    """Check of the obtained value that is farther from the expected one."""
-    worst = max(obtained, key=lambda value: abs(value - expected))
-    return Check(
-        problem=problem,
-        case=case,
-        quantity=quantity,
-        expected=expected,
-        obtained=float(np.asarray(worst)),
-        tolerance=TOLERANCE,
-        resolution=resolution,
-        source=source,
-        note=note,
-    )
-
-
-def element_tests(quick: bool) -> Outcome:
-    """The one task of this family."""
-    return Outcome(checks(quick=quick))
-
-
 FAMILY = Family(
     title="Element tests",
     meaning="One material point, driven along a strain path by the predictor and the return "
     "mappings of both kernels (the worse of the two stands in the table). If these pass, a "
     "friction angle means what its yield criterion says, and soil dilates by the angle asked for.",
-    tasks=lambda quick: [Task("elements", element_tests, {"quick": quick}, cost=10.0)],
+    quick=[Task("elements", element_tests, {"quick": True}, cost=10.0)],
+    full=[Task("elements", element_tests, {"quick": False}, cost=10.0)],
 )

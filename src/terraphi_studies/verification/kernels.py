@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from terraphi.experiment.soil import YIELD_CRITERIA
 from terraphi.forward.mpm.bed import Particles, geostatic_bed
 from terraphi.forward.mpm.solver import Kernel, simulate
 from terraphi.library.workers import heartbeat
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, panels_of
 from terraphi_studies.verification.check import Check, Family, Outcome, Task
 from terraphi_studies.verification.conservation import BOOKS, ROUND_OFF, coarse_sweep
 from terraphi_studies.verification.driver import follow, in_words, rig_of
@@ -126,27 +127,34 @@ def whole_sweep(criterion: str, seeds: int, preset: str = "quick") -> Outcome:
     beds = np.array([run[0] for run in runs.values()])
     apart = _rms(beds[0] - reference)
     scatter = _rms(beds.std(axis=0, ddof=1))
-    common: dict[str, Any] = {
-        "problem": "Two kernels over a whole sweep",
-        "case": f"preset `{preset}`, `{criterion}`, {seeds} seeds",
-        "resolution": in_words(scenario),
-        "sense": "at_most",
-        "relative": False,
-        "expected": 0.0,
-    }
+    check = partial(
+        Check,
+        problem="Two kernels over a whole sweep",
+        case=f"preset `{preset}`, `{criterion}`, {seeds} seeds",
+        resolution=in_words(scenario),
+        sense="at_most",
+        relative=False,
+        expected=0.0,
+    )
     checks = [
-        Check(
+        check(
             quantity=f"difference in {axis} over scatter from seed to seed ({scatter[i]:.2g} N)",
-            obtained=float(apart[i] / scatter[i]), tolerance=0.1, source=SCATTER, **common,
+            obtained=float(apart[i] / scatter[i]),
+            tolerance=0.1,
+            source=SCATTER,
         )
         for i, axis in enumerate(("F_x", "F_z"))
-    ]  # fmt: skip
+    ]
     worst = {"packets": max(run[1] for run in runs.values()), "scalar": mismatch}
-    for kernel, closed in worst.items():
-        quantity = f"momentum, largest mismatch of a step, kernel `{kernel}`"
-        checks.append(
-            Check(quantity=quantity, obtained=closed, tolerance=ROUND_OFF, source=BOOKS, **common)
+    checks += [
+        check(
+            quantity=f"momentum, largest mismatch of a step, kernel `{kernel}`",
+            obtained=closed,
+            tolerance=ROUND_OFF,
+            source=BOOKS,
         )
+        for kernel, closed in worst.items()
+    ]
     curves = {
         "criterion": criterion,
         "preset": preset,
@@ -173,58 +181,52 @@ def _rms(values: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((values**2).mean(axis=0)))
 
 
-def tasks(quick: bool) -> list[Task]:
-    """All legs under all criteria; whole sweeps under two of them."""
-    if quick:
-        return [
-            Task("growth", growth, {"leg": "c", "criterion": "triaxial", "looks": LOOKS[:-1]}),
-            Task(
-                "sweep",
-                whole_sweep,
-                {"criterion": "plane_strain", "seeds": 2, "preset": "coarse"},
-                8.0,
-            ),
-        ]
-    return [
-        *(
-            Task(f"growth-{leg}-{criterion}", growth, {"leg": leg, "criterion": criterion})
-            for leg in LEG_SHAPES
-            for criterion in YIELD_CRITERIA
-        ),
-        *(
-            Task(f"sweep-{criterion}", whole_sweep, {"criterion": criterion, "seeds": 4}, 160.0)
-            for criterion in ("paper", "plane_strain")
-        ),
-    ]
+QUICK = [
+    Task("growth", growth, {"leg": "c", "criterion": "triaxial", "looks": LOOKS[:-1]}),
+    Task("sweep", whole_sweep, {"criterion": "plane_strain", "seeds": 2, "preset": "coarse"}, 8.0),
+]
+FULL = [
+    *(
+        Task(f"growth-{leg}-{criterion}", growth, {"leg": leg, "criterion": criterion})
+        for leg in LEG_SHAPES
+        for criterion in YIELD_CRITERIA
+    ),
+    *(
+        Task(f"sweep-{criterion}", whole_sweep, {"criterion": criterion, "seeds": 4}, 160.0)
+        for criterion in ("paper", "plane_strain")
+    ),
+]
+"""All legs under all criteria; whole sweeps under two of them."""
+
+
+OF_SWEEP = {
+    "force": (GREY, "force"),
+    "scatter": (ORANGE, "seed to seed"),
+    "apart": (BLUE, "kernel to kernel"),
+}
 
 
 def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
     """Growth of the difference, and difference and scatter over the angle."""
-    from matplotlib.figure import Figure
-
     grown = [o.curves for o in outcomes.values() if "leg" in o.curves]
     swept = [o.curves for o in outcomes.values() if "theta_deg" in o.curves]
-    figure = Figure(figsize=(11.0, 3.8), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, ((left, right),) = panels_of(1, 2, size=(11.0, 3.8))
     colours = dict(zip(LEG_SHAPES, (BLUE, ORANGE, GREEN, PURPLE), strict=True))
     styles = dict(zip(YIELD_CRITERIA, ("-", "--", ":"), strict=True))
     for curves in grown:
-        left.loglog(
-            curves["steps"], curves["apart"], styles[curves["criterion"]],
-            color=colours[curves["leg"]],
-            label=f"{curves['leg']}, {curves['criterion']}".replace("_", " "),
-        )  # fmt: skip
+        style, colour = styles[curves["criterion"]], colours[curves["leg"]]
+        label = f"{curves['leg']}, {curves['criterion']}".replace("_", " ")
+        left.loglog(curves["steps"], curves["apart"], style, color=colour, label=label)
     left.axhline(SAME, color=GREY, lw=0.8)
     left.set_xlabel("steps")
     left.set_ylabel("largest difference, of the largest entry")
     left.legend(fontsize=6, frameon=False, ncols=2)
     for curves, style in zip(swept, ("-", "--"), strict=False):
-        for name, colour in (("force", GREY), ("scatter", ORANGE), ("apart", BLUE)):
-            label = {"force": "force", "scatter": "seed to seed", "apart": "kernel to kernel"}
+        for name, (colour, said) in OF_SWEEP.items():
             values = np.abs(np.array(curves[name])[:, 1])
             values[values == 0.0] = np.nan
-            right.semilogy(curves["theta_deg"], values, style, color=colour, lw=1.0,
-                           label=f"{label[name]}, {curves['criterion']}")  # fmt: skip
+            look: dict[str, Any] = {"color": colour, "label": f"{said}, {curves['criterion']}"}
+            right.semilogy(curves["theta_deg"], values, style, lw=1.0, **look)
     right.set_xlabel("leg angle θ [deg]")
     right.set_ylabel("$|F_z|$ [N], means over 1°")
     right.legend(fontsize=6, frameon=False)
@@ -235,6 +237,7 @@ FAMILY = Family(
     title="Agreement of the kernels",
     meaning="The fast kernel beside the reference kernel, with all legs and yield criteria and "
     "with relief. If these pass, it does not matter which of them was used.",
-    tasks=tasks,
+    full=FULL,
+    quick=QUICK,
     figures=figures,
 )

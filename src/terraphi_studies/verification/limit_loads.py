@@ -30,7 +30,7 @@ import numpy as np
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.mpm.solver import simulate
 from terraphi.library.workers import heartbeat
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, one_legend, panels_of
 from terraphi_studies.verification.check import Check, Family, Outcome, Task
 from terraphi_studies.verification.driver import push
 from terraphi_studies.verification.limit_scenarios import (
@@ -81,23 +81,20 @@ def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
 
 def _against_angle(checks: Sequence[Check]) -> Figure:
     """A panel for each problem that the preset's settings solve: the finest grid of each."""
-    from matplotlib.figure import Figure
     from matplotlib.ticker import MultipleLocator
 
     of_preset = {_problem(check) for check in checks if check.settings == PRESET}
     names = list(dict.fromkeys(_problem(c) for c in checks if _problem(c) in of_preset))
     columns = min(3, len(names))
     rows = -(-len(names) // columns)
-    figure = Figure(figsize=(4.2 * columns, 3.4 * rows + 0.6), layout="constrained")
-    panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    size = (4.2 * columns, 3.4 * rows + 0.6)
+    figure, panels = panels_of(rows, columns, size=size, sharex=True)
     for axes, name in zip(panels.flat, names, strict=False):
         for settings, (colour, line, marker) in LOOKS.items():
             points = _finest([c for c in checks if c.settings == settings and _problem(c) == name])
             if points:
-                angles, ratios = zip(*points, strict=True)
-                axes.plot(
-                    angles, ratios, line, color=colour, marker=marker, ms=4, lw=1.2, label=settings
-                )
+                look: dict[str, Any] = {"color": colour, "marker": marker, "ms": 4, "lw": 1.2}
+                axes.plot(*zip(*points, strict=True), line, label=settings, **look)
         within = next(check.tolerance for check in checks if _problem(check) == name)
         axes.axhspan(1.0 - within, 1.0 + within, color=GREY, alpha=0.25, lw=0)
         _dress(axes, name, "φ [deg]")
@@ -106,7 +103,8 @@ def _against_angle(checks: Sequence[Check]) -> Figure:
         axes.remove()
     for axes in panels[:, 0]:
         axes.set_ylabel("limit load / exact")
-    _legend(figure)
+    columns = len({check.settings for check in checks if _problem(check) in of_preset})
+    one_legend(figure, "outside upper center", fontsize=8, ncols=columns)
     return figure
 
 
@@ -128,11 +126,10 @@ def _finest(checks: Sequence[Check]) -> list[tuple[float, float]]:
 
 def _along_path(runs: Sequence[Mapping[str, Any]]) -> Figure:
     """Force over the exact one along the path, with the preset's settings, on the finest grid."""
-    from matplotlib.figure import Figure
-
-    most = {kind: max(r["across"] for r in runs if r["kind"] == kind) for kind in _kinds(runs)}
-    figure = Figure(figsize=(0.6 + 4.6 * len(most), 5.0), layout="constrained")
-    panels = figure.subplots(1, len(most), sharey=True, squeeze=False)[0]
+    kinds = dict.fromkeys(run["kind"] for run in runs)
+    most = {kind: max(r["across"] for r in runs if r["kind"] == kind) for kind in kinds}
+    size = (0.6 + 4.6 * len(most), 5.0)
+    figure, (panels,) = panels_of(1, len(most), size=size, sharey=True)
     for axes, (kind, cells) in zip(panels, most.items(), strict=True):
         shown = [run for run in runs if run["kind"] == kind and run["across"] == cells]
         for n, run in enumerate(shown):
@@ -152,28 +149,11 @@ def _along_path(runs: Sequence[Mapping[str, Any]]) -> Figure:
     return figure
 
 
-def _kinds(runs: Sequence[Mapping[str, Any]]) -> list[str]:
-    return list(dict.fromkeys(run["kind"] for run in runs))
-
-
 def _dress(axes: Axes, title: str, label: str) -> None:
     axes.axhline(1.0, color=GREY, lw=1.0)
     axes.set_title(title, fontsize=8)
     axes.set_xlabel(label)
     axes.grid(lw=0.4)
-
-
-def _legend(figure: Figure) -> None:
-    """One for all panels."""
-    entries = {
-        label: line
-        for axes in figure.axes
-        for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(
-        list(entries.values()), list(entries), fontsize=8, frameon=False, ncols=len(entries),
-        loc="outside upper center",
-    )  # fmt: skip
 
 
 ANGLES = (25.0, 30.0, 35.0, 40.0)
@@ -385,29 +365,6 @@ def _curves(
     return about | _curve(place, found / expected)
 
 
-def tasks(quick: bool) -> list[Task]:
-    """Walls and footings with the preset's settings and with others, on several grids."""
-    if quick:
-        wall = {"phi_deg": 35.0, "friction": 0.0, "across": 20}
-        foot = {"phi_deg": 25.0, "base": "smooth", "across": 10}
-        preset = {"settings": PRESET}
-        return [
-            Task("wall-preset", push_wall, {**wall, **preset, "across": 10, "floor": "smooth"}),
-            Task("wall-0", push_wall, wall),
-            Task("footing-0", press_footing, {**foot, "load": "cohesion"}),
-            Task("footing-preset", press_footing, {**foot, **preset, "load": "weight"}),
-        ]
-    moving = [
-        {"phi_deg": phi, "across": 40, "settings": settings}
-        for settings, phi in itertools.product(("nodes", "surface"), (25.0, 35.0))
-    ]
-    return [
-        *(Task(_name("wall", run), push_wall, run, _cost(run)) for run in _walls()),
-        *(Task(_name("moved", run), move_wall, run, 3 * _cost(run)) for run in moving),
-        *(Task(_name("footing", run), press_footing, run, _cost(run)) for run in _feet()),
-    ]
-
-
 def _name(kind: str, run: Mapping[str, Any]) -> str:
     """Name of a task: what it is called with, in one word."""
     words = (
@@ -481,6 +438,13 @@ def _feet() -> list[dict[str, Any]]:
     ]
 
 
+WALL = {"phi_deg": 35.0, "friction": 0.0, "across": 20}
+FOOT = {"phi_deg": 25.0, "base": "smooth", "across": 10}
+OF_PRESET = {"settings": PRESET}
+MOVING = [
+    {"phi_deg": phi, "across": 40, "settings": settings}
+    for settings, phi in itertools.product(("nodes", "surface"), (25.0, 35.0))
+]
 FAMILY = Family(
     title="Limit loads",
     meaning="A plate that moves the soil must meet the force that plasticity theory says, or φ "
@@ -491,6 +455,16 @@ FAMILY = Family(
     "step unless it says `phases`; the dilatation of each particle. They show what the method can "
     "do, and no library is made with them. Soil lies beneath the toe of a rough wall; the floor is "
     "1/3 of its height down.",
-    tasks=tasks,
+    full=[
+        *(Task(_name("wall", run), push_wall, run, _cost(run)) for run in _walls()),
+        *(Task(_name("moved", run), move_wall, run, 3 * _cost(run)) for run in MOVING),
+        *(Task(_name("footing", run), press_footing, run, _cost(run)) for run in _feet()),
+    ],
+    quick=[
+        Task("wall-preset", push_wall, {**WALL, **OF_PRESET, "across": 10, "floor": "smooth"}),
+        Task("wall-0", push_wall, WALL),
+        Task("footing-0", press_footing, {**FOOT, "load": "cohesion"}),
+        Task("footing-preset", press_footing, {**FOOT, **OF_PRESET, "load": "weight"}),
+    ],
     figures=figures,
 )

@@ -106,7 +106,8 @@ def drive_at_first(pressure: float, length: float, pace: float = PACE) -> Drive:
 
 
 @cache
-def _preset() -> Scenario:
+def preset() -> Scenario:
+    """Preset ``resolved``."""
     return Scenario.load("resolved")
 
 
@@ -130,7 +131,7 @@ def _numerics(settings: str, cell: float, cells: int, drive: Drive) -> dict[str,
 
 def _numerics_of_preset(cell: float, cells: int, wave: float) -> dict[str, Any]:
     """All of preset ``resolved`` but the size of things: Courant number and steps a phase too."""
-    soil, numerics = _preset().soil, _preset().numerics
+    soil, numerics = preset().soil, preset().numerics
     courant = numerics.time_step * soil.p_wave_speed / numerics.cell_size
     time_step = courant * cell / wave
     return numerics.model_dump() | {

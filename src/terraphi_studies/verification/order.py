@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
-from terraphi_studies.verification.check import Check, Family, Outcome, Task
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, one_legend, panels_of
+from terraphi_studies.verification.check import Check, Family, Outcome, Task, numbered
 from terraphi_studies.verification.smooth import (
     DOMAIN,
     TINY,
@@ -68,6 +68,15 @@ QUADRATURE = (
 )
 
 
+SERIES: dict[str, tuple[Callable[..., Errors], str, str]] = {
+    "vortex": (vortex_errors, VORTEX, QUADRATURE),
+    "lame": (lame_errors, LAME, ""),
+    "column": (column_errors, COLUMN, WALLS),
+    "mirrored": (mirrored_errors, MIRROR, ""),
+}
+"""What computes the errors, where the solution comes from, and why an order may be missed."""
+
+
 def refinement(
     problem: str,
     case: str,
@@ -83,72 +92,49 @@ def refinement(
     problem, case
         Names for the table.
     function
-        ``vortex``, ``lame`` or ``column``.
+        One of :data:`SERIES`.
     grids
         Cells along a side of the domain, doubled from one to the next.
     pairs
         How many of the last refinements to take the order of.
     **arguments
         Others of the function.
-
-    Returns
-    -------
-    Outcome
     """
-    errors = [SERIES[function](cells, **arguments) for cells in grids]
-    checks = [
-        _order(problem, case, function, quantity, grids[n - 1 : n + 1], errors[n - 1 : n + 1])
-        for n in range(len(grids) - pairs, len(grids))
-        for quantity in errors[0]
-    ]
-    curves = {
-        "problem": problem,
-        "case": case,
-        "grids": list(grids),
-        "errors": {quantity: [error[quantity] for error in errors] for quantity in errors[0]},
-    }
-    return Outcome(checks, curves)
+    compute, source, cause = SERIES[function]
+    errors = [compute(cells, **arguments) for cells in grids]
+    checks = []
+    for n in range(len(grids) - pairs, len(grids)):
+        for quantity, last in errors[n].items():
+            expected, note = ORDERS.get(quantity, (2.0, LEAPFROG))
+            checks.append(
+                Check(
+                    problem=problem,
+                    case=case,
+                    quantity=f"order of the {quantity}",
+                    expected=expected,
+                    obtained=math.log2(errors[n - 1][quantity] / last),
+                    tolerance=0.2,
+                    relative=False,
+                    sense="at_least",
+                    resolution=f"{grids[n - 1]}² → {grids[n]}² cells, error {last:.1e}",
+                    source=source,
+                    note=note,
+                    cause=LAYER if function == "column" and expected == 1.0 else cause,
+                )
+            )
+    return Outcome(checks, _curves(problem, case, errors, grids=list(grids)))
 
 
-def _order(
-    problem: str,
-    case: str,
-    function: str,
-    quantity: str,
-    grids: Sequence[int],
-    errors: Sequence[Errors],
-) -> Check:
-    """Order of one error between two grids."""
-    expected, note = 2.0, LEAPFROG
-    if quantity == "stress of particles":
-        expected, note = 1.0, POINTWISE
-    elif quantity == "velocity, half a step late":
-        expected = 1.0
-    before, last = (error[quantity] for error in errors)
-    return Check(
-        problem=problem,
-        case=case,
-        quantity=f"order of the {quantity}",
-        expected=expected,
-        obtained=math.log2(before / last),
-        tolerance=0.2,
-        relative=False,
-        sense="at_least",
-        resolution=f"{grids[0]}² → {grids[1]}² cells, error {last:.1e}",
-        source=SOURCES[function],
-        note=note,
-        cause=LAYER if function == "column" and expected == 1.0 else CAUSES.get(function, ""),
-    )
-
-
-SERIES: dict[str, Callable[..., Errors]] = {
-    "vortex": vortex_errors,
-    "lame": lame_errors,
-    "column": column_errors,
-    "mirrored": mirrored_errors,
+ORDERS = {
+    "stress of particles": (1.0, POINTWISE),
+    "velocity, half a step late": (1.0, LEAPFROG),
 }
-CAUSES = {"vortex": QUADRATURE, "column": WALLS}
-SOURCES = {"vortex": VORTEX, "lame": LAME, "column": COLUMN, "mirrored": MIRROR}
+"""Orders of errors, and why, where they are not two."""
+
+
+def _curves(problem: str, case: str, errors: Sequence[Errors], **sizes: Any) -> dict[str, Any]:
+    by_quantity = {quantity: [error[quantity] for error in errors] for quantity in errors[0]}
+    return {"problem": problem, "case": case, **sizes, "errors": by_quantity}
 
 
 def shorter_steps(cells: int, courants: Sequence[float]) -> Outcome:
@@ -180,13 +166,8 @@ def shorter_steps(cells: int, courants: Sequence[float]) -> Outcome:
         source=VORTEX,
         note=STEP,
     )
-    curves = {
-        "problem": check.problem,
-        "case": f"{check.case}, {cells}² cells",
-        "courants": list(courants),
-        "errors": {quantity: [error[quantity] for error in errors] for quantity in errors[0]},
-    }
-    return Outcome([check], curves)
+    case = f"{check.case}, {cells}² cells"
+    return Outcome([check], _curves(check.problem, case, errors, courants=list(courants)))
 
 
 def loss(cells: int, per_side: int) -> Outcome:
@@ -224,70 +205,58 @@ def loss_of_symbol(per_side: int) -> float:
     return float((0.25 * fourth - third**2).mean() - 1.0 / 64.0)
 
 
-def tasks(quick: bool) -> list[Task]:
-    """Smooth solutions at small and at large amplitude."""
-    vortex, free = "Generalised vortex", "Free block"
-    walled, mirrored = "Bed between walls", "Mirrored bed"
-    small = {"function": "vortex", "amplitude": TINY, "problem": vortex}
-    large = {"function": "vortex", "amplitude": LARGE, "problem": vortex}
-    turned, sheared = f"turned by {TINY:g} rad", f"turned by {LARGE:g} rad, sheared by 0.9"
-    fine = [16, 32, 64, 128, 256]
-    runs: list[tuple[dict[str, Any], float]] = [
-        ({**small, "case": f"{turned}, 4 a cell", "per_side": 2, "grids": fine}, 25.0),
-        ({**small, "case": f"{turned}, 9 a cell", "per_side": 3, "grids": fine[:-1]}, 10.0),
-        ({**large, "case": f"{sheared}, 4 a cell", "per_side": 2, "grids": fine, "pairs": 2}, 30.0),
-        ({**large, "case": f"{sheared}, 9 a cell", "per_side": 3, "grids": fine, "pairs": 2}, 80.0),
-        ({"problem": free, "case": "4 a cell", "function": "lame", "grids": fine}, 25.0),
-        ({"problem": walled, "case": "4 a cell", "function": "column", "grids": fine}, 25.0),
-        ({"problem": mirrored, "case": "4 a cell", "function": "mirrored", "grids": fine}, 25.0),
-    ]
-    if quick:
-        first, *_, free_run, walled_run, mirrored_run = (run for run, _ in runs)
-        runs = [({**first, "grids": fine[:3]}, 1.0)]
-        runs += [({**run, "grids": fine[1:4]}, 1.0) for run in (free_run, walled_run, mirrored_run)]
-    steps = {"cells": 64, "courants": [0.8 / 2**n for n in range(6)]}
-    losses = [(64, 2)] if quick else [(64, 2), (128, 2), (128, 4)]
-    return [
-        *(Task(f"order-{n}", refinement, run, cost) for n, (run, cost) in enumerate(runs)),
-        *([] if quick else [Task("steps", shorter_steps, steps, 20.0)]),
-        *(Task(f"loss-{n}-{m}", loss, {"cells": n, "per_side": m}) for n, m in losses),
-    ]
+TURNED, SHEARED = f"turned by {TINY:g} rad", f"turned by {LARGE:g} rad, sheared by 0.9"
+FINE = [16, 32, 64, 128, 256]
+SMALL = {"function": "vortex", "amplitude": TINY, "problem": "Generalised vortex"}
+LARGE_ONE = {"function": "vortex", "amplitude": LARGE, "problem": "Generalised vortex", "pairs": 2}
+WAVES = [
+    {"problem": "Free block", "case": "4 a cell", "function": "lame"},
+    {"problem": "Bed between walls", "case": "4 a cell", "function": "column"},
+    {"problem": "Mirrored bed", "case": "4 a cell", "function": "mirrored"},
+]
+FULL: list[tuple[dict[str, Any], float]] = [
+    ({**SMALL, "case": f"{TURNED}, 4 a cell", "per_side": 2, "grids": FINE}, 25.0),
+    ({**SMALL, "case": f"{TURNED}, 9 a cell", "per_side": 3, "grids": FINE[:-1]}, 10.0),
+    ({**LARGE_ONE, "case": f"{SHEARED}, 4 a cell", "per_side": 2, "grids": FINE}, 30.0),
+    ({**LARGE_ONE, "case": f"{SHEARED}, 9 a cell", "per_side": 3, "grids": FINE}, 80.0),
+    *(({**wave, "grids": FINE}, 25.0) for wave in WAVES),
+]
+"""Smooth solutions at small and at large amplitude, and the time that they take [s]."""
+QUICK: list[dict[str, Any]] = [
+    {**FULL[0][0], "grids": FINE[:3]},
+    *({**wave, "grids": FINE[1:4]} for wave in WAVES),
+]
+STEPS = {"cells": 64, "courants": [0.8 / 2**n for n in range(6)]}
+
+
+def _losses(*sizes: tuple[int, int]) -> list[Task]:
+    return [Task(f"loss-{n}-{m}", loss, {"cells": n, "per_side": m}) for n, m in sizes]
 
 
 def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
     """Errors over the size of a cell."""
-    from matplotlib.figure import Figure
-
     series = [outcome.curves for outcome in outcomes.values() if outcome.curves]
-    columns = 3
-    rows = math.ceil(len(series) / columns)
-    figure = Figure(figsize=(11.0, 3.3 * rows + 0.5), layout="constrained")
+    columns, rows = 3, math.ceil(len(series) / 3)
+    figure, panels = panels_of(rows, columns, size=(11.0, 3.3 * rows + 0.5), sharey=True)
     looks = zip((BLUE, ORANGE, PURPLE, GREEN, GREY), ("o-", "s--", "v:", "^-.", "d:"), strict=True)
     styles = dict(zip(series[0]["errors"], looks, strict=True))
-    grid = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
-    for axes, curves in zip(grid, series, strict=False):
+    for axes, curves in zip(panels.ravel(), series, strict=False):
         refined = "grids" in curves
         size = 1e3 * DOMAIN / np.array(curves["grids"]) if refined else np.array(curves["courants"])
         for quantity, (colour, style) in styles.items():
-            axes.loglog(
-                size, curves["errors"][quantity], style, ms=4, lw=1.2, color=colour, label=quantity
-            )
-        for order, look in ((2, "-"), (1, "--")) if refined else ((-1, "-."),):
-            axes.loglog(size, 0.3 * (size / size[0]) ** order * (1.0 if refined else 0.02), look,
-                        color="black", lw=0.7, label=f"order {order}")  # fmt: skip
+            look: dict[str, Any] = {"ms": 4, "lw": 1.2, "color": colour, "label": quantity}
+            axes.loglog(size, curves["errors"][quantity], style, **look)
+        for order, line in ((2, "-"), (1, "--")) if refined else ((-1, "-."),):
+            height = 0.3 * (size / size[0]) ** order * (1.0 if refined else 0.02)
+            axes.loglog(size, height, line, color="black", lw=0.7, label=f"order {order}")
         axes.set_title(f"{curves['problem']}\n{curves['case']}", fontsize=9)
         axes.set_xlabel("Δx [mm]" if refined else "Courant number")
         axes.set_ylabel("relative error")
         axes.set_xticks(size, [f"{value:.3g}" for value in size])
         axes.xaxis.minorticks_off()
-    for axes in grid[len(series) :]:
+    for axes in panels.ravel()[len(series) :]:
         axes.set_visible(False)
-    entries: dict[str, Any] = {}
-    for axes in grid:
-        entries |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    figure.legend(
-        entries.values(), entries.keys(), loc="outside lower center", ncols=4, frameon=False
-    )
+    one_legend(figure, ncols=4)
     return {"verification-order": figure}
 
 
@@ -295,6 +264,11 @@ FAMILY = Family(
     title="Order of convergence",
     meaning="Smooth solutions in elastic soil on finer and finer grids. Second order means that "
     "halving the cells quarters the error, until the integration by particles sets a floor.",
-    tasks=tasks,
+    full=[
+        *(Task(f"order-{n}", refinement, run, cost) for n, (run, cost) in enumerate(FULL)),
+        Task("steps", shorter_steps, STEPS, 20.0),
+        *_losses((64, 2), (128, 2), (128, 4)),
+    ],
+    quick=[*numbered("order", refinement, QUICK), *_losses((64, 2))],
     figures=figures,
 )

@@ -19,20 +19,20 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Mapping
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from terraphi.experiment.scenario import Scenario
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
-from terraphi_studies.verification.check import Check, Family, Outcome, Task
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, panels_of
+from terraphi_studies.verification.check import Check, Family, Outcome, Task, numbered
 from terraphi_studies.verification.driver import push
 from terraphi_studies.verification.limit_scenarios import (
     PRESET,
     passive_pressure,
     passive_source,
     per_degree,
+    preset,
 )
 
 if TYPE_CHECKING:
@@ -46,11 +46,6 @@ SIDE = 0.300
 CELLS = 192
 TIP_SPEED = 0.2 * 0.0762
 """Of the leg's tip at 0.2 rad/s, before any speed-up [m/s]."""
-
-
-@cache
-def _resolved() -> Scenario:
-    return Scenario.load("resolved")
 
 
 def plate_scenario(
@@ -87,7 +82,7 @@ def plate_scenario(
     -------
     Scenario
     """
-    base = _resolved()
+    base = preset()
     cell = SIDE / cells
     # A hair beyond a node, so that the node holds the soil whatever its last digit.
     front = ground = (12 + 1e-6) * cell
@@ -321,39 +316,26 @@ def _cause(beneath: int, floor: str, dilatation: str) -> str:
     return "slip is spread over some cells, and waves of the start remain"
 
 
-def tasks(quick: bool) -> list[Task]:
-    """Smooth and rough plates on three grids; floors; mean dilatation; speed."""
-    if quick:
-        small = {"phi_deg": 35.0, "friction": 0.0, "cells": 96}
-        return [Task("plate-0", push_plate, small)]
-    angles = (25.0, 35.0)
-    grids: list[dict[str, Any]] = [
-        *({"phi_deg": phi, "friction": 0.0} for phi in angles),
-        *(
-            {"phi_deg": phi, "friction": 0.35, "floor": "rough", "beneath": BENEATH}
-            for phi in angles
-        ),
-    ]
-    runs: list[dict[str, Any]] = [
-        {"phi_deg": phi, "friction": 0.0, "beneath": BENEATH, "floor": "rough"} for phi in angles
-    ]
-    runs += [
+ANGLES = (25.0, 35.0)
+GRIDDED: list[dict[str, Any]] = [
+    *({"phi_deg": phi, "friction": 0.0} for phi in ANGLES),
+    *({"phi_deg": phi, "friction": 0.35, "floor": "rough", "beneath": BENEATH} for phi in ANGLES),
+]
+"""Smooth plates, and rough ones with soil beneath, on three grids."""
+SINGLE: list[dict[str, Any]] = [
+    *({"phi_deg": phi, "friction": 0.0, "beneath": BENEATH, "floor": "rough"} for phi in ANGLES),
+    *(
         {"phi_deg": phi, "friction": mu, "floor": "rough"}
-        for phi, mu in itertools.product(angles, (0.0, 0.35))
-    ]
-    runs += [{"phi_deg": phi, "friction": 0.35} for phi in angles]
-    runs += [{"phi_deg": 35.0, "friction": 0.0, "dilatation": "cell"}]
-    return [
-        *(Task(f"grids-{i}", refine_plate, run, 25.0) for i, run in enumerate(grids)),
-        *(Task(f"plate-{i}", push_plate, run, 7.0) for i, run in enumerate(runs)),
-        Task("speed", compare_speeds, {}, 60.0),
-    ]
+        for phi, mu in itertools.product(ANGLES, (0.0, 0.35))
+    ),
+    *({"phi_deg": phi, "friction": 0.35} for phi in ANGLES),
+    {"phi_deg": 35.0, "friction": 0.0, "dilatation": "cell"},
+]
+"""Floors, and mean dilatation."""
 
 
 def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
     """Force over the exact one against displacement: smooth, rough with soil beneath, floors."""
-    from matplotlib.figure import Figure
-
     curves = [run for outcome in outcomes.values() for run in outcome.curves["runs"]]
     beneath = [run for run in curves if "beneath" in run["case"] and "μ = 0.35" in run["case"]]
     smooth = [run for run in curves if run["case"].endswith("μ = 0, smooth floor at the toe")]
@@ -363,8 +345,7 @@ def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
     shown = [(t, runs) for t, runs in zip(titles, (smooth, beneath, rest), strict=True) if runs]
     if not shown:
         return {}
-    figure = Figure(figsize=(3.0 + 2.7 * len(shown), 5.6), layout="constrained")
-    panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    figure, (panels,) = panels_of(1, len(shown), size=(3.0 + 2.7 * len(shown), 5.6), sharey=True)
     for axes, (title, runs) in zip(panels, shown, strict=True):
         axes.axhspan(1.0 - TOLERANCE, 1.0 + TOLERANCE, color=GREY, alpha=0.25, lw=0)
         for run, (style, colour) in zip(runs, looks, strict=False):
@@ -388,6 +369,11 @@ FAMILY = Family(
     "step and phases of preset `resolved` and the speed of the leg's tip. If these pass, the "
     "contact and the grid of the leg's own simulations give the force that plasticity theory says. "
     "Flow is associated, because the force is exact then; dilatation is that of each particle.",
-    tasks=tasks,
+    full=[
+        *numbered("grids", refine_plate, GRIDDED, 25.0),
+        *numbered("plate", push_plate, SINGLE, 7.0),
+        Task("speed", compare_speeds, {}, 60.0),
+    ],
+    quick=numbered("plate", push_plate, [{"phi_deg": 35.0, "friction": 0.0, "cells": 96}]),
     figures=figures,
 )

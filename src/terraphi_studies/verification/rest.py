@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.mpm.bed import Particles, geostatic_bed
 from terraphi.forward.mpm.scalar import LEDGER_ROWS
-from terraphi.view.plots import BLUE, GREY, ORANGE
-from terraphi_studies.verification.check import Check, Family, Outcome, Task
-from terraphi_studies.verification.driver import ELASTIC, Rig, advance, benchmark, in_words, rig_of
+from terraphi.view.plots import BLUE, GREY, ORANGE, panels_of
+from terraphi_studies.verification.check import Check, Family, Outcome, Task, numbered
+from terraphi_studies.verification.driver import ELASTIC, advance, benchmark, in_words, rig_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,38 +76,30 @@ def bed_at_rest(
         weight * steps * scenario.numerics.time_step
     )
     inside = _inside(scenario, soil)
-    damping = "" if damped else ", undamped"
-    common: dict[str, Any] = {
-        "problem": "Bed at rest under its own weight",
-        "case": f"`{criterion}`, φ = 35°{damping}, after {seconds:g} s",
-        "resolution": in_words(scenario),
-        "source": "σ_v = ρ g depth, as laid; nothing moves",
-    }
-    slope: dict[str, Any] = {"expected": 1.0, "tolerance": 0.01}
-    still: dict[str, Any] = {"expected": 0.0, "relative": False, "sense": "at_most"}
+    check = partial(
+        Check,
+        problem="Bed at rest under its own weight",
+        case=f"`{criterion}`, φ = 35°{'' if damped else ', undamped'}, after {seconds:g} s",
+        resolution=in_words(scenario),
+        source="σ_v = ρ g depth, as laid; nothing moves",
+    )
+    slope = partial(check, expected=1.0, tolerance=0.01)
+    still = partial(check, expected=0.0, relative=False, sense="at_most")
+    whole = _slope(scenario, soil, np.ones_like(inside))
     checks = [
-        Check(
+        slope(
             quantity=f"dσ_v/d(depth)/ρg, {MARGIN:g} cells from any edge",
-            obtained=_slope(scenario, soil, inside), **slope, **common,
+            obtained=_slope(scenario, soil, inside),
         ),
-        Check(
-            quantity="dσ_v/d(depth)/ρg, whole bed",
-            obtained=_slope(scenario, soil, np.ones_like(inside)), cause=WALL_LAYER,
-            **slope, **common,
-        ),
-        Check(
-            quantity="floor's push over weight", expected=1.0, obtained=float(floor),
-            tolerance=0.01, **common,
-        ),
-        Check(
-            quantity="largest speed [m/s]", obtained=float(speed.max()), tolerance=STILL,
-            **still, **common,
-        ),
-        Check(
+        slope(quantity="dσ_v/d(depth)/ρg, whole bed", obtained=whole, cause=WALL_LAYER),
+        slope(quantity="floor's push over weight", obtained=float(floor)),
+        still(quantity="largest speed [m/s]", obtained=float(speed.max()), tolerance=STILL),
+        still(
             quantity="kinetic energy over that of a fall to the floor",
-            obtained=energy, tolerance=1e-8, **still, **common,
+            obtained=energy,
+            tolerance=1e-8,
         ),
-    ]  # fmt: skip
+    ]
     return Outcome(checks, _layers(scenario, soil, "bed, particles at random"))
 
 
@@ -142,7 +135,8 @@ def oedometer(
     soil.stress[:] = 0.0
     advance(soil, rig, round(seconds / scenario.numerics.time_step))
     height, poisson = scenario.bed.height, scenario.soil.poisson_ratio
-    full = scenario.soil.density * GRAVITY * height**2 / (2.0 * _stiffness(rig))
+    stiffness = rig.material.lame_lambda + 2.0 * rig.material.shear_modulus
+    full = scenario.soil.density * GRAVITY * height**2 / (2.0 * stiffness)
     above = soil.start[:, 1] - scenario.bed.floor
     expected = full * (1.0 - (1.0 - above / height) ** 2)
     settled = soil.start[:, 1] - soil.position[:, 1]
@@ -150,40 +144,37 @@ def oedometer(
     inside = _inside(scenario, soil)
     vertical, lateral = -soil.stress[inside, 1], -soil.stress[inside, 0]
     places = "on a lattice" if jitter == 0.0 else "at random"
-    cause = WALL_LAYER if jitter == 0.0 else SOFT_PLACES
-    common: dict[str, Any] = {
-        "problem": "Elastic soil loaded by its own weight",
-        "case": f"{per_side**2} particles a cell, {places}",
-        "tolerance": 0.01,
-        "resolution": in_words(scenario),
-        "cause": cause,
-    }
+    check = partial(
+        Check,
+        problem="Elastic soil loaded by its own weight",
+        case=f"{per_side**2} particles a cell, {places}",
+        tolerance=0.01,
+        resolution=in_words(scenario),
+        cause=WALL_LAYER if jitter == 0.0 else SOFT_PLACES,
+    )
     inner = f"{MARGIN:g} cells from any edge"
-    return Outcome(
-        [
-            Check(
-                quantity="settlement of the surface [µm]", expected=1e6 * full,
-                obtained=1e6 * full * float(settled[top].sum() / expected[top].sum()),
-                source="Oedometer: u = ρ g h²/2M, M = λ + 2G = 26.92 MPa; "
-                "taken from the upper tenth of the bed", **common,
-            ),
-            Check(
-                quantity=f"K = σ_h/σ_v, {inner}", expected=poisson / (1.0 - poisson),
-                obtained=float(lateral.sum() / vertical.sum()),
-                source="Oedometer: K = ν/(1 − ν)", **common,
-            ),
-            Check(
-                quantity=f"dσ_v/d(depth)/ρg, {inner}", expected=1.0,
-                obtained=_slope(scenario, soil, inside), source="σ_v = ρ g depth", **common,
-            ),
-        ],
-        _layers(scenario, soil, f"elastic column, particles {places}"),
-    )  # fmt: skip
-
-
-def _stiffness(rig: Rig) -> float:
-    """Oedometric modulus M = λ + 2G [Pa]."""
-    return rig.material.lame_lambda + 2.0 * rig.material.shear_modulus
+    checks = [
+        check(
+            quantity="settlement of the surface [µm]",
+            expected=1e6 * full,
+            obtained=1e6 * full * float(settled[top].sum() / expected[top].sum()),
+            source="Oedometer: u = ρ g h²/2M, M = λ + 2G = 26.92 MPa; "
+            "taken from the upper tenth of the bed",
+        ),
+        check(
+            quantity=f"K = σ_h/σ_v, {inner}",
+            expected=poisson / (1.0 - poisson),
+            obtained=float(lateral.sum() / vertical.sum()),
+            source="Oedometer: K = ν/(1 − ν)",
+        ),
+        check(
+            quantity=f"dσ_v/d(depth)/ρg, {inner}",
+            expected=1.0,
+            obtained=_slope(scenario, soil, inside),
+            source="σ_v = ρ g depth",
+        ),
+    ]
+    return Outcome(checks, _layers(scenario, soil, f"elastic column, particles {places}"))
 
 
 def _inside(scenario: Scenario, soil: Particles) -> NDArray[np.bool_]:
@@ -217,48 +208,53 @@ def _layers(scenario: Scenario, soil: Particles, name: str) -> dict[str, Any]:
     }
 
 
-def tasks(quick: bool) -> list[Task]:
-    """Beds of each criterion; columns on a lattice, whose edges lie on nodes or do not."""
-    if quick:
-        bed = {"cells": 60, "seconds": 0.1, "criterion": "plane_strain", "on_nodes": True}
-        column = {"cells": 60, "jitter": 0.0, "on_nodes": True}
-        return [Task("bed", bed_at_rest, bed), Task("column", oedometer, column)]
-    beds: list[dict[str, Any]] = [
-        {"cells": 64, "criterion": "plane_strain"},
-        {"cells": 64, "criterion": "plane_strain", "damped": False},
-        {"cells": 64, "criterion": "paper"},
-        {"cells": 64, "criterion": "triaxial"},
-        {"cells": 128, "criterion": "plane_strain"},
-    ]
-    columns: list[dict[str, Any]] = [
-        {"cells": 60, "jitter": 0.0, "on_nodes": True},
-        {"cells": 120, "jitter": 0.0, "on_nodes": True},
-        {"cells": 128, "jitter": 0.0},
-        {"cells": 128, "jitter": 1.0},
-        {"cells": 128, "jitter": 1.0, "per_side": 3},
-    ]
-    return [
-        *(Task(f"bed-{n}", bed_at_rest, entry, 10.0) for n, entry in enumerate(beds[:-1])),
-        Task("bed-fine", bed_at_rest, beds[-1], 80.0),
-        *(Task(f"column-{n}", oedometer, entry, 5.0) for n, entry in enumerate(columns)),
-    ]
+QUICK = [
+    Task(
+        "bed",
+        bed_at_rest,
+        {"cells": 60, "seconds": 0.1, "criterion": "plane_strain", "on_nodes": True},
+    ),
+    Task("column", oedometer, {"cells": 60, "jitter": 0.0, "on_nodes": True}),
+]
+FULL = [
+    *numbered(
+        "bed",
+        bed_at_rest,
+        [
+            {"cells": 64, "criterion": "plane_strain"},
+            {"cells": 64, "criterion": "plane_strain", "damped": False},
+            {"cells": 64, "criterion": "paper"},
+            {"cells": 64, "criterion": "triaxial"},
+        ],
+        10.0,
+    ),
+    Task("bed-fine", bed_at_rest, {"cells": 128, "criterion": "plane_strain"}, 80.0),
+    *numbered(
+        "column",
+        oedometer,
+        [
+            {"cells": 60, "jitter": 0.0, "on_nodes": True},
+            {"cells": 120, "jitter": 0.0, "on_nodes": True},
+            {"cells": 128, "jitter": 0.0},
+            {"cells": 128, "jitter": 1.0},
+            {"cells": 128, "jitter": 1.0, "per_side": 3},
+        ],
+        5.0,
+    ),
+]
+"""Beds of each criterion; columns on a lattice, whose edges lie on nodes or do not."""
 
 
 def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
     """Vertical stress over height, in units of what it should be."""
-    from matplotlib.figure import Figure
-
     curves = {name: outcome.curves for name, outcome in outcomes.items()}
     shown = [curves[name] for name in ("bed-fine", "bed", "column-1", "column") if name in curves]
-    figure = Figure(figsize=(8.0, 4.4), layout="constrained")
-    axes = figure.subplots()
+    figure, ((axes,),) = panels_of(size=(8.0, 4.4))
     axes.axvline(1.0, color=GREY, lw=0.8)
     axes.axvspan(0.99, 1.01, color=GREY, alpha=0.2, lw=0, label="± 1 %")
     for layers, colour, style in zip(shown, (ORANGE, BLUE), ("s--", "o-"), strict=True):
-        axes.plot(
-            layers["ratio"], layers["height_cells"], style, ms=3, lw=0.8, color=colour,
-            label=layers["name"],
-        )  # fmt: skip
+        look: dict[str, Any] = {"ms": 3, "lw": 0.8, "color": colour, "label": layers["name"]}
+        axes.plot(layers["ratio"], layers["height_cells"], style, **look)
     axes.set_xlim(0.8, 1.3)
     axes.set_xlabel("vertical stress / (ρ g depth), means of layers half a cell thick")
     axes.set_ylabel("height above the floor [cells]")
@@ -271,6 +267,7 @@ FAMILY = Family(
     meaning="The bed that every simulation begins with, left alone by the leg, and the same bed "
     "made elastic and loaded by its own weight from zero stress. If these pass, the soil bears "
     "its weight, and what the leg feels is not the bed's own motion.",
-    tasks=tasks,
+    full=FULL,
+    quick=QUICK,
     figures=figures,
 )

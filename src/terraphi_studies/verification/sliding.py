@@ -12,8 +12,8 @@ from terraphi.experiment.leg import Leg
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.solver import Kernel
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE
-from terraphi_studies.verification.check import Check, Family, Outcome, Task
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, panels_of
+from terraphi_studies.verification.check import Check, Family, Outcome, numbered
 from terraphi_studies.verification.driver import (
     ELASTIC,
     advance,
@@ -29,6 +29,11 @@ if TYPE_CHECKING:
 BLOCK = (0.080, 0.040)
 """Length along the incline and height [m]."""
 BAND_CELLS = 0.5
+SETTLED = {
+    "numerics.contact_band_cells": BAND_CELLS,
+    "numerics.damping_rate": 500.0,
+    "soil.cohesion": ELASTIC,
+}
 SETTLING = 0.03
 """Time in which the block is put down, damped [s]."""
 SLIDING = 0.12
@@ -69,17 +74,9 @@ def slide(
     Outcome
     """
     on_surface = contact == "surface"
-    changes: dict[str, Any] = {
-        "numerics.contact_band_cells": BAND_CELLS,
-        "numerics.damping_rate": 500.0,
-        "soil.cohesion": ELASTIC,
-    }
-    scenario = benchmark(cells, courant=0.4, on_nodes=True, **changes)
-    if on_surface:
-        interval = PHASE * scenario.numerics.time_step
-        phases = {"numerics.contact": "surface", "numerics.remap_interval": interval}
-        scenario = scenario.replace(**phases)
-    slope, cell, time_step = math.radians(slope_deg), *_sizes(scenario)
+    scenario = _scenario(cells, on_surface)
+    numerics, slope = scenario.numerics, math.radians(slope_deg)
+    cell, time_step = numerics.cell_size, numerics.time_step
     down = np.array([math.cos(slope), -math.sin(slope)])
     outward = np.array([math.sin(slope), math.cos(slope)])
     plate = Leg(shape="plate", chord=0.5, half_thickness=0.02, friction=friction)
@@ -89,7 +86,7 @@ def slide(
     pose = (*hip.tolist(), math.atan2(-down[0], -down[1]), 0.0, 0.0, 0.0)
     # Soil touches a node from one and a half cells off, and the band holds nodes off the plate.
     corner = foot + (0.0 if on_surface else BAND_CELLS + 0.5) * cell * outward
-    spacing = cell / scenario.numerics.particles_per_cell_side
+    spacing = cell / numerics.particles_per_cell_side
     soil = block_of(
         (float(corner[0]), float(corner[1])), BLOCK, spacing, scenario.soil.density, tilt=-slope
     )
@@ -123,42 +120,44 @@ def slide(
     return Outcome([check], curves)
 
 
-def _sizes(scenario: Scenario) -> tuple[float, float]:
-    return scenario.numerics.cell_size, scenario.numerics.time_step
+def _scenario(cells: int, on_surface: bool) -> Scenario:
+    """Soil that never yields, and how it meets the plate."""
+    scenario = benchmark(
+        cells,
+        courant=0.4,
+        on_nodes=True,
+        **SETTLED,
+    )
+    if on_surface:
+        interval = PHASE * scenario.numerics.time_step
+        phases = {"numerics.contact": "surface", "numerics.remap_interval": interval}
+        scenario = scenario.replace(**phases)
+    return scenario
 
 
 CASES = ((25.0, 0.0), (25.0, 0.2), (22.0, 0.35), (30.0, 0.35), (45.0, 0.35), (15.0, 0.35))
 """Slope [deg] and friction; tan 19.29° = 0.35."""
 
 
-def tasks(quick: bool) -> list[Task]:
-    """Slopes on one grid, and one slope on others and by the other kernel."""
-    if quick:
-        return [
-            Task(f"slide-{n}", slide, {"cells": 32, "slope_deg": slope, "friction": friction})
-            for n, (slope, friction) in enumerate(((30.0, 0.35), (15.0, 0.35)))
-        ]
-    runs: list[dict[str, Any]] = [
-        *({"cells": 64, "slope_deg": b, "friction": mu} for b, mu in CASES),
-        {"cells": 64, "slope_deg": 19.0, "friction": 0.35},
-        {"cells": 32, "slope_deg": 30.0, "friction": 0.35},
-        {"cells": 128, "slope_deg": 30.0, "friction": 0.35},
-        {"cells": 64, "slope_deg": 30.0, "friction": 0.35, "kernel": "scalar"},
-        {"cells": 64, "slope_deg": 15.0, "friction": 0.35, "kernel": "scalar"},
-        *(
-            {"cells": 64, "slope_deg": b, "friction": mu, "contact": "surface"}
-            for b, mu in ((25.0, 0.0), (30.0, 0.35), (15.0, 0.35))
-        ),
-    ]
-    return [Task(f"slide-{n}", slide, run, 3.0) for n, run in enumerate(runs)]
+FULL: list[dict[str, Any]] = [
+    *({"cells": 64, "slope_deg": b, "friction": mu} for b, mu in CASES),
+    {"cells": 64, "slope_deg": 19.0, "friction": 0.35},
+    {"cells": 32, "slope_deg": 30.0, "friction": 0.35},
+    {"cells": 128, "slope_deg": 30.0, "friction": 0.35},
+    {"cells": 64, "slope_deg": 30.0, "friction": 0.35, "kernel": "scalar"},
+    {"cells": 64, "slope_deg": 15.0, "friction": 0.35, "kernel": "scalar"},
+    *(
+        {"cells": 64, "slope_deg": b, "friction": mu, "contact": "surface"}
+        for b, mu in ((25.0, 0.0), (30.0, 0.35), (15.0, 0.35))
+    ),
+]
+"""Slopes on one grid, and one slope on others, by the other kernel and contact."""
+QUICK = [{"cells": 32, "slope_deg": b, "friction": 0.35} for b in (30.0, 15.0)]
 
 
 def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
     """Acceleration over the slope, for each friction."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.5, 4.0), layout="constrained")
-    axes = figure.subplots()
+    figure, ((axes,),) = panels_of(size=(6.5, 4.0))
     runs = [outcome.curves for outcome in outcomes.values()]
     slope = np.linspace(0.0, 50.0, 201)
     for friction, colour in zip(
@@ -180,6 +179,7 @@ FAMILY = Family(
     title="Friction of the contact",
     meaning="An elastic block of soil on a tilted plate, which to the program is a leg. If these "
     "pass, soil slips along the leg, and sticks to it, as Coulomb's law says.",
-    tasks=tasks,
+    full=numbered("slide", slide, FULL, 3.0),
+    quick=numbered("slide", slide, QUICK),
     figures=figures,
 )

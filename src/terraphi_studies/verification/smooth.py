@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm.bed import Particles, geostatic_bed
-from terraphi_studies.verification.driver import advance, block_of, rig_of
+from terraphi_studies.verification.driver import Rig, advance, block_of, rig_of
 from terraphi_studies.verification.waves import elastic, lame_mode
 
 FloatArray = NDArray[np.float64]
@@ -62,10 +62,6 @@ def vortex_errors(cells: int, per_side: int, amplitude: float, courant: float = 
     courant
         Part of a cell that a wave passes in a step, carried along by the soil [-].
 
-    Returns
-    -------
-    dict
-        By quantity [-].
     """
     scenario = _scenario(cells, per_side)
     spacing = scenario.numerics.cell_size / per_side
@@ -97,62 +93,29 @@ def vortex_errors(cells: int, per_side: int, amplitude: float, courant: float = 
 
 
 def lame_errors(cells: int, per_side: int = 2) -> Errors:
-    """Errors of a free block in Lamé's mode after 0.6 of a period; see :func:`vortex_errors`."""
+    """Errors of a free block in Lamé's mode; see :func:`vortex_errors`."""
     side = 0.16
     scenario = _scenario(cells, per_side)
     soil, mode, gradient = lame_mode(scenario, side)
     speed = math.sqrt(scenario.soil.shear_modulus / scenario.soil.density)
-    pace = math.sqrt(2.0) * math.pi * speed / side
-    steps, time_step = _steps(scenario, 0.6 * 2.0 * math.pi / pace)
-    rig = rig_of(scenario).open_box().changed(gravity=0.0, time_step=time_step)
-    top = TINY * side * pace
-    soil.velocity[:] = top * math.cos(0.5 * pace * time_step) * mode
-    soil.gradient[:] = top * math.cos(0.5 * pace * time_step) * gradient
-    advance(soil, rig, steps)
-    end = steps * time_step
-    strain = top / pace * math.sin(pace * end) * gradient[:, 0]
-    return _errors(
-        soil,
-        scenario,
-        soil.position - soil.start,
-        top / pace * math.sin(pace * end) * mode,
-        _course(top, pace, end, time_step, mode),
-        2.0 * scenario.soil.shear_modulus * strain,
-        soil.stress[:, 0],
-    )
+    wave = Wave(math.sqrt(2.0) * math.pi * speed / side, TINY * side, mode, gradient)
+    rig = rig_of(scenario).open_box().changed(gravity=0.0)
+    return _wave_errors(scenario, soil, rig, wave, 2.0 * scenario.soil.shear_modulus, axis=0)
 
 
 def column_errors(cells: int, per_side: int = 2) -> Errors:
-    """Errors of a bed on a floor, between walls, after 0.6 of a period.
+    """Errors of a bed on a floor, between walls.
 
     What the bed does on its own is taken off: everything is linear but for the contact with the
     walls, which the weight keeps closed.
     """
     scenario = _scenario(cells, per_side)
+    soil = geostatic_bed(scenario)
     height, speed = scenario.bed.height, scenario.soil.p_wave_speed
-    k = 0.5 * math.pi / height
-    pace, top = k * speed, TINY * height * k * speed
-    steps, time_step = _steps(scenario, 0.6 * 2.0 * math.pi / pace)
-    rig = rig_of(scenario).changed(time_step=time_step)
-    moved, resting = geostatic_bed(scenario), geostatic_bed(scenario)
-    above = moved.start[:, 1] - scenario.bed.floor
-    begin = top * math.cos(0.5 * pace * time_step)
-    moved.velocity[:, 1] = begin * np.sin(k * above)
-    moved.gradient[:, 3] = begin * k * np.cos(k * above)
-    for soil in (moved, resting):
-        advance(soil, rig, steps)
-    end = steps * time_step
-    upwards = np.stack([np.zeros_like(above), np.sin(k * above)], axis=1)
+    wave = _upright(soil, scenario.bed.floor, height, speed)
     stiffness = scenario.soil.lame_lambda + 2.0 * scenario.soil.shear_modulus
-    return _errors(
-        moved._replace(velocity=moved.velocity - resting.velocity),
-        scenario,
-        moved.position - resting.position,
-        top / pace * math.sin(pace * end) * upwards,
-        _course(top, pace, end, time_step, upwards),
-        stiffness * top / pace * math.sin(pace * end) * k * np.cos(k * above),
-        moved.stress[:, 1] - resting.stress[:, 1],
-    )
+    resting = geostatic_bed(scenario)
+    return _wave_errors(scenario, soil, rig_of(scenario), wave, stiffness, axis=1, resting=resting)
 
 
 def mirrored_errors(cells: int, per_side: int = 2) -> Errors:
@@ -163,29 +126,77 @@ def mirrored_errors(cells: int, per_side: int = 2) -> Errors:
     """
     scenario = _scenario(cells, per_side).replace(**{"soil.poisson_ratio": 0.0})
     height, middle = 0.12, 0.5 * DOMAIN
-    k = 0.5 * math.pi / height
-    pace = k * scenario.soil.p_wave_speed
-    top = TINY * height * pace
-    steps, time_step = _steps(scenario, 0.6 * 2.0 * math.pi / pace)
-    rig = rig_of(scenario).open_box().changed(gravity=0.0, time_step=time_step)
     spacing = scenario.numerics.cell_size / per_side
     soil = block_of((0.12, middle - height), (0.08, 2.0 * height), spacing, scenario.soil.density)
-    above = soil.start[:, 1] - middle
-    begin = top * math.cos(0.5 * pace * time_step)
-    soil.velocity[:, 1] = begin * np.sin(k * above)
-    soil.gradient[:, 3] = begin * k * np.cos(k * above)
-    advance(soil, rig, steps)
-    end = steps * time_step
-    upwards = np.stack([np.zeros_like(above), np.sin(k * above)], axis=1)
-    strain = top / pace * math.sin(pace * end) * k * np.cos(k * above)
+    wave = _upright(soil, middle, height, scenario.soil.p_wave_speed)
+    rig = rig_of(scenario).open_box().changed(gravity=0.0)
+    return _wave_errors(scenario, soil, rig, wave, scenario.soil.youngs_modulus, axis=1)
+
+
+class Wave(NamedTuple):
+    """A standing wave: displacement = size · sin(pace · time) · mode."""
+
+    pace: float
+    """[rad/s]"""
+    size: float
+    """[m]"""
+    mode: FloatArray
+    """At each particle [-], shape [particle, 2]."""
+    gradient: FloatArray
+    """Of the mode [1/m], shape [particle, 4]."""
+
+
+def _upright(soil: Particles, foot: float, height: float, speed: float) -> Wave:
+    """Compression wave of a column of some height [m] that is held at its foot."""
+    k = 0.5 * math.pi / height
+    above = soil.start[:, 1] - foot
+    mode, gradient = np.zeros((len(above), 2)), np.zeros((len(above), 4))
+    mode[:, 1], gradient[:, 3] = np.sin(k * above), k * np.cos(k * above)
+    return Wave(k * speed, TINY * height, mode, gradient)
+
+
+def _wave_errors(
+    scenario: Scenario,
+    soil: Particles,
+    rig: Rig,
+    wave: Wave,
+    modulus: float,
+    *,
+    axis: int,
+    resting: Particles | None = None,
+) -> Errors:
+    """Errors after 0.6 of a period, of the normal stress along one axis among them.
+
+    Parameters
+    ----------
+    scenario, soil, rig, wave
+        What swings, and how.
+    modulus
+        Stress over strain along the axis [Pa].
+    axis
+        0 for x, 1 for z.
+    resting
+        The same soil without the wave; its own motion is taken off.
+    """
+    whole = 0.6 * 2.0 * math.pi / wave.pace
+    steps = math.ceil(whole / scenario.numerics.time_step)
+    time_step = whole / steps
+    top = wave.size * wave.pace
+    begin = top * math.cos(0.5 * wave.pace * time_step)
+    soil.velocity[:] = begin * wave.mode
+    soil.gradient[:] = begin * wave.gradient
+    advance(soil, rig.changed(time_step=time_step), steps)
+    moved, stress = soil.position - soil.start, soil.stress[:, axis]
+    if resting is not None:
+        advance(resting, rig.changed(time_step=time_step), steps)
+        moved, stress = soil.position - resting.position, stress - resting.stress[:, axis]
+        soil = soil._replace(velocity=soil.velocity - resting.velocity)
+    reached = wave.size * math.sin(wave.pace * whole)
+    halfway = top * math.cos(wave.pace * (whole - 0.5 * time_step)) * wave.mode
+    late = top * math.cos(wave.pace * whole) * wave.mode
+    strain = reached * wave.gradient[:, 3 * axis]
     return _errors(
-        soil,
-        scenario,
-        soil.position - soil.start,
-        top / pace * math.sin(pace * end) * upwards,
-        _course(top, pace, end, time_step, upwards),
-        scenario.soil.youngs_modulus * strain,
-        soil.stress[:, 1],
+        soil, scenario, moved, reached * wave.mode, (halfway, late), modulus * strain, stress
     )
 
 
@@ -196,10 +207,6 @@ def transfer_loss(cells: int, per_side: int) -> float:
     ----------
     cells, per_side
         As in :func:`vortex_errors`.
-
-    Returns
-    -------
-    float
     """
     scenario = _scenario(cells, per_side)
     cell = scenario.numerics.cell_size
@@ -226,20 +233,6 @@ def _scenario(cells: int, per_side: int) -> Scenario:
         per_side=per_side,
         **{"numerics.domain": DOMAIN, **BOX, "bed.floor_friction": "smooth"},
     )
-
-
-def _steps(scenario: Scenario, duration: float) -> tuple[int, float]:
-    """Number and length of the steps, none longer than that of the scenario."""
-    steps = math.ceil(duration / scenario.numerics.time_step)
-    return steps, duration / steps
-
-
-def _course(
-    top: float, pace: float, end: float, time_step: float, mode: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Velocity of a standing wave half a step before the end, and at the end [m/s]."""
-    halfway = top * math.cos(pace * (end - 0.5 * time_step)) * mode
-    return halfway, top * math.cos(pace * end) * mode
 
 
 def _errors(
@@ -276,13 +269,12 @@ def _nodal_means(soil: Particles, scenario: Scenario, values: FloatArray) -> Flo
     place = soil.position / numerics.cell_size
     base = np.floor(place - 0.5).astype(np.int64)
     offset = place - base
-    spline = np.stack([0.5 * (1.5 - offset) ** 2, 0.75 - (offset - 1.0) ** 2,
-                       0.5 * (offset - 0.5) ** 2])  # fmt: skip
+    spline = [0.5 * (1.5 - offset) ** 2, 0.75 - (offset - 1.0) ** 2, 0.5 * (offset - 0.5) ** 2]
     side = numerics.cells + 3
     total, share = np.zeros((side * side, values.shape[1])), np.zeros(side * side)
     for a in range(3):
         for b in range(3):
-            weight = spline[a, :, 0] * spline[b, :, 1]
+            weight = spline[a][:, 0] * spline[b][:, 1]
             node = (base[:, 0] + a) * side + base[:, 1] + b
             np.add.at(total, node, weight[:, None] * values)
             np.add.at(share, node, weight)

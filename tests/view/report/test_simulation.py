@@ -21,7 +21,7 @@ Simulation = tuple[Path, Path]
 
 
 def player(simulation: Simulation, **options: float) -> Player:
-    part = report.section(*simulation, **options).parts[0]
+    part = report.section(simulation[0], fields=simulation[1], **options).parts[0]
     assert isinstance(part, Player)
     return part
 
@@ -72,7 +72,7 @@ def test_the_most_that_is_taken_stays_below_the_size() -> None:
 
 
 def test_without_fields_there_are_still_the_forces(simulation: Simulation) -> None:
-    found = report.section(simulation[0], None)
+    found = report.section(simulation[0], fields=None)
     assert [type(part) for part in found.parts[:2]] == [Plot, Plot]
     assert "Peak lift" in found.headline
     assert len(render([found])) < 3_000_000
@@ -86,7 +86,7 @@ def test_fields_of_another_simulation_are_refused(simulation: Simulation, tmp_pa
         if text is not None:
             (other / file.name).write_text(text.replace("scenario ", "scenario 0"))
     with pytest.raises(InputError, match="of another simulation"):
-        report.section(simulation[0], other)
+        report.section(simulation[0], fields=other)
 
 
 def test_a_series_cannot_name_files_outside_its_folder(
@@ -98,7 +98,7 @@ def test_a_series_cannot_name_files_outside_its_folder(
         moved = file.read_text().replace('file="', f'file="{simulation[1]}/')
         (other / file.name).write_text(moved)
     with pytest.raises(InputError, match="no such file"):
-        report.section(simulation[0], other)
+        report.section(simulation[0], fields=other)
 
 
 @pytest.mark.parametrize(
@@ -115,4 +115,4 @@ def test_the_title_names_the_convention_of_the_model(
         {"model": "rft", "dimensions": dimensions, "soil": {"friction_angle_deg": 31.0}}
     )
     simulate(scenario).to_netcdf(tmp_path / "h.nc")
-    assert report.section(tmp_path / "h.nc", None).title == title
+    assert report.section(tmp_path / "h.nc", fields=None).title == title

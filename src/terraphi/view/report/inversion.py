@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -18,17 +18,13 @@ from terraphi.inference.answer import PHI
 from terraphi.inference.budget import (
     MOST_WITHOUT_FORCE,
     ZERO_FORCE,
-    information_share,
     share_without_force,
     without_force,
 )
 from terraphi.inference.findings import Measure
-from terraphi.inference.paper_likelihood import PaperLikelihood, peak_to_peak
-from terraphi.inference.prepared_leg import prepare
+from terraphi.inference.paper_likelihood import peak_to_peak
 from terraphi.inference.words import rows_of
 from terraphi.library.store import Library
-from terraphi.surrogate.joint import JointSurrogate
-from terraphi.surrogate.paper import LegSurrogate
 from terraphi.view.report import parts as fig
 from terraphi.view.report.certificate import certificate_of, certificate_parts
 from terraphi.view.report.parts import (
@@ -65,6 +61,7 @@ UNCHECKED_TOGETHER = (
 )
 PICTURES = "Fits, and the corner plot of the posterior"
 UNKNOWN = "consistent, but whether its library's intervals were checked is not known here"
+NO_BAND = "No band of the 95 % interval: the file is of an earlier version and does not hold it."
 WORDS = {
     "nodes": "nodes of the quadrature",
     "relative_change_on_halving": "change on halving the nodes / 68 % half-width",
@@ -100,18 +97,17 @@ def section(path: Path, *, library: str | None = None) -> Section:
     answer = saved.answer
     if is_several(answer):
         return _of_several(path, answer)
-    again, why_not = recomputed(saved, library)
+    used = library_of(answer, library)
     parts: list[Part] = []
     if saved.draws_deg.size:
-        parts += [_density(saved, again), *_forces(saved, again, why_not), _residuals(saved)]
-    share = saved.share if again is None else again.share
-    if share is not None:
-        parts.append(_information(saved, share))
+        parts += [_density(saved, used), *_forces(saved), _residuals(saved)]
+    if saved.share is not None:
+        parts.append(_information(saved, saved.share))
     parts += [_numbers(answer), *measures(answer)]
-    if again is not None:
-        parts += _certificate(answer, again)
+    if used is not None:
+        parts += _certificate(answer, used)
     parts += [*_budget(answer), _convergence(answer)]
-    status, badge = _belief(answer, again)
+    status, badge = _belief(answer, used)
     about = {key: answer[key] for key in ("source", "leg", "library", "likelihood", "sampler")}
     return Section(
         kind="inversion",
@@ -215,34 +211,40 @@ def _histories(answer: Mapping[str, Any]) -> Table:
     return Table("Histories, and deviation of the best curve", ("", "leg", "Fx", "Fz"), rows)
 
 
-def _belief(answer: Mapping[str, Any], again: Again | None) -> tuple[Status, str]:
+def _belief(answer: Mapping[str, Any], used: Library | None) -> tuple[Status, str]:
     """Whether to believe an answer, and words for it where the usual ones would say too much."""
     status = STATUS.get(str(answer["verdict"]), "none")
     if status != "good":
         return status, ""
-    if again is None:
+    if used is None:
         return "doubtful", UNKNOWN
-    if str(answer["leg"]) not in certificate_of(again.library):
+    if str(answer["leg"]) not in certificate_of(used):
         return "doubtful", UNCHECKED
     if answer["likelihood"] != "calibrated":
         return "doubtful", OTHER_LIKELIHOOD
-    if _has_own_prior(answer, again):
+    if _has_own_prior(answer, used):
         return "doubtful", OWN_PRIOR
     return status, ""
 
 
-def _has_own_prior(answer: Mapping[str, Any], again: Again) -> bool:
+def _has_own_prior(answer: Mapping[str, Any], used: Library) -> bool:
     """Whether φ had another prior than the uniform one over the library."""
     prior = answer.get("parameters", {}).get(PHI, {}).get("prior")
     if prior is None:
         return False
-    return prior["kind"] != "uniform" or (prior["low"], prior["high"]) != again.bounds_deg
+    return prior["kind"] != "uniform" or (prior["low"], prior["high"]) != _bounds_deg(answer, used)
 
 
-def _certificate(answer: Mapping[str, Any], again: Again) -> list[Part]:
+def _bounds_deg(answer: Mapping[str, Any], used: Library) -> tuple[float, float]:
+    """Friction angles that a library covers with the leg of an answer [deg]."""
+    low, *_, high = used.curves(str(answer["leg"])).phi_deg.tolist()
+    return low, high
+
+
+def _certificate(answer: Mapping[str, Any], library: Library) -> list[Part]:
     """The library's certificate, but for forces of which it says nothing."""
-    leg, library = str(answer["leg"]), again.library
-    if leg in certificate_of(library) and _has_own_prior(answer, again):
+    leg = str(answer["leg"])
+    if leg in certificate_of(library) and _has_own_prior(answer, library):
         why = f"That of library {library.name} is of a uniform prior; this answer had another."
         return [Text("No certificate", (why,), wide=False)]
     if answer["verdict"] != "misfit" or leg not in certificate_of(library):
@@ -354,9 +356,10 @@ def measures(answer: Mapping[str, Any]) -> list[Part]:
     return [Table(title, ("", "found", "limit"), rows_of(told), wide=True)] if told else []
 
 
-def _density(saved: Saved, again: Again | None) -> Plot:
+def _density(saved: Saved, used: Library | None) -> Plot:
     phi = saved.answer["phi_deg"]
-    x, density = smooth_density(saved.draws_deg, bounds=again.bounds_deg if again else None)
+    bounds = None if used is None else _bounds_deg(saved.answer, used)
+    x, density = smooth_density(saved.draws_deg, bounds=bounds)
     hover = f"φ = %{{x:.{decimals(phi['ci68'], 2)}f}}°<extra></extra>"
     traces = [fig.line(x, density, "posterior density", "@blue", hovertemplate=hover)]
     for level, colour in (("ci95", "@blue/0.18"), ("ci68", "@blue/0.40")):
@@ -367,7 +370,7 @@ def _density(saved: Saved, again: Again | None) -> Plot:
         traces.append(fig.band(inside, np.zeros_like(inside), height, name, colour))
     margin = 0.5 * (phi["ci95"][1] - phi["ci95"][0])
     reach = [phi["ci95"][0] - margin, phi["ci95"][1] + margin]
-    ends = [end for end in (again.bounds_deg if again else ()) if reach[0] <= end <= reach[1]]
+    ends = [end for end in bounds or () if reach[0] <= end <= reach[1]]
     return Plot(
         title="Posterior of the friction angle",
         traces=traces,
@@ -387,13 +390,13 @@ def _density(saved: Saved, again: Again | None) -> Plot:
     )
 
 
-def _forces(saved: Saved, again: Again | None, why_not: str) -> list[Part]:
+def _forces(saved: Saved) -> list[Part]:
     half = len(saved.theta_deg)
     plots: list[Part] = []
     for name, part in (("Fx", slice(0, half)), ("Fz", slice(half, None))):
         traces = []
-        if again is not None and again.band is not None:
-            low, high = again.band[:, part]
+        if saved.band is not None:
+            low, high = saved.band[:, part]
             within = "curves within the 95 % interval"
             traces.append(fig.band(saved.theta_deg, low, high, within, "@blue/0.3"))
         traces += [
@@ -406,7 +409,7 @@ def _forces(saved: Saved, again: Again | None, why_not: str) -> list[Part]:
                 title=f"{name}: deviation {deviation:.1f} % of peak-to-peak",
                 traces=traces,
                 layout=fig.layout(fig.THETA, fig.AXIS_LABEL[name], xaxis=fig.DEGREES),
-                note=f"No band of the 95 % interval: {why_not}." if why_not else "",
+                note="" if saved.band is not None else NO_BAND,
             )
         )
     return plots
@@ -519,12 +522,6 @@ def _convergence(answer: Mapping[str, Any]) -> Table:
     return Table(title=title, header=("", ""), rows=rows, wide=True)
 
 
-STEP_DEG = 0.25
-"""Half the step of the derivative of the forces with respect to φ [deg]."""
-MOST_APART = 0.02
-"""Deviation from the saved curve at which one computed again is another's, of the peak [-]."""
-
-
 @dataclass(frozen=True)
 class Saved:
     """What a folder of an inversion holds.
@@ -541,8 +538,9 @@ class Saved:
         Observation vector and the curve at the median [N], shape [2 theta].
     share
         What each angle adds to the information on φ [-], shape [2, theta], if the file says so.
-    readings
-        Leg angles at which the record was read [rad], shape [sample], if the file says so.
+    band
+        Least and largest force of the curves within the 95 % interval [N], shape [2, 2 theta], if
+        the file says so.
     """
 
     answer: Mapping[str, Any]
@@ -551,31 +549,7 @@ class Saved:
     data: FloatArray
     best: FloatArray
     share: FloatArray | None = None
-    readings: FloatArray | None = None
-
-
-@dataclass(frozen=True)
-class Again:
-    """What follows from the library that was used.
-
-    Attributes
-    ----------
-    band
-        Smallest and largest force over the 95 % interval [N], shape [2, 2 theta]; ``None`` where
-        the library's curves are not those that were saved.
-    share
-        As :attr:`Saved.share`, of the paper's likelihood, whose covariance follows from the data;
-        else what the file says.
-    bounds_deg
-        Friction angles that the library covers [deg].
-    library
-        The library.
-    """
-
-    band: FloatArray | None
-    share: FloatArray | None
-    bounds_deg: tuple[float, float]
-    library: Library
+    band: FloatArray | None = None
 
 
 def load(path: Path) -> Saved:
@@ -586,39 +560,35 @@ def load(path: Path) -> Saved:
     if path.suffix != ".nc" and answer_file.is_file() and is_several(_answer(answer_file)):
         return Saved(_answer(answer_file), *(np.empty(0),) * 4)
     if not posterior.is_file():
-        return _checked(Saved(_answer(answer_file), *(np.empty(0),) * 4), answer_file)
+        return Saved(_answer(answer_file), *(np.empty(0),) * 4)
     import xarray as xr
 
     why = f"{posterior}: not a whole posterior as 'terraphi invert --out' writes it; make it again"
     with damage_told(why, AttributeError, TypeError):
         with xr.open_datatree(posterior, engine="h5netcdf") as opened:
             tree = opened.load()
-        answer = json.loads(tree.attrs["answer"])
+        answer = _parsed(tree.attrs["answer"])
         if is_several(answer):
             return Saved(answer, *(np.empty(0),) * 4)
-        vectors = [
+        data, best = (
             np.concatenate([_array(tree, f"{group}/{name}") for name in ("Fx", "Fz")])
             for group in ("observed_data", "posterior_predictive_mean")
-        ]
+        )
         theta = _array(tree, "observed_data/theta_deg")
         draws = _array(tree, "posterior/phi_deg")
-        share = None
+        share = band = None
         if "information_share" in tree:
             share = np.stack([_array(tree, f"information_share/{name}") for name in ("Fx", "Fz")])
-        readings = None
-        # Of schema 1, and of 2 that has several.
-        for name in ("reading_deg", "reading_0_deg"):
-            if name in tree["observed_data"]:
-                readings = np.radians(_array(tree, f"observed_data/{name}"))
-    sound = len(vectors[0]) == len(vectors[1]) == 2 * len(theta) and len(draws) >= 10
-    told = np.zeros((2, len(theta))) if share is None else share
-    sound = sound and told.shape == (2, len(theta))
-    if readings is not None:
-        sound = sound and len(readings) > 1 and bool((np.diff(readings) > 0.0).all())
-    if not sound or not all(np.isfinite(v).all() for v in (*vectors, theta, draws, told)):
+        if "curves_within_ci95" in tree:
+            ends = [_array(tree, f"curves_within_ci95/{name}") for name in ("Fx", "Fz")]
+            band = np.hstack([part.reshape(2, -1) for part in ends])
+    shapes = {(2, len(theta)): share, (2, 2 * len(theta)): band}
+    sound = len(data) == len(best) == 2 * len(theta) and len(draws) >= 10
+    sound = sound and all(part is None or part.shape == shape for shape, part in shapes.items())
+    told = [part for part in (data, best, theta, draws, share, band) if part is not None]
+    if not sound or not all(np.isfinite(part).all() for part in told):
         raise InputError(f"{posterior}: its arrays do not fit each other; make it again")
-    saved = Saved(answer, draws, theta, vectors[0], vectors[1], share, readings)
-    return _checked(saved, posterior)
+    return Saved(answer, draws, theta, data, best, share, band)
 
 
 def _array(tree: Any, name: str) -> FloatArray:
@@ -626,46 +596,32 @@ def _array(tree: Any, name: str) -> FloatArray:
 
 
 def _answer(path: Path) -> dict[str, Any]:
+    why = f"{path}: not an answer of 'terraphi invert --out'; make it again"
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = _parsed(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not an answer of 'terraphi invert --out'") from error
-    if not isinstance(found, dict):
-        raise InputError(f"{path}: not an answer of 'terraphi invert --out'")
+        raise InputError(why) from error
+    if not isinstance(found, dict) or not {"phi_deg", "verdict", "reason"} <= found.keys():
+        raise InputError(why)
     return found
 
 
-def _checked(saved: Saved, path: Path) -> Saved:
-    """Refuse an answer without what every answer has."""
-    answer = saved.answer
-    try:
-        for name in ("phi_deg", "phi_plane_strain_deg"):
-            if name == "phi_deg" or answer[name] is not None:
-                numbers = [answer[name]["median"], *answer[name]["ci68"], *answer[name]["ci95"]]
-                _, low, high, lower, higher = map(float, numbers)
-                assert np.isfinite([float(n) for n in numbers]).all()
-                assert low <= high
-                assert lower <= higher
-        rest = [answer["density_kg_m3"], *(answer["nrmsd"][name] for name in ("Fx", "Fz"))]
-        assert np.isfinite([float(n) for n in rest]).all()
-        for name in ("source", "leg", "library", "likelihood", "sampler", "verdict", "reason"):
-            assert isinstance(answer[name], str)
-        assert isinstance(answer["convergence"], dict)
-        assert isinstance(answer.get("provenance", {}), dict)
-    except (KeyError, TypeError, ValueError, AssertionError) as error:
-        raise InputError(f"{path}: not an answer of 'terraphi invert --out'; make it again") from (
-            error
-        )
-    return saved
+def _parsed(text: str) -> Any:
+    """JSON of numbers that are some; raises ValueError."""
+
+    def no_number(name: str) -> None:
+        raise ValueError(f"{name} is no number")
+
+    return json.loads(text, parse_constant=no_number)
 
 
-def recomputed(saved: Saved, name: str | None) -> tuple[Again | None, str]:
-    """What follows from the library, and why what is ``None`` cannot be had.
+def library_of(answer: Mapping[str, Any], name: str | None) -> Library | None:
+    """The library that was used, or None if it is not at hand.
 
     Parameters
     ----------
-    saved
-        The inversion.
+    answer
+        The inversion's.
     name
         Name or file of the library; by default the shipped one of the name in the answer.
 
@@ -674,59 +630,16 @@ def recomputed(saved: Saved, name: str | None) -> tuple[Again | None, str]:
     InputError
         If a library was named and is not the one that was used.
     """
-    answer = saved.answer
-    if not saved.draws_deg.size:
-        return None, "posterior.nc does not lie beside the answer"
-    wanted = answer.get("provenance", {}).get("library_hash")
     used = str(answer["library"])
     try:
         # Never a path out of somebody's file.
         found = Library.load(name or Path(used).name.removesuffix(".nc"))
-    except InputError as error:
+    except InputError:
         if name is not None:
             raise
-        return None, f"the library '{used}' is not at hand ({error}); name it with --library"
-    if wanted != found.hash:
-        why = f"library '{name or used}' is not the one that was used, or of another version"
-        if name is not None:
-            raise InputError(why)
-        return None, why
-    again, apart = _again(saved, found)
-    if apart > MOST_APART:
-        why = f"the curve at the median comes out {apart:.1%} of the peak from the saved"
-        return replace(again, band=None, share=None), why
-    return again, ""
-
-
-def _surrogate(
-    library: Library, leg: str, likelihood: str, readings: FloatArray | None
-) -> tuple[LegSurrogate | JointSurrogate, float]:
-    """Surrogate that a likelihood takes, and the density of the library's soil [kg/m³]."""
-    if likelihood == "calibrated":
-        prepared = prepare(library, leg, readings=readings)
-        return prepared.surrogate, prepared.curves.scenario.soil.density
-    curves = library.curves(leg, readings=readings)
-    made = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
-    return made, curves.scenario.soil.density
-
-
-def _again(saved: Saved, library: Library) -> tuple[Again, float]:
-    """What follows, and how far the curve at the median is from the saved one, of its peak [-]."""
-    answer = saved.answer
-    leg, likelihood = str(answer["leg"]), str(answer["likelihood"])
-    surrogate, density = _surrogate(library, leg, likelihood, saved.readings)
-    scale = float(answer["density_kg_m3"]) / density
-    phi = answer["phi_deg"]
-    low, high = phi["ci95"]
-    inside = surrogate.predict(np.linspace(low, high, 101), scale=scale)
-    share = saved.share
-    if answer["likelihood"] == "paper":
-        low, high = surrogate.phi_bounds_deg
-        at = np.clip(phi["median"] + np.array([-STEP_DEG, STEP_DEG]), low, high)
-        before, after = surrogate.predict(at, scale=scale)
-        slope = (after - before) / (at[1] - at[0])
-        share = information_share(PaperLikelihood(saved.data, saved.theta_deg).covariance, slope)
-    band = np.stack([inside.min(axis=0), inside.max(axis=0)])
-    best = surrogate.predict(np.array([phi["median"]]), scale=scale)[0]
-    apart = float(np.abs(best - saved.best).max() / np.abs(saved.best).max())
-    return Again(band, share, surrogate.phi_bounds_deg, library), apart
+        return None
+    if answer.get("provenance", {}).get("library_hash") == found.hash:
+        return found
+    if name is not None:
+        raise InputError(f"library '{name}' is not the one that was used, or of another version")
+    return None

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import importlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from terraphi.experiment.documents import shipped_names
 from terraphi.experiment.errors import InputError
@@ -159,11 +160,13 @@ def sections(
         )
     animated = sum(place is not None for place in partner.values()) or 1
     made = []
-    for result in results:
-        if result.kind != "fields":
-            fields_ = partner.get(result.path)
-            maker = _maker(result.kind, library, robot, fields_, 1.0 / animated)
-            made.append(_made(maker, result.path))
+    for kind, path in (result for result in results if result.kind != "fields"):
+        options: dict[str, Any] = {"library": library} if kind == "inversion" else {}
+        if kind == "simulation":
+            options = {"fields": partner[path], "share": 1.0 / animated}
+        elif kind in ("robot", "log"):
+            options = {"robot": robot}
+        made.append(_made(kind, path, options))
     return made
 
 
@@ -175,42 +178,18 @@ def _answers_in(source: str) -> list[str]:
     return sorted(str(answer.parent) for answer in place.glob("*/answer.json")) or [source]
 
 
-def _made(maker: Callable[[Path], Section], path: Path) -> Section:
+def _made(kind: Kind, path: Path, options: Mapping[str, Any]) -> Section:
     """Make a section; a file with unexpected content raises InputError."""
+    module = importlib.import_module(f"terraphi.view.report.{'robot' if kind == 'log' else kind}")
     try:
-        section = maker(path)
+        section: Section = module.section(path, **options)
         page.embedded(page.drawings([section]))
-    except InputError:
-        raise
     except (AssertionError, AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
         reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise InputError(f"{path}: not as terraphi writes it ({reason}); make it again") from error
     return section
-
-
-def _maker(
-    kind: Kind, library: str | None, robot: str, fields: Path | None, share: float
-) -> Callable[[Path], Section]:
-    """The function that makes a section; its module is imported only when needed."""
-    if kind == "inversion":
-        from terraphi.view.report import inversion
-
-        return lambda path: inversion.section(path, library=library)
-    if kind == "library":
-        from terraphi.view.report import library as simulations
-
-        return simulations.section
-    if kind == "study":
-        from terraphi.view.report import study
-
-        return study.section
-    if kind == "simulation":
-        from terraphi.view.report import simulation
-
-        return lambda path: simulation.section(path, fields, share=share)
-    from terraphi.view.report import robot as walk
-
-    return lambda path: walk.section(path, robot=robot)
 
 
 def _scenario_of(fields: Path) -> str:

@@ -134,7 +134,8 @@ def section(path: Path, *, robot: str = "go2") -> Section:
     """
     if path.suffix == ".nc":
         shown = Forces.read(path)
-        compared, why_not = _from_its_log(shown, robot)
+        compared: dict[str, Forces] = {}
+        why_not = "'terraphi report LOG' compares them"
     else:
         compared, why_not = comparison(path, robot=Quadruped.load(robot))
         if not compared:
@@ -147,58 +148,32 @@ def section(path: Path, *, robot: str = "go2") -> Section:
         kind="robot log",
         title=Path(str(shown.provenance.get("log", {}).get("source", path.name))).name,
         headline=_headline(shown.summary),
-        reason=" ".join(f"{note[:1].upper()}{note[1:]}." for note in _notes(shown.summary)),
+        reason=" ".join(
+            f"{note[:1].upper()}{note[1:]}." for note in shown.summary.get("notes", ())
+        ),
         parts=parts,
         provenance={"result": path.name, **shown.provenance},
     )
 
 
-def _notes(summary: Mapping[str, Any]) -> list[str]:
-    return [str(note) for note in summary.get("notes", [])]
-
-
-def comparison(
-    path: Path, *, robot: Quadruped, frame: Any = None, topic: str | None = None
-) -> tuple[dict[str, Forces], str]:
+def comparison(path: Path, *, robot: Quadruped) -> tuple[dict[str, Forces], str]:
     """Run every estimator on a log; if one fails, the error of the last that did.
 
-    In the frame of the world unless one is named, or of the body if the log has no attitude.
+    In the frame of the world, or of the body if the log has no attitude.
     """
-    log = read_log(path, topic=topic, motors=robot.joint_order, precision="single")
+    log = read_log(path, motors=robot.joint_order, precision="single")
     log = replace(log, report={"source": str(path), **log.report})
-    chosen: Any = frame or ("body" if log.quaternion is None else "world")
+    frame: Any = "body" if log.quaternion is None else "world"
     found: dict[str, Forces] = {}
     why_not = ""
     for estimator in ESTIMATORS:
         try:
             found[estimator] = Forces.of(
-                analyse(log, robot=robot, estimator=estimator, frame=chosen)
+                analyse(log, robot=robot, estimator=estimator, frame=frame)
             )
         except InputError as error:
             why_not = f"{path}: {error}"
     return found, why_not
-
-
-def _from_its_log(shown: Forces, robot: str) -> tuple[dict[str, Forces], str]:
-    """All estimators on the log that a file names, if it is still there."""
-    known = shown.provenance
-    source = known.get("log", {}).get("source")
-    how = "'terraphi report LOG' compares them"
-    if not source or not Path(str(source)).exists():
-        return {}, f"the log that they come from is not at hand; {how}"
-    try:
-        body = Quadruped.load(robot)
-        if body.name != known.get("robot"):
-            return {}, f"they are of the robot '{known.get('robot')}'; name it with --robot"
-        log = known["log"]
-        frame, topic = shown.summary["frame"], log.get("topic")
-        found = comparison(Path(str(source)), robot=body, frame=frame, topic=topic)
-        others = next(iter(found[0].values()), None)
-        if others is not None and others.summary["samples"] != shown.summary["samples"]:
-            return {}, f"the log that lies there now is another; {how}"
-        return found
-    except (OSError, KeyError, InputError) as error:
-        return {}, f"the log that they come from cannot be read ({error}); {how}"
 
 
 def _headline(summary: Mapping[str, Any]) -> str:
@@ -214,7 +189,7 @@ def _headline(summary: Mapping[str, Any]) -> str:
 
 
 def _feet_table(summary: Mapping[str, Any]) -> Table:
-    rows = {**{f"{FOOT_NAMES[f]}": summary["feet"][f] for f in FEET}, "all": summary["pooled"]}
+    rows = {**{FOOT_NAMES[f]: summary["feet"][f] for f in FEET}, "all": summary["pooled"]}
     return Table(
         "In numbers",
         ("foot", "stances", "duration [s]", "peak Fz [N]", "peak Fx [N]"),
@@ -322,26 +297,23 @@ def _ensemble(shown: Forces) -> list[Part]:
     for axis in ("z", "x"):
         column = AXES.index(axis)
         mean, spread = shown.pooled[:, column], shown.spread[:, column]
+        around = (mean - spread, mean + spread, "± one standard deviation", "@grey/0.3")
         traces = [
-            fig.band(shown.part, mean - spread, mean + spread, "± one standard deviation",
-                     "@grey/0.3"),
+            fig.band(shown.part, *around),
             fig.line(shown.part, mean, f"all, {len(shown.stances)} stances", "@ink"),
-        ]  # fmt: skip
-        for i, foot in enumerate(FEET):
-            if np.isfinite(shown.feet[i, :, column]).any():
+        ]
+        for foot, one in zip(FEET, shown.feet[:, :, column], strict=True):
+            if np.isfinite(one).any():
                 colour, dash = LOOKS[foot]
-                traces.append(
-                    fig.line(shown.part, shown.feet[i, :, column], foot, colour, dash=dash)
-                )
-        plots.append(
-            Plot(
-                title=f"Mean stance, F{axis}",
-                traces=traces,
-                layout=fig.layout("normalised time in the stance [-]", fig.AXIS_LABEL[f"F{axis}"]),
-                height=340,
-            )
-        )
+                traces.append(fig.line(shown.part, one, foot, colour, dash=dash))
+        plots.append(_stance_plot("Mean stance", axis, traces))
     return plots
+
+
+def _stance_plot(title: str, axis: str, traces: Sequence[Mapping[str, Any]]) -> Plot:
+    """One force over the normalised time of a stance."""
+    layout = fig.layout("normalised time in the stance [-]", fig.AXIS_LABEL[f"F{axis}"])
+    return Plot(title=f"{title}, F{axis}", traces=traces, layout=layout, height=340)
 
 
 def _comparison(compared: Mapping[str, Forces], why_not: str) -> list[Part]:
@@ -358,14 +330,7 @@ def _comparison(compared: Mapping[str, Forces], why_not: str) -> list[Part]:
             fig.line(forces.part, forces.pooled[:, column], NAMES[name], colour, dash=dash)
             for (name, forces), (colour, dash) in zip(walked.items(), LOOKS.values(), strict=False)
         ]
-        plots.append(
-            Plot(
-                title=f"{title}: mean stance, F{axis}",
-                traces=traces,
-                layout=fig.layout("normalised time in the stance [-]", fig.AXIS_LABEL[f"F{axis}"]),
-                height=340,
-            )
-        )
+        plots.append(_stance_plot(f"{title}: mean stance", axis, traces))
     rows = [(NAMES[name], *_figures(f.summary["pooled"])) for name, f in compared.items()]
     header = ("estimator", "stances", "duration [s]", "peak Fz [N]", "peak Fx [N]")
     missing = f"Left out, as it could not be had: {why_not}." if why_not else ""

@@ -46,7 +46,7 @@ class Frame(NamedTuple):
     """Corners (x, z) [m], shape [corner, 2]."""
 
 
-def section(history_file: Path, fields: Path | None, *, share: float = 1.0) -> Section:
+def section(history_file: Path, *, fields: Path | None, share: float = 1.0) -> Section:
     """Report of a simulation.
 
     Parameters
