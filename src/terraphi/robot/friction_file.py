@@ -88,7 +88,8 @@ def read_friction(path: Path | str) -> JointFriction:
         numbers[:, at] = joint.coulomb_Nm, joint.viscous_Nms, joint.inertia_kgm2
         found[at] = True
     shape = len(FEET), len(JOINTS)
-    return JointFriction(*numbers.reshape(3, *shape), found.reshape(shape))
+    coulomb, viscous, inertia = numbers.reshape(3, *shape)
+    return JointFriction(coulomb, viscous, inertia, found.reshape(shape))
 
 
 def write_friction(friction: JointFriction, path: Path | str, *, robot: str, source: str) -> None:

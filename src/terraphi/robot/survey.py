@@ -171,9 +171,10 @@ def _alternate(
         return friction, swings, np.array(scales)
 
     left = [w.torque for w in windows]
-    for leave in weight * np.array(LEAVE_SHARES):
-        high = tried(HIGH_PART, leave)
-    low = tried(LOW_PART, leave)
+    for share in LEAVE_SHARES[:-1]:
+        tried(HIGH_PART, share * weight)
+    high = tried(HIGH_PART, LEAVE_SHARES[-1] * weight)
+    low = tried(LOW_PART, LEAVE_SHARES[-1] * weight)
     # Soil that a foot scratches there would show as torques that no friction explains.
     scratched = np.any(low[2] > MOST_SCRATCHED * high[2])
     friction, swings, _ = high if scratched else low
