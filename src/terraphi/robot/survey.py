@@ -136,7 +136,7 @@ def survey(
     deviations = [contact_torque(w.seen, robot, settings, kept)[w.inner] for w in windows]
     deviation, swing = np.concatenate(deviations), np.concatenate(swings)
     for foot in np.flatnonzero(swing.any(axis=0)):
-        residual[foot] = [spread(column) for column in deviation[swing[:, foot], foot].T]
+        residual[foot] = [_magnitude(column) for column in deviation[swing[:, foot], foot].T]
     steps = np.concatenate([np.diff(w.seen.torque, axis=0) for w in windows])
     ceiling = _ceiling(np.concatenate([w.seen.torque[w.inner] for w in windows]))
     return Survey(kept, residual, _resolution(steps), _noise(steps), swing.mean(axis=0), ceiling)
@@ -207,6 +207,11 @@ def _ceiling(torque: FloatArray) -> FloatArray:
     cut &= 2 * np.count_nonzero(there[1:] & there[:-1], axis=0) > count
     cut &= largest > CUT_OVER_QUARTILE * np.quantile(size, 0.25, axis=0)
     return np.asarray(np.where(cut, largest, np.inf))
+
+
+def _magnitude(deviation: FloatArray) -> float:
+    """Root mean square of errors, those that are far out cut short; right for ±c as for a bell."""
+    return float(np.sqrt(np.mean(np.minimum(np.abs(deviation), 3.0 * spread(deviation)) ** 2)))
 
 
 def _noise(steps: FloatArray) -> FloatArray:
