@@ -95,10 +95,8 @@ def doubts(log: JointLog, robot: Quadruped, forces: FootForces, found: Balance |
     tilted = forces.frame == "body"
     legs = _of_legs(log, robot, np.nan_to_num(forces.force[..., 2]))
     if found is not None and found.push > MOST_PUSH and not tilted and not legs:
-        legs = [
-            f"the feet push the robot sideways with {found.push:.0%} of its weight all the time: "
-            "are the angles' zeros and the attitude right?"
-        ]
+        push = f"the feet push the robot sideways with {found.push:.0%} of its weight all the time"
+        legs = [f"{push}: are the angles' zeros and the attitude right?"]
     return said + legs
 
 
@@ -119,14 +117,10 @@ def _of_weight(found: Balance | None, robot: Quadruped) -> list[str]:
         )
     if abs(lift - 1.0) <= WEIGHT_AGREEMENT or lift < HANGING_SHARE:
         return []
-    likely = (
-        f": are torques in {unit}?"
-        if unit
-        else (
-            f": are torques about {1.0 / lift:.2g} times as large, or its mass {lift * robot.mass:.3g} kg?"
-        )
-    )
-    return [bears + likely]
+    if unit:
+        return [f"{bears}: are torques in {unit}?"]
+    factor, mass = 1.0 / lift, lift * robot.mass
+    return [f"{bears}: are torques about {factor:.2g} times as large, or its mass {mass:.3g} kg?"]
 
 
 def _of_angles(log: JointLog) -> list[str]:
@@ -161,10 +155,8 @@ def _of_legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[str]:
     best = min(orders, key=orders.__getitem__)
     if orders[best] < EXCHANGED * _size(sliding):
         moves = (f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(best) if i != j)
-        return [
-            f"feet that stand slide at {_size(sliding):.2g} m/s, and at {orders[best]:.2g} m/s if "
-            f"legs were exchanged: {', '.join(moves)}; check the order of the joints"
-        ]
+        other = f"at {orders[best]:.2g} m/s if legs were exchanged: {', '.join(moves)}"
+        return [f"{_slide(sliding)}, and {other}; check the order of the joints"]
     return _of_zeros(seen, angle, velocity, load, sliding)
 
 
@@ -177,16 +169,14 @@ def _of_zeros(
     best, off, gain = "", 0.0, 0.0
     for name, shift in shifts.items():
         slope = (seen.sliding(angle + 0.02 * shift, velocity, load) - sliding) / 0.02
-        by = float(np.vdot(slope, -sliding) / max(np.vdot(slope, slope), 1e-30))
+        by = float(np.sum(-slope * sliding) / max(float(np.sum(slope**2)), 1e-30))
         left = _size(sliding + by * slope) / _size(sliding)
         if 1.0 - left > gain:
             best, off, gain = name, -by, 1.0 - left
     if gain < OFF_GAIN or abs(off) < OFF_RAD:
         return []
-    return [
-        f"feet that stand slide at {_size(sliding):.2g} m/s, and {gain:.0%} less if the angle of "
-        f"{best} were {off:+.2f} rad off: check the zeros of the joints"
-    ]
+    other = f"{gain:.0%} less if the angle of {best} were {off:+.2f} rad off"
+    return [f"{_slide(sliding)}, and {other}: check the zeros of the joints"]
 
 
 class _Stands(NamedTuple):
@@ -214,3 +204,7 @@ class _Stands(NamedTuple):
 
 def _size(sliding: FloatArray) -> float:
     return float(np.sqrt(np.sum(sliding**2) / len(sliding)))
+
+
+def _slide(sliding: FloatArray) -> str:
+    return f"feet that stand slide at {_size(sliding):.2g} m/s"
