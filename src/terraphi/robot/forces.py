@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -58,6 +58,28 @@ MOST_THREADS = 4
 
 
 @dataclass(frozen=True)
+class Priors:
+    """Errors that all samples of a log share, as standard deviations; what is known of none is 0.
+
+    Attributes
+    ----------
+    gain
+        Of each joint's torque, independently [-].
+    coulomb_Nm
+        Of the Coulomb friction of a joint that was neither told nor seen in swing [N m].
+    friction_part
+        Of a friction that is known, against that under load [-].
+    attitude_deg
+        Of roll and of pitch [deg].
+    """
+
+    gain: float = 0.05
+    coulomb_Nm: float = 0.2
+    friction_part: float = 0.2
+    attitude_deg: float = 1.0
+
+
+@dataclass(frozen=True)
 class FootForces:
     """Forces of the ground on the feet, over time.
 
@@ -71,7 +93,10 @@ class FootForces:
         Of the ground on the robot [N], shape [sample, foot, 3], feet in the order of
         :data:`~terraphi.robot.joint_log.FEET`; NaN where flagged.
     sigma
-        Standard uncertainty of each component [N], same shape.
+        Standard uncertainty of each component [N], same shape: noise, and what all samples share
+        by :class:`Priors`.
+    noise
+        Part of it that differs from sample to sample [N], same shape.
     flagged
         The knee is near-singular: torques do not tell the force; shape [sample, foot].
     saturated
@@ -85,7 +110,7 @@ class FootForces:
         ``world``: x where the world's x points, z up; ``heading``: x where the robot heads, level,
         z up; ``body``: x forward, y left, tilted with the trunk.
     friction
-        Of the joints, as found in swing and accounted for; ``None`` if it was not.
+        Of the joints, as given or found in swing and accounted for; ``None`` if it was not.
     provenance
         Robot, options and what was assumed; JSON-able.
     """
@@ -93,6 +118,7 @@ class FootForces:
     time: FloatArray
     force: SingleArray
     sigma: SingleArray
+    noise: SingleArray
     flagged: BoolArray
     saturated: BoolArray
     swing_residual: FloatArray
@@ -108,10 +134,11 @@ def estimate(
     robot: Quadruped,
     estimator: Estimator = DEFAULT_ESTIMATOR,
     frame: Frame = "world",
-    friction: bool = True,
+    friction: bool | JointFriction = True,
     gain: float = OBSERVER_GAIN,
     cutoff_hz: float = ACCELERATION_CUTOFF_HZ,
     causal: bool = False,
+    priors: Priors | None = None,
 ) -> FootForces:
     """Forces of the ground on the feet.
 
@@ -131,13 +158,16 @@ def estimate(
     frame
         ``world`` or ``heading``, by the log's attitude, or ``body``.
     friction
-        Find the joints' friction in swing and take it off; ``quasi_static`` does not.
+        Find the joints' friction in swing and take it off, or take off what is given;
+        ``quasi_static`` does neither.
     gain
         K of the momentum observer [1/s]; its bandwidth is K/2π.
     cutoff_hz
         −3 dB frequency of the accelerations in ``inverse_dynamics`` [Hz].
     causal
         Run the observer forwards only, as on board: forces lag by 1/K.
+    priors
+        Errors of torques and attitude that sigma allows for; by default those of :class:`Priors`.
 
     Returns
     -------
@@ -161,10 +191,11 @@ def estimate(
     # A frame or two are read as well: of a robot at rest, for they say nothing of accelerations.
     gap = GAP_STEPS * float(np.median(np.diff(log.time))) if len(log.time) > 1 else math.inf
     settings = Settings(estimator, gain, cutoff_hz, causal, gap)
-    overview = survey(log, robot, settings, friction=friction and estimator != "quasi_static")
+    overview = survey(log, robot, settings, friction=estimator != "quasi_static" and friction)
     noise, limit = _torque_sigma(overview), _torque_limit(robot, overview)
     force = np.empty((len(log.time), 4, 3), dtype=np.float32)
-    sigma = np.empty_like(force)
+    sigma, independent = np.empty_like(force), np.empty_like(force)
+    shared = Priors() if priors is None else priors
     flagged = np.empty((len(log.time), 4), dtype=np.bool_)
     saturated = np.empty_like(flagged)
 
@@ -175,11 +206,15 @@ def estimate(
         torque, rows = torque[chunk.inner], slice(chunk.start, chunk.stop)
         if overview.friction is not None:
             doubt += overview.friction.doubt(seen.velocity[chunk.inner]) ** 2
+        systematic = _shared_variance(seen, chunk.inner, overview, shared)
         inverse, near = _leverage(seen, robot, chunk, settings, frame)
         with np.errstate(over="ignore", invalid="ignore"):  # where a knee is singular
             force[rows] = np.einsum("sfij,sfj->sfi", inverse, torque)
-            sigma[rows] = np.sqrt(np.einsum("sfij,sfj->sfi", inverse**2, doubt))
-        force[rows][near], sigma[rows][near] = np.nan, np.nan
+            variance = np.einsum("sfij,sfj->sfi", inverse**2, doubt)
+            independent[rows] = np.sqrt(variance)
+            variance += np.einsum("sfij,sfj->sfi", inverse**2, systematic)
+            sigma[rows] = np.sqrt(variance + _tilt_variance(force[rows], frame, shared))
+        force[rows][near], sigma[rows][near], independent[rows][near] = np.nan, np.nan, np.nan
         flagged[rows], saturated[rows] = near, _at_limit(seen.torque[chunk.inner], limit)
 
     # NumPy lets other threads run while it works.
@@ -189,13 +224,14 @@ def estimate(
         time=np.asarray(log.time, dtype=np.float64),
         force=force,
         sigma=sigma,
+        noise=independent,
         flagged=flagged,
         saturated=saturated,
         swing_residual=overview.residual,
         estimator=estimator,
         frame=frame,
         friction=overview.friction,
-        provenance=_provenance(log, robot, settings, frame, overview, doubts),
+        provenance=_provenance(log, robot, settings, frame, overview, doubts, shared),
     )
 
 
@@ -255,6 +291,29 @@ def _torque_sigma(overview: Survey) -> FloatArray:
     elif unknown.any():
         residual[unknown] = np.median(residual[~unknown], axis=0)
     return np.asarray(np.sqrt(residual**2 + overview.resolution**2 / 12.0))
+
+
+def _shared_variance(seen: Signals, inner: slice, overview: Survey, priors: Priors) -> FloatArray:
+    """Variance of contact torques by gains and friction that are not known exactly [N² m²].
+
+    Friction that is not known shows in the torques of a foot that swings, and is in their spread.
+    """
+    lost = np.where(np.isnan(overview.residual), priors.coulomb_Nm, 0.0)
+    if overview.friction is not None:
+        known = priors.friction_part * overview.friction.torque(seen.velocity[inner])
+        lost = np.where(overview.friction.found, known, lost)
+    return np.asarray(np.square(priors.gain * seen.torque[inner]) + np.square(lost))
+
+
+def _tilt_variance(force: SingleArray, frame: Frame, priors: Priors) -> FloatArray:
+    """Variance of forces in level axes by an attitude that is not known exactly [N²].
+
+    A small turn ε about level axes moves a force by ε × f = (ε_y f_z, −ε_x f_z, ε_x f_y − ε_y f_x).
+    """
+    if frame == "body":
+        return np.zeros(force.shape)
+    squares = np.square(math.radians(priors.attitude_deg) * force.astype(np.float64))
+    return np.stack([squares[..., 2], squares[..., 2], squares[..., :2].sum(axis=-1)], axis=-1)
 
 
 def _timing_variance(time: FloatArray, torque: FloatArray, gap: float) -> FloatArray:
@@ -368,6 +427,7 @@ def _provenance(
     frame: Frame,
     overview: Survey,
     doubts: list[str],
+    shared: Priors,
 ) -> dict[str, Any]:
     assumed = list(doubts)
     if log.quaternion is None:
@@ -393,6 +453,7 @@ def _provenance(
         "causal": settings.causal,
         "cutoff_hz": settings.cutoff if settings.estimator == "inverse_dynamics" else None,
         "contact_point": "ball centre" if settings.estimator == "quasi_static" else "ball bottom",
+        "priors": asdict(shared),
         "friction": None if lost is None else lost.summary(),
         "torque_resolution_Nm": overview.resolution.tolist(),
         "swing_share": dict(zip(FEET, overview.swing.tolist(), strict=True)),
