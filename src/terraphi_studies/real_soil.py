@@ -239,7 +239,7 @@ def study_of(
         "discrepancy": learnt.as_dict(),
     }
     documents = {
-        f"{NAME}.md": page(table, METHOD, notes, f"{NAME}.png", PICTURE),
+        **page(NAME, table, METHOD, notes, PICTURE),
         f"{learnt.library}.json": as_text(learnt.as_dict()) + "\n",
     }
     figures = {NAME: measured_figure(answers)}
