@@ -28,6 +28,7 @@ from terraphi.cli.report import report
 from terraphi.cli.simulate import simulate
 from terraphi.cli.study import study
 from terraphi.cli.suggest import library_suggest
+from terraphi.cli.terrain import convert, export
 from terraphi.experiment.errors import InputError, SimulationError
 from terraphi.view.console import (
     ignore_interrupts,
@@ -145,6 +146,8 @@ cli.add_command(report)
 cli.add_command(app)
 cli.add_command(keys)
 cli.add_command(doctor)
+cli.add_command(export)
+cli.add_command(convert)
 
 
 library.add_command(library_calibrate)
