@@ -101,3 +101,44 @@ def test_the_engine_yields_at_the_angle_that_was_meant(name, material, path) -> 
     for phi in PHI:
         stress = elements.load(material(elements.told(name, phi)), path)
         assert elements.mobilised_deg(stress) == pytest.approx(phi, abs=0.2)
+
+
+def test_landlab_has_the_same_slope_with_its_own_triangle() -> None:
+    """Dry, with cohesion."""
+    landlab = pytest.importorskip("landlab")
+    from landlab.components import LandslideProbability
+
+    from terraphi.terrain.slopes import Sample
+
+    slope, mode = 36.0, 31.0
+    grid = landlab.RasterModelGrid((5, 5), xy_spacing=10.0)
+    for name, value in {
+        "topographic__slope": np.tan(np.radians(slope)),
+        "topographic__specific_contributing_area": 50.0,
+        "soil__transmissivity": 20.0,
+        "soil__saturated_hydraulic_conductivity": 20.0,
+        "soil__mode_total_cohesion": 2500.0,
+        "soil__minimum_total_cohesion": 2499.0,
+        "soil__maximum_total_cohesion": 2501.0,
+        "soil__internal_friction_angle": mode,
+        "soil__density": 2000.0,
+        "soil__thickness": 1.0,
+    }.items():
+        grid.add_full(name, value, at="node")
+    np.random.seed(0)  # noqa: NPY002 - landlab's own generator
+    theirs = LandslideProbability(
+        grid, number_of_iterations=4000, groundwater__recharge_distribution="uniform",
+        groundwater__recharge_min_value=1e-7, groundwater__recharge_max_value=1e-6,
+    )  # fmt: skip
+    theirs.calculate_landslide_probability()
+    node = grid.core_nodes[4]
+    rng = np.random.default_rng(0)
+    # It draws the thickness too, from 30 % below what it is told to 30 % above.
+    depth = rng.triangular(0.7, 1.0, 1.3, 100_000)
+    still = np.zeros_like(depth)
+    sample = Sample(still, 2500.0 / (2000.0 * 9.81 * depth), still, still + 0.5)
+    a, b = sample.terms(np.radians([slope]))
+    phi = rng.triangular(0.82 * mode, mode, 1.32 * mode, depth.size)
+    ours = (a[0] + b[0] * np.tan(np.radians(phi)) < 1.0).mean()
+    assert 0.2 < ours < 0.8
+    assert grid.at_node["landslide__probability_of_failure"][node] == pytest.approx(ours, abs=0.03)

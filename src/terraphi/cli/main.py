@@ -28,7 +28,7 @@ from terraphi.cli.report import report
 from terraphi.cli.simulate import simulate
 from terraphi.cli.study import study
 from terraphi.cli.suggest import library_suggest
-from terraphi.cli.terrain import convert, export
+from terraphi.cli.terrain import convert, export, slope_map
 from terraphi.experiment.errors import InputError, SimulationError
 from terraphi.view.console import (
     ignore_interrupts,
@@ -148,6 +148,7 @@ cli.add_command(keys)
 cli.add_command(doctor)
 cli.add_command(export)
 cli.add_command(convert)
+cli.add_command(slope_map)
 
 
 library.add_command(library_calibrate)

@@ -17,7 +17,7 @@ from terraphi.cli.options import (
     json_option,
 )
 from terraphi.experiment.errors import InputError
-from terraphi.view.console import print_json
+from terraphi.view.console import print_json, progress_bar
 
 file_type = click.Path(path_type=Path)
 dp_type_option = click.option(
@@ -115,3 +115,51 @@ def convert(
         return
     for sentence in converted_in_words(told):
         click.echo(sentence)
+
+
+@click.command("map")
+@click.argument("points", type=file_type)
+@click.option("--dem", required=True, type=file_type, help="Elevations: a GeoTIFF in metres.")
+@click.option("--out", required=True, type=file_type, help="Folder for the maps.")
+@click.option(
+    "--prior",
+    multiple=True,
+    metavar="KEY=PRIOR",
+    help="LOW:HIGH, MEAN+-SD or VALUE of cohesion_Pa, root_cohesion_Pa, root_loss, depth_m "
+    "(normal to the slope), wetness or density_kg_m3; may be repeated.",
+)
+@click.option("--wetness", type=file_type, help="Raster of the saturated share, 0 to 1.")
+@click.option("--covariate", type=file_type, help="Raster that φ may follow, as burn severity.")
+@click.option(
+    "--draws", type=IntRange(16, 4096), default=128, show_default=True, help="Joint draws."
+)
+@click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of draws.")
+@json_option
+def slope_map(points: Path, dem: Path, out: Path, as_json: bool, **options: Any) -> None:
+    """Map how likely slopes are to slide, from friction angles at POINTS.
+
+    POINTS is a CSV with the columns x_m,y_m,phi_deg,sd_deg and, if known, shared_sd_deg (of an
+    error that all points have in common), in the coordinate system of the DEM; or a NetCDF of
+    footfalls. A foot probes centimetres and slopes fail at metres: see the page on maps.
+
+    Example: terraphi map points.csv --dem dem.tif --out slopes
+    """
+    from terraphi.experiment.outputs import check_folder, filling
+    from terraphi.terrain.map import KIND, LAYERS, SUMMARY, in_words, map_slopes
+    from terraphi.view import plots
+    from terraphi.view.slope_plots import map_figure
+
+    picture = "map.png"
+    names = [*(f"{name}.tif" for name in LAYERS), SUMMARY, picture]
+    check_folder(out, kind=KIND, names=names)
+    with progress_bar("mapping") as report:
+        found = map_slopes(points, dem, progress=report, **options)
+    with filling(out, kind=KIND, last=SUMMARY) as made:
+        found.write(made)
+        plots.save(map_figure(found), made.joinpath(picture))
+    if as_json:
+        print_json(found.summary)
+        return
+    for sentence in in_words(found.summary):
+        click.echo(sentence)
+    click.echo(f"Written: {out}/{', '.join(names)}")
