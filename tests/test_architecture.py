@@ -21,6 +21,7 @@ ROOMS = [
     "surrogate",
     "inference",
     "robot",
+    "terrain",
     "view",
     "cli",
     "terraphi_studies",

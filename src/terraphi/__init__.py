@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from terraphi.experiment.soil import Soil
     from terraphi.forward import simulate
     from terraphi.inference.inversion import Inversion, invert
+    from terraphi.inference.many import invert_many
     from terraphi.library.build import build
     from terraphi.library.plan import Plan
     from terraphi.library.store import Library
@@ -35,6 +36,7 @@ _HOMES = {
     "Translation": "experiment.motion",
     "build": "library.build",
     "invert": "inference.inversion",
+    "invert_many": "inference.many",
     "simulate": "forward",
 }
 
@@ -52,6 +54,7 @@ __all__ = [
     "Translation",
     "build",
     "invert",
+    "invert_many",
     "simulate",
 ]
 

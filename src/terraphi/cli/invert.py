@@ -21,7 +21,7 @@ from terraphi.cli.options import (
     library_names,
 )
 from terraphi.experiment.errors import InputError
-from terraphi.view.console import as_text, print_inversion, print_json
+from terraphi.view.console import as_text, print_inversion, print_json, progress_bar
 
 if TYPE_CHECKING:
     from terraphi.experiment.measurements import Measurement
@@ -97,12 +97,19 @@ MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
     type=click.Path(path_type=Path),
     help="Folder for answer.json, posterior.nc (opens in ArviZ) and figures.",
 )
+@click.option(
+    "--table",
+    type=click.Path(path_type=Path),
+    help="Invert each of FORCES (files, folders, patterns) by itself: a .csv or .parquet file "
+    "with a row each.",
+)
 @json_option
 def invert(
     forces: tuple[str, ...],
     legs: tuple[str, ...],
     library: str,
     out: Path | None,
+    table: Path | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -118,7 +125,14 @@ def invert(
     Example: terraphi invert forces.csv --density 1600 --out answer
 
     Example: terraphi invert straight.csv c.csv --leg straight --leg c --prior density=1500:1700
+
+    Example: terraphi invert records --table answers.csv
     """
+    if table is not None:
+        if out is not None or len(legs) > 1:
+            raise InputError("--table goes with one --leg at most, and not with --out")
+        tabulate(forces, table, legs, library, as_json, options)
+        return
     from terraphi.experiment.measurements import open_forces
     from terraphi.experiment.outputs import check_folder
     from terraphi.inference.inversion import Trial
@@ -140,6 +154,35 @@ def invert(
     print_inversion(found)
     if made:
         click.echo(f"Written: {out}/{', '.join(made)}")
+
+
+def tabulate(
+    forces: Sequence[str],
+    table: Path,
+    legs: Sequence[str],
+    library: str,
+    as_json: bool,
+    options: dict[str, Any],
+) -> None:
+    """Invert many records, each by itself, and write a row each."""
+    from terraphi.inference.many import check_table, invert_many, records_in, write_table
+    from terraphi.library.store import Library
+
+    check_table(table)
+    sources = records_in(forces)
+    leg = legs[0] if legs else None
+    with progress_bar("inverting") as report:
+        found = invert_many(
+            sources, library=Library.load(library), leg=leg, progress=report, **options
+        )
+    write_table(found, table)
+    verdicts = found["verdict"].fillna("failed").value_counts().to_dict()
+    if as_json:
+        print_json({"table": str(table), "records": len(found), "verdicts": verdicts})
+        return
+    counts = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in verdicts.items())
+    click.echo(f"{len(found)} records: {counts}")
+    click.echo(f"Written: {table}")
 
 
 def legs_of(legs: Sequence[str], measured: Sequence[Measurement]) -> list[str]:

@@ -24,6 +24,7 @@ from terraphi.cli.report import report
 from terraphi.cli.simulate import simulate
 from terraphi.cli.study import study
 from terraphi.cli.suggest import library_suggest
+from terraphi.cli.terrain import convert, export, slope_map
 from terraphi.experiment.errors import InputError, SimulationError
 from terraphi.view.console import (
     ignore_interrupts,
@@ -140,6 +141,9 @@ cli.add_command(report)
 cli.add_command(app)
 cli.add_command(keys)
 cli.add_command(doctor)
+cli.add_command(export)
+cli.add_command(convert)
+cli.add_command(slope_map)
 
 
 library.add_command(library_calibrate)

@@ -104,6 +104,9 @@ SAMPLERS = ("quadrature", "emcee")
 DISCREPANCIES = ("none", "gp", "soils")
 ESTIMATORS = ("quasi_static", "gravity", "inverse_dynamics", "momentum_observer")
 FRAMES = ("world", "heading", "body")
+SIMULATORS = ("genesis", "newton", "isaaclab", "chrono-crm", "chrono-scm", "geotaichi", "mujoco")
+MATCHES = ("plane-strain", "triaxial")
+DP_TYPES = ("Circumscribed", "MiddleCircumscribed", "Inscribed")
 DOCUMENTS = ("scenario", "plan", "robot")
 
 EVERY_SECONDS = 20.0

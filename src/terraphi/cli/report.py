@@ -32,7 +32,7 @@ def report(
     """Put RESULTs into one HTML file that works offline, side by side if there are several.
 
     RESULT is what --out of another command made: the folder of an inversion, of several (as that of
-    the demo) or of a study, a library (or the name of a shipped one), foot forces, or a
+    the demo), of a study or of a map, a library (or the name of a shipped one), foot forces, or a
     simulation's history, with its folder of fields for an animation. A robot's log works too.
 
     Example: terraphi report answer --out report.html

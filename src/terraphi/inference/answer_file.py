@@ -19,12 +19,13 @@ import datetime as dt
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.experiment.files import write_netcdf
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import check_is_file, damage_told, read_bytes, write_netcdf
 from terraphi.inference.convergence import chains
 from terraphi.inference.identifiability import label
 
@@ -50,6 +51,57 @@ def write(found: Inversion, path: Path) -> None:
         If the place cannot be written.
     """
     write_netcdf(tree_of(found), path)
+
+
+class Told(NamedTuple):
+    """What a file or folder says of an inversion."""
+
+    source: str
+    """Its name."""
+    answer: Mapping[str, Any]
+    """As :meth:`~terraphi.inference.answer.Inversion.as_dict` has it."""
+    draws_deg: FloatArray
+    """Draws of φ in the convention of the answer [deg], shape [draw]; empty if not there."""
+
+
+def read(path: Path) -> Told:
+    """Read an answer that ``terraphi invert`` wrote or printed.
+
+    Parameters
+    ----------
+    path
+        Folder of ``--out``, its ``posterior.nc``, or what ``--json`` printed (``-``: standard
+        input), which has no draws.
+
+    Raises
+    ------
+    InputError
+        If it is not there, damaged, or no answer.
+    """
+    if path.is_dir():
+        inside = [path / name for name in ("posterior.nc", "answer.json")]
+        path = next((file for file in inside if file.is_file()), inside[0])
+    wrong = f"{path}: not an answer of 'terraphi invert --out' or --json"
+    draws = np.empty(0)
+    if path.suffix == ".nc":
+        check_is_file(path)
+        with damage_told(wrong, AttributeError, TypeError):
+            import h5netcdf
+
+            with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
+                answer = json.loads(str(file.attrs["answer"]))
+                if "phi_deg" in file["posterior"].variables:
+                    draws = np.asarray(file["posterior/phi_deg"][...], dtype=np.float64).ravel()
+    else:
+        content = read_bytes(path)
+        try:
+            answer = json.loads(content)
+        except ValueError as error:
+            raise InputError(wrong) from error
+    wanted = {"phi_deg", "phi_plane_strain_deg", "verdict", "reason", "library"}
+    if not isinstance(answer, dict) or not wanted <= set(answer) or not np.isfinite(draws).all():
+        raise InputError(wrong)
+    return Told(str(path), answer, draws)
 
 
 def tree_of(found: Inversion) -> Any:

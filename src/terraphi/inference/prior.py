@@ -117,7 +117,7 @@ def priors(
                 f"the library; {nearest(name, list(keys))}"
             )
         key = matches[0]
-        marginal = _parsed(text, value, found.get(key))
+        marginal = parsed(text, value, found.get(key))
         low, high = bounds.get(key, DENSITIES)
         slack = 1e-9 * (high - low)
         if not low - slack <= marginal.low <= marginal.high <= high + slack:
@@ -135,7 +135,7 @@ def is_on(text: str, key: str) -> bool:
     return name == key or key.endswith("." + name)
 
 
-def _parsed(text: str, value: str, within: Marginal | None) -> Marginal:
+def parsed(text: str, value: str, within: Marginal | None) -> Marginal:
     """A prior as a person wrote it; a normal one is cut off where the library ends."""
     try:
         if ":" in value:

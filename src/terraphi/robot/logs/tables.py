@@ -197,7 +197,7 @@ def _block(lines: bytes, width: int, time: int, places: dict[str, list[int]]) ->
 
 def _numbers(lines: bytes, width: int) -> FloatArray:
     """Parse lines that have the right number of cells; cells that are not numbers become NaN."""
-    import pandas as pd  # type: ignore[import-untyped]
+    import pandas as pd
 
     options = {"header": None, "names": range(width), "index_col": False, "quoting": 3}
     try:

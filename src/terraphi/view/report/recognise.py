@@ -16,13 +16,14 @@ from terraphi.view.report.parts import Section
 
 Kind = str
 EXPECTED = (
-    "an inversion's folder or answer.json, a study's folder, a library, foot forces or a history "
-    "(.nc), a folder of fields, or a robot's log is expected"
+    "an inversion's folder or answer.json, a study's or a map's folder, a library, foot forces or "
+    "a history (.nc), a folder of fields, or a robot's log is expected"
 )
 FOLDERS = (
     ("inversion", "answer.json"),
     ("inversion", "posterior.nc"),
     ("study", "data.json"),
+    ("slopes", "map.json"),
     ("fields", "particles.pvd"),
     ("log", "metadata.yaml"),
 )

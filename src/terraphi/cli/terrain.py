@@ -1,0 +1,165 @@
+"""What becomes of an answer: ``terraphi export``, ``terraphi convert`` and ``terraphi map``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from terraphi.cli.options import (
+    DP_TYPES,
+    MATCHES,
+    SIMULATORS,
+    Choice,
+    Float,
+    IntRange,
+    json_option,
+)
+from terraphi.experiment.errors import InputError
+from terraphi.view.console import print_json, progress_bar
+
+file_type = click.Path(path_type=Path)
+dp_type_option = click.option(
+    "--dp-type", type=Choice(DP_TYPES), help="Cone of geotaichi.  [default: MiddleCircumscribed]"
+)
+
+
+@click.command()
+@click.argument("answer", type=file_type)
+@click.option("--to", required=True, type=Choice(SIMULATORS), help="The simulator.")
+@click.option(
+    "--match",
+    type=Choice(MATCHES),
+    default="plane-strain",
+    show_default=True,
+    help="Where the simulator's cone is as strong as the soil; it cannot be in both.",
+)
+@dp_type_option
+@click.option(
+    "--draws", type=IntRange(0, 100_000), default=0, help="Draws of the posterior.  [default: 0]"
+)
+@click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of draws.")
+@click.option("--anyway", is_flag=True, help="Take a misfit or an answer out of range.")
+@click.option("--out", type=file_type, help="A .py, .json or (newton, isaaclab) .usda file.")
+@json_option
+def export(
+    answer: Path,
+    to: str,
+    match: Any,
+    dp_type: str | None,
+    draws: int,
+    seed: int,
+    anyway: bool,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Write an ANSWER as what a simulator calls friction, as a Python module that sets it.
+
+    ANSWER is the folder that 'terraphi invert --out' wrote, its posterior.nc, or what --json
+    printed (- for standard input). Simulators mean different things by friction; the module says
+    what is matched, and what was not inferred.
+
+    Example: terraphi export answer --to genesis --draws 64 --out soil.py
+    """
+    from terraphi.experiment.files import replacing
+    from terraphi.experiment.outputs import check_file
+    from terraphi.inference.answer_file import read
+    from terraphi.terrain import export as exports
+    from terraphi.terrain.simulators import simulator
+
+    form = exports.FORMATS.get(out.suffix) if out else ("json" if as_json else "python")
+    if form is None:
+        raise InputError(f"{out}: name a .py, .json or .usda file")
+    if out is not None:
+        check_file(out)
+    found = exports.export(
+        read(answer),
+        simulator(to, dp_type=dp_type),
+        match=match,
+        draws=draws,
+        seed=seed,
+        anyway=anyway,
+    )
+    text = found.text(form)
+    if out is None:
+        click.echo(text, nl=False)
+        return
+    with replacing(out) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    if as_json:
+        print_json(found.as_dict())
+        return
+    click.echo(found.headline())
+    click.echo(f"Written: {out}")
+
+
+@click.command()
+@click.argument("value", type=Float())
+@click.option("--from", "source", required=True, type=Choice(SIMULATORS), help="Whose it is.")
+@click.option("--to", "target", type=Choice(SIMULATORS), help="Whose it should be.")
+@dp_type_option
+@json_option
+def convert(
+    value: float, source: str, target: str | None, dp_type: str | None, as_json: bool
+) -> None:
+    """Say which friction angle acts where a simulator's friction is VALUE.
+
+    Example: terraphi convert 0.68 --from newton --to genesis
+    """
+    from terraphi.terrain.simulators import converted, converted_in_words
+
+    told = converted(value, source, target, dp_type=dp_type)
+    if as_json:
+        print_json(told)
+        return
+    for sentence in converted_in_words(told):
+        click.echo(sentence)
+
+
+@click.command("map")
+@click.argument("points", type=file_type)
+@click.option("--dem", required=True, type=file_type, help="Elevations: a GeoTIFF in metres.")
+@click.option("--out", required=True, type=file_type, help="Folder for the maps.")
+@click.option(
+    "--prior",
+    multiple=True,
+    metavar="KEY=PRIOR",
+    help="LOW:HIGH, MEAN+-SD or VALUE of cohesion_Pa, root_cohesion_Pa, root_loss, depth_m "
+    "(normal to the slope), wetness or density_kg_m3; may be repeated.",
+)
+@click.option("--wetness", type=file_type, help="Raster of the saturated share, 0 to 1.")
+@click.option("--covariate", type=file_type, help="Raster that φ may follow, as burn severity.")
+@click.option(
+    "--draws", type=IntRange(16, 4096), default=128, show_default=True, help="Joint draws."
+)
+@click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of draws.")
+@json_option
+def slope_map(points: Path, dem: Path, out: Path, as_json: bool, **options: Any) -> None:
+    """Map how likely slopes are to slide, from friction angles at POINTS.
+
+    POINTS is a CSV with the columns x_m,y_m,phi_deg,sd_deg and, if known, shared_sd_deg (of an
+    error that all points have in common), in the coordinate system of the DEM; or a NetCDF of
+    footfalls. A foot probes centimetres and slopes fail at metres: see the page on maps.
+
+    Example: terraphi map points.csv --dem dem.tif --out slopes
+    """
+    from terraphi.experiment.outputs import check_folder, filling
+    from terraphi.terrain.map import KIND, LAYERS, SUMMARY, in_words, map_slopes
+    from terraphi.view import plots
+    from terraphi.view.slope_plots import map_figure
+
+    picture = "map.png"
+    names = [*(f"{name}.tif" for name in LAYERS), SUMMARY, picture]
+    check_folder(out, kind=KIND, names=names)
+    with progress_bar("mapping") as report:
+        found = map_slopes(points, dem, progress=report, **options)
+    with filling(out, kind=KIND, last=SUMMARY) as made:
+        found.write(made)
+        plots.save(map_figure(found), made.joinpath(picture))
+    if as_json:
+        print_json(found.summary)
+        return
+    for sentence in in_words(found.summary):
+        click.echo(sentence)
+    click.echo(f"Written: {out}/{', '.join(names)}")

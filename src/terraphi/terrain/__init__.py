@@ -1,0 +1,1 @@
+"""A posterior in; parameters of simulators and maps of slopes out."""

@@ -1,0 +1,167 @@
+"""Elevation models in and maps out, as GeoTIFF; coordinates in metres, or a sentence why not."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import check_is_file
+
+FloatArray = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+MOST_CELLS = 25_000_000
+"""Largest elevation model; some ten arrays of it are held."""
+
+
+@dataclass(frozen=True, eq=False)
+class Elevation:
+    """A digital elevation model on an upright grid.
+
+    Attributes
+    ----------
+    source
+        Its file.
+    height
+        Elevation [m], shape [row, column]; not a number where there is none.
+    x, y
+        Centres of columns (increasing) and rows (decreasing) [m], shape [column], [row].
+    crs
+        Coordinate system, as rasterio has it.
+    transform
+        From column and row to x and y, as rasterio has it.
+    """
+
+    source: str
+    height: Float32
+    x: FloatArray
+    y: FloatArray
+    crs: Any
+    transform: Any
+
+    @cached_property
+    def slope(self) -> Float32:
+        """Steepest inclination θ [rad], by central differences; shape [row, column]."""
+        down, across = np.gradient(self.height, self.y, self.x)
+        inclined: Float32 = np.arctan(np.hypot(down, across)).astype(np.float32)
+        return inclined
+
+    def cells_of(self, x_m: FloatArray, y_m: FloatArray) -> tuple[Any, Any]:
+        """Row and column of points [m]; -1 for those off the grid."""
+        column = np.floor((x_m - (self.x[0] - 0.5 * self.cell)) / self.cell).astype(int)
+        row = np.floor(((self.y[0] + 0.5 * self.cell) - y_m) / self.cell).astype(int)
+        off = (column < 0) | (column >= self.x.size) | (row < 0) | (row >= self.y.size)
+        return np.where(off, -1, row), np.where(off, -1, column)
+
+    @property
+    def cell(self) -> float:
+        """Side of a cell [m]."""
+        return float(self.transform.a)
+
+
+def read_elevation(path: Path) -> Elevation:
+    """Read a digital elevation model.
+
+    Parameters
+    ----------
+    path
+        A GeoTIFF, or what else rasterio reads, in a projected coordinate system in metres.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, has no coordinate system or one not in metres, or cells that are not
+        upright squares; if it is too large, or has no elevations.
+    """
+    height, file = _read(path)
+    crs, transform = file["crs"], file["transform"]
+    if crs is None:
+        raise InputError(f"{path}: has no coordinate system (CRS); set it (gdal_edit -a_srs)")
+    if crs.is_geographic or not crs.is_projected:
+        raise InputError(
+            f"{path}: its coordinates are degrees ({crs.to_string()}), and slopes need metres; "
+            "project it, as with gdalwarp -t_srs"
+        )
+    unit, factor = crs.linear_units_factor
+    if abs(factor - 1.0) > 1e-9:
+        raise InputError(f"{path}: its coordinates are in {unit}, expected metres; project it")
+    a, b, c, d, e, f = tuple(transform)[:6]
+    if b or d or a <= 0.0 or abs(a + e) > 1e-6 * a:
+        raise InputError(
+            f"{path}: its cells are {abs(a):g} by {abs(e):g} m and may be turned; expected upright "
+            "squares with north above: resample it, as with gdalwarp -tr"
+        )
+    rows, columns = height.shape
+    x = c + a * (np.arange(columns) + 0.5)
+    y = f + e * (np.arange(rows) + 0.5)
+    if min(rows, columns) < 3 or not np.isfinite(height).any():
+        raise InputError(f"{path}: has no elevations, or fewer than 3 by 3 cells")
+    return Elevation(str(path), height, x, y, crs, transform)
+
+
+def read_layer(path: Path, on: Elevation) -> Float32:
+    """Read another raster on the grid of an elevation model, shape [row, column].
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or has another grid or coordinate system.
+    """
+    layer, file = _read(path)
+    if file["crs"] != on.crs:
+        raise InputError(
+            f"{path}: its coordinate system is {file['crs']}, that of {on.source} is {on.crs}; "
+            "project it"
+        )
+    if layer.shape != on.height.shape or not file["transform"].almost_equals(on.transform, 1e-6):
+        raise InputError(f"{path}: its grid is not that of {on.source}; resample it to that")
+    return layer
+
+
+def _read(path: Path) -> tuple[Float32, dict[str, Any]]:
+    """First band with nodata as not a number, and where it lies."""
+    try:
+        import rasterio
+    except ImportError as error:
+        raise InputError(
+            "maps need rasterio and scikit-learn, which are not installed; pip install "
+            "'terraphi[terrain]'"
+        ) from error
+    check_is_file(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        try:
+            with rasterio.open(path) as opened:
+                if opened.width * opened.height > MOST_CELLS:
+                    raise InputError(
+                        f"{path}: has {opened.width} by {opened.height} cells, more than "
+                        f"{MOST_CELLS:g} in all; cut a part of it, as with gdal_translate -projwin"
+                    )
+                band = opened.read(1, masked=True).astype(np.float32).filled(np.nan)
+                place = {"crs": opened.crs, "transform": opened.transform}
+        except rasterio.errors.RasterioError as error:
+            raise InputError(f"{path}: not a raster that can be read ({error})") from error
+    band[~np.isfinite(band)] = np.nan
+    return band, place
+
+
+def write_layer(values: Any, path: Path, on: Elevation, *, about: str, unit: str) -> None:
+    """Write a GeoTIFF on the grid of an elevation model; 255 or not a number is no data."""
+    import rasterio
+
+    whole = values.dtype == np.uint8
+    with rasterio.open(
+        path, "w", driver="GTiff", width=values.shape[1], height=values.shape[0], count=1,
+        dtype=values.dtype, crs=on.crs, transform=on.transform, nodata=255 if whole else np.nan,
+        compress="deflate", predictor=2 if whole else 3, tiled=True, blockxsize=256, blockysize=256,
+    ) as file:  # fmt: skip
+        file.write(values, 1)
+        file.set_band_description(1, about)
+        file.update_tags(1, unit=unit)

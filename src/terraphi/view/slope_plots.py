@@ -1,0 +1,65 @@
+"""Pictures of slope maps, over the shade of the hill."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from terraphi.terrain.map import SlopeMap
+
+MOST_PIXELS = 800
+"""Along the longer side of a picture; larger maps are thinned out."""
+PANELS = (
+    ("p_unstable", "probability of a factor of safety below 1", "YlOrRd", (0.0, 1.0)),
+    ("phi_median", "φ in plane strain, median [deg]", "viridis", None),
+    ("phi_sd", "φ, standard deviation [deg]", "Purples", None),
+    ("phi_share", "share of the variance that is due to φ", "Blues", (0.0, None)),
+)
+
+
+def map_figure(found: SlopeMap) -> Figure:
+    """Four maps with hillshade, the points, and hatching where the field extrapolates."""
+    from matplotlib.colors import LightSource
+    from matplotlib.figure import Figure
+
+    every = max(1, -(-max(found.dem.height.shape) // MOST_PIXELS))
+    thin = (slice(None, None, every), slice(None, None, every))
+    x, y = found.dem.x, found.dem.y
+    half = 0.5 * found.dem.cell
+    extent = (x[0] - half, x[-1] + half, y[-1] - half, y[0] + half)
+    height = np.ma.masked_invalid(found.dem.height[thin]).filled(np.nanmin(found.dem.height))
+    cell = every * found.dem.cell
+    shade = LightSource(azdeg=315.0, altdeg=45.0).hillshade(height, dx=cell, dy=cell)
+    tall = (extent[3] - extent[2]) / (extent[1] - extent[0])
+    size = 5.2 * min(max(tall, 0.4), 2.0)
+    figure = Figure(figsize=(11.0, 1.7 * size + 0.6), layout="constrained")
+    panels = figure.subplots(2, 2, sharex=True, sharey=True).flat
+    beyond = found.layers["extrapolated"][thin] == 1
+    for axes, (name, title, colours, limits) in zip(panels, PANELS, strict=True):
+        values = np.ma.masked_invalid(found.layers[name][thin])
+        low, high = limits or (None, None)
+        axes.imshow(shade, cmap="gray", extent=extent, vmin=0.0, vmax=1.2)
+        shown = axes.imshow(values, cmap=colours, extent=extent, alpha=0.7, vmin=low, vmax=high)
+        figure.colorbar(shown, ax=axes, shrink=0.8)
+        _hatched(axes, beyond, extent)
+        axes.plot(found.points.x_m, found.points.y_m, "k.", ms=2.5)
+        axes.set_title(title, fontsize=10)
+        axes.ticklabel_format(useOffset=False, style="plain")
+        axes.tick_params(labelsize=7)
+    figure.supxlabel("x [m]", fontsize=9)
+    figure.supylabel("y [m]", fontsize=9)
+    figure.suptitle("Points: where φ was measured. Hatched: the field extrapolates.", fontsize=10)
+    return figure
+
+
+def _hatched(axes: Any, where: Any, extent: tuple[float, float, float, float]) -> None:
+    """Hatch a part of a map."""
+    if where.any() and not where.all():
+        axes.contourf(
+            where.astype(float), levels=[0.5, 1.5], colors="none", hatches=["////"],
+            extent=extent, origin="upper",
+        )  # fmt: skip
