@@ -37,10 +37,13 @@ class JointStateDecoder:
     ----------
     refusal
         Why the first unusable message was dropped; the error if no message is usable.
+    ignored
+        Names of joints that are none of the legs'.
     """
 
     def __init__(self, joint_names: Sequence[str] | None = None) -> None:
         self.refusal = ""
+        self.ignored: set[str] = set()
         self._joint_names = joint_names
         self._orders: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int] | None] = {}
         self._columns: tuple[str, ...] | None = None
@@ -96,6 +99,7 @@ class JointStateDecoder:
             if self._columns not in {None, columns}:
                 raise InputError("some joint states carry velocities and some do not")
             self._columns = columns
+            self.ignored |= {name for i, name in enumerate(names) if i not in order}
         except InputError as error:
             self.refusal = self.refusal or str(error)
             order = None
@@ -144,13 +148,11 @@ def joint_order(names: Sequence[str], wanted: Sequence[str] | None = None) -> li
                 raise InputError(f"joint '{name}' stands twice among the joint names")
         return [list(names).index(name) for name in wanted]
     found: dict[tuple[int, int], int] = {}
+    unknown = [name for name in names if joint_place(name) is None]
     for i, name in enumerate(names):
         place = joint_place(name)
         if place is None:
-            raise InputError(
-                f"joint '{name[:60]}' is not known; expected twelve named like {NAMES[0]}, or say "
-                "which twelve are meant (--joint-names; in Python joint_names)"
-            )
+            continue
         if place in found:
             raise InputError(
                 f"joints '{names[found[place]][:60]}' and '{name[:60]}' both look like the "
@@ -161,9 +163,11 @@ def joint_order(names: Sequence[str], wanted: Sequence[str] | None = None) -> li
     order = [(foot, joint) for foot in range(len(FEET)) for joint in range(len(JOINTS))]
     for place in order:
         if place not in found:
+            strange = f", and '{unknown[0][:60]}' is not known" if unknown else ""
             raise InputError(
-                f"{len(names)} joints, and none for the {_named(place)}; expected twelve, named "
-                f"like {NAMES[0]}"
+                f"{len(names)} joints, and none for the {_named(place)}{strange}; expected twelve "
+                f"named like {NAMES[0]}, or say which twelve are meant (--joint-names; in Python "
+                "joint_names)"
             )
     return [found[place] for place in order]
 
