@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terraphi.robot.joint_log import JointLog
+from terraphi.experiment.errors import InputError
+from terraphi.robot.joint_log import JOINT_NAMES, JointLog
 from terraphi.robot.logs import jointstate, lowstate, read_log
 from terraphi.robot.logs.messages import UNITREE_LEGGED, typestore
 
@@ -169,3 +170,57 @@ def test_low_states_of_an_a1_and_a_go1(
     for name in ("angle", "velocity", "torque", "quaternion", "acceleration", "foot_counts"):
         np.testing.assert_allclose(getattr(found, name), getattr(log, name), rtol=2e-6, atol=1e-6)
     assert found.report["clock_ratio"] == pytest.approx(1.0, abs=1e-4)
+
+
+SDK = """
+time = "tick"
+time_unit = "ms"
+angle = "q_{motor}"
+velocity = "dq[{motor}]"
+torque = "{foot}_{joint}_tau"
+angle_unit = "deg"
+quaternion = ["qw", "qx", "qy", "qz"]
+"""
+
+
+def sdk_csv(path: Path, log: JointLog, motors: list[str]) -> None:
+    order = [JOINT_NAMES.index(name) for name in motors]
+    table = {"tick": np.round(1e3 * log.time), "battery": np.ones(len(log.time))}
+    for i, at in enumerate(order):
+        table[f"q_{i}"] = np.degrees(log.angle.reshape(-1, 12)[:, at])
+        table[f"dq[{i}]"] = np.degrees(log.velocity.reshape(-1, 12)[:, at])
+    torque = log.torque.reshape(-1, 12).T
+    table |= {f"{name}_tau": column for name, column in zip(JOINT_NAMES, torque, strict=True)}
+    table |= {f"q{part}": column for part, column in zip("wxyz", log.quaternion.T, strict=True)}
+    rows = "\n".join(",".join(f"{v:.9g}" for v in row) for row in zip(*table.values(), strict=True))
+    path.write_text(f"{','.join(table)}\n{rows}\n")
+
+
+def test_csv_of_an_sdk_by_a_map_of_its_columns(log: JointLog, tmp_path: Path) -> None:
+    motors = [*JOINT_NAMES[3:6], *JOINT_NAMES[:3], *JOINT_NAMES[6:]]
+    (tmp_path / "columns.toml").write_text(SDK)
+    sdk_csv(tmp_path / "log.csv", log, motors)
+    found = read_log(tmp_path / "log.csv", columns=tmp_path / "columns.toml", motors=motors)
+    np.testing.assert_allclose(found.time, log.time, atol=1e-9)
+    for name in ("angle", "velocity", "torque", "quaternion"):
+        np.testing.assert_allclose(getattr(found, name), getattr(log, name), atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("q_{motor}", "p_{motor}", "column 'p_0' is missing; did you mean 'q_0'"),
+        ("q_{motor}", "q_3", "'angle' 1 different names; 12 are expected"),
+        ('"qx", ', "", "'quaternion' 3 different names; 4 are expected"),
+        ('"ms"', '"min"', "time_unit"),
+        ("torque", "torqe", "did you mean 'torque'"),
+    ],
+)
+def test_wrong_map_is_refused(
+    log: JointLog, tmp_path: Path, old: str, new: str, words: str
+) -> None:
+    (tmp_path / "columns.toml").write_text(SDK.replace(old, new, 1))
+    sdk_csv(tmp_path / "log.csv", log, list(JOINT_NAMES))
+    with pytest.raises(InputError, match=words) as caught:
+        read_log(tmp_path / "log.csv", columns=tmp_path / "columns.toml")
+    assert "\n" not in str(caught.value)

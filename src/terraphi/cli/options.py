@@ -104,7 +104,7 @@ SAMPLERS = ("quadrature", "emcee")
 DISCREPANCIES = ("none", "gp")
 ESTIMATORS = ("quasi_static", "gravity", "inverse_dynamics", "momentum_observer")
 FRAMES = ("world", "heading", "body")
-DOCUMENTS = ("scenario", "plan", "robot")
+DOCUMENTS = ("scenario", "plan", "robot", "columns")
 
 EVERY_SECONDS = 20.0
 """Least time between two checkpoints [s]."""

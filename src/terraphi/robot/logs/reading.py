@@ -18,6 +18,7 @@ from terraphi.robot.logs import tables as npz_file
 from terraphi.robot.logs.bags import MAGIC as MCAP_MAGIC
 from terraphi.robot.logs.bags import SQLITE_MAGIC, McapFile, Storage, Topic, open_bag, open_database
 from terraphi.robot.logs.collect import Block, Collector, Messages, Precision
+from terraphi.robot.logs.columns import Columns, read_columns
 from terraphi.robot.logs.jointstate import NAMES
 from terraphi.robot.logs.messages import typestore, typestore_of
 from terraphi.robot.logs.tables import read_csv, read_npz
@@ -36,6 +37,7 @@ def read_log(
     joint_names: Sequence[str] | None = None,
     motors: Sequence[str] = JOINT_NAMES,
     precision: Precision = "double",
+    columns: Columns | Path | str | None = None,
 ) -> JointLog:
     """Read the log of a walking robot.
 
@@ -57,6 +59,9 @@ def read_log(
         :attr:`~terraphi.robot.model.Quadruped.joint_order`.
     precision
         Of everything but time: ``single`` is what LowState messages hold, and halves the memory.
+    columns
+        Which columns of a CSV are what, or a TOML that says so
+        (:class:`~terraphi.robot.logs.columns.Columns`).
 
     Returns
     -------
@@ -72,6 +77,7 @@ def read_log(
         a package is missing.
     """
     path = Path(path)
+    named = columns if isinstance(columns, Columns | None) else read_columns(columns)
     if joint_names is not None and len(joint_names) != len(NAMES):
         raise InputError(
             f"{len(joint_names)} joint names given; {len(NAMES)} are expected, in the order "
@@ -82,6 +88,8 @@ def read_log(
     try:
         with ExitStack() as stack:
             kind, source = _sniff(path, stack)
+            if named is not None and kind != "csv":
+                raise InputError(f"{path}: {kind} names its columns itself; leave the columns out")
             if isinstance(source, list):
                 return _read_bag(path, kind, source, topic, joint_names, motors, precision)
             if topic is not None:
@@ -91,7 +99,7 @@ def read_log(
                     f"{path}: {kind} names its joints itself; leave the joint names out"
                 )
             collector = Collector(path, "time_s" if kind == "csv" else "time", precision)
-            for block in source(path):
+            for block in source(path) if named is None else read_csv(path, named, motors):
                 collector.add(block)
             collector.facts |= {"format": kind, "topic": None}
             return collector.finish()
