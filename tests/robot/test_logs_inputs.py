@@ -224,3 +224,23 @@ def test_wrong_map_is_refused(
     with pytest.raises(InputError, match=words) as caught:
         read_log(tmp_path / "log.csv", columns=tmp_path / "columns.toml")
     assert "\n" not in str(caught.value)
+
+
+def test_joints_of_a_robot_without_hips(log: JointLog, tmp_path: Path) -> None:
+    there = [name for name in JOINT_NAMES if not name.endswith("hip")]
+    rows = (
+        (stamp, replace(message, **{
+            field: [v for v, n in zip(getattr(message, field), JOINT_NAMES, strict=True)
+                    if n in there] if field == "name"
+            else np.array([v for v, n in zip(getattr(message, field), JOINT_NAMES, strict=True)
+                           if n in there])
+            for field in ("name", "position", "velocity", "effort")
+        }))
+        for stamp, message in joint_states(log)
+    )  # fmt: skip
+    path = bag(tmp_path / "bag", {"/joint_states": (jointstate.TYPE, rows)})
+    found = read_log(path, motors=there)
+    np.testing.assert_allclose(found.torque[..., 1:], log.torque[..., 1:])
+    assert not found.torque[..., 0].any()
+    with pytest.raises(InputError, match="none for the FR hip"):
+        read_log(path)

@@ -19,7 +19,6 @@ from terraphi.robot.logs.bags import MAGIC as MCAP_MAGIC
 from terraphi.robot.logs.bags import SQLITE_MAGIC, McapFile, Storage, Topic, open_bag, open_database
 from terraphi.robot.logs.collect import Block, Collector, Messages, Precision
 from terraphi.robot.logs.columns import Columns, read_columns
-from terraphi.robot.logs.jointstate import NAMES
 from terraphi.robot.logs.messages import typestore, typestore_of
 from terraphi.robot.logs.tables import read_csv, read_npz
 
@@ -56,7 +55,8 @@ def read_log(
         they are not named like ``FR_hip_joint`` or ``RF_HAA``.
     motors
         Which joint each of the first twelve motors of a LowState moves, as ``FR_hip``: a robot's
-        :attr:`~terraphi.robot.model.Quadruped.joint_order`.
+        :attr:`~terraphi.robot.model.Quadruped.joint_order`. Joints that it lacks are sought in no
+        log, and zero in it.
     precision
         Of everything but time: ``single`` is what LowState messages hold, and halves the memory.
     columns
@@ -78,10 +78,10 @@ def read_log(
     """
     path = Path(path)
     named = columns if isinstance(columns, Columns | None) else read_columns(columns)
-    if joint_names is not None and len(joint_names) != len(NAMES):
+    if joint_names is not None and len(joint_names) != len(motors):
         raise InputError(
-            f"{len(joint_names)} joint names given; {len(NAMES)} are expected, in the order "
-            f"{', '.join(JOINT_NAMES)}"
+            f"{len(joint_names)} joint names given; {len(motors)} are expected, in the order "
+            f"{', '.join(name for name in JOINT_NAMES if name in motors)}"
         )
     if path.name == "metadata.yaml":
         path = path.parent
@@ -160,7 +160,12 @@ def _read_bag(
             f"{path}, topic '{chosen.name}': {lowstate.TYPE} numbers its motors and has no names; "
             "leave the joint names out"
         )
-    decoder = jointstate.JointStateDecoder(joint_names)
+    if low and len(motors) != lowstate.MOTORS:
+        raise InputError(
+            f"{path}, topic '{chosen.name}': a LowState is of a robot with {lowstate.MOTORS} "
+            f"joints, and this one has {len(motors)}"
+        )
+    decoder = jointstate.JointStateDecoder(joint_names, motors)
     decode: Callable[[list[bytes], NDArray[np.int64]], Block] = decoder.decode
     if low:
         legged = chosen.plain_type != _LOW_STATES[0]
