@@ -218,9 +218,8 @@ def _leg(
     candidates = named or ends
     foot = max(candidates, key=lambda link: float(np.linalg.norm(candidates[link])))
     places = [np.zeros(3)] * (3 - len(chain)) + [joint.place for joint in chain]
-    frames: dict[str, Any] = {
-        "signs": tuple(1 if joint.axis.sum() > 0.0 else -1 for joint in chain)
-    }
+    signs = tuple(1 if joint.axis.sum() > 0.0 else -1 for joint in chain)
+    frames: dict[str, Any] = {"signs": signs} if usual else _frames(chain)
     return {
         **{kind: tuple(place.tolist()) for kind, place in zip(JOINTS, places, strict=True)},
         "foot": tuple(candidates[foot].tolist()),
