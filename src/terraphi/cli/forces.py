@@ -28,6 +28,12 @@ joint_names_option = click.option(
     "in the order FR, FL, RR, RL, each hip, thigh, calf.",
 )
 
+columns_option = click.option(
+    "--columns",
+    type=click.Path(path_type=Path),
+    help="TOML that says which columns of a CSV are what; 'terraphi keys columns' prints its keys.",
+)
+
 
 def _names(joint_names: str | None) -> list[str] | None:
     return [name.strip() for name in joint_names.split(",")] if joint_names else None
@@ -58,6 +64,7 @@ def _names(joint_names: str | None) -> list[str] | None:
 )
 @topic_option
 @joint_names_option
+@columns_option
 @click.option("--out", type=click.Path(path_type=Path), help="NetCDF file for forces and stances.")
 @click.option(
     "--figures", type=click.Path(path_type=Path), help="Folder for forces.png and stance.png."
@@ -71,6 +78,7 @@ def forces(
     friction: Path | None,
     topic: str | None,
     joint_names: str | None,
+    columns: Path | None,
     out: Path | None,
     figures: Path | None,
     as_json: bool,
@@ -97,6 +105,7 @@ def forces(
         frame=frame,
         topic=topic,
         joint_names=_names(joint_names),
+        columns=columns,
         friction=read_friction(friction) if friction is not None else None,
     )
     if out is not None:
@@ -116,6 +125,7 @@ def forces(
 @robot_option
 @topic_option
 @joint_names_option
+@columns_option
 @click.option(
     "--out", type=click.Path(path_type=Path), required=True, help="TOML file for the friction."
 )
@@ -125,6 +135,7 @@ def friction(
     robot: str,
     topic: str | None,
     joint_names: str | None,
+    columns: Path | None,
     out: Path,
     as_json: bool,
 ) -> None:
@@ -139,7 +150,7 @@ def friction(
 
     check_file(out)
     found, name = friction_of_hanging(
-        log, robot=robot, topic=topic, joint_names=_names(joint_names)
+        log, robot=robot, topic=topic, joint_names=_names(joint_names), columns=columns
     )
     write_friction(found, out, robot=name, source=log)
     joints = {

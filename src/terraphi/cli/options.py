@@ -107,7 +107,7 @@ FRAMES = ("world", "heading", "body")
 SIMULATORS = ("genesis", "newton", "isaaclab", "chrono-crm", "chrono-scm", "geotaichi", "mujoco")
 MATCHES = ("plane-strain", "triaxial")
 DP_TYPES = ("Circumscribed", "MiddleCircumscribed", "Inscribed")
-DOCUMENTS = ("scenario", "plan", "robot")
+DOCUMENTS = ("scenario", "plan", "robot", "columns")
 
 EVERY_SECONDS = 20.0
 """Least time between two checkpoints [s]."""

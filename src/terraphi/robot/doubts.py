@@ -94,7 +94,7 @@ def doubts(log: JointLog, robot: Quadruped, forces: FootForces, found: Balance |
     said = _of_weight(found, robot) + _of_angles(log)
     tilted = forces.frame == "body"
     legs = _of_legs(log, robot, np.nan_to_num(forces.force[..., 2]))
-    if found is not None and found.push > MOST_PUSH and not tilted and not legs:
+    if found is not None and found.push > MOST_PUSH and not (tilted or legs or said):
         push = f"the feet push the robot sideways with {found.push:.0%} of its weight all the time"
         legs = [f"{push}: are the angles' zeros and the attitude right?"]
     return said + legs

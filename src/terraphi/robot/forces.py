@@ -29,7 +29,7 @@ from terraphi.robot.estimators import (
 )
 from terraphi.robot.friction import JointFriction
 from terraphi.robot.joint_log import FEET, JOINTS, JointLog
-from terraphi.robot.kinematics import inverse_transpose, jacobian, rotation
+from terraphi.robot.kinematics import completed, inverse_transpose, jacobian, rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.survey import Survey, survey
 
@@ -54,6 +54,8 @@ WIDEST_ANGLE = 10.0
 """Joint angles beyond this [rad] are degrees."""
 WORST_ACCELEROMETER = 3.0
 """Mean specific force may differ by this much from gravity's [m/s²], or it is not one."""
+UNFELT_PART = 0.3
+"""Force that a leg cannot feel, as a part of the one it does, as a standard deviation [-]."""
 MOST_THREADS = 4
 
 
@@ -213,6 +215,7 @@ def estimate(
             variance = np.einsum("sfij,sfj->sfi", inverse**2, doubt)
             independent[rows] = np.sqrt(variance)
             variance += np.einsum("sfij,sfj->sfi", inverse**2, systematic)
+            variance += _unfelt_variance(robot, inverse, force[rows])
             sigma[rows] = np.sqrt(variance + _tilt_variance(force[rows], frame, shared))
         force[rows][near], sigma[rows][near], independent[rows][near] = np.nan, np.nan, np.nan
         flagged[rows], saturated[rows] = near, _at_limit(seen.torque[chunk.inner], limit)
@@ -243,7 +246,8 @@ def _leverage(
     offset = None
     if settings.estimator != "quasi_static" and robot.foot_radius > 0.0:
         offset = -robot.foot_radius * turn[:, None, 2, :]
-    inverse, lever = inverse_transpose(jacobian(robot, angle, offset=offset))
+    matrix = completed(robot, jacobian(robot, angle, offset=offset))
+    inverse, lever = inverse_transpose(matrix)
     links = np.linalg.norm(robot.chain.origin[:, 2:], axis=-1).sum(axis=-1)
     near = lever < LEAST_LEVER * links
     if frame == "heading":
@@ -303,6 +307,15 @@ def _shared_variance(seen: Signals, inner: slice, overview: Survey, priors: Prio
         known = priors.friction_part * overview.friction.torque(seen.velocity[inner])
         lost = np.where(overview.friction.found, known, lost)
     return np.asarray(np.square(priors.gain * seen.torque[inner]) + np.square(lost))
+
+
+def _unfelt_variance(robot: Quadruped, inverse: FloatArray, force: SingleArray) -> FloatArray:
+    """Variance of forces across the plane of legs that have two joints and feel none there [N²]."""
+    if robot.there.all():
+        return np.zeros(force.shape)
+    across = inverse[..., 0] / np.linalg.norm(inverse[..., 0], axis=-1, keepdims=True)
+    size = UNFELT_PART * np.linalg.norm(force, axis=-1, keepdims=True)
+    return np.where(robot.there[:, :1], 0.0, np.square(across * size))
 
 
 def _tilt_variance(force: SingleArray, frame: Frame, priors: Priors) -> FloatArray:
@@ -437,8 +450,10 @@ def _provenance(
     if log.angular_velocity is None:
         assumed.append("no gyroscope: the trunk is taken not to turn")
     lost = overview.friction
-    if lost is not None and not lost.found.all():
-        unknown = [f"{FEET[i]}_{JOINTS[j]}" for i, j in np.argwhere(~lost.found)]
+    if not robot.there.all():
+        assumed.append("legs of two joints: the force across their plane is taken to be zero")
+    if lost is not None and not (lost.found | ~robot.there).all():
+        unknown = [f"{FEET[i]}_{JOINTS[j]}" for i, j in np.argwhere(~lost.found & robot.there)]
         whose = ", ".join(unknown) if lost.found.any() else "any joint"
         assumed.append(f"too little swing to find the friction of {whose}")
     if assumed:

@@ -23,6 +23,7 @@ from terraphi.robot.friction import HANGING_SHARE, JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.logs import read_log
 from terraphi.robot.logs.clock import describe, regular
+from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import AXES, Criteria, Ensemble, Stance, find_stances
 
@@ -118,6 +119,7 @@ def analyse(
     joint_names: Sequence[str] | None = None,
     criteria: Criteria | None = None,
     friction: JointFriction | None = None,
+    columns: Columns | Path | str | None = None,
 ) -> RobotForces:
     """Foot forces, stances and mean stances of a log.
 
@@ -129,7 +131,7 @@ def analyse(
         The robot, or its name, TOML or URDF.
     estimator, frame
         See :func:`~terraphi.robot.forces.estimate`.
-    topic, joint_names
+    topic, joint_names, columns
         See :func:`~terraphi.robot.logs.read_log`.
     criteria
         What makes a stance; by default a tenth of the robot's weight has to be reached.
@@ -157,6 +159,7 @@ def analyse(
             joint_names=joint_names,
             motors=body.joint_order,
             precision="single",
+            columns=columns,
         )
     else:
         log = regular(log)

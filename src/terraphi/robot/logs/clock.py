@@ -20,6 +20,9 @@ REORDERED = 0.01
 """Fraction of samples that may arrive out of order without the log having been restarted."""
 _SAMPLES = 60_000
 """Samples that are looked at."""
+LEAST_MICROSECONDS = 500.0
+"""Ticks from one message to the next from which they are microseconds: of the A1 by the header of
+its SDK; milliseconds would make a message every half a second."""
 STALLED = 0.9
 """Fraction of steps without advance beyond which a clock stands still."""
 
@@ -73,11 +76,14 @@ def seconds(
     # Differences modulo 2³² of the smallest size: forwards across a wrap, backwards after a glitch.
     steps = np.diff(stamp.astype(np.uint32)).view(np.int32).astype(np.int64)
     ticks = stamp[0] + np.concatenate([[0], np.cumsum(steps)])
-    facts = {}
+    facts, unit = {}, 1e3
+    if len(stamp) > 1 and float(np.median(steps)) >= LEAST_MICROSECONDS:
+        unit = 1e6
+        facts["notes"] = ["the tick counts microseconds"]
     if recorded is not None and len(stamp) > 1 and recorded[-1] > recorded[0]:
-        ratio = (ticks[-1] - ticks[0]) * 1e6 / float(recorded[-1] - recorded[0])
+        ratio = (ticks[-1] - ticks[0]) * (1e9 / unit) / float(recorded[-1] - recorded[0])
         facts["clock_ratio"] = round(float(ratio), 6)
-    return ticks / 1e3, clock, facts
+    return ticks / unit, clock, facts
 
 
 def evened(
