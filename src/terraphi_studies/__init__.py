@@ -45,7 +45,7 @@ STUDIES = {
         "half a minute",
     ),
     "real_soil": Outline(
-        "measured sands, each inverted with what the others taught; and false records",
+        "measured sands, each inverted with what the others taught",
         "a minute",
     ),
     "prediction": Outline(

@@ -136,7 +136,11 @@ def test_a_level_is_a_convolution() -> None:
     assert found / found.max() == pytest.approx(expected / expected.max(), abs=0.01)
 
 
-def test_the_best_library_is_told_with_its_reason() -> None:
-    name, why = of_soils.best_library()
+def test_the_library_is_chosen_by_what_is_known_of_the_record() -> None:
+    measured = measurement("li2013:yuma/c").history
+    name, why = of_soils.default_library([measured])
     assert name == "resolved"
     assert "closest to the angles of repose" in why
+    simulated = replace(measured, provenance={"scenario": {}})
+    assert of_soils.default_library([simulated])[0] == "quick-plane-strain"
+    assert of_soils.default_library([simulated, measured])[0] == "resolved"

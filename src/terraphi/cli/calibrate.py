@@ -1,4 +1,4 @@
-"""The command ``terraphi library calibrate``."""
+"""The commands ``terraphi library calibrate`` and ``terraphi calibrate``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from terraphi.cli.options import IntRange, json_option
+from terraphi.cli.options import LEGS, Choice, Float, IntRange, json_option, library_names
 from terraphi.view.console import print_json, print_table, progress_bar, words
 from terraphi.view.table import Table
 
@@ -25,6 +25,8 @@ def library_calibrate(
     """Learn the particle scatter of library NAME, check its intervals, and write both into a copy.
 
     The replicates go into the copy too, where they make the forces at their angles more certain.
+    No measured soil is needed; to compare a library with a soil of known friction angle, see
+    'terraphi calibrate'.
 
     Example: terraphi library calibrate mine.nc --replicates seeds.nc --out calibrated.nc
     """
@@ -45,3 +47,79 @@ def library_calibrate(
     rows = [[leg, *(words(found[name]) for name in columns)] for leg, found in certificate.items()]
     title = f"Coverage of {made.name}'s intervals, written to {out}"
     print_table(Table(title, ("leg", *columns), rows))
+
+
+@click.command("calibrate")
+@click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
+@click.option(
+    "--phi", required=True, metavar="MEAN±SD", help="Known friction angle, as 35±2 [deg]."
+)
+@click.option("--leg", "legs", type=Choice(LEGS), multiple=True, help="As of 'terraphi invert'.")
+@click.option("--density", type=Float(), help="Bulk density of the soil [kg/m³].")
+@click.option(
+    "--library",
+    help="As of 'terraphi invert'.",
+    shell_complete=library_names,
+)
+@click.option("--name", "medium", default="", help="What the soil is called, for people.")
+@click.option(
+    "--with",
+    "earlier",
+    type=click.Path(path_type=Path),
+    help="An earlier file of the same library, whose soils are kept.",
+)
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="JSON file to make.")
+@json_option
+def calibrate(
+    forces: tuple[str, ...],
+    phi: str,
+    legs: tuple[str, ...],
+    density: float | None,
+    library: str | None,
+    medium: str,
+    earlier: Path | None,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Compare a library with one soil of known friction angle, for 'invert --calibration'.
+
+    FORCES were measured in that soil. From two soils on a slope is learnt beside the offset; both
+    are shrunk by how much soils differ. (To check a library's intervals against simulations, see
+    'terraphi library calibrate'.)
+
+    Example: terraphi calibrate li2013:poppy_loose/straight --phi 36±2 --out poppy.json
+    """
+    from terraphi.cli.invert import legs_of
+    from terraphi.experiment.files import writable
+    from terraphi.experiment.measurements import open_forces
+    from terraphi.inference.discrepancy import default_library
+    from terraphi.inference.inversion import Trial, invert
+    from terraphi.inference.known_soils import Calibration, angle_with_sd, known_soil
+    from terraphi.library.store import Library
+
+    writable(out)
+    if out.exists():
+        Calibration.load(out)  # what is no calibration is not written over
+    known = angle_with_sd(phi)
+    measured = [open_forces(source) for source in forces]
+    trials = [
+        Trial(m.history, leg, m.name, m.density_kg_m3, m.density_assumed)
+        for m, leg in zip(measured, legs_of(legs, measured), strict=True)
+    ]
+    taken = Library.load(library or default_library([m.history for m in measured])[0])
+    before = Calibration.load(earlier) if earlier else None
+    if before is not None:
+        before.check(taken)
+    found = invert(trials, library=taken, density=density)
+    soil = known_soil(found, *known, medium=medium or measured[0].medium)
+    made = Calibration.of(taken, [*(before.soils if before else ()), soil])
+    made.save(out)
+    if as_json:
+        print_json({"file": str(out), **made.model_dump(mode="json")})
+        return
+    rows = [
+        (s.medium or ", ".join(s.forces), f"{s.phi_deg:g} ± {s.sd_deg:g}", f"{s.found_deg:.0f}")
+        for s in made.soils
+    ]
+    header = ("soil", "known φ [deg]", f"by {made.library} [deg]")
+    print_table(Table(f"Calibration of {made.library}, written to {out}", header, rows))

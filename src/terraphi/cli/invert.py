@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from terraphi.experiment.measurements import Measurement
     from terraphi.inference.inversion import Inversion
 
-DEFAULT_LIBRARY = "quick-plane-strain"
 DEFAULT_LIKELIHOOD = "calibrated"
 DEFAULT_SAMPLER = "quadrature"
 KIND, ANSWER = "inversion", "answer.json"
@@ -39,7 +38,7 @@ MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
     cls=Grouped,
     groups={
         "What is inverted": ("--leg", "--density", "--library", "--prior"),
-        "How": ("--likelihood", "--noise", "--discrepancy", "--sampler", "--seed"),
+        "How": ("--likelihood", "--noise", "--discrepancy", "--calibration", "--sampler", "--seed"),
     },
 )
 @click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
@@ -58,9 +57,8 @@ MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
 )
 @click.option(
     "--library",
-    default=DEFAULT_LIBRARY,
-    show_default=True,
-    help="Name of a shipped library, or a .nc file.",
+    help="Name of a shipped library, or a .nc file.  [default: the best for measured soils, "
+    "quick-plane-strain for simulated forces]",
     shell_complete=library_names,
 )
 @click.option(
@@ -82,8 +80,13 @@ MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
 @click.option(
     "--discrepancy",
     type=Choice(DISCREPANCIES),
-    help="What the model leaves unexplained: nothing, or a Gaussian process.  [default: gp, but "
-    "none for a history that terraphi simulated]",
+    help="What the model leaves unexplained: nothing, a Gaussian process, or as of real soils.  "
+    "[default: soils, gp where that was not learnt, none for simulated forces]",
+)
+@click.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    help="Soils of known friction angle, from 'terraphi calibrate'.",
 )
 @click.option(
     "--sampler",
@@ -107,7 +110,7 @@ MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
 def invert(
     forces: tuple[str, ...],
     legs: tuple[str, ...],
-    library: str,
+    library: str | None,
     out: Path | None,
     table: Path | None,
     as_json: bool,
@@ -135,6 +138,7 @@ def invert(
         return
     from terraphi.experiment.measurements import open_forces
     from terraphi.experiment.outputs import check_folder
+    from terraphi.inference.discrepancy import default_library
     from terraphi.inference.inversion import Trial
     from terraphi.inference.inversion import invert as run
     from terraphi.library.store import Library
@@ -146,7 +150,10 @@ def invert(
         Trial(m.history, leg, m.name, m.density_kg_m3, m.density_assumed)
         for m, leg in zip(measured, legs_of(legs, measured), strict=True)
     ]
-    found = run(trials, library=Library.load(library), **options)
+    why = ""
+    if library is None:
+        library, why = default_library([m.history for m in measured])
+    found = run(trials, library=Library.load(library), library_reason=why, **options)
     made = () if out is None else save_inversion(found, out)
     if as_json:
         print_json(found.as_dict())

@@ -10,10 +10,10 @@ from pathlib import Path
 import click
 
 from terraphi.cli.app import app
-from terraphi.cli.calibrate import library_calibrate
+from terraphi.cli.calibrate import calibrate, library_calibrate
 from terraphi.cli.doctor import doctor
 from terraphi.cli.forces import forces, friction
-from terraphi.cli.invert import DEFAULT_LIBRARY, KIND, MADE, invert, save_inversion
+from terraphi.cli.invert import KIND, MADE, invert, save_inversion
 from terraphi.cli.keys import keys
 from terraphi.cli.library import library
 from terraphi.cli.options import (
@@ -29,7 +29,6 @@ from terraphi.experiment.errors import InputError, SimulationError
 from terraphi.view.console import (
     ignore_interrupts,
     listen,
-    print_inversion,
     print_json,
 )
 
@@ -39,7 +38,7 @@ OURS = 1
 """Exit status when something is wrong with the program."""
 log = logging.getLogger("terraphi")
 DEMO_FIGURE = "demo.png"
-DEMO_SOURCES = ("li2013:yuma/straight", "li2013:glass03_close/straight")
+DEMO_SOURCES = ("li2013:glass03_close/straight", "li2013:glass03_loose/straight")
 
 
 class Commands(click.Group):
@@ -90,50 +89,37 @@ def cli() -> None:
 )
 @json_option
 def demo(out: Path, as_json: bool) -> None:
-    """Invert two measured histories, Yuma sand and 0.3 mm glass beads.
+    """Recover a friction angle that is known, then infer those of two measured sands.
 
     Example: terraphi demo
     """
-    from terraphi.experiment.measurements import open_forces
     from terraphi.experiment.outputs import check_folder, filling
-    from terraphi.inference.inversion import invert as run
-    from terraphi.library.store import Library
     from terraphi.view import plots
+    from terraphi.view.demo import answers, told
 
-    names = [source.partition(":")[2].replace("/", "-") for source in DEMO_SOURCES]
-    answers = [out.joinpath(name) for name in names]
+    names = ("known", *(one.partition(":")[2].replace("/", "-") for one in DEMO_SOURCES))
+    places = [out.joinpath(name) for name in names]
     check_folder(out, kind="demo", names=[DEMO_FIGURE])
-    for place in answers:
+    for place in places:
         check_folder(place, kind=KIND, names=MADE)
-    library = Library.load(DEFAULT_LIBRARY)
-    found = []
-    for source in DEMO_SOURCES:
-        forces = open_forces(source)
-        found.append(
-            run(
-                forces.history,
-                library=library,
-                leg=forces.leg,
-                density=forces.density_kg_m3,
-                density_assumed=forces.density_assumed,
-                source=source,
-            )
-        )
+    found = answers(DEMO_SOURCES)
     with filling(out, kind="demo", last=DEMO_FIGURE) as made:
         plots.save(plots.inversions_figure(found), made.joinpath(DEMO_FIGURE))
     picture = out.joinpath(DEMO_FIGURE)
-    for inversion, place in zip(found, answers, strict=True):
+    for inversion, place in zip(found, places, strict=True):
         save_inversion(inversion, place)
     if as_json:
         print_json({"inversions": [f.as_dict() for f in found], "figure": str(picture)})
         return
-    for inversion in found:
-        print_inversion(inversion)
+    for sentence in told(found):
+        click.echo(sentence)
     click.echo(f"Figure: {picture}")
-    click.echo(f"Answers: {', '.join(map(str, answers))}")
+    click.echo(f"Answers: {', '.join(map(str, places))}")
+    click.echo("Next, on forces of your own: terraphi invert FORCES.csv --leg LEG --density KG_M3")
 
 
 cli.add_command(invert)
+cli.add_command(calibrate)
 cli.add_command(simulate)
 cli.add_command(library)
 cli.add_command(study)

@@ -18,6 +18,7 @@ from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.inference.budget import Budget
 from terraphi.inference.findings import Doubt, Verdict
 from terraphi.inference.identifiability import Identifiability, axis_label, label
+from terraphi.inference.known_soils import Compared
 from terraphi.inference.posterior import Posterior
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws
@@ -211,6 +212,11 @@ class Inversion:
         likelihood.
     together
         What there is to say of several histories or parameters; ``None`` for one history and φ.
+    library_reason
+        Why the library was taken, if nobody named it.
+    compared
+        The forces beside those of known soils in the same apparatus, without any library;
+        ``None`` if they cannot be compared.
     provenance
         Versions of the software, hash and versions of the library, time taken [s]; JSON-able.
     """
@@ -232,6 +238,8 @@ class Inversion:
     warnings: tuple[Doubt, ...] = ()
     budget: Budget | None = None
     together: Together | None = None
+    library_reason: str = ""
+    compared: Compared | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -369,7 +377,9 @@ class Inversion:
         """Format that gives the numbers of a parameter the digits they deserve."""
         one = self.marginal[key]
         if self.together is None or self.together.draws is None:
-            return ".3f" if one.ci68[1] - one.ci68[0] < NARROW_DEG else ".2f"
+            half = max(0.5 * (one.ci68[1] - one.ci68[0]), 1e-3)
+            # A digit more than the interval has: 34 ± 4, 34.1 ± 0.4.
+            return f".{min(max(math.ceil(-math.log10(half)), 0), 3)}f"
         smallest = min(one.sd, self.together.conditional[key].sd)
         places = -math.floor(math.log10(0.5 * smallest)) if smallest > 0.0 else 2
         return f".{min(max(places, 0), 12)}f"
@@ -408,6 +418,8 @@ class Inversion:
             "parameters": {key: self._parameter(key) for key in self.keys},
             "fixed": {k: p.low for k, p in self.priors.items() if p.fixed},
             "library": self.library,
+            "library_reason": self.library_reason,
+            "compared_with_known_soils": self.compared.as_dict() if self.compared else None,
             "likelihood": self.likelihood,
             "sampler": self.sampler,
             "seed": self.seed,

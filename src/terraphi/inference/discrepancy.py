@@ -53,6 +53,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.documents import shipped_file, shipped_names
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
 from terraphi.inference.budget import (
     Budget,
     covariance_terms,
@@ -67,6 +68,8 @@ from terraphi.library.store import Library
 
 FloatArray = NDArray[np.float64]
 
+FOR_SIMULATED = "quick-plane-strain"
+"""Library for simulated records."""
 FOLDER = "discrepancies"
 """Of the package's data: a file for each library whose discrepancy was learnt."""
 SPREAD_DEG = 3.0
@@ -269,9 +272,9 @@ class Learnt:
 
     def most(self, accepted: float = ACCEPTED) -> float:
         """Largest deviation that is consistent, over the typical one [-]."""
-        from scipy.stats import t
+        from scipy.special import stdtrit
 
-        quantile = float(t.ppf(accepted, self.records - 1))
+        quantile = float(stdtrit(self.records - 1, accepted))
         # T is a square.
         return float(np.exp(0.5 * quantile * self.spread * np.sqrt(1.0 + 1.0 / self.records)))
 
@@ -457,13 +460,15 @@ def learnt_for(library: Library) -> Learnt | None:
     return found if found is not None and found.library_hash == library.hash else None
 
 
-def best_library() -> tuple[str, str]:
-    """The shipped library for measured records, and why."""
+def default_library(histories: Sequence[ForceHistory]) -> tuple[str, str]:
+    """The shipped library for histories if nobody names one, and why."""
     best = min(shipped().values(), key=lambda one: one.rms_deg)
+    if all("scenario" in history.provenance for history in histories):
+        return FOR_SIMULATED, "simulated forces: the library of the same model's coarse preset"
     media = ", ".join(sorted(best.levels_deg))
     return best.library, (
-        f"measured forces: of the shipped libraries, {best.library} comes closest to the angles of "
-        f"repose of the shipped media ({best.rms_deg:.1f}° root mean square over {media})"
+        "measured forces: it comes closest to the angles of repose of the shipped media "
+        f"({best.rms_deg:.1f}° root mean square over {media})"
     )
 
 

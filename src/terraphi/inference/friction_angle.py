@@ -49,6 +49,7 @@ from terraphi.inference.explanation import OFFSETS, explain
 from terraphi.inference.findings import Doubt, Measure, Side, Verdict
 from terraphi.inference.fit import SMALLEST_PROBABILITY, fit_without_discrepancy
 from terraphi.inference.identifiability import Identifiability
+from terraphi.inference.known_soils import Calibration
 from terraphi.inference.noise import Noise, shape_of, window_covariance
 from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature, tabulated
@@ -92,7 +93,7 @@ class Ways:
     discrepancy: str | Learnt | None
     sampler: str
     seed: int
-    level: Level | None = None
+    calibration: Calibration | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +211,7 @@ def infer(
         verdict=damaged(verdict) if looked.spoilt else verdict,
         warnings=tuple(warnings),
         budget=budget,
-        together=_together(legs, posterior, prior, used, ways) if looked.several else None,
+        together=_together(legs, posterior, prior, used, ways, level) if looked.several else None,
         provenance={"core_seconds": seconds},
     )
 
@@ -322,7 +323,11 @@ def _learnt(
 def _level(legs: Sequence[_Leg], ways: Ways, *, assumed: bool) -> Level | None:
     """How far the angle of a soil may lie from that of the library; ``None``: it is the same."""
     soils = [leg.whole for leg in legs if isinstance(leg.whole, SoilLikelihood)]
-    level = ways.level or (soils[0].learnt.level if soils else None)
+    learnt = soils[0].learnt if soils else None
+    level = learnt.level if learnt else None
+    if ways.calibration is not None:
+        found = quadrature(_whole(legs), _common(legs), nodes=NODES[ways.likelihood])
+        level = ways.calibration.level(found.median, learnt)
     if level is None or not soils or not assumed:
         return level
     return level.wider(float(np.mean([one.by_density_deg for one in soils])))
@@ -577,15 +582,21 @@ def _times(likelihood: LogLikelihood, prior: Marginal) -> LogLikelihood:
 
 
 def _together(
-    legs: Sequence[_Leg], posterior: Posterior, prior: Marginal, density: float, ways: Ways
+    legs: Sequence[_Leg],
+    posterior: Posterior,
+    prior: Marginal,
+    density: float,
+    ways: Ways,
+    level: Level | None,
 ) -> Together:
     """What each leg adds, and the noise and discrepancy that were inferred of all."""
-    sd = {
-        leg.group.leg: quadrature(
-            _times(leg.whole, prior), posterior.bounds_deg, nodes=NODES[ways.likelihood]
-        ).sd
-        for leg in legs
-    }
+    sd = {}
+    for leg in legs:
+        alone, bounds = leg.whole, posterior.bounds_deg
+        if level is not None:
+            alone = _about(level, quadrature(alone, leg.bounds_deg, nodes=NODES[ways.likelihood]))
+        density_of = _times(alone, prior)
+        sd[leg.group.leg] = quadrature(density_of, bounds, nodes=NODES[ways.likelihood]).sd
     sd["all"] = posterior.sd
     noise, amplitude = [np.zeros(1)], [np.zeros(1)]
     rng = np.random.default_rng(ways.seed)

@@ -20,6 +20,7 @@ from terraphi.inference import friction_angle, several_parameters
 from terraphi.inference.answer import PHI, AngleSummary, Inversion, plane_strain_summary
 from terraphi.inference.discrepancy import Learnt
 from terraphi.inference.findings import Doubt
+from terraphi.inference.known_soils import Calibration, Compared, compared
 from terraphi.inference.noise import Noise
 from terraphi.inference.prior import Marginal, is_on, priors
 from terraphi.inference.trials import Looked, Trial, common_density, look
@@ -64,6 +65,8 @@ def invert(
     seed: int = 0,
     source: str = "",
     steps: int = several_parameters.STEPS,
+    calibration: Calibration | Path | str | None = None,
+    library_reason: str = "",
 ) -> Inversion:
     """Infer the friction angle, and what else a library varies, from one history or several.
 
@@ -107,6 +110,10 @@ def invert(
     steps
         Of each ensemble to begin with, for several parameters; they double until the draws have
         converged.
+    calibration
+        The library compared with soils of known friction angle, or its file: of φ alone.
+    library_reason
+        Why the library was taken, for people, if nobody named it.
 
     Returns
     -------
@@ -119,6 +126,7 @@ def invert(
     """
     _check_options(likelihood, sampler, noise, discrepancy)
     began = time.perf_counter()
+    by_soils = _by_soils(calibration, library, likelihood)
     looked = look(_trials(histories, leg, source), library)
     known = _known(looked, library, prior, density, density_assumed)
     if known.phi_alone:
@@ -133,6 +141,7 @@ def invert(
             discrepancy,
             sampler or "quadrature",
             seed,
+            by_soils,
         )
         found = friction_angle.infer(
             looked,
@@ -143,20 +152,38 @@ def invert(
             ways=ways,
         )
     else:
-        _check_several(likelihood, sampler)
-        if discrepancy == "soils" or isinstance(discrepancy, Learnt):
-            raise InputError("discrepancy 'soils' is for the friction angle alone; take 'gp'")
+        _check_several(likelihood, sampler, discrepancy, by_soils)
         found = several_parameters.infer(
             looked,
             library=library,
             priors=known.priors,
             density_assumed=known.assumed,
             noise=Noise.parse(noise),
-            discrepancy=discrepancy,
+            discrepancy=None if isinstance(discrepancy, Learnt) else discrepancy,
             seed=seed,
             steps=steps,
         )
+    if calibration is not None:
+        found = replace(found, provenance={**found.provenance, **_told(calibration)})
+    found = replace(
+        found, library_reason=library_reason, compared=_compared(looked, found, library)
+    )
     return _signed(found, library, time.perf_counter() - began)
+
+
+def _told(calibration: Calibration) -> dict[str, Any]:
+    return {"calibration": calibration.model_dump(mode="json")}
+
+
+def _compared(looked: Looked, found: Inversion, library: Library) -> Compared | None:
+    """Measured forces beside those of known soils in the same apparatus."""
+    if any(one.simulation for one in found.records) or found.density is None:
+        return None
+    forces = [
+        (r.leg, r.observation.vector, str(t.history.provenance.get("measurement", "")))
+        for r, t in zip(found.records, looked.trials, strict=True)
+    ]
+    return compared(forces, found.density, library.cases[0].scenario)
 
 
 def _trials(
@@ -226,7 +253,12 @@ def _check_options(
         )
 
 
-def _check_several(likelihood: str | None, sampler: str | None) -> None:
+def _check_several(
+    likelihood: str | None,
+    sampler: str | None,
+    discrepancy: str | Learnt | None,
+    calibration: Calibration | None,
+) -> None:
     """Refuse what is for φ alone."""
     for name, given, only in (("likelihood", likelihood, "joint"), ("sampler", sampler, "emcee")):
         if given not in (None, only):
@@ -234,6 +266,10 @@ def _check_several(likelihood: str | None, sampler: str | None) -> None:
                 f"--{name} {given} is for the friction angle alone; several parameters know {only} "
                 "only: leave it out"
             )
+    if discrepancy == "soils" or isinstance(discrepancy, Learnt):
+        raise InputError("discrepancy 'soils' is for the friction angle alone; take 'gp'")
+    if calibration is not None:
+        raise InputError("a calibration is for the friction angle alone; drop it")
 
 
 def _signed(found: Inversion, library: Library, seconds: float) -> Inversion:

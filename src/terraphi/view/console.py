@@ -15,9 +15,14 @@ import click
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
+    from terraphi.inference.budget import Budget
     from terraphi.inference.findings import Doubt, Verdict
     from terraphi.inference.inversion import Inversion
     from terraphi.library.store import Library
+
+
+LEAST_DEG = 0.1
+"""Least standard deviation of φ that is named [deg]."""
 
 
 def as_text(data: Any) -> str:
@@ -83,15 +88,35 @@ def _remarks(found: Inversion, several: bool) -> list[str]:
     if found.phi_plane_strain is None and not several:
         told.append(f"No equivalent in plane strain: {found.plane_strain_reason}.")
     if found.budget is not None:
-        shares = found.budget.shares.items()
-        parts = ", ".join(f"{name.replace('_', ' ')} {share:.0%}" for name, share in shares)
-        told.append(f"Variance of φ: {parts}.")
+        told.append(_where_from(found.budget))
         without = found.budget.information_without_force
         if without > MOST_WITHOUT_FORCE:
             told.append(f"Told of φ by angles at which the measured force is zero: {without:.0%}.")
+    if found.library_reason:
+        told.append(f"Library {found.library} for {found.library_reason}.")
+    if found.compared is not None:
+        low, high = max(found.compared.low_deg, 0.0), found.compared.high_deg
+        told.append(
+            f"Without a library, by the size of the forces compared with known soils: between "
+            f"{low:.0f} and {high:.0f}°."
+        )
     if found.together is not None and found.verdict.verdict != "misfit":
         told += found.together.identifiability.sentences()
     return told
+
+
+def _where_from(budget: Budget) -> str:
+    """What the width of the interval comes from, the largest first."""
+    if budget.discrepancy != "soils":
+        shares = budget.shares.items()
+        parts = ", ".join(f"{name.replace('_', ' ')} {share:.0%}" for name, share in shares)
+        return f"Variance of φ: {parts}."
+    terms = sorted(budget.degrees.items(), key=lambda one: -one[1])
+    parts = ", ".join(f"{n.replace('_', ' ')} {sd:.1f}°" for n, sd in terms if sd >= LEAST_DEG)
+    return (
+        f"Standard deviation of φ: {parts}. It is an operational angle in plane strain, near the "
+        "angle of repose of a loose soil."
+    )
 
 
 def _print_expected(found: Inversion) -> None:

@@ -1,0 +1,77 @@
+"""The demonstration: an angle that is known is recovered, then those of measured sands inferred."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import measurement
+
+if TYPE_CHECKING:
+    from terraphi.inference.inversion import Inversion
+
+TRUTHS, TRUTH_DEG = "quick-plane-strain-truths", 33.97
+"""Fresh simulations, off the grid of their library and of other seeds, and the one that is used."""
+NOISE_N = 0.1
+"""Standard deviation of the noise that is added to each of its readings [N]."""
+
+
+def answers(sources: Sequence[str]) -> list[Inversion]:
+    """Inversions of the known record and of shipped measurements, in that order."""
+    from terraphi.inference.discrepancy import default_library
+    from terraphi.inference.inversion import Trial, invert
+    from terraphi.library.store import Library
+
+    trials = [Trial(known_record(), "straight", f"simulated, φ = {TRUTH_DEG:g}°")]
+    for source in sources:
+        one = measurement(source)
+        density, assumed = one.density_kg_m3, one.density_assumed
+        trials.append(Trial(one.history, one.leg, source, density, assumed))
+    found = []
+    for trial in trials:
+        name, why = default_library([trial.history])
+        found.append(invert(trial, library=Library.load(name), library_reason=why))
+    return found
+
+
+def known_record() -> ForceHistory:
+    """A simulation of known friction angle, with noise."""
+    from terraphi.library.store import Library
+
+    cases = Library.load(TRUTHS).cases
+    truth = next(
+        case.history
+        for case in cases
+        if case.history and abs(case.scenario.soil.friction_angle_deg - TRUTH_DEG) < 1e-6
+    )
+    noise = NOISE_N * np.random.default_rng(0).standard_normal(truth.force.shape)
+    return replace(truth, force=truth.force + noise)
+
+
+def told(found: Sequence[Inversion]) -> list[str]:
+    """A sentence for each, of at most 25 words."""
+    known, *measured = found
+    low, high = known.phi.ci95
+    inside = "inside" if low <= TRUTH_DEG <= high else "outside"
+    sentences = [
+        f"Simulated with {TRUTH_DEG:g}° and noise: {_angle(known)}, the truth {inside} 95 %."
+    ]
+    for one in measured:
+        words = {
+            "consistent": "It deviates from the model as real soils do.",
+            "misfit": "It deviates more than known soils: check the record.",
+        }
+        said = words.get(one.verdict.verdict, "It lies at the library's edge.")
+        sentences.append(f"{one.source}: {_angle(one)}. {said}")
+    return sentences
+
+
+def _angle(one: Inversion) -> str:
+    """φ with half of its 68 % interval, in the digits that it has."""
+    form = one.digits("soil.friction_angle_deg")
+    half = 0.5 * (one.phi.ci68[1] - one.phi.ci68[0])
+    return f"φ = {one.phi.median:{form}} ± {half:{form}}°"

@@ -1,0 +1,98 @@
+"""Calibration on soils of known angle, and the comparison of forces without a library."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.measurements import measurement
+from terraphi.inference.discrepancy import learnt_for
+from terraphi.inference.inversion import invert
+from terraphi.inference.known_soils import Calibration, KnownSoil, angle_with_sd, known_soil
+from terraphi.library.store import Library
+from terraphi_studies.real_soil import trial_of
+
+REPOSE = {"poppy_loose": 36.0, "glass03_close": 35.0, "glass03_loose": 25.0}
+
+
+def soil(found_deg: float, phi_deg: float) -> KnownSoil:
+    return KnownSoil(
+        phi_deg=phi_deg, sd_deg=2.0, found_deg=found_deg, found_sd_deg=1.0, legs=("c",), forces=()
+    )
+
+
+def test_one_soil_moves_an_unknown_library_and_hardly_one_that_is_known() -> None:
+    unknown, known = Library.load("rft3d"), Library.load("resolved")
+    soils = [soil(24.0, 36.0)]
+    # N(0, 10²) with a record of variance 3² + 2² + 1²: shrunk to 100/114 of 12°.
+    level = Calibration.of(unknown, soils).level(24.0, None)
+    assert level.offset_deg == pytest.approx(12.0 * 100.0 / 114.0, rel=1e-3)
+    assert level.scale_deg == pytest.approx(
+        np.sqrt(9.0 + 1.0 / (1.0 / 100.0 + 1.0 / 14.0)), rel=1e-3
+    )
+    learnt = learnt_for(known)
+    assert learnt is not None
+    level = Calibration.of(known, soils).level(24.0, learnt)
+    assert 0.0 < level.offset_deg < 3.0
+    # From two on, the slope between them is followed in part.
+    two = Calibration.of(unknown, [soil(20.0, 25.0), soil(30.0, 40.0)])
+    low, high = (two.level(at, None).offset_deg for at in (20.0, 30.0))
+    assert low < high < low + 10.0
+
+
+@pytest.mark.parametrize("name", ["quick-plane-strain", "rft3d"])
+def test_calibrated_on_one_medium_the_others_come_out_closer_and_are_held(name: str) -> None:
+    library = Library.load(name)
+    found = {
+        medium: invert(trial_of(measurement(f"li2013:{medium}/straight")), library=library)
+        for medium in REPOSE
+    }
+    before, after, held = [], [], []
+    for medium, phi in REPOSE.items():
+        calibration = Calibration.of(library, [known_soil(found[medium], phi, 2.0)])
+        for other in REPOSE.keys() - {medium}:
+            trial = trial_of(measurement(f"li2013:{other}/straight"))
+            answer = invert(trial, library=library, calibration=calibration)
+            before.append(found[other].phi.median - REPOSE[other])
+            after.append(answer.phi.median - REPOSE[other])
+            held.append(answer.phi.ci95[0] < REPOSE[other] < answer.phi.ci95[1])
+    rms = [float(np.sqrt(np.mean(np.square(errors)))) for errors in (before, after)]
+    assert rms[1] < 0.75 * rms[0]
+    assert sum(held) >= 5
+
+
+def test_a_file_is_strict_and_of_one_library(tmp_path: Path) -> None:
+    library = Library.load("rft3d")
+    path = tmp_path / "soil.json"
+    Calibration.of(library, [soil(24.0, 36.0)]).save(path)
+    assert Calibration.load(path).soils == (soil(24.0, 36.0),)
+    record = measurement("li2013:yuma/straight").history
+    with pytest.raises(InputError, match="made with library 'rft3d'"):
+        invert(record, library=Library.load("quick-plane-strain"), calibration=path)
+    path.write_text(path.read_text(encoding="utf-8").replace('"sd_deg"', '"sd"'), encoding="utf-8")
+    with pytest.raises(InputError, match="sd"):
+        Calibration.load(path)
+    for text in ("35±2", "35+-2", " 35 +/- 2"):
+        assert angle_with_sd(text) == (35.0, 2.0)
+    for text in ("35", "35±0", "95±2", "a±b"):
+        with pytest.raises(InputError, match="as 35±2"):
+            angle_with_sd(text)
+
+
+def test_forces_are_compared_with_known_soils_in_the_same_apparatus() -> None:
+    library = Library.load("resolved")
+    loose = invert(trial_of(measurement("li2013:glass03_loose/c")), library=library)
+    seeds = invert(trial_of(measurement("li2013:poppy_loose/c")), library=library)
+    assert loose.compared is not None
+    assert seeds.compared is not None
+    # The medium itself is not among those that it is compared with.
+    assert loose.compared.media == ("glass03_close", "poppy_loose")
+    assert loose.compared.low_deg < 25.0 < loose.compared.high_deg < seeds.compared.high_deg
+    case = library.cases[0]
+    assert case.history is not None
+    simulated = invert(case.history, library=library, leg=case.scenario.leg.shape)
+    assert simulated.compared is None
+    assert simulated.as_dict()["compared_with_known_soils"] is None
