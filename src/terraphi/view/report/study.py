@@ -30,10 +30,6 @@ def section(folder: Path) -> Section:
     folder
         Of ``terraphi study --out``.
 
-    Returns
-    -------
-    Section
-
     Raises
     ------
     InputError
