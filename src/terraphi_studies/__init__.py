@@ -208,10 +208,6 @@ def run(
     **options
         Options of that study; those that are None are left to it.
 
-    Returns
-    -------
-    Study
-
     Raises
     ------
     InputError

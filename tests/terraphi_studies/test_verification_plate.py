@@ -8,14 +8,8 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.scenario import Scenario
-from terraphi_studies.verification import limit_scenarios as limit_values
 from terraphi_studies.verification import plate
 from terraphi_studies.verification.plate import DEPTH, TIP_SPEED, plate_scenario
-
-
-@pytest.mark.parametrize(("phi_deg", "exact"), [(25.0, 2.464), (35.0, 3.690), (45.0, 5.828)])
-def test_smooth_plate_meets_rankine(phi_deg: float, exact: float) -> None:
-    assert limit_values.passive_pressure(phi_deg, 0.0) == pytest.approx(exact, abs=1e-3)
 
 
 def test_rough_plate_on_a_smooth_floor_is_held_against_rankine(monkeypatch) -> None:

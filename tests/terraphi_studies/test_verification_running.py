@@ -332,12 +332,6 @@ def test_command_writes_page_and_data(tmp_path: Path, monkeypatch) -> None:
     assert json.loads(printed.output) == json.loads((out / "data.json").read_text())
 
 
-def test_command_uses_processes() -> None:
-    ran = command("verification", "--only", "sliding", "--quick", "--workers", "2", "--json")
-    assert ran.exit_code == 0, ran.output
-    assert json.loads(ran.output)["missed"] == 0
-
-
 @pytest.mark.parametrize(
     ("args", "words"),
     [

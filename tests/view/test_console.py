@@ -98,11 +98,9 @@ def test_loud_and_quiet_at_once_is_refused(terraphi) -> None:
         assert err == "terraphi: --verbose and --quiet are opposites; give one of them\n"
 
 
-@pytest.mark.parametrize("words", [["-v", "invert"], ["invert", "-v"]])
-def test_an_inversion_says_what_it_did_wherever_it_is_asked(words, terraphi) -> None:
-    asked = [*words, "li2013:yuma/straight", "--library", "rft3d"]
-    assert "sampling φ over" in terraphi(*asked).err
-    assert terraphi("invert", *asked[2:]).err == ""
+def test_an_inversion_says_what_it_did_if_asked(terraphi) -> None:
+    asked = ("li2013:yuma/straight", "--library", "rft3d")
+    assert "sampling φ over" in terraphi("invert", "-v", *asked).err
 
 
 def test_a_pipe_is_left_alone(capsys) -> None:

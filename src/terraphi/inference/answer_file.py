@@ -182,17 +182,15 @@ def _data(found: Inversion) -> dict[str, Any]:
         "/observed_data": observed,
         "/posterior_predictive_mean": both(np.stack([r.best for r in found.records])),
     }
-    if found.together is None:
-        ends = {
-            name: (("end", "theta_deg"), part, {"units": "N"})
-            for name, part in zip(("Fx", "Fz"), np.hsplit(found.band, 2), strict=True)
-        }
-        angle = {"theta_deg": coords["theta_deg"]}
-        groups["/curves_within_ci95"] = xr.Dataset(ends, coords=angle)
+    angle = {"theta_deg": coords["theta_deg"]}
+    band = found.records[0].band
+    if len(found.records) == 1 and band is not None:
+        ends = zip(("Fx", "Fz"), np.hsplit(band, 2), strict=True)
+        within = {name: (("end", "theta_deg"), part, {"units": "N"}) for name, part in ends}
+        groups["/curves_within_ci95"] = xr.Dataset(within, coords=angle)
     if found.budget is not None:
         shares = zip(("Fx", "Fz"), found.budget.information, strict=True)
         told = {name: ("theta_deg", share, {"units": "1"}) for name, share in shares}
-        angle = {"theta_deg": coords["theta_deg"]}
         groups["/information_share"] = xr.Dataset(told, coords=angle)
     return groups
 

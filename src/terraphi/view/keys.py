@@ -105,10 +105,6 @@ def tables(document: str) -> list[Table]:
     document
         One of :data:`DOCUMENTS`.
 
-    Returns
-    -------
-    list of Table
-
     Raises
     ------
     InputError

@@ -101,10 +101,6 @@ def inversions_figure(inversions: Sequence[Inversion]) -> Figure:
     ----------
     inversions
         One or more.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     size = (12.0, 3.4 * len(inversions) + 0.3)
     figure, axes = panels_of(len(inversions), 3, size=size)
@@ -204,10 +200,6 @@ def corner_figure(found: Inversion) -> Figure:
     ----------
     found
         The answer.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     d = len(found.keys)
     side = (2.3 if d > 2 else 3.0) * d + 0.6
@@ -304,10 +296,6 @@ def fits_figure(found: Inversion) -> Figure:
     ----------
     found
         The answer.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     count = len(found.by_leg)
     figure, rows = panels_of(count, 2, size=(9.0, 3.2 * count + 0.3))

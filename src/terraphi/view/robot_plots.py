@@ -40,10 +40,6 @@ def forces_figure(
         Length of the part of the log that is shown [s].
     start
         Its beginning on the log's clock [s]; by default a little before the first stance.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     time = result.forces.time
     if start is None:
@@ -78,10 +74,6 @@ def stance_figure(result: RobotForces) -> Figure:
     ----------
     result
         What :func:`~terraphi.robot.results.analyse` found.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     figure, (panels,) = panels_of(1, len(SHOWN), size=(10.0, 4.0))
     for axes, name in zip(panels, SHOWN, strict=True):

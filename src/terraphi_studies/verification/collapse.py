@@ -97,10 +97,6 @@ def column_scenario(aspect: float, across: int, *, transfer: str = "phases") -> 
         d0/Δx.
     transfer
         ``steps``: at every step; ``phases``: every :data:`PHASE` steps, with mean dilatation.
-
-    Returns
-    -------
-    Scenario
     """
     cell, density = WIDTH / across, UNIT_WEIGHT / GRAVITY
     # A hair beyond the nodes, which then hold the soil whatever their last digit.
@@ -214,10 +210,6 @@ def let_go(aspect: float, across: int, transfer: str = "phases", times: float = 
         As in :func:`column_scenario`.
     times
         Time that is simulated over √(h0/g).
-
-    Returns
-    -------
-    Outcome
     """
     scenario = column_scenario(aspect, across, transfer=transfer)
     soil, rig = geostatic_bed(scenario), rig_of(scenario)

@@ -56,10 +56,6 @@ def sweep_books(leg: str, relief: bool, kernel: Kernel, stop_deg: float = 135.0)
         Which kernel.
     stop_deg
         Last angle [deg].
-
-    Returns
-    -------
-    Outcome
     """
     scenario = coarse_sweep(
         **{"leg.shape": leg, "relief.enabled": relief, "motion.stop_deg": stop_deg}
@@ -98,10 +94,6 @@ def transfer_spin(cells: int = 32) -> Outcome:
     ----------
     cells
         Cells along a side of the domain.
-
-    Returns
-    -------
-    Outcome
     """
     scenario = elastic(cells)
     cell = scenario.numerics.cell_size
@@ -133,10 +125,6 @@ def spinning_block(kernel: Kernel, steps: int, cells: int = 32) -> Outcome:
         How many.
     cells
         Cells along a side of the domain.
-
-    Returns
-    -------
-    Outcome
     """
     scenario = elastic(cells)
     soil = _tumbling(scenario)

@@ -58,10 +58,6 @@ def benchmark(cells: int, *, courant: float, on_nodes: bool = False, **changes: 
         Whether the box is that of :data:`ON_NODES`; any grid of fewer than 60 cells needs it.
     **changes
         As for :meth:`~terraphi.experiment.scenario.Scenario.replace`.
-
-    Returns
-    -------
-    Scenario
     """
     box = ON_NODES if on_nodes else {}
     fine = Scenario().replace(**{"numerics.time_step": 1e-6, **box, **changes})
@@ -117,8 +113,7 @@ def advance(
     pose: tuple[float, ...] = PARKED,
     kernel: Kernel = "packets",
     body_force: Callable[[float], FloatArray] | None = None,
-    start: float = 0.0,
-) -> FloatArray:
+) -> None:
     """Take some steps with a leg that keeps its pose, changing soil, grid and books in place.
 
     Parameters
@@ -138,43 +133,39 @@ def advance(
         [particle, 2]: given to the particles before the step, which takes it to the grid with
         their momentum. The kernels are then called step by step, which the packets do by half
         steps of the reference kernel alone.
-    start
-        Time of the first step's start [s].
-
-    Returns
-    -------
-    ndarray
-        Impulse of the soil on the leg (x, z) per metre of width [kg/s], shape [2].
 
     Raises
     ------
     SimulationError
         If a particle leaves the grid.
     """
-    take = KERNELS[kernel][rig.stepping.phase > 0]
-    impulse = empty_reaction(1)
-    done = 0
-    while done < steps:
-        count = 1 if body_force is not None else min(BLOCK, steps - done)
-        if body_force is not None:
-            time_step = rig.stepping.time_step
-            soil.velocity[:] += time_step * body_force(start + done * time_step)
+    block = BLOCK if body_force is None else 1
+    for done in range(0, steps, block):
+        count = min(block, steps - done)
         if done % BLOCK == 0:
             heartbeat(0.0)
-        lost = take(
-            soil,
-            rig.grid,
-            *rig[1:5],
-            np.tile(pose, (count, 1)),
-            np.zeros(count),
-            np.zeros(count, np.int64),
-            impulse,
-            rig.audit,
-        )
-        if lost >= 0:
-            raise SimulationError(f"particle {lost} left the grid before step {done + count}")
-        done += count
-    return np.array(impulse[0, :2])
+        if body_force is not None:
+            time_step = rig.stepping.time_step
+            soil.velocity[:] += time_step * body_force(done * time_step)
+        still = np.zeros(count)
+        _take(soil, rig, kernel, np.tile(pose, (count, 1)), still, still.astype(np.int64))
+
+
+def _take(
+    soil: Particles,
+    rig: Rig,
+    kernel: Kernel,
+    poses: FloatArray,
+    turned: FloatArray,
+    bins: NDArray[np.int64],
+    impulse: FloatArray | None = None,
+) -> None:
+    """Take a step for each pose; the leg's impulse is added up by bins if somebody asks for it."""
+    take = KERNELS[kernel][rig.stepping.phase > 0]
+    felt = empty_reaction(1) if impulse is None else impulse
+    lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, felt, rig.audit)
+    if lost >= 0:
+        raise SimulationError(f"particle {lost} left the grid")
 
 
 def block_of(
@@ -199,10 +190,6 @@ def block_of(
         [kg/m³].
     tilt
         Angle by which it is turned about the corner, from +x towards +z [rad].
-
-    Returns
-    -------
-    Particles
     """
     columns, rows = (max(1, round(side / spacing)) for side in size)
     step = np.array([size[0] / columns, size[1] / rows])
@@ -234,7 +221,8 @@ def follow(
     count: int,
     *,
     kernel: Kernel = "packets",
-) -> None:
+    impulse: FloatArray | None = None,
+) -> NDArray[np.int64]:
     """Take some steps of a scenario's own motion, changing soil, grid and books in place.
 
     Parameters
@@ -245,21 +233,28 @@ def follow(
         As in :func:`advance`.
     first, count
         Number of the first step, and how many.
+    impulse
+        Of the soil on the leg per metre of width [kg/s], by bin of the motion: is added to.
+
+    Returns
+    -------
+    ndarray
+        How many steps fell into each bin.
 
     Raises
     ------
     SimulationError
         If a particle leaves the grid.
     """
-    take = KERNELS[kernel][rig.stepping.phase > 0]
+    places = 1 if impulse is None else len(impulse)
+    held = np.zeros(places, np.int64)
     for begin in range(first, first + count, BLOCK):
-        heartbeat(0.0)
         steps = np.arange(begin, min(begin + BLOCK, first + count))
-        poses, turned, bins = path_of_steps(scenario, steps, 1)
-        impulse = empty_reaction(1)
-        lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
-        if lost >= 0:
-            raise SimulationError(f"particle {lost} left the grid by step {steps[-1]}")
+        poses, turned, bins = path_of_steps(scenario, steps, places)
+        held += np.bincount(bins, minlength=places)
+        heartbeat(0.0)
+        _take(soil, rig, kernel, poses, turned, bins, impulse)
+    return held
 
 
 def push(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
@@ -278,16 +273,7 @@ def push(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
     soil = geostatic_bed(scenario)
     # A scenario keeps its leg between the walls; the plate's own place is behind this one.
     rig = rig_of(scenario).changed(left=scenario.bed.soil_span[0])
-    take = KERNELS["packets"][rig.stepping.phase > 0]
     places = bin_centres(scenario.motion)
-    impulse, held = empty_reaction(len(places)), np.zeros(len(places))
-    steps, block = step_count(scenario), 50 * max(rig.stepping.phase, 20)
-    for begin in range(0, steps, block):
-        heartbeat(0.0)
-        indices = np.arange(begin, min(begin + block, steps))
-        poses, turned, bins = path_of_steps(scenario, indices, len(places))
-        held += np.bincount(bins, minlength=len(places))
-        lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
-        if lost >= 0:
-            raise SimulationError(f"particle {lost} left the grid by step {indices[-1]}")
+    impulse = empty_reaction(len(places))
+    held = follow(scenario, soil, rig, 0, step_count(scenario), impulse=impulse)
     return places, impulse[:, :2] / (held * scenario.numerics.time_step)[:, None]

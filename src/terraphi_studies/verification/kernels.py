@@ -49,10 +49,6 @@ def growth(leg: str, criterion: str, looks: Sequence[int] = LOOKS) -> Outcome:
         Yield criterion.
     looks
         Steps after which they are compared.
-
-    Returns
-    -------
-    Outcome
     """
     scenario = coarse_sweep(
         **{
@@ -112,10 +108,6 @@ def whole_sweep(criterion: str, seeds: int, preset: str = "quick") -> Outcome:
         Number of beds.
     preset
         Shipped scenario; ``coarse`` for a smaller one still.
-
-    Returns
-    -------
-    Outcome
     """
     base = coarse_sweep() if preset == "coarse" else Scenario.load(preset)
     scenario = base.replace(**{"soil.yield_criterion": criterion})

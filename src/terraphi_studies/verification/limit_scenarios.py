@@ -184,10 +184,6 @@ def wall_scenario(
         the plate's front, as :func:`~terraphi_studies.verification.driver.push` adds it.
     drive
         Soil's stiffness and plate's path; ``None``: to the limit in the first geometry.
-
-    Returns
-    -------
-    Scenario
     """
     if drive is None:
         at_toe = passive_pressure(phi_deg, friction) * DENSITY * GRAVITY * WALL_HEIGHT
@@ -268,10 +264,6 @@ def footing_scenario(
         ``weight`` of the soil for N_γ; for N_q its ``cohesion``, or a ``dead weight`` on it.
     settings
         As in :func:`wall_scenario`.
-
-    Returns
-    -------
-    Scenario
     """
     cell = FOOTING_WIDTH / across
     wide, deep = _bed_of_footing(phi_deg, load)

@@ -146,10 +146,6 @@ def shorter_steps(cells: int, courants: Sequence[float]) -> Outcome:
         Cells along a side of the domain.
     courants
         Part of a cell that a wave passes in a step, halved from one to the next [-].
-
-    Returns
-    -------
-    Outcome
     """
     errors = [vortex_errors(cells, 2, TINY, courant) for courant in courants]
     before, last = (error["displacement"] for error in errors[-2:])

@@ -77,10 +77,6 @@ def plate_scenario(
         ``particle``, or ``cell`` as in ``resolved``.
     path
         How far the plate goes [m].
-
-    Returns
-    -------
-    Scenario
     """
     base = preset()
     cell = SIDE / cells
@@ -166,10 +162,6 @@ def push_plate(
         As in :func:`plate_scenario`.
     window
         Displacements over which the force is averaged [m].
-
-    Returns
-    -------
-    Outcome
     """
     scenario = plate_scenario(
         phi_deg, friction, cells,
@@ -218,10 +210,6 @@ def compare_speeds(phi_deg: float = 35.0, speed_up: float = 10.0) -> Outcome:
         φ [deg].
     speed_up
         How many times as fast.
-
-    Returns
-    -------
-    Outcome
     """
     exact, found = passive_pressure(phi_deg, 0.0), []
     for factor in (1.0, speed_up):
@@ -262,10 +250,6 @@ def refine_plate(
         As in :func:`push_plate`.
     beneath
         Cells of ``resolved`` between toe and floor; the floor is as deep on every grid.
-
-    Returns
-    -------
-    Outcome
     """
     found = [
         push_plate(phi_deg, friction, n, beneath=beneath * n // CELLS, floor=floor) for n in GRIDS

@@ -58,10 +58,6 @@ def bed_at_rest(
         Whether grid velocities decay as in the benchmark.
     on_nodes
         Whether the edges of the box lie on nodes.
-
-    Returns
-    -------
-    Outcome
     """
     changes: dict[str, Any] = {} if damped else {"numerics.damping_rate": 0.0}
     changes["soil.yield_criterion"] = criterion
@@ -118,10 +114,6 @@ def oedometer(
         Particles along a side of a cell.
     seconds
         Simulated time [s].
-
-    Returns
-    -------
-    Outcome
     """
     changes: dict[str, Any] = {
         "numerics.particle_jitter": jitter,

@@ -68,10 +68,6 @@ def slide(
         Which kernel.
     contact
         With the nodes near the plate, or of the particles with its surface.
-
-    Returns
-    -------
-    Outcome
     """
     on_surface = contact == "surface"
     scenario = _scenario(cells, on_surface)

@@ -61,10 +61,6 @@ def compression_wave(cells: int, jitter: float, on_nodes: bool = True) -> Outcom
         Share of its sub-cell over which a particle's place is drawn [-].
     on_nodes
         Whether the edges of the box lie on nodes.
-
-    Returns
-    -------
-    Outcome
     """
     changes: dict[str, Any] = {
         "bed.floor_friction": "smooth",
@@ -106,10 +102,6 @@ def shear_wave(cells: int, per_side: int = 2) -> Outcome:
         Cells along a side of the domain.
     per_side
         Particles along a side of a cell.
-
-    Returns
-    -------
-    Outcome
     """
     scenario = elastic(cells, per_side=per_side)
     side = 0.16

@@ -107,11 +107,10 @@ def test_nothing_is_loaded_from_elsewhere() -> None:
     assert not re.search(r"https?://|//cdn|@import|url\(", without_plotly)
 
 
-def test_a_page_is_refused_above_its_size(tmp_path: Path) -> None:
-    noise = np.random.default_rng(0).random(900_000)
-    large = Section("x", "x", "x", [Plot("x", [fig.line(noise, noise, "", "@blue")], {})])
-    with pytest.raises(InputError, match="6 MB"):
-        page.write([large], tmp_path / "r.html")
+def test_a_page_is_refused_above_its_size(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(page, "LARGEST_BYTES", 1_000_000)
+    with pytest.raises(InputError, match="1 MB"):
+        page.write([hostile_section()], tmp_path / "r.html")
     assert not list(tmp_path.iterdir())
 
 

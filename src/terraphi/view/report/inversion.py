@@ -84,10 +84,6 @@ def section(path: Path, *, library: str | None = None) -> Section:
     library
         Name or file of the library that was used, if it is not a shipped one.
 
-    Returns
-    -------
-    Section
-
     Raises
     ------
     InputError

@@ -29,10 +29,6 @@ def section(path: Path) -> Section:
     path
         The file, or the name of a shipped library.
 
-    Returns
-    -------
-    Section
-
     Raises
     ------
     InputError

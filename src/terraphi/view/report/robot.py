@@ -123,10 +123,6 @@ def section(path: Path, *, robot: str = "go2") -> Section:
     robot
         Name, TOML or URDF of the robot, for a log.
 
-    Returns
-    -------
-    Section
-
     Raises
     ------
     InputError

@@ -58,10 +58,6 @@ def section(history_file: Path, *, fields: Path | None, share: float = 1.0) -> S
     share
         Part of the places that this one may take, if there are several in a page [-].
 
-    Returns
-    -------
-    Section
-
     Raises
     ------
     InputError

@@ -30,10 +30,6 @@ def section(folder: Path) -> Section:
     folder
         Of ``terraphi study --out``.
 
-    Returns
-    -------
-    Section
-
     Raises
     ------
     InputError
@@ -42,11 +38,10 @@ def section(folder: Path) -> Section:
     data = _data(folder / "data.json")
     own = _own_table(data)
     parts: list[Part] = [replace(own, title="In numbers")] if own else []
-    beside = _beside_paper(data)
-    if beside:
-        parts.append(Table("Ours beside the paper's", ("", "ours", "Xu & Wang"), beside, wide=True))
-    notes = data.get("notes", ())
-    if isinstance(notes, list) and notes:
+    if beside := data.get("beside_paper"):
+        columns = (("", "{what}"), ("ours", "{ours}"), ("Xu & Wang", "{paper}"))
+        parts.append(replace(Table.of("Ours beside the paper's", columns, beside), wide=True))
+    if notes := data.get("notes"):
         parts.append(Text("In words", tuple(str(note).replace("`", "") for note in notes)))
     parts += pictures(folder, "Pictures")
     parts += [_page(file) for file in sorted(folder.glob("*.md"))]
@@ -85,28 +80,12 @@ def _data(path: Path) -> dict[str, Any]:
 
 
 def _own_table(data: Mapping[str, Any]) -> Table | None:
-    """The table that the study itself has made, or None if there is none to be shown."""
-    found = data.get("table")
-    if not isinstance(found, dict):
+    """The table that the study itself has made, if it has."""
+    own = data.get("table")
+    if not own:
         return None
-    header, rows = found.get("header"), found.get("rows")
-    if not isinstance(header, list) or not isinstance(rows, list):
-        return None
-    if any(not isinstance(row, list) or len(row) != len(header) for row in rows):
-        return None
-    return Table(
-        str(found.get("title", "")),
-        [str(name) for name in header],
-        [[str(cell) for cell in row] for row in rows],
-        wide=True,
-    )
-
-
-def _beside_paper(data: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    lines = data.get("beside_paper", [])
-    if not isinstance(lines, list) or not all(isinstance(line, dict) for line in lines):
-        return []
-    return [(*(str(line.get(key, "")) for key in ("what", "ours", "paper")),) for line in lines]  # type: ignore[misc]
+    rows = [[str(cell) for _, cell in zip(own["header"], row, strict=True)] for row in own["rows"]]
+    return Table(str(own["title"]), [str(name) for name in own["header"]], rows, wide=True)
 
 
 def _shortened(value: Any) -> Any:
