@@ -163,16 +163,25 @@ def invert(
             seed=seed,
             steps=steps,
         )
-    if calibration is not None:
-        found = replace(found, provenance={**found.provenance, **_told(calibration)})
-    found = replace(
-        found, library_reason=library_reason, compared=_compared(looked, found, library)
-    )
+    if by_soils is not None:
+        told = {"calibration": by_soils.model_dump(mode="json")}
+        found = replace(found, provenance={**found.provenance, **told})
+    beside = _compared(looked, found, library)
+    found = replace(found, library_reason=library_reason, compared=beside)
     return _signed(found, library, time.perf_counter() - began)
 
 
-def _told(calibration: Calibration) -> dict[str, Any]:
-    return {"calibration": calibration.model_dump(mode="json")}
+def _by_soils(
+    given: Calibration | Path | str | None, library: Library, likelihood: str | None
+) -> Calibration | None:
+    """A calibration, or that of a file; refused if it is of another library."""
+    if given is None:
+        return None
+    found = given if isinstance(given, Calibration) else Calibration.load(given)
+    found.check(library)
+    if likelihood == "paper":
+        raise InputError("a calibration is for the calibrated likelihood; drop one of them")
+    return found
 
 
 def _compared(looked: Looked, found: Inversion, library: Library) -> Compared | None:
