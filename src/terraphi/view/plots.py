@@ -93,6 +93,8 @@ def inversions_figure(inversions: Sequence[Inversion]) -> Figure:
     # One legend outside the axes: inside, it would hide data in one panel or another.
     parts = [panel.get_legend_handles_labels() for panel in (axes[0, 0], axes[0, 2])]
     handles, labels = ([*one, *other] for one, other in zip(*parts, strict=True))
+    kinds = list(dict.fromkeys(inversion.origin for inversion in inversions))
+    labels = [" or ".join(kinds) if label in kinds else label for label in labels]
     figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
     return figure
 
@@ -153,8 +155,9 @@ def _draw_posterior(axes: Axes, inversion: Inversion) -> None:
     axes.set_yticks([])
     axes.set_ylabel("posterior density")
     axes.set_xlabel(PHI_LABEL[inversion.convention])
+    form = inversion.digits("soil.friction_angle_deg")
     axes.set_title(
-        f"φ = {phi.median:.1f}°, 68 %: {phi.ci68[0]:.1f} to {phi.ci68[1]:.1f}° "
+        f"φ = {phi.median:{form}}°, 68 %: {inversion.span('soil.friction_angle_deg', phi.ci68)}° "
         f"({inversion.verdict.verdict.replace('_', ' ')})",
         fontsize=10,
     )
