@@ -46,8 +46,8 @@ def study(name: str | None, out: Path | None, as_json: bool, **options: Any) -> 
     """Run the study NAME; list, or no name, lists them with how long they take.
 
     The paper's own: benchmark, phi_sensitivity, k0, surrogate, recovery, and figures, which draws
-    all of them. Of measured sand: measured, prediction. Of the model: calibration, spacing,
-    design, reading, prototype, sensitivity, resolution, verification.
+    all of them. Of measured sand: measured, real_soil, prediction. Of the model: calibration,
+    spacing, design, reading, prototype, sensitivity, resolution, verification.
 
     Example: terraphi study recovery --out recovery
     """

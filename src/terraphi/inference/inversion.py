@@ -130,19 +130,7 @@ def invert(
     looked = look(_trials(histories, leg, source), library)
     known = _known(looked, library, prior, density, density_assumed)
     if known.phi_alone:
-        if likelihood == "joint":
-            raise InputError(
-                "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or "
-                "'paper'"
-            )
-        ways = friction_angle.Ways(
-            likelihood or "calibrated",
-            Noise.parse(noise),
-            discrepancy,
-            sampler or "quadrature",
-            seed,
-            by_soils,
-        )
+        ways = _ways(likelihood, noise, discrepancy, sampler, seed, by_soils)
         found = friction_angle.infer(
             looked,
             library=library,
@@ -163,16 +151,48 @@ def invert(
             seed=seed,
             steps=steps,
         )
-    if calibration is not None:
-        found = replace(found, provenance={**found.provenance, **_told(calibration)})
-    found = replace(
-        found, library_reason=library_reason, compared=_compared(looked, found, library)
-    )
+    if by_soils is not None:
+        told = {"calibration": by_soils.model_dump(mode="json")}
+        found = replace(found, provenance={**found.provenance, **told})
+    beside = _compared(looked, found, library)
+    found = replace(found, library_reason=library_reason, compared=beside)
     return _signed(found, library, time.perf_counter() - began)
 
 
-def _told(calibration: Calibration) -> dict[str, Any]:
-    return {"calibration": calibration.model_dump(mode="json")}
+def _ways(
+    likelihood: str | None,
+    noise: float | str | Path | None,
+    discrepancy: str | Learnt | None,
+    sampler: str | None,
+    seed: int,
+    calibration: Calibration | None,
+) -> friction_angle.Ways:
+    """How φ alone is inferred, with its defaults."""
+    if likelihood == "joint":
+        raise InputError(
+            "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or 'paper'"
+        )
+    return friction_angle.Ways(
+        likelihood or "calibrated",
+        Noise.parse(noise),
+        discrepancy,
+        sampler or "quadrature",
+        seed,
+        calibration,
+    )
+
+
+def _by_soils(
+    given: Calibration | Path | str | None, library: Library, likelihood: str | None
+) -> Calibration | None:
+    """A calibration, or that of a file; refused if it is of another library."""
+    if given is None:
+        return None
+    found = given if isinstance(given, Calibration) else Calibration.load(given)
+    found.check(library)
+    if likelihood == "paper":
+        raise InputError("a calibration is for the calibrated likelihood; drop one of them")
+    return found
 
 
 def _compared(looked: Looked, found: Inversion, library: Library) -> Compared | None:

@@ -104,16 +104,17 @@ def inversions_figure(inversions: Sequence[Inversion]) -> Figure:
     """
     size = (12.0, 3.4 * len(inversions) + 0.3)
     figure, axes = panels_of(len(inversions), 3, size=size)
+    origins = " or ".join(dict.fromkeys(inversion.origin for inversion in inversions))
     for row, inversion in zip(axes, inversions, strict=True):
-        _draw_forces(row[0], inversion, "Fx")
-        _draw_forces(row[1], inversion, "Fz")
+        _draw_forces(row[0], inversion, "Fx", label=origins)
+        _draw_forces(row[1], inversion, "Fz", label=origins)
         _draw_posterior(row[2], inversion)
     # Outside the axes: inside, it would hide data in one panel or another.
     one_legend(figure, ncols=6)
     return figure
 
 
-def _draw_forces(axes: Axes, inversion: Inversion, component: str) -> None:
+def _draw_forces(axes: Axes, inversion: Inversion, component: str, *, label: str) -> None:
     seen = inversion.observation
     half = len(seen.theta_deg)
     part = slice(0, half) if component == "Fx" else slice(half, None)
@@ -122,7 +123,6 @@ def _draw_forces(axes: Axes, inversion: Inversion, component: str) -> None:
     within = "curves within the 95 % interval"
     axes.fill_between(seen.theta_deg, *inversion.band[:, part], label=within, **pale)
     axes.plot(seen.theta_deg, inversion.best[part], color=BLUE, label="curve at the median")
-    label = inversion.origin
     axes.plot(seen.theta_deg, data, "o", ms=3.5, color=ORANGE, mec="black", mew=0.4, label=label)
     finish_force_axes(axes, component)
     deviation = 100.0 * inversion.nrmsd[component]
@@ -164,8 +164,9 @@ def _draw_posterior(axes: Axes, inversion: Inversion) -> None:
     axes.set_yticks([])
     axes.set_ylabel("posterior density")
     axes.set_xlabel(PHI_LABEL[inversion.convention])
+    form = inversion.digits("soil.friction_angle_deg")
     axes.set_title(
-        f"φ = {phi.median:.1f}°, 68 %: {phi.ci68[0]:.1f} to {phi.ci68[1]:.1f}° "
+        f"φ = {phi.median:{form}}°, 68 %: {inversion.span('soil.friction_angle_deg', phi.ci68)}° "
         f"({inversion.verdict.verdict.replace('_', ' ')})",
         fontsize=10,
     )
