@@ -10,7 +10,7 @@ import pytest
 import terraphi
 import terraphi_studies as studies
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.measurements import measurement, names
+from terraphi.experiment.measurements import measurement
 from terraphi.library.store import Library
 from terraphi_studies import measured
 
@@ -55,10 +55,11 @@ def test_order_counts_pairs_on_the_same_leg_that_have_an_angle_of_repose() -> No
     assert [row[-1] for row in blind.table.rows] == ["misfit, hardly tells φ", "misfit"]
 
 
-def test_every_measured_history_is_answered_as_invert_answers_it() -> None:
+def test_measured_histories_are_answered_as_invert_answers_them(monkeypatch) -> None:
+    monkeypatch.setattr(measured, "names", lambda: ("li2013:poppy_loose/c",))
     study = measured.run(library="rft3d")
     answers = study.data["answers"]
-    assert len(answers) == len(names()) == len(study.table.rows)
+    assert len(answers) == len(study.table.rows) == 1
     one = measurement("li2013:poppy_loose/c")
     found = terraphi.invert(
         one.history, library=Library.load("rft3d"), leg="c", density=one.density_kg_m3

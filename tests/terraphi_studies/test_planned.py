@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from terraphi.experiment.errors import InputError
@@ -15,17 +13,6 @@ PLAN = {
     "scenario": {"model": "rft", "dimensions": 3, "rft": {"panels": 10}},
     "sweep": {"soil.friction_angle_deg": [25.0, 35.0, 45.0]},
 }
-
-
-def test_every_case_of_a_sweep_is_simulated_once_and_read_again(tmp_path: Path) -> None:
-    plan = Plan.model_validate(PLAN)
-    assert Simulations().histories(plan) == {}
-    found = Simulations(build=tmp_path).histories(plan)
-    assert found.keys() == {scenario.hash for scenario in plan.cases()}
-    (tmp_path / f"{plan.cases()[2].hash}.nc").unlink()
-    written = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.nc")}
-    assert Simulations(build=tmp_path).histories(plan).keys() == found.keys()
-    assert all(path.stat().st_mtime_ns == when for path, when in written.items())
 
 
 @pytest.mark.parametrize("given", [{"workers": 2}, {"cluster": "tcp://127.0.0.1:1"}])

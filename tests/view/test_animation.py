@@ -216,9 +216,6 @@ def test_an_mp4_is_left_to_ffmpeg(made: Made, tmp_path, monkeypatch) -> None:
     program.write_text(FFMPEG.format(python=sys.executable))
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(animation, "durations", lambda _: [83] * 7)
-    animate(tmp_path / "a.mp4", made.history, made.scenario, made.series)
-    assert (tmp_path / "a.mp4").read_text() == "7.0 frames at 12"
     # Moments that are twice as far apart are shown twice as long.
     monkeypatch.setattr(animation, "durations", lambda _: [83, 166, 83, 83, 166, 83, 83])
     animate(tmp_path / "b.mp4", made.history, made.scenario, made.series)

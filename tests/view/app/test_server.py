@@ -155,12 +155,9 @@ def test_a_hostile_name_is_only_text_and_no_path(
     ("body", "name", "words"),
     [
         (f"{HOSTILE},Fx_N,Fz_N\n1,2,3\n".encode(), "a.csv", "unexpected column"),
-        (b"", "a.csv", "empty"),
         (FLAT, "a.csv", "at every angle"),
         (b"theta_deg,Fx_N,Fz_N\n1,2\n", "…" + "n" * 75 + ".csv", "line 2"),
         (b"time,q,a,b,c\n0,1,2,3,4\n", "it.csv", "it.csv"),
-        (os.urandom(5000), "a.csv", "a.csv"),
-        (os.urandom(5000), "a.npz", "a.npz"),
         (os.urandom(5000), "a.mcap", "a.mcap"),
         (b"SQLite format 3\x00" + bytes(5000), "a.db3", "a.db3"),
     ],
