@@ -133,12 +133,12 @@ def test_landlab_has_the_same_slope_with_its_own_triangle() -> None:
     theirs.calculate_landslide_probability()
     node = grid.core_nodes[4]
     rng = np.random.default_rng(0)
-    # It draws the thickness too, from 30 % below what it is told to 30 % above.
-    depth = rng.triangular(0.7, 1.0, 1.3, 100_000)
+    # It draws the thickness too, from 30 % below what it is told to 10 % above.
+    depth = rng.triangular(0.7, 1.0, 1.1, 100_000)
     still = np.zeros_like(depth)
     sample = Sample(still, 2500.0 / (2000.0 * 9.81 * depth), still, still + 0.5)
     a, b = sample.terms(np.radians([slope]))
     phi = rng.triangular(0.82 * mode, mode, 1.32 * mode, depth.size)
     ours = (a[0] + b[0] * np.tan(np.radians(phi)) < 1.0).mean()
-    assert 0.2 < ours < 0.8
+    assert 0.1 < ours < 0.8
     assert grid.at_node["landslide__probability_of_failure"][node] == pytest.approx(ours, abs=0.03)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,7 +17,11 @@ from terraphi.cli.options import (
     json_option,
 )
 from terraphi.experiment.errors import InputError
-from terraphi.view.console import print_json, progress_bar
+from terraphi.view.console import note, print_json, progress_bar
+
+if TYPE_CHECKING:
+    from terraphi.inference.answer_file import Told
+    from terraphi.terrain.export import Export
 
 file_type = click.Path(path_type=Path)
 dp_type_option = click.option(
@@ -40,6 +44,11 @@ dp_type_option = click.option(
     "--draws", type=IntRange(0, 100_000), default=0, help="Draws of the posterior.  [default: 0]"
 )
 @click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of draws.")
+@click.option(
+    "--bevameter",
+    is_flag=True,
+    help="For chrono-scm: press plates into simulated soil (minutes) for Bekker's K and n.",
+)
 @click.option("--anyway", is_flag=True, help="Take a misfit or an answer out of range.")
 @click.option("--out", type=file_type, help="A .py, .json or (newton, isaaclab) .usda file.")
 @json_option
@@ -50,6 +59,7 @@ def export(
     dp_type: str | None,
     draws: int,
     seed: int,
+    bevameter: bool,
     anyway: bool,
     out: Path | None,
     as_json: bool,
@@ -73,14 +83,19 @@ def export(
         raise InputError(f"{out}: name a .py, .json or .usda file")
     if out is not None:
         check_file(out)
+    told, target = read(answer), simulator(to, dp_type=dp_type)
+    if bevameter:
+        exports.check_bevameter(told, target)
     found = exports.export(
-        read(answer),
-        simulator(to, dp_type=dp_type),
+        told,
+        target,
         match=match,
         draws=draws,
         seed=seed,
         anyway=anyway,
     )
+    if bevameter:
+        found = pressed(found, told)
     text = found.text(form)
     if out is None:
         click.echo(text, nl=False)
@@ -92,6 +107,19 @@ def export(
         return
     click.echo(found.headline())
     click.echo(f"Written: {out}")
+
+
+def pressed(found: Export, told: Told) -> Export:
+    """The export with Bekker's parameters, after a forecast and with progress."""
+    from terraphi.forward import register_bits
+    from terraphi.forward.forecast import forecast
+    from terraphi.terrain.bevameter import scenarios
+    from terraphi.terrain.export import in_plane_strain, with_bevameter
+
+    planned = scenarios(in_plane_strain(told))
+    note(forecast(planned, register_bits=register_bits(planned)).sentence())
+    with progress_bar("pressing plates", compiles=True) as report:
+        return with_bevameter(found, told, report)
 
 
 @click.command()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,8 @@ FloatArray = NDArray[np.float64]
 
 FORMATS = {".py": "python", ".json": "json", ".usda": "usda"}
 """Suffix of a file to what is written into it."""
+ENOUGH = 1000
+"""Draws that intervals of a bevameter rest on."""
 AGREE_DEG = 1e-6
 """How closely a conversion has to give the answer's own numbers again [deg]."""
 
@@ -132,7 +134,9 @@ class Export:
         constants |= {"DENSITY": self.density, "LEG_FRICTION": self.leg_friction}
         constants |= self.to.constants
         lines = [f"{name} = {value!r}" for name, value in constants.items()]
-        lines += [f"{name} = {one['median']!r}" for name, one in self.extra.items()]
+        for name, one in self.extra.items():
+            lines += [f"{name} = {one['median']!r}"]
+            lines += [f"{name}_DRAWS = {one['draws']!r}"] if one["draws"] else []
         return f'"""{self._about()}"""\n\n' + "\n".join(lines) + "\n\n\n" + USES[self.to.name]
 
     def headline(self) -> str:
@@ -164,7 +168,11 @@ class Export:
             f"{self.left_out:.1%} of the draws have no equivalent." if self.left_out else "",
             self._density_in_words(),
             f"LEG_FRICTION {'is not known here.' if self.leg_friction is None else leg}",
-            *(f"{name}: {one['about']}" for name, one in self.extra.items()),
+            *(
+                f"{name} {one['median']:.3g}, 95 %: {one['ci95'][0]:.3g} to {one['ci95'][1]:.3g}, "
+                f"{one['about']}."
+                for name, one in self.extra.items()
+            ),
             f"Not inferred, and left alone: {to.left_alone}.",
         ]
         body = "\n".join(filter(None, lines))
@@ -257,6 +265,46 @@ def export(
             "provenance": answer.get("provenance", {}),
         },
     )
+
+
+def with_bevameter(found: Export, told: Told, progress: Callable[[float, float], None]) -> Export:
+    """An export to chrono-scm with what a virtual bevameter finds at the draws.
+
+    Parameters
+    ----------
+    found
+        The export.
+    told
+        The answer that it is of.
+    progress
+        Called with the work done and all of it.
+
+    Returns
+    -------
+    Export
+        Its intervals are of at least :data:`ENOUGH` draws, however few are written.
+    """
+    from terraphi.terrain.bevameter import bekker
+
+    seed = int(found.source["draws_seed"])
+    more, _ = _drawn(told, max(ENOUGH - found.draws_deg.size, 0), seed + 1)
+    every = np.concatenate([found.draws_deg, more])
+    extra = bekker(every, found.density, seed=seed, progress=progress)
+    kept = {
+        name: {**one, "draws": one["draws"][: found.draws_deg.size]} for name, one in extra.items()
+    }
+    return replace(found, extra=kept)
+
+
+def check_bevameter(told: Told, to: Simulator) -> None:
+    """Raise InputError where a bevameter is of no use, or there are no draws to press at."""
+    if to.name != "chrono-scm":
+        raise InputError(f"--bevameter is for chrono-scm; {to.name} has no sinkage law")
+    if not told.draws_deg.size:
+        raise InputError(
+            f"{told.source}: has no draws of the posterior, at which plates are pressed; name the "
+            "folder of 'terraphi invert --out', or its posterior.nc"
+        )
 
 
 def in_plane_strain(told: Told) -> FloatArray:
