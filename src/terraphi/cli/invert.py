@@ -138,7 +138,6 @@ def invert(
         return
     from terraphi.experiment.measurements import open_forces
     from terraphi.experiment.outputs import check_folder
-    from terraphi.inference.discrepancy import default_library
     from terraphi.inference.inversion import Trial
     from terraphi.inference.inversion import invert as run
     from terraphi.library.store import Library
@@ -150,10 +149,7 @@ def invert(
         Trial(m.history, leg, m.name, m.density_kg_m3, m.density_assumed)
         for m, leg in zip(measured, legs_of(legs, measured), strict=True)
     ]
-    why = ""
-    if library is None:
-        library, why = default_library([m.history for m in measured])
-    found = run(trials, library=Library.load(library), library_reason=why, **options)
+    found = run(trials, library=Library.load(library) if library else None, **options)
     made = () if out is None else save_inversion(found, out)
     if as_json:
         print_json(found.as_dict())
@@ -167,7 +163,7 @@ def tabulate(
     forces: Sequence[str],
     table: Path,
     legs: Sequence[str],
-    library: str,
+    library: str | None,
     as_json: bool,
     options: dict[str, Any],
 ) -> None:
@@ -179,9 +175,8 @@ def tabulate(
     sources = records_in(forces)
     leg = legs[0] if legs else None
     with progress_bar("inverting") as report:
-        found = invert_many(
-            sources, library=Library.load(library), leg=leg, progress=report, **options
-        )
+        named = Library.load(library) if library else None
+        found = invert_many(sources, library=named, leg=leg, progress=report, **options)
     write_table(found, table)
     verdicts = found["verdict"].fillna("failed").value_counts().to_dict()
     if as_json:

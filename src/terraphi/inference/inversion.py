@@ -18,7 +18,7 @@ from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.history import ForceHistory
 from terraphi.inference import friction_angle, several_parameters
 from terraphi.inference.answer import PHI, AngleSummary, Inversion, plane_strain_summary
-from terraphi.inference.discrepancy import Learnt
+from terraphi.inference.discrepancy import Learnt, default_library
 from terraphi.inference.findings import Doubt
 from terraphi.inference.known_soils import Calibration, Compared, compared
 from terraphi.inference.noise import Noise
@@ -53,7 +53,7 @@ _SOFTWARE = ("terraphi", "numpy", "scipy", "emcee")
 def invert(
     histories: ForceHistory | Trial | Sequence[ForceHistory | Trial],
     *,
-    library: Library,
+    library: Library | None = None,
     prior: Sequence[str] = (),
     leg: str = "straight",
     density: float | None = None,
@@ -66,7 +66,6 @@ def invert(
     source: str = "",
     steps: int = several_parameters.STEPS,
     calibration: Calibration | Path | str | None = None,
-    library_reason: str = "",
 ) -> Inversion:
     """Infer the friction angle, and what else a library varies, from one history or several.
 
@@ -78,7 +77,8 @@ def invert(
     histories
         Forces over the whole window |θ| ≤ 85°: of one trial, or of several in one soil.
     library
-        Simulations over φ, or over several parameters, with every leg of the histories.
+        Simulations over φ, or over several parameters, with every leg of the histories; ``None``:
+        the shipped one that :func:`~terraphi.inference.discrepancy.default_library` names.
     prior
         As in :func:`~terraphi.inference.prior.priors`; parameters without one are uniform over the
         library. A prior on ``soil.density`` makes the density a parameter whether the library
@@ -112,8 +112,6 @@ def invert(
         converged.
     calibration
         The library compared with soils of known friction angle, or its file: of φ alone.
-    library_reason
-        Why the library was taken, for people, if nobody named it.
 
     Returns
     -------
@@ -126,8 +124,12 @@ def invert(
     """
     _check_options(likelihood, sampler, noise, discrepancy)
     began = time.perf_counter()
+    trials, why = _trials(histories, leg, source), ""
+    if library is None:
+        name, why = default_library([trial.history for trial in trials])
+        library = _shipped(name)
     by_soils = _by_soils(calibration, library, likelihood)
-    looked = look(_trials(histories, leg, source), library)
+    looked = look(trials, library)
     known = _known(looked, library, prior, density, density_assumed)
     if known.phi_alone:
         ways = _ways(likelihood, noise, discrepancy, sampler, seed, by_soils)
@@ -155,7 +157,7 @@ def invert(
         told = {"calibration": by_soils.model_dump(mode="json")}
         found = replace(found, provenance={**found.provenance, **told})
     beside = _compared(looked, found, library)
-    found = replace(found, library_reason=library_reason, compared=beside)
+    found = replace(found, library_reason=why, compared=beside)
     return _signed(found, library, time.perf_counter() - began)
 
 
@@ -306,6 +308,12 @@ def _signed(found: Inversion, library: Library, seconds: float) -> Inversion:
         about["simulation"] = dict(found.records[0].simulation)
     about |= {"seconds": seconds, **found.provenance}
     return replace(found, warnings=tuple(warnings), provenance=about)
+
+
+@functools.cache
+def _shipped(name: str) -> Library:
+    """A library that ships; kept, for many records are inverted one after another."""
+    return Library.load(name)
 
 
 @functools.cache

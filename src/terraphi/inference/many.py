@@ -36,7 +36,7 @@ COLUMNS = (
 def invert_many(
     sources: Sequence[str | Path],
     *,
-    library: Library,
+    library: Library | None = None,
     leg: str | None = None,
     progress: Callable[[float, float], None] = lambda _done, _all: None,
     **options: Any,
@@ -48,7 +48,7 @@ def invert_many(
     sources
         As in :func:`~terraphi.experiment.measurements.open_forces`.
     library
-        Simulations over φ.
+        Simulations over φ; ``None``: of each record the one that :func:`invert` takes for it.
     leg
         Shape of the leg of all of them; ``None``: as measured, else straight.
     progress
@@ -90,7 +90,7 @@ def invert_many(
 
 
 def _inverted(
-    source: str | Path, library: Library, leg: str | None, options: dict[str, Any]
+    source: str | Path, library: Library | None, leg: str | None, options: dict[str, Any]
 ) -> Inversion:
     one = open_forces(source)
     trial = Trial(one.history, leg or one.leg, one.name, one.density_kg_m3, one.density_assumed)
