@@ -197,9 +197,8 @@ def estimate(
     noise, limit = _torque_sigma(overview), _torque_limit(robot, overview)
     force = np.empty((len(log.time), 4, 3), dtype=np.float32)
     sigma, independent = np.empty_like(force), np.empty_like(force)
-    shared = Priors() if priors is None else priors
-    flagged = np.empty((len(log.time), 4), dtype=np.bool_)
-    saturated = np.empty_like(flagged)
+    shared = priors or Priors()
+    flagged, saturated = np.empty((2, len(log.time), 4), dtype=np.bool_)
 
     def fill(chunk: Chunk) -> None:
         seen = signals(log, robot, slice(chunk.first, chunk.last))

@@ -189,8 +189,11 @@ def _read_bag(
     if decoder.refusal and set(collector.dropped) == {jointstate.OTHERS} and collector.empty:
         raise InputError(f"{path}, topic '{chosen.name}': {decoder.refusal}")
     log = collector.finish()
-    if low:
-        return log
+    return log if low else _with_imu(log, present)
+
+
+def _with_imu(log: JointLog, present: list[tuple[Storage, list[Topic]]]) -> JointLog:
+    """Joint states with the readings of an IMU in the same bag, if there is one."""
     imus = {t.name: t for _, topics in present for t in topics if t.plain_type == _IMU}
     if not imus:
         return log
