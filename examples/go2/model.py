@@ -33,6 +33,8 @@ class Physics:
         Coefficient of sliding friction between feet and floor [-].
     ground_softness
         Time constant with which the floor pushes a foot out [s]; sand yields, concrete does not.
+    floor
+        Whether there is one; without, feet fall unless something else carries them.
     coulomb, viscous
         Friction in each joint, which its motor has to overcome [N m] and [N m s/rad].
     armature
@@ -42,6 +44,7 @@ class Physics:
     step: float = 0.0005
     ground_friction: float = 0.8
     ground_softness: float = 0.02
+    floor: bool = True
     coulomb: float = 0.0
     viscous: float = 0.0
     armature: float = 0.0
@@ -94,9 +97,10 @@ def build(physics: Physics) -> mujoco.MjModel:
         "solref": [physics.ground_softness, 1.0],
         "condim": 3,
     }
-    spec.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], **contact
-    )
+    if physics.floor:
+        spec.worldbody.add_geom(
+            name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], **contact
+        )
     for foot in FEET:
         spec.body(f"{foot}_foot").add_geom(
             name=foot,
