@@ -37,7 +37,7 @@ POINTS = 64
 """Most samples of a touch-down; longer ones are thinned."""
 FEWEST = 10
 """Samples in the loading that a touch-down needs."""
-GOES_ON = 0.1
+GOES_ON = 0.25
 """A foot that goes down slower than this part of its fastest has come to rest [-]."""
 WIDEST_STEP = 4.0
 """A step between samples longer than this many usual ones breaks a touch-down [-]."""
