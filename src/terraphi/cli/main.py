@@ -13,15 +13,12 @@ import click
 from terraphi.cli.app import app
 from terraphi.cli.calibrate import library_calibrate
 from terraphi.cli.doctor import doctor
+from terraphi.cli.forces import forces, friction
 from terraphi.cli.invert import DEFAULT_LIBRARY, KIND, MADE, invert, save_inversion
 from terraphi.cli.keys import keys
 from terraphi.cli.library import library
 from terraphi.cli.options import (
-    ESTIMATORS,
-    FRAMES,
-    Choice,
     json_option,
-    shipped,
     tells_as_much_as_asked,
 )
 from terraphi.cli.report import report
@@ -32,7 +29,6 @@ from terraphi.experiment.errors import InputError, SimulationError
 from terraphi.view.console import (
     ignore_interrupts,
     listen,
-    print_forces,
     print_inversion,
     print_json,
 )
@@ -151,86 +147,8 @@ library.add_command(library_calibrate)
 library.add_command(library_suggest)
 
 
-@cli.command()
-@click.argument("log")
-@click.option(
-    "--robot",
-    default="go2",
-    show_default=True,
-    help="Name, TOML or URDF of the robot.",
-    shell_complete=shipped("robots", ".toml"),
-)
-@click.option(
-    "--estimator",
-    type=Choice(ESTIMATORS),
-    default="momentum_observer",
-    show_default=True,
-    help="How forces follow from torques; quasi_static is the paper's way.",
-)
-@click.option(
-    "--frame",
-    type=Choice(FRAMES),
-    default="world",
-    show_default=True,
-    help="Axes of the forces: the world's, level ones along the robot, or the body's.",
-)
-@click.option("--topic", help="Topic of a bag; if not given, the one with joint states.")
-@click.option(
-    "--joint-names",
-    metavar="NAME,...",
-    help="Names of the twelve joints in a bag's JointState messages, if they are not recognised; "
-    "in the order FR, FL, RR, RL, each hip, thigh, calf.",
-)
-@click.option("--out", type=click.Path(path_type=Path), help="NetCDF file for forces and stances.")
-@click.option(
-    "--figures", type=click.Path(path_type=Path), help="Folder for forces.png and stance.png."
-)
-@json_option
-def forces(
-    log: str,
-    robot: str,
-    estimator: Any,
-    frame: Any,
-    topic: str | None,
-    joint_names: str | None,
-    out: Path | None,
-    figures: Path | None,
-    as_json: bool,
-) -> None:
-    """Foot forces and stances from a robot's LOG: CSV, npz, MCAP or rosbag2.
-
-    Example: terraphi forces walk.mcap --out forces.nc
-    """
-    from terraphi.experiment.outputs import check_file, check_folder, filling
-    from terraphi.robot import results as results_file
-    from terraphi.robot.results import analyse
-    from terraphi.view import plots
-    from terraphi.view import robot_plots as pictures
-
-    if out is not None:
-        check_file(out, kind=results_file.KIND)
-    if figures is not None:
-        check_folder(figures, kind="forces", names=["forces.png", "stance.png"])
-    names = joint_names and [name.strip() for name in joint_names.split(",")]
-    found = analyse(
-        log,
-        robot=robot,
-        estimator=estimator,
-        frame=frame,
-        topic=topic,
-        joint_names=names or None,
-    )
-    if out is not None:
-        results_file.write_forces(found, out)
-    if figures is not None:
-        with filling(figures, kind="forces", last="stance.png") as made:
-            plots.save(pictures.forces_figure(found), made / "forces.png")
-            plots.save(pictures.stance_figure(found), made / "stance.png")
-    if as_json:
-        print_json(found.summary())
-        return
-    print_forces(found.summary())
-
+cli.add_command(forces)
+cli.add_command(friction)
 
 tells_as_much_as_asked(cli)
 

@@ -85,7 +85,7 @@ class FootForces:
         ``world``: x where the world's x points, z up; ``heading``: x where the robot heads, level,
         z up; ``body``: x forward, y left, tilted with the trunk.
     friction
-        Of the joints, as found in swing and accounted for; ``None`` if it was not.
+        Of the joints, as given or found in swing and accounted for; ``None`` if it was not.
     provenance
         Robot, options and what was assumed; JSON-able.
     """
@@ -108,7 +108,7 @@ def estimate(
     robot: Quadruped,
     estimator: Estimator = DEFAULT_ESTIMATOR,
     frame: Frame = "world",
-    friction: bool = True,
+    friction: bool | JointFriction = True,
     gain: float = OBSERVER_GAIN,
     cutoff_hz: float = ACCELERATION_CUTOFF_HZ,
     causal: bool = False,
@@ -131,7 +131,8 @@ def estimate(
     frame
         ``world`` or ``heading``, by the log's attitude, or ``body``.
     friction
-        Find the joints' friction in swing and take it off; ``quasi_static`` does not.
+        Find the joints' friction in swing and take it off, or take off what is given;
+        ``quasi_static`` does neither.
     gain
         K of the momentum observer [1/s]; its bandwidth is K/2π.
     cutoff_hz
@@ -161,7 +162,7 @@ def estimate(
     # A frame or two are read as well: of a robot at rest, for they say nothing of accelerations.
     gap = GAP_STEPS * float(np.median(np.diff(log.time))) if len(log.time) > 1 else math.inf
     settings = Settings(estimator, gain, cutoff_hz, causal, gap)
-    overview = survey(log, robot, settings, friction=friction and estimator != "quasi_static")
+    overview = survey(log, robot, settings, friction=estimator != "quasi_static" and friction)
     noise, limit = _torque_sigma(overview), _torque_limit(robot, overview)
     force = np.empty((len(log.time), 4, 3), dtype=np.float32)
     sigma = np.empty_like(force)

@@ -1,4 +1,4 @@
-"""Friction of the joints, found where a foot swings and the ground's force is zero.
+"""Friction of the joints, found where a foot swings clear of the ground and its force is zero.
 
 A motor's torque also turns its own rotor and overcomes Coulomb and viscous friction:
 τ_lost = c sign(q̇) + v q̇ + I q̈. In swing nothing else separates the torques from the equations of
@@ -29,6 +29,12 @@ REVERSAL_RATE, REVERSAL_S = 2.0 * STANDSTILL, 0.02
 """A joint slower than this [rad/s] is about to turn round, or has; for this long [s] before and
 after, friction changes its sense in a way of its own, and a regression would take the change for
 less Coulomb friction."""
+BEARING_SHARE = 0.1
+"""A foot that carries more than this share of the robot's weight [-] tells where the ground is."""
+HANGING_SHARE = 0.3
+"""A robot whose feet carry less than this share of its weight [-] hangs or lies."""
+LEAST_CLEARANCE = 0.01
+"""A foot is clear of the ground at least this high above the soles of the standing feet [m]."""
 _HUBER = 1.345
 """Residuals beyond this many standard deviations count less (95 % efficient if normal)."""
 _GAUSS = 1.4826
@@ -63,6 +69,12 @@ class JointFriction:
     def doubt(self, velocity: FloatArray) -> FloatArray:
         """Coulomb torque whose sign is unknown because the joint hardly moves [N m]."""
         return self.coulomb * np.sqrt(np.maximum(1.0 - smooth_sign(velocity) ** 2, 0.0))
+
+    def completed(self, other: JointFriction) -> JointFriction:
+        """The same, with another's numbers for the joints that are not known here."""
+        names = ("coulomb", "viscous", "inertia", "found")
+        own = {n: np.where(self.found, getattr(self, n), getattr(other, n)) for n in names}
+        return JointFriction(**own)
 
     def summary(self) -> dict[str, Any]:
         """The numbers by foot and joint, JSON-able; ``None`` where they were not found."""
@@ -131,6 +143,51 @@ def in_swing(
                 first, last = np.searchsorted(time, [low, high])
                 swing[first : last + 1, foot] = True
     return swing
+
+
+def clear_of_ground(
+    place: FloatArray, up: FloatArray, lift: FloatArray, *, weight: float, part: float
+) -> BoolArray:
+    """When feet are above the ground, from where the legs hold them.
+
+    The ground is a plane through the feet that bear load; its height changes from sample to sample
+    as the body moves, its slope does not.
+
+    Parameters
+    ----------
+    place
+        Of the feet in the body's frame [m], shape [sample, foot, 3].
+    up
+        Upward direction in the same frame [-], shape [sample, 3].
+    lift
+        Upward force of the ground on the feet [N], shape [sample, foot].
+    weight
+        Of the robot [N].
+    part
+        How high is clear, as a part of the height to which a foot is lifted [-]. On soft ground
+        the soles of standing feet lie below the surface, and a foot that is about to leave it or
+        has come to it may be pressed by a few newtons.
+
+    Returns
+    -------
+    ndarray
+        Shape [sample, foot]; all true if the feet bear next to nothing all the time.
+    """
+    if np.quantile(lift.sum(axis=1), 0.9) < HANGING_SHARE * weight:
+        return np.ones(lift.shape, dtype=bool)
+    load = np.maximum(lift / weight - BEARING_SHARE, 0.0)
+    total = load.sum(axis=1, keepdims=True)
+    known = total[:, 0] > 0.0
+    share = np.divide(load, total, out=np.zeros_like(load), where=total > 0.0)
+    height = np.einsum("sfi,si->sf", place, up)
+    height -= np.sum(share * height, axis=1, keepdims=True)
+    across = place[..., :2] - np.sum(share[..., None] * place[..., :2], axis=1, keepdims=True)
+    # Slope of the plane by weighted least squares; two feet in a line say nothing across it.
+    normal = np.einsum("sf,sfi,sfj->ij", share, across, across) + 1e-9 * np.eye(2)
+    slope = np.linalg.solve(normal, np.einsum("sf,sfi,sf->i", share, across, height))
+    height -= across @ slope
+    lifted = np.quantile(height[known], 0.95, axis=0)
+    return np.asarray(known[:, None] & (height > np.maximum(part * lifted, LEAST_CLEARANCE)))
 
 
 def one_way(time: FloatArray, velocity: FloatArray) -> BoolArray:

@@ -18,9 +18,10 @@ from terraphi.experiment.files import open_netcdf, write_netcdf
 from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.estimators import Estimator
 from terraphi.robot.forces import DEFAULT_ESTIMATOR, FootForces, Frame, estimate
+from terraphi.robot.friction import HANGING_SHARE, JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.logs import read_log
-from terraphi.robot.logs.clock import describe
+from terraphi.robot.logs.clock import describe, regular
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import AXES, Criteria, Ensemble, Stance, find_stances
 
@@ -28,8 +29,8 @@ FloatArray = NDArray[np.float64]
 
 RISE_SHARE = 0.1
 """Part of the robot's weight that a foot carries at least at the height of a stance [-]."""
-STANDING_SHARE, HANGING_SHARE = 0.7, 0.3
-"""Parts of the robot's weight above which it stands, and below which it hangs [-]."""
+STANDING_SHARE = 0.7
+"""Part of the robot's weight above which it stands [-]."""
 ASKEW_DEG = 15.0
 """Heading from the world's x above which a reader is told what Fx means [deg]."""
 SENSOR_AGREEMENT = 0.5
@@ -110,6 +111,7 @@ def analyse(
     topic: str | None = None,
     joint_names: Sequence[str] | None = None,
     criteria: Criteria | None = None,
+    friction: JointFriction | None = None,
 ) -> RobotForces:
     """Foot forces, stances and mean stances of a log.
 
@@ -125,6 +127,9 @@ def analyse(
         See :func:`~terraphi.robot.logs.read_log`.
     criteria
         What makes a stance; by default a tenth of the robot's weight has to be reached.
+    friction
+        Of the joints, as :func:`~terraphi.robot.friction_file.read_friction` has it; what it lacks
+        is found in swing.
 
     Returns
     -------
@@ -147,8 +152,12 @@ def analyse(
             motors=body.joint_order,
             precision="single",
         )
+    else:
+        log = regular(log)
     try:
-        forces = estimate(log, robot=body, estimator=estimator, frame=frame)
+        forces = estimate(
+            log, robot=body, estimator=estimator, frame=frame, friction=friction or True
+        )
     except InputError as error:
         if "source" not in report:
             raise

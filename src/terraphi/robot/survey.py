@@ -17,9 +17,16 @@ from terraphi.robot.estimators import (
     friction_terms,
     signals,
 )
-from terraphi.robot.friction import JointFriction, fit, in_swing, one_way, spread
+from terraphi.robot.friction import (
+    JointFriction,
+    clear_of_ground,
+    fit,
+    in_swing,
+    one_way,
+    spread,
+)
 from terraphi.robot.joint_log import JointLog
-from terraphi.robot.kinematics import inverse_transpose, jacobian
+from terraphi.robot.kinematics import foot_position, inverse_transpose, jacobian
 from terraphi.robot.model import Quadruped
 
 FloatArray = NDArray[np.float64]
@@ -30,6 +37,10 @@ SURVEY = 60_000
 LEAVE_SHARES = (0.2, 0.1, 0.05, 0.05)
 """A foot swings below this share of the robot's weight [-], round by round: swing and friction are
 found each from the other, and before friction is known it looks like force."""
+HIGH_PART, LOW_PART, MOST_SCRATCHED = 0.6, 0.3, 1.25
+"""Parts of the height of its swing [-] above which a foot is surely, and perhaps, clear of the
+ground; and by how much torques in the latter may spread more [-] if it is. Low down a swing has
+slower movements too, which tell Coulomb from viscous friction."""
 TOUCH_OVER_LEAVE = 1.6
 """A foot stands again above this many times as much [-]."""
 CUT_SHARE, CUT_OVER_QUARTILE = 0.005, 1.5
@@ -75,13 +86,17 @@ class _Window(NamedTuple):
     inner: slice
     lever: FloatArray
     """Upward force for each torque, shape [sample, foot, joint]."""
+    place: FloatArray
+    """Of the feet in the body's frame [m], shape [sample, foot, 3]."""
     torque: FloatArray
     terms: FloatArray
     sure: BoolArray
     """Whether a joint keeps moving one way, shape [sample, foot, joint]."""
 
 
-def survey(log: JointLog, robot: Quadruped, settings: Settings, *, friction: bool) -> Survey:
+def survey(
+    log: JointLog, robot: Quadruped, settings: Settings, *, friction: bool | JointFriction
+) -> Survey:
     """Find friction, resolution and noise from windows spread over a log.
 
     Parameters
@@ -93,7 +108,7 @@ def survey(log: JointLog, robot: Quadruped, settings: Settings, *, friction: boo
     settings
         The estimator whose residual in swing is wanted.
     friction
-        Whether joint friction is to be found; it takes a robot with masses.
+        That of the joints, or whether it is to be found; it takes a robot with masses.
 
     Returns
     -------
@@ -112,8 +127,10 @@ def survey(log: JointLog, robot: Quadruped, settings: Settings, *, friction: boo
         terms = friction_terms(seen, moving)[chunk.inner]
         sure = one_way(seen.time, seen.velocity)[chunk.inner]
         lever = _lift(seen, robot, chunk.inner)
-        windows.append(_Window(seen, chunk.inner, lever, torque, terms, sure))
-    found, swings = _alternate(windows, robot.mass * GRAVITY)
+        place = foot_position(robot, seen.angle[chunk.inner])
+        windows.append(_Window(seen, chunk.inner, lever, place, torque, terms, sure))
+    known = friction if isinstance(friction, JointFriction) else None
+    found, swings = _alternate(windows, robot.mass * GRAVITY, known)
     kept = found if friction and robot.has_masses else None
     residual = np.full((4, 3), np.nan)
     deviations = [contact_torque(w.seen, robot, settings, kept)[w.inner] for w in windows]
@@ -126,23 +143,40 @@ def survey(log: JointLog, robot: Quadruped, settings: Settings, *, friction: boo
 
 
 def _alternate(
-    windows: list[_Window], weight: float
-) -> tuple[JointFriction | None, list[BoolArray]]:
-    """Find swing phases from the forces and friction from the swing phases, alternately."""
+    windows: list[_Window], weight: float, known: JointFriction | None
+) -> tuple[JointFriction, list[BoolArray]]:
+    """Find swing phases from the forces and friction from the swing phases, alternately.
+
+    A joint whose friction is known keeps it.
+    """
     torque = np.concatenate([w.torque for w in windows])
     terms = np.concatenate([w.terms for w in windows])
     sure = np.concatenate([w.sure for w in windows])
-    left = [w.torque for w in windows]
-    friction, swings = None, []
-    for leave in weight * np.array(LEAVE_SHARES):
+
+    def tried(part: float, leave: float) -> tuple[JointFriction, list[BoolArray], FloatArray]:
         lifts = [np.sum(w.lever * t, axis=-1) for w, t in zip(windows, left, strict=True)]
         swings = [
             in_swing(w.seen.time[w.inner], lift, touch=TOUCH_OVER_LEAVE * leave, leave=leave)
+            & clear_of_ground(w.place, w.seen.turn[w.inner][:, 2], lift, weight=weight, part=part)
             for w, lift in zip(windows, lifts, strict=True)
         ]
-        friction = fit(torque, terms, np.concatenate(swings), sure)
+        air = np.concatenate(swings)
+        friction = fit(torque, terms, air, sure)
+        if known is not None:
+            friction = known.completed(friction)
         numbers = np.stack([friction.coulomb, friction.viscous, friction.inertia], axis=-1)
-        left = [w.torque + np.sum(numbers * w.terms, axis=-1) for w in windows]
+        rest = torque + np.sum(numbers * terms, axis=-1)
+        left[:] = np.split(rest, np.cumsum([len(w.torque) for w in windows[:-1]]))
+        scales = [spread(rest[air[:, i], i]) if air[:, i].any() else np.nan for i in range(4)]
+        return friction, swings, np.array(scales)
+
+    left = [w.torque for w in windows]
+    for leave in weight * np.array(LEAVE_SHARES):
+        high = tried(HIGH_PART, leave)
+    low = tried(LOW_PART, leave)
+    # Soil that a foot scratches there would show as torques that no friction explains.
+    scratched = np.any(low[2] > MOST_SCRATCHED * high[2])
+    friction, swings, _ = high if scratched else low
     return friction, swings
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from terraphi.robot.joint_log import FloatArray
+from terraphi.robot.joint_log import FloatArray, JointLog
 
 Clock = Literal["time_s", "time", "tick", "header stamp"]
 """Column of a CSV or npz [s], tick of a LowState [ms], header of a JointState [ns]."""
@@ -17,8 +20,19 @@ GAP_STEPS, GAP_S = 5.0, 0.02
 """A pause is a gap if longer than this many usual steps, and than this many seconds [s]."""
 REORDERED = 0.01
 """Fraction of samples that may arrive out of order without the log having been restarted."""
+_SAMPLES = 60_000
+"""Samples that are looked at."""
 STALLED = 0.9
 """Fraction of steps without advance beyond which a clock stands still."""
+
+UNEVEN = 0.05
+"""Steps that vary by more than this part of the usual one [-] are looked at."""
+SET_BACK = 20.0
+"""A clock that goes back by more than this many steps [-] was set, or is another's."""
+_LOSS, _DRIFT, _ROUNDS = 41, 1001, 5
+"""Samples before and after a place by which a lost sample is told from a late stamp; samples over
+which the clock's own drift against the usual step is averaged; rounds in which losses are found
+that lie close to others."""
 
 REPEATED = "repeated time"
 BACKWARDS = "time ran backwards"
@@ -66,6 +80,95 @@ def seconds(
         ratio = (ticks[-1] - ticks[0]) * 1e6 / float(recorded[-1] - recorded[0])
         facts["clock_ratio"] = round(float(ratio), 6)
     return ticks / 1e3, clock, facts
+
+
+def evened(
+    time: FloatArray, angle: NDArray[Any], velocity: NDArray[Any] | None
+) -> tuple[FloatArray, dict[str, Any]]:
+    """Put samples that were taken at a constant rate back to even times.
+
+    A message's stamp tells when it was written, which is late by as much as the computer was busy.
+    Forces follow from changes of velocity over time, and a stamp that is off by half a step doubles
+    them. Whether the samples or only their stamps are uneven, the joints know: their angles change
+    by velocity times the true step.
+
+    Parameters
+    ----------
+    time
+        Stamps [s] of samples in the order in which they were taken, shape [sample].
+    angle, velocity
+        Of the joints [rad] and [rad/s], shape [sample, ...]; without velocities, stamps are taken
+        to be uneven rather than samples.
+
+    Returns
+    -------
+    ndarray
+        Times [s], shape [sample]. Lost samples stay lost: even times have holes there.
+    dict
+        What to report if times have changed: ``stamp_jitter_s`` [s] and a note.
+    """
+    step = np.diff(time)
+    if len(step) < 4 * _LOSS or not (period := float(np.median(step))) > 0.0:
+        return time, {}
+    ordinary = step[np.abs(step - period) < period]
+    jitter = float(ordinary.std()) / math.sqrt(2.0)
+    if jitter <= UNEVEN * period or step.min() < -SET_BACK * period:
+        return time, {}
+    even = _even(time)
+    if even is None or (velocity is not None and not _fits_better(time, even, angle, velocity)):
+        return time, {}
+    off = float(np.std(time - even))
+    why = "" if velocity is None else ", with which angles and velocities agree better"
+    note = f"stamps are off by {1e3 * off:.2g} ms (standard deviation) from a constant rate{why}"
+    return even, {"stamp_jitter_s": off, "notes": [f"{note}: samples are put at even times"]}
+
+
+def regular(log: JointLog) -> JointLog:
+    """The same log with its stamps :func:`evened`, and a note of it in its report."""
+    time, facts = evened(log.time, log.angle, log.velocity)
+    if not facts:
+        return log
+    notes = [*log.report.get("notes", ()), *facts["notes"]]
+    return replace(log, time=time, report={**log.report, **facts, "notes": notes})
+
+
+def _even(time: FloatArray) -> FloatArray | None:
+    """Times at a constant rate that follow stamps; None if those are not of one."""
+    order = np.arange(len(time))
+    # Medians of many steps, for single ones may be anything.
+    period = float(np.median(time[_LOSS:] - time[:-_LOSS])) / _LOSS
+    place = order.astype(np.int64)
+    for _ in range(_ROUNDS):
+        late = time - period * place
+        after = ndimage.median_filter(late, _LOSS, origin=-(_LOSS // 2), mode="nearest")
+        before = ndimage.median_filter(late, _LOSS, origin=_LOSS // 2, mode="nearest")
+        leap = after - np.concatenate([late[:1], before[:-1]])
+        # Neighbours see the same leap: it is where the stamps themselves leap most.
+        near, count = ndimage.label(leap > 0.5 * period)
+        if not count:
+            break
+        every = np.arange(1, count + 1)
+        at = ndimage.maximum_position(np.diff(late, prepend=late[0]), near, every)
+        lost = np.zeros(len(time), dtype=np.int64)
+        lost[[int(i) for (i,) in at]] = np.rint(ndimage.maximum(leap, near, every) / period)
+        place = place + np.cumsum(lost)
+        slope = np.polynomial.Polynomial.fit(place, time, 1).convert().coef[1]
+        period = float(slope) if slope > 0.0 else period
+    late = time - period * place
+    even = period * place + ndimage.uniform_filter1d(late, _DRIFT, mode="nearest")
+    return even if np.all(np.diff(even) > 0.0) else None
+
+
+def _fits_better(
+    time: FloatArray, even: FloatArray, angle: NDArray[Any], velocity: NDArray[Any]
+) -> bool:
+    """Whether velocities times steps explain the changes of the angles better at even times."""
+    part = slice(0, _SAMPLES)
+    mean = 0.5 * (velocity[part][1:] + velocity[part][:-1]).astype(np.float64)
+    moved = np.diff(angle[part], axis=0)
+    steps = (np.diff(each[part])[:, None, None] for each in (time, even))
+    first, second = (float(np.mean(np.abs(moved - mean * step)[2:-2])) for step in steps)
+    return second < first
 
 
 def increasing(time: FloatArray) -> tuple[NDArray[np.bool_], Counter[str]]:

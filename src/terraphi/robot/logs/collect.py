@@ -169,6 +169,7 @@ class Collector:
         recorded = None if self._recorded is None else self._recorded.finish()
         time, clock, facts = clocks.seconds(self._stamp.finish(), recorded, self._clock)
         self.facts["notes"] += facts.pop("notes", [])
+        time = self._evened(time)
         mask, dropped = clocks.increasing(time)
         if dropped:
             self.dropped.update(dropped)
@@ -176,6 +177,7 @@ class Collector:
             for column in self._columns.values():
                 column.keep(mask)
             self._refuse_if_hopeless(len(time))
+            time = self._evened(time)
         values = {name: column.finish() for name, column in self._columns.items()}
         self._columns.clear()
         if "velocity" in values:
@@ -191,6 +193,17 @@ class Collector:
             **self.facts,
         }
         return JointLog(time, **self._present(values), report=report)
+
+    def _evened(self, time: clocks.FloatArray) -> clocks.FloatArray:
+        """Times of samples at a constant rate, if only their stamps are uneven."""
+        angle, velocity = (self._columns.get(name) for name in ("angle", "velocity"))
+        if angle is None or "stamp_jitter_s" in self.facts:
+            return time
+        known = None if velocity is None else velocity.values[: velocity.length]
+        even, facts = clocks.evened(time, angle.values[: angle.length], known)
+        self.facts["notes"] += facts.pop("notes", [])
+        self.facts |= facts
+        return even
 
     def _refuse_if_hopeless(self, kept: int) -> None:
         lost = self.dropped.total()

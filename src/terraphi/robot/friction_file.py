@@ -1,0 +1,176 @@
+"""Friction of the joints from the log of a robot that hangs, kept in a TOML for its later walks.
+
+In the air no soil pushes, and all joints can be moved at will: what a log of twenty seconds of that
+says of friction is worth more than what can be found in the swings of a slow walk.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from terraphi.experiment.documents import parse_toml
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.files import replacing
+from terraphi.experiment.outputs import SIGNATURE
+from terraphi.robot.dynamics import GRAVITY
+from terraphi.robot.forces import estimate
+from terraphi.robot.friction import HANGING_SHARE, JointFriction
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, JointLog
+from terraphi.robot.logs import read_log
+from terraphi.robot.model import Quadruped
+
+LEAST_AIR = 0.5
+"""Part of the log that each foot has to be in the air [-]; the ends of movements are left out."""
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+class JointNumbers(_Strict):
+    """What one joint loses."""
+
+    coulomb_Nm: float = Field(ge=0.0)
+    """Coulomb friction [N m]."""
+    viscous_Nms: float = Field(0.0, ge=0.0)
+    """Viscous friction [N m s/rad]."""
+    inertia_kgm2: float = Field(0.0, ge=0.0)
+    """Inertia of the rotor, seen from the joint [kg m²]."""
+
+
+class FrictionFile(_Strict):
+    """The friction of a robot's joints."""
+
+    robot: str = ""
+    """Name of the robot, for people."""
+    source: str = ""
+    """Where the numbers come from."""
+    joints: dict[str, JointNumbers] = Field(min_length=1)
+    """A table for each joint that is known, such as ``[joints.FR_hip]``."""
+
+    @field_validator("joints")
+    @classmethod
+    def _are_joints(cls, joints: dict[str, JointNumbers]) -> dict[str, JointNumbers]:
+        for name in joints:
+            if name not in JOINT_NAMES:
+                raise ValueError(f"no joint '{name}'; {nearest(name, JOINT_NAMES)}")
+        return joints
+
+
+def read_friction(path: Path | str) -> JointFriction:
+    """Read the friction of the joints.
+
+    Parameters
+    ----------
+    path
+        A TOML that :func:`write_friction` wrote, or one of that form (:class:`FrictionFile`).
+
+    Returns
+    -------
+    JointFriction
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or a key is unknown, missing or out of range.
+    """
+    content = parse_toml(Path(path), FrictionFile)
+    numbers, found = np.zeros((3, len(JOINT_NAMES))), np.zeros(len(JOINT_NAMES), dtype=bool)
+    for name, joint in content.joints.items():
+        at = JOINT_NAMES.index(name)
+        numbers[:, at] = joint.coulomb_Nm, joint.viscous_Nms, joint.inertia_kgm2
+        found[at] = True
+    shape = len(FEET), len(JOINTS)
+    return JointFriction(*numbers.reshape(3, *shape), found.reshape(shape))
+
+
+def write_friction(friction: JointFriction, path: Path | str, *, robot: str, source: str) -> None:
+    """Write the friction of the joints as a TOML.
+
+    Parameters
+    ----------
+    friction
+        Joints that were not found are left out.
+    path
+        The file to make or replace.
+    robot, source
+        Name of the robot, and where the numbers come from.
+    """
+    version = importlib.metadata.version("terraphi")
+    lines = [
+        f"# Friction of a robot's joints, {SIGNATURE} {version} (terraphi friction).",
+        f"robot = {_quoted(robot)}",
+        f"source = {_quoted(source)}",
+    ]
+    for foot, joints in friction.summary().items():
+        for joint, numbers in joints.items():
+            if numbers is not None:
+                lines += ["", f"[joints.{foot}_{joint}]"]
+                lines += [f"{name} = {value:.6g}" for name, value in numbers.items()]
+    with replacing(Path(path)) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def friction_of_hanging(
+    log: JointLog | Path | str,
+    *,
+    robot: Quadruped | Path | str = "go2",
+    topic: str | None = None,
+    joint_names: Sequence[str] | None = None,
+) -> tuple[JointFriction, str]:
+    """Find the friction of the joints of a robot that hangs and moves its legs.
+
+    Parameters
+    ----------
+    log, robot, topic, joint_names
+        As :func:`~terraphi.robot.results.analyse` takes them.
+
+    Returns
+    -------
+    JointFriction
+    str
+        Name of the robot.
+
+    Raises
+    ------
+    InputError
+        If the feet touched something, a joint hardly moved, or the log cannot be used.
+    """
+    body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
+    name = "the log"
+    if not isinstance(log, JointLog):
+        name = str(log)
+        log = read_log(log, topic=topic, joint_names=joint_names, motors=body.joint_order)
+    found = estimate(log, robot=body, frame="body" if log.quaternion is None else "world")
+    weight = body.mass * GRAVITY
+    lift = float(np.nanmedian(np.nansum(found.force[..., 2], axis=1)))
+    if lift > HANGING_SHARE * weight:
+        raise InputError(
+            f"{name}: the feet bear {lift:.0f} N of the robot's {weight:.0f} N; hang it up, so "
+            "that no foot touches anything, and move its legs"
+        )
+    for foot, share in found.provenance["swing_share"].items():
+        if share < LEAST_AIR:
+            raise InputError(
+                f"{name}: foot {foot} was in the air for {share:.0%} of the time; no foot may "
+                "touch anything"
+            )
+    assert found.friction is not None, "friction was asked for"
+    still = [n for n, ok in zip(JOINT_NAMES, found.friction.found.ravel(), strict=True) if not ok]
+    if still:
+        raise InputError(
+            f"{name}: joints that hardly move: {', '.join(still)}; move all of them to and fro"
+        )
+    return found.friction, body.name
+
+
+def _quoted(text: str) -> str:
+    """A TOML string."""
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ") + '"'

@@ -1,0 +1,136 @@
+"""Joint friction from swings through the air and from a hanging robot, on walks of known truth."""
+
+from __future__ import annotations
+
+import json
+import runpy
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from go2.logs import write_npz
+
+from terraphi.experiment.errors import InputError
+from terraphi.robot.forces import FootForces, estimate
+from terraphi.robot.friction import JointFriction, clear_of_ground
+from terraphi.robot.friction_file import friction_of_hanging, read_friction, write_friction
+from terraphi.robot.joint_log import JointLog
+from terraphi.robot.model import Quadruped
+from terraphi.robot.results import analyse
+
+GO2 = Quadruped.load("go2")
+Walk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["Walk"]
+Terraphi = Callable[..., tuple[int, str, str]]
+
+
+def lift_error(found: FootForces, true: np.ndarray) -> float:
+    """Root mean square error of F_z in stance [N]."""
+    standing = true[..., 2] > 1.0
+    return float(np.sqrt(np.nanmean((found.force - true)[standing, 2] ** 2)))
+
+
+def hanging(seconds: float = 20.0) -> JointLog:
+    """A robot in the air that treads slowly, held by its body."""
+    walk = Walk(duration=seconds, seed=3)
+    log, force = walk.log()
+    from terraphi.robot.kinematics import jacobian, rotation
+
+    turn = rotation(log.quaternion)
+    arm = -GO2.foot_radius * turn[:, None, 2, :]
+    pushed = np.einsum("sji,sfj->sfi", turn, force)
+    free = np.einsum("sfij,sfi->sfj", jacobian(GO2, log.angle, offset=arm), pushed)
+    return replace(log, torque=log.torque + free)
+
+
+@pytest.mark.parametrize("sinkage", [0.0, 0.012, 0.025])
+def test_feet_that_scratch_the_soil_do_not_swing(sinkage: float) -> None:
+    log, force = Walk(sinkage=sinkage).log()
+    found = estimate(log, robot=GO2)
+    assert found.friction is not None
+    np.testing.assert_allclose(found.friction.coulomb[:, 1:], 0.2, atol=0.05)
+    assert lift_error(found, force) < 0.6
+    assert lift_error(found, force) < 0.5 * lift_error(
+        estimate(log, robot=GO2, friction=False), force
+    )
+
+
+def test_ground_slopes_as_the_feet_say() -> None:
+    # Three feet stand on a slope of 10 % and one is held 30 mm above it, each in its turn.
+    rng = np.random.default_rng(0)
+    place = np.array([[0.2, -0.1, 0], [0.2, 0.1, 0], [-0.2, -0.1, 0], [-0.2, 0.1, 0]])
+    place = np.tile(place, (400, 1, 1)) + rng.normal(0.0, 0.02, (400, 4, 3))
+    place[..., 2] = -0.3 + 0.1 * place[..., 0] + rng.normal(0.0, 0.01, (400, 1))
+    up = np.tile([0.0, 0.0, 1.0], (400, 1))
+    air = np.arange(400)[:, None] // 100 == np.arange(4)
+    place[..., 2] += 0.03 * air
+    lift = np.where(air, 0.0, 50.0)
+    np.testing.assert_array_equal(clear_of_ground(place, up, lift, weight=150.0, part=0.5), air)
+    assert clear_of_ground(place, up, 0.1 * lift, weight=150.0, part=0.5).all()  # it hangs
+
+
+def test_friction_of_a_hanging_robot_serves_its_walks(terraphi: Terraphi, tmp_path: Path) -> None:
+    write_npz("hanging.npz", hanging())
+    status, out, _ = terraphi("friction", "hanging.npz", "--out", "f.toml", "--json")
+    assert status == 0
+    joints = json.loads(out)["joints"]
+    assert joints["FR_calf"]["coulomb_Nm"] == pytest.approx(0.2, abs=0.02)
+    read = read_friction("f.toml")
+    np.testing.assert_allclose(read.coulomb, 0.2, atol=0.03)
+    np.testing.assert_allclose(read.viscous, 0.05, atol=0.02)
+    # Feet that are never lifted clear leave nothing to find: the file is all there is.
+    log, force = Walk(clearance=0.004, sinkage=0.0).log()
+    blind, seeing = analyse(log), analyse(log, friction=read)
+    assert blind.forces.friction is not None
+    assert not blind.forces.friction.found.any()
+    assert lift_error(seeing.forces, force) < 0.5 * lift_error(blind.forces, force)
+    write_npz("walk.npz", log)
+    status, out, _ = terraphi("forces", "walk.npz", "--friction", "f.toml", "--json")
+    assert status == 0
+    assert not any("friction" in note for note in json.loads(out)["notes"])
+    # Made again, it may replace itself, and nothing else.
+    assert terraphi("friction", "hanging.npz", "--out", "f.toml")[0] == 0
+    assert terraphi("friction", "hanging.npz", "--out", "walk.npz")[0] == 2
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    found = rng.random((4, 3)) < 0.7
+    numbers = [np.where(found, rng.random((4, 3)).round(5), 0.0) for _ in range(3)]
+    path = tmp_path / "f.toml"
+    write_friction(JointFriction(*numbers, found), path, robot='a "b"', source="c\\d")
+    read = read_friction(path)
+    for name, value in zip(
+        ("coulomb", "viscous", "inertia", "found"), [*numbers, found], strict=True
+    ):
+        np.testing.assert_array_equal(getattr(read, name), value)
+
+
+def test_a_log_that_cannot_tell_friction_is_refused() -> None:
+    with pytest.raises(InputError, match="hang it up"):
+        friction_of_hanging(Walk(duration=3.0).log()[0])
+    log = hanging(5.0)
+    still = replace(log, velocity=log.velocity * np.array([0.0, 1.0, 1.0]))
+    with pytest.raises(InputError, match="hardly move: FR_hip"):
+        friction_of_hanging(still)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[joints.FR_hop]\ncoulomb_Nm = 0.1", "did you mean 'FR_hip'"),
+        ("[joints.FR_hip]\ncoulomb = 0.1", "did you mean 'coulomb_Nm'"),
+        ("[joints.FR_hip]\ncoulomb_Nm = -0.1", "coulomb_Nm = -0.1"),
+        ("[joints.FR_hip]\nviscous_Nms = 0.1", "coulomb_Nm"),
+        ("robot = 'x'", "joints"),
+    ],
+)
+def test_wrong_file_is_refused_in_one_sentence(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "f.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words) as caught:
+        read_friction(path)
+    assert "f.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,160 @@
+"""A Go2 that walks through sand on a prescribed path, its torques computed from its motion.
+
+Feet stand still or sink, loads add up to the weight, and each foot presses weakly on the soil for a
+good part of its stance, as in slow walking on sand. Nothing is simulated, so that a minute takes a
+second, and the true forces are known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from terraphi.robot.dynamics import BodyMotion, inverse_dynamics
+from terraphi.robot.joint_log import JointLog
+from terraphi.robot.kinematics import jacobian
+from terraphi.robot.model import Quadruped
+
+GO2 = Quadruped.load("go2")
+LINK, MASS, GRAVITY = 0.213, GO2.mass, 9.81
+PHASES = {"walk": (0.5, 0.0, 0.75, 0.25), "trot": (0.0, 0.5, 0.5, 0.0)}
+DUTY = {"walk": 0.8, "trot": 0.6}
+HIP, THIGH = GO2.chain.origin[:, 0], GO2.chain.origin[:, 1]
+
+
+@dataclass(frozen=True)
+class Walk:
+    """What to walk like, and what the joints and sensors do to the torques."""
+
+    gait: str = "walk"
+    period: float = 1.2
+    speed: float = 0.1
+    clearance: float = 0.06
+    sinkage: float = 0.012
+    weak: float = 0.35
+    """Part of a stance, at each end, in which the foot only scratches the soil."""
+    duration: float = 10.0
+    coulomb: float = 0.2
+    viscous: float = 0.05
+    inertia: float = 0.004
+    torque_noise: float = 0.05
+    velocity_noise: float = 0.01
+    seed: int = 0
+
+    def _phase(self, time: np.ndarray) -> np.ndarray:
+        return time[:, None] / self.period + np.array(PHASES[self.gait])
+
+    def _pose(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        turn = 2.0 * np.pi * time / self.period
+        place = np.stack(
+            [
+                self.speed * time + 0.006 * np.sin(2 * turn),
+                0.012 * np.sin(turn + 0.4),
+                0.29 + 0.004 * np.sin(2 * turn + 1.0),
+            ],
+            axis=1,
+        )
+        roll, pitch = 0.03 * np.sin(turn + 1.0), 0.02 * np.sin(2 * turn) + 0.02
+        zero, one = np.zeros_like(time), np.ones_like(time)
+        about_x = [[one, zero, zero], [zero, np.cos(roll), -np.sin(roll)],
+                   [zero, np.sin(roll), np.cos(roll)]]  # fmt: skip
+        about_y = [[np.cos(pitch), zero, np.sin(pitch)], [zero, one, zero],
+                   [-np.sin(pitch), zero, np.cos(pitch)]]  # fmt: skip
+        rx, ry = (np.moveaxis(np.array(m), -1, 0) for m in (about_x, about_y))
+        return place, ry @ rx
+
+    def _feet(self, time: np.ndarray) -> np.ndarray:
+        """Centres of the balls in the world, shape [sample, foot, 3]."""
+        phase, duty = self._phase(time), DUTY[self.gait]
+        stride, part = np.floor(phase), phase % 1.0
+        begin = (stride - np.array(PHASES[self.gait])) * self.period
+        swing = np.clip((part - duty) / (1.0 - duty), 0.0, 1.0)
+        smooth = swing**3 * (10.0 - 15.0 * swing + 6.0 * swing**2)
+        ahead = 0.5 * duty * self.period * self.speed
+        x = HIP[:, 0] + self.speed * begin + ahead + smooth * self.speed * self.period
+        y = np.broadcast_to(HIP[:, 1] + 1.05 * THIGH[:, 1], x.shape)
+        stand = np.clip(part / duty, 0.0, 1.0)
+        depth = self.sinkage * np.where(stand < 1.0, _rise(stand / self.weak), 1.0 - _rise(swing))
+        up = 64.0 * (swing * (1.0 - swing)) ** 3
+        return np.stack([x, y, 0.022 - depth + self.clearance * up], axis=-1)
+
+    def _angles(self, time: np.ndarray) -> np.ndarray:
+        place, turn = self._pose(time)
+        seen = np.einsum("sji,sfj->sfi", turn, self._feet(time) - place[:, None]) - HIP
+        x, y, z = np.moveaxis(seen, -1, 0)
+        side = THIGH[:, 1]
+        down = -np.sqrt(y**2 + z**2 - side**2)
+        hip = np.arctan2(z, y) - np.arctan2(down, side)
+        hip = (hip + np.pi) % (2.0 * np.pi) - np.pi
+        calf = -np.arccos((x**2 + down**2 - 2.0 * LINK**2) / (2.0 * LINK**2))
+        return np.stack([hip, np.arctan2(-x, -down) - 0.5 * calf, calf], axis=-1)
+
+    def force(self, time: np.ndarray) -> np.ndarray:
+        """Of the ground on the feet in the world [N], shape [sample, foot, 3]."""
+        stand = (self._phase(time) % 1.0) / DUTY[self.gait]
+        edge = np.minimum(stand, 1.0 - stand)
+        share = np.where(edge > 0.0, 0.06 * _rise(8.0 * edge) + _rise(edge / self.weak - 0.3), 0.0)
+        share /= share.sum(axis=1, keepdims=True)
+        lift = MASS * (GRAVITY + _second(lambda t: self._pose(t)[0], time)[:, 2:])
+        load = share * lift
+        push = np.stack([-0.25 * np.sin(2.0 * np.pi * stand) * load, 0.05 * load, load], axis=-1)
+        # In the soil, a foot that moves forwards is held back.
+        push[..., 0] -= np.where((stand < 1.0) & (load < 12.0), 0.4 * load, 0.0)
+        return np.asarray(push)
+
+    def log(self) -> tuple[JointLog, np.ndarray]:
+        """The log, and the true forces in the world [N], shape [sample, foot, 3]."""
+        rng = np.random.default_rng(self.seed)
+        time = np.arange(0.0, self.duration, 0.002)
+        angle = self._angles(time)
+        rate, second = _first(self._angles, time), _second(self._angles, time)
+        _, turn = self._pose(time)
+        slope = _first(lambda t: self._pose(t)[1], time)
+        spin = _vector(np.swapaxes(turn, 1, 2) @ slope)
+        faster = np.gradient(spin, time, axis=0)
+        felt = _second(lambda t: self._pose(t)[0], time) + [0.0, 0.0, GRAVITY]
+        felt = np.einsum("sji,sj->si", turn, felt)
+        body = BodyMotion(felt, spin, faster)
+        force = self.force(time)
+        arm = -GO2.foot_radius * turn[:, None, 2, :]
+        pushed = np.einsum("sji,sfj->sfi", turn, force)
+        torque = inverse_dynamics(GO2, angle, rate, second, body=body)
+        torque -= np.einsum("sfij,sfi->sfj", jacobian(GO2, angle, offset=arm), pushed)
+        torque += self.coulomb * np.tanh(rate / 0.01) + self.viscous * rate + self.inertia * second
+        at = np.array(GO2.imu)
+        at_imu = felt + np.cross(faster, at) + np.cross(spin, np.cross(spin, at))
+        noisy = torque + rng.normal(0.0, self.torque_noise, torque.shape)
+        seen = rate + rng.normal(0.0, self.velocity_noise, rate.shape)
+        return JointLog(time, angle, seen, noisy, _quaternion(turn), spin, at_imu), force
+
+
+def tilted(log: JointLog, roll: float, pitch: float) -> JointLog:
+    """The same, its attitude wrong by small angles about the world's axes [rad]."""
+    assert log.quaternion is not None
+    w, x, y, z = log.quaternion.T
+    a, b = 0.5 * roll, 0.5 * pitch
+    turned = np.stack([w - a * x - b * y, x + a * w + b * z, y - a * z + b * w, z + a * y - b * x])
+    return replace(log, quaternion=(turned / np.linalg.norm(turned, axis=0)).T)
+
+
+def _rise(part: np.ndarray) -> np.ndarray:
+    u = np.clip(part, 0.0, 1.0)
+    return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
+
+
+def _first(function, time, step=1e-4):  # type: ignore[no-untyped-def]
+    return (function(time + step) - function(time - step)) / (2.0 * step)
+
+
+def _second(function, time, step=1e-3):  # type: ignore[no-untyped-def]
+    return (function(time + step) - 2.0 * function(time) + function(time - step)) / step**2
+
+
+def _vector(skew: np.ndarray) -> np.ndarray:
+    return np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+
+
+def _quaternion(turn: np.ndarray) -> np.ndarray:
+    w = 0.5 * np.sqrt(1.0 + np.trace(turn, axis1=1, axis2=2))
+    return np.column_stack([w, _vector(turn - np.swapaxes(turn, 1, 2)) / (4.0 * w[:, None])])
