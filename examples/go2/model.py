@@ -121,6 +121,10 @@ def build(physics: Physics) -> mujoco.MjModel:
     model.dof_frictionloss[dofs] = physics.coulomb
     model.dof_damping[dofs] = physics.viscous
     model.dof_armature[dofs] = physics.armature
+    if not physics.floor:
+        # MuJoCo lets friction change its sense some 20 ms before a joint turns round, unless told
+        # otherwise; a foot that comes to rest in sand does so in as long.
+        model.dof_solref[dofs] = [2.0 * physics.step, 1.0]
     return model
 
 

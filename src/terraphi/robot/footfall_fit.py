@@ -70,6 +70,9 @@ class Prior:
         Of each joint's torque gain, relative [-].
     friction_sd
         Of each joint's Coulomb friction that is left in the forces [N m].
+    drop_sd
+        Of the way that feet go down, as the odometry has it, relative [-]: standing feet give
+        way a little while the load moves over, and the attitude errs.
     law_sd_deg
         Of the law's offset [deg]: ``terraphi study plates`` says where it comes from.
     exponent_sd
@@ -91,12 +94,14 @@ class Prior:
     shape: str = "ball"
     gain_sd: float = 0.1
     friction_sd: float = 0.1
+    drop_sd: float = 0.02
     law_sd_deg: float = 3.2
     exponent_sd: float = 0.2
     slope_sd: float = 0.15
 
 
-SENSORS = tuple(f"gain_{i}" for i in range(12)) + tuple(f"friction_{i}" for i in range(12))
+TORQUES = tuple(f"gain_{i}" for i in range(12)) + tuple(f"friction_{i}" for i in range(12))
+SENSORS = (*TORQUES, "drop")
 SOIL = ("log_density", "surface_friction", "radius", "law_offset", "law_exponent", "law_slope")
 SHARED = (*SENSORS, *SOIL)
 """What footfalls share, in the order of the last axis of sensitivities."""
@@ -108,6 +113,7 @@ def shared_sd(prior: Prior) -> FloatArray:
         [prior.gain_sd] * 12
         + [prior.friction_sd] * 12
         + [
+            prior.drop_sd,
             prior.density_sd / prior.density,
             prior.surface_friction_sd,
             prior.radius_sd,
@@ -289,15 +295,23 @@ def _at_mode(
         column = 3 * seen.foot + joint
         shared[rows, column] = np.einsum("nl,nl->n", gain, seen.per_gain[..., joint])
         shared[rows, 12 + column] = np.einsum("nl,nl->n", gain, seen.per_friction[..., joint])
-    for at, of_soil in zip(range(24, 27), _of_soil(law, prior, seen, state), strict=True):
-        shared[:, at] = -np.einsum("nl,nl->n", gain, of_soil)
-    shared[:, 27] = 1.0
     curved = (
         predicted(law, prior, seen, state, exponent=0.05)
         - predicted(law, prior, seen, state, exponent=-0.05)
     ) / 0.1
-    shared[:, 28] = np.einsum("nl,nl->n", gain, curved)
-    shared[:, 29] = state[:, 0] - prior.phi_deg
+    # A law that is wrong by an exponent or a density shifts φ̂ by as much the other way.
+    density, surface, radius = _of_soil(law, prior, seen, state)
+    rises = {
+        "drop": -slope[..., 1] * seen.drop,
+        "log_density": -density,
+        "surface_friction": -surface,
+        "radius": -radius,
+        "law_exponent": curved,
+    }
+    for name, rise in rises.items():
+        shared[:, SHARED.index(name)] = np.einsum("nl,nl->n", gain, rise)
+    shared[:, SHARED.index("law_offset")] = 1.0
+    shared[:, SHARED.index("law_slope")] = state[:, 0] - prior.phi_deg
     chi = np.einsum("nk,nkl,nl->n", left, weight, left)
     free = np.maximum(_independent(seen) - 2.0, 1.0)
     misfit = chi / free
