@@ -103,6 +103,7 @@ LIKELIHOODS = ("calibrated", "paper")
 SAMPLERS = ("quadrature", "emcee")
 DISCREPANCIES = ("none", "gp")
 ESTIMATORS = ("quasi_static", "gravity", "inverse_dynamics", "momentum_observer")
+LAW_SETS = ("rft", "bearing", "all")
 FRAMES = ("world", "heading", "body")
 DOCUMENTS = ("scenario", "plan", "robot")
 

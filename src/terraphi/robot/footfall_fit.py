@@ -94,8 +94,8 @@ class Prior:
     shape: str = "ball"
     gain_sd: float = 0.1
     friction_sd: float = 0.1
-    drop_sd: float = 0.02
-    law_sd_deg: float = 3.2
+    drop_sd: float = 0.03
+    law_sd_deg: float = 3.7
     exponent_sd: float = 0.2
     slope_sd: float = 0.15
 

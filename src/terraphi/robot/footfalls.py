@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.files import plain_number
 from terraphi.robot.footfall_fit import (
     LAW_SETS,
     PHI_RANGE,
@@ -414,6 +415,10 @@ def _notes(usable: BoolArray, weighed: Weighing, anchors: Sequence[Anchor]) -> l
     return notes
 
 
+DENSITY_PART = 0.05
+"""Standard deviation of a density that comes without one, as a part of it [-]."""
+DENSITIES = (500.0, 3000.0)
+"""Bulk densities of soils [kg/m³]."""
 _ANCHOR = re.compile(
     r"(?P<axis>[xys])\s*=\s*(?P<a>[-+.\deE]+)\s*:\s*(?P<b>[-+.\deE]+)\s*,\s*phi\s*=\s*"
     r"(?P<phi>[.\deE]+)\s*(?:±|\+/?-)\s*(?P<sd>[.\deE]+)"
@@ -429,7 +434,7 @@ def anchor_from(text: str) -> Anchor:
     if match is None:
         raise InputError(f"anchor '{text}': expected one such as x=0:0.5,phi=34±1 (or phi=34+-1)")
     try:
-        a, b, phi, sd = (float(match[name]) for name in ("a", "b", "phi", "sd"))
+        a, b, phi, sd = (plain_number(match[name]) for name in ("a", "b", "phi", "sd"))
     except ValueError:
         raise InputError(f"anchor '{text}': holds what is not a number") from None
     low, high = PHI_RANGE
@@ -441,14 +446,24 @@ def anchor_from(text: str) -> Anchor:
     return Anchor(min(a, b), max(a, b), phi, sd, match["axis"])
 
 
-def measured_from(text: str, *, name: str, unit: str) -> tuple[float, float | None]:
-    """A number with or without its standard deviation, ``1550±80``, ``1550+-80`` or ``1550``."""
-    value, _, spread = re.sub(r"\+/?-", "±", text.strip()).partition("±")
+def prior_for(density: str | None) -> Prior:
+    """The prior for a density as people write it, ``1550±80``, ``1550+-80`` or ``1550``.
+
+    Without a standard deviation it is :data:`DENSITY_PART` of the density; ``None`` is the default.
+    Raises InputError if it is no such number, or no soil's.
+    """
+    if density is None:
+        return Prior()
+    value, sign, spread = re.sub(r"\+/?-", "±", density.strip()).partition("±")
     try:
-        numbers = float(value), float(spread) if spread else None
+        mean = plain_number(value)
+        sd = plain_number(spread) if sign else DENSITY_PART * mean
     except ValueError:
-        numbers = math.nan, None
-    ok = all(n is None or (math.isfinite(n) and n > 0.0) for n in numbers)
-    if not ok:
-        raise InputError(f"{name} '{text}': expected a number of {unit} such as 1550 or 1550±80")
-    return numbers
+        raise InputError(f"density '{density}': expected kg/m³ such as 1550 or 1550±80") from None
+    low, high = DENSITIES
+    if not (low <= mean <= high and 0.0 < sd <= 0.3 * mean):
+        raise InputError(
+            f"density '{density}': {low:g} to {high:g} kg/m³ is expected, with a standard "
+            "deviation above 0 and at most 30 % of it"
+        )
+    return Prior(density=mean, density_sd=sd)

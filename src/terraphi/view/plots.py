@@ -49,7 +49,9 @@ class Curve(NamedTuple):
     style: str = "-"
 
 
-def save(figure: Figure, path: Path | str, *, dpi: int = 150) -> None:
+def save(
+    figure: Figure, path: Path | str, *, dpi: int = 150, metadata: Mapping[str, str] | None = None
+) -> None:
     """Write a figure in the format of its suffix.
 
     Parameters
@@ -60,6 +62,8 @@ def save(figure: Figure, path: Path | str, *, dpi: int = 150) -> None:
         The file.
     dpi
         Resolution of a picture of dots [1/in].
+    metadata
+        What a PNG says of itself, by keyword.
 
     Raises
     ------
@@ -67,7 +71,7 @@ def save(figure: Figure, path: Path | str, *, dpi: int = 150) -> None:
         If the place cannot be written.
     """
     with replacing(Path(path)) as temporary:
-        figure.savefig(temporary, dpi=dpi)
+        figure.savefig(temporary, dpi=dpi, metadata=metadata)
 
 
 def inversions_figure(inversions: Sequence[Inversion]) -> Figure:
