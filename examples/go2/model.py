@@ -17,6 +17,8 @@ FloatArray = NDArray[np.float64]
 
 FOOT_RADIUS = 0.022
 """Of the ball at the end of a calf [m]."""
+IMU_PLACE = (-0.02557, 0.0, 0.04232)
+"""Of the accelerometer in the body [m], from the URDF."""
 TORQUE_LIMIT = np.array([23.7, 23.7, 45.43])
 """Largest torques of hip, thigh and calf [N m], from the URDF."""
 
@@ -109,7 +111,7 @@ def build(physics: Physics) -> mujoco.MjModel:
             mass=0.0,  # the link of the URDF has it
             **contact,
         )
-    imu = spec.body("base").add_site(name="imu")
+    imu = spec.body("base").add_site(name="imu", pos=IMU_PLACE)
     spec.add_sensor(
         name="acceleration",
         type=mujoco.mjtSensor.mjSENS_ACCELEROMETER,

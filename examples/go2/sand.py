@@ -100,15 +100,17 @@ class Sand:
 
     def lift(self, depth: FloatArray, descent: FloatArray, phi: FloatArray) -> FloatArray:
         """Force of steady motion along the horizontal part of it, and up [N], shape [..., 2]."""
+        # Bearing capacity speaks of feet that go down: of others it gets a drag, to stand on.
+        rft = self.law == "rft"
         force = LAWS[self.law].force(
             Foot(self.radius),
             depth,
-            descent,
+            descent if rft else np.where(descent > -1e-3, 0.5 * np.pi, -0.5 * np.pi),
             friction_angle_deg=phi,
             density=self.density,
             surface_friction=self.surface_friction,
         )
-        if self.law != "rft":  # they know of no drag; a foot has to stand all the same
+        if not rft:
             force[..., 0] = -0.6 * force[..., 1] * np.cos(descent)
         return force * (np.maximum(depth, 1e-4)[..., None] / FOOT_RADIUS) ** self.exponent
 

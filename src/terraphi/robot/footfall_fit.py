@@ -138,7 +138,8 @@ class Fit(NamedTuple):
     sinkage
         Depth of the lowest point at the end of the loading [m].
     gained
-        What of it came after the force had reached a sixth of its end [m].
+        How far the foot went down while the force rose from a sixth to five sixths of its end,
+        by the odometry alone [m].
     misfit
         χ² over the degrees of freedom [-].
     shared
@@ -319,12 +320,15 @@ def _at_mode(
     depth = np.where(seen.used, depth, -np.inf)
     sinkage = depth.max(axis=1, initial=-np.inf)
     force = np.where(seen.used, seen.force, 0.0)
-    early = force < force.max(axis=1, keepdims=True, initial=0.0) / 6.0
-    reached = np.where(early, depth, -np.inf).max(axis=1, initial=-np.inf)
+    end = force.max(axis=1, keepdims=True, initial=0.0)
+    rising = seen.used & (force > end / 6.0)
+    rising &= np.minimum.accumulate(force < 5.0 / 6.0 * end, axis=1)
+    bottom = np.where(rising, seen.drop, -np.inf).max(axis=1, initial=-np.inf)
+    top = np.where(rising, seen.drop, np.inf).min(axis=1, initial=np.inf)
     sd = np.sqrt(covariance[:, 0, 0] * np.maximum(misfit, 1.0))
     found = np.isfinite(sinkage)
     sinkage = np.where(found, sinkage, 0.0)
-    gained = sinkage - np.where(np.isfinite(reached), reached, 0.0)
+    gained = np.where(rising.any(axis=1), bottom - top, 0.0)
     return Fit(state[:, 0], sd, state[:, 1], state[:, 2], sinkage, gained, misfit, shared)
 
 

@@ -46,12 +46,12 @@ TORN, SATURATED, EDGE = "timing unreliable", "saturated", "at a prior's edge"
 VERDICTS = (USABLE, SHALLOW, TRODDEN, MISFIT, TORN, SATURATED, EDGE)
 """What is said of a footfall."""
 
-LEAST_SINKAGE, LEAST_GAINED = 0.006, 0.004
-"""Sinkage that a footfall needs, and what of it must come with the load [m]: on hard ground a
-force comes without."""
+LEAST_SINKAGE, LEAST_GAINED = 0.006, 0.003
+"""Sinkage that a footfall needs, and what of it must come while the force rises [m]: on hard
+ground a force comes without, and what creeps under a full load is no loading."""
 NEAR_RADII = 2.0
 """Ground nearer than this many radii to an earlier footfall has been trodden [-]."""
-WORST_MISFIT = 3.0
+WORST_MISFIT = 2.0
 """χ² over the degrees of freedom above which a law does not fit [-]."""
 NEAR_EDGE_DEG = 1.0
 """A friction angle this near to the end of what laws are asked for is the end [deg]."""
