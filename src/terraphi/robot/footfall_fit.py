@@ -8,9 +8,8 @@ For the upward force F of a touch-down, its ball's descent d since the first for
 with the friction angle φ, the depth z₀ at which the foot's lowest point lies at touch-down (the
 surface is not known), a vertical drift w of the odometry, and noise e that is correlated over
 :data:`CORRELATION_S`. The posterior of (φ, z₀, w) is taken as normal about its mode (Laplace).
-What all footfalls share is held at its prior's mean θ₀ here; how the mode moves with it,
-S = −∂φ̂/∂θ, follows from the same linearisation, so that φ = φ̂ + ... is left to the pooling:
-φ̂ = φ + S (θ − θ₀) + e.
+What all footfalls share, θ, is held at its prior's mean θ₀ here; how far that puts the mode off
+follows from the same linearisation, φ̂ = φ + S (θ − θ₀) + e, and is left to the pooling.
 
 This is the one module of the robot's room that knows force laws.
 """
@@ -94,7 +93,7 @@ class Prior:
     shape: str = "ball"
     gain_sd: float = 0.1
     friction_sd: float = 0.1
-    drop_sd: float = 0.03
+    drop_sd: float = 0.02
     law_sd_deg: float = 3.7
     exponent_sd: float = 0.2
     slope_sd: float = 0.15
@@ -143,7 +142,7 @@ class Fit(NamedTuple):
     misfit
         χ² over the degrees of freedom [-].
     shared
-        ∂φ̂/∂θ for :data:`SHARED`, shape [touchdown, shared].
+        S for :data:`SHARED`: how far φ̂ is off per unit of θ − θ₀, shape [touchdown, shared].
     """
 
     phi: FloatArray
@@ -300,13 +299,14 @@ def _at_mode(
         predicted(law, prior, seen, state, exponent=0.05)
         - predicted(law, prior, seen, state, exponent=-0.05)
     ) / 0.1
-    # A law that is wrong by an exponent or a density shifts φ̂ by as much the other way.
+    # How far φ̂ is off where the truth is above what is assumed: forces are higher than expected
+    # by so much, and a drop that reads too large makes the expected ones too high.
     density, surface, radius = _of_soil(law, prior, seen, state)
     rises = {
         "drop": -slope[..., 1] * seen.drop,
-        "log_density": -density,
-        "surface_friction": -surface,
-        "radius": -radius,
+        "log_density": density,
+        "surface_friction": surface,
+        "radius": radius,
         "law_exponent": curved,
     }
     for name, rise in rises.items():

@@ -23,7 +23,7 @@ MASS_SD = 0.02
 """What the robot weighs is known to this part: battery, payload [-]."""
 LEAST_NOISE = 0.01
 """Of a weighing, as a part of the weight [-]."""
-ALIKE = 4.0
+ALIKE = 20.0
 """Weighings over which errors are taken to persist: gaits repeat themselves."""
 
 
