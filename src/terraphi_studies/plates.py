@@ -11,7 +11,7 @@ import csv
 import importlib.resources
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,7 +182,7 @@ def _fits(tests: Sequence[Test], law: str) -> Fit:
 
 
 def _as_touchdown(test: Test) -> Touchdowns:
-    """Readings as a slow touch-down; each millimetre counts as one correlation time of the noise."""
+    """Readings as a slow touch-down; each millimetre is a correlation time of the noise."""
     n = max(len(test.sinkage), 1)
     none = np.zeros((1, n))
     depth, force = none.copy(), none.copy()
@@ -230,8 +230,8 @@ def _notes(
     widths = np.array([test.diameter_mm for test in tests])
     said = [
         f"Mean over the tests: {means}; repeats scatter by {max(repeats.values()):.1f}° at most.",
-        f"Among laws and depths the same test scatters by {spread:.1f}° (standard deviation): the "
-        "law's term of a footfall's absolute band.",
+        f"By other laws and at other depths a test gives φ that scatters by {spread:.1f}°: that is "
+        + "the law's term of a footfall's absolute band.",
     ]
     if len(set(widths)) > 1:
         low, high = widths == widths.min(), widths == widths.max()

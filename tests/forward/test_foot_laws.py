@@ -77,9 +77,7 @@ def test_bearing_capacity_of_a_disc_by_hand() -> None:
     foot, gamma = Foot(0.03, "disc"), 1550.0 * 9.81
     d_q = 1.0 + 0.5 / math.sqrt(3.0) * (0.02 / 0.06)
     pressure = gamma * (0.02 * 18.401 * 1.5 * d_q + 0.5 * 0.06 * 15.070 * 0.6)
-    assert lift("hansen", foot, 0.02, 30.0) == pytest.approx(
-        pressure * math.pi * 0.03**2, rel=1e-3
-    )
+    assert lift("hansen", foot, 0.02, 30.0) == pytest.approx(pressure * math.pi * 0.03**2, rel=1e-3)
 
 
 @pytest.mark.parametrize("law", LAWS)

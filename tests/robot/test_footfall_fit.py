@@ -74,4 +74,3 @@ def test_what_is_shared_moves_the_answer_as_told() -> None:
     louder = fit(seen._replace(force=1.02 * seen.force), "rft", PRIOR).phi[0] - found.phi[0]
     gains = sum(told[f"gain_{3 * 2 + joint}"] for joint in range(3))
     assert louder == pytest.approx(gains * 0.02 / 3.0, rel=0.1)
-

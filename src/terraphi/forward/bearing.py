@@ -7,15 +7,15 @@ r"""Bearing capacity of a shallow footing on dry soil without cohesion.
 with q = γD the weight of the soil beside the footing. The three sets of factors are the ones that
 textbooks tabulate side by side, and they differ:
 
-=========  ===========================  ====================  ============  ==========================
-set        N_γ                          s_q                   s_γ           depth
-=========  ===========================  ====================  ============  ==========================
-Meyerhof   (N_q − 1) tan 1.4φ           1 + 0.1 K_p B/L       as s_q        both 1 + 0.1 √K_p D/B
-Hansen     1.5 (N_q − 1) tan φ          1 + sin φ B/L         1 − 0.4 B/L   d_q = 1 + 2 tan φ (1 − sin φ)² k
-Vesić      2 (N_q + 1) tan φ            1 + tan φ B/L         1 − 0.4 B/L   as Hansen
-=========  ===========================  ====================  ============  ==========================
+=========  =====================  ==================  ==============  =======================
+set        N_γ                    s_q                 s_γ             depth
+=========  =====================  ==================  ==============  =======================
+Meyerhof   (N_q − 1) tan 1.4φ     1 + 0.1 K_p B/L     as s_q          d = 1 + 0.1 √K_p D/B
+Hansen     1.5 (N_q − 1) tan φ    1 + sin φ B/L       1 − 0.4 B/L     d_q below, d_γ = 1
+Vesić      2 (N_q + 1) tan φ      1 + tan φ B/L       1 − 0.4 B/L     as Hansen
+=========  =====================  ==================  ==============  =======================
 
-K_p = tan²(45° + φ/2); k = D/B up to D = B and arctan(D/B) [rad] beyond. G. G. Meyerhof, *Can.
+d_q = 1 + 2 tan φ (1 − sin φ)² k. K_p = tan²(45° + φ/2); k = D/B up to D = B and arctan(D/B) [rad] beyond. G. G. Meyerhof, *Can.
 Geotech. J.* 1 (1963) 16; J. B. Hansen, *Danish Geotech. Inst. Bull.* 28 (1970); A. S. Vesić, *J.
 Soil Mech. Found. Div.* 99 (1973) 45. Here B = L: the footings are circles.
 """

@@ -184,9 +184,8 @@ def read_footfalls(path: Path) -> FootfallMap:
         if unknown:
             raise ValueError(f"verdict {unknown.pop()!r}")
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: not as terraphi writes footfalls ({error}); make it again") from (
-            error
-        )
+        why = f"{path}: not as terraphi writes footfalls ({error}); make it again"
+        raise InputError(why) from error
     return found
 
 

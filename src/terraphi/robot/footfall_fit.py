@@ -221,14 +221,14 @@ def fit(seen: Touchdowns, law: str, prior: Prior) -> Fit:
     Fit
     """
     parts = [
-        _fit(Touchdowns(*(field[i : i + BLOCK] for field in seen)), LAWS[law], prior)
+        _fit(seen.part(slice(i, i + BLOCK)), LAWS[law], prior)
         for i in range(0, max(len(seen.foot), 1), BLOCK)
     ]
     return Fit(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
-    weight = np.linalg.inv(noise_covariance(seen, prior))
+    weight = np.asarray(np.linalg.inv(noise_covariance(seen, prior)))
     mean = np.array([prior.phi_deg, 0.0, 0.0])
     precision = np.diag(np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd]) ** -2)
 
@@ -337,9 +337,7 @@ def _independent(seen: Touchdowns) -> FloatArray:
     return np.asarray(seen.used.sum(axis=1), dtype=np.float64)
 
 
-def _of_soil(
-    law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray
-) -> list[FloatArray]:
+def _of_soil(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> list[FloatArray]:
     """Derivatives of forces by ln ρ, μ_s and R."""
     made = []
     for name, step, scale in (

@@ -213,7 +213,7 @@ class _System:
         matrix = covariance(seen.place, seen.place, amplitude, length)
         matrix += self._sensitive @ sensors.covariance @ self._sensitive.T
         matrix[np.diag_indices(len(matrix))] += seen.sd**2 + scatter**2
-        self._lower = np.linalg.cholesky(matrix)
+        self._lower = np.asarray(np.linalg.cholesky(matrix))
         self._left = _solve(self._lower, seen.phi - mean - self._sensitive @ sensors.mean)
 
     def at(
@@ -229,7 +229,8 @@ class _System:
     def theta(self) -> tuple[FloatArray, FloatArray]:
         """Posterior mean and covariance of the sensors' errors."""
         half = _solve(self._lower, self._sensitive @ self._sensors.covariance)
-        return self._sensors.mean + half.T @ self._left, self._sensors.covariance - half.T @ half
+        taken = np.asarray(half.T @ half)
+        return self._sensors.mean + half.T @ self._left, self._sensors.covariance - taken
 
 
 def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:
@@ -254,7 +255,7 @@ def _learnt(seen: Observed, sensors: Shared, mean: float) -> tuple[float, float,
         amplitude, length, scatter = np.exp(logs)
         matrix = covariance(part.place, part.place, amplitude, length) + common
         matrix[np.diag_indices(len(left))] += part.sd**2 + scatter**2
-        lower = np.linalg.cholesky(matrix)
+        lower = np.asarray(np.linalg.cholesky(matrix))
         half = _solve(lower, left)
         prior = (((logs - centre) / width) ** 2).sum()
         return float(0.5 * (half @ half + prior) + np.log(np.diag(lower)).sum())

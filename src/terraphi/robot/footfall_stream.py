@@ -8,7 +8,7 @@ known beforehand, gains are not weighed, and nothing is pooled.
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,14 +153,14 @@ class Footfalls:
         for foot, begin in begins.items():
             first = int(np.searchsorted(log.time, begin))
             stances.append(Stance(FEET[foot], log.time[first:], self._force[first:, foot]))
-        limit = np.inf if robot.torque_limit is None else SATURATED * np.array(robot.torque_limit)
+        limit = SATURATED * np.array(robot.torque_limit or (np.inf,) * 3)
         single = self._force.astype(np.float32)
         forces = FootForces(
             time=log.time,
             force=single,
             sigma=single,  # nobody asks
             flagged=np.zeros((len(log.time), 4), dtype=bool),
-            saturated=(np.abs(log.torque) >= limit).any(axis=-1),
+            saturated=np.asarray((np.abs(log.torque) >= limit).any(axis=-1)),
             swing_residual=np.zeros((4, 3)),
             estimator=DEFAULT_ESTIMATOR,
             frame="world",
@@ -194,7 +194,7 @@ def _cut(log: JointLog, part: slice) -> JointLog:
 
 
 def _joined(first: JointLog, second: JointLog) -> JointLog:
-    both = {
+    both: dict[str, Any] = {
         name: np.concatenate([getattr(first, name), getattr(second, name)])
         for name in _columns(first)
     }

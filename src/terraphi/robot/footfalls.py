@@ -82,10 +82,11 @@ class FootfallMap:
     foot
         ``FR``, ``FL``, ``RR`` or ``RL``, shape [footfall].
     place
-        Where the foot ended its loading: x along the robot's first heading, y to its left, z of
-        the surface, from below the trunk's first place [m], shape [footfall, 3].
+        Where the foot ended its loading, from the trunk's first place: x along the robot's first
+        heading, y to its left, z of the soil's surface [m], shape [footfall, 3].
     sinkage
-        Depth of the foot's lowest point at the end of the loading [m], shape [footfall].
+        Depth of the foot's lowest point at the end of the loading [m], shape [footfall]; where it
+        was too little, how far the foot went down under load.
     phi, sd, shared_sd
         φ of each footfall by itself, its own standard deviation and the one that it shares with
         all others [deg], shape [footfall]; not a number where it was refused.
@@ -325,13 +326,15 @@ def _together(
         phi[usable], sd[usable], common[usable] = pooled.phi, pooled.sd, pooled.shared_sd
         along = np.stack([pooled.path_phi, pooled.path_relative_sd, pooled.path_absolute_sd])
         shared = _shared_summary(pooled, prior)
+    shallow = np.array([v == SHALLOW for v in verdict], dtype=bool)
+    sinkage = np.where(shallow, mean.gained, mean.sinkage)
     place = seen.place.copy()
-    place[:, 2] += mean.sinkage  # of the surface
+    place[:, 2] += sinkage
     return FootfallMap(
         time=seen.begin,
         foot=tuple(FEET[i] for i in seen.foot),
         place=place,
-        sinkage=mean.sinkage,
+        sinkage=sinkage,
         phi=phi,
         sd=sd,
         shared_sd=common,

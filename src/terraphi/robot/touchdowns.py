@@ -92,6 +92,10 @@ class Touchdowns(NamedTuple):
     torn: BoolArray
     saturated: BoolArray
 
+    def part(self, which: slice) -> Touchdowns:
+        """Some of them."""
+        return Touchdowns(**{name: column[which] for name, column in self._asdict().items()})
+
 
 class Sensitivity(NamedTuple):
     """What errors of a joint's torque add to the upward forces [N], shape [sample, foot, joint]."""
@@ -103,7 +107,8 @@ class Sensitivity(NamedTuple):
 def sensitivity(log: JointLog, robot: Quadruped) -> Sensitivity:
     """How upward forces depend on the torques' gains and on friction, of a log with attitude.
 
-    With f = J⁻ᵀ(h − τ): a gain error g of a joint adds −J⁻ᵀτ g, friction c left in it −J⁻ᵀ sign(q̇) c.
+    With f = J⁻ᵀ(h − τ): a gain error g of a joint adds −J⁻ᵀτ g, and friction c left in it
+    −J⁻ᵀ sign(q̇) c.
     """
     assert log.quaternion is not None, "forces in the world's frame need it as well"
     up = rotation(log.quaternion)[:, 2, :]
@@ -146,8 +151,9 @@ def touchdowns(
     """
     step = float(np.median(np.diff(log.time)))
     half = max(1, round(0.5 * SMOOTH_S / step))
+    lift = forces.force[:, :, 2].astype(np.float64)
     pieces = [
-        _piece(log.time, forces.force[:, f, 2], motion.feet[:, f], stance, half, probe=probe)
+        _piece(log.time, lift[:, f], motion.feet[:, f], stance, half, probe=probe)
         for stance in stances
         for f in (FEET.index(stance.foot),)
     ]
@@ -195,7 +201,7 @@ def _piece(
     velocity = moved / (time[rows + half] - time[rows - half])[:, None]
     down = -velocity[:, 2]
     drop = place[start, 2] - place[rows, 2]
-    force = np.asarray(lift[rows], dtype=np.float64)
+    force = lift[rows]
     good = np.isfinite(force) & (down > GOES_ON * max(float(down[rows >= start].max(initial=0)), 0))
     # Soil that has been loaded further already does not count: neither force nor depth may be
     # behind what they have been.
@@ -219,5 +225,3 @@ def _piece(
         "force": np.nan_to_num(force),
     }
     return rows[chosen], {k: v[chosen] for k, v in columns.items()}, good[chosen], last
-
-

@@ -97,10 +97,11 @@ def weigh(
     rows = rows[bears]
     precision = np.diag(np.append(sd, MASS_SD) ** -2.0)
     noise = 0.1 * weight
+    covariance, mean = np.linalg.inv(precision), np.zeros(len(sd) + 1)
     for _ in range(3):
-        normal = rows[:, 1:].T @ rows[:, 1:] / (noise**2 * ALIKE) + precision
-        mean = np.linalg.solve(normal, rows[:, 1:].T @ rows[:, 0] / (noise**2 * ALIKE))
+        share = 1.0 / (noise**2 * ALIKE)
+        covariance = np.linalg.inv(share * rows[:, 1:].T @ rows[:, 1:] + precision)
+        mean = share * covariance @ rows[:, 1:].T @ rows[:, 0]
         left = rows[:, 0] - rows[:, 1:] @ mean
         noise = max(LEAST_NOISE * weight, 1.4826 * float(np.median(np.abs(left))))
-    covariance = np.linalg.inv(normal)
-    return Weighing(mean[:-1], covariance[:-1, :-1], ratio)
+    return Weighing(np.asarray(mean[:-1]), np.asarray(covariance[:-1, :-1]), ratio)

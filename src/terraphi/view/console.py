@@ -171,8 +171,8 @@ def print_footfalls(summary: dict[str, Any]) -> None:
              *("{:.1f} to {:.1f}".format(*path[band][i]) for band in bands))
             for i in picked
         ]  # fmt: skip
-        header = ("s [m]", "φ [deg]", "68 %, relative", "68 %, absolute")
-        print_table(Table("Along the path, footfalls pooled", header, cells))
+        columns = ("s [m]", "φ [deg]", "68 %, relative", "68 %, absolute")
+        print_table(Table("Along the path, footfalls pooled", columns, cells))
     print_pairs({name: summary[name] for name in ("counts", "by_law_deg", "notes")})
 
 
