@@ -230,8 +230,7 @@ def _notes(
     widths = np.array([test.diameter_mm for test in tests])
     said = [
         f"Mean over the tests: {means}; repeats scatter by {max(repeats.values()):.1f}° at most.",
-        f"By other laws and at other depths a test gives φ that scatters by {spread:.1f}°: that is "
-        + "the law's term of a footfall's absolute band.",
+        f"Over laws and depths a test's φ scatters by {spread:.1f}°: a footfall's term of the law.",
     ]
     if len(set(widths)) > 1:
         low, high = widths == widths.min(), widths == widths.max()

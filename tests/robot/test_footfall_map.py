@@ -31,24 +31,25 @@ def problem() -> tuple[Observed, Shared, np.ndarray]:
     return Observed(phi, np.full(24, 0.2), shared, place), Shared(mean, full), place[::6] + 0.05
 
 
-def test_relative_band_is_the_exact_posterior() -> None:
+def test_bands_are_the_exact_posterior(monkeypatch: pytest.MonkeyPatch) -> None:
     seen, shared, path = problem()
+    monkeypatch.setattr(footfall_map, "_taught", lambda _, shared, *__: shared)
     found = pool(seen, shared, path, [], mean=32.0)
     every = np.concatenate([path, seen.place])
     prior = covariance(every, every, *FIELD[:2])
     p = len(path)
-    rows = np.hstack([np.zeros((24, p)), np.eye(24), seen.shared[:, :N]])
-    joint = np.zeros((p + 24 + N, p + 24 + N))
-    joint[: p + 24, : p + 24] = prior
-    joint[p + 24 :, p + 24 :] = shared.covariance[:N, :N]
-    centre = np.concatenate([np.full(p + 24, 32.0), shared.mean[:N]])
+    rows = np.hstack([np.zeros((24, p)), np.eye(24)])
     noise = (seen.sd**2 + FIELD[2] ** 2) * np.eye(24)
-    gain = joint @ rows.T @ np.linalg.inv(rows @ joint @ rows.T + noise)
-    mean = centre + gain @ (seen.phi - rows @ centre)
-    left = joint - gain @ rows @ joint
+    gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + noise)
+    mean = 32.0 + gain @ (seen.phi - seen.shared @ shared.mean - 32.0)
+    moves = (gain @ seen.shared)[:p]
+    left = (prior - gain @ rows @ prior)[:p, :p]
+    sensors = moves[:, :N] @ shared.covariance[:N, :N] @ moves[:, :N].T
+    everything = moves @ shared.covariance @ moves.T
     assert found.path_phi == pytest.approx(mean[:p])
-    assert found.path_relative_sd == pytest.approx(np.sqrt(np.diag(left)[:p]))
-    assert found.shared_mean[:N] == pytest.approx(mean[p + 24 :])
+    assert found.path_relative_sd == pytest.approx(np.sqrt(np.diag(left + sensors)))
+    assert found.path_absolute_sd == pytest.approx(np.sqrt(np.diag(left + everything)))
+    assert found.shared_mean == pytest.approx(shared.mean)
     assert np.all(found.path_absolute_sd > found.path_relative_sd)
 
 
@@ -67,3 +68,18 @@ def test_an_anchor_takes_what_is_shared_away() -> None:
     assert held.phi == pytest.approx(free.phi - 4.0, abs=0.1)
     assert held.path_absolute_sd.max() < 0.5
     assert held.shared_sd.max() < 0.5
+
+
+def test_feet_teach_the_gains_that_differ_between_them() -> None:
+    """Two feet by turns on even ground, one of them high: its gain takes the difference."""
+    place = np.column_stack([np.linspace(0.0, 2.0, 40), np.zeros(40)])
+    shared = np.zeros((40, M))
+    shared[::2, 2], shared[1::2, 5] = 6.0, 6.0
+    phi = np.where(np.arange(40) % 2, 33.0, 33.6)
+    sd = np.zeros(M)
+    sd[[2, 5]] = 0.1
+    seen = Observed(phi, np.full(40, 0.1), shared, place)
+    found = pool(seen, Shared(np.zeros(M), np.diag(sd**2)), place[:3], [], mean=32.0)
+    assert found.shared_mean[2] - found.shared_mean[5] == pytest.approx(0.1, abs=0.01)
+    assert np.ptp(found.phi) < 0.1
+    assert found.sd.min() > 0.2  # what both have in common is not known

@@ -15,9 +15,10 @@ Hansen     1.5 (N_q − 1) tan φ    1 + sin φ B/L       1 − 0.4 B/L     d_q 
 Vesić      2 (N_q + 1) tan φ      1 + tan φ B/L       1 − 0.4 B/L     as Hansen
 =========  =====================  ==================  ==============  =======================
 
-d_q = 1 + 2 tan φ (1 − sin φ)² k. K_p = tan²(45° + φ/2); k = D/B up to D = B and arctan(D/B) [rad] beyond. G. G. Meyerhof, *Can.
-Geotech. J.* 1 (1963) 16; J. B. Hansen, *Danish Geotech. Inst. Bull.* 28 (1970); A. S. Vesić, *J.
-Soil Mech. Found. Div.* 99 (1973) 45. Here B = L: the footings are circles.
+d_q = 1 + 2 tan φ (1 − sin φ)² k, with k = D/B up to D = B and arctan(D/B) [rad] beyond;
+K_p = tan²(45° + φ/2). G. G. Meyerhof, *Can. Geotech. J.* 1 (1963) 16; J. B. Hansen, *Danish
+Geotech. Inst. Bull.* 28 (1970); A. S. Vesić, *J. Soil Mech. Found. Div.* 99 (1973) 45. Here B = L:
+the footings are circles.
 """
 
 from __future__ import annotations

@@ -7,10 +7,11 @@ that the data set. Everything is linear and normal, so the posterior of φ and �
 τ and the process's amplitude and length, which maximise their marginal posterior. An anchor, φ as
 a shear test found it on a stretch of the path, is one more observation, with S = 0.
 
-Footfalls may teach errors of the sensors, since the feet differ in them while the soil does not.
-They may not teach soil and law: a wrong slope of the law is told from a smoother field by nothing
-but the field's prior, which would be believed too much. These keep their prior until an anchor
-speaks (a cut posterior).
+What footfalls share is taught by them in one thing: gains and friction that differ from leg to leg
+while the soil does not, by :data:`TEACHERS` footfalls at most, so that what no model has right does
+not grow into certainty with the length of a log. They do not teach soil, foot and law: a wrong
+slope of the law is told from another field by nothing but the field's prior. So θ otherwise keeps
+its prior and moves the map as a whole, until an anchor speaks: a cut posterior.
 
 Two bands come out. **Relative**: soil, foot and law taken as assumed (density, surface friction,
 radius, law at their most probable values), as when places of one walk are compared. **Absolute**:
@@ -25,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.robot.footfall_fit import SENSORS
+from terraphi.robot.footfall_fit import SENSORS, TORQUES
 
 FloatArray = NDArray[np.float64]
 
@@ -36,6 +37,8 @@ AMPLITUDE, LENGTH, SCATTER = (1.5, 0.7), (1.0, 0.7), (0.15, 0.7)
 and of the footfalls' own scatter [deg]."""
 LEARN_FROM = 400
 """Footfalls from which these are learnt at most, evenly chosen."""
+TEACHERS = 120
+"""Footfalls that teach the torques' errors at most, evenly chosen."""
 ANCHOR_POINTS = 9
 """Points that stand for an anchor's stretch."""
 MOST = 6000
@@ -144,12 +147,11 @@ def pool(
     -------
     Pooled
     """
-    every = np.unique(np.linspace(0, len(seen.phi) - 1, min(len(seen.phi), MOST)).astype(int))
-    kept = Observed(*(column[every] for column in seen))
+    kept = _some(seen, MOST)
     n = len(SENSORS)
-    sensors = Shared(shared.mean[:n], shared.covariance[:n, :n])
-    amplitude, length, scatter = _learnt(kept, sensors, mean)
-    system = _System(kept, sensors, amplitude, length, scatter, mean)
+    amplitude, length, scatter = _learnt(kept, shared, mean)
+    shared = _taught(kept, shared, amplitude, length, scatter, mean)
+    system = _System(kept, amplitude, length, scatter, mean)
     stretches = [points for _, points in anchors]
     # Rows: the path's points, then each anchor's stretch as the mean of its points.
     average = np.zeros((len(path) + len(anchors), len(path) + sum(map(len, stretches))))
@@ -159,28 +161,29 @@ def pool(
         average[len(path) + i, at : at + len(points)] = 1.0 / len(points)
         at += len(points)
     found, spread, moves = system.at(np.concatenate([path, *stretches]), average)
-    relative_sd = np.sqrt(np.maximum(np.diag(spread)[: len(path)], 0.0))
-    # φ = found − moves θ with θ the soil's and the law's; anchors are seen, footfalls have been.
-    soil = shared.covariance[n:, n:]
-    whole = np.block([[spread + moves @ soil @ moves.T, -moves @ soil], [-soil @ moves.T, soil]])
-    state = np.concatenate([found, np.zeros(len(soil))])
+    relative = np.diag(spread) + _spread(moves[:, :n], shared.covariance[:n, :n])
+    # φ = found − moves (θ − θ₀): anchors are seen now, footfalls have been.
+    theta = shared.covariance
+    whole = np.block(
+        [[spread + moves @ theta @ moves.T, -moves @ theta], [-theta @ moves.T, theta]]
+    )
+    state = np.concatenate([found - moves @ shared.mean, shared.mean])
     rows = slice(len(path), len(found))
     seen_there = whole[rows, rows] + np.diag([a.sd_deg**2 for a, _ in anchors])
     gain = np.linalg.solve(seen_there, whole[rows]).T
     state = state + gain @ (np.array([a.phi_deg for a, _ in anchors]) - state[rows])
     whole = whole - gain @ whole[rows]
-    theta = np.concatenate([system.theta()[0], state[len(found) :]])
-    sensors_left, soil_left = system.theta()[1], whole[len(found) :, len(found) :]
-    each = np.sqrt(np.concatenate([np.diag(sensors_left), np.diag(soil_left)]).clip(0.0))
-    own = seen.sd**2 + scatter**2 + _spread(seen.shared[:, :n], sensors_left)
+    centre, left = state[len(found) :], whole[len(found) :, len(found) :]
+    each = np.sqrt(np.diag(left).clip(0.0))
+    own = seen.sd**2 + scatter**2 + _spread(seen.shared[:, :n], left[:n, :n])
     return Pooled(
-        phi=seen.phi - seen.shared @ theta,
+        phi=seen.phi - seen.shared @ centre,
         sd=np.sqrt(own),
-        shared_sd=np.sqrt(_spread(seen.shared[:, n:], soil_left)),
+        shared_sd=np.sqrt(_spread(seen.shared[:, n:], left[n:, n:])),
         path_phi=state[: len(path)],
-        path_relative_sd=relative_sd,
+        path_relative_sd=np.sqrt(relative[: len(path)].clip(0.0)),
         path_absolute_sd=np.sqrt(np.diag(whole)[: len(path)].clip(0.0)),
-        shared_mean=theta,
+        shared_mean=centre,
         shared_sd_each=each,
         terms=np.abs(seen.shared.mean(axis=0)) * each,
         amplitude=amplitude,
@@ -195,42 +198,27 @@ def _spread(rows: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 class _System:
-    """Covariance of the footfalls with soil and law taken as assumed, and what follows from it."""
+    """Covariance of the footfalls with what they share known, and what follows from it."""
 
     def __init__(
-        self,
-        seen: Observed,
-        sensors: Shared,
-        amplitude: float,
-        length: float,
-        scatter: float,
-        mean: float,
+        self, seen: Observed, amplitude: float, length: float, scatter: float, mean: float
     ) -> None:
-        self._seen, self._sensors, self._mean = seen, sensors, mean
+        self._seen, self._mean = seen, mean
         self._amplitude, self._length = amplitude, length
-        n = sensors.mean.size
-        self._sensitive, self._soil = seen.shared[:, :n], seen.shared[:, n:]
         matrix = covariance(seen.place, seen.place, amplitude, length)
-        matrix += self._sensitive @ sensors.covariance @ self._sensitive.T
         matrix[np.diag_indices(len(matrix))] += seen.sd**2 + scatter**2
         self._lower = np.asarray(np.linalg.cholesky(matrix))
-        self._left = _solve(self._lower, seen.phi - mean - self._sensitive @ sensors.mean)
 
     def at(
         self, places: FloatArray, average: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Posterior mean and covariance of averages of φ over places, and their S of the soil."""
+        """Posterior mean and covariance of averages of φ over places, and their S."""
         cross = covariance(places, self._seen.place, self._amplitude, self._length)
         half = _solve(self._lower, (average @ cross).T)
         before = average @ covariance(places, places, self._amplitude, self._length) @ average.T
-        moves = half.T @ _solve(self._lower, self._soil)
-        return self._mean + half.T @ self._left, before - half.T @ half, moves
-
-    def theta(self) -> tuple[FloatArray, FloatArray]:
-        """Posterior mean and covariance of the sensors' errors."""
-        half = _solve(self._lower, self._sensitive @ self._sensors.covariance)
-        taken = np.asarray(half.T @ half)
-        return self._sensors.mean + half.T @ self._left, self._sensors.covariance - taken
+        weights = half.T @ _solve(self._lower, np.column_stack([self._seen.phi - self._mean,
+                                                                self._seen.shared]))  # fmt: skip
+        return self._mean + weights[:, 0], before - half.T @ half, weights[:, 1:]
 
 
 def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:
@@ -239,17 +227,38 @@ def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False))
 
 
-def _learnt(seen: Observed, sensors: Shared, mean: float) -> tuple[float, float, float]:
+def _some(seen: Observed, most: int) -> Observed:
+    """Footfalls, evenly chosen."""
+    count = len(seen.phi)
+    every = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+    return Observed(*(column[every] for column in seen))
+
+
+def _taught(
+    seen: Observed, shared: Shared, amplitude: float, length: float, scatter: float, mean: float
+) -> Shared:
+    """What is shared, after footfalls have taught the errors of the torques."""
+    part, n = _some(seen, TEACHERS), len(TORQUES)
+    each, torques = part.shared[:, :n], shared.covariance[:n, :n]
+    matrix = covariance(part.place, part.place, amplitude, length) + each @ torques @ each.T
+    matrix[np.diag_indices(len(matrix))] += part.sd**2 + scatter**2
+    gain = np.linalg.solve(matrix, each @ torques).T
+    centre, spread = shared.mean.copy(), shared.covariance.copy()
+    centre[:n] += gain @ (part.phi - mean - part.shared @ shared.mean)
+    spread[:n, :n] -= gain @ each @ torques
+    return Shared(centre, spread)
+
+
+def _learnt(seen: Observed, shared: Shared, mean: float) -> tuple[float, float, float]:
     """Amplitude, length and scatter at the maximum of their marginal posterior."""
     from scipy.optimize import minimize
 
-    some = np.unique(np.linspace(0, len(seen.phi) - 1, min(len(seen.phi), LEARN_FROM)).astype(int))
-    part = Observed(*(column[some] for column in seen))
+    part, n = _some(seen, LEARN_FROM), len(TORQUES)
+    each = part.shared[:, :n]
     centre = np.log([AMPLITUDE[0], LENGTH[0], SCATTER[0]])
     width = np.array([AMPLITUDE[1], LENGTH[1], SCATTER[1]])
-    each = part.shared[:, : sensors.mean.size]
-    left = part.phi - mean - each @ sensors.mean
-    common = each @ sensors.covariance @ each.T
+    left = part.phi - mean - part.shared @ shared.mean
+    common = each @ shared.covariance[:n, :n] @ each.T
 
     def surprise(logs: FloatArray) -> float:
         amplitude, length, scatter = np.exp(logs)

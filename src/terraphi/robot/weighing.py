@@ -23,8 +23,9 @@ MASS_SD = 0.02
 """What the robot weighs is known to this part: battery, payload [-]."""
 LEAST_NOISE = 0.01
 """Of a weighing, as a part of the weight [-]."""
-ALIKE = 20.0
-"""Weighings over which errors are taken to persist: gaits repeat themselves."""
+MOST_NEWS = 100.0
+"""Weighings at most that count as independent: a gait repeats itself, and what the weight leaves
+out, such as the legs' own swinging, does so too. A longer log is not surer."""
 
 
 class Weighing(NamedTuple):
@@ -99,7 +100,7 @@ def weigh(
     noise = 0.1 * weight
     covariance, mean = np.linalg.inv(precision), np.zeros(len(sd) + 1)
     for _ in range(3):
-        share = 1.0 / (noise**2 * ALIKE)
+        share = min(1.0, MOST_NEWS / len(rows)) / noise**2
         covariance = np.linalg.inv(share * rows[:, 1:].T @ rows[:, 1:] + precision)
         mean = share * covariance @ rows[:, 1:].T @ rows[:, 0]
         left = rows[:, 0] - rows[:, 1:] @ mean
