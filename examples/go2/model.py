@@ -17,6 +17,8 @@ FloatArray = NDArray[np.float64]
 
 FOOT_RADIUS = 0.022
 """Of the ball at the end of a calf [m]."""
+IMU_PLACE = (-0.02557, 0.0, 0.04232)
+"""Of the accelerometer in the body [m], from the URDF."""
 TORQUE_LIMIT = np.array([23.7, 23.7, 45.43])
 """Largest torques of hip, thigh and calf [N m], from the URDF."""
 
@@ -33,6 +35,8 @@ class Physics:
         Coefficient of sliding friction between feet and floor [-].
     ground_softness
         Time constant with which the floor pushes a foot out [s]; sand yields, concrete does not.
+    floor
+        Whether there is one; without, feet fall unless something else carries them.
     coulomb, viscous
         Friction in each joint, which its motor has to overcome [N m] and [N m s/rad].
     armature
@@ -42,6 +46,7 @@ class Physics:
     step: float = 0.0005
     ground_friction: float = 0.8
     ground_softness: float = 0.02
+    floor: bool = True
     coulomb: float = 0.0
     viscous: float = 0.0
     armature: float = 0.0
@@ -94,9 +99,10 @@ def build(physics: Physics) -> mujoco.MjModel:
         "solref": [physics.ground_softness, 1.0],
         "condim": 3,
     }
-    spec.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], **contact
-    )
+    if physics.floor:
+        spec.worldbody.add_geom(
+            name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], **contact
+        )
     for foot in FEET:
         spec.body(f"{foot}_foot").add_geom(
             name=foot,
@@ -105,7 +111,7 @@ def build(physics: Physics) -> mujoco.MjModel:
             mass=0.0,  # the link of the URDF has it
             **contact,
         )
-    imu = spec.body("base").add_site(name="imu")
+    imu = spec.body("base").add_site(name="imu", pos=IMU_PLACE)
     spec.add_sensor(
         name="acceleration",
         type=mujoco.mjtSensor.mjSENS_ACCELEROMETER,
@@ -117,6 +123,10 @@ def build(physics: Physics) -> mujoco.MjModel:
     model.dof_frictionloss[dofs] = physics.coulomb
     model.dof_damping[dofs] = physics.viscous
     model.dof_armature[dofs] = physics.armature
+    if not physics.floor:
+        # MuJoCo lets friction change its sense some 20 ms before a joint turns round, unless told
+        # otherwise; a foot that comes to rest in sand does so in as long.
+        model.dof_solref[dofs] = [2.0 * physics.step, 1.0]
     return model
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from go2.control import Aim, Controller
 from go2.gait import Gait
 from go2.model import ContactForces, Physics, build
+from go2.sand import Sand
 from terraphi.robot.joint_log import FEET
 
 FloatArray = NDArray[np.float64]
@@ -75,6 +76,8 @@ class Walk:
         Standard deviation of the pushes on its body [N].
     slope
         A constant forward force on its body [N], like that of a gentle slope: feet brake.
+    sand
+        What it walks on instead of the floor.
     """
 
     duration: float = 10.0
@@ -85,6 +88,7 @@ class Walk:
     seed: int = 0
     push: float = 1.0
     slope: float = 12.0
+    sand: Sand | None = None
 
     def run(self) -> Recording:
         """Simulate.
@@ -99,13 +103,14 @@ class Walk:
             If the robot falls.
         """
         rng = np.random.default_rng(self.seed)
-        model = build(self.physics)
+        model = build(replace(self.physics, floor=self.sand is None))
         data = mujoco.MjData(model)
         controller = Controller(model, self.gait, self.aim)
         base = model.body("base").id
         self._place(model, data, controller)
         first, total = round(self.settle * RATE), round((self.settle + self.duration) * RATE)
         substeps = round(1.0 / (RATE * self.physics.step))
+        under = None if self.sand is None else self.sand.under(model, step=self.physics.step)
         rows = _Rows(model, controller, total - first)
         slope = np.array([self.slope if self.gait.walks else 0.0, 0.0, 0.0])
         push, memory = np.zeros(3), np.exp(-1.0 / (RATE * PUSH_MEMORY))
@@ -117,12 +122,20 @@ class Walk:
             push = memory * push + np.sqrt(1.0 - memory**2) * rng.normal(0.0, self.push, 3)
             if self.gait.name != "hang":
                 data.xfrc_applied[base, :3] = push + slope
+            if under is not None:
+                under.push(data)
             if tick >= first:
                 rows.before(tick - first, data, torques)
             mujoco.mj_step2(model, data)
             if tick >= first:
                 rows.after(tick - first, data)
-            mujoco.mj_step(model, data, substeps - 1)
+                if under is not None:
+                    rows.rows["force"][tick - first] = under.force
+            for _ in range(substeps - 1):
+                mujoco.mj_step1(model, data)
+                if under is not None:
+                    under.push(data)
+                mujoco.mj_step2(model, data)
             if data.xmat[base][8] < 0.8:
                 raise RuntimeError(f"the robot fell after {data.time:.2f} s")
         return rows.recording()

@@ -70,6 +70,9 @@ STUDIES = {
     "resolution": Outline(
         "from preset paper-1 to resolved, and whether that has arrived", "seconds"
     ),
+    "plates": Outline(
+        "plates pressed into real sand: φ by each force law, and what the law is worth", "seconds"
+    ),
     "verification": Outline(
         "problems with known answers, by the code that the leg uses", "45 to 60 minutes"
     ),

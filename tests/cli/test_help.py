@@ -17,7 +17,7 @@ from terraphi.cli import options
 from terraphi.cli.main import cli
 from terraphi.experiment.leg import LEG_SHAPES
 from terraphi.inference import inversion
-from terraphi.robot import forces
+from terraphi.robot import footfall_fit, forces
 from terraphi.view import keys
 
 PROGRAM = Path(sys.executable).with_name("terraphi")
@@ -88,6 +88,7 @@ def test_choices_are_those_of_the_rooms_that_take_them() -> None:
     assert options.DISCREPANCIES == inversion.DISCREPANCIES
     assert options.ESTIMATORS == forces.ESTIMATORS
     assert options.FRAMES == forces.FRAMES
+    assert tuple(footfall_fit.LAW_SETS) == options.LAW_SETS
     assert set(options.DOCUMENTS) == set(keys.DOCUMENTS)
 
 

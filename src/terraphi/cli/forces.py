@@ -35,7 +35,8 @@ columns_option = click.option(
 )
 
 
-def _names(joint_names: str | None) -> list[str] | None:
+def split_names(joint_names: str | None) -> list[str] | None:
+    """Names as a list, or ``None`` for none."""
     return [name.strip() for name in joint_names.split(",")] if joint_names else None
 
 
@@ -104,7 +105,7 @@ def forces(
         estimator=estimator,
         frame=frame,
         topic=topic,
-        joint_names=_names(joint_names),
+        joint_names=split_names(joint_names),
         columns=columns,
         friction=read_friction(friction) if friction is not None else None,
     )
@@ -150,7 +151,7 @@ def friction(
 
     check_file(out)
     found, name = friction_of_hanging(
-        log, robot=robot, topic=topic, joint_names=_names(joint_names), columns=columns
+        log, robot=robot, topic=topic, joint_names=split_names(joint_names), columns=columns
     )
     write_friction(found, out, robot=name, source=log)
     joints = {

@@ -12,6 +12,7 @@ import click
 from terraphi.cli.app import app
 from terraphi.cli.calibrate import calibrate, library_calibrate
 from terraphi.cli.doctor import doctor
+from terraphi.cli.footfalls import footfalls
 from terraphi.cli.forces import forces, friction
 from terraphi.cli.invert import KIND, MADE, invert, save_inversion
 from terraphi.cli.keys import keys
@@ -137,6 +138,7 @@ library.add_command(library_suggest)
 
 
 cli.add_command(forces)
+cli.add_command(footfalls)
 cli.add_command(friction)
 
 tells_as_much_as_asked(cli)

@@ -32,6 +32,11 @@ LIST = "list"
     shell_complete=library_names,
 )
 @click.option("--only", help="For verification: only this family of problems.")
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    help="For plates: another table of tests, with the columns of the shipped one.",
+)
 @click.option("--quick", is_flag=True, default=None, help="For verification: coarse and fast.")
 @click.option(
     "--build",
@@ -48,6 +53,8 @@ def study(name: str | None, out: Path | None, as_json: bool, **options: Any) -> 
     The paper's own: benchmark, phi_sensitivity, k0, surrogate, recovery, and figures, which draws
     all of them. Of measured sand: measured, real_soil, prediction. Of the model: calibration,
     spacing, design, reading, prototype, sensitivity, resolution, verification.
+
+    Of a foot: plates.
 
     Example: terraphi study recovery --out recovery
     """

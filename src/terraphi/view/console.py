@@ -172,6 +172,44 @@ def print_forces(summary: dict[str, Any]) -> None:
     print_pairs({name: value for name, value in summary.items() if name not in shown_above})
 
 
+MOST_FOOTFALLS = 40
+"""Footfalls that a terminal shows; the others are in the files."""
+
+
+def print_footfalls(summary: dict[str, Any]) -> None:
+    """φ under each footfall with its relative interval, then along the path with both bands."""
+    rows = [
+        (
+            f"{entry['t_s']:.2f}", entry["foot"], f"{entry['x_m']:.2f}", f"{entry['y_m']:.2f}",
+            f"{entry['sinkage_mm']:.1f}", *_angle(entry["phi_deg"]), entry["verdict"],
+        )
+        for entry in summary["footfalls"]
+    ]  # fmt: skip
+    more = len(rows) - MOST_FOOTFALLS
+    header = ("t [s]", "foot", "x [m]", "y [m]", "sinkage [mm]", "φ [deg]", "± relative", "verdict")
+    title = f"Footfalls, law {summary['law']}, φ by the law's own meaning"
+    note = f"{more} more: --json and --out have all." if more > 0 else ""
+    print_table(Table(title, header, rows[:MOST_FOOTFALLS], note))
+    path = summary["path"]
+    if path["phi_deg"] and path["phi_deg"][0] is not None:
+        picked = range(0, len(path["s_m"]), max(1, len(path["s_m"]) // 10))
+        bands = ("ci68_relative", "ci68_absolute")
+        cells = [
+            (f"{path['s_m'][i]:.2f}", f"{path['phi_deg'][i]:.1f}",
+             *("{:.1f} to {:.1f}".format(*path[band][i]) for band in bands))
+            for i in picked
+        ]  # fmt: skip
+        columns = ("s [m]", "φ [deg]", "68 %, relative", "68 %, absolute")
+        print_table(Table("Along the path, footfalls pooled", columns, cells))
+    print_pairs({name: summary[name] for name in ("counts", "by_law_deg", "notes")})
+
+
+def _angle(phi: dict[str, Any] | None) -> tuple[str, str]:
+    if phi is None:
+        return "-", "-"
+    return f"{phi['median']:.1f}", f"{(phi['ci68'][1] - phi['ci68'][0]) / 2.0:.1f}"
+
+
 def print_table(table: Table) -> None:
     """Title, columns and note."""
     from rich.console import Console

@@ -6,7 +6,7 @@ readers, and every curve differs in its line as well.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -44,7 +44,9 @@ class Curve(NamedTuple):
     style: str = "-"
 
 
-def save(figure: Figure, path: Path | str, *, dpi: int = 150) -> None:
+def save(
+    figure: Figure, path: Path | str, *, dpi: int = 150, metadata: Mapping[str, str] | None = None
+) -> None:
     """Write a figure in the format of its suffix.
 
     Parameters
@@ -55,6 +57,8 @@ def save(figure: Figure, path: Path | str, *, dpi: int = 150) -> None:
         The file.
     dpi
         Resolution of a picture of dots [1/in].
+    metadata
+        What a PNG says of itself, by keyword.
 
     Raises
     ------
@@ -62,7 +66,7 @@ def save(figure: Figure, path: Path | str, *, dpi: int = 150) -> None:
         If the place cannot be written.
     """
     with replacing(Path(path)) as temporary:
-        figure.savefig(temporary, dpi=dpi)
+        figure.savefig(temporary, dpi=dpi, metadata=metadata)
 
 
 def panels_of(

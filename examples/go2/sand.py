@@ -1,0 +1,168 @@
+"""Sand under the feet of the simulated Go2: a force law, a field of φ and an uneven surface.
+
+The law F gives the force of steady motion in virgin sand. Sand also holds a foot that rests, and
+lets go of one that is lifted. So the force changes by −k Δx while it is within the law's limits
+(an ellipse from its lift straight down and its drag on the level), and follows the law outside,
+
+    f ← F(new depth) + (f − F(old depth)) exp(−k |Δx| / |F|),
+
+which is the law itself while the foot moves on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from go2.model import FOOT_RADIUS
+from terraphi.forward.foot_laws import LAWS, Foot
+from terraphi.robot.joint_log import FEET
+
+FloatArray = NDArray[np.float64]
+
+STIFFNESS = 1.5e5
+"""Of sand that is unloaded, or loaded again [N/m]."""
+DAMPING = 20.0
+"""Of a foot that sand holds [N s/m]; one that moves on feels the law alone."""
+WAVES = 40
+"""Cosines that a random field is made of."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """A smooth random field over the plane, with the covariance of a squared exponential.
+
+    Attributes
+    ----------
+    mean, spread
+        Of its values.
+    length
+        Correlation length [m].
+    seed
+        Which one.
+    """
+
+    mean: float
+    spread: float
+    length: float
+    seed: int = 0
+
+    @cached_property
+    def _waves(self) -> tuple[FloatArray, FloatArray]:
+        rng = np.random.default_rng(self.seed)
+        wave = rng.normal(0.0, 1.0 / self.length, (WAVES, 2))
+        return wave, rng.uniform(0.0, 2.0 * np.pi, WAVES)
+
+    def __call__(self, place: FloatArray) -> FloatArray:
+        """Values at places [m], shape [..., 2 or more]."""
+        wave, phase = self._waves
+        angle = np.asarray(place)[..., :2] @ wave.T + phase
+        return self.mean + self.spread * np.sqrt(2.0 / WAVES) * np.cos(angle).sum(axis=-1)
+
+
+@dataclass(frozen=True)
+class Sand:
+    """What the robot walks on.
+
+    Attributes
+    ----------
+    phi
+        Friction angle [deg] over the plane.
+    surface
+        Height of the surface [m] over the plane.
+    density
+        [kg/m³].
+    surface_friction
+        Coefficient between foot and sand [-].
+    law
+        One of :data:`~terraphi.forward.foot_laws.LAWS`.
+    radius
+        Of the feet [m].
+    exponent
+        Added to the power with which the law grows with depth [-].
+    """
+
+    phi: Field = field(default_factory=lambda: Field(33.0, 1.5, 1.0))
+    surface: Field = field(default_factory=lambda: Field(0.0, 0.005, 0.4))
+    density: float = 1550.0
+    surface_friction: float = 0.5
+    law: str = "rft"
+    radius: float = FOOT_RADIUS
+    exponent: float = 0.0
+
+    def under(self, model: mujoco.MjModel, *, step: float) -> SandForces:
+        """The forces of this sand on a robot whose simulation takes steps of some length [s]."""
+        return SandForces(self, model, step)
+
+    def lift(self, depth: FloatArray, descent: FloatArray, phi: FloatArray) -> FloatArray:
+        """Force of steady motion along the horizontal part of it, and up [N], shape [..., 2]."""
+        # Bearing capacity speaks of feet that go down: of others it gets a drag, to stand on.
+        rft = self.law == "rft"
+        force = LAWS[self.law].force(
+            Foot(self.radius),
+            depth,
+            descent if rft else np.where(descent > -1e-3, 0.5 * np.pi, -0.5 * np.pi),
+            friction_angle_deg=phi,
+            density=self.density,
+            surface_friction=self.surface_friction,
+        )
+        if not rft:
+            force[..., 0] = -0.6 * force[..., 1] * np.cos(descent)
+        return force * (np.maximum(depth, 1e-4)[..., None] / FOOT_RADIUS) ** self.exponent
+
+
+class SandForces:
+    """Pushes the feet of one simulation."""
+
+    def __init__(self, sand: Sand, model: mujoco.MjModel, step: float) -> None:
+        self._sand, self._model, self._step = sand, model, step
+        self._feet = [model.body(f"{foot}_foot").id for foot in FEET]
+        self._last, self._held = np.full((4, 3), np.nan), np.zeros((4, 3))
+        self.force = np.zeros((4, 3))
+        """On each foot in the world [N], shape [foot, 3]."""
+
+    def push(self, data: mujoco.MjData) -> None:
+        """Update the forces for where the feet are now, and apply them."""
+        place = data.xpos[self._feet].copy()
+        moved = place - np.where(np.isnan(self._last), place, self._last)
+        self._last = place
+        sand = self._sand
+        depth = sand.surface(place) - (place[:, 2] - FOOT_RADIUS)
+        in_it = depth > 0.0
+        self._follow(depth, moved, sand.phi(place), in_it)
+        # Tangential stresses on the ball turn it; they matter while it is hardly submerged.
+        low = FOOT_RADIUS * np.exp(-np.maximum(depth, 0.0) / FOOT_RADIUS)
+        for i, body in enumerate(self._feet):
+            x, y, _ = data.xfrc_applied[body, :3] = self.force[i]
+            data.xfrc_applied[body, 3:] = low[i] * np.array([y, -x, 0.0])
+
+    def _follow(
+        self, depth: FloatArray, moved: FloatArray, phi: FloatArray, in_it: NDArray[np.bool_]
+    ) -> None:
+        level = np.hypot(moved[:, 0], moved[:, 1])
+        far = np.linalg.norm(moved, axis=1)
+        descent = np.arctan2(-moved[:, 2], level)
+        old = np.maximum(depth + moved[:, 2], 0.0)
+        # The law before and after the step, and its limits straight down and level.
+        ways = np.stack([descent, descent, np.full(4, 0.5 * np.pi), np.zeros(4)])
+        every = self._sand.lift(np.stack([old, depth, depth, depth]), ways, np.stack([phi] * 4))
+        heading = moved[:, :2] / np.maximum(level, 1e-12)[:, None]
+        law = np.concatenate([every[:2, :, :1] * heading, every[:2, :, 1:]], axis=-1)
+        trial = self._held - STIFFNESS * moved
+        pressed = trial[:, 2] / np.maximum(every[2, :, 1], 1e-6)
+        dragged = np.hypot(trial[:, 0], trial[:, 1]) / np.maximum(-every[3, :, 0], 1e-6)
+        holds = np.hypot(pressed, dragged) < 1.0
+        size = np.maximum(np.linalg.norm(law[1], axis=1), 0.5)
+        kept = np.exp(-STIFFNESS * far / size)[:, None]
+        flowing = law[1] + (self._held - law[0]) * kept
+        self._held = np.where(holds[:, None], trial, flowing)
+        self._held[:, 2] = np.maximum(self._held[:, 2], 0.0)
+        self._held[~in_it] = 0.0
+        damped = np.where(holds[:, None], DAMPING / self._step * moved, 0.0)
+        self.force = self._held - damped
+        self.force[:, 2] = np.maximum(self.force[:, 2], 0.0)
+        self.force[~in_it] = 0.0

@@ -1,0 +1,105 @@
+"""The command ``terraphi footfalls``: φ under a walking robot's feet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from terraphi.cli.forces import joint_names_option, robot_option, split_names, topic_option
+from terraphi.cli.options import LAW_SETS, Choice, json_option
+from terraphi.view.console import print_footfalls, print_json
+
+
+@click.command()
+@click.argument("log")
+@robot_option
+@click.option(
+    "--density",
+    metavar="KG_M3[±SD]",
+    help="Bulk density of the soil, such as 1550±80 (or 1550+-80).  [default: 1550±80]",
+)
+@click.option(
+    "--anchor",
+    "anchors",
+    multiple=True,
+    metavar="x=A:B,phi=P±SD",
+    help="Friction angle of a shear test on a stretch of the path [m]; s=A:B counts along it.",
+)
+@click.option(
+    "--law",
+    type=Choice(LAW_SETS),
+    default="rft",
+    show_default=True,
+    help="Force law: resistive force theory, bearing capacity, or the mean of all.",
+)
+@click.option(
+    "--friction",
+    type=click.Path(path_type=Path),
+    help="TOML with the joints' friction, from 'terraphi friction'.",
+)
+@click.option(
+    "--probe", is_flag=True, help="Feet were pressed slowly on purpose: use the whole loading."
+)
+@topic_option
+@joint_names_option
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="NetCDF file; .png, .csv and .geojson of the same name go beside it.",
+)
+@json_option
+def footfalls(
+    log: str,
+    robot: str,
+    density: str | None,
+    anchors: tuple[str, ...],
+    law: str,
+    friction: Path | None,
+    probe: bool,
+    topic: str | None,
+    joint_names: str | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Friction angle under every footfall of a robot's LOG, and along its path.
+
+    Example: terraphi footfalls walk.mcap --density 1550±80 --out soil.nc
+    """
+    from terraphi.experiment.outputs import SIGNATURE, check_file
+    from terraphi.robot import footfall_files as files
+    from terraphi.robot.footfalls import anchor_from, find_footfalls, prior_for
+    from terraphi.robot.friction_file import read_friction
+    from terraphi.view import footfall_plots, plots
+
+    prior = prior_for(density)
+    known = [anchor_from(text) for text in anchors]
+    if out is not None:
+        if out.suffix != ".nc":
+            raise click.UsageError(f"--out {out}: a name that ends in .nc is expected")
+        check_file(out, kind=files.KIND)
+        for suffix in (".csv", ".geojson", ".png"):
+            check_file(out.with_suffix(suffix))
+    found = find_footfalls(
+        log,
+        robot=robot,
+        law=law,
+        prior=prior,
+        anchors=known,
+        friction=read_friction(friction) if friction is not None else None,
+        probe=probe,
+        topic=topic,
+        joint_names=split_names(joint_names),
+    )
+    made: tuple[Path, ...] = ()
+    if out is not None:
+        picture = out.with_suffix(".png")
+        figure = footfall_plots.footfalls_figure(found)
+        plots.save(figure, picture, metadata={"Comment": SIGNATURE})
+        made = (*files.write_footfalls(found, out), picture)
+    if as_json:
+        print_json(files.summary(found))
+        return
+    print_footfalls(files.summary(found))
+    if made:
+        click.echo(f"Written: {', '.join(map(str, made))}")

@@ -1,0 +1,226 @@
+"""What footfalls say, as JSON, NetCDF, CSV and GeoJSON."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import open_netcdf, replacing, write_netcdf
+from terraphi.experiment.outputs import SIGNATURE
+from terraphi.robot.footfalls import VERDICTS, FootfallMap
+
+FloatArray = NDArray[np.float64]
+
+KIND = "footfalls"
+SCHEMA = 1
+CI95 = 1.959964
+"""Half-width of a normal 95 % interval over its standard deviation [-]; of a 68 % one it is 1."""
+EARTH_RADIUS = 6_371_000.0
+"""[m]."""
+
+
+def _number(value: float, digits: int = 4) -> float | None:
+    return round(float(value), digits) if math.isfinite(value) else None
+
+
+def _interval(phi: float, half: float) -> list[float | None]:
+    return [_number(phi - half), _number(phi + half)]
+
+
+def summary(found: FootfallMap) -> dict[str, Any]:
+    """All numbers, JSON-able; null where there is none.
+
+    ``ci68`` and ``ci95`` of a footfall are its relative interval, independent of the others';
+    with ``_absolute``, what it shares with them is in it too.
+    """
+    whole = np.hypot(found.sd, found.shared_sd)
+    footfalls = [
+        {
+            "t_s": _number(found.time[i], 4),
+            "foot": found.foot[i],
+            "x_m": _number(found.place[i, 0]),
+            "y_m": _number(found.place[i, 1]),
+            "surface_mm": _number(1e3 * found.place[i, 2], 2),
+            "sinkage_mm": _number(1e3 * found.sinkage[i], 2),
+            "phi_deg": None
+            if math.isnan(found.phi[i])
+            else {
+                "median": _number(found.phi[i]),
+                "ci68": _interval(found.phi[i], found.sd[i]),
+                "ci95": _interval(found.phi[i], CI95 * found.sd[i]),
+                "ci68_absolute": _interval(found.phi[i], whole[i]),
+                "ci95_absolute": _interval(found.phi[i], CI95 * whole[i]),
+            },
+            "chi2": _number(found.misfit[i]),
+            "verdict": verdict,
+        }
+        for i, verdict in enumerate(found.verdict)
+    ]
+    return {
+        "law": found.provenance.get("law"),
+        "counts": found.counts(),
+        "footfalls": footfalls,
+        "path": _path(found),
+        "shared": found.shared,
+        "by_law_deg": {name: _number(value) for name, value in found.by_law.items()},
+        "notes": list(found.notes),
+    }
+
+
+def _path(found: FootfallMap) -> dict[str, Any]:
+    def band(sd: FloatArray, factor: float) -> list[list[float | None]]:
+        return [_interval(p, factor * s) for p, s in zip(found.path_phi, sd, strict=True)]
+
+    return {
+        "s_m": [_number(s) for s in found.path[:, 0]],
+        "x_m": [_number(x) for x in found.path[:, 1]],
+        "y_m": [_number(y) for y in found.path[:, 2]],
+        "phi_deg": [_number(p) for p in found.path_phi],
+        "ci68_relative": band(found.path_relative_sd, 1.0),
+        "ci95_relative": band(found.path_relative_sd, CI95),
+        "ci68_absolute": band(found.path_absolute_sd, 1.0),
+        "ci95_absolute": band(found.path_absolute_sd, CI95),
+    }
+
+
+def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
+    """Write NetCDF-4, and beside it the footfalls as CSV and GeoJSON.
+
+    Parameters
+    ----------
+    found
+        What :func:`~terraphi.robot.footfalls.find_footfalls` found.
+    path
+        The NetCDF to make or replace; the others have its name with ``.csv`` and ``.geojson``.
+
+    Returns
+    -------
+    tuple of Path
+        What was written.
+
+    Raises
+    ------
+    InputError
+        If the place cannot be written.
+    """
+    import xarray as xr
+
+    def of(values: Any, units: str, name: str) -> tuple[str, Any, dict[str, str]]:
+        return "footfall", values, {"units": units, "long_name": name}
+
+    def along(values: Any, units: str, name: str) -> tuple[str, Any, dict[str, str]]:
+        return "point", values, {"units": units, "long_name": name}
+
+    relative, absolute = "standard deviation, relative", "standard deviation, absolute"
+    dataset = xr.Dataset(
+        {
+            "time_s": of(found.time, "s", "touch-down"),
+            "foot": ("footfall", np.array(found.foot, dtype="U2")),
+            "x_m": of(found.place[:, 0], "m", "along the first heading"),
+            "y_m": of(found.place[:, 1], "m", "to its left"),
+            "surface_m": of(found.place[:, 2], "m", "level of the surface"),
+            "sinkage_m": of(found.sinkage, "m", "depth of the foot at the end of the loading"),
+            "phi_deg": of(found.phi, "degree", "friction angle, by this footfall alone"),
+            "sd_deg": of(found.sd, "degree", "its own standard deviation (relative)"),
+            "shared_sd_deg": of(found.shared_sd, "degree", "that it shares with all footfalls"),
+            "chi2": of(found.misfit, "1", "chi squared over the degrees of freedom"),
+            "verdict": ("footfall", np.array(found.verdict, dtype="U24")),
+            "path_x_m": along(found.path[:, 1], "m", "along the first heading"),
+            "path_y_m": along(found.path[:, 2], "m", "to its left"),
+            "path_phi_deg": along(found.path_phi, "degree", "friction angle, footfalls pooled"),
+            "path_relative_sd_deg": along(found.path_relative_sd, "degree", relative),
+            "path_absolute_sd_deg": along(found.path_absolute_sd, "degree", absolute),
+        },
+        coords={"s_m": ("point", found.path[:, 0], {"units": "m", "long_name": "along the path"})},
+        attrs={
+            "terraphi_file": KIND,
+            "terraphi_schema": SCHEMA,
+            "shared": json.dumps(found.shared),
+            "by_law_deg": json.dumps(found.by_law),
+            "notes": json.dumps(found.notes),
+            "provenance": json.dumps(found.provenance),
+        },
+    )
+    names = path, path.with_suffix(".csv"), path.with_suffix(".geojson")
+    write_netcdf(dataset, names[0])
+    with replacing(names[1]) as temporary, temporary.open("w", newline="") as stream:
+        _write_csv(found, stream)
+    with replacing(names[2]) as temporary:
+        temporary.write_text(json.dumps(_geojson(found), ensure_ascii=False), encoding="utf-8")
+    return names
+
+
+def read_footfalls(path: Path) -> FootfallMap:
+    """Read what :func:`write_footfalls` wrote; raises InputError if it is not whole."""
+    data = open_netcdf(path, kind=KIND, schema=SCHEMA)
+    try:
+        found = FootfallMap(
+            time=data["time_s"].values,
+            foot=tuple(map(str, data["foot"].values)),
+            place=np.column_stack([data[n].values for n in ("x_m", "y_m", "surface_m")]),
+            sinkage=data["sinkage_m"].values,
+            phi=data["phi_deg"].values,
+            sd=data["sd_deg"].values,
+            shared_sd=data["shared_sd_deg"].values,
+            misfit=data["chi2"].values,
+            verdict=tuple(map(str, data["verdict"].values)),
+            path=np.column_stack([data[n].values for n in ("s_m", "path_x_m", "path_y_m")]),
+            path_phi=data["path_phi_deg"].values,
+            path_relative_sd=data["path_relative_sd_deg"].values,
+            path_absolute_sd=data["path_absolute_sd_deg"].values,
+            shared=json.loads(data.attrs["shared"]),
+            by_law=json.loads(data.attrs["by_law_deg"]),
+            notes=tuple(json.loads(data.attrs["notes"])),
+            provenance=json.loads(data.attrs["provenance"]),
+        )
+        unknown = set(found.verdict) - set(VERDICTS)
+        if unknown:
+            raise ValueError(f"verdict {unknown.pop()!r}")
+    except (KeyError, TypeError, ValueError) as error:
+        why = f"{path}: not as terraphi writes footfalls ({error}); make it again"
+        raise InputError(why) from error
+    return found
+
+
+def _write_csv(found: FootfallMap, stream: Any) -> None:
+    stream.write(f"# {SIGNATURE}: footfalls; x, y from the robot's first place and heading\n")
+    rows = csv.writer(stream, lineterminator="\n")
+    rows.writerow(
+        ["t_s", "foot", "x_m", "y_m", "surface_m", "sinkage_m", "phi_deg", "sd_deg",
+         "shared_sd_deg", "verdict"]
+    )  # fmt: skip
+    for i, verdict in enumerate(found.verdict):
+        values = (*found.place[i], found.sinkage[i], found.phi[i], found.sd[i], found.shared_sd[i])
+        said = ["" if math.isnan(value) else f"{value:.4f}" for value in values]
+        rows.writerow([f"{found.time[i]:.4f}", found.foot[i], *said, verdict])
+
+
+def _geojson(found: FootfallMap) -> dict[str, Any]:
+    """Footfalls as points, metres east and north of (0°, 0°) as degrees: a map without a place."""
+    degrees = 180.0 / (math.pi * EARTH_RADIUS)
+    features = [
+        {
+            "type": "Feature",
+            "geometry": {
+                "type": "Point",
+                "coordinates": [round(float(v) * degrees, 9) for v in found.place[i, :2]],
+            },
+            "properties": {
+                key: entry[key]
+                for key in ("t_s", "foot", "x_m", "y_m", "sinkage_mm", "phi_deg", "verdict")
+            },
+        }
+        for i, entry in enumerate(summary(found)["footfalls"])
+    ]
+    about = (
+        f"{SIGNATURE}; a log says no place on earth: x_m and y_m are metres from the robot's first "
+        "place, and the coordinates the same as if that were longitude 0, latitude 0, heading east"
+    )
+    return {"type": "FeatureCollection", "about": about, "features": features}

@@ -1,0 +1,352 @@
+r"""The friction angle under one touch-down, by a force law and Gauss & Newton; many at a time.
+
+For the upward force F of a touch-down, its ball's descent d since the first force and time t,
+
+.. math::
+    F_k = F_{law}\bigl(d_k + z_0 + w\,t_k,\ \gamma_k;\ \varphi, \rho, \mu_s, R\bigr) + e_k,
+
+with the friction angle φ, the depth z₀ at which the foot's lowest point lies at touch-down (the
+surface is not known), a vertical drift w of the odometry, and noise e that is correlated over
+:data:`CORRELATION_S`. The posterior of (φ, z₀, w) is taken as normal about its mode (Laplace).
+What all footfalls share, θ, is held at its prior's mean θ₀ here; how far that puts the mode off
+follows from the same linearisation, φ̂ = φ + S (θ − θ₀) + e, and is left to the pooling.
+
+This is the one module of the robot's room that knows force laws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.forward.foot_laws import LAWS, Foot, FootLaw
+from terraphi.robot.touchdowns import Touchdowns
+
+FloatArray = NDArray[np.float64]
+
+LAW_SETS: Mapping[str, tuple[str, ...]] = {
+    "rft": ("rft",),
+    "bearing": ("meyerhof", "vesic", "hansen"),
+    "all": ("rft", "meyerhof", "vesic", "hansen"),
+}
+"""What ``--law`` may be, and the laws that it stands for."""
+PHI_RANGE = (15.0, 50.0)
+"""Friction angles that laws are asked for [deg]."""
+NOISE_N, NOISE_PART = 1.5, 0.04
+"""Standard deviation of a force: constant [N], and as a part of it [-]; odometry is in it."""
+CORRELATION_S = 0.008
+"""Correlation time of the noise [s]."""
+ROUNDS = 25
+REFERENCE_DEPTH = 0.02
+"""A depth at which a wrong exponent of the law does nothing [m]."""
+BLOCK = 512
+"""Touch-downs that are fitted together; bounds the memory."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known before the forces are seen: means and standard deviations.
+
+    Attributes
+    ----------
+    phi_deg, phi_sd_deg
+        Of the friction angle [deg].
+    level_sd, drift_sd
+        Of the depth at touch-down [m] and of the odometry's drift [m/s], about zero.
+    density, density_sd
+        Bulk density [kg/m³].
+    surface_friction, surface_friction_sd
+        Between foot and soil [-].
+    radius, radius_sd
+        Of the foot [m].
+    shape
+        Of the foot.
+    gain_sd
+        Of each joint's torque gain, relative [-].
+    friction_sd
+        Of each joint's Coulomb friction that is left in the forces [N m].
+    drop_sd
+        Of the way that feet go down, as the odometry has it, relative [-]: standing feet give
+        way a little while the load moves over, and the attitude errs.
+    law_sd_deg
+        Of the law's offset [deg]: ``terraphi study plates`` says where it comes from.
+    exponent_sd
+        Of an exponent by which the law's growth with depth may be wrong [-].
+    slope_sd
+        Of a relative error of the law's growth with φ [-], about ``phi_deg``.
+    """
+
+    phi_deg: float = 32.0
+    phi_sd_deg: float = 8.0
+    level_sd: float = 0.01
+    drift_sd: float = 0.01
+    density: float = 1550.0
+    density_sd: float = 80.0
+    surface_friction: float = 0.5
+    surface_friction_sd: float = 0.1
+    radius: float = 0.022
+    radius_sd: float = 0.0005
+    shape: str = "ball"
+    gain_sd: float = 0.1
+    friction_sd: float = 0.1
+    drop_sd: float = 0.02
+    law_sd_deg: float = 3.7
+    exponent_sd: float = 0.2
+    slope_sd: float = 0.15
+
+
+TORQUES = tuple(f"gain_{i}" for i in range(12)) + tuple(f"friction_{i}" for i in range(12))
+SENSORS = (*TORQUES, "drop")
+SOIL = ("log_density", "surface_friction", "radius", "law_offset", "law_exponent", "law_slope")
+SHARED = (*SENSORS, *SOIL)
+"""What footfalls share, in the order of the last axis of sensitivities."""
+
+
+def shared_sd(prior: Prior) -> FloatArray:
+    """Standard deviations of :data:`SHARED`, in their units."""
+    return np.array(
+        [prior.gain_sd] * 12
+        + [prior.friction_sd] * 12
+        + [
+            prior.drop_sd,
+            prior.density_sd / prior.density,
+            prior.surface_friction_sd,
+            prior.radius_sd,
+            prior.law_sd_deg,
+            prior.exponent_sd,
+            prior.slope_sd,
+        ]
+    )
+
+
+class Fit(NamedTuple):
+    """Posterior of each touch-down; arrays of shape [touchdown] unless said.
+
+    Attributes
+    ----------
+    phi
+        Mode of φ [deg].
+    sd
+        Its standard deviation, with what is shared known [deg].
+    level, drift
+        Modes of z₀ [m] and w [m/s].
+    sinkage
+        Depth of the lowest point at the end of the loading [m].
+    gained
+        How far the foot went down while the force rose from a sixth to five sixths of its end,
+        by the odometry alone [m].
+    misfit
+        χ² over the degrees of freedom [-].
+    shared
+        S for :data:`SHARED`: how far φ̂ is off per unit of θ − θ₀, shape [touchdown, shared].
+    """
+
+    phi: FloatArray
+    sd: FloatArray
+    level: FloatArray
+    drift: FloatArray
+    sinkage: FloatArray
+    gained: FloatArray
+    misfit: FloatArray
+    shared: FloatArray
+
+
+def predicted(
+    law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray, **changed: float
+) -> FloatArray:
+    """Upward force of the law [N], shape [touchdown, sample].
+
+    Parameters
+    ----------
+    law, prior
+        Which law, and the soil and foot it is asked for.
+    seen
+        The touch-downs.
+    state
+        φ [deg], z₀ [m] and w [m/s], shape [touchdown, 3].
+    **changed
+        Other values of the prior's ``density``, ``surface_friction`` or ``radius``, and
+        ``exponent``.
+    """
+    depth = seen.drop + state[:, 1:2] + state[:, 2:3] * seen.time
+    lift = law.force(
+        Foot(changed.get("radius", prior.radius), prior.shape),  # type: ignore[arg-type]
+        depth,
+        seen.descent,
+        friction_angle_deg=state[:, :1],
+        density=changed.get("density", prior.density),
+        surface_friction=changed.get("surface_friction", prior.surface_friction),
+    )[..., 1]
+    exponent = changed.get("exponent", 0.0)
+    if exponent:
+        lift = lift * (np.maximum(depth, 1e-4) / REFERENCE_DEPTH) ** exponent
+    return np.asarray(lift, dtype=np.float64)
+
+
+def noise_covariance(seen: Touchdowns, prior: Prior) -> FloatArray:
+    """Covariance of forces [N²], shape [touchdown, sample, sample]; alone where not used.
+
+    A part grows with the force, and one with the square of the speed: the soil's inertia, which
+    quasi-static laws leave out, is ρ π R² v².
+    """
+    inertia = prior.density * np.pi * prior.radius**2 * seen.speed**2
+    sd = np.sqrt(NOISE_N**2 + (NOISE_PART * seen.force) ** 2 + inertia**2)
+    apart = np.abs(seen.time[:, :, None] - seen.time[:, None, :])
+    covariance = sd[:, :, None] * sd[:, None, :] * np.exp(-apart / CORRELATION_S)
+    both = seen.used[:, :, None] & seen.used[:, None, :]
+    covariance = np.where(both, covariance, 0.0)
+    rows = np.arange(sd.shape[1])
+    covariance[:, rows, rows] = np.where(seen.used, sd**2 * (1.0 + 1e-6), 1.0)
+    return covariance
+
+
+def fit(seen: Touchdowns, law: str, prior: Prior) -> Fit:
+    """Fit touch-downs, each for itself.
+
+    Parameters
+    ----------
+    seen
+        The touch-downs, none or more; those without used samples come out at the prior.
+    law
+        One of :data:`~terraphi.forward.foot_laws.LAWS`.
+    prior
+        What is known before.
+
+    Returns
+    -------
+    Fit
+    """
+    parts = [
+        _fit(seen.part(slice(i, i + BLOCK)), LAWS[law], prior)
+        for i in range(0, max(len(seen.foot), 1), BLOCK)
+    ]
+    return Fit(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
+    weight = np.asarray(np.linalg.inv(noise_covariance(seen, prior)))
+    mean = np.array([prior.phi_deg, 0.0, 0.0])
+    precision = np.diag(np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd]) ** -2)
+
+    def cost(state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        left = np.where(seen.used, seen.force - predicted(law, prior, seen, state), 0.0)
+        off = state - mean
+        both = np.einsum("nk,nkl,nl->n", left, weight, left)
+        return left, both + np.einsum("ni,ij,nj->n", off, precision, off)
+
+    state = np.tile(mean, (len(seen.foot), 1))
+    damping = np.full(len(state), 1e-2)
+    left, now = cost(state)
+    for _ in range(ROUNDS):
+        slope = _slopes(law, prior, seen, state)
+        weighted = np.einsum("nki,nkl->nil", slope, weight)
+        normal = weighted @ slope + precision
+        pull = np.einsum("nil,nl->ni", weighted, left) - (state - mean) @ precision
+        damped = normal + damping[:, None, None] * normal * np.eye(3)
+        tried = state + np.linalg.solve(damped, pull[..., None])[..., 0]
+        tried[:, 0] = np.clip(tried[:, 0], *PHI_RANGE)
+        new_left, new = cost(tried)
+        better = new <= now
+        moved = np.abs(tried - state)[better].max(initial=0.0)
+        state = np.where(better[:, None], tried, state)
+        left, now = np.where(better[:, None], new_left, left), np.where(better, new, now)
+        damping = np.clip(np.where(better, damping * 0.2, damping * 8.0), 1e-9, 1e6)
+        if better.all() and moved < 1e-4:
+            break
+    return _at_mode(seen, law, prior, state, weight, precision, left)
+
+
+def _slopes(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> FloatArray:
+    """Derivatives of forces by (φ, z₀, w), shape [touchdown, sample, 3]."""
+    by_phi = _difference(law, prior, seen, state, np.array([0.1, 0.0, 0.0]))
+    by_level = _difference(law, prior, seen, state, np.array([0.0, 1e-4, 0.0]))
+    slope = np.stack([by_phi, by_level, by_level * seen.time], axis=-1)
+    return np.where(seen.used[..., None], slope, 0.0)
+
+
+def _difference(
+    law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray, step: FloatArray
+) -> FloatArray:
+    after, before = (predicted(law, prior, seen, state + s * step) for s in (1.0, -1.0))
+    return np.asarray((after - before) / (2.0 * step.sum()))
+
+
+def _at_mode(
+    seen: Touchdowns,
+    law: FootLaw,
+    prior: Prior,
+    state: FloatArray,
+    weight: FloatArray,
+    precision: FloatArray,
+    left: FloatArray,
+) -> Fit:
+    slope = _slopes(law, prior, seen, state)
+    weighted = np.einsum("nki,nkl->nil", slope, weight)
+    covariance = np.linalg.inv(weighted @ slope + precision)
+    # A prediction that rises by D lets the mode move by −(covariance Jᵀ W D).
+    gain = np.einsum("ni,nil->nl", covariance[:, 0], weighted)
+    shared = np.zeros((len(state), len(SHARED)))
+    rows = np.arange(len(state))
+    for joint in range(3):
+        column = 3 * seen.foot + joint
+        shared[rows, column] = np.einsum("nl,nl->n", gain, seen.per_gain[..., joint])
+        shared[rows, 12 + column] = np.einsum("nl,nl->n", gain, seen.per_friction[..., joint])
+    curved = (
+        predicted(law, prior, seen, state, exponent=0.05)
+        - predicted(law, prior, seen, state, exponent=-0.05)
+    ) / 0.1
+    # How far φ̂ is off where the truth is above what is assumed: forces are higher than expected
+    # by so much, and a drop that reads too large makes the expected ones too high.
+    density, surface, radius = _of_soil(law, prior, seen, state)
+    rises = {
+        "drop": -slope[..., 1] * seen.drop,
+        "log_density": density,
+        "surface_friction": surface,
+        "radius": radius,
+        "law_exponent": curved,
+    }
+    for name, rise in rises.items():
+        shared[:, SHARED.index(name)] = np.einsum("nl,nl->n", gain, rise)
+    shared[:, SHARED.index("law_offset")] = 1.0
+    shared[:, SHARED.index("law_slope")] = state[:, 0] - prior.phi_deg
+    chi = np.einsum("nk,nkl,nl->n", left, weight, left)
+    free = np.maximum(_independent(seen) - 2.0, 1.0)
+    misfit = chi / free
+    depth = seen.drop + state[:, 1:2] + state[:, 2:3] * seen.time
+    depth = np.where(seen.used, depth, -np.inf)
+    sinkage = depth.max(axis=1, initial=-np.inf)
+    force = np.where(seen.used, seen.force, 0.0)
+    end = force.max(axis=1, keepdims=True, initial=0.0)
+    rising = seen.used & (force > end / 6.0)
+    rising &= np.minimum.accumulate(force < 5.0 / 6.0 * end, axis=1)
+    bottom = np.where(rising, seen.drop, -np.inf).max(axis=1, initial=-np.inf)
+    top = np.where(rising, seen.drop, np.inf).min(axis=1, initial=np.inf)
+    sd = np.sqrt(covariance[:, 0, 0] * np.maximum(misfit, 1.0))
+    found = np.isfinite(sinkage)
+    sinkage = np.where(found, sinkage, 0.0)
+    gained = np.where(rising.any(axis=1), bottom - top, 0.0)
+    return Fit(state[:, 0], sd, state[:, 1], state[:, 2], sinkage, gained, misfit, shared)
+
+
+def _independent(seen: Touchdowns) -> FloatArray:
+    """Number of samples of a touch-down, less what their noise has in common."""
+    return np.asarray(seen.used.sum(axis=1), dtype=np.float64)
+
+
+def _of_soil(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> list[FloatArray]:
+    """Derivatives of forces by ln ρ, μ_s and R."""
+    made = []
+    for name, step, scale in (
+        ("density", 0.01 * prior.density, prior.density),
+        ("surface_friction", 0.05, 1.0),
+        ("radius", 2e-4, 1.0),
+    ):
+        centre = getattr(prior, name)
+        after = predicted(law, prior, seen, state, **{name: centre + step})
+        before = predicted(law, prior, seen, state, **{name: centre - step})
+        made.append((after - before) * scale / (2.0 * step))
+    return made

@@ -1,0 +1,277 @@
+r"""Footfalls together: a map of φ along the path, with what is shared by all of them.
+
+Each footfall says φ̂_i = φ(x_i) + S_i (θ − θ₀) + e_i, with the sensitivities S_i of its fit to what
+all share, θ: errors of the sensors, density, surface friction, radius, law. φ is a Gaussian
+process over the ground with an unknown mean; e has the fit's standard deviation and a scatter τ
+that the data set. Everything is linear and normal, so the posterior of φ and θ is exact given
+τ and the process's amplitude and length, which maximise their marginal posterior. An anchor, φ as
+a shear test found it on a stretch of the path, is one more observation, with S = 0.
+
+What footfalls share is taught by them in one thing: gains and friction that differ from leg to leg
+while the soil does not, by :data:`TEACHERS` footfalls at most, so that what no model has right does
+not grow into certainty with the length of a log. They do not teach soil, foot and law: a wrong
+slope of the law is told from another field by nothing but the field's prior. So θ otherwise keeps
+its prior and moves the map as a whole, until an anchor speaks: a cut posterior.
+
+Two bands come out. **Relative**: soil, foot and law taken as assumed (density, surface friction,
+radius, law at their most probable values), as when places of one walk are compared. **Absolute**:
+all that is shared is uncertain.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.robot.footfall_fit import SENSORS, TORQUES
+
+FloatArray = NDArray[np.float64]
+
+FIELD_MEAN_SD = 8.0
+"""Of the process's mean about the prior's [deg]."""
+AMPLITUDE, LENGTH, SCATTER = (1.5, 0.7), (1.0, 0.7), (0.15, 0.7)
+"""Median and standard deviation of the logarithm of the process's amplitude [deg] and length [m],
+and of the footfalls' own scatter [deg]."""
+LEARN_FROM = 400
+"""Footfalls from which these are learnt at most, evenly chosen."""
+TEACHERS = 120
+"""Footfalls that teach the torques' errors at most, evenly chosen."""
+ANCHOR_POINTS = 9
+"""Points that stand for an anchor's stretch."""
+MOST = 6000
+"""Footfalls that are pooled at most, evenly chosen: memory grows with the square."""
+
+
+class Anchor(NamedTuple):
+    """A friction angle known on a stretch of the path.
+
+    Attributes
+    ----------
+    begin, end
+        Along the axis [m].
+    phi_deg, sd_deg
+        What is known there [deg].
+    axis
+        ``x``, ``y`` in the frame of the log's start, or ``s`` along the path.
+    """
+
+    begin: float
+    end: float
+    phi_deg: float
+    sd_deg: float
+    axis: str = "x"
+
+
+class Pooled(NamedTuple):
+    """Posterior of footfalls and path.
+
+    Attributes
+    ----------
+    phi, sd, shared_sd
+        Of each footfall by itself, with what is shared at its posterior mean [deg]: independent
+        and shared standard deviation; shape [footfall].
+    path_phi, path_relative_sd, path_absolute_sd
+        On the path's points [deg], shape [point].
+    shared_mean, shared_sd_each
+        Posterior of θ − θ₀, shape [shared].
+    terms
+        What each of θ adds to the mean φ's uncertainty [deg], shape [shared].
+    amplitude, length, scatter
+        Of the process [deg], [m], and of e [deg].
+    """
+
+    phi: FloatArray
+    sd: FloatArray
+    shared_sd: FloatArray
+    path_phi: FloatArray
+    path_relative_sd: FloatArray
+    path_absolute_sd: FloatArray
+    shared_mean: FloatArray
+    shared_sd_each: FloatArray
+    terms: FloatArray
+    amplitude: float
+    length: float
+    scatter: float
+
+
+class Observed(NamedTuple):
+    """Footfalls to pool: φ̂ [deg], its own sd [deg], S [footfall, shared], place [footfall, 2]."""
+
+    phi: FloatArray
+    sd: FloatArray
+    shared: FloatArray
+    place: FloatArray
+
+
+class Shared(NamedTuple):
+    """Prior of θ − θ₀: mean, shape [shared], and covariance, shape [shared, shared]."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+def covariance(a: FloatArray, b: FloatArray, amplitude: float, length: float) -> FloatArray:
+    """Matérn covariance of smoothness 5/2 between places [m], with the unknown mean's [deg²]."""
+    apart = np.sqrt(((a[:, None] - b[None]) ** 2).sum(axis=-1)) * (math.sqrt(5.0) / length)
+    shape = (1.0 + apart + apart**2 / 3.0) * np.exp(-apart)
+    return np.asarray(amplitude**2 * shape + FIELD_MEAN_SD**2)
+
+
+def pool(
+    seen: Observed,
+    shared: Shared,
+    path: FloatArray,
+    anchors: list[tuple[Anchor, FloatArray]],
+    *,
+    mean: float,
+) -> Pooled:
+    """Pool footfalls.
+
+    Parameters
+    ----------
+    seen
+        The usable footfalls, one or more.
+    shared
+        Prior of what they share.
+    path
+        Points of the map [m], shape [point, 2].
+    anchors
+        Each with the points that stand for its stretch [m], shape [any, 2].
+    mean
+        Of φ before anything is seen [deg].
+
+    Returns
+    -------
+    Pooled
+    """
+    kept = _some(seen, MOST)
+    n = len(SENSORS)
+    amplitude, length, scatter = _learnt(kept, shared, mean)
+    shared = _taught(kept, shared, amplitude, length, scatter, mean)
+    system = _System(kept, amplitude, length, scatter, mean)
+    stretches = [points for _, points in anchors]
+    # Rows: the path's points, then each anchor's stretch as the mean of its points.
+    average = np.zeros((len(path) + len(anchors), len(path) + sum(map(len, stretches))))
+    average[: len(path), : len(path)] = np.eye(len(path))
+    at = len(path)
+    for i, points in enumerate(stretches):
+        average[len(path) + i, at : at + len(points)] = 1.0 / len(points)
+        at += len(points)
+    found, spread, moves = system.at(np.concatenate([path, *stretches]), average)
+    relative = np.diag(spread) + _spread(moves[:, :n], shared.covariance[:n, :n])
+    # φ = found − moves (θ − θ₀): anchors are seen now, footfalls have been.
+    theta = shared.covariance
+    whole = np.block(
+        [[spread + moves @ theta @ moves.T, -moves @ theta], [-theta @ moves.T, theta]]
+    )
+    state = np.concatenate([found - moves @ shared.mean, shared.mean])
+    rows = slice(len(path), len(found))
+    seen_there = whole[rows, rows] + np.diag([a.sd_deg**2 for a, _ in anchors])
+    gain = np.linalg.solve(seen_there, whole[rows]).T
+    state = state + gain @ (np.array([a.phi_deg for a, _ in anchors]) - state[rows])
+    whole = whole - gain @ whole[rows]
+    centre, left = state[len(found) :], whole[len(found) :, len(found) :]
+    each = np.sqrt(np.diag(left).clip(0.0))
+    own = seen.sd**2 + scatter**2 + _spread(seen.shared[:, :n], left[:n, :n])
+    return Pooled(
+        phi=seen.phi - seen.shared @ centre,
+        sd=np.sqrt(own),
+        shared_sd=np.sqrt(_spread(seen.shared[:, n:], left[n:, n:])),
+        path_phi=state[: len(path)],
+        path_relative_sd=np.sqrt(relative[: len(path)].clip(0.0)),
+        path_absolute_sd=np.sqrt(np.diag(whole)[: len(path)].clip(0.0)),
+        shared_mean=centre,
+        shared_sd_each=each,
+        terms=np.abs(seen.shared.mean(axis=0)) * each,
+        amplitude=amplitude,
+        length=length,
+        scatter=scatter,
+    )
+
+
+def _spread(rows: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Variance of each row's product with something of that covariance."""
+    return np.asarray(np.einsum("ni,ij,nj->n", rows, matrix, rows).clip(0.0))
+
+
+class _System:
+    """Covariance of the footfalls with what they share known, and what follows from it."""
+
+    def __init__(
+        self, seen: Observed, amplitude: float, length: float, scatter: float, mean: float
+    ) -> None:
+        self._seen, self._mean = seen, mean
+        self._amplitude, self._length = amplitude, length
+        matrix = covariance(seen.place, seen.place, amplitude, length)
+        matrix[np.diag_indices(len(matrix))] += seen.sd**2 + scatter**2
+        self._lower = np.asarray(np.linalg.cholesky(matrix))
+
+    def at(
+        self, places: FloatArray, average: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Posterior mean and covariance of averages of φ over places, and their S."""
+        cross = covariance(places, self._seen.place, self._amplitude, self._length)
+        half = _solve(self._lower, (average @ cross).T)
+        before = average @ covariance(places, places, self._amplitude, self._length) @ average.T
+        weights = half.T @ _solve(self._lower, np.column_stack([self._seen.phi - self._mean,
+                                                                self._seen.shared]))  # fmt: skip
+        return self._mean + weights[:, 0], before - half.T @ half, weights[:, 1:]
+
+
+def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:
+    from scipy.linalg import solve_triangular
+
+    return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False))
+
+
+def _some(seen: Observed, most: int) -> Observed:
+    """Footfalls, evenly chosen."""
+    count = len(seen.phi)
+    every = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+    return Observed(*(column[every] for column in seen))
+
+
+def _taught(
+    seen: Observed, shared: Shared, amplitude: float, length: float, scatter: float, mean: float
+) -> Shared:
+    """What is shared, after footfalls have taught the errors of the torques."""
+    part, n = _some(seen, TEACHERS), len(TORQUES)
+    each, torques = part.shared[:, :n], shared.covariance[:n, :n]
+    matrix = covariance(part.place, part.place, amplitude, length) + each @ torques @ each.T
+    matrix[np.diag_indices(len(matrix))] += part.sd**2 + scatter**2
+    gain = np.linalg.solve(matrix, each @ torques).T
+    centre, spread = shared.mean.copy(), shared.covariance.copy()
+    centre[:n] += gain @ (part.phi - mean - part.shared @ shared.mean)
+    spread[:n, :n] -= gain @ each @ torques
+    return Shared(centre, spread)
+
+
+def _learnt(seen: Observed, shared: Shared, mean: float) -> tuple[float, float, float]:
+    """Amplitude, length and scatter at the maximum of their marginal posterior."""
+    from scipy.optimize import minimize
+
+    part, n = _some(seen, LEARN_FROM), len(TORQUES)
+    each = part.shared[:, :n]
+    centre = np.log([AMPLITUDE[0], LENGTH[0], SCATTER[0]])
+    width = np.array([AMPLITUDE[1], LENGTH[1], SCATTER[1]])
+    left = part.phi - mean - part.shared @ shared.mean
+    common = each @ shared.covariance[:n, :n] @ each.T
+
+    def surprise(logs: FloatArray) -> float:
+        amplitude, length, scatter = np.exp(logs)
+        matrix = covariance(part.place, part.place, amplitude, length) + common
+        matrix[np.diag_indices(len(left))] += part.sd**2 + scatter**2
+        lower = np.asarray(np.linalg.cholesky(matrix))
+        half = _solve(lower, left)
+        prior = (((logs - centre) / width) ** 2).sum()
+        return float(0.5 * (half @ half + prior) + np.log(np.diag(lower)).sum())
+
+    best = minimize(
+        surprise, centre, method="Nelder-Mead",
+        options={"xatol": 0.02, "fatol": 0.01, "maxiter": 150},
+    )  # fmt: skip
+    amplitude, length, scatter = np.exp(best.x).tolist()
+    return amplitude, length, scatter

@@ -1,0 +1,472 @@
+"""φ under every footfall of a log, and along its path: the whole way from a log to the answer."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.files import plain_number
+from terraphi.robot.footfall_fit import (
+    LAW_SETS,
+    PHI_RANGE,
+    SHARED,
+    TORQUES,
+    Fit,
+    Prior,
+    fit,
+    shared_sd,
+)
+from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, Shared, pool
+from terraphi.robot.friction import JointFriction
+from terraphi.robot.joint_log import FEET, JointLog
+from terraphi.robot.kinematics import rotation
+from terraphi.robot.logs import read_log
+from terraphi.robot.logs.clock import regular
+from terraphi.robot.model import Quadruped
+from terraphi.robot.odometry import Motion, track
+from terraphi.robot.results import RobotForces, analyse
+from terraphi.robot.touchdowns import Touchdowns, sensitivity, touchdowns
+from terraphi.robot.weighing import Weighing, weigh
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+USABLE = "usable"
+SHALLOW, TRODDEN, MISFIT = "too little sinkage", "not virgin ground", "the law does not fit"
+TORN, SATURATED, EDGE = "timing unreliable", "saturated", "at a prior's edge"
+VERDICTS = (USABLE, SHALLOW, TRODDEN, MISFIT, TORN, SATURATED, EDGE)
+"""What is said of a footfall."""
+
+LEAST_SINKAGE, LEAST_GAINED = 0.006, 0.003
+"""Sinkage that a footfall needs, and what of it must come while the force rises [m]: on hard
+ground a force comes without, and what creeps under a full load is no loading."""
+NEAR_RADII = 2.0
+"""Ground nearer than this many radii to an earlier footfall has been trodden [-]."""
+WORST_MISFIT = 2.0
+"""χ² over the degrees of freedom above which a law does not fit [-]."""
+NEAR_EDGE_DEG = 1.0
+"""A friction angle this near to the end of what laws are asked for is the end [deg]."""
+LEAST_SCALE = 0.2
+"""The noise of a log is at least this part of what is assumed [-]."""
+WEIGHT_RANGE = (0.7, 1.4)
+"""Mean of the feet's forces over the weight, outside of which torques are in no newton metres, or
+the robot is another."""
+UNSURE_WEIGHT = 0.15
+"""The same less one, above which it is said [-]."""
+PATH_STEP = 0.05
+"""Spacing of the map along the path, at least [m]."""
+MOST_POINTS = 1500
+SMOOTH_PATH_S = 0.6
+"""The trunk's sway is averaged over this time before the path is measured [s]."""
+HEADING_S = 0.5
+"""The robot's heading over this time at the beginning is the x of the map [s]."""
+
+
+@dataclass(frozen=True)
+class FootfallMap:
+    """What a log says of the soil.
+
+    Attributes
+    ----------
+    time
+        Touch-downs on the log's clock [s], shape [footfall].
+    foot
+        ``FR``, ``FL``, ``RR`` or ``RL``, shape [footfall].
+    place
+        Where the foot ended its loading, from the trunk's first place: x along the robot's first
+        heading, y to its left, z of the soil's surface [m], shape [footfall, 3].
+    sinkage
+        Depth of the foot's lowest point at the end of the loading [m], shape [footfall]; where it
+        was too little, how far the foot went down under load.
+    phi, sd, shared_sd
+        φ of each footfall by itself, its own standard deviation and the one that it shares with
+        all others [deg], shape [footfall]; not a number where it was refused.
+    misfit
+        χ² over the degrees of freedom [-], shape [footfall].
+    verdict
+        One of :data:`VERDICTS`, shape [footfall].
+    path
+        Points of the path: s along it, x, y [m], shape [point, 3].
+    path_phi, path_relative_sd, path_absolute_sd
+        Map of φ on the path [deg], shape [point]; not a number if no footfall is usable.
+    shared
+        What all footfalls share, by name: mean, standard deviation and what it is worth in φ.
+    by_law
+        Mean φ of the usable footfalls by each law that was asked [deg].
+    notes
+        What a reader should know.
+    provenance
+        Log, robot, priors and versions.
+    """
+
+    time: FloatArray
+    foot: tuple[str, ...]
+    place: FloatArray
+    sinkage: FloatArray
+    phi: FloatArray
+    sd: FloatArray
+    shared_sd: FloatArray
+    misfit: FloatArray
+    verdict: tuple[str, ...]
+    path: FloatArray
+    path_phi: FloatArray
+    path_relative_sd: FloatArray
+    path_absolute_sd: FloatArray
+    shared: Mapping[str, Any]
+    by_law: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def usable(self) -> BoolArray:
+        """Which footfalls tell φ, shape [footfall]."""
+        return np.array([verdict == USABLE for verdict in self.verdict], dtype=bool)
+
+    def counts(self) -> dict[str, int]:
+        """Footfalls by verdict, those that occur."""
+        return {v: self.verdict.count(v) for v in VERDICTS if v in self.verdict}
+
+
+def find_footfalls(
+    log: Path | str | JointLog,
+    *,
+    robot: Quadruped | Path | str = "go2",
+    law: str = "rft",
+    prior: Prior | None = None,
+    anchors: Sequence[Anchor] = (),
+    friction: JointFriction | None = None,
+    probe: bool = False,
+    topic: str | None = None,
+    joint_names: Sequence[str] | None = None,
+) -> FootfallMap:
+    """φ under each footfall of a walk, and a map of it along the path.
+
+    Parameters
+    ----------
+    log
+        A file or folder that :func:`~terraphi.robot.logs.read_log` reads, or what it read.
+    robot
+        The robot, or its name, TOML or URDF.
+    law
+        One of :data:`~terraphi.robot.footfall_fit.LAW_SETS`: the answers of several laws are
+        averaged.
+    prior
+        What is known of soil, foot, sensors and law; the foot's radius is the robot's.
+    anchors
+        Friction angles known on stretches of the path.
+    friction
+        Of the joints, from a log of the hanging robot; what it lacks is found in swing.
+    probe
+        Feet were pressed slowly, on purpose, while the others stood: the whole loading counts.
+    topic, joint_names
+        See :func:`~terraphi.robot.logs.read_log`.
+
+    Returns
+    -------
+    FootfallMap
+
+    Raises
+    ------
+    InputError
+        If the log cannot be used, has no attitude, or its forces are not those of this robot; if an
+        option is unknown or an anchor lies off the path.
+    """
+    if law not in LAW_SETS:
+        raise InputError(f"law '{law}' is unknown; {nearest(law, LAW_SETS)}")
+    body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
+    name = "the log" if isinstance(log, JointLog) else str(log)
+    if body.foot_radius <= 0.0:
+        raise InputError(f"robot '{body.name}' lacks its foot_radius, which footfalls need [m]")
+    if not isinstance(log, JointLog):
+        log = read_log(log, topic=topic, joint_names=joint_names, motors=body.joint_order)
+    log = regular(log)
+    if log.quaternion is None:
+        raise InputError(f"{name}: has no attitude, without which nobody knows where down is")
+    chosen = replace(prior or Prior(), radius=body.foot_radius)
+    found = analyse(log, robot=body, friction=friction)
+    lift = found.forces.force[:, :, 2].astype(np.float64)
+    motion = _from_the_start(track(log, body, lift), log)
+    per = sensitivity(log, body)
+    seen = touchdowns(log, body, found.forces, motion, found.stances, per, probe=probe)
+    weighed = weigh(
+        log.time, lift, motion.lift_acceleration, per, shared_sd(chosen)[: len(TORQUES)],
+        mass=body.mass,
+    )  # fmt: skip
+    _check_weight(name, weighed, seen)
+    fits = {each: fit(seen, each, chosen) for each in LAW_SETS[law]}
+    return _together(seen, fits, weighed, chosen, _path(motion, log.time), anchors, found, {
+        "log": name, "robot": body.name, "law": law, "laws": list(fits), "probe": probe,
+        "prior": asdict(chosen), "anchors": [anchor._asdict() for anchor in anchors],
+        "terraphi": importlib.metadata.version("terraphi"), "forces": found.provenance(),
+    })  # fmt: skip
+
+
+def average(fits: Sequence[Fit]) -> Fit:
+    """The mean of what laws say; the best of their misfits."""
+    columns = [np.mean(values, axis=0) for values in zip(*fits, strict=True)]
+    mean = Fit(*columns)
+    return mean._replace(misfit=np.min([each.misfit for each in fits], axis=0))
+
+
+def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
+    """What is said of each footfall; the first that holds of what speaks against it.
+
+    Parameters
+    ----------
+    seen, found
+        The touch-downs of a log, in the order of time, and their fit.
+    radius
+        Of the foot [m].
+    """
+    trodden = _trodden(seen, NEAR_RADII * radius)
+    low, high = PHI_RANGE[0] + NEAR_EDGE_DEG, PHI_RANGE[1] - NEAR_EDGE_DEG
+    against = (
+        (TORN, seen.torn),
+        (SATURATED, seen.saturated),
+        (SHALLOW, (found.sinkage < LEAST_SINKAGE) | (found.gained < LEAST_GAINED)),
+        (TRODDEN, trodden),
+        (EDGE, (found.phi < low) | (found.phi > high)),
+        (MISFIT, found.misfit > WORST_MISFIT),
+    )
+    said = np.full(len(seen.foot), USABLE, dtype=object)
+    for word, holds in reversed(against):
+        said[holds] = word
+    return [str(word) for word in said]
+
+
+def _trodden(seen: Touchdowns, near: float) -> BoolArray:
+    """Whether an earlier footfall was nearer than that [m]."""
+    from scipy.spatial import cKDTree
+
+    trodden = np.zeros(len(seen.foot), dtype=bool)
+    if len(trodden):
+        pairs = cKDTree(seen.place[:, :2]).query_pairs(near, output_type="ndarray")
+        trodden[pairs.max(axis=1) if len(pairs) else []] = True
+    return trodden
+
+
+def _check_weight(name: str, weighed: Weighing, seen: Touchdowns) -> None:
+    low, high = WEIGHT_RANGE
+    if len(seen.foot) and not (math.isnan(weighed.ratio) or low < weighed.ratio < high):
+        raise InputError(
+            f"{name}: the feet carry {100.0 * weighed.ratio:.0f} % of the robot's weight on "
+            f"average, {100.0 * low:.0f} to {100.0 * high:.0f} % is expected; look at the unit of "
+            "the torques, the order of the joints and --robot"
+        )
+
+
+def _from_the_start(motion: Motion, log: JointLog) -> Motion:
+    """Turn the motion so that x is the robot's first heading."""
+    assert log.quaternion is not None, "checked when the log was read"
+    early = log.time <= log.time[0] + HEADING_S
+    x, y = rotation(log.quaternion[early])[:, :2, 0].mean(axis=0)
+    size = math.hypot(x, y)
+    back = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, size]]) / size
+    return motion._replace(trunk=motion.trunk @ back.T, feet=motion.feet @ back.T)
+
+
+def _path(motion: Motion, time: FloatArray) -> FloatArray:
+    """Points s, x, y of the trunk's way at even steps [m], shape [point, 3]."""
+    width = max(1, round(SMOOTH_PATH_S / float(np.median(np.diff(time)))))
+    padded = np.pad(motion.trunk[:, :2], ((width, width), (0, 0)), mode="edge")
+    total = np.cumsum(padded, axis=0)
+    smooth = (total[2 * width :] - total[: -2 * width]) / (2 * width)
+    gone = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
+    count = int(np.clip(gone[-1] / PATH_STEP + 1, 1, MOST_POINTS))
+    s = np.linspace(0.0, gone[-1], count)
+    return np.column_stack([s, *(np.interp(s, gone, column) for column in smooth.T)])
+
+
+def _stretch(anchor: Anchor, path: FloatArray) -> FloatArray:
+    """Points of the path that an anchor speaks of [m], shape [point, 2]."""
+    along = path[:, "sxy".index(anchor.axis)]
+    inside = np.flatnonzero((along >= anchor.begin - 1e-9) & (along <= anchor.end + 1e-9))
+    if not len(inside):
+        raise InputError(
+            f"anchor {anchor.axis}={anchor.begin:g}:{anchor.end:g}: the path has {anchor.axis} "
+            f"from {along.min():.2f} to {along.max():.2f} m; name a stretch of it"
+        )
+    some = np.unique(np.linspace(0, len(inside) - 1, ANCHOR_POINTS).round().astype(int))
+    return path[inside[some], 1:]
+
+
+def _together(
+    seen: Touchdowns,
+    fits: Mapping[str, Fit],
+    weighed: Weighing,
+    prior: Prior,
+    path: FloatArray,
+    anchors: Sequence[Anchor],
+    forces: RobotForces,
+    provenance: Mapping[str, Any],
+) -> FootfallMap:
+    mean = average(list(fits.values()))
+    verdict = verdicts(seen, mean, prior.radius)
+    usable = np.array([v == USABLE for v in verdict], dtype=bool)
+    stretches = [(anchor, _stretch(anchor, path)) for anchor in anchors]
+    nothing = np.full(len(verdict), np.nan)
+    phi, sd, common = nothing, nothing.copy(), nothing.copy()
+    along = np.full((3, len(path)), np.nan)
+    shared: dict[str, Any] = {}
+    if usable.any():
+        pooled = pool(
+            _observed(seen, mean, usable), _shared(prior, weighed), path[:, 1:], stretches,
+            mean=prior.phi_deg,
+        )  # fmt: skip
+        phi = phi.copy()
+        phi[usable], sd[usable], common[usable] = pooled.phi, pooled.sd, pooled.shared_sd
+        along = np.stack([pooled.path_phi, pooled.path_relative_sd, pooled.path_absolute_sd])
+        shared = _shared_summary(pooled, prior)
+    shallow = np.array([v == SHALLOW for v in verdict], dtype=bool)
+    sinkage = np.where(shallow, mean.gained, mean.sinkage)
+    place = seen.place.copy()
+    place[:, 2] += sinkage
+    return FootfallMap(
+        time=seen.begin,
+        foot=tuple(FEET[i] for i in seen.foot),
+        place=place,
+        sinkage=sinkage,
+        phi=phi,
+        sd=sd,
+        shared_sd=common,
+        misfit=mean.misfit,
+        verdict=tuple(verdict),
+        path=path,
+        path_phi=along[0],
+        path_relative_sd=along[1],
+        path_absolute_sd=along[2],
+        shared=shared,
+        by_law={k: float(f.phi[usable].mean()) for k, f in fits.items()} if usable.any() else {},
+        notes=(*forces.notes, *_notes(usable, weighed, anchors)),
+        provenance=provenance,
+    )
+
+
+def _observed(seen: Touchdowns, found: Fit, usable: BoolArray) -> Observed:
+    """Usable footfalls, their noise scaled to what the log shows on the whole."""
+    scale = max(LEAST_SCALE, math.sqrt(float(np.median(np.minimum(found.misfit[usable], 1.0)))))
+    own = found.sd[usable] * scale * np.maximum(1.0, np.sqrt(found.misfit[usable]) / scale) ** 0.5
+    return Observed(found.phi[usable], own, found.shared[usable], seen.place[usable, :2])
+
+
+def _shared(prior: Prior, weighed: Weighing) -> Shared:
+    """Prior of what is shared, the sensors' part as the weight has it."""
+    sd, n = shared_sd(prior), len(TORQUES)
+    mean, covariance = np.zeros(len(sd)), np.diag(sd**2)
+    mean[:n], covariance[:n, :n] = weighed.mean, weighed.covariance
+    return Shared(mean, covariance)
+
+
+def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
+    """What footfalls share, by kind: value, standard deviation and worth in φ."""
+    at = {name: i for i, name in enumerate(SHARED)}
+
+    def of(name: str, scale: float = 1.0, centre: float = 0.0) -> dict[str, float]:
+        i = at[name]
+        return {
+            "mean": float(centre + scale * pooled.shared_mean[i]),
+            "sd": float(scale * pooled.shared_sd_each[i]),
+            "worth_deg": float(pooled.terms[i]),
+        }
+
+    def joints(first: int) -> dict[str, Any]:
+        rows = slice(first, first + 12)
+        return {
+            "mean": pooled.shared_mean[rows].tolist(),
+            "sd": pooled.shared_sd_each[rows].tolist(),
+            "worth_deg": float(np.sqrt((pooled.terms[rows] ** 2).sum())),
+        }
+
+    return {
+        "torque_gain": joints(0),
+        "joint_friction_Nm": joints(12),
+        "odometry_drop": of("drop"),
+        "density_kg_m3": of("log_density", prior.density, prior.density),
+        "surface_friction": of("surface_friction", 1.0, prior.surface_friction),
+        "foot_radius_mm": of("radius", 1e3, 1e3 * prior.radius),
+        "law_offset_deg": of("law_offset"),
+        "law_exponent": of("law_exponent"),
+        "law_slope": of("law_slope"),
+        "field": {
+            "amplitude_deg": pooled.amplitude,
+            "length_m": pooled.length,
+            "scatter_deg": pooled.scatter,
+        },
+    }
+
+
+def _notes(usable: BoolArray, weighed: Weighing, anchors: Sequence[Anchor]) -> list[str]:
+    notes = []
+    if len(usable) and not usable.any():
+        notes.append("no footfall is usable: the map is empty")
+    if abs(weighed.ratio - 1.0) > UNSURE_WEIGHT:
+        notes.append(
+            f"the feet carry {100.0 * weighed.ratio:.0f} % of the robot's weight on average: a "
+            "payload, another robot or torques that are off"
+        )
+    if usable.any() and not anchors:
+        notes.append("no anchor: only differences along the path are as sure as the relative band")
+    return notes
+
+
+DENSITY_PART = 0.05
+"""Standard deviation of a density that comes without one, as a part of it [-]."""
+DENSITIES = (500.0, 3000.0)
+"""Bulk densities of soils [kg/m³]."""
+_ANCHOR = re.compile(
+    r"(?P<axis>[xys])\s*=\s*(?P<a>[-+.\deE]+)\s*:\s*(?P<b>[-+.\deE]+)\s*,\s*phi\s*=\s*"
+    r"(?P<phi>[.\deE]+)\s*(?:±|\+/?-)\s*(?P<sd>[.\deE]+)"
+)
+
+
+def anchor_from(text: str) -> Anchor:
+    """An anchor as people write it, ``x=0:0.5,phi=34±1``; ``+-`` will do for ``±``.
+
+    Raises InputError if it is written otherwise, or says what cannot be.
+    """
+    match = _ANCHOR.fullmatch(text.strip())
+    if match is None:
+        raise InputError(f"anchor '{text}': expected one such as x=0:0.5,phi=34±1 (or phi=34+-1)")
+    try:
+        a, b, phi, sd = (plain_number(match[name]) for name in ("a", "b", "phi", "sd"))
+    except ValueError:
+        raise InputError(f"anchor '{text}': holds what is not a number") from None
+    low, high = PHI_RANGE
+    if not low <= phi <= high or not 0.0 < sd <= 15.0:
+        raise InputError(
+            f"anchor '{text}': phi should be {low:g} to {high:g} degrees, and its uncertainty "
+            "above 0 and at most 15"
+        )
+    return Anchor(min(a, b), max(a, b), phi, sd, match["axis"])
+
+
+def prior_for(density: str | None) -> Prior:
+    """The prior for a density as people write it, ``1550±80``, ``1550+-80`` or ``1550``.
+
+    Without a standard deviation it is :data:`DENSITY_PART` of the density; ``None`` is the default.
+    Raises InputError if it is no such number, or no soil's.
+    """
+    if density is None:
+        return Prior()
+    value, sign, spread = re.sub(r"\+/?-", "±", density.strip()).partition("±")
+    try:
+        mean = plain_number(value)
+        sd = plain_number(spread) if sign else DENSITY_PART * mean
+    except ValueError:
+        raise InputError(f"density '{density}': expected kg/m³ such as 1550 or 1550±80") from None
+    low, high = DENSITIES
+    if not (low <= mean <= high and 0.0 < sd <= 0.3 * mean):
+        raise InputError(
+            f"density '{density}': {low:g} to {high:g} kg/m³ is expected, with a standard "
+            "deviation above 0 and at most 30 % of it"
+        )
+    return Prior(density=mean, density_sd=sd)

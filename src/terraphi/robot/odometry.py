@@ -1,0 +1,131 @@
+r"""Where the feet are in the world: leg odometry in stance, attitude and accelerometer together.
+
+A log says how the feet move against the trunk and how the trunk is turned, not where it is. Between
+two samples a foot that stands still gives the trunk's velocity, v = −Δp/Δt with p the foot's place
+seen from the trunk in the world's axes; the accelerometer gives its change. The velocities of a
+whole log are the minimum of
+
+.. math::
+    \sum_k \frac{|v_k - v_{k-1} - a_k\,\Delta t_k|^2}{(\sigma_a \Delta t_k)^2}
+    + \sum_{k,f} w_{kf}\,\frac{|v_k + \Delta p_{kf}/\Delta t_k|^2}{\sigma_v^2},
+
+a tridiagonal system. The weight of a foot is its share of load, and falls as Cauchy's where it does
+not stand still: a foot that sinks, slips or rises is outvoted by the others and by the
+accelerometer.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.robot.dynamics import GRAVITY
+from terraphi.robot.estimators import signals
+from terraphi.robot.joint_log import JointLog
+from terraphi.robot.kinematics import foot_position
+from terraphi.robot.model import Quadruped
+
+FloatArray = NDArray[np.float64]
+
+ACCELERATION_SD = 0.3
+"""Of the accelerometer's readings, with what the trunk shakes between samples [m/s²]."""
+UNKNOWN_ACCELERATION_SD = 3.0
+"""Of the trunk's acceleration where no accelerometer tells it [m/s²]."""
+STANCE_SD = 0.01
+"""Of the velocity of a foot that stands, and the scale beyond which it does not stand [m/s]."""
+BEARING_SHARE = 0.15
+"""Part of the robot's weight with which a foot counts as fully loaded [-]."""
+ROUNDS = 8
+"""Of reweighting."""
+BIAS_S = 6.0
+"""Over this time the trunk does not accelerate on average: what remains is a bias [s]."""
+
+
+class Motion(NamedTuple):
+    """Motion of the trunk and the feet in the world, which begins at (0, 0, 0).
+
+    Attributes
+    ----------
+    trunk
+        Place of the trunk [m], shape [sample, 3].
+    feet
+        Places of the balls' centres [m], shape [sample, foot, 3].
+    lift_acceleration
+        Of the trunk, upward, as the accelerometer has it [m/s²], shape [sample]; zero without one.
+    """
+
+    trunk: FloatArray
+    feet: FloatArray
+    lift_acceleration: FloatArray
+
+
+def track(log: JointLog, robot: Quadruped, load: FloatArray) -> Motion:
+    """Motion of the feet in the world.
+
+    Parameters
+    ----------
+    log
+        With attitude; three samples or more.
+    robot
+        Geometry of the legs and mass.
+    load
+        Upward force of the ground on each foot [N], shape [sample, foot]; not a number counts as
+        none.
+
+    Returns
+    -------
+    Motion
+    """
+    from scipy.linalg import solveh_banded
+
+    seen = signals(log, robot, slice(None))
+    place = np.einsum("sij,sfj->sfi", seen.turn, foot_position(robot, seen.angle))
+    step = np.diff(seen.time)
+    apparent = -np.diff(place, axis=0) / step[:, None, None]
+    felt = np.zeros((len(seen.time), 3))
+    if log.acceleration is not None:
+        felt = np.einsum("sij,sj->si", seen.turn, seen.body.specific_force)
+        felt[:, 2] -= GRAVITY
+        felt -= _running_mean(felt, round(BIAS_S / float(np.median(step))))
+    sd = UNKNOWN_ACCELERATION_SD if log.acceleration is None else ACCELERATION_SD
+    # v_k belongs to the middle of step k: the readings between two middles are a sample's.
+    between = 0.5 * (step[1:] + step[:-1])
+    stiff = 1.0 / (sd * between) ** 2
+    change = felt[1:-1] * between[:, None]
+    bearing = np.clip(np.nan_to_num(load) / (BEARING_SHARE * robot.mass * GRAVITY), 0.0, 1.0)
+    bearing = np.minimum(bearing[1:], bearing[:-1]) ** 2 / STANCE_SD**2
+    weight = bearing
+    velocity = np.zeros((len(step), 3))
+    for _ in range(ROUNDS):
+        diagonal = weight.sum(axis=1) + 1e-3
+        diagonal[1:] += stiff
+        diagonal[:-1] += stiff
+        right = np.einsum("kf,kfi->ki", weight, apparent)
+        right[1:] += stiff[:, None] * change
+        right[:-1] -= stiff[:, None] * change
+        banded = np.stack([diagonal, np.append(-stiff, 0.0)])
+        velocity = solveh_banded(banded, right, lower=True)
+        off = np.linalg.norm(_smoothed(velocity[:, None] - apparent), axis=-1)
+        weight = bearing / (1.0 + (off / STANCE_SD) ** 2) ** 2
+    trunk = np.concatenate([np.zeros((1, 3)), np.cumsum(velocity * step[:, None], axis=0)])
+    return Motion(trunk, trunk[:, None] + place, felt[:, 2])
+
+
+def _running_mean(values: FloatArray, width: int) -> FloatArray:
+    """Centred mean over a number of samples, over as many as there are at the ends."""
+    half = max(1, width // 2)
+    total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+    centre = np.arange(len(values))
+    low, high = np.maximum(centre - half, 0), np.minimum(centre + half + 1, len(values))
+    return np.asarray((total[high] - total[low]) / (high - low)[:, None])
+
+
+def _smoothed(values: FloatArray) -> FloatArray:
+    """Mean over five samples, so that the encoders' steps do not look like motion."""
+    out = values.copy()
+    for shift in (1, 2):
+        out[shift:] += values[:-shift]
+        out[:-shift] += values[shift:]
+    return out / 5.0

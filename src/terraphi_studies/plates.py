@@ -1,0 +1,271 @@
+r"""Plates pressed into real sand: φ by each force law, and what choosing a law is worth.
+
+A flat circular plate that goes down slowly is the nearest that public measurements come to a foot.
+Each test is fitted like a footfall, with one φ and an unknown first contact; then in windows of
+its depth too, which shows what a law's own growth with depth is worth.
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib.resources
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import check_is_file, plain_number
+from terraphi.forward.foot_laws import LAWS
+from terraphi.robot.footfall_fit import SHARED, SOIL, Fit, Prior, fit, shared_sd
+from terraphi.robot.touchdowns import Touchdowns
+from terraphi.view.table import Table
+from terraphi_studies import Study
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FloatArray = NDArray[np.float64]
+
+COLUMNS = ("box", "test", "diameter_mm", "sinkage_mm", "force_N")
+DENSITY, DENSITY_SD = 1330.0, 65.0
+"""Of the measured sand, as its authors give it [kg/m³]."""
+REPOSE_DEG = 29.0
+"""Its angle of repose; there is no shear test [deg]."""
+WINDOWS = ((2.0, 8.0), (8.0, 16.0), (16.0, 26.0))
+"""Of sinkage [mm]."""
+CI95 = 1.96
+CONTACT_SD = 5e-4
+"""Of the first contact, which the measurement has found already [m]."""
+
+
+class Test(NamedTuple):
+    """One plate pressed in once: sinkage [m] and force [N], each shape [reading]."""
+
+    box: str
+    name: str
+    diameter_mm: float
+    sinkage: FloatArray
+    force: FloatArray
+
+
+def run(*, data: Path | None = None) -> Study:
+    """φ of each test by each law, its scatter, its drift, and the spread between laws.
+
+    Parameters
+    ----------
+    data
+        Another table with the columns of :data:`COLUMNS`; by default the measured one.
+    """
+    tests = read(data)
+    by_law = {law: _fits(tests, law) for law in LAWS}
+    windows = {
+        law: [_fits([_part(test, *window) for test in tests], law).phi for window in WINDOWS]
+        for law in LAWS
+    }
+    rows, found = [], []
+    repeats = {law: _repeat_sd(tests, each.phi) for law, each in by_law.items()}
+    for i, test in enumerate(tests):
+        for law, each in by_law.items():
+            own = float(np.hypot(each.sd[i], repeats[law]))
+            whole = float(np.hypot(own, _shared(each)[i]))
+            phi = float(each.phi[i])
+            found.append(
+                {
+                    "box": test.box,
+                    "diameter_mm": test.diameter_mm,
+                    "test": test.name,
+                    "law": law,
+                    "phi_deg": phi,
+                    "ci95_relative": [phi - CI95 * own, phi + CI95 * own],
+                    "ci95_absolute": [phi - CI95 * whole, phi + CI95 * whole],
+                    "phi_by_window_deg": [_or_none(windows[law][w][i]) for w in range(3)],
+                }
+            )
+            drift = ["–" if np.isnan(windows[law][w][i]) else f"{windows[law][w][i]:.1f}"
+                     for w in range(3)]  # fmt: skip
+            rows.append((test.box, f"{test.diameter_mm:g}", test.name, law, f"{phi:.1f}",
+                         f"{CI95 * own:.1f}", f"{CI95 * whole:.1f}", *drift))  # fmt: skip
+    spread = law_spread(windows)
+    title = "Plates pressed into sand: φ by each law"
+    header = ("box", "diameter [mm]", "test", "law", "φ [deg]", "± 95 %, relative",
+              "± 95 %, absolute", *(f"{a:g}–{b:g} mm" for a, b in WINDOWS))  # fmt: skip
+    return Study(
+        table=Table(title, header, rows),
+        data={
+            "tests": found,
+            "repeat_sd_deg": repeats,
+            "mean_deg": {law: float(each.phi.mean()) for law, each in by_law.items()},
+            "law_sd_deg": spread,
+            "assumed": {"density_kg_m3": DENSITY, "surface_friction": 0.5},
+        },
+        figures={"plates": _figure(tests, by_law, windows)},
+        notes=_notes(tests, by_law, repeats, spread, measured=data is None),
+    )
+
+
+def read(path: Path | None = None) -> list[Test]:
+    """Tests of a table; raises InputError that names the line if it cannot be used."""
+    if path is None:
+        place = importlib.resources.files("terraphi_studies").joinpath("data", "plates")
+        text, name = place.joinpath("plates.csv").read_text(encoding="utf-8"), "plates.csv"
+    else:
+        check_is_file(path)
+        name = str(path)
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{path}: cannot be read as text ({error})") from error
+    rows = csv.DictReader(text.splitlines())
+    missing = [column for column in COLUMNS if column not in (rows.fieldnames or ())]
+    if missing:
+        raise InputError(f"{name}: lacks the column '{missing[0]}'; expected {', '.join(COLUMNS)}")
+    readings: dict[tuple[str, str, float], list[tuple[float, float]]] = {}
+    for row in rows:
+        try:
+            diameter, depth, force = (plain_number(row[c]) for c in COLUMNS[2:])
+        except (TypeError, ValueError):
+            raise InputError(f"{name}, line {rows.line_num}: holds what is not a number") from None
+        if not (np.isfinite([diameter, depth, force]).all() and 5.0 <= diameter <= 1000.0):
+            raise InputError(
+                f"{name}, line {rows.line_num}: diameter {diameter:g} mm, 5 to 1000 is expected"
+            )
+        readings.setdefault((row["box"], row["test"], diameter), []).append((depth, force))
+    tests = []
+    for (box, test, diameter), pairs in readings.items():
+        depth, force = np.array(sorted(pairs)).T
+        if len(depth) < 5 or depth[-1] > diameter:
+            raise InputError(
+                f"{name}: test {test} of box {box} has {len(depth)} readings down to "
+                f"{depth[-1]:g} mm; 5 or more are expected, no deeper than the plate is wide"
+            )
+        tests.append(Test(box, test, diameter, depth / 1e3, force))
+    if not tests:
+        raise InputError(f"{name}: holds no readings")
+    return tests
+
+
+def prior_of(diameter_mm: float) -> Prior:
+    """What is known of a plate test before."""
+    return Prior(
+        density=DENSITY, density_sd=DENSITY_SD, radius=diameter_mm / 2e3, radius_sd=1e-4,
+        shape="disc", level_sd=CONTACT_SD, drift_sd=1e-6,
+    )  # fmt: skip
+
+
+def law_spread(windows: Mapping[str, Sequence[FloatArray]]) -> float:
+    """Standard deviation of φ among laws and depths, the mean of the tests' [deg].
+
+    It is what :class:`~terraphi.robot.footfall_fit.Prior` takes for ``law_sd_deg``: the same soil
+    by another law, at another depth.
+    """
+    every = np.array([values for law in windows.values() for values in law])
+    return float(np.sqrt(np.nanmean(np.nanvar(every, axis=0, ddof=1))))
+
+
+def _part(test: Test, low: float, high: float) -> Test:
+    inside = (test.sinkage >= low / 1e3) & (test.sinkage < high / 1e3)
+    return test._replace(sinkage=test.sinkage[inside], force=test.force[inside])
+
+
+def _fits(tests: Sequence[Test], law: str) -> Fit:
+    """Each test fitted for itself; φ is not a number where readings are too few."""
+    parts = []
+    for test in tests:
+        found = fit(_as_touchdown(test), law, prior_of(test.diameter_mm))
+        if len(test.sinkage) < 5:
+            found = found._replace(phi=np.array([np.nan]))
+        parts.append(found)
+    return Fit(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _as_touchdown(test: Test) -> Touchdowns:
+    """Readings as a slow touch-down; each millimetre is a correlation time of the noise."""
+    n = max(len(test.sinkage), 1)
+    none = np.zeros((1, n))
+    depth, force = none.copy(), none.copy()
+    depth[0, : len(test.sinkage)], force[0, : len(test.force)] = test.sinkage, test.force
+    return Touchdowns(
+        foot=np.zeros(1, dtype=np.int64), begin=np.zeros(1), place=np.zeros((1, 3)),
+        time=8.0 * depth, drop=depth, descent=np.full((1, n), 0.5 * np.pi), speed=none, force=force,
+        per_gain=np.zeros((1, n, 3)), per_friction=np.zeros((1, n, 3)),
+        used=np.broadcast_to(len(test.sinkage) > 0, (1, n)), torn=np.zeros(1, dtype=bool),
+        saturated=np.zeros(1, dtype=bool),
+    )  # fmt: skip
+
+
+def _shared(found: Fit) -> FloatArray:
+    """Standard deviation from density, surface, radius and law [deg], shape [test]."""
+    at = [SHARED.index(name) for name in SOIL]
+    sd = shared_sd(Prior(density=DENSITY, density_sd=DENSITY_SD, radius_sd=1e-4))[at]
+    return np.asarray(np.sqrt(((found.shared[:, at] * sd) ** 2).sum(axis=1)))
+
+
+def _repeat_sd(tests: Sequence[Test], phi: FloatArray) -> float:
+    """Scatter of φ over repeats with the same plate in the same box; 1° if nothing was repeated."""
+    groups: dict[tuple[str, float], list[float]] = {}
+    for test, value in zip(tests, phi.tolist(), strict=True):
+        groups.setdefault((test.box, test.diameter_mm), []).append(value)
+    freedom = sum(len(group) - 1 for group in groups.values())
+    if not freedom:
+        return 1.0
+    return float(np.sqrt(sum(np.var(g) * len(g) for g in groups.values()) / freedom))
+
+
+def _or_none(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def _notes(
+    tests: Sequence[Test],
+    by_law: Mapping[str, Fit],
+    repeats: Mapping[str, float],
+    spread: float,
+    *,
+    measured: bool,
+) -> list[str]:
+    means = ", ".join(f"{law} {each.phi.mean():.1f}°" for law, each in by_law.items())
+    widths = np.array([test.diameter_mm for test in tests])
+    said = [
+        f"Mean over the tests: {means}; repeats scatter by {max(repeats.values()):.1f}° at most.",
+        f"Over laws and depths a test's φ scatters by {spread:.1f}°: a footfall's term of the law.",
+    ]
+    if len(set(widths)) > 1:
+        low, high = widths == widths.min(), widths == widths.max()
+        drift = ", ".join(
+            f"{law} {each.phi[high].mean() - each.phi[low].mean():+.1f}°"
+            for law, each in by_law.items()
+        )
+        said.append(f"From the {widths.min():g} to the {widths.max():g} mm plate: {drift}.")
+    if measured:
+        said.append(
+            f"The sand's angle of repose is {REPOSE_DEG:g}°; there was no shear test. Its authors "
+            f"give {DENSITY:g} kg/m³; the plates' surface friction is assumed, 0.5."
+        )
+    return said
+
+
+def _figure(
+    tests: Sequence[Test], by_law: Mapping[str, Fit], windows: Mapping[str, Sequence[FloatArray]]
+) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    middles = [0.5 * (a + b) for a, b in WINDOWS]
+    widths = sorted({test.diameter_mm for test in tests})
+    for i, (law, found) in enumerate(by_law.items()):
+        colour = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")[i % 4]
+        shift = np.array([t.diameter_mm for t in tests]) + 1.2 * (i - 1.5)
+        left.plot(shift, found.phi, "o", ms=4, color=colour, label=law)
+        for width, style in zip(widths, ("-", "--", ":", "-."), strict=False):
+            chosen = [t.diameter_mm == width for t in tests]
+            means = [np.mean(values[chosen]) for values in windows[law]]
+            right.plot(middles, means, style, color=colour, label=f"{law}, {width:g} mm")
+    left.set(xlabel="diameter of the plate [mm]", ylabel="φ [deg]", title="Whole tests")
+    right.set(xlabel="sinkage [mm], middle of a window", title="In windows of depth")
+    left.legend(fontsize="small", frameon=False)
+    right.legend(fontsize="x-small", frameon=False, ncols=2)
+    return figure

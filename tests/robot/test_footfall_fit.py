@@ -1,0 +1,76 @@
+"""The fit of a touch-down against quadrature, and against refits under changed assumptions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from terraphi.forward.foot_laws import LAWS
+from terraphi.robot.footfall_fit import SHARED, Prior, fit, noise_covariance, predicted
+from terraphi.robot.touchdowns import Touchdowns
+
+PRIOR = Prior()
+
+
+def pressed(phi: float = 34.0, *, level: float = 0.003, seed: int | None = 0) -> Touchdowns:
+    """A foot that goes down by 25 mm in 80 ms, with noise as the fit expects it."""
+    time = np.arange(0.0, 0.08, 0.002)[None]
+    drop = 0.025 * np.sin(0.5 * np.pi * time / 0.08)
+    still = np.zeros_like(time)
+    seen = Touchdowns(
+        foot=np.array([2]), begin=np.zeros(1), place=np.zeros((1, 3)), time=time, drop=drop,
+        descent=np.full_like(time, 1.4), speed=still, force=still,
+        per_gain=np.zeros((*time.shape, 3)), per_friction=np.zeros((*time.shape, 3)),
+        used=np.ones_like(time, dtype=bool), torn=np.zeros(1, bool), saturated=np.zeros(1, bool),
+    )  # fmt: skip
+    force = predicted(LAWS["rft"], PRIOR, seen, np.array([[phi, level, 0.0]]))
+    seen = seen._replace(force=force, per_gain=np.repeat(force[..., None], 3, axis=-1))
+    if seed is not None:
+        lower = np.linalg.cholesky(noise_covariance(seen, PRIOR)[0])
+        noise = lower @ np.random.default_rng(seed).normal(size=force.shape[1])
+        seen = seen._replace(force=force + 0.5 * noise)
+    return seen
+
+
+def test_laplace_agrees_with_quadrature() -> None:
+    seen = pressed()
+    found = fit(seen, "rft", PRIOR)
+    weight = np.linalg.inv(noise_covariance(seen, PRIOR)[0])
+    half = 4.0 * found.sd[0]
+    axes = [
+        found.phi[0] + np.linspace(-half, half, 41),
+        found.level[0] + np.linspace(-0.012, 0.012, 61),
+        np.linspace(-0.035, 0.035, 21) + found.drift[0],
+    ]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    repeated = Touchdowns(*(np.repeat(column, len(grid), axis=0) for column in seen))
+    left = seen.force - predicted(LAWS["rft"], PRIOR, repeated, grid)
+    scale = [PRIOR.phi_sd_deg, PRIOR.level_sd, PRIOR.drift_sd]
+    off = (grid - [PRIOR.phi_deg, 0.0, 0.0]) / scale
+    log = -0.5 * (np.einsum("nk,kl,nl->n", left, weight, left) + (off**2).sum(axis=1))
+    mass = np.exp(log - log.max())
+    mass /= mass.sum()
+    mean = mass @ grid[:, 0]
+    sd = np.sqrt(mass @ (grid[:, 0] - mean) ** 2)
+    assert found.phi[0] == pytest.approx(mean, abs=0.15 * sd)
+    assert found.sd[0] == pytest.approx(sd, rel=0.1)
+
+
+def test_what_is_shared_moves_the_answer_as_told() -> None:
+    seen = pressed(seed=None)
+    found = fit(seen, "rft", PRIOR)
+    assert found.phi[0] == pytest.approx(34.0, abs=0.1)
+
+    def moved(**changed: float) -> float:
+        return float(fit(seen, "rft", replace(PRIOR, **changed)).phi[0] - found.phi[0])
+
+    told = dict(zip(SHARED, found.shared[0], strict=True))
+    # If the truth is above what is assumed, φ̂ is off by S; to assume more takes it back.
+    assert moved(density=1550.0 * 1.03) == pytest.approx(-0.03 * told["log_density"], rel=0.1)
+    assert moved(surface_friction=0.55) == pytest.approx(-0.05 * told["surface_friction"], rel=0.15)
+    assert moved(radius=0.0222) == pytest.approx(-2e-4 * told["radius"], rel=0.15)
+    louder = fit(seen._replace(force=1.02 * seen.force), "rft", PRIOR).phi[0] - found.phi[0]
+    gains = sum(told[f"gain_{3 * 2 + joint}"] for joint in range(3))
+    assert louder == pytest.approx(gains * 0.02 / 3.0, rel=0.1)

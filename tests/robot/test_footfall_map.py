@@ -1,0 +1,85 @@
+"""The pooling of footfalls against the joint normal distribution written out in full."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from terraphi.robot import footfall_map
+from terraphi.robot.footfall_fit import SENSORS, SHARED
+from terraphi.robot.footfall_map import Anchor, Observed, Shared, covariance, pool
+
+N, M = len(SENSORS), len(SHARED)
+FIELD = (1.2, 0.8, 0.1)
+
+
+@pytest.fixture(autouse=True)
+def known_field(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(footfall_map, "_learnt", lambda *_: FIELD)
+
+
+def problem() -> tuple[Observed, Shared, np.ndarray]:
+    rng = np.random.default_rng(3)
+    place = np.column_stack([np.linspace(0.0, 3.0, 24), rng.normal(0.0, 0.1, 24)])
+    shared = rng.normal(0.0, 1.0, (24, M))
+    shared[:, SHARED.index("law_offset")] = 1.0
+    root = rng.normal(0.0, 0.05, (M, M))
+    full = root @ root.T + 0.01 * np.eye(M)
+    full[:N, N:] = full[N:, :N] = 0.0
+    mean = np.concatenate([rng.normal(0.0, 0.1, N), np.zeros(M - N)])
+    phi = 33.0 + np.sin(place[:, 0]) + rng.normal(0.0, 0.2, 24)
+    return Observed(phi, np.full(24, 0.2), shared, place), Shared(mean, full), place[::6] + 0.05
+
+
+def test_bands_are_the_exact_posterior(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, shared, path = problem()
+    monkeypatch.setattr(footfall_map, "_taught", lambda _, shared, *__: shared)
+    found = pool(seen, shared, path, [], mean=32.0)
+    every = np.concatenate([path, seen.place])
+    prior = covariance(every, every, *FIELD[:2])
+    p = len(path)
+    rows = np.hstack([np.zeros((24, p)), np.eye(24)])
+    noise = (seen.sd**2 + FIELD[2] ** 2) * np.eye(24)
+    gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + noise)
+    mean = 32.0 + gain @ (seen.phi - seen.shared @ shared.mean - 32.0)
+    moves = (gain @ seen.shared)[:p]
+    left = (prior - gain @ rows @ prior)[:p, :p]
+    sensors = moves[:, :N] @ shared.covariance[:N, :N] @ moves[:, :N].T
+    everything = moves @ shared.covariance @ moves.T
+    assert found.path_phi == pytest.approx(mean[:p])
+    assert found.path_relative_sd == pytest.approx(np.sqrt(np.diag(left + sensors)))
+    assert found.path_absolute_sd == pytest.approx(np.sqrt(np.diag(left + everything)))
+    assert found.shared_mean == pytest.approx(shared.mean)
+    assert np.all(found.path_absolute_sd > found.path_relative_sd)
+
+
+def test_an_anchor_takes_what_is_shared_away() -> None:
+    """All are high by the law's offset: a sure anchor tells by how much, and the map follows."""
+    seen, _, path = problem()
+    only = np.zeros((M, M))
+    only[SHARED.index("law_offset"), SHARED.index("law_offset")] = 9.0
+    seen = seen._replace(shared=np.tile(np.eye(M)[SHARED.index("law_offset")], (24, 1)))
+    shared = Shared(np.zeros(M), only)
+    free = pool(seen, shared, path, [], mean=32.0)
+    anchor = Anchor(0.0, 0.5, float(free.path_phi[0]) - 4.0, 0.01)
+    held = pool(seen, shared, path, [(anchor, path[:1])], mean=32.0)
+    assert free.path_absolute_sd == pytest.approx(np.hypot(free.path_relative_sd, 3.0), rel=1e-3)
+    assert held.path_phi == pytest.approx(free.path_phi - 4.0, abs=0.1)
+    assert held.phi == pytest.approx(free.phi - 4.0, abs=0.1)
+    assert held.path_absolute_sd.max() < 0.5
+    assert held.shared_sd.max() < 0.5
+
+
+def test_feet_teach_the_gains_that_differ_between_them() -> None:
+    """Two feet by turns on even ground, one of them high: its gain takes the difference."""
+    place = np.column_stack([np.linspace(0.0, 2.0, 40), np.zeros(40)])
+    shared = np.zeros((40, M))
+    shared[::2, 2], shared[1::2, 5] = 6.0, 6.0
+    phi = np.where(np.arange(40) % 2, 33.0, 33.6)
+    sd = np.zeros(M)
+    sd[[2, 5]] = 0.1
+    seen = Observed(phi, np.full(40, 0.1), shared, place)
+    found = pool(seen, Shared(np.zeros(M), np.diag(sd**2)), place[:3], [], mean=32.0)
+    assert found.shared_mean[2] - found.shared_mean[5] == pytest.approx(0.1, abs=0.01)
+    assert np.ptp(found.phi) < 0.1
+    assert found.sd.min() > 0.2  # what both have in common is not known

@@ -1,0 +1,71 @@
+"""The study of plates: the measured windows, and tables that cannot be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import InputError
+from terraphi.robot.footfall_fit import Prior
+from terraphi_studies import Study, plates
+
+
+@pytest.fixture(scope="module")
+def found() -> Study:
+    return plates.run()
+
+
+def test_resistive_force_theory_reads_the_windows_as_measured(found: Study) -> None:
+    """26.4–29.5° with the 60 mm plate and 30.1–33.8° with that of 100 mm, by another program."""
+    read: dict[float, list[float]] = {60.0: [], 100.0: []}
+    for test in found.data["tests"]:
+        if test["law"] == "rft":
+            read[test["diameter_mm"]] += [p for p in test["phi_by_window_deg"] if p is not None]
+    for width, low, high in ((60.0, 26.0, 30.0), (100.0, 30.0, 34.2)):
+        assert all(low < phi < high for phi in read[width])
+
+
+def test_footfalls_take_their_law_term_from_here(found: Study) -> None:
+    assert Prior().law_sd_deg == pytest.approx(found.data["law_sd_deg"], abs=0.1)
+
+
+def test_absolute_interval_holds_the_angle_of_repose(found: Study) -> None:
+    held = [t["ci95_absolute"][0] < 29.0 < t["ci95_absolute"][1] for t in found.data["tests"]]
+    assert np.mean(held) > 0.9
+
+
+def test_a_table_of_ones_own(tmp_path: Path) -> None:
+    """A plate that obeys the law exactly, in units that the table names."""
+    lines = [",".join(plates.COLUMNS)]
+    from terraphi.forward.foot_laws import LAWS, Foot
+
+    for depth in np.arange(0.5, 20.0, 0.5):
+        force = LAWS["rft"].force(
+            Foot(0.04, "disc"), depth / 1e3, np.pi / 2, friction_angle_deg=31.0,
+            density=plates.DENSITY, surface_friction=0.5,
+        )[1]  # fmt: skip
+        lines.append(f"small,a,80,{depth},{force}")
+    table = tmp_path / "own.csv"
+    table.write_text("\n".join(lines))
+    study = plates.run(data=table)
+    (test,) = [t for t in study.data["tests"] if t["law"] == "rft"]
+    assert test["phi_deg"] == pytest.approx(31.0, abs=0.1)
+    assert test["box"] == "small"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("box,test,diameter_mm,sinkage_mm\n", "lacks the column 'force_N'"),
+        ("box,test,diameter_mm,sinkage_mm,force_N\na,1,60,x,1\n", "line 2: holds what is not"),
+        ("box,test,diameter_mm,sinkage_mm,force_N\na,1,0.06,1,1\n", "line 2: diameter 0.06 mm"),
+        ("box,test,diameter_mm,sinkage_mm,force_N\n", "holds no readings"),
+    ],
+)
+def test_an_unusable_table_is_told(tmp_path: Path, text: str, says: str) -> None:
+    table = tmp_path / "bad.csv"
+    table.write_text(text)
+    with pytest.raises(InputError, match=says):
+        plates.run(data=table)
