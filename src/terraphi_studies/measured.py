@@ -40,9 +40,10 @@ LIBRARIES = (
 HEADER = ("library", "medium", "leg", "φ [deg]", "95 %", "NRMSD Fz", "NRMSD Fx", "verdict")
 METHOD = (
     "`terraphi invert` on every shipped measurement of Li et al. (2013) with every library, each "
-    "in its own convention of φ. `resolved` has learnt from these very media how real soils deviate "
-    "from it; `terraphi study real_soil` leaves out the one that is tried. NRMSD: of the fit at the "
-    "median, in percent of the measured peak-to-peak. Run again: `terraphi study measured`."
+    "in its own convention of φ. `resolved` has learnt from these very media how real soils "
+    "deviate from it; `terraphi study real_soil` leaves out the one that is tried. NRMSD: of the "
+    "fit at the median, in percent of the measured peak-to-peak. Run again: "
+    "`terraphi study measured`."
 )
 
 
