@@ -15,8 +15,8 @@ from terraphi.view.report.parts import Section
 
 Kind = str
 EXPECTED = (
-    "an inversion's folder or answer.json, a study's folder, a library, foot forces or a history "
-    "(.nc), a folder of fields, or a robot's log is expected"
+    "an inversion's folder or answer.json, a study's folder, a library, foot forces, footfalls or "
+    "a history (.nc), a folder of fields, or a robot's log is expected"
 )
 FOLDERS = (
     ("inversion", "answer.json"),
@@ -104,6 +104,7 @@ def _kind_of_netcdf(path: Path) -> Kind:
         "inversion": "inversion",
         "library": "library",
         "foot forces": "robot",
+        "footfalls": "footfalls",
         "force history": "simulation",
     }
     if kind == "joint_inversion":
@@ -204,6 +205,10 @@ def _maker(
         from terraphi.view.report import study
 
         return study.section
+    if kind == "footfalls":
+        from terraphi.view.report import footfalls
+
+        return footfalls.section
     if kind == "simulation":
         from terraphi.view.report import simulation
 
