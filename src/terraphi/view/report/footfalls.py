@@ -71,7 +71,8 @@ def _plan(found: FootfallMap) -> Plot:
     told = fig.points(x, y, "usable", "@blue")
     told["marker"] |= {"color": fig.numbers(phi), "colorscale": "Viridis", "showscale": True}
     told |= {"text": [f"{p:.1f}°" for p in phi], "hovertemplate": "%{x:.2f}, %{y:.2f} m: %{text}"}
-    refused = fig.points(*found.place[~found.usable, :2].T, "refused", "@grey", symbol="x")
+    x, y = found.place[~found.usable, :2].T
+    refused = fig.points(x, y, "refused", "@grey", symbol="x")
     refused["text"] = [v for v in found.verdict if v != "usable"]
     path = fig.line(found.path[:, 1], found.path[:, 2], "path of the trunk", "@grey", dash="dot")
     layout = fig.layout("x, along the first heading [m]", "y [m]", yaxis={"scaleanchor": "x"})
