@@ -403,7 +403,7 @@ def joint_states(names: list[str], **changes: Any) -> list[bytes]:
     ("names", "changes", "words"),
     [
         ([*NAMES[:-1]], {}, ("11 joints", "RL calf")),
-        ([*NAMES, "arm_joint"], {}, ("'arm_joint' is not known",)),
+        ([*NAMES[:-1], "arm_joint"], {}, ("RL calf, and 'arm_joint' is not known",)),
         ([*NAMES[:-1], "FR_hip_motor"], {}, ("both look like the FR hip",)),
         ([f"joint{i}" for i in range(12)], {}, ("'joint0' is not known", "FR_hip_joint")),
         ([*NAMES], {"effort": np.empty(0)}, ("no efforts",)),

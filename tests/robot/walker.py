@@ -98,7 +98,10 @@ class Walk:
         share /= share.sum(axis=1, keepdims=True)
         lift = MASS * (GRAVITY + _second(lambda t: self._pose(t)[0], time)[:, 2:])
         load = share * lift
-        push = np.stack([-0.25 * np.sin(2.0 * np.pi * stand) * load, 0.05 * load, load], axis=-1)
+        push = np.stack(
+            [-0.25 * np.sin(2.0 * np.pi * stand) * load, 0.05 * np.sign(THIGH[:, 1]) * load, load],
+            axis=-1,
+        )
         # In the soil, a foot that moves forwards is held back.
         push[..., 0] -= np.where((stand < 1.0) & (load < 12.0), 0.4 * load, 0.0)
         return np.asarray(push)
@@ -113,7 +116,7 @@ class Walk:
         slope = _first(lambda t: self._pose(t)[1], time)
         spin = _vector(np.swapaxes(turn, 1, 2) @ slope)
         faster = np.gradient(spin, time, axis=0)
-        felt = _second(lambda t: self._pose(t)[0], time) + [0.0, 0.0, GRAVITY]
+        felt = _second(lambda t: self._pose(t)[0], time) + np.array([0.0, 0.0, GRAVITY])
         felt = np.einsum("sji,sj->si", turn, felt)
         body = BodyMotion(felt, spin, faster)
         force = self.force(time)

@@ -28,6 +28,12 @@ joint_names_option = click.option(
     "in the order FR, FL, RR, RL, each hip, thigh, calf.",
 )
 
+columns_option = click.option(
+    "--columns",
+    type=click.Path(path_type=Path),
+    help="TOML that says which columns of a CSV are what; 'terraphi keys columns' prints its keys.",
+)
+
 
 def split_names(joint_names: str | None) -> list[str] | None:
     """Names as a list, or ``None`` for none."""
@@ -59,6 +65,7 @@ def split_names(joint_names: str | None) -> list[str] | None:
 )
 @topic_option
 @joint_names_option
+@columns_option
 @click.option("--out", type=click.Path(path_type=Path), help="NetCDF file for forces and stances.")
 @click.option(
     "--figures", type=click.Path(path_type=Path), help="Folder for forces.png and stance.png."
@@ -72,6 +79,7 @@ def forces(
     friction: Path | None,
     topic: str | None,
     joint_names: str | None,
+    columns: Path | None,
     out: Path | None,
     figures: Path | None,
     as_json: bool,
@@ -98,6 +106,7 @@ def forces(
         frame=frame,
         topic=topic,
         joint_names=split_names(joint_names),
+        columns=columns,
         friction=read_friction(friction) if friction is not None else None,
     )
     if out is not None:
@@ -117,6 +126,7 @@ def forces(
 @robot_option
 @topic_option
 @joint_names_option
+@columns_option
 @click.option(
     "--out", type=click.Path(path_type=Path), required=True, help="TOML file for the friction."
 )
@@ -126,6 +136,7 @@ def friction(
     robot: str,
     topic: str | None,
     joint_names: str | None,
+    columns: Path | None,
     out: Path,
     as_json: bool,
 ) -> None:
@@ -140,7 +151,7 @@ def friction(
 
     check_file(out)
     found, name = friction_of_hanging(
-        log, robot=robot, topic=topic, joint_names=split_names(joint_names)
+        log, robot=robot, topic=topic, joint_names=split_names(joint_names), columns=columns
     )
     write_friction(found, out, robot=name, source=log)
     joints = {

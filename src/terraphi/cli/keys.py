@@ -15,7 +15,7 @@ from terraphi.view.table import Table
 def keys(document: str, as_json: bool) -> None:
     """List every key of a DOCUMENT with unit, default, what is allowed, and meaning.
 
-    DOCUMENT is scenario (if not given), plan or robot: the TOML files that people write.
+    DOCUMENT is scenario (if not given), plan, robot or columns: the TOML files that people write.
 
     Example: terraphi keys scenario
     """

@@ -105,7 +105,7 @@ DISCREPANCIES = ("none", "gp")
 ESTIMATORS = ("quasi_static", "gravity", "inverse_dynamics", "momentum_observer")
 LAW_SETS = ("rft", "bearing", "all")
 FRAMES = ("world", "heading", "body")
-DOCUMENTS = ("scenario", "plan", "robot")
+DOCUMENTS = ("scenario", "plan", "robot", "columns")
 
 EVERY_SECONDS = 20.0
 """Least time between two checkpoints [s]."""

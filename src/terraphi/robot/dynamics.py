@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.robot import serial
 from terraphi.robot.model import Quadruped
 
 FloatArray = NDArray[np.float64]
@@ -85,6 +86,8 @@ def inverse_dynamics(
         M(q) q̈ + h [N m], shape [sample, foot, joint].
     """
     chain = robot.chain
+    if not chain.usual:
+        return serial.inverse_dynamics(robot, angle, velocity, acceleration, body)
     a, t, k = _joints(robot, angle)
     rates = _joints(robot, velocity)
     second_rates = _joints(robot, acceleration)
@@ -129,6 +132,8 @@ def mass_matrix(robot: Quadruped, angle: FloatArray) -> FloatArray:
         [kg m²], shape [sample, foot, joint, joint].
     """
     chain = robot.chain
+    if not chain.usual:
+        return serial.mass_matrix(robot, angle)
     _, t, k = _joints(robot, angle)
     offset, knee = chain.origin[:, 1], chain.origin[:, 2]
     hip, thigh, calf = (_Planar(chain.first[:, i], chain.second[:, i]) for i in range(3))
@@ -178,6 +183,9 @@ def gravity_torque(robot: Quadruped, angle: FloatArray, specific_force: FloatArr
         [N m], shape [sample, foot, joint].
     """
     chain = robot.chain
+    if not chain.usual:
+        still, rest = np.zeros(angle.shape), np.zeros(3)
+        return serial.inverse_dynamics(robot, angle, still, still, (specific_force, rest, rest))
     a, t, k = _joints(robot, angle)
     sx, sy, sz = _into_x(_along_feet(specific_force), np.sin(a), np.cos(a))
     offset, knee = chain.origin[:, 1], chain.origin[:, 2]

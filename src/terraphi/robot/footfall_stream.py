@@ -159,6 +159,7 @@ class Footfalls:
             time=log.time,
             force=single,
             sigma=single,  # nobody asks
+            noise=single,
             flagged=np.zeros((len(log.time), 4), dtype=bool),
             saturated=np.asarray((np.abs(log.torque) >= limit).any(axis=-1)),
             swing_residual=np.zeros((4, 3)),

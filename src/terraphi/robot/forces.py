@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -29,7 +29,7 @@ from terraphi.robot.estimators import (
 )
 from terraphi.robot.friction import JointFriction
 from terraphi.robot.joint_log import FEET, JOINTS, JointLog
-from terraphi.robot.kinematics import inverse_transpose, jacobian, rotation
+from terraphi.robot.kinematics import completed, inverse_transpose, jacobian, rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.survey import Survey, survey
 
@@ -54,7 +54,31 @@ WIDEST_ANGLE = 10.0
 """Joint angles beyond this [rad] are degrees."""
 WORST_ACCELEROMETER = 3.0
 """Mean specific force may differ by this much from gravity's [m/s²], or it is not one."""
+UNFELT_PART = 0.3
+"""Force that a leg cannot feel, as a part of the one it does, as a standard deviation [-]."""
 MOST_THREADS = 4
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Errors that all samples of a log share, as standard deviations; what is known of none is 0.
+
+    Attributes
+    ----------
+    gain
+        Of each joint's torque, independently [-].
+    coulomb_Nm
+        Of the Coulomb friction of a joint that was neither told nor seen in swing [N m].
+    friction_part
+        Of a friction that is known, against that under load [-].
+    attitude_deg
+        Of roll and of pitch [deg].
+    """
+
+    gain: float = 0.05
+    coulomb_Nm: float = 0.2
+    friction_part: float = 0.2
+    attitude_deg: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -71,7 +95,10 @@ class FootForces:
         Of the ground on the robot [N], shape [sample, foot, 3], feet in the order of
         :data:`~terraphi.robot.joint_log.FEET`; NaN where flagged.
     sigma
-        Standard uncertainty of each component [N], same shape.
+        Standard uncertainty of each component [N], same shape: noise, and what all samples share
+        by :class:`Priors`.
+    noise
+        Part of it that differs from sample to sample [N], same shape.
     flagged
         The knee is near-singular: torques do not tell the force; shape [sample, foot].
     saturated
@@ -93,6 +120,7 @@ class FootForces:
     time: FloatArray
     force: SingleArray
     sigma: SingleArray
+    noise: SingleArray
     flagged: BoolArray
     saturated: BoolArray
     swing_residual: FloatArray
@@ -112,6 +140,7 @@ def estimate(
     gain: float = OBSERVER_GAIN,
     cutoff_hz: float = ACCELERATION_CUTOFF_HZ,
     causal: bool = False,
+    priors: Priors | None = None,
 ) -> FootForces:
     """Forces of the ground on the feet.
 
@@ -139,6 +168,8 @@ def estimate(
         −3 dB frequency of the accelerations in ``inverse_dynamics`` [Hz].
     causal
         Run the observer forwards only, as on board: forces lag by 1/K.
+    priors
+        Errors of torques and attitude that sigma allows for; by default those of :class:`Priors`.
 
     Returns
     -------
@@ -165,9 +196,9 @@ def estimate(
     overview = survey(log, robot, settings, friction=estimator != "quasi_static" and friction)
     noise, limit = _torque_sigma(overview), _torque_limit(robot, overview)
     force = np.empty((len(log.time), 4, 3), dtype=np.float32)
-    sigma = np.empty_like(force)
-    flagged = np.empty((len(log.time), 4), dtype=np.bool_)
-    saturated = np.empty_like(flagged)
+    sigma, independent = np.empty_like(force), np.empty_like(force)
+    shared = priors or Priors()
+    flagged, saturated = np.empty((2, len(log.time), 4), dtype=np.bool_)
 
     def fill(chunk: Chunk) -> None:
         seen = signals(log, robot, slice(chunk.first, chunk.last))
@@ -176,11 +207,16 @@ def estimate(
         torque, rows = torque[chunk.inner], slice(chunk.start, chunk.stop)
         if overview.friction is not None:
             doubt += overview.friction.doubt(seen.velocity[chunk.inner]) ** 2
+        systematic = _shared_variance(seen, chunk.inner, overview, shared)
         inverse, near = _leverage(seen, robot, chunk, settings, frame)
         with np.errstate(over="ignore", invalid="ignore"):  # where a knee is singular
             force[rows] = np.einsum("sfij,sfj->sfi", inverse, torque)
-            sigma[rows] = np.sqrt(np.einsum("sfij,sfj->sfi", inverse**2, doubt))
-        force[rows][near], sigma[rows][near] = np.nan, np.nan
+            variance = np.einsum("sfij,sfj->sfi", inverse**2, doubt)
+            independent[rows] = np.sqrt(variance)
+            variance += np.einsum("sfij,sfj->sfi", inverse**2, systematic)
+            variance += _unfelt_variance(robot, inverse, force[rows])
+            sigma[rows] = np.sqrt(variance + _tilt_variance(force[rows], frame, shared))
+        force[rows][near], sigma[rows][near], independent[rows][near] = np.nan, np.nan, np.nan
         flagged[rows], saturated[rows] = near, _at_limit(seen.torque[chunk.inner], limit)
 
     # NumPy lets other threads run while it works.
@@ -190,13 +226,14 @@ def estimate(
         time=np.asarray(log.time, dtype=np.float64),
         force=force,
         sigma=sigma,
+        noise=independent,
         flagged=flagged,
         saturated=saturated,
         swing_residual=overview.residual,
         estimator=estimator,
         frame=frame,
         friction=overview.friction,
-        provenance=_provenance(log, robot, settings, frame, overview, doubts),
+        provenance=_provenance(log, robot, settings, frame, overview, doubts, shared),
     )
 
 
@@ -208,7 +245,8 @@ def _leverage(
     offset = None
     if settings.estimator != "quasi_static" and robot.foot_radius > 0.0:
         offset = -robot.foot_radius * turn[:, None, 2, :]
-    inverse, lever = inverse_transpose(jacobian(robot, angle, offset=offset))
+    matrix = completed(robot, jacobian(robot, angle, offset=offset))
+    inverse, lever = inverse_transpose(matrix)
     links = np.linalg.norm(robot.chain.origin[:, 2:], axis=-1).sum(axis=-1)
     near = lever < LEAST_LEVER * links
     if frame == "heading":
@@ -256,6 +294,38 @@ def _torque_sigma(overview: Survey) -> FloatArray:
     elif unknown.any():
         residual[unknown] = np.median(residual[~unknown], axis=0)
     return np.asarray(np.sqrt(residual**2 + overview.resolution**2 / 12.0))
+
+
+def _shared_variance(seen: Signals, inner: slice, overview: Survey, priors: Priors) -> FloatArray:
+    """Variance of contact torques by gains and friction that are not known exactly [N² m²].
+
+    Friction that is not known shows in the torques of a foot that swings, and is in their spread.
+    """
+    lost = np.where(np.isnan(overview.residual), priors.coulomb_Nm, 0.0)
+    if overview.friction is not None:
+        known = priors.friction_part * overview.friction.torque(seen.velocity[inner])
+        lost = np.where(overview.friction.found, known, lost)
+    return np.asarray(np.square(priors.gain * seen.torque[inner]) + np.square(lost))
+
+
+def _unfelt_variance(robot: Quadruped, inverse: FloatArray, force: SingleArray) -> FloatArray:
+    """Variance of forces across the plane of legs that have two joints and feel none there [N²]."""
+    if robot.there.all():
+        return np.zeros(force.shape)
+    across = inverse[..., 0] / np.linalg.norm(inverse[..., 0], axis=-1, keepdims=True)
+    size = UNFELT_PART * np.linalg.norm(force, axis=-1, keepdims=True)
+    return np.where(robot.there[:, :1], 0.0, np.square(across * size))
+
+
+def _tilt_variance(force: SingleArray, frame: Frame, priors: Priors) -> FloatArray:
+    """Variance of forces in level axes by an attitude that is not known exactly [N²].
+
+    A small turn ε about level axes moves a force by ε × f = (ε_y f_z, −ε_x f_z, ε_x f_y − ε_y f_x).
+    """
+    if frame == "body":
+        return np.zeros(force.shape)
+    squares = np.square(math.radians(priors.attitude_deg) * force.astype(np.float64))
+    return np.stack([squares[..., 2], squares[..., 2], squares[..., :2].sum(axis=-1)], axis=-1)
 
 
 def _timing_variance(time: FloatArray, torque: FloatArray, gap: float) -> FloatArray:
@@ -369,6 +439,7 @@ def _provenance(
     frame: Frame,
     overview: Survey,
     doubts: list[str],
+    shared: Priors,
 ) -> dict[str, Any]:
     assumed = list(doubts)
     if log.quaternion is None:
@@ -378,8 +449,10 @@ def _provenance(
     if log.angular_velocity is None:
         assumed.append("no gyroscope: the trunk is taken not to turn")
     lost = overview.friction
-    if lost is not None and not lost.found.all():
-        unknown = [f"{FEET[i]}_{JOINTS[j]}" for i, j in np.argwhere(~lost.found)]
+    if not robot.there.all():
+        assumed.append("legs of two joints: the force across their plane is taken to be zero")
+    if lost is not None and not (lost.found | ~robot.there).all():
+        unknown = [f"{FEET[i]}_{JOINTS[j]}" for i, j in np.argwhere(~lost.found & robot.there)]
         whose = ", ".join(unknown) if lost.found.any() else "any joint"
         assumed.append(f"too little swing to find the friction of {whose}")
     if assumed:
@@ -394,6 +467,7 @@ def _provenance(
         "causal": settings.causal,
         "cutoff_hz": settings.cutoff if settings.estimator == "inverse_dynamics" else None,
         "contact_point": "ball centre" if settings.estimator == "quasi_static" else "ball bottom",
+        "priors": asdict(shared),
         "friction": None if lost is None else lost.summary(),
         "torque_resolution_Nm": overview.resolution.tolist(),
         "swing_share": dict(zip(FEET, overview.swing.tolist(), strict=True)),

@@ -22,6 +22,7 @@ from terraphi.robot.forces import estimate
 from terraphi.robot.friction import HANGING_SHARE, JointFriction
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, JointLog
 from terraphi.robot.logs import read_log
+from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
 
 LEAST_AIR = 0.5
@@ -88,7 +89,8 @@ def read_friction(path: Path | str) -> JointFriction:
         numbers[:, at] = joint.coulomb_Nm, joint.viscous_Nms, joint.inertia_kgm2
         found[at] = True
     shape = len(FEET), len(JOINTS)
-    return JointFriction(*numbers.reshape(3, *shape), found.reshape(shape))
+    coulomb, viscous, inertia = numbers.reshape(3, *shape)
+    return JointFriction(coulomb, viscous, inertia, found.reshape(shape))
 
 
 def write_friction(friction: JointFriction, path: Path | str, *, robot: str, source: str) -> None:
@@ -124,12 +126,13 @@ def friction_of_hanging(
     robot: Quadruped | Path | str = "go2",
     topic: str | None = None,
     joint_names: Sequence[str] | None = None,
+    columns: Columns | Path | str | None = None,
 ) -> tuple[JointFriction, str]:
     """Find the friction of the joints of a robot that hangs and moves its legs.
 
     Parameters
     ----------
-    log, robot, topic, joint_names
+    log, robot, topic, joint_names, columns
         As :func:`~terraphi.robot.results.analyse` takes them.
 
     Returns
@@ -147,7 +150,13 @@ def friction_of_hanging(
     name = "the log"
     if not isinstance(log, JointLog):
         name = str(log)
-        log = read_log(log, topic=topic, joint_names=joint_names, motors=body.joint_order)
+        log = read_log(
+            log,
+            topic=topic,
+            joint_names=joint_names,
+            motors=body.joint_order,
+            columns=columns,
+        )
     found = estimate(log, robot=body, frame="body" if log.quaternion is None else "world")
     weight = body.mass * GRAVITY
     lift = float(np.nanmedian(np.nansum(found.force[..., 2], axis=1)))

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.robot import serial
 from terraphi.robot.model import Quadruped
 
 FloatArray = NDArray[np.float64]
@@ -34,6 +35,8 @@ def foot_position(robot: Quadruped, angle: FloatArray) -> FloatArray:
     ndarray
         Positions [m], shape [..., foot, 3].
     """
+    if not robot.chain.usual:
+        return serial.place_and_columns(robot, np.asarray(angle))[0]
     return _place_and_columns(robot, angle)[0]
 
 
@@ -58,6 +61,8 @@ def jacobian(
     ndarray
         ∂position/∂angle [m/rad], shape [..., foot, 3, joint].
     """
+    if not robot.chain.usual:
+        return serial.place_and_columns(robot, np.asarray(angle), offset)[1]
     _, columns = _place_and_columns(robot, angle)
     if offset is not None:
         a = robot.chain.sign[:, 0] * angle[..., 0]
@@ -108,6 +113,34 @@ def _with_offset(
     about_y = np.stack(np.broadcast_arrays(cosine * z - sine * y, sine * x, -cosine * x), axis=-1)
     about_x = np.stack(np.broadcast_arrays(np.zeros_like(x), -z, y), axis=-1)
     return columns[0] + about_x, columns[1] + about_y, columns[2] + about_y
+
+
+def completed(robot: Quadruped, matrix: FloatArray) -> FloatArray:
+    """Jacobians that can be inverted although a leg has two joints.
+
+    What they cannot feel, a force across the plane in which they move the foot, is taken to be
+    zero: in the place of the joint that is not there stands one that alone would feel it.
+
+    Parameters
+    ----------
+    robot
+        With the joints that it has.
+    matrix
+        J [m/rad], shape [..., foot, 3, joint].
+
+    Returns
+    -------
+    ndarray
+        Same shape; the very same if all joints are there.
+    """
+    if robot.there.all():
+        return matrix
+    across = np.cross(matrix[..., 1], matrix[..., 2])
+    size = np.linalg.norm(across, axis=-1, keepdims=True)
+    across = across / np.maximum(size, 1e-12) * np.sqrt(size)  # as long as the others
+    filled = matrix.copy()
+    filled[..., 0] = np.where(robot.there[:, :1], matrix[..., 0], across)
+    return filled
 
 
 def inverse_transpose(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:

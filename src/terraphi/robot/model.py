@@ -1,8 +1,9 @@
 """Geometry, masses and joint names of a quadruped, for the force estimators.
 
-Every leg is a chain of three revolute joints whose frames are parallel when all angles are zero:
-the hip turns about x (forward), the thigh and the calf about y (left); z is up. That is the build
-of Unitree's quadrupeds and of most others with twelve joints.
+Every leg is a chain of three revolute joints. Those of Unitree's quadrupeds, and of many others,
+have frames that are parallel when all angles are zero: the hip turns about x (forward), the thigh
+and the calf about y (left); z is up. Others say about which axes their joints turn, and how their
+frames are turned; a leg may lack the hip.
 """
 
 from __future__ import annotations
@@ -30,6 +31,10 @@ Sign = Literal[-1, 1]
 Positive = Annotated[float, Field(gt=0)]
 
 
+NO_INERTIA = 5e-6
+"""Moments of inertia that need not be those of matter, being of a ball of 50 g [kg m²]."""
+
+
 class _Part(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
@@ -54,7 +59,7 @@ class Body(_Part):
         xx, yy, zz, xy, xz, yz = self.inertia
         matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         moments = np.linalg.eigvalsh(matrix)
-        slack = 1e-3 * abs(moments[-1])  # published inertias are rounded
+        slack = max(1e-3 * abs(moments[-1]), NO_INERTIA)  # published inertias are rounded
         if moments[0] < -slack or moments[0] + moments[1] < moments[2] - slack:
             raise ValueError(
                 f"inertia of the {self.link} has the principal moments "
@@ -78,18 +83,52 @@ class QuadrupedLeg(_Part):
     """Centre of the foot's ball in the calf's frame [m]."""
     signs: tuple[Sign, Sign, Sign] = (1, 1, 1)
     """−1 for each joint whose logged angle, velocity and torque count the other way round."""
+    axes: tuple[Vector, Vector, Vector] | None = None
+    """Axes about which hip, thigh and calf turn, each in its own link's frame, of length 1; (0, 0,
+    0) for a joint that is not there. Not given: x, y, y."""
+    turns: tuple[Vector, Vector, Vector] | None = None
+    """Roll, pitch and yaw of the frames of hip, thigh and calf in the frame before, as in a URDF
+    [rad]. Not given: all frames are parallel at zero angles."""
     bodies: tuple[Body, ...] = ()
     """Everything that has mass; empty if unknown."""
 
     @model_validator(mode="after")
+    def _turns_about_something(self) -> Self:
+        lengths = [float(np.linalg.norm(axis)) for axis in self.axes or ()]
+        if any(abs(length - 1.0) > 1e-6 and length for length in lengths):
+            raise ValueError(
+                f"axes have the lengths {', '.join(f'{v:.3g}' for v in lengths)}; 1 is expected, "
+                "or 0 for a joint that is not there"
+            )
+        if lengths and not all(lengths[1:]):
+            raise ValueError(
+                "axes lack the thigh or the calf; of a leg of two joints, the hip's is 0"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _has_length(self) -> Self:
-        for name, (x, _, z) in (("calf", self.calf), ("foot", self.foot)):
-            if float(np.hypot(x, z)) < 1e-3:
+        for name, (x, y, z) in (("calf", self.calf), ("foot", self.foot)):
+            across = 0.0 if self.axes is None else y
+            if float(np.hypot(np.hypot(x, z), across)) < 1e-3:
                 raise ValueError(
                     f"{name} = [{', '.join(f'{v:g}' for v in getattr(self, name))}] m leaves the "
                     "link before it without length; (0, 0, -length) is expected"
                 )
         return self
+
+
+_USUAL_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 1.0, 0.0))
+_PARALLEL = ((0.0, 0.0, 0.0),) * 3
+
+
+def rotation_of(rpy: Vector | FloatArray) -> FloatArray:
+    """Rotation by roll, pitch and yaw about fixed axes [rad], as in a URDF."""
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
+    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(yaw @ pitch @ roll, dtype=np.float64)
 
 
 class Legs(_Part):
@@ -113,6 +152,12 @@ class Chain:
     """Places of hip, thigh, knee and foot, each in the frame before [m]; shape [foot, 4, 3]."""
     sign: FloatArray
     """±1 [-]; shape [foot, joint]."""
+    turn: FloatArray
+    """Rotations of the links' frames against those before, at zero angles; [foot, link, 3, 3]."""
+    axis: FloatArray
+    """Axes of the joints in their links' frames, with their sign; shape [foot, joint, 3]."""
+    usual: bool
+    """Whether the axes are x, y, y of parallel frames, as the closed forms take them."""
     mass: FloatArray
     """[kg]; shape [foot, link]."""
     first: FloatArray
@@ -148,18 +193,24 @@ class Quadruped(_Part):
                 raise ValueError(
                     f"joint_order has '{name}'; {nearest(name, JOINT_NAMES)}; names are FOOT_JOINT"
                 )
-        if sorted(self.joint_order) != sorted(JOINT_NAMES):
-            missing = sorted(set(JOINT_NAMES) - set(self.joint_order))
+        there = [n for n, ok in zip(JOINT_NAMES, self.there.ravel(), strict=True) if ok]
+        if sorted(self.joint_order) != sorted(there):
+            missing = sorted(set(there) - set(self.joint_order))
             raise ValueError(
-                f"joint_order has {len(self.joint_order)} names, each of the 12 joints is "
-                f"expected once; missing: {', '.join(missing) or 'none'}"
+                f"joint_order has {len(self.joint_order)} names, each of the {len(there)} joints "
+                f"is expected once; missing: {', '.join(missing) or 'none'}"
             )
         return self
 
     @property
     def has_masses(self) -> bool:
         """Whether every link of every leg has a mass."""
-        return bool(np.all(self.chain.mass > 0.0))
+        return bool(np.all((self.chain.mass > 0.0) | ~self.there))
+
+    @property
+    def there(self) -> NDArray[np.bool_]:
+        """Which joints the legs have, shape [foot, joint]; a leg of two has no hip."""
+        return np.asarray(self.chain.axis.any(axis=-1))
 
     @cached_property
     def chain(self) -> Chain:
@@ -180,7 +231,10 @@ class Quadruped(_Part):
                 second[at] += body.mass * np.outer(centre, centre)
         origin = np.array([[leg.hip, leg.thigh, leg.calf, leg.foot] for leg in legs])
         sign = np.array([leg.signs for leg in legs], dtype=np.float64)
-        return Chain(origin, sign, mass, first, second)
+        usual = all(leg.axes is None and leg.turns is None for leg in legs)
+        turn = np.array([[rotation_of(rpy) for rpy in leg.turns or _PARALLEL] for leg in legs])
+        axis = np.array([leg.axes or _USUAL_AXES for leg in legs]) * sign[..., None]
+        return Chain(origin, sign, turn, axis, usual, mass, first, second)
 
     @classmethod
     def names(cls) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, write_netcdf
+from terraphi.robot.doubts import balance, doubts
 from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.estimators import Estimator
 from terraphi.robot.forces import DEFAULT_ESTIMATOR, FootForces, Frame, estimate
@@ -22,6 +23,7 @@ from terraphi.robot.friction import HANGING_SHARE, JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.logs import read_log
 from terraphi.robot.logs.clock import describe, regular
+from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import AXES, Criteria, Ensemble, Stance, find_stances
 
@@ -58,6 +60,9 @@ class RobotForces:
         empty if the log has none.
     report
         What was read and what was dropped.
+    lift
+        What the feet bear on average over whole strides, as a part of the robot's weight [-];
+        ``None`` if unknown.
     """
 
     forces: FootForces
@@ -67,6 +72,7 @@ class RobotForces:
     notes: tuple[str, ...]
     sensor_correlation: Mapping[str, float]
     report: Mapping[str, Any]
+    lift: float | None = None
 
     def summary(self) -> dict[str, Any]:
         """Main numbers of the analysis, JSON-able.
@@ -85,6 +91,7 @@ class RobotForces:
             "gaps": list(self.report["gaps"]),
             "flagged": int(self.forces.flagged.sum()),
             "saturated": int(self.forces.saturated.sum()),
+            "lift_over_weight": self.lift,
             "feet": {foot: _figures(self.feet[foot]) for foot in FEET},
             "pooled": _figures(self.pooled),
             "foot_sensor_correlation": dict(self.sensor_correlation) or None,
@@ -112,6 +119,7 @@ def analyse(
     joint_names: Sequence[str] | None = None,
     criteria: Criteria | None = None,
     friction: JointFriction | None = None,
+    columns: Columns | Path | str | None = None,
 ) -> RobotForces:
     """Foot forces, stances and mean stances of a log.
 
@@ -123,7 +131,7 @@ def analyse(
         The robot, or its name, TOML or URDF.
     estimator, frame
         See :func:`~terraphi.robot.forces.estimate`.
-    topic, joint_names
+    topic, joint_names, columns
         See :func:`~terraphi.robot.logs.read_log`.
     criteria
         What makes a stance; by default a tenth of the robot's weight has to be reached.
@@ -151,23 +159,26 @@ def analyse(
             joint_names=joint_names,
             motors=body.joint_order,
             precision="single",
+            columns=columns,
         )
     else:
         log = regular(log)
-    try:
-        forces = estimate(
-            log, robot=body, estimator=estimator, frame=frame, friction=friction or True
-        )
-    except InputError as error:
-        if "source" not in report:
-            raise
-        raise InputError(f"{report['source']}: {error}") from error
     weight = body.mass * GRAVITY if body.has_masses else None
     usual = Criteria()
     if weight is not None:
         usual = Criteria(rise_N=max(usual.rise_N, RISE_SHARE * weight))
     chosen = criteria or usual
-    stances = find_stances(forces.time, forces.force, criteria=chosen)
+    try:
+        forces = estimate(
+            log, robot=body, estimator=estimator, frame=frame, friction=friction or True
+        )
+        stances = find_stances(forces.time, forces.force, criteria=chosen)
+        mean = balance(forces, stances, body.mass * GRAVITY)
+        doubtful = doubts(log, body, forces, mean)
+    except InputError as error:
+        if "source" not in report:
+            raise
+        raise InputError(f"{report['source']}: {error}") from error
     correlation = _sensor_correlation(log, forces)
     return RobotForces(
         forces=forces,
@@ -176,10 +187,12 @@ def analyse(
         pooled=Ensemble.of(stances),
         notes=(
             *log.report.get("notes", ()),
+            *doubtful,
             *_notes(forces, stances, correlation, weight, chosen),
         ),
         sensor_correlation=correlation,
-        report={**report, **log.report, **describe(log.time)},
+        report={**report, **describe(log.time), **log.report},
+        lift=None if mean is None else mean.lift,
     )
 
 

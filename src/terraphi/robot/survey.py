@@ -26,7 +26,7 @@ from terraphi.robot.friction import (
     spread,
 )
 from terraphi.robot.joint_log import JointLog
-from terraphi.robot.kinematics import foot_position, inverse_transpose, jacobian
+from terraphi.robot.kinematics import completed, foot_position, inverse_transpose, jacobian
 from terraphi.robot.model import Quadruped
 
 FloatArray = NDArray[np.float64]
@@ -136,7 +136,7 @@ def survey(
     deviations = [contact_torque(w.seen, robot, settings, kept)[w.inner] for w in windows]
     deviation, swing = np.concatenate(deviations), np.concatenate(swings)
     for foot in np.flatnonzero(swing.any(axis=0)):
-        residual[foot] = [spread(column) for column in deviation[swing[:, foot], foot].T]
+        residual[foot] = [_magnitude(column) for column in deviation[swing[:, foot], foot].T]
     steps = np.concatenate([np.diff(w.seen.torque, axis=0) for w in windows])
     ceiling = _ceiling(np.concatenate([w.seen.torque[w.inner] for w in windows]))
     return Survey(kept, residual, _resolution(steps), _noise(steps), swing.mean(axis=0), ceiling)
@@ -171,9 +171,10 @@ def _alternate(
         return friction, swings, np.array(scales)
 
     left = [w.torque for w in windows]
-    for leave in weight * np.array(LEAVE_SHARES):
-        high = tried(HIGH_PART, leave)
-    low = tried(LOW_PART, leave)
+    for share in LEAVE_SHARES[:-1]:
+        tried(HIGH_PART, share * weight)
+    high = tried(HIGH_PART, LEAVE_SHARES[-1] * weight)
+    low = tried(LOW_PART, LEAVE_SHARES[-1] * weight)
     # Soil that a foot scratches there would show as torques that no friction explains.
     scratched = np.any(low[2] > MOST_SCRATCHED * high[2])
     friction, swings, _ = high if scratched else low
@@ -183,7 +184,7 @@ def _alternate(
 def _lift(seen: Signals, robot: Quadruped, inner: slice) -> FloatArray:
     """Vertical row of J⁻ᵀ in the world; zero where J cannot be inverted."""
     up = seen.turn[inner][:, 2, :]
-    inverse, _ = inverse_transpose(jacobian(robot, seen.angle[inner]))
+    inverse, _ = inverse_transpose(completed(robot, jacobian(robot, seen.angle[inner])))
     row = np.einsum("sk,sfkj->sfj", up, inverse)
     return np.where(np.isfinite(row), row, 0.0)
 
@@ -206,6 +207,11 @@ def _ceiling(torque: FloatArray) -> FloatArray:
     cut &= 2 * np.count_nonzero(there[1:] & there[:-1], axis=0) > count
     cut &= largest > CUT_OVER_QUARTILE * np.quantile(size, 0.25, axis=0)
     return np.asarray(np.where(cut, largest, np.inf))
+
+
+def _magnitude(deviation: FloatArray) -> float:
+    """Root mean square of errors, those that are far out cut short; right for ±c as for a bell."""
+    return float(np.sqrt(np.mean(np.minimum(np.abs(deviation), 3.0 * spread(deviation)) ** 2)))
 
 
 def _noise(steps: FloatArray) -> FloatArray:

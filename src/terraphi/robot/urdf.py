@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
+from terraphi.robot.model import rotation_of
 
 FloatArray = NDArray[np.float64]
 
@@ -71,66 +72,71 @@ def document_from_urdf(text: str, source: str) -> dict[str, Any]:
     except ValueError as error:
         raise InputError(f"{source}: a number cannot be read ({error})") from error
     _check_tree(joints, masses, source)
-    legs, limits = {}, np.full((4, 3), np.nan)
-    chains = _leg_joints(joints, source)
-    trunk, hips = _hips(chains, joints, source)
+    legs: dict[str, dict[str, Any]] = {}
+    limits = np.full((4, 3), np.nan)
+    trunk, chains = _on_trunk(_leg_joints(joints, source), joints, source)
+    usual = _is_usual(chains)
     for i, foot in enumerate(FEET):
-        legs[foot] = _leg(chains[foot], joints, masses, source) | {"hip": hips[foot]}
-        limits[i] = [joint.effort for joint in chains[foot]]
+        legs[foot] = _leg(chains[foot], joints, masses, source, usual=usual)
+        efforts = [joint.effort for joint in chains[foot]]
+        limits[i] = np.array([max(efforts)] * (3 - len(efforts)) + efforts)
     feet = [leg.pop("foot_link") for leg in legs.values()]
     document = {
         "name": root.get("name", ""),
         "source": source,
-        "mass": sum(mass for mass, _, _ in masses.values()),
+        "mass": float(sum(mass for mass, _, _ in masses.values())),
         "foot_radius": radii[feet[0]],
         "imu": _imu(joints, trunk),
         "legs": legs,
     }
+    absent = 3 - len(chains[FEET[0]])
+    if absent:
+        document["joint_order"] = tuple(name for name in JOINT_NAMES if not name.endswith("hip"))
     if np.all(limits > 0.0):
         document["torque_limit"] = tuple(limits.min(axis=0).tolist())
     return document
 
 
 def _leg_joints(joints: list[_Joint], source: str) -> dict[str, list[_Joint]]:
-    """The three joints of each foot, checked for axes, order and parallel frames."""
+    """The joints of each foot, hip, thigh and calf, or thigh and calf alone.
+
+    Each is placed in the frame of the link before it, whatever is fixed in between.
+    """
     found = {joint_place(j.name): j for j in joints if j.kind in {"revolute", "continuous"}}
     places = {place: j for place, j in found.items() if place is not None}
-    missing = [name for k, name in enumerate(JOINT_NAMES) if (k // 3, k % 3) not in places]
+    two = not any(joint == 0 for _, joint in places)
+    names = [name for name in JOINT_NAMES if not (two and name.endswith("hip"))]
+    missing = [n for n in names if divmod(JOINT_NAMES.index(n), 3) not in places]
     if missing:
         raise InputError(
             f"{source}: no revolute joint is named like {', '.join(missing)}; a quadruped with "
-            "hip, thigh and calf on each of its feet FR, FL, RR, RL is expected"
+            "hip, thigh and calf on each of its feet FR, FL, RR, RL is expected, or with thigh "
+            "and calf"
         )
-    chains = {foot: [places[i, j] for j in range(3)] for i, foot in enumerate(FEET)}
+    chains = {foot: [places[i, j] for j in range(two, 3)] for i, foot in enumerate(FEET)}
     for chain in chains.values():
-        for kind, joint in zip(JOINTS, chain, strict=True):
-            along = np.abs(joint.axis["xyz".index(_AXES[kind])])
-            if not np.isclose(along, 1.0, atol=1e-6):
-                raise InputError(
-                    f"{source}: joint '{joint.name}' turns about "
-                    f"({', '.join(f'{v:g}' for v in joint.axis)}); the {kind} should turn about "
-                    f"±{_AXES[kind]}"
-                )
-            if not np.allclose(joint.rotation, np.eye(3), atol=1e-6):
-                raise InputError(
-                    f"{source}: joint '{joint.name}' has a rotated origin (rpy); legs whose frames "
-                    "are parallel at zero angles are expected"
-                )
-        for inner, outer in pairwise(chain):
-            if outer.parent != inner.child:
+        for k, (inner, outer) in enumerate(pairwise(list(chain))):
+            fixed = {link: (place, turn) for link, place, turn in _fixed_to(inner.child, joints)}
+            if outer.parent not in fixed:
                 raise InputError(
                     f"{source}: joint '{outer.name}' hangs on link '{outer.parent}', not on "
                     f"'{inner.child}' that '{inner.name}' moves"
                 )
+            chain[k + 1] = _seen_from(*fixed[outer.parent], outer)
     return chains
 
 
-def _hips(
-    chains: Mapping[str, list[_Joint]], joints: list[_Joint], source: str
-) -> tuple[str, dict[str, tuple[float, ...]]]:
-    """The link that carries all legs, and the positions of the hips in its frame [m].
+def _seen_from(place: FloatArray, turn: FloatArray, joint: _Joint) -> _Joint:
+    """A joint in the frame in which its parent has a place and a rotation."""
+    return replace(joint, place=place + turn @ joint.place, rotation=turn @ joint.rotation)
 
-    That is the parent link of the hip joints, or the first link that all their mounts are fixed to.
+
+def _on_trunk(
+    chains: Mapping[str, list[_Joint]], joints: list[_Joint], source: str
+) -> tuple[str, dict[str, list[_Joint]]]:
+    """The link that carries all legs, and the chains with their first joints in its frame.
+
+    That is the parent link of these joints, or the first link that all their mounts are fixed to.
     """
     above = {joint.child: joint for joint in joints if joint.kind == "fixed"}
     ways = {foot: [chain[0].parent] for foot, chain in chains.items()}
@@ -141,19 +147,41 @@ def _hips(
     if not common:
         listed = ", ".join(f"{foot} on '{way[-1]}'" for foot, way in ways.items())
         raise InputError(f"{source}: the legs hang on several links ({listed}); one is expected")
-    trunk, places = common[0], {}
-    for foot, way in ways.items():
-        place = chains[foot][0].place
-        for link in way[: way.index(trunk)]:
-            mount = above[link]
-            if not np.allclose(mount.rotation, np.eye(3), atol=1e-6):
-                raise InputError(
-                    f"{source}: joint '{mount.name}' has a rotated origin (rpy); legs whose frames "
-                    "are parallel at zero angles are expected"
-                )
-            place = mount.place + place
-        places[foot] = tuple(place.tolist())
-    return trunk, places
+    fixed = {link: (place, turn) for link, place, turn in _fixed_to(common[0], joints)}
+    return common[0], {
+        foot: [_seen_from(*fixed[chain[0].parent], chain[0]), *chain[1:]]
+        for foot, chain in chains.items()
+    }
+
+
+def _is_usual(chains: Mapping[str, list[_Joint]]) -> bool:
+    """Whether the joints turn about x, y, y of parallel frames."""
+    return all(
+        len(chain) == len(JOINTS)
+        and np.isclose(abs(joint.axis["xyz".index(_AXES[kind])]), 1.0, atol=1e-6)
+        and np.allclose(joint.rotation, np.eye(3), atol=1e-6)
+        for chain in chains.values()
+        for kind, joint in zip(JOINTS[-len(chain) :], chain, strict=True)
+    )
+
+
+def _frames(chain: list[_Joint]) -> dict[str, Any]:
+    """Axes and rotations of a leg's joints; a hip that is missing turns about nothing."""
+    absent = len(JOINTS) - len(chain)
+    axes = [joint.axis / np.linalg.norm(joint.axis) for joint in chain]
+    turns = [_rpy(joint.rotation) for joint in chain]
+    return {
+        "axes": tuple(tuple(v.tolist()) for v in [np.zeros(3)] * absent + axes),
+        "turns": tuple(tuple(v) for v in [(0.0, 0.0, 0.0)] * absent + turns),
+    }
+
+
+def _rpy(turn: FloatArray) -> tuple[float, float, float]:
+    """Roll, pitch and yaw of a rotation [rad]."""
+    pitch = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
+    if math.hypot(turn[0, 0], turn[1, 0]) < 1e-9:  # roll and yaw turn about the same axis
+        return math.atan2(-turn[1, 2], turn[1, 1]), pitch, 0.0
+    return math.atan2(turn[2, 1], turn[2, 2]), pitch, math.atan2(turn[1, 0], turn[0, 0])
 
 
 def _leg(
@@ -161,9 +189,11 @@ def _leg(
     joints: list[_Joint],
     masses: dict[str, tuple[float, FloatArray, FloatArray]],
     source: str,
+    *,
+    usual: bool,
 ) -> dict[str, Any]:
     bodies, ends = [], {}
-    for kind, joint in zip(JOINTS, chain, strict=True):
+    for kind, joint in zip(JOINTS[-len(chain) :], chain, strict=True):
         for link, place, rotation in _fixed_to(joint.child, joints):
             mass, centre, inertia = masses[link]
             if kind == "calf" and link != joint.child:
@@ -182,16 +212,18 @@ def _leg(
     named = {k: v for k, v in ends.items() if re.search(r"foot|feet|toe", k, re.IGNORECASE)}
     if not (named or ends):
         raise InputError(
-            f"{source}: nothing is fixed to link '{chain[2].child}'; a foot's frame, joined to the "
-            "calf by a fixed joint, is expected"
+            f"{source}: nothing is fixed to link '{chain[-1].child}'; a foot's frame, joined to "
+            "the calf by a fixed joint, is expected"
         )
     candidates = named or ends
     foot = max(candidates, key=lambda link: float(np.linalg.norm(candidates[link])))
+    places = [np.zeros(3)] * (3 - len(chain)) + [joint.place for joint in chain]
+    signs = tuple(1 if joint.axis.sum() > 0.0 else -1 for joint in chain)
+    frames: dict[str, Any] = {"signs": signs} if usual else _frames(chain)
     return {
-        "thigh": tuple(chain[1].place.tolist()),
-        "calf": tuple(chain[2].place.tolist()),
+        **{kind: tuple(place.tolist()) for kind, place in zip(JOINTS, places, strict=True)},
         "foot": tuple(candidates[foot].tolist()),
-        "signs": tuple(1 if joint.axis.sum() > 0.0 else -1 for joint in chain),
+        **frames,
         "bodies": bodies,
         "foot_link": foot,
     }
@@ -268,7 +300,7 @@ def _joint(element: ET.Element) -> _Joint:
         parent=parent.attrib["link"],
         child=child.attrib["link"],
         place=_numbers(origin, "xyz", "0 0 0"),
-        rotation=_rotation(_numbers(origin, "rpy", "0 0 0")),
+        rotation=rotation_of(_numbers(origin, "rpy", "0 0 0")),
         axis=_numbers(element.find("axis"), "xyz", "1 0 0"),
         effort=math.nan if limit is None else float(limit.get("effort", "nan")),
     )
@@ -286,15 +318,6 @@ def _inertial(element: ET.Element) -> tuple[float, FloatArray, FloatArray]:
     xx, yy, zz, xy, xz, yz = (
         float(moments.get(key, "0")) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     )
-    turn = _rotation(_numbers(origin, "rpy", "0 0 0"))
+    turn = rotation_of(_numbers(origin, "rpy", "0 0 0"))
     matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return float(mass.attrib["value"]), _numbers(origin, "xyz", "0 0 0"), turn @ matrix @ turn.T
-
-
-def _rotation(rpy: FloatArray) -> FloatArray:
-    """Rotation by roll, pitch and yaw about fixed axes [rad]."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
-    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    return np.asarray(yaw @ pitch @ roll, dtype=np.float64)

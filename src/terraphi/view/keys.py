@@ -17,6 +17,7 @@ from pydantic import BaseModel
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan
+from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
 from terraphi.view import table as view
 
@@ -24,6 +25,7 @@ DOCUMENTS: dict[str, tuple[type[BaseModel], str]] = {
     "scenario": (Scenario, "terraphi simulate SCENARIO.toml"),
     "plan": (Plan, "terraphi library build PLAN.toml --out FILE.nc"),
     "robot": (Quadruped, "terraphi forces LOG --robot ROBOT.toml"),
+    "columns": (Columns, "terraphi forces LOG.csv --columns COLUMNS.toml"),
 }
 """Kind of document to its model, and to the command that reads it."""
 REQUIRED = "required"
@@ -116,7 +118,7 @@ def tables(document: str) -> list[Table]:
         raise InputError(f"unknown document '{document}'; {nearest(document, DOCUMENTS)}")
     schema = DOCUMENTS[document][0].model_json_schema()
     places: dict[str, list[str]] = {}
-    for model, name in _walk(schema, "", "", schema["$defs"]):
+    for model, name in _walk(schema, "", "", schema.get("$defs", {})):
         places.setdefault(model, []).append(name)
     if document != "scenario":  # a plan's scenario has a page of its own
         places = {
@@ -124,7 +126,9 @@ def tables(document: str) -> list[Table]:
             for model, names in places.items()
             if not any(re.match(r"scenario\b", name) for name in names)
         }
-    found = [_table(schema["$defs"].get(model, schema), names) for model, names in places.items()]
+    found = [
+        _table(schema.get("$defs", {}).get(model, schema), names) for model, names in places.items()
+    ]
     return [table for table in found if table.keys]
 
 

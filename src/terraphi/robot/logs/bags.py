@@ -25,7 +25,7 @@ import sqlite3
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -50,12 +50,15 @@ class Topic:
         Of its messages; ROS 2 writes ``cdr``.
     number
         Number of the topic in the file.
+    definition
+        Of its messages; empty if the file has none.
     """
 
     name: str
     type: str
     encoding: str
     number: int
+    definition: str = ""
 
     @property
     def plain_type(self) -> str:
@@ -98,6 +101,13 @@ class Storage(ABC):
         """Messages on some topics, in the order of the file."""
 
 
+def _text(schema: Any) -> str:
+    """Definition in a record of an MCAP file, if it is in the language of ``.msg`` files."""
+    if schema is None or schema.encoding != "ros2msg":
+        return ""
+    return str(schema.data, "utf-8", "replace")
+
+
 MAGIC = b"\x89MCAP0\r\n"
 BATCH = 4096
 
@@ -137,6 +147,7 @@ class McapFile(Storage):
                 type=schemas[channel.schema_id].name if channel.schema_id in schemas else "unknown",
                 encoding=channel.message_encoding,
                 number=number,
+                definition=_text(schemas.get(channel.schema_id)),
             )
             for number, channel in sorted(channels.items())
         ]
@@ -241,7 +252,19 @@ class SqliteFile(Storage):
                         "copy or record it again"
                     ) from error
                 self._cut_off(error)
-        return found
+            definitions = self._definitions(connection)
+        return [replace(topic, definition=definitions.get(topic.type, "")) for topic in found]
+
+    def _definitions(self, connection: sqlite3.Connection) -> dict[str, str]:
+        """Definitions of messages, which recorders write since ROS 2 Iron."""
+        query = (
+            "SELECT topic_type, encoded_message_definition FROM message_definitions "
+            "WHERE encoding = 'ros2msg'"
+        )
+        try:
+            return {str(kind): str(text) for kind, text in connection.execute(query)}
+        except sqlite3.Error:
+            return {}
 
     def batches(self, topics: list[Topic]) -> Iterator[Messages]:
         """Messages on some topics, in the order of recording."""

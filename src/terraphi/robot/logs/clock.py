@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from terraphi.robot.joint_log import FloatArray, JointLog
 
@@ -22,10 +20,13 @@ REORDERED = 0.01
 """Fraction of samples that may arrive out of order without the log having been restarted."""
 _SAMPLES = 60_000
 """Samples that are looked at."""
+LEAST_MICROSECONDS = 500.0
+"""Ticks from one message to the next from which they are microseconds: of the A1 by the header of
+its SDK; milliseconds would make a message every half a second."""
 STALLED = 0.9
 """Fraction of steps without advance beyond which a clock stands still."""
 
-UNEVEN = 0.05
+UNEVEN = 0.07
 """Steps that vary by more than this part of the usual one [-] are looked at."""
 SET_BACK = 20.0
 """A clock that goes back by more than this many steps [-] was set, or is another's."""
@@ -75,11 +76,14 @@ def seconds(
     # Differences modulo 2³² of the smallest size: forwards across a wrap, backwards after a glitch.
     steps = np.diff(stamp.astype(np.uint32)).view(np.int32).astype(np.int64)
     ticks = stamp[0] + np.concatenate([[0], np.cumsum(steps)])
-    facts = {}
+    facts, unit = {}, 1e3
+    if len(stamp) > 1 and float(np.median(steps)) >= LEAST_MICROSECONDS:
+        unit = 1e6
+        facts["notes"] = ["the tick counts microseconds"]
     if recorded is not None and len(stamp) > 1 and recorded[-1] > recorded[0]:
-        ratio = (ticks[-1] - ticks[0]) * 1e6 / float(recorded[-1] - recorded[0])
+        ratio = (ticks[-1] - ticks[0]) * (1e9 / unit) / float(recorded[-1] - recorded[0])
         facts["clock_ratio"] = round(float(ratio), 6)
-    return ticks / 1e3, clock, facts
+    return ticks / unit, clock, facts
 
 
 def evened(
@@ -105,13 +109,12 @@ def evened(
     ndarray
         Times [s], shape [sample]. Lost samples stay lost: even times have holes there.
     dict
-        What to report if times have changed: ``stamp_jitter_s`` [s] and a note.
+        What to report if times have changed: the steps' own ``jitter_s`` [s] and a note.
     """
     step = np.diff(time)
     if len(step) < 4 * _LOSS or not (period := float(np.median(step))) > 0.0:
         return time, {}
-    ordinary = step[np.abs(step - period) < period]
-    jitter = float(ordinary.std()) / math.sqrt(2.0)
+    jitter = float(step[np.abs(step - period) < period].std())
     if jitter <= UNEVEN * period or step.min() < -SET_BACK * period:
         return time, {}
     even = _even(time)
@@ -120,7 +123,7 @@ def evened(
     off = float(np.std(time - even))
     why = "" if velocity is None else ", with which angles and velocities agree better"
     note = f"stamps are off by {1e3 * off:.2g} ms (standard deviation) from a constant rate{why}"
-    return even, {"stamp_jitter_s": off, "notes": [f"{note}: samples are put at even times"]}
+    return even, {"jitter_s": jitter, "notes": [f"{note}: samples are put at even times"]}
 
 
 def regular(log: JointLog) -> JointLog:
@@ -134,6 +137,8 @@ def regular(log: JointLog) -> JointLog:
 
 def _even(time: FloatArray) -> FloatArray | None:
     """Times at a constant rate that follow stamps; None if those are not of one."""
+    from scipy import ndimage  # slow to import, and logs are mostly even
+
     order = np.arange(len(time))
     # Medians of many steps, for single ones may be anything.
     period = float(np.median(time[_LOSS:] - time[:-_LOSS])) / _LOSS

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
-from terraphi.robot.joint_log import FEET, JOINTS, JointLog
+from terraphi.robot.joint_log import FEET, JOINTS, FloatArray, JointLog
 from terraphi.robot.logs import clock as clocks
 
 Precision = Literal["double", "single"]
@@ -194,10 +194,10 @@ class Collector:
         }
         return JointLog(time, **self._present(values), report=report)
 
-    def _evened(self, time: clocks.FloatArray) -> clocks.FloatArray:
+    def _evened(self, time: FloatArray) -> FloatArray:
         """Times of samples at a constant rate, if only their stamps are uneven."""
         angle, velocity = (self._columns.get(name) for name in ("angle", "velocity"))
-        if angle is None or "stamp_jitter_s" in self.facts:
+        if angle is None or "jitter_s" in self.facts:
             return time
         known = None if velocity is None else velocity.values[: velocity.length]
         even, facts = clocks.evened(time, angle.values[: angle.length], known)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.robot.joint_log import FEET, JOINTS, joint_place
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
 from terraphi.robot.logs.collect import Array, Block
 from terraphi.robot.logs.messages import decoded
 
@@ -32,16 +32,24 @@ class JointStateDecoder:
     ----------
     joint_names
         Names of the twelve joints, FR, FL, RR, RL × hip, thigh, calf; None goes by patterns.
+    joints
+        Those that the robot has, as ``FR_hip``; of the others all is zero.
 
     Attributes
     ----------
     refusal
         Why the first unusable message was dropped; the error if no message is usable.
+    ignored
+        Names of joints that are none of the legs'.
     """
 
-    def __init__(self, joint_names: Sequence[str] | None = None) -> None:
+    def __init__(
+        self, joint_names: Sequence[str] | None = None, joints: Sequence[str] = JOINT_NAMES
+    ) -> None:
         self.refusal = ""
+        self.ignored: set[str] = set()
         self._joint_names = joint_names
+        self._joints = joints
         self._orders: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int] | None] = {}
         self._columns: tuple[str, ...] | None = None
 
@@ -76,7 +84,8 @@ class JointStateDecoder:
                 continue
             kept.append(i)
             stamps.append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
-            rows.append([getattr(message, _FIELDS[name])[order] for name in columns])
+            # Joints that are not there have the last place, which is zero.
+            rows.append([np.append(getattr(message, _FIELDS[n]), 0.0)[order] for n in columns])
         values: dict[str, Array] = {}
         if rows:
             table = np.array(rows, dtype=np.float64).reshape(len(rows), -1, len(FEET), len(JOINTS))
@@ -90,12 +99,13 @@ class JointStateDecoder:
             return self._orders[kind]
         order: list[int] | None = None
         try:
-            order = joint_order(names, self._joint_names)
+            order = joint_order(names, self._joint_names, self._joints)
             if "torque" not in columns:
                 raise InputError("the joint states carry no efforts, and forces need torques")
             if self._columns not in {None, columns}:
                 raise InputError("some joint states carry velocities and some do not")
             self._columns = columns
+            self.ignored |= {name for i, name in enumerate(names) if i not in order}
         except InputError as error:
             self.refusal = self.refusal or str(error)
             order = None
@@ -116,7 +126,11 @@ NAMES = tuple(f"{foot}_{joint}_joint" for foot in FEET for joint in JOINTS)
 """Names of the joints in Unitree's robot descriptions, in the order of a JointLog."""
 
 
-def joint_order(names: Sequence[str], wanted: Sequence[str] | None = None) -> list[int]:
+def joint_order(
+    names: Sequence[str],
+    wanted: Sequence[str] | None = None,
+    joints: Sequence[str] = JOINT_NAMES,
+) -> list[int]:
     """Indices of the twelve joints in a message's list of names.
 
     Parameters
@@ -125,11 +139,13 @@ def joint_order(names: Sequence[str], wanted: Sequence[str] | None = None) -> li
         Names in the message.
     wanted
         Names of the twelve joints, FR, FL, RR, RL × hip, thigh, calf; None goes by patterns.
+    joints
+        Those that the robot has, as ``FR_hip``.
 
     Returns
     -------
     list of int
-        Index into ``names`` for each joint of a JointLog, foot by foot.
+        Index into ``names`` for each joint of a JointLog, foot by foot; −1 where there is none.
 
     Raises
     ------
@@ -142,15 +158,14 @@ def joint_order(names: Sequence[str], wanted: Sequence[str] | None = None) -> li
                 raise InputError(f"no joint '{name}' in the messages; {nearest(name, names)}")
             if list(wanted).count(name) > 1:
                 raise InputError(f"joint '{name}' stands twice among the joint names")
-        return [list(names).index(name) for name in wanted]
+        given = iter(wanted)
+        return [list(names).index(next(given)) if j in joints else -1 for j in JOINT_NAMES]
     found: dict[tuple[int, int], int] = {}
+    unknown = [name for name in names if joint_place(name) is None]
     for i, name in enumerate(names):
         place = joint_place(name)
         if place is None:
-            raise InputError(
-                f"joint '{name[:60]}' is not known; expected twelve named like {NAMES[0]}, or say "
-                "which twelve are meant (--joint-names; in Python joint_names)"
-            )
+            continue
         if place in found:
             raise InputError(
                 f"joints '{names[found[place]][:60]}' and '{name[:60]}' both look like the "
@@ -159,13 +174,16 @@ def joint_order(names: Sequence[str], wanted: Sequence[str] | None = None) -> li
             )
         found[place] = i
     order = [(foot, joint) for foot in range(len(FEET)) for joint in range(len(JOINTS))]
+    absent = {place for place, name in zip(order, JOINT_NAMES, strict=True) if name not in joints}
     for place in order:
-        if place not in found:
+        if place not in found and place not in absent:
+            strange = f", and '{unknown[0][:60]}' is not known" if unknown else ""
             raise InputError(
-                f"{len(names)} joints, and none for the {_named(place)}; expected twelve, named "
-                f"like {NAMES[0]}"
+                f"{len(names)} joints, and none for the {_named(place)}{strange}; expected twelve "
+                f"named like {NAMES[0]}, or say which twelve are meant (--joint-names; in Python "
+                "joint_names)"
             )
-    return [found[place] for place in order]
+    return [-1 if place in absent else found[place] for place in order]
 
 
 def _named(place: tuple[int, int]) -> str:

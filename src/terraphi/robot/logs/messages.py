@@ -70,9 +70,64 @@ UNITREE_GO = {
 https://github.com/unitreerobotics/unitree_ros2 ."""
 
 
+UNITREE_LEGGED = {
+    "LowState": """
+        uint8[2] head
+        uint8 level_flag
+        uint8 frame_reserve
+        uint32[2] sn
+        uint32[2] version
+        uint16 band_width
+        IMU imu
+        MotorState[20] motor_state
+        BmsState bms
+        int16[4] foot_force
+        int16[4] foot_force_est
+        uint32 tick
+        uint8[40] wireless_remote
+        uint32 reserve
+        uint32 crc
+    """,
+    "IMU": """
+        float32[4] quaternion
+        float32[3] gyroscope
+        float32[3] accelerometer
+        float32[3] rpy
+        int8 temperature
+    """,
+    "MotorState": """
+        uint8 mode
+        float32 q
+        float32 dq
+        float32 ddq
+        float32 tau_est
+        float32 q_raw
+        float32 dq_raw
+        float32 ddq_raw
+        int8 temperature
+        uint32[2] reserve
+    """,
+    "BmsState": """
+        uint8 version_h
+        uint8 version_l
+        uint8 bms_status
+        uint8 soc
+        int32 current
+        uint16 cycle
+        int8[2] bq_ntc
+        int8[2] mcu_ntc
+        uint16[10] cell_vol
+    """,
+}
+"""Messages of the Go1 and the A1, where a bag does not bring its own definitions, which differ from
+one version of the package to the next; as in SDK 3.8 of
+https://github.com/unitreerobotics/unitree_legged_sdk ."""
+LEGGED = "unitree_legged_msgs"
+
+
 @cache
 def typestore() -> Any:
-    """Message types of ROS 2 Humble and of ``unitree_go`` for the package ``rosbags``.
+    """Message types of ROS 2 Humble and of Unitree's packages for the package ``rosbags``.
 
     Returns
     -------
@@ -86,12 +141,38 @@ def typestore() -> Any:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in UNITREE_GO.items():
-        store.register(get_types_from_msg(text, f"unitree_go/msg/{name}"))
+    for package, messages in (("unitree_go", UNITREE_GO), (LEGGED, UNITREE_LEGGED)):
+        for name, text in messages.items():
+            store.register(get_types_from_msg(text, f"{package}/msg/{name}"))
     return store
 
 
-def decoded(message: bytes, kind: str) -> Any | None:
+def typestore_of(kind: str, definition: str) -> Any:
+    """Message types as a bag defines them for a topic.
+
+    Parameters
+    ----------
+    kind
+        Type of the topic's messages.
+    definition
+        Its definition and those of its parts, as MCAP and rosbag2 keep them.
+
+    Returns
+    -------
+    rosbags.typesys.store.Typestore or None
+        ``None`` if the definition cannot be read.
+    """
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    try:
+        store.register(get_types_from_msg(definition, kind))
+    except Exception:  # the parser raises errors of its own
+        return None
+    return store
+
+
+def decoded(message: bytes, kind: str, store: Any = None) -> Any | None:
     """Decode a serialised message.
 
     Parameters
@@ -100,6 +181,8 @@ def decoded(message: bytes, kind: str) -> Any | None:
         In CDR, the wire format of ROS 2, either byte order.
     kind
         Its type, such as ``sensor_msgs/msg/JointState``.
+    store
+        Of types; by default :func:`typestore`.
 
     Returns
     -------
@@ -107,7 +190,7 @@ def decoded(message: bytes, kind: str) -> Any | None:
         With the fields of the message as attributes; None if the bytes are no message of that type.
     """
     try:
-        return typestore().deserialize_cdr(message, kind)
+        return (store or typestore()).deserialize_cdr(message, kind)
     except ImportError:
         raise
     except Exception:  # damaged bytes raise struct.error, ValueError, SerdeError and more

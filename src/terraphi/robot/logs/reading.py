@@ -4,24 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import check_is_file
 from terraphi.robot.joint_log import JOINT_NAMES, JointLog
-from terraphi.robot.logs import jointstate, lowstate
+from terraphi.robot.logs import imu, jointstate, lowstate
 from terraphi.robot.logs import tables as npz_file
 from terraphi.robot.logs.bags import MAGIC as MCAP_MAGIC
 from terraphi.robot.logs.bags import SQLITE_MAGIC, McapFile, Storage, Topic, open_bag, open_database
-from terraphi.robot.logs.collect import Block, Collector, Precision
-from terraphi.robot.logs.jointstate import NAMES
-from terraphi.robot.logs.messages import typestore
+from terraphi.robot.logs.collect import Block, Collector, Messages, Precision
+from terraphi.robot.logs.columns import Columns, read_columns
+from terraphi.robot.logs.messages import typestore, typestore_of
 from terraphi.robot.logs.tables import read_csv, read_npz
 
 ROS1_MAGIC = b"#ROSBAG V"
 FORMATS = "CSV, npz, MCAP or the folder of a rosbag2"
 
-_LOW_STATE, _JOINT_STATE = "unitree_go/LowState", "sensor_msgs/JointState"
+_LOW_STATES = ("unitree_go/LowState", "unitree_legged_msgs/LowState")
+_JOINT_STATE, _IMU = "sensor_msgs/JointState", "sensor_msgs/Imu"
 
 
 def read_log(
@@ -31,6 +36,7 @@ def read_log(
     joint_names: Sequence[str] | None = None,
     motors: Sequence[str] = JOINT_NAMES,
     precision: Precision = "double",
+    columns: Columns | Path | str | None = None,
 ) -> JointLog:
     """Read the log of a walking robot.
 
@@ -41,21 +47,26 @@ def read_log(
         (:mod:`~terraphi.robot.logs.tables` has its arrays), an MCAP file, the folder of a rosbag2
         or one of its files. The content decides, not the name.
     topic
-        Topic of a bag to read; by default the one with ``unitree_go/msg/LowState`` messages, or
-        else ``sensor_msgs/msg/JointState``.
+        Topic of a bag to read; by default the one with ``unitree_go/msg/LowState`` or
+        ``unitree_legged_msgs/msg/LowState`` messages, or else ``sensor_msgs/msg/JointState``, with
+        the ``sensor_msgs/msg/Imu`` of the same bag if there is one.
     joint_names
         Names of the twelve joints in JointState messages, FR, FL, RR, RL × hip, thigh, calf, where
         they are not named like ``FR_hip_joint`` or ``RF_HAA``.
     motors
         Which joint each of the first twelve motors of a LowState moves, as ``FR_hip``: a robot's
-        :attr:`~terraphi.robot.model.Quadruped.joint_order`.
+        :attr:`~terraphi.robot.model.Quadruped.joint_order`. Joints that it lacks are sought in no
+        log, and zero in it.
     precision
         Of everything but time: ``single`` is what LowState messages hold, and halves the memory.
+    columns
+        Which columns of a CSV are what, or a TOML that says so
+        (:class:`~terraphi.robot.logs.columns.Columns`).
 
     Returns
     -------
     JointLog
-        Time comes from the messages themselves: the tick of a LowState [ms], counted from the
+        Time comes from the messages themselves: the tick of a LowState, counted from the
         robot's start; the header stamp of a JointState, counted from the first; the time of
         recording only where these stand still. ``report`` says what was read and what was dropped.
 
@@ -66,16 +77,19 @@ def read_log(
         a package is missing.
     """
     path = Path(path)
-    if joint_names is not None and len(joint_names) != len(NAMES):
+    named = columns if isinstance(columns, Columns | None) else read_columns(columns)
+    if joint_names is not None and len(joint_names) != len(motors):
         raise InputError(
-            f"{len(joint_names)} joint names given; {len(NAMES)} are expected, in the order "
-            f"{', '.join(JOINT_NAMES)}"
+            f"{len(joint_names)} joint names given; {len(motors)} are expected, in the order "
+            f"{', '.join(name for name in JOINT_NAMES if name in motors)}"
         )
     if path.name == "metadata.yaml":
         path = path.parent
     try:
         with ExitStack() as stack:
             kind, source = _sniff(path, stack)
+            if named is not None and kind != "csv":
+                raise InputError(f"{path}: {kind} names its columns itself; leave the columns out")
             if isinstance(source, list):
                 return _read_bag(path, kind, source, topic, joint_names, motors, precision)
             if topic is not None:
@@ -85,7 +99,7 @@ def read_log(
                     f"{path}: {kind} names its joints itself; leave the joint names out"
                 )
             collector = Collector(path, "time_s" if kind == "csv" else "time", precision)
-            for block in source(path):
+            for block in source(path) if named is None else read_csv(path, named, motors):
                 collector.add(block)
             collector.facts |= {"format": kind, "topic": None}
             return collector.finish()
@@ -134,7 +148,7 @@ def _read_bag(
     if not any(topics for _, topics in present) and any(s.notes for s in storages):
         raise InputError(f"{path}: cut off or damaged before its first message; copy it again")
     chosen = _choose(path, [t for _, topics in present for t in topics], topic)
-    low = chosen.plain_type == _LOW_STATE
+    low = chosen.plain_type in _LOW_STATES
     try:
         typestore()
     except ImportError as error:
@@ -146,35 +160,64 @@ def _read_bag(
             f"{path}, topic '{chosen.name}': {lowstate.TYPE} numbers its motors and has no names; "
             "leave the joint names out"
         )
-    decoder = jointstate.JointStateDecoder(joint_names)
+    if low and len(motors) != lowstate.MOTORS:
+        raise InputError(
+            f"{path}, topic '{chosen.name}': a LowState is of a robot with {lowstate.MOTORS} "
+            f"joints, and this one has {len(motors)}"
+        )
+    decoder = jointstate.JointStateDecoder(joint_names, motors)
+    decode: Callable[[list[bytes], NDArray[np.int64]], Block] = decoder.decode
+    if low:
+        legged = chosen.plain_type != _LOW_STATES[0]
+        kind_of = lowstate.LEGGED_TYPE if legged else lowstate.TYPE
+        store = typestore_of(kind_of, chosen.definition) if legged and chosen.definition else None
+        decode = partial(lowstate.decode, motors=motors, kind=kind_of, store=store)
     collector = Collector(path, "tick" if low else "header stamp", precision)
-    for storage, topics in present:
-        wanted = [t for t in topics if (t.name, t.type) == (chosen.name, chosen.type)]
-        for messages, recorded in storage.batches(wanted) if wanted else ():
-            if low:
-                collector.add(lowstate.decode(messages, recorded, motors))
-            else:
-                collector.add(decoder.decode(messages, recorded))
+    for batch in _batches(present, chosen):
+        collector.add(decode(*batch))
+    for storage, _ in present:
         collector.facts["notes"] += storage.notes
-    others = sorted(
-        {t.name for _, topics in present for t in topics if _supported(t)} - {chosen.name}
-    )
+    every = {t.name for _, topics in present for t in topics if _supported(t)}
+    others = sorted(every - {chosen.name})
     if others:
         collector.facts["notes"].append(f"also there, not read: {', '.join(others)}")
+    if decoder.ignored:
+        names = sorted(decoder.ignored)
+        more = f" and {len(names) - 6} more" if len(names) > 6 else ""
+        collector.facts["notes"].append(f"joints of no leg, ignored: {', '.join(names[:6])}{more}")
     collector.facts |= {"format": kind, "topic": chosen.name, "message": chosen.type}
     if decoder.refusal and set(collector.dropped) == {jointstate.OTHERS} and collector.empty:
         raise InputError(f"{path}, topic '{chosen.name}': {decoder.refusal}")
-    return collector.finish()
+    log = collector.finish()
+    return log if low else _with_imu(log, present)
+
+
+def _with_imu(log: JointLog, present: list[tuple[Storage, list[Topic]]]) -> JointLog:
+    """Joint states with the readings of an IMU in the same bag, if there is one."""
+    imus = {t.name: t for _, topics in present for t in topics if t.plain_type == _IMU}
+    if not imus:
+        return log
+    best = imus[min(imus, key=lambda name: (len(name), name))]
+    read = [imu.decode(*batch) for batch in _batches(present, best)]
+    return imu.merged(log, read, best.name, sorted(imus.keys() - {best.name}))
+
+
+def _batches(present: list[tuple[Storage, list[Topic]]], chosen: Topic) -> Iterator[Messages]:
+    """Messages of a topic in all files of a bag."""
+    for storage, topics in present:
+        wanted = [t for t in topics if (t.name, t.type) == (chosen.name, chosen.type)]
+        if wanted:
+            yield from storage.batches(wanted)
 
 
 def _supported(topic: Topic) -> bool:
-    return topic.plain_type in {_LOW_STATE, _JOINT_STATE} and topic.encoding == "cdr"
+    return topic.plain_type in {*_LOW_STATES, _JOINT_STATE} and topic.encoding == "cdr"
 
 
 def _choose(path: Path, topics: list[Topic], wanted: str | None) -> Topic:
     """Choose the topic to read."""
     listed = ", ".join(sorted({f"'{t.name}' ({t.type})" for t in topics})[:12]) or "none"
-    expected = f"expected {lowstate.TYPE} or {jointstate.TYPE}"
+    expected = f"expected {lowstate.TYPE}, {lowstate.LEGGED_TYPE} or {jointstate.TYPE}"
     if wanted is not None:
         named = [t for t in topics if t.name.strip("/") == wanted.strip("/")]
         if not named:
@@ -193,5 +236,10 @@ def _choose(path: Path, topics: list[Topic], wanted: str | None) -> Topic:
     # Robots repeat their state on lf/lowstate at a low frequency.
     return min(
         supported,
-        key=lambda t: (t.plain_type != _LOW_STATE, "lf" in t.name.split("/"), len(t.name), t.name),
+        key=lambda t: (
+            t.plain_type not in _LOW_STATES,
+            "lf" in t.name.split("/"),
+            len(t.name),
+            t.name,
+        ),
     )

@@ -22,7 +22,7 @@ import struct
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from io import BytesIO
 from pathlib import Path
@@ -31,8 +31,9 @@ from typing import IO
 import numpy as np
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.robot.joint_log import FEET, JOINTS, FloatArray
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, FloatArray
 from terraphi.robot.logs.collect import REQUIRED, SHAPES, Array, Block
+from terraphi.robot.logs.columns import Columns, places
 
 TIME_COLUMN = "time_s"
 TIME_ARRAY = "time"
@@ -131,13 +132,18 @@ WRONG_CELLS = "line with the wrong number of cells"
 CUT_OFF = "last line without its end"
 
 
-def read_csv(path: Path) -> Iterator[Block]:
+def read_csv(
+    path: Path, columns: Columns | None = None, motors: Sequence[str] = JOINT_NAMES
+) -> Iterator[Block]:
     """Read a CSV piece by piece.
 
     Parameters
     ----------
     path
         The file.
+    columns, motors
+        Which of its columns are what, and which joint each motor moves, if they are not named as
+        above.
 
     Yields
     ------
@@ -151,14 +157,18 @@ def read_csv(path: Path) -> Iterator[Block]:
     """
     with path.open("rb") as stream:
         header = _header(path, stream.readline(LONGEST_HEADER))
-        groups = check_columns(f"{path}, line 1", header)
-        places = {group: [header.index(name) for name in GROUPS[group]] for group in groups}
-        time = header.index(TIME_COLUMN)
+        if columns is None:
+            groups = check_columns(f"{path}, line 1", header)
+            at = {group: [header.index(name) for name in GROUPS[group]] for group in groups}
+            at["time"] = [header.index(TIME_COLUMN)]
+        else:
+            at = places(columns, header, motors, path)
+        scales = {} if columns is None else columns.scales
         rest = b""
         while piece := stream.read(READ_BYTES):
             whole, newline, rest = (rest + piece).rpartition(b"\n")
             if newline:
-                yield _block(whole + newline, len(header), time, places)
+                yield _block(whole + newline, len(header), at, scales)
         if rest.strip():
             # A number may have lost its last digits, and nobody could tell.
             yield Block(np.empty(0), {}, None, Counter({CUT_OFF: 1}))
@@ -176,7 +186,9 @@ def _header(path: Path, line: bytes) -> list[str]:
     return [name.strip().strip('"') for name in text.split(",")]
 
 
-def _block(lines: bytes, width: int, time: int, places: dict[str, list[int]]) -> Block:
+def _block(
+    lines: bytes, width: int, places: dict[str, list[int]], scales: dict[str, float]
+) -> Block:
     dropped: Counter[str] = Counter()
     raw = np.frombuffer(lines, dtype=np.uint8)
     ends = np.flatnonzero(raw == ord("\n"))
@@ -190,9 +202,10 @@ def _block(lines: bytes, width: int, time: int, places: dict[str, list[int]]) ->
         lines, rows = b"\n".join([*sound, b""]), len(sound)
     table = _numbers(lines, width) if rows else np.empty((0, width))
     values = {
-        group: table[:, at].reshape(len(table), *SHAPES[group]) for group, at in places.items()
+        group: scales.get(group, 1.0) * table[:, at].reshape(len(table), *SHAPES.get(group, ()))
+        for group, at in places.items()
     }
-    return Block(table[:, time], values, None, dropped)
+    return Block(values.pop("time"), values, None, dropped)
 
 
 def _numbers(lines: bytes, width: int) -> FloatArray:

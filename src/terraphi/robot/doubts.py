@@ -1,0 +1,210 @@
+"""Whether a log and the description of its robot can both be right.
+
+Over whole strides the ground pushes up with the robot's weight and pushes it nowhere; feet that
+stand move as one rigid body, turned as the gyroscope says. Torques in another unit, legs in another
+order and angles with another zero break one of these, and mostly not the others.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.errors import InputError
+from terraphi.robot.dynamics import GRAVITY
+from terraphi.robot.forces import FootForces
+from terraphi.robot.friction import HANGING_SHARE
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, JointLog
+from terraphi.robot.kinematics import foot_position, jacobian, rotation
+from terraphi.robot.model import Quadruped
+from terraphi.robot.stance import Stance
+
+FloatArray = NDArray[np.float64]
+
+WEIGHT_AGREEMENT = 0.15
+"""Part of the weight by which what the feet bear may differ from it [-]."""
+MOST_WEIGHTS = 3.0
+"""Number of weights beyond which forces are those of another unit."""
+MOST_PUSH = 0.085
+"""Part of the weight with which the feet may push sideways on average [-]."""
+COARSEST_ANGLE = 0.005
+"""Steps of the angles [rad] beyond which they were rounded."""
+LEAST_SPEED = 0.01
+"""Speed [m/s] below which feet that stand do not slide."""
+EXCHANGED = 0.75
+"""Legs are exchanged if another order leaves less than this part of the sliding [-]."""
+OFF_RAD, OFF_GAIN = 0.1, 0.1
+"""A joint's zero is off if a shift by more than this [rad] takes off this part of the sliding."""
+_BEARING = 0.15
+_SAMPLES = 2500
+_UNITS = {
+    1e3: "N mm",
+    1e-3: "kN m",
+    1.0 / GRAVITY: "kgf m",
+    100.0 / GRAVITY: "kgf cm",
+}
+
+
+class Balance(NamedTuple):
+    """What the feet do on average over whole strides, as a part of the robot's weight."""
+
+    lift: float
+    """Upwards [-]; 1 is expected."""
+    push: float
+    """Sideways [-]; 0 is expected."""
+
+
+def balance(forces: FootForces, stances: Sequence[Stance], weight: float) -> Balance | None:
+    """Mean force of the ground on the robot; ``None`` if no sample has those of all feet."""
+    feet = [stance.foot for stance in stances]
+    often = max(FEET, key=feet.count)
+    begins = [stance.begin for stance in stances if stance.foot == often]
+    known = np.isfinite(forces.force).all(axis=(1, 2))
+    if len(begins) > 1:
+        known &= (forces.time >= begins[0]) & (forces.time < begins[-1])
+    if not known.any():
+        return None
+    total = forces.force[known].sum(axis=1, dtype=np.float64).mean(axis=0) / weight
+    return Balance(float(total[2]), float(np.hypot(*total[:2])))
+
+
+def doubts(log: JointLog, robot: Quadruped, forces: FootForces, found: Balance | None) -> list[str]:
+    """What of a log cannot be right, a sentence each.
+
+    Parameters
+    ----------
+    log, robot
+        What was recorded, and of whom.
+    forces, found
+        What came of it, and its :func:`balance`.
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    InputError
+        If the feet pull at the ground, or bear the robot's weight several times over.
+    """
+    said = _of_weight(found, robot) + _of_angles(log)
+    tilted = forces.frame == "body"
+    legs = _of_legs(log, robot, np.nan_to_num(forces.force[..., 2]))
+    if found is not None and found.push > MOST_PUSH and not (tilted or legs or said):
+        push = f"the feet push the robot sideways with {found.push:.0%} of its weight all the time"
+        legs = [f"{push}: are the angles' zeros and the attitude right?"]
+    return said + legs
+
+
+def _of_weight(found: Balance | None, robot: Quadruped) -> list[str]:
+    if found is None:
+        return []
+    lift, weight = found.lift, robot.mass * GRAVITY
+    bears = f"the feet bear {lift:.3g} times the robot's weight of {weight:.0f} N on average"
+    if lift < -HANGING_SHARE:
+        raise InputError(f"{bears}; torques that motors exert on joints are expected, not theirs")
+    unit = next(
+        (name for factor, name in _UNITS.items() if abs(lift / factor - 1.0) < WEIGHT_AGREEMENT),
+        "",
+    )
+    if lift > MOST_WEIGHTS:
+        raise InputError(
+            f"{bears}; torques in N m are expected" + (f", not {unit}" if unit else "")
+        )
+    if abs(lift - 1.0) <= WEIGHT_AGREEMENT or lift < HANGING_SHARE:
+        return []
+    if unit:
+        return [f"{bears}: are torques in {unit}?"]
+    factor, mass = 1.0 / lift, lift * robot.mass
+    return [f"{bears}: are torques about {factor:.2g} times as large, or its mass {mass:.3g} kg?"]
+
+
+def _of_angles(log: JointLog) -> list[str]:
+    steps = np.abs(np.diff(log.angle[: 20 * _SAMPLES].astype(np.float64), axis=0))
+    step = float(steps.min(where=steps > 1e-6, initial=np.inf))
+    if not COARSEST_ANGLE <= step < np.inf:
+        return []
+    return [f"angles come in steps of {step:.2g} rad: forces turn by as much; write more digits"]
+
+
+def _of_legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[str]:
+    """Legs in another order, or a joint whose angle has another zero."""
+    turning = log.angular_velocity
+    if turning is None:
+        return []
+    every = slice(None, None, max(1, len(log.time) // _SAMPLES))
+    angle, velocity = (np.asarray(v[every], float) for v in (log.angle, log.velocity))
+    turn = np.broadcast_to(np.eye(3), (len(angle), 3, 3))
+    if log.quaternion is not None:
+        turn = rotation(log.quaternion[every])
+    seen = _Stands(robot, turn, np.asarray(turning[every], float))
+    load = np.maximum(lift[every] / (robot.mass * GRAVITY) - _BEARING, 0.0)
+    if not np.any(np.count_nonzero(load, axis=1) > 1):
+        return []
+    sliding = seen.sliding(angle, velocity, load)
+    if _size(sliding) < LEAST_SPEED:
+        return []
+    orders = {
+        order: _size(seen.sliding(angle[:, order], velocity[:, order], load[:, order]))
+        for order in itertools.permutations(range(len(FEET)))
+    }
+    best = min(orders, key=orders.__getitem__)
+    if orders[best] < EXCHANGED * _size(sliding):
+        moves = (f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(best) if i != j)
+        other = f"at {orders[best]:.2g} m/s if legs were exchanged: {', '.join(moves)}"
+        return [f"{_slide(sliding)}, and {other}; check the order of the joints"]
+    return _of_zeros(seen, angle, velocity, load, sliding)
+
+
+def _of_zeros(
+    seen: _Stands, angle: FloatArray, velocity: FloatArray, load: FloatArray, sliding: FloatArray
+) -> list[str]:
+    """A joint, or the same one of all legs, whose angle is off by a constant."""
+    shifts = {name: np.eye(12)[i].reshape(4, 3) for i, name in enumerate(JOINT_NAMES)}
+    shifts |= {f"every {name}": np.tile(np.eye(3)[j], (4, 1)) for j, name in enumerate(JOINTS)}
+    best, off, gain = "", 0.0, 0.0
+    for name, shift in shifts.items():
+        slope = (seen.sliding(angle + 0.02 * shift, velocity, load) - sliding) / 0.02
+        by = float(np.sum(-slope * sliding) / max(float(np.sum(slope**2)), 1e-30))
+        left = _size(sliding + by * slope) / _size(sliding)
+        if 1.0 - left > gain:
+            best, off, gain = name, -by, 1.0 - left
+    if gain < OFF_GAIN or abs(off) < OFF_RAD:
+        return []
+    other = f"{gain:.0%} less if the angle of {best} were {off:+.2f} rad off"
+    return [f"{_slide(sliding)}, and {other}: check the zeros of the joints"]
+
+
+class _Stands(NamedTuple):
+    """A robot's attitude and turning, shapes [sample, 3, 3] and [sample, 3]."""
+
+    robot: Quadruped
+    turn: FloatArray
+    spin: FloatArray
+
+    def sliding(self, angle: FloatArray, velocity: FloatArray, load: FloatArray) -> FloatArray:
+        """Velocities of loaded feet against their mean, weighted by load, shape [sample, foot, 3].
+
+        Of the balls' lowest points, as seen from a world in which the body turns in its place.
+        """
+        arm = -self.robot.foot_radius * self.turn[:, None, 2, :]
+        place = foot_position(self.robot, angle) + arm
+        speed = np.einsum("sfij,sfj->sfi", jacobian(self.robot, angle, offset=arm), velocity)
+        speed += np.cross(self.spin[:, None], place)
+        several = np.count_nonzero(load, axis=1) > 1
+        share = load[several] / load[several].sum(axis=1, keepdims=True)
+        speed = speed[several]
+        speed -= np.sum(share[..., None] * speed, axis=1, keepdims=True)
+        return np.asarray(speed * np.sqrt(share)[..., None])
+
+
+def _size(sliding: FloatArray) -> float:
+    return float(np.sqrt(np.sum(sliding**2) / len(sliding)))
+
+
+def _slide(sliding: FloatArray) -> str:
+    return f"feet that stand slide at {_size(sliding):.2g} m/s"

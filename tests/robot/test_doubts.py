@@ -1,0 +1,86 @@
+"""Logs with one thing wrong: each is said, or refused, and a sound one is not doubted."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import InputError
+from terraphi.robot.joint_log import JointLog
+from terraphi.robot.results import analyse
+
+Walk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["Walk"]
+WALKS = {
+    "walk": Walk(),
+    "slow": Walk(period=2.0, speed=0.05, sinkage=0.025, seed=1),
+    "trot": Walk(gait="trot", period=0.42, speed=0.3, sinkage=0.003),
+}
+
+
+@pytest.fixture(scope="module", params=["walk", "trot"])
+def log(request: pytest.FixtureRequest) -> JointLog:
+    return WALKS[request.param].log()[0]
+
+
+def torque(log: JointLog, factor: float) -> JointLog:
+    return replace(log, torque=factor * log.torque)
+
+
+def legs(log: JointLog, order: list[int]) -> JointLog:
+    names = ("angle", "velocity", "torque")
+    return replace(log, **{name: getattr(log, name)[:, order] for name in names})
+
+
+def off(log: JointLog, foot: int | slice, joint: int, by: float) -> JointLog:
+    angle = log.angle.copy()
+    angle[:, foot, joint] += by
+    return replace(log, angle=angle)
+
+
+@pytest.mark.parametrize("name", WALKS)
+@pytest.mark.parametrize("heading", [0.0, 1.0])
+def test_a_sound_log_is_not_doubted(name: str, heading: float) -> None:
+    log = WALKS[name].log()[0]
+    assert log.quaternion is not None
+    w, x, y, z = log.quaternion.T
+    c, s = np.cos(heading), np.sin(heading)
+    turned = np.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], axis=1)
+    found = analyse(replace(log, quaternion=turned), frame="heading")
+    assert found.notes == ()
+    assert found.summary()["lift_over_weight"] == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (lambda log: torque(log, 0.5), r"bear 0.5\d* times .* are torques about 1.[789] times"),
+        (lambda log: torque(log, 1.3), r"bear 1.2\d times the robot's weight of 158 N"),
+        (lambda log: legs(log, [1, 0, 3, 2]), "exchanged: FL for FR, FR for FL, RL for RR"),
+        (lambda log: legs(log, [2, 3, 0, 1]), "exchanged: RR for FR, RL for FL, FR for RR"),
+        (lambda log: replace(log, angle=log.angle.round(1)), r"in steps of 0.1 rad"),
+        (lambda log: replace(log, angle=log.angle.round(2)), r"in steps of 0.01 rad"),
+        (lambda log: off(log, 0, 2, 0.2), r"angle of FR_calf were \+0.[12]"),
+        (lambda log: off(log, slice(None), 1, 0.2), "zeros"),
+        (lambda log: off(log, slice(None), 2, 0.2), "zeros"),
+        (lambda log: off(log, slice(None), 2, -0.2), "zeros"),
+    ],
+)
+def test_what_cannot_be_is_said(
+    log: JointLog, wrong: Callable[[JointLog], JointLog], words: str
+) -> None:
+    notes = " | ".join(analyse(wrong(log)).notes)
+    assert re.search(words, notes), notes
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"), [(1000.0, "not N mm"), (-1.0, "bear -0.[89]"), (9.81, "not kgf")]
+)
+def test_forces_of_no_robot_are_refused(log: JointLog, factor: float, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        analyse(torque(log, factor))
