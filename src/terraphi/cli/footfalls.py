@@ -6,7 +6,13 @@ from pathlib import Path
 
 import click
 
-from terraphi.cli.forces import joint_names_option, robot_option, split_names, topic_option
+from terraphi.cli.forces import (
+    columns_option,
+    joint_names_option,
+    robot_option,
+    split_names,
+    topic_option,
+)
 from terraphi.cli.options import LAW_SETS, Choice, json_option
 from terraphi.view.console import print_footfalls, print_json
 
@@ -43,6 +49,7 @@ from terraphi.view.console import print_footfalls, print_json
 )
 @topic_option
 @joint_names_option
+@columns_option
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -59,6 +66,7 @@ def footfalls(
     probe: bool,
     topic: str | None,
     joint_names: str | None,
+    columns: Path | None,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -90,6 +98,7 @@ def footfalls(
         probe=probe,
         topic=topic,
         joint_names=split_names(joint_names),
+        columns=columns,
     )
     made: tuple[Path, ...] = ()
     if out is not None:

@@ -158,7 +158,7 @@ class Footfalls:
         forces = FootForces(
             time=log.time,
             force=single,
-            sigma=single,  # nobody asks, nor for the noise
+            sigma=single,  # nobody asks
             noise=single,
             flagged=np.zeros((len(log.time), 4), dtype=bool),
             saturated=np.asarray((np.abs(log.torque) >= limit).any(axis=-1)),

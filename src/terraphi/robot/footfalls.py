@@ -147,6 +147,7 @@ def find_footfalls(
     probe: bool = False,
     topic: str | None = None,
     joint_names: Sequence[str] | None = None,
+    columns: Path | None = None,
 ) -> FootfallMap:
     """φ under each footfall of a walk, and a map of it along the path.
 
@@ -167,7 +168,7 @@ def find_footfalls(
         Of the joints, from a log of the hanging robot; what it lacks is found in swing.
     probe
         Feet were pressed slowly, on purpose, while the others stood: the whole loading counts.
-    topic, joint_names
+    topic, joint_names, columns
         See :func:`~terraphi.robot.logs.read_log`.
 
     Returns
@@ -187,12 +188,17 @@ def find_footfalls(
     if body.foot_radius <= 0.0:
         raise InputError(f"robot '{body.name}' lacks its foot_radius, which footfalls need [m]")
     if not isinstance(log, JointLog):
-        log = read_log(log, topic=topic, joint_names=joint_names, motors=body.joint_order)
+        log = read_log(
+            log, topic=topic, joint_names=joint_names, motors=body.joint_order, columns=columns
+        )
     log = regular(log)
     if log.quaternion is None:
         raise InputError(f"{name}: has no attitude, without which nobody knows where down is")
     chosen = replace(prior or Prior(), radius=body.foot_radius)
-    found = analyse(log, robot=body, friction=friction)
+    try:
+        found = analyse(log, robot=body, friction=friction)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
     lift = found.forces.force[:, :, 2].astype(np.float64)
     motion = _from_the_start(track(log, body, lift), log)
     per = sensitivity(log, body)

@@ -16,8 +16,8 @@ from terraphi.view.report.parts import Section
 
 Kind = str
 EXPECTED = (
-    "an inversion's folder or answer.json, a study's or a map's folder, a library, foot forces or "
-    "a history (.nc), a folder of fields, or a robot's log is expected"
+    "an inversion's folder or answer.json, a study's or a map's folder, a library, foot forces, "
+    "footfalls, a history (.nc), a folder of fields, or a robot's log is expected"
 )
 FOLDERS = (
     ("inversion", "answer.json"),
@@ -106,6 +106,7 @@ def _kind_of_netcdf(path: Path) -> Kind:
         "inversion": "inversion",
         "library": "library",
         "foot forces": "robot",
+        "footfalls": "footfalls",
         "force history": "simulation",
     }
     if kind == "joint_inversion":

@@ -1,0 +1,125 @@
+"""Footfalls of simulated walks, what is refused, and files that come back as they went."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import InputError
+from terraphi.robot.footfall_files import read_footfalls, summary, write_footfalls
+from terraphi.robot.footfall_stream import Footfalls
+from terraphi.robot.footfalls import (
+    USABLE,
+    FootfallMap,
+    anchor_from,
+    find_footfalls,
+    prior_for,
+)
+from terraphi.robot.joint_log import JointLog
+from terraphi.robot.model import Quadruped
+
+COLUMNS = ("time", "angle", "velocity", "torque", "quaternion", "angular_velocity", "acceleration")
+
+
+@pytest.fixture(scope="module")
+def walked() -> tuple[Any, Any, JointLog]:
+    """Four seconds of a trot on sand: the walk, what happened, and the log."""
+    pytest.importorskip("mujoco")
+    from sand_walk import sand_log, sand_walk
+
+    walk = sand_walk("trot", seed=7, duration=4.0)
+    recording = walk.run()
+    return walk, recording, sand_log(recording, seed=7, gain_sd=0.03)
+
+
+@pytest.fixture(scope="module")
+def found(walked: tuple[Any, Any, JointLog]) -> FootfallMap:
+    return find_footfalls(walked[2], prior=prior_for("1550±80"))
+
+
+@pytest.mark.slow
+def test_a_walk_on_sand_tells_its_field(walked: Any, found: FootfallMap) -> None:
+    walk, recording, _ = walked
+    assert found.usable.sum() > 20
+    truth = walk.sand.phi(found.path[:, 1:] + recording.position[0, :2])
+    assert np.sqrt(np.mean((found.path_phi - truth) ** 2)) < 0.6
+    assert np.all(np.abs(found.path_phi - truth) < 2.0 * found.path_absolute_sd)
+
+
+@pytest.mark.slow
+def test_files_come_back(found: FootfallMap, tmp_path: Path) -> None:
+    place = tmp_path / "soil.nc"
+    names = write_footfalls(found, place)
+    assert summary(read_footfalls(place)) == json.loads(json.dumps(summary(found)))
+    features = json.loads(names[2].read_text())["features"]
+    assert len(features) == len(found.verdict) == len(names[1].read_text().splitlines()) - 2
+
+
+@pytest.mark.slow
+def test_one_by_one_agrees_with_the_whole_log(walked: Any, found: FootfallMap) -> None:
+    log = walked[2]
+    friction = None
+    live = Footfalls(Quadruped.load("go2"), friction=friction)
+    told = []
+    for first in range(0, len(log.time), 40):
+        part = {name: getattr(log, name)[first : first + 40] for name in COLUMNS}
+        told += live.update(JointLog(**part))
+    usable = [footfall for footfall in told if footfall.verdict == USABLE]
+    assert len(usable) > 15
+    # Without friction and weighing they differ, by less than gains of a few per cent do.
+    raw = np.interp([f.time for f in usable], found.time[found.usable], found.phi[found.usable])
+    assert np.median(np.abs([f.phi for f in usable] - raw)) < 1.5
+
+
+@pytest.mark.slow
+def test_torques_of_another_unit_are_refused(walked: Any) -> None:
+    log = walked[2]
+    with pytest.raises(InputError, match="% of the robot's weight on average"):
+        find_footfalls(replace(log, torque=2.0 * log.torque))
+
+
+@pytest.mark.slow
+def test_hard_ground_tells_nothing() -> None:
+    pytest.importorskip("mujoco")
+    from sand_walk import sand_log, sand_walk
+
+    recording = sand_walk("walk", seed=0, law="floor", duration=5.0).run()
+    found = find_footfalls(sand_log(recording, seed=0))
+    assert len(found.verdict) > 8
+    assert not found.usable.any()
+    assert "no footfall is usable: the map is empty" in found.notes
+
+
+def test_a_log_without_attitude_is_refused() -> None:
+    still = np.zeros((50, 4, 3))
+    log = JointLog(np.arange(50) / 500.0, still, still, still)
+    with pytest.raises(InputError, match="has no attitude"):
+        find_footfalls(log)
+
+
+@pytest.mark.parametrize("text", ["x=0:0.5,phi=34±1", "x = 0.5 : 0, phi = 34 +- 1"])
+def test_an_anchor_as_people_write_it(text: str) -> None:
+    anchor = anchor_from(text)
+    assert anchor == (0.0, 0.5, 34.0, 1.0, "x")
+
+
+@pytest.mark.parametrize("text", ["phi=34", "x=0:1,phi=34", "x=0:1,phi=95±1", "q=0:1,phi=34±1"])
+def test_an_anchor_that_cannot_be_is_told(text: str) -> None:
+    with pytest.raises(InputError, match="anchor"):
+        anchor_from(text)
+
+
+@pytest.mark.parametrize("text", ["1.55", "heavy", "1550±900", "-1550", "nan"])
+def test_a_density_that_cannot_be_is_told(text: str) -> None:
+    with pytest.raises(InputError, match="density"):
+        prior_for(text)
+
+
+def test_a_density_without_its_uncertainty_gets_one() -> None:
+    assert prior_for("1600").density_sd == pytest.approx(80.0)
+    assert prior_for("1600+-50").density_sd == 50.0
