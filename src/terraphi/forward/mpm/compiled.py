@@ -24,6 +24,7 @@ _OPTIONS: dict[str, Any] = {
 _FOLDER = Path(__file__).parent
 _NOT_OF_THE_MODEL = {"__init__.py", "breakdown.py", "checkpoint.py", "fields.py"}
 _SOURCES = [*sorted(_FOLDER.glob("*.py")), _FOLDER.parents[1] / "experiment" / "leg.py"]
+_SOURCES_IN_SPACE = [*_SOURCES, *sorted((_FOLDER.parent / "mpm3d").glob("*.py"))]
 
 
 def kernel(function: Kernel) -> Kernel:
@@ -117,7 +118,7 @@ _ARITHMETIC = re.compile(r"^\s+v?(?:fn?m(?:add|sub)\d*|mul|add|sub|div|sqrt)([ps
 
 def _digest_of_sources() -> str:
     digest = hashlib.sha256(numba.__version__.encode())
-    for source in _SOURCES:
+    for source in _SOURCES_IN_SPACE:
         digest.update(source.read_bytes())
     return digest.hexdigest()
 
@@ -156,11 +157,13 @@ SOURCE_DIGEST = _digest_of_model(_SOURCES)
 """SHA-256 of the compiler's version and of the code that bears on a result, hexadecimal.
 
 Words about the code, and code that only keeps, shows or explains a result, do not count."""
+SOURCE_DIGEST_IN_SPACE = _digest_of_model(_SOURCES_IN_SPACE)
+"""The same with the code of three dimensions."""
 
 
 def _cache_folders() -> list[Path]:
     """Where Numba keeps machine code of the sources; the first one also keeps their digest."""
-    beside = dict.fromkeys(source.parent for source in _SOURCES)
+    beside = dict.fromkeys(source.parent for source in _SOURCES_IN_SPACE)
     chosen = getattr(numba.config, "CACHE_DIR", "")  # Numba sets its options by name
     if not chosen:
         return [folder / "__pycache__" for folder in beside]
