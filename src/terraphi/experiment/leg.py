@@ -20,9 +20,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 LegShape = Literal["straight", "c", "reversed_c", "plate"]
 LEG_SHAPES: tuple[LegShape, ...] = get_args(LegShape)
-SolidShape = Literal["sphere", "cylinder"]
-SOLID_SHAPES: tuple[SolidShape, ...] = get_args(SolidShape)
+SOLID_SHAPES = ("sphere", "cylinder")
 """Bodies that are no outline drawn out across the plane of motion: in three dimensions only."""
+BodyShape = Literal["straight", "c", "reversed_c", "plate", "sphere", "cylinder"]
 
 FloatArray = NDArray[np.float64]
 
@@ -145,7 +145,7 @@ class Leg(BaseModel):
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
     )
 
-    shape: LegShape | SolidShape = "straight"
+    shape: BodyShape = "straight"
     """``straight``; ``c``, a semicircle that bulges where it moves; ``reversed_c``, away from
     it; ``plate``, a rectangle with sharp corners. In three dimensions also ``sphere``, a ball of
     diameter ``chord``, and ``cylinder``, of length ``chord`` along it and diameter ``width``."""

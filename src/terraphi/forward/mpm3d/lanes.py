@@ -49,7 +49,11 @@ SUM = np.uint64(72) * ROW + MARGIN
 before and behind."""
 BACK = np.uint64(96) * ROW
 """6 rows of forces on their way back: (W W, D W, W D, H W, W H, D D) over (y, z)."""
-WORK = np.uint64(102) * ROW + ROW
+MIDDLE = np.uint64(102) * ROW
+"""3 rows: mean offset of a cell's particles (x, y, z) [cell]."""
+RATE = np.uint64(105) * ROW
+"""1 row: volumetric strain there [-]."""
+WORK = np.uint64(106) * ROW + ROW
 
 _FIELD = [np.uint64(field) * LANES for field in range(packing.FIELDS)]
 X, Y, Z, SXX, SYY, SZZ, SXY, SXZ, SYZ, STRAIN, VOLUME = _FIELD
@@ -110,7 +114,7 @@ class Laws(NamedTuple):
     intercept: Any
     """k of the cone [Pa]."""
     averaging: Any
-    """1 if the volumetric strain is that in the cell's middle, else 0."""
+    """1 if the volumetric strain is the mean of the cell's particles, else 0."""
 
 
 def laws_of(material: Material, *, averaging: bool) -> Laws:
@@ -185,6 +189,35 @@ def gather_along(work: Work, component: Index, scale: Any, lanes: Index) -> None
         work[m] = scale * (SIDE * (work[r] + work[r + TWO]) + CENTRE * work[r + ONE])
         r, m = v + FIVE * ROW + i, to + EIGHT * ROW + i
         work[m] = scale * (SIDE * (work[r] + work[r + TWO]) + CENTRE * work[r + ONE])
+
+
+@kernel
+def rate_of_cells(work: Work, lanes: Index) -> None:
+    """Volumetric strain at the mean offset of each cell's particles, which is their mean."""
+    wide_vectors()
+    x = MOMENT
+    y, z = x + NINE * ROW, x + NINE * TWO * ROW
+    for i in range(lanes):
+        bent = work[x + THREE * ROW + i] + work[y + SIX * ROW + i] + work[z + SEVEN * ROW + i]
+        rate = work[x + i] + work[y + ROW + i] + work[z + TWO * ROW + i] + bent * work[MIDDLE + i]
+        bent = work[x + SIX * ROW + i] + work[y + FOUR * ROW + i] + work[z + EIGHT * ROW + i]
+        rate += bent * work[MIDDLE + ROW + i]
+        bent = work[x + SEVEN * ROW + i] + work[y + EIGHT * ROW + i] + work[z + FIVE * ROW + i]
+        work[RATE + i] = rate + bent * work[MIDDLE + TWO * ROW + i]
+
+
+@kernel
+def press_middle(work: Work, laws: Laws, lanes: Index) -> None:
+    """Let the mean stress act at the mean offset, the transpose of :func:`rate_of_cells`."""
+    wide_vectors()
+    for i in range(lanes):
+        total = work[SUM + i] + work[SUM + ROW + i] + work[SUM + TWO * ROW + i]
+        mean = laws.averaging * THIRD * total
+        x, y, z = work[MIDDLE + i], work[MIDDLE + ROW + i], work[MIDDLE + TWO * ROW + i]
+        to = SUM + SIX * ROW + i
+        add_moments(work, to, mean, x, y, z)
+        add_moments(work, to + THREE * ROW, mean, x, y, z)
+        add_moments(work, to + SIX * ROW, mean, x, y, z)
 
 
 @kernel
@@ -300,8 +333,7 @@ def predicted(state: Work, work: Work, at: Index, i: Index, laws: Laws) -> Six:
     ayx, dyy, ayz = strain_of(work, m + NINE * ROW, x, y, z)
     azx, azy, dzz = strain_of(work, m + NINE * TWO * ROW, x, y, z)
     trace = dxx + dyy + dzz
-    middle = work[m] + work[m + NINE * ROW + ROW] + work[m + NINE * TWO * ROW + TWO * ROW]
-    volumetric = laws.averaging * middle + (UNIT - laws.averaging) * trace
+    volumetric = laws.averaging * work[RATE + i] + (UNIT - laws.averaging) * trace
     xx, yy, zz = state[at + SXX], state[at + SYY], state[at + SZZ]
     xy, xz, yz = state[at + SXY], state[at + SXZ], state[at + SYZ]
     wxy, wxz, wyz = HALF * (axy - ayx), HALF * (axz - azx), HALF * (ayz - azy)
@@ -336,7 +368,7 @@ def strain_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: La
         work[to + THREE * ROW] += xy
         work[to + FOUR * ROW] += xz
         work[to + FIVE * ROW] += yz
-        # The mean stress acts in the middle if the volumetric strain is that of the middle.
+        # Where the volumetric strain is one for a cell, so is the mean stress: see press_middle.
         mean = laws.averaging * THIRD * (xx + yy + zz)
         x, y, z = state[at + X], state[at + Y], state[at + Z]
         add_moments(work, to + SIX * ROW, xx - mean, x, y, z)

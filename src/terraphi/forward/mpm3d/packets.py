@@ -17,6 +17,7 @@ from terraphi.forward.mpm3d.lanes import (
     CENTRE,
     DOUBLE,
     HALF,
+    MIDDLE,
     NINE,
     ONE,
     ROW,
@@ -35,6 +36,8 @@ from terraphi.forward.mpm3d.lanes import (
     gather_along,
     give_across,
     give_along,
+    press_middle,
+    rate_of_cells,
     strain_packet,
 )
 from terraphi.forward.mpm3d.lattice import LANES, MARGIN, Lattice
@@ -105,13 +108,20 @@ def strain(
                     continue
                 at = (k - ONE) * layer + np.uint64(j - 1) * row + np.uint64(b) * LANES
                 load(work, velocity, at, row, layer, wide)
+                middle = np.uint64(block - 1) * THREE * LANES
+                for axis in range(THREE):
+                    for i in range(lanes):
+                        mean = packets.centre[middle + axis * LANES + i]
+                        work[MIDDLE + axis * ROW + i] = mean
                 for component in range(THREE):
                     gather_across(work, component, wide)
                     gather_along(work, component, scale, lanes)
+                rate_of_cells(work, lanes)
                 for i in range(SUM - MARGIN, SUM - MARGIN + SUMS * ROW):
                     work[i] = ZERO
                 for packet in range(np.uint64(begin), np.uint64(end)):
                     strain_packet(packets.state, work, packet, lanes, laws)
+                press_middle(work, laws, lanes)
                 lay_down(work, force[0], at, (XX, XY, XZ), area, row, layer, wide)
                 lay_down(work, force[1], at, (XY, YY, YZ), area, row, layer, wide)
                 lay_down(work, force[2], at, (XZ, YZ, ZZ), area, row, layer, wide)

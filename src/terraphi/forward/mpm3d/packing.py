@@ -37,6 +37,8 @@ class Packets(NamedTuple):
     """All fields of all packets."""
     first: NDArray[np.int64]
     """First packet of each block, shape [block + 1]; blocks row by row, from layer to layer."""
+    centre: NDArray[np.float32]
+    """Mean offset of the particles of each cell (x, y, z) [cell], flat: block, axis, lane."""
     owner: NDArray[np.int32]
     """Index of the particle in each lane of each packet, -1 where there is none."""
 
@@ -61,8 +63,10 @@ def pack(soil: Soil, lattice: Lattice) -> Packets:
     packets = int(first[-1])
     state = aligned(packets * FIELDS * _WIDTH)
     owner = np.full(packets * _WIDTH, -1, np.int32)
-    _fill(soil, lattice, count, first, state, owner)
-    return Packets(state, first, owner)
+    centre = aligned((len(first) - 1) * 3 * _WIDTH)
+    made = Packets(state, first, centre, owner)
+    _fill(soil, lattice, count, count.copy(), made)
+    return made
 
 
 def aligned(length: int) -> NDArray[np.float32]:
@@ -101,23 +105,24 @@ def _fill(
     soil: Soil,
     lattice: Lattice,
     count: NDArray[np.uint16],
-    first: NDArray[np.int64],
-    state: NDArray[np.float32],
-    owner: NDArray[np.int32],
+    left: NDArray[np.uint16],
+    made: Packets,
 ) -> None:
-    """Put the particles into their packets; ``count`` is used up."""
+    """Put the particles into their packets; ``left``, as ``count`` at first, is used up."""
+    state = made.state
     for p in range(soil.cell.size):
         cell = soil.cell[p]
         k = cell // lattice.layer
         j = (cell - k * lattice.layer) // lattice.row
         i = cell - k * lattice.layer - j * lattice.row - 1
         block = (k * lattice.count_y + j) * lattice.blocks + i // _WIDTH
-        count[cell] -= 1
-        packet, lane = first[block] + count[cell], i % _WIDTH
-        owner[packet * _WIDTH + lane] = p
+        left[cell] -= 1
+        packet, lane = made.first[block] + left[cell], i % _WIDTH
+        made.owner[packet * _WIDTH + lane] = p
         at = packet * FIELDS * _WIDTH + lane
         for axis in range(3):
             state[at + (X + axis) * _WIDTH] = soil.offset[p, axis]
+            made.centre[(block * 3 + axis) * _WIDTH + lane] += soil.offset[p, axis] / count[cell]
         for c in range(6):
             state[at + (SXX + c) * _WIDTH] = soil.stress[p, c]
         state[at + STRAIN * _WIDTH] = soil.strain[p]

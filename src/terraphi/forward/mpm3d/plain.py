@@ -14,8 +14,7 @@ slopes:
     second derivatives at its middle, shared by all its particles. The fast kernel has these.
 
 Where the volumetric strain is one for a cell (``dilatation = "cell"``), it is the mean over its
-particles for ``nodes``, as in the plane, and that in the middle of the cell for ``cell``; the mean
-stress acts on the nodes in the same way.
+particles, as in the plane; their mean stress then acts on the nodes in the same way.
 """
 
 from __future__ import annotations
@@ -31,8 +30,6 @@ from terraphi.forward.mpm3d.contact import Three
 from terraphi.forward.mpm3d.lattice import Lattice
 from terraphi.forward.mpm3d.plasticity import Material, jaumann_predictor, return_mapping
 from terraphi.forward.mpm3d.transfer import Nodes, weights
-
-MIDDLE: Three = (0.0, 0.0, 0.0)
 
 
 class Law(NamedTuple):
@@ -165,11 +162,7 @@ def strain_particle(
     rows = gradient(nodes, cell, offset_of(soil, p), lattice, law.linear)
     volumetric = time_step * (rows[0][0] + rows[1][1] + rows[2][2])
     if law.averaging:
-        if law.linear:
-            middle = gradient(nodes, cell, MIDDLE, lattice, True)
-            volumetric = time_step * (middle[0][0] + middle[1][1] + middle[2][2])
-        else:
-            volumetric = cells.rate[cell] / cells.number[cell]
+        volumetric = cells.rate[cell] / cells.number[cell]
     x, y, z = rows
     dt = time_step
     trial = jaumann_predictor(
@@ -203,13 +196,9 @@ def push_nodes(soil: Soil, lattice: Lattice, force: Nodes, cells: Cells, law: La
     cell, place = soil.cell[p], offset_of(soil, p)
     xx, yy, zz = soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2]
     xy, xz, yz = soil.stress[p, 3], soil.stress[p, 4], soil.stress[p, 5]
-    mean, elsewhere = (xx + yy + zz) / 3.0, 0.0
     if law.averaging:
-        # The mean stress acts where the volumetric strain is measured.
-        acting = cells.pressed[cell] / cells.number[cell]
-        if law.linear:
-            acting, elsewhere = 0.0, mean
-        xx, yy, zz = xx - mean + acting, yy - mean + acting, zz - mean + acting
+        excess = cells.pressed[cell] / cells.number[cell] - (xx + yy + zz) / 3.0
+        xx, yy, zz = xx + excess, yy + excess, zz + excess
     size = -law.volume / lattice.cell_size
     for c in range(-1, 2):
         for b in range(-1, 2):
@@ -219,9 +208,6 @@ def push_nodes(soil: Soil, lattice: Lattice, force: Nodes, cells: Cells, law: La
                 fx = xx * gx + xy * gy + xz * gz
                 fy = xy * gx + yy * gy + yz * gz
                 fz = xz * gx + yz * gy + zz * gz
-                if elsewhere != 0.0:
-                    gx, gy, gz = slope(MIDDLE, a, b, c, True)
-                    fx, fy, fz = fx + elsewhere * gx, fy + elsewhere * gy, fz + elsewhere * gz
                 force[0][q] += size * fx
                 force[1][q] += size * fy
                 force[2][q] += size * fz
