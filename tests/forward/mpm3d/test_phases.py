@@ -10,14 +10,17 @@ from terraphi.experiment.leg import Leg
 from terraphi.forward import Checkpoint, simulate
 from terraphi.forward.mpm import phases as plane
 from terraphi.forward.mpm.bed import empty_grid, geostatic_bed
+from terraphi.forward.mpm.compiled import register_use
 from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.relief import fading_of
 from terraphi.forward.mpm.scalar import empty_audit, empty_reaction, stepping_of
 from terraphi.forward.mpm.solver import path_of_steps
-from terraphi.forward.mpm3d import contact, packets
-from terraphi.forward.mpm3d.lattice import positions
+from terraphi.forward.mpm3d import contact, lanes, packets, packing
+from terraphi.forward.mpm3d.bed import geostatic_bed as geostatic_bed_in_space
+from terraphi.forward.mpm3d.lattice import LANES, lattice_of, positions
 from terraphi.forward.mpm3d.phase import velocities
+from terraphi.forward.mpm3d.plasticity import material_of as material_in_space
 
 AWAY = {"motion.hip": [0.1, 0.15], "motion.start_deg": -180.0, "motion.stop_deg": -150.0,
         "leg.chord": 0.03}  # fmt: skip
@@ -32,16 +35,19 @@ SOFT = {"soil.friction_angle_deg": 40.0, "soil.dilation_angle_deg": 8.0,
         "soil.critical_friction_angle_deg": 32.0, "soil.softening_strain": 0.05}  # fmt: skip
 
 
-@pytest.mark.parametrize("body", BODIES)
-@pytest.mark.parametrize("soil", [{}, SOFT, {"soil.yield_criterion": "triaxial"}])
-def test_packets_do_what_the_reference_does(space, body, soil):
-    if soil and body != "straight":
-        pytest.skip("bodies and soils are apart")
-    scenario = space.scenario(**BODIES[body], **soil)
+@pytest.mark.parametrize(
+    "changes",
+    [*BODIES.values(), SOFT, {"soil.yield_criterion": "triaxial"}],
+    ids=[*BODIES, "soft", "cone"],
+)
+def test_packets_do_what_the_reference_does(space, changes):
+    scenario = space.scenario(**changes)
     fast, slow = (space.run(scenario, kernel, 50) for kernel in ("packets", "scalar_cell"))
     assert fast.lost == slow.lost == -1
     assert np.linalg.norm(slow.impulse) > 1e-3
-    np.testing.assert_allclose(fast.impulse, slow.impulse, rtol=0, atol=2e-3 * max(abs(slow.impulse)))
+    np.testing.assert_allclose(
+        fast.impulse, slow.impulse, rtol=0, atol=2e-3 * max(abs(slow.impulse))
+    )
     one, other = (positions(r.lattice, r.soil.cell, r.soil.offset) for r in (fast, slow))
     assert np.abs(one - other).max() < 1e-3 * fast.lattice.cell_size
     # Rounding may tip a particle of which the state hangs by a thread; not many.
@@ -59,26 +65,26 @@ def test_momentum_of_the_soil_is_accounted_for(space, kernel, most):
     np.testing.assert_allclose(made.audit.ledger[1], -made.impulse, rtol=1e-12)
 
 
-def test_a_bed_at_rest_stays_at_rest(space):
-    scenario = space.scenario(**AWAY)
-    made = space.run(scenario, "packets", 200)
-    height = positions(made.lattice, made.soil.cell, made.soil.offset)[:, 2]
-    soil = scenario.soil
-    depth = scenario.bed.surface - height
-    deep = depth > 2.0 * made.lattice.cell_size
-    vertical = -soil.density * scenario.bed.gravity * depth
-    for c, factor in ((0, soil.k0_at_rest), (1, soil.k0_at_rest), (2, 1.0)):
-        np.testing.assert_allclose(
-            made.soil.stress[deep, c], factor * vertical[deep], rtol=0, atol=0.03 * -vertical.min()
-        )
-    assert np.linalg.norm(velocities(made.soil, made.lattice), axis=1).max() < 5e-3
+def test_a_bed_settles_where_it_lies(space):
+    scenario = space.scenario(**AWAY, **{"numerics.damping_rate": 6000.0})
+    made = space.run(scenario, "packets", 1000)
+    place, soil = positions(made.lattice, made.soil.cell, made.soil.offset), scenario.soil
+    depth, size = scenario.bed.surface - place[:, 2], made.lattice.cell_size
+    weight = soil.density * scenario.bed.gravity
+    # In every layer but that on the floor, of which half a cell hangs on nodes below it.
+    for low in np.arange(6) * size:
+        layer = (depth >= low) & (depth < low + size)
+        mean = made.soil.stress[layer].mean(axis=0) / (weight * size)
+        vertical = -depth[layer].mean() / size
+        assert mean[2] == pytest.approx(vertical, abs=0.15)
+        assert mean[:2] == pytest.approx(soil.k0_at_rest * vertical, abs=0.2)
+        assert mean[3:] == pytest.approx(0.0, abs=0.05)
+    assert np.abs(velocities(made.soil, made.lattice)).max() < 2e-4
 
 
-def test_weightless_soil_pressed_by_its_own_weight_is_an_oedometer(space):
-    # Without stress at first and strong; damped until it rests.
-    scenario = space.scenario(
-        **AWAY, **{"soil.cohesion": 1e5, "numerics.damping_rate": 3000.0, "bed.breadth": 0.02}
-    )
+def test_a_strong_bed_is_an_oedometer(space):
+    # Without stress at first, and damped until it rests.
+    scenario = space.scenario(**AWAY, **{"soil.cohesion": 1e5, "numerics.damping_rate": 6000.0})
 
     def relax(soil):
         soil.stress[:] = 0.0
@@ -90,7 +96,7 @@ def test_weightless_soil_pressed_by_its_own_weight_is_an_oedometer(space):
     assert mean[0] == pytest.approx(nu / (1.0 - nu) * mean[2], rel=0.02)
     assert mean[1] == pytest.approx(nu / (1.0 - nu) * mean[2], rel=0.02)
     weight = scenario.soil.density * 9.81 * (scenario.bed.surface - height).mean()
-    assert mean[2] == pytest.approx(-weight, rel=0.02)
+    assert mean[2] == pytest.approx(-weight, rel=0.05)  # half a cell hangs below the floor
 
 
 def test_a_mirrored_half_is_half_of_the_whole(space):
@@ -124,7 +130,7 @@ def in_the_plane(scenario, steps):
 
 
 def test_a_slab_is_plane_strain(space):
-    # Short phases, as the plane demands; without light nodes both would agree to round-off.
+    # Short phases, as the plane demands; but for light nodes both would agree to round-off.
     scenario = slab(
         space,
         **{"numerics.remap_interval": 4.5e-4, "numerics.dilatation": "particle"},
@@ -132,7 +138,14 @@ def test_a_slab_is_plane_strain(space):
     flat = in_the_plane(scenario, 400)
     plain = space.run(scenario, "scalar", 400)
     assert plain.audit.worst[0] < 1e-12
-    np.testing.assert_allclose(plain.impulse, flat, rtol=0.02)
+    np.testing.assert_allclose(plain.impulse, flat, rtol=0.005)
+
+
+def test_packets_in_a_slab_are_near_plane_strain(space):
+    # Their slopes are linear in a cell, where those of the plane are not.
+    scenario = slab(space, **{"numerics.remap_interval": 4.5e-4})
+    made, flat = space.run(scenario, "packets", 400), in_the_plane(scenario, 400)
+    np.testing.assert_allclose(made.impulse, flat, rtol=0.04)
 
 
 def test_a_run_that_was_stopped_ends_in_the_same_bits(space, tmp_path):
@@ -179,9 +192,12 @@ def test_distance_is_that_of_the_nearest_of_many_points(shape):
 
 
 def test_the_lanes_are_vectors(space):
-    space.run(space.scenario(), "packets", 2)
-    (code,) = packets.strain.inspect_asm().values()
-    many = sum(code.count(f"sqrtps\t%{r}mm") for r in "xyz")
-    if not many:
+    scenario = space.scenario()
+    soil, lattice = geostatic_bed_in_space(scenario, np.float32), lattice_of(scenario)
+    state, work = packing.pack(soil, lattice).state, packets.work_memory()
+    laws = lanes.laws_of(material_in_space(scenario.soil), averaging=True)
+    used = register_use(lanes.strain_packet, state, work, np.uint64(0), LANES, laws)
+    if not used:
         pytest.skip("no x86 assembly to look at")
-    assert code.count("sqrtss") < many
+    # The loop stands twice: for whole vectors, and for what may be left over.
+    assert used["zmm"] + used["ymm"] + used["xmm"] > 0.8 * used["single"]

@@ -50,7 +50,12 @@ principals = st.tuples(*[st.floats(-5e3, 1e3)] * 3)
 
 
 @settings(max_examples=300, deadline=None)
-@given(principal=principals, angles=ANGLES, seed=st.integers(0, 99), cohesion=st.sampled_from([0.0, 500.0]))
+@given(
+    principal=principals,
+    angles=ANGLES,
+    seed=st.integers(0, 99),
+    cohesion=st.sampled_from([0.0, 500.0]),
+)
 def test_return_follows_the_flow_rule_and_ends_on_the_surface(principal, angles, seed, cohesion):
     ground = soil(*angles, cohesion=cohesion)
     material = material_of(ground)
@@ -76,7 +81,7 @@ def test_return_follows_the_flow_rule_and_ends_on_the_surface(principal, angles,
     stiffness = material.lame_lambda + 2.0 * material.shear_modulus * np.eye(3)
     flows = np.array([plane(material.sin_dilation, *pair) for pair in PAIRS])[active]
     if np.abs(new - tip).max() >= 1e-6 * scale or angles[1] == angles[0]:
-        multipliers, miss = nnls((flows @ stiffness).T / scale, (old - new) / scale)
+        _, miss = nnls((flows @ stiffness).T / scale, (old - new) / scale)
         assert miss < 1e-5
     assert slip >= -1e-12
 
@@ -107,11 +112,18 @@ def test_isochoric_paths_end_at_the_strength_of_mohr_and_coulomb(rate, ratio, ph
         assert (high - low) / -(high + low) == pytest.approx(sine, rel=tolerance)
         assert sum(stress[:3]) == pytest.approx(-3e3, rel=tolerance)
         if ratio is not None:
-            assert 3.0 * (high - low) / -sum(stress[:3]) == pytest.approx(ratio(sine), rel=tolerance)
+            assert 3.0 * (high - low) / -sum(stress[:3]) == pytest.approx(
+                ratio(sine), rel=tolerance
+            )
 
 
 @settings(max_examples=200, deadline=None)
-@given(principal=principals, angles=ANGLES, seed=st.integers(0, 99), worn=st.sampled_from([0.0, 0.05, 1.0]))
+@given(
+    principal=principals,
+    angles=ANGLES,
+    seed=st.integers(0, 99),
+    worn=st.sampled_from([0.0, 0.05, 1.0]),
+)
 def test_lanes_return_as_the_reference_does(principal, angles, seed, worn):
     for ground in (
         soil(*angles, critical_friction_angle_deg=0.8 * angles[0], softening_strain=0.1),

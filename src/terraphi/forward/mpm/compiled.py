@@ -89,7 +89,7 @@ wide_vectors = cast(Callable[[], None], numba.extending.intrinsic(_wide_vectors)
 
 
 def register_use(function: Callable[..., object], *arguments: object) -> Counter[str]:
-    """Count the arithmetic instructions on doubles in a kernel, compiled anew for x86.
+    """Count the arithmetic instructions on real numbers in a kernel, compiled anew for x86.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def register_use(function: Callable[..., object], *arguments: object) -> Counter
     Returns
     -------
     Counter
-        By register: ``zmm`` (eight doubles), ``ymm`` (four), ``xmm`` (two), ``single`` (one).
+        By register: ``zmm`` (512 bits), ``ymm`` (256), ``xmm`` (128), ``single`` (one number).
     """
     fresh = numba.njit(**{**_OPTIONS, "cache": False})(getattr(function, "py_func", function))
     fresh(*arguments)
@@ -113,7 +113,8 @@ def register_use(function: Callable[..., object], *arguments: object) -> Counter
     return used
 
 
-_ARITHMETIC = re.compile(r"^\s+v?(?:fn?m(?:add|sub)\d*|mul|add|sub|div|sqrt)([ps])d\s(.*)$", re.M)
+_ARITHMETIC = re.compile(r"^\s+v?(?:fn?m(?:add|sub)\d*|mul|add|sub|div|sqrt)([ps])[ds]\s(.*)$",
+re.M)
 
 
 def _digest_of_sources() -> str:
