@@ -23,8 +23,8 @@ _OPTIONS: dict[str, Any] = {
 
 _FOLDER = Path(__file__).parent
 _NOT_OF_THE_MODEL = {"__init__.py", "breakdown.py", "checkpoint.py", "fields.py"}
-_SOURCES = [*sorted(_FOLDER.glob("*.py")), _FOLDER.parents[1] / "experiment" / "leg.py"]
-_SOURCES_IN_SPACE = [*_SOURCES, *sorted((_FOLDER.parent / "mpm3d").glob("*.py"))]
+_IN_PLANE = [*sorted(_FOLDER.glob("*.py")), _FOLDER.parents[1] / "experiment" / "leg.py"]
+_SOURCES = [*_IN_PLANE, *sorted((_FOLDER.parent / "mpm3d").glob("*.py"))]
 
 
 def kernel(function: Kernel) -> Kernel:
@@ -119,7 +119,7 @@ re.M)
 
 def _digest_of_sources() -> str:
     digest = hashlib.sha256(numba.__version__.encode())
-    for source in _SOURCES_IN_SPACE:
+    for source in _SOURCES:
         digest.update(source.read_bytes())
     return digest.hexdigest()
 
@@ -154,17 +154,17 @@ def _digest_of_model(sources: Iterable[Path]) -> str:
     return hashlib.sha256("\n".join([numba.__version__, *sorted(codes)]).encode()).hexdigest()
 
 
-SOURCE_DIGEST = _digest_of_model(_SOURCES)
+SOURCE_DIGEST = _digest_of_model(_IN_PLANE)
 """SHA-256 of the compiler's version and of the code that bears on a result, hexadecimal.
 
 Words about the code, and code that only keeps, shows or explains a result, do not count."""
-SOURCE_DIGEST_IN_SPACE = _digest_of_model(_SOURCES_IN_SPACE)
+SOURCE_DIGEST_IN_SPACE = _digest_of_model(_SOURCES)
 """The same with the code of three dimensions."""
 
 
 def _cache_folders() -> list[Path]:
     """Where Numba keeps machine code of the sources; the first one also keeps their digest."""
-    beside = dict.fromkeys(source.parent for source in _SOURCES_IN_SPACE)
+    beside = dict.fromkeys(source.parent for source in _SOURCES)
     chosen = getattr(numba.config, "CACHE_DIR", "")  # Numba sets its options by name
     if not chosen:
         return [folder / "__pycache__" for folder in beside]

@@ -37,6 +37,8 @@ Nine = tuple[float, float, float, float, float, float, float, float, float]
 
 SMALLEST = 1e-12
 """Keeps a quotient of vanishing stresses from being no number [Pa]."""
+SMALLEST_CUBE = 1e-36
+"""The same for cubes of stresses [Pa³]."""
 
 
 class Material(NamedTuple):
@@ -248,7 +250,7 @@ def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, 
     second = 0.5 * (xx * xx + yy * yy + zz * zz) + xy * xy + xz * xz + yz * yz
     third = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
     radius = math.sqrt(second)
-    cosine = 1.5 * math.sqrt(3.0) * third / max(second * radius, SMALLEST**3)
+    cosine = 1.5 * math.sqrt(3.0) * third / max(second * radius, SMALLEST_CUBE)
     lode = math.acos(min(max(cosine, -1.0), 1.0)) / 3.0
     size = 2.0 / math.sqrt(3.0) * radius
     first, last = size * math.cos(lode), -size * math.cos(math.pi / 3.0 - lode)
