@@ -24,6 +24,9 @@ from terraphi.forward.mpm.relief import fading_of
 from terraphi.forward.mpm.scalar import empty_audit, empty_reaction, stepping_of
 from terraphi.forward.mpm.solver import path_of_steps
 from terraphi.forward.mpm.sweep import laws_of
+from terraphi.forward.mpm3d import bed as space
+from terraphi.forward.mpm3d.phase import Kernel, Phases, precision_of
+from terraphi.library.plan import Plan
 
 
 def main() -> None:
@@ -51,6 +54,8 @@ def main() -> None:
     for name, rate in best.items():
         print(f"{name}_particle_steps_per_second {rate:.4g}")
     print(f"lanes {int(LANES)}")
+    for line in in_space(arguments.turns):
+        print(line)
     print(f"vector_width_ok {int(vector_width_ok(scenario))}")
 
 
@@ -74,6 +79,35 @@ def seconds(advance: Callable[..., int], scenario: Scenario, steps: int) -> tupl
     grid, impulse, audit = empty_grid(scenario), empty_reaction(1), empty_audit()
     began = time.process_time()
     advance(soil, grid, *constants, poses, turned, bins, impulse, audit)
+    return len(soil.mass), time.process_time() - began
+
+
+def in_space(turns: int) -> list[str]:
+    """Rates in three dimensions, whole phases with all that they take; and their ratio."""
+    scenario = Plan.load("sand3d-quick").scenario
+    steps: dict[Kernel, int] = {"packets": scenario.numerics.steps_per_phase, "scalar": 4}
+    for kernel in steps:
+        seconds_in_space(kernel, scenario, 2)
+    rates: dict[Kernel, list[float]] = {kernel: [] for kernel in steps}
+    for _ in range(max(turns // 2, 1)):
+        for kernel, count in steps.items():
+            particles, lasted = seconds_in_space(kernel, scenario, count)
+            rates[kernel].append(particles * count / lasted)
+    best = {kernel: max(values) for kernel, values in rates.items()}
+    return [
+        f"space_packets_per_scalar {best['packets'] / best['scalar']:.3f}",
+        *(f"space_{name}_particle_steps_per_second {rate:.4g}" for name, rate in best.items()),
+    ]
+
+
+def seconds_in_space(kernel: Kernel, scenario: Scenario, steps: int) -> tuple[int, float]:
+    """Number of particles, and processor time of some steps [s]."""
+    phases, soil = Phases(scenario, kernel), space.geostatic_bed(scenario, precision_of(kernel))
+    phases.weigh_first(soil)
+    poses, _, bins = path_of_steps(scenario, np.arange(steps), 1)
+    impulse, audit = empty_reaction(1), empty_audit()
+    began = time.process_time()
+    phases.take(soil, poses, bins, impulse, audit)
     return len(soil.mass), time.process_time() - began
 
 

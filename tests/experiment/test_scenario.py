@@ -6,6 +6,7 @@ import math
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,20 @@ def refusal(tmp_path: Path, text: str) -> str:
     return message.removeprefix(str(file)).removeprefix(": ")
 
 
+SPACE = """
+dimensions = 3
+[relief]
+enabled = false
+[soil]
+yield_criterion = "plane_strain"
+youngs_modulus = 1e6
+[numerics]
+contact = "surface"
+remap_interval = 1e-4
+"""
+"""The beginning of a scenario in space."""
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -65,7 +80,22 @@ def refusal(tmp_path: Path, text: str) -> str:
         ("[motion]\nkind = 'rotate'", ["motion.kind = 'rotate'", "did you mean 'rotation'?"]),
         ("[motion]\nkind = 'translation'", ["'motion.start' is missing"]),
         ("[motion]\nstart_deg = 20\nstop_deg = 10", ["start_deg = 20 must be below stop_deg = 10"]),
-        ("dimensions = 3", ["dimensions = 3", "model = 'rft'"]),
+        ("dimensions = 3", ["relief.enabled = true", "relief.enabled = false alone"]),
+        (SPACE + "[bed]\nheight = 0.16", ["needs bed.breadth"]),
+        (SPACE + "[bed]\nbreadth = 0.01", ["leg.width = 0.0254 m does not fit"]),
+        (
+            SPACE.replace("plane_strain", "paper") + "[bed]\nbreadth = 0.1",
+            ["soil.yield_criterion = 'paper'", "'plane_strain' (Mohr-Coulomb) or 'triaxial'"],
+        ),
+        (
+            SPACE.replace("= 1e6", "= 1e6\ncritical_friction_angle_deg = 50.0")
+            + "[bed]\nbreadth = 0.1",
+            ["critical_friction_angle_deg = 50 exceeds"],
+        ),
+        ("[bed]\nbreadth = 0.2", ["bed.breadth = 0.2", "set dimensions = 3"]),
+        ("[leg]\nshape = 'sphere'", ["leg.shape = 'sphere'", "set dimensions = 3"]),
+        ("model = 'rft'\n[leg]\nshape = 'sphere'", ["leg.shape = 'sphere'", "outlines only"]),
+        ("model = 'rft'\n[bed]\nbreadth = 0.2", ["bed.breadth = 0.2", "model = 'mpm'"]),
         ("model = 'rft'\n[bed]\nsoil_left = 0.02", ["bed.soil_left = 0.02 m", "without an edge"]),
         ("model = 'rft'\n[bed]\nsoil_width = 0.1", ["bed.soil_width = 0.1 m", "model = 'mpm'"]),
         ("dimensions = 4", ["dimensions = 4", "2 or 3"]),
@@ -230,8 +260,13 @@ OTHER: dict[str, Any] = {
     "numerics.contact": "surface",
     "numerics.dilatation": "cell",
     "numerics.stress_rate": "none",
+    "numerics.symmetry": "whole",
     "rft.medium": "poppy_loose",
 }
+
+
+IN_SPACE: dict[str, Any] = {"bed.breadth": 0.2, "soil.critical_friction_angle_deg": 30.0}
+"""Keys of three dimensions alone."""
 
 
 def changed(key: str, value: Any) -> Any:
@@ -251,6 +286,10 @@ def test_every_other_field_is_part_of_the_hash(moves: dict[str, Any]) -> None:
     hashes = {base.hash}
     for key, value in keys.items():
         if key in {"name", "dimensions", "motion.kind"}:  # the last two do not change alone
+            continue
+        if key in IN_SPACE:
+            start = Scenario.model_validate(tomllib.loads(SPACE + "[bed]\nbreadth = 0.1"))
+            hashes.add(start.replace(**{key: IN_SPACE[key]}).hash)
             continue
         start = stepwise if key == "numerics.transfer" else base
         hashes.add(start.replace(**{key: changed(key, value)}).hash)

@@ -1,4 +1,4 @@
-r"""Outlines of rigid intruders: straight leg, C, reversed C, plate.
+r"""Outlines of rigid intruders: straight leg, C, reversed C, plate; and a ball and a cylinder.
 
 A leg lives in its own frame: the origin is the hip, the first axis :math:`s` runs along the chord
 towards the tip, the second axis :math:`m` points where the tip moves when θ grows. An outline is
@@ -20,6 +20,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 LegShape = Literal["straight", "c", "reversed_c", "plate"]
 LEG_SHAPES: tuple[LegShape, ...] = get_args(LegShape)
+SOLID_SHAPES = ("sphere", "cylinder")
+"""Bodies that are no outline drawn out across the plane of motion: in three dimensions only."""
+BodyShape = Literal["straight", "c", "reversed_c", "plate", "sphere", "cylinder"]
 
 FloatArray = NDArray[np.float64]
 
@@ -142,9 +145,10 @@ class Leg(BaseModel):
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
     )
 
-    shape: LegShape = "straight"
+    shape: BodyShape = "straight"
     """``straight``; ``c``, a semicircle that bulges where it moves; ``reversed_c``, away from
-    it; ``plate``, a rectangle with sharp corners."""
+    it; ``plate``, a rectangle with sharp corners. In three dimensions also ``sphere``, a ball of
+    diameter ``chord``, and ``cylinder``, of length ``chord`` along it and diameter ``width``."""
     chord: float = Field(0.0762, gt=0)
     """Distance from hip to tip, 2R [m]; for the plate its length."""
     half_thickness: float = Field(0.0032, gt=0)
@@ -156,7 +160,8 @@ class Leg(BaseModel):
 
     @model_validator(mode="after")
     def _thinner_than_long(self) -> Self:
-        if 2.0 * self.half_thickness >= self.chord and self.shape != "plate":
+        line = self.shape not in ("plate", *SOLID_SHAPES)
+        if 2.0 * self.half_thickness >= self.chord and line:
             raise ValueError(
                 f"half_thickness = {self.half_thickness:g} m must stay below half the chord "
                 f"({0.5 * self.chord:g} m)"
@@ -231,15 +236,17 @@ class Leg(BaseModel):
         float
             How far the leg extends around them [m].
         """
-        if self.shape == "plate":
-            thick = self.half_thickness
-            ends = [[s, m] for s in (0.0, self.chord) for m in (-thick, thick)]
-            return np.array(ends), 0.0
+        if self.shape == "sphere":
+            return np.array([[0.5 * self.chord, 0.0]]), 0.5 * self.chord
+        if self.shape in ("plate", "cylinder"):
+            return self.outline(), 0.0
         line = np.vstack([[0.0, 0.0], self.centre_line(60).centre, [self.chord, 0.0]])
         return line, self.half_thickness
 
     def outline(self, panels: int = 60) -> FloatArray:
         """Corners of a polygon that follows the outline, in the leg's frame.
+
+        Of a ball and a cylinder it is the one in the plane of motion through the middle.
 
         Parameters
         ----------
@@ -251,8 +258,13 @@ class Leg(BaseModel):
         ndarray
             (s, m) [m], shape [corner, 2], around the leg once; the last is not the first again.
         """
-        half = self.half_thickness
-        if self.shape == "plate":
+        half = 0.5 * self.width if self.shape == "cylinder" else self.half_thickness
+        if self.shape == "sphere":
+            circle = np.vstack(
+                [_half_circle((1.0, 0.0), panels), _half_circle((-1.0, 0.0), panels)]
+            )
+            return np.asarray(0.5 * self.chord * (circle + np.array([1.0, 0.0])))
+        if self.shape in ("plate", "cylinder"):
             return np.array([[0.0, -half], [self.chord, -half], [self.chord, half], [0.0, half]])
         line = self.centre_line(panels)
         # Tangents at hip and tip: along the chord or, of a semicircle, across it.
@@ -265,8 +277,10 @@ class Leg(BaseModel):
 
     def reach(self) -> float:
         """Largest distance of the outline from the hip [m]."""
-        if self.shape == "plate":
-            return math.hypot(self.chord, self.half_thickness)
+        if self.shape == "sphere":
+            return self.chord
+        if self.shape in ("plate", "cylinder"):
+            return float(np.hypot(*self.outline().T).max())
         return self.chord + self.half_thickness
 
 

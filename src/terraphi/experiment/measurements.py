@@ -68,7 +68,7 @@ class Measurement:
 
     name: str
     history: ForceHistory
-    leg: LegShape
+    leg: str
     medium: str = ""
     density_kg_m3: float | None = None
     density_assumed: bool = False

@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validat
 
 from terraphi.experiment.documents import WRITTEN, parse_toml, shipped_file, strictly
 from terraphi.experiment.files import is_there
-from terraphi.experiment.leg import Leg, frame_axes
+from terraphi.experiment.leg import LEG_SHAPES, SOLID_SHAPES, Leg, frame_axes
 from terraphi.experiment.motion import Motion, Rotation, bin_count
 from terraphi.experiment.soil import Soil
 
@@ -36,6 +36,10 @@ ADDED_LATER: dict[str, Any] = {
     "bed.soil_width": None,
     "bed.surcharge": 0.0,
     "bed.gravity": GRAVITY,
+    "bed.breadth": None,
+    "soil.critical_friction_angle_deg": None,
+    "soil.softening_strain": 0.2,
+    "numerics.symmetry": "half",
     "numerics.transfer": "apic",
     "numerics.damping_order": "after_contact",
     "numerics.contact": "nodes",
@@ -71,6 +75,9 @@ class Bed(Section):
     """Width of the box [m]; the right wall stands at left + width."""
     height: float = Field(0.165, gt=0)
     """Height of the soil above the floor [m]."""
+    breadth: float | None = Field(None, gt=0)
+    """In three dimensions, extent of the box across the plane of motion [m], with the leg in its
+    middle; rounded up to whole cells. Its flanks are smooth and mirror what is between them."""
     floor_friction: Literal["rough", "smooth"] = "rough"
     """``rough``: soil that presses on the floor sticks; ``smooth``: it slips freely. The side
     walls always let soil slip."""
@@ -133,9 +140,12 @@ class Numerics(Section):
     cells: int = Field(128, ge=8, le=4096)
     """Cells along a side."""
     particles_per_cell_side: int = Field(2, ge=1, le=8)
-    """Particles along a side of a cell; 2 makes 4 a cell in the plane."""
+    """Particles along a side of a cell; 2 makes 4 a cell in the plane, 8 in space."""
     particle_jitter: float = Field(1.0, ge=0, le=1)
     """Share of its sub-cell over which a particle's place is drawn [-]: 0 a lattice, 1 anywhere."""
+    symmetry: Literal["half", "whole"] = "half"
+    """In three dimensions, what is computed: ``half`` of the soil, to one side of the leg's plane
+    of motion, which mirrors it; or the ``whole``."""
     seed: int = Field(0, ge=0)
     """Seed of the particle places."""
     time_step: float = Field(8e-6, gt=0)
@@ -251,10 +261,20 @@ COURANT_LIMIT = 0.9
 Measured: elastic beds stay quiet up to 1.00 in the worst arrangement of particles tried and 1.10 in
 most, soil up to 1.15; see tests/forward/mpm."""
 
-LONGEST_TRAVEL = 0.1
-"""Cells that the leg may travel while the grid keeps its velocities [-]: the particles' places on
-the grid are held meanwhile."""
-
+LONGEST_TRAVEL = {2: 0.1, 3: 0.5}
+"""Cells that the leg may travel while the grid keeps its velocities, by dimensions [-]: the
+particles' places on the grid are held meanwhile."""
+COURANT_LIMIT_IN_SPACE = 0.75
+"""As :data:`COURANT_LIMIT`, in three dimensions."""
+_ONLY_IN_SPACE = {
+    "relief.enabled": False,
+    "numerics.contact": "surface",
+    "numerics.transfer": "apic",
+    "numerics.damping_order": "after_contact",
+    "numerics.stress_rate": "jaumann",
+    "numerics.particle_volume": "fixed",
+}
+"""What the material point method in three dimensions can do of what it can in the plane."""
 
 LEAST, LARGEST = 1e-15, 1e15
 """Sizes of numbers, in SI or degrees, that can be computed with."""
@@ -268,7 +288,7 @@ class Scenario(Section):
     model: Literal["mpm", "rft"] = "mpm"
     """``mpm``: material point method; ``rft``: resistive force theory."""
     dimensions: Literal[2, 3] = 2
-    """2: plane strain; 3: ``rft`` only, so far."""
+    """2: plane strain; 3: in space, with legs of their true width."""
     soil: Soil = Field(default_factory=Soil)
     leg: Leg = Field(default_factory=Leg)
     motion: Motion = Field(default_factory=Rotation)
@@ -297,10 +317,9 @@ class Scenario(Section):
                 )
         if self.model == "mpm":
             if self.dimensions == 3:
-                raise ValueError(
-                    "dimensions = 3: the material point method knows plane strain only; "
-                    "set dimensions = 2, or model = 'rft'"
-                )
+                self._check_space()
+            else:
+                self._check_plane()
             self._check_domain()
             self._check_time_step()
             self._check_phases()
@@ -309,13 +328,62 @@ class Scenario(Section):
         else:
             self._check_resistive_bed()
 
+    def _check_plane(self) -> None:
+        if self.leg.shape in SOLID_SHAPES:
+            raise ValueError(
+                f"leg.shape = '{self.leg.shape}' is a body in space; set dimensions = 3, or a "
+                f"shape of {', '.join(LEG_SHAPES)}"
+            )
+        for key, value in (
+            ("bed.breadth", self.bed.breadth),
+            ("soil.critical_friction_angle_deg", self.soil.critical_friction_angle_deg),
+        ):
+            if value is not None:
+                raise ValueError(
+                    f"{key} = {value:g}: plane strain does not know it; leave it out, or set "
+                    "dimensions = 3"
+                )
+
+    def _check_space(self) -> None:
+        for key, known in _ONLY_IN_SPACE.items():
+            section, option = key.split(".")
+            value = getattr(getattr(self, section), option)
+            if value != known:
+                raise ValueError(
+                    f"{key} = {json.dumps(value)}: in three dimensions there is "
+                    f"{key} = {json.dumps(known)} alone"
+                )
+        criterion = self.soil.yield_criterion
+        softens = self.soil.critical_friction_angle_deg is not None
+        if criterion == "paper" or (softens and criterion != "plane_strain"):
+            some = "'plane_strain' (Mohr-Coulomb)" + ("" if softens else " or 'triaxial'")
+            raise ValueError(
+                f"soil.yield_criterion = '{criterion}': in three dimensions "
+                f"{'soil that softens has' if softens else 'there is'} {some}"
+            )
+        if self.bed.breadth is None:
+            raise ValueError(
+                "dimensions = 3 needs bed.breadth, the extent of the box across the plane of "
+                "motion; 0.2 m leaves the forces on a leg of 25 mm alone"
+            )
+        if self.leg.width > self.bed.breadth * (1.0 + 1e-9) and self.leg.shape != "sphere":
+            raise ValueError(
+                f"leg.width = {self.leg.width:g} m does not fit between the flanks of the box, "
+                f"bed.breadth = {self.bed.breadth:g} m"
+            )
+
     def _check_resistive_bed(self) -> None:
+        if self.leg.shape in SOLID_SHAPES:
+            raise ValueError(
+                f"leg.shape = '{self.leg.shape}': resistive force theory knows outlines only; set "
+                f"a shape of {', '.join(LEG_SHAPES)}, or model = 'mpm'"
+            )
         if self.bed.surcharge > 0.0:
             raise ValueError(
                 f"bed.surcharge = {self.bed.surcharge:g} Pa: resistive force theory knows the "
                 "soil's own weight only; set it to 0, or model = 'mpm'"
             )
-        for name in ("soil_left", "soil_width"):
+        for name in ("soil_left", "soil_width", "breadth"):
             if getattr(self.bed, name) is not None:
                 raise ValueError(
                     f"bed.{name} = {getattr(self.bed, name):g} m: resistive force theory knows "
@@ -358,11 +426,12 @@ class Scenario(Section):
         numerics = self.numerics
         speed = numerics.speed_up * self.motion.top_speed(self.leg.reach())
         interval = numerics.steps_per_phase * numerics.time_step
-        longest = LONGEST_TRAVEL * numerics.cell_size / speed
+        travel = LONGEST_TRAVEL[self.dimensions]
+        longest = travel * numerics.cell_size / speed
         if interval > longest:
             raise ValueError(
                 f"numerics.remap_interval = {numerics.remap_interval:g} s lets the leg travel more "
-                f"than {LONGEST_TRAVEL:g} cells while the grid keeps its velocities; at most "
+                f"than {travel:g} cells while the grid keeps its velocities; at most "
                 f"{longest:.3g} s fits"
             )
 
@@ -401,7 +470,17 @@ class Scenario(Section):
         speed = self.soil.p_wave_speed + self.numerics.speed_up * self.motion.top_speed(
             self.leg.reach()
         )
-        return COURANT_LIMIT * self.numerics.cell_size / speed
+        limit = COURANT_LIMIT if self.dimensions == 2 else COURANT_LIMIT_IN_SPACE
+        return limit * self.numerics.cell_size / speed
+
+    @property
+    def cells_across(self) -> int:
+        """Cells across the plane of motion that are computed; 0 in plane strain."""
+        breadth = self.bed.breadth
+        if self.dimensions == 2 or breadth is None:
+            return 0
+        half = 0.5 if self.numerics.symmetry == "half" else 1.0
+        return max(1, math.ceil(half * breadth / self.numerics.cell_size - 1e-6))
 
     @property
     def hip_height(self) -> float:

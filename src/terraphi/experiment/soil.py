@@ -11,7 +11,7 @@ in-plane deviatoric magnitude :math:`r = \sqrt{\tfrac12 s:s}` (the Mohr radius):
     :math:`\tfrac12\mathrm{tr}\,\sigma` it makes 35° act as Mohr-Coulomb 15.8°.
 ``plane_strain``
     the same with :math:`\alpha = \sin\varphi`: Mohr-Coulomb exactly, what a geotechnical engineer
-    means.
+    means. In three dimensions Mohr-Coulomb as it stands, on all principal stresses.
 ``triaxial``
     :math:`\sqrt{J_2} + \alpha I_1 \le k` with the first constant and :math:`\sigma_{yy}` carried:
     the Drucker-Prager cone through the compressive meridian of Mohr-Coulomb. In plane strain it is
@@ -172,8 +172,9 @@ class Soil(BaseModel):
     friction_angle_deg: float = Field(35.0, gt=0, lt=90)
     """Friction angle φ [deg] in the convention of ``yield_criterion``."""
     yield_criterion: YieldCriterion = "paper"
-    """What φ means: ``paper``, as printed by Xu & Wang; ``plane_strain``, Mohr-Coulomb in plane
-    strain; ``triaxial``, Drucker-Prager matched at triaxial compression."""
+    """What φ means: ``paper``, as printed by Xu & Wang; ``plane_strain``, Mohr-Coulomb (in
+    three dimensions, with all principal stresses); ``triaxial``, Drucker-Prager matched at
+    triaxial compression."""
     dilation_angle_deg: float = Field(0.0, ge=0, lt=90)
     """Dilation angle ψ [deg], same convention, at most φ; ignored by associated flow."""
     flow: Literal["dilation", "associated"] = "dilation"
@@ -183,6 +184,11 @@ class Soil(BaseModel):
     tension_cutoff: float | None = Field(None, ge=0)
     """Mean stress [Pa] beyond which a trial state goes to the tip of the cut cone whatever the
     flow rule; ``None``: tension is left to the cone's own apex."""
+    critical_friction_angle_deg: float | None = Field(None, gt=0, lt=90)
+    """Friction angle in the critical state [deg], for soil that softens: φ and ψ are then those of
+    the peak; ``None``: nothing softens. In three dimensions, ``plane_strain`` alone."""
+    softening_strain: float = Field(0.2, gt=0)
+    """Plastic shear strain over which sin φ falls to the critical state and sin ψ to zero [-]."""
     k0: float | None = Field(None, gt=0)
     """Ratio of horizontal to vertical stress at rest [-]; ``None``: 1 - sin φ (Jaky)."""
 
@@ -192,6 +198,16 @@ class Soil(BaseModel):
             raise ValueError(
                 f"dilation_angle_deg = {self.dilation_angle_deg:g} exceeds friction_angle_deg = "
                 f"{self.friction_angle_deg:g}; plastic work would be negative"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _softens_and_does_not_harden(self) -> Self:
+        critical = self.critical_friction_angle_deg
+        if critical is not None and critical > self.friction_angle_deg:
+            raise ValueError(
+                f"critical_friction_angle_deg = {critical:g} exceeds friction_angle_deg = "
+                f"{self.friction_angle_deg:g}, which is that of the peak"
             )
         return self
 

@@ -35,7 +35,7 @@ __all__ = [
     "software",
 ]
 
-MODEL_VERSIONS = {"mpm": 1, "rft": 1}
+MODEL_VERSIONS = {"mpm": 1, "mpm3d": 1, "rft": 1}
 """A number for each model, raised whenever the same scenario would give other forces.
 
 Kept here, and not in the models' modules, so that asking for it loads none of them."""
@@ -121,7 +121,9 @@ def simulate(
 
 def model_version(scenario: Scenario) -> str:
     """Name and version of the model that a scenario asks for, such as ``"mpm-1"``."""
-    return f"{scenario.model}-{MODEL_VERSIONS[scenario.model]}"
+    in_space = scenario.model == "mpm" and scenario.dimensions == 3
+    name = "mpm3d" if in_space else scenario.model
+    return f"{name}-{MODEL_VERSIONS[name]}"
 
 
 def software(scenario: Scenario) -> dict[str, Any]:
@@ -165,7 +167,7 @@ def rests_on(scenario: Scenario) -> dict[str, Any]:
     if scenario.model == "mpm":
         from terraphi.forward.mpm import checkpoint
 
-        return checkpoint.rests_on("packets")
+        return checkpoint.rests_on("packets", dimensions=scenario.dimensions)
     return {
         "numpy": package_version("numpy"),
         "libc": " ".join(platform.libc_ver()),

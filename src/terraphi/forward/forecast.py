@@ -21,6 +21,8 @@ from terraphi.experiment.scenario import Scenario
 PARTICLE_STEPS_PER_SECOND = 6e7
 """Particles times steps that one core with vectors of 512 bits works off in a second [1/s],
 measured on the shipped libraries."""
+PARTICLE_STEPS_PER_SECOND_IN_SPACE = 2.5e7
+"""The same in three dimensions [1/s], with what packing and transfer take."""
 SLOWER = {512: 1.0, 256: 1.5, 128: 2.9}
 """By width of the vectors [bit], how many times longer a simulation takes than with 512 bits [-]:
 medians of four turns of ``make bench`` on one processor (AMD EPYC with AVX-512), compiled for each
@@ -34,6 +36,8 @@ compiling the kernels."""
 BYTES = {"particle": 600.0, "node": 200.0, "bin": 200.0}
 """Memory for each particle, node of the grid and bin of the history [byte]: measured, with the
 copies that are made of them and with a checkpoint being written, and rounded up."""
+BYTES_IN_SPACE = {"particle": 190.0, "node": 100.0, "bin": 200.0}
+"""The same in three dimensions, in single precision."""
 YEAR = 365.25 * 86400.0
 """A year [s]: simulations that would take longer are refused."""
 _UNITS = ((YEAR, "years"), (86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"), (0.0, "s"))
@@ -199,7 +203,10 @@ def particle_count(scenario: Scenario) -> float:
     bed, numerics = scenario.bed, scenario.numerics
     side = numerics.cell_size / numerics.particles_per_cell_side
     left, right = bed.soil_span
-    return float(round((right - left) / side)) * float(round(bed.height / side))
+    across = (
+        scenario.cells_across * numerics.particles_per_cell_side if scenario.cells_across else 1
+    )
+    return float(round((right - left) / side)) * float(round(bed.height / side)) * float(across)
 
 
 def step_count(scenario: Scenario) -> float:
@@ -215,7 +222,9 @@ def _of_one(scenario: Scenario, register_bits: int) -> Forecast:
         return Forecast(1, 0.0, 0.0, seconds, seconds, sum(_memory(scenario).values()))
     particles = particle_count(scenario)
     work = particles * step_count(scenario)
-    seconds = work / PARTICLE_STEPS_PER_SECOND * SLOWER[register_bits]
+    in_space = scenario.dimensions == 3
+    rate = PARTICLE_STEPS_PER_SECOND_IN_SPACE if in_space else PARTICLE_STEPS_PER_SECOND
+    seconds = work / rate * SLOWER[register_bits]
     return Forecast(1, particles, work, seconds, seconds, sum(_memory(scenario).values()))
 
 
@@ -226,9 +235,12 @@ def _memory(scenario: Scenario) -> dict[str, float]:
     if scenario.model == "rft":
         return {"rest": rest, "bin": bins}
     nodes = float((scenario.numerics.cells + 2) ** 2)
+    sizes = BYTES
+    if scenario.dimensions == 3:
+        sizes, nodes = BYTES_IN_SPACE, nodes * (scenario.cells_across + 2)
     return {
         "rest": rest,
-        "particle": BYTES["particle"] * particle_count(scenario) + BYTES["node"] * nodes,
+        "particle": sizes["particle"] * particle_count(scenario) + sizes["node"] * nodes,
         "bin": bins,
     }
 

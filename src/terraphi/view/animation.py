@@ -100,10 +100,19 @@ def animate(
     lasts = durations(np.array([time for time, _ in frames]))
     with replacing(path) as temporary, recording(scene.figure, temporary, lasts) as grab:
         for done, (time, name) in enumerate(frames, start=1):
-            scene.show(time, read_points(series.parent / name))
+            scene.show(time, in_plane(read_points(series.parent / name), scenario))
             grab()
             if progress is not None:
                 progress(done / len(frames))
+
+
+def in_plane(soil: Grid, scenario: Scenario) -> Grid:
+    """Particles within half a cell of the plane of motion; in two dimensions all."""
+    if scenario.dimensions == 2:
+        return soil
+    near = np.abs(soil.points[:, 1]) < 0.5 * scenario.numerics.cell_size
+    data = {name: values[near] for name, values in soil.point_data.items()}
+    return Grid(soil.points[near], data, soil.field_data)
 
 
 class Scene:

@@ -28,10 +28,11 @@ from terraphi.experiment.files import replacing
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import model_version
 from terraphi.forward.mpm.bed import Particles
-from terraphi.forward.mpm.compiled import SOURCE_DIGEST
+from terraphi.forward.mpm.compiled import SOURCE_DIGEST, SOURCE_DIGEST_IN_SPACE
 from terraphi.forward.mpm.packing import lane_count
 from terraphi.forward.mpm.scalar import Audit
 from terraphi.forward.mpm.state import State
+from terraphi.forward.mpm3d.bed import Soil
 from terraphi.forward.watch import Checkpoint
 
 log = logging.getLogger(__name__)
@@ -67,6 +68,7 @@ class Keeper:
 
     def __init__(self, where: Checkpoint | None, scenario: Scenario, kernel: str) -> None:
         self._where = where
+        self._kind: Any = Particles if scenario.dimensions == 2 else Soil
         self._fitting = fitting(scenario, kernel) if where else {}
         self._began = self._last = time.perf_counter()
         self._pause = where.every if where else 0.0
@@ -177,7 +179,7 @@ class Keeper:
                 head = dict(json.loads(str(file["head"])))
                 self._check(head)
                 state = State(
-                    Particles(*(file[f"soil.{name}"] for name in Particles._fields)),
+                    self._kind(*(file[f"soil.{name}"] for name in self._kind._fields)),
                     Audit(*(file[f"audit.{name}"] for name in Audit._fields)),
                     file["impulse"],
                     file["held"],
@@ -230,24 +232,26 @@ def fitting(scenario: Scenario, kernel: str) -> dict[str, Any]:
     return {
         "scenario_hash": scenario.hash,
         "model_version": model_version(scenario),
-        **rests_on(kernel),
+        **rests_on(kernel, dimensions=scenario.dimensions),
     }
 
 
-def rests_on(kernel: str) -> dict[str, Any]:
+def rests_on(kernel: str, *, dimensions: int = 2) -> dict[str, Any]:
     """What the last bit of a result depends on, besides the scenario; JSON-able.
 
     Parameters
     ----------
     kernel
         Name of the kernel.
+    dimensions
+        Those of the scenario.
     """
     features = getattr(numba.config, "CPU_FEATURES", None)
     if features is None:
         features = llvmlite.binding.get_host_cpu_features().flatten()
     return {
         "kernel": kernel,
-        "kernel_source": SOURCE_DIGEST,
+        "kernel_source": SOURCE_DIGEST if dimensions == 2 else SOURCE_DIGEST_IN_SPACE,
         **{name: importlib.metadata.version(name) for name in ("numpy", "numba", "llvmlite")},
         "libc": " ".join(platform.libc_ver()),  # sine, cosine and exponential
         "processor": getattr(numba.config, "CPU_NAME", None)

@@ -23,7 +23,8 @@ _OPTIONS: dict[str, Any] = {
 
 _FOLDER = Path(__file__).parent
 _NOT_OF_THE_MODEL = {"__init__.py", "breakdown.py", "checkpoint.py", "fields.py"}
-_SOURCES = [*sorted(_FOLDER.glob("*.py")), _FOLDER.parents[1] / "experiment" / "leg.py"]
+_IN_PLANE = [*sorted(_FOLDER.glob("*.py")), _FOLDER.parents[1] / "experiment" / "leg.py"]
+_SOURCES = [*_IN_PLANE, *sorted((_FOLDER.parent / "mpm3d").glob("*.py"))]
 
 
 def kernel(function: Kernel) -> Kernel:
@@ -88,7 +89,7 @@ wide_vectors = cast(Callable[[], None], numba.extending.intrinsic(_wide_vectors)
 
 
 def register_use(function: Callable[..., object], *arguments: object) -> Counter[str]:
-    """Count the arithmetic instructions on doubles in a kernel, compiled anew for x86.
+    """Count the arithmetic instructions on real numbers in a kernel, compiled anew for x86.
 
     Parameters
     ----------
@@ -100,7 +101,7 @@ def register_use(function: Callable[..., object], *arguments: object) -> Counter
     Returns
     -------
     Counter
-        By register: ``zmm`` (eight doubles), ``ymm`` (four), ``xmm`` (two), ``single`` (one).
+        By register: ``zmm`` (512 bits), ``ymm`` (256), ``xmm`` (128), ``single`` (one number).
     """
     fresh = numba.njit(**{**_OPTIONS, "cache": False})(getattr(function, "py_func", function))
     fresh(*arguments)
@@ -112,7 +113,8 @@ def register_use(function: Callable[..., object], *arguments: object) -> Counter
     return used
 
 
-_ARITHMETIC = re.compile(r"^\s+v?(?:fn?m(?:add|sub)\d*|mul|add|sub|div|sqrt)([ps])d\s(.*)$", re.M)
+_ARITHMETIC = re.compile(r"^\s+v?(?:fn?m(?:add|sub)\d*|mul|add|sub|div|sqrt)([ps])[ds]\s(.*)$",
+re.M)
 
 
 def _digest_of_sources() -> str:
@@ -152,10 +154,12 @@ def _digest_of_model(sources: Iterable[Path]) -> str:
     return hashlib.sha256("\n".join([numba.__version__, *sorted(codes)]).encode()).hexdigest()
 
 
-SOURCE_DIGEST = _digest_of_model(_SOURCES)
+SOURCE_DIGEST = _digest_of_model(_IN_PLANE)
 """SHA-256 of the compiler's version and of the code that bears on a result, hexadecimal.
 
 Words about the code, and code that only keeps, shows or explains a result, do not count."""
+SOURCE_DIGEST_IN_SPACE = _digest_of_model(_SOURCES)
+"""The same with the code of three dimensions."""
 
 
 def _cache_folders() -> list[Path]:

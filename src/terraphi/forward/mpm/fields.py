@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +99,7 @@ class FieldSeries:
         number = self._steps.index(seen.step)
         pose = seen.pose
         about = {"TimeValue": np.array([seen.time]), "theta_deg": np.degrees(pose.theta)}
-        points, data = particle_fields(seen.soil)
+        points, data = _fields_of(seen)
         write_points(self._frame(PARTICLES, number), points, point_data=data, field_data=about)
         write_polygon(self._frame(LEG, number), leg_outline(seen), field_data=about)
         self._known[number] = seen.time
@@ -178,6 +179,16 @@ def frame_steps(steps: int, frames: int, *, block: int = BLOCK) -> list[int]:
     ends = [*range(0, steps, block), steps]
     chosen = np.linspace(0, len(ends) - 1, min(frames, len(ends))).round().astype(int)
     return [ends[i] for i in chosen]
+
+
+def _fields_of(seen: Snapshot) -> tuple[NDArray[np.float32], Data]:
+    """Places and fields of the particles, in the plane or in space."""
+    soil: Any = seen.soil
+    if seen.scenario.dimensions == 2:
+        return particle_fields(soil)
+    from terraphi.forward.mpm3d import fields
+
+    return fields.particle_fields(seen.scenario, soil)
 
 
 def particle_fields(soil: Particles) -> tuple[NDArray[np.float32], Data]:

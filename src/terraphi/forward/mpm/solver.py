@@ -6,7 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,9 @@ from terraphi.forward.mpm.relief import fading_of
 from terraphi.forward.mpm.scalar import LEDGER_ROWS, stepping_of
 from terraphi.forward.mpm.state import State, copy_of, first_state, read_only
 from terraphi.forward.watch import Checkpoint, Observer, Snapshot
+
+if TYPE_CHECKING:
+    from terraphi.forward.mpm3d.solver import Blocks
 
 FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
@@ -46,10 +49,15 @@ Blocks end at multiples of their length even if a run goes on from a checkpoint,
 packs its particles anew at the start of each, and its roundings depend on that."""
 
 
+BLOCK_IN_SPACE = 400
+"""The same in three dimensions, where a step takes ten times longer."""
+
+
 def block_length(scenario: Scenario) -> int:
-    """Steps in a block: :data:`BLOCK` or, with Lagrangian phases, whole phases as near below it."""
+    """Steps in a block: the above or, with Lagrangian phases, whole phases as near below it."""
     phase = max(1, scenario.numerics.steps_per_phase)
-    return max(phase, BLOCK // phase * phase)
+    most = BLOCK if scenario.dimensions == 2 else BLOCK_IN_SPACE
+    return max(phase, most // phase * phase)
 
 
 def simulate(
@@ -65,7 +73,7 @@ def simulate(
     Parameters
     ----------
     scenario
-        A scenario of ``model = "mpm"`` in two dimensions.
+        A scenario of ``model = "mpm"``.
     kernel
         ``packets``, or ``scalar``: the reference, three times slower and the same but for rounding.
         Not part of the scenario, as it does not bear on the result; recorded in its provenance.
@@ -82,8 +90,8 @@ def simulate(
     -------
     ForceHistory
         Mean force in each bin of the path (0.1° of a rotation), from the momentum that the
-        contact takes out of the grid, times the leg's width. Bitwise the same at each run on the
-        same machine, whether or not it was stopped, kept and observed on the way.
+        contact takes out of the grid, times the leg's width in two dimensions. Bitwise the same at
+        each run on the same machine, whether or not it was stopped, kept and observed on the way.
 
     Raises
     ------
@@ -100,8 +108,8 @@ def simulate(
         raise InputError(f"kernel = '{kernel}': there are {' and '.join(KERNELS)}")
     began = time.perf_counter()
     keeper = Keeper(checkpoint, scenario, kernel)
-    state = keeper.resumed() or first_state(scenario)
-    steps, blocks = step_count(scenario), _Blocks(scenario, kernel)
+    blocks = _blocks_of(scenario, kernel)
+    state, steps = keeper.resumed() or blocks.first_state(), step_count(scenario)
     length = block_length(scenario)
     _show(observe, scenario, state)
     compiled, whole = 0.0, state
@@ -109,8 +117,9 @@ def simulate(
         while state.step < steps:
             whole = copy_of(state)
             state, lost = blocks.take(state, min(length, steps - state.step))
-            if not is_whole(state, lost):
-                account = account_of(scenario, whole, state, lost, steps)
+            if not blocks.is_whole(state, lost):
+                then, now = blocks.in_plane(whole), blocks.in_plane(state)
+                account = account_of(scenario, then, now, lost, steps)
                 raise SimulationError(account + keeper.last_resort(whole))
             whole, compiled = state, compiled or time.perf_counter()
             _show(observe, scenario, state)
@@ -130,7 +139,7 @@ def simulate(
     log.info("%d steps of %d particles in %.1f s", steps, len(state.soil.mass), seconds["all"])
     provenance = {
         "kernel": kernel,
-        "rests_on": rests_on(kernel),
+        "rests_on": rests_on(kernel, dimensions=scenario.dimensions),
         **_books(scenario, state),
         "seconds": seconds,
     }
@@ -146,6 +155,15 @@ def simulate(
     )
 
 
+def _blocks_of(scenario: Scenario, kernel: Kernel) -> _Blocks | Blocks:
+    """What takes the steps of a scenario."""
+    if scenario.dimensions == 2:
+        return _Blocks(scenario, kernel)
+    from terraphi.forward.mpm3d.solver import Blocks
+
+    return Blocks(scenario, kernel)
+
+
 class _Blocks:
     """A kernel together with the constants and the working memory that it needs for a scenario."""
 
@@ -159,6 +177,18 @@ class _Blocks:
             fading_of(scenario),
             stepping_of(scenario),
         )
+
+    def first_state(self) -> State:
+        """State before the first step."""
+        return first_state(self._scenario)
+
+    def is_whole(self, state: State, lost: int) -> bool:
+        """Whether a state can be; see :func:`terraphi.forward.mpm.breakdown.is_whole`."""
+        return is_whole(state, lost)
+
+    def in_plane(self, state: State) -> State:
+        """State as those need it who look for what went wrong: as it is."""
+        return state
 
     def take(self, state: State, count: int) -> tuple[State, int]:
         """Take some steps; the arrays of the given state are changed.
@@ -191,8 +221,13 @@ def _show(observe: Observer | None, scenario: Scenario, state: State) -> None:
 
 
 def _mean_force(scenario: Scenario, impulse: FloatArray, held: FloatArray) -> FloatArray:
-    """Mean force [N] of impulses per width [kg/s] over steps held, shape [bin, axis]."""
-    return impulse / (held * scenario.numerics.time_step)[:, None] * scenario.leg.width
+    """Mean force [N] of impulses over steps held, shape [bin, axis]."""
+    return impulse / (held * scenario.numerics.time_step)[:, None] * _width(scenario)
+
+
+def _width(scenario: Scenario) -> float:
+    """What impulses are multiplied by: the leg's width [m] in the plane, else 1."""
+    return scenario.leg.width if scenario.dimensions == 2 else 1.0
 
 
 APPLIED_BINS = 10
@@ -219,11 +254,12 @@ def _applied(scenario: Scenario, state: State) -> dict[str, Any]:
 
 def _books(scenario: Scenario, state: State) -> dict[str, Any]:
     """Counts and balances of a finished run, JSON-able."""
+    rows = LEDGER_ROWS if scenario.dimensions == 2 else (*LEDGER_ROWS[:4], "light_nodes")
     return {
         "momentum_mismatch": float(state.audit.worst[0]),
         "impulse_kg_m_s": {
-            row: [float(v) * scenario.leg.width for v in state.audit.ledger[i]]
-            for i, row in enumerate(LEDGER_ROWS)
+            row: [float(v) * _width(scenario) for v in state.audit.ledger[i]]
+            for i, row in enumerate(rows)
         },
         "particles": len(state.soil.mass),
         "steps": state.step,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,10 @@ FloatArray = NDArray[np.float64]
 class State(NamedTuple):
     """State of a run; its arrays are changed in place by the kernels."""
 
-    soil: Particles
-    """The particles, in the order in which they were made: packing depends on it."""
+    soil: Any
+    """The particles, in the order in which they were made: packing depends on it. Arrays by name:
+    :class:`~terraphi.forward.mpm.bed.Particles` or, in three dimensions,
+    :class:`terraphi.forward.mpm3d.bed.Soil`."""
     audit: Audit
     """The soil's momentum so far."""
     impulse: FloatArray
@@ -40,7 +42,7 @@ def first_state(scenario: Scenario) -> State:
 def copy_of(state: State) -> State:
     """Copy that no kernel will change."""
     return State(
-        Particles(*(field.copy() for field in state.soil)),
+        type(state.soil)(*(field.copy() for field in state.soil)),
         Audit(*(field.copy() for field in state.audit)),
         state.impulse.copy(),
         state.held.copy(),
@@ -48,9 +50,9 @@ def copy_of(state: State) -> State:
     )
 
 
-def read_only(soil: Particles) -> Particles:
+def read_only(soil: Any) -> Any:
     """Views of the particles through which nothing can be changed."""
-    views = Particles(*(field.view() for field in soil))
+    views = type(soil)(*(field.view() for field in soil))
     for view in views:
         view.flags.writeable = False
     return views

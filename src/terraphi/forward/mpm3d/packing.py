@@ -1,0 +1,141 @@
+"""Packets: particles laid out so that a vector register takes one from each of adjacent cells.
+
+The cells of a row of the grid are cut into blocks of :data:`~terraphi.forward.mpm3d.lattice.LANES`
+neighbours. A *packet* has at most one particle of each cell of a block, one a lane: what they read
+of the grid lies side by side, and what they add to it goes to different cells. A block has as many
+packets as its fullest cell has particles; lanes without one have no volume. Particles stay in
+their cells for a whole phase, so packets are made once a phase.
+
+Field f of lane l of packet n is ``state[(n * FIELDS + f) * LANES + l]``, in single precision.
+Places are offsets from the cell's middle, so that their rounding is 10⁻⁸ of a cell wherever the
+cell is.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.forward.mpm.compiled import entry
+from terraphi.forward.mpm3d.bed import Soil
+from terraphi.forward.mpm3d.lattice import LANES, Lattice
+
+X, Y, Z, SXX, SYY, SZZ, SXY, SXZ, SYZ, STRAIN, VOLUME = range(11)
+"""Fields: offset [cell], stress [Pa], plastic shear strain [-] and volume over that of a particle,
+1 or 0 in an empty lane [-]."""
+FIELDS = 11
+
+_WIDTH = int(LANES)
+
+
+class Packets(NamedTuple):
+    """The soil of a phase in packets."""
+
+    state: NDArray[np.float32]
+    """All fields of all packets."""
+    first: NDArray[np.int64]
+    """First packet of each block, shape [block + 1]; blocks row by row, from layer to layer."""
+    centre: NDArray[np.float32]
+    """Mean offset of the particles of each cell (x, y, z) [cell], flat: block, axis, lane."""
+    owner: NDArray[np.int32]
+    """Index of the particle in each lane of each packet, -1 where there is none."""
+
+
+def pack(soil: Soil, lattice: Lattice) -> Packets:
+    """Lay out particles in packets.
+
+    Parameters
+    ----------
+    soil
+        The particles.
+    lattice
+        The grid.
+
+    Returns
+    -------
+    Packets
+    """
+    count = np.zeros(lattice.nodes, np.uint16)
+    first = np.zeros(lattice.count_z * lattice.count_y * lattice.blocks + 1, np.int64)
+    _count(soil.cell, lattice, count, first)
+    packets = int(first[-1])
+    state = aligned(packets * FIELDS * _WIDTH)
+    owner = np.full(packets * _WIDTH, -1, np.int32)
+    centre = aligned((len(first) - 1) * 3 * _WIDTH)
+    made = Packets(state, first, centre, owner)
+    _fill(soil, lattice, count, count.copy(), made)
+    return made
+
+
+def aligned(length: int) -> NDArray[np.float32]:
+    """Zeros that begin where a vector register may be loaded from without crossing a cache line."""
+    whole = np.zeros(length + _WIDTH, np.float32)
+    start = -whole.ctypes.data % 64 // 4
+    return whole[start : start + length]
+
+
+@entry
+def _count(
+    cell: NDArray[np.int32],
+    lattice: Lattice,
+    count: NDArray[np.uint16],
+    first: NDArray[np.int64],
+) -> None:
+    """Count the particles of each cell, and lay out the blocks' packets."""
+    for p in range(cell.size):
+        count[cell[p]] += 1
+    total, block = 0, 0
+    for k in range(lattice.count_z):
+        for j in range(lattice.count_y):
+            for b in range(lattice.blocks):
+                first[block] = total
+                begin = k * lattice.layer + j * lattice.row + b * _WIDTH + 1
+                deepest = 0
+                for lane in range(_WIDTH):
+                    deepest = max(deepest, count[begin + lane])
+                total += deepest
+                block += 1
+    first[block] = total
+
+
+@entry
+def _fill(
+    soil: Soil,
+    lattice: Lattice,
+    count: NDArray[np.uint16],
+    left: NDArray[np.uint16],
+    made: Packets,
+) -> None:
+    """Put the particles into their packets; ``left``, as ``count`` at first, is used up."""
+    state = made.state
+    for p in range(soil.cell.size):
+        cell = soil.cell[p]
+        k = cell // lattice.layer
+        j = (cell - k * lattice.layer) // lattice.row
+        i = cell - k * lattice.layer - j * lattice.row - 1
+        block = (k * lattice.count_y + j) * lattice.blocks + i // _WIDTH
+        left[cell] -= 1
+        packet, lane = made.first[block] + left[cell], i % _WIDTH
+        made.owner[packet * _WIDTH + lane] = p
+        at = packet * FIELDS * _WIDTH + lane
+        for axis in range(3):
+            state[at + (X + axis) * _WIDTH] = soil.offset[p, axis]
+            made.centre[(block * 3 + axis) * _WIDTH + lane] += soil.offset[p, axis] / count[cell]
+        for c in range(6):
+            state[at + (SXX + c) * _WIDTH] = soil.stress[p, c]
+        state[at + STRAIN * _WIDTH] = soil.strain[p]
+        state[at + VOLUME * _WIDTH] = 1.0
+
+
+@entry
+def unpack(packets: Packets, soil: Soil) -> None:
+    """Write stresses and plastic strains back to the soil."""
+    for slot in range(packets.owner.size):
+        p = packets.owner[slot]
+        if p >= 0:
+            at = slot // _WIDTH * FIELDS * _WIDTH + slot % _WIDTH
+            for c in range(6):
+                soil.stress[p, c] = packets.state[at + (SXX + c) * _WIDTH]
+            soil.strain[p] = packets.state[at + STRAIN * _WIDTH]

@@ -1,0 +1,281 @@
+r"""Stress update of one material point in space: Jaumann rate, then return to the yield surface.
+
+Stress is (σ_xx, σ_yy, σ_zz, σ_xy, σ_xz, σ_yz) [Pa], tension positive, with principal stresses
+:math:`\sigma_1 \ge \sigma_2 \ge \sigma_3`.
+
+Mohr-Coulomb (``plane_strain``, whatever the intermediate stress): six planes
+
+.. math:: f = (1 + \sin\varphi)\,\sigma_i - (1 - \sin\varphi)\,\sigma_j - 2c\cos\varphi \le 0,
+
+each with the potential of the same form in ψ. The return (de Souza Neto, Peric, Owen, 2008,
+*Computational Methods for Plasticity*, ch. 8.2) goes along :math:`D\,\partial g` to the face of
+(σ₁, σ₃); where that would change the order of the principal stresses, to the edge σ₁ = σ₂
+or σ₂ = σ₃, on which two faces flow; beyond the tip, to the tip. In the mean stress m and the
+gaps between principal stresses a return is short, for on an edge one gap is zero, the other
+follows from m by f = 0, and m falls by 2 K sin ψ times the sum of both multipliers.
+
+The new tensor has the old directions. With new principal values a quadratic polynomial of the
+old ones, that is a polynomial of the old tensor (Newton's divided differences), so that no
+directions need be found, and equal principal stresses do no harm.
+
+Drucker-Prager (``triaxial``): :math:`\sqrt{J_2} + \alpha I_1 \le k`, radial return.
+
+Softening: sin φ and sin ψ fall linearly with the plastic shear strain κ = ∫(dε₁ᵖ - dε₃ᵖ) from their
+peak to the critical state, where ψ = 0.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from terraphi.experiment.soil import Soil, cone_slope
+from terraphi.forward.mpm.compiled import kernel
+
+Six = tuple[float, float, float, float, float, float]
+Nine = tuple[float, float, float, float, float, float, float, float, float]
+
+SMALLEST = 1e-12
+"""Keeps a quotient of vanishing stresses from being no number [Pa]."""
+SMALLEST_CUBE = 1e-36
+"""The same for cubes of stresses [Pa³]."""
+
+
+class Material(NamedTuple):
+    """Constants of the stress update, as the kernels take them."""
+
+    lame_lambda: float
+    """λ [Pa]."""
+    shear_modulus: float
+    """G [Pa]."""
+    sin_friction: float
+    """sin φ at the peak [-]."""
+    sin_dilation: float
+    """sin ψ at the peak [-]."""
+    sin_critical: float
+    """sin φ in the critical state [-]."""
+    per_softening: float
+    """1 over the plastic shear strain to the critical state; 0: none softens [-]."""
+    strength: float
+    """2 c cos φ [Pa]."""
+    cutoff: float
+    """Mean stress beyond which a trial state goes to the tip [Pa]; may be inf."""
+    tip: float
+    """Mean stress at the tip of the surface, cut off or not [Pa]."""
+    cone: bool
+    """Whether the surface is Drucker and Prager's."""
+    alpha: float
+    """Slope of the cone [-]."""
+    beta: float
+    """Slope of its potential [-]."""
+    intercept: float
+    """k of the cone [Pa]."""
+
+
+def material_of(soil: Soil) -> Material:
+    """Constants of a soil.
+
+    Parameters
+    ----------
+    soil
+        Its criterion is ``plane_strain`` (Mohr-Coulomb) or ``triaxial``.
+
+    Returns
+    -------
+    Material
+    """
+    phi = math.radians(soil.friction_angle_deg)
+    critical = soil.critical_friction_angle_deg
+    cone = soil.yield_criterion == "triaxial"
+    tip = soil.cone_intercept / cone_slope(soil.friction_angle_deg, soil.yield_criterion)
+    tip /= 3.0 if cone else 1.0
+    cutoff = math.inf if soil.tension_cutoff is None else min(soil.tension_cutoff, tip)
+    return Material(
+        soil.lame_lambda,
+        soil.shear_modulus,
+        math.sin(phi),
+        math.sin(math.radians(soil.potential_angle_deg)),
+        math.sin(phi if critical is None else math.radians(critical)),
+        0.0 if critical is None else 1.0 / soil.softening_strain,
+        2.0 * soil.cohesion * math.cos(phi),
+        cutoff,
+        min(cutoff, tip),
+        cone,
+        cone_slope(soil.friction_angle_deg, "triaxial"),
+        cone_slope(soil.potential_angle_deg, "triaxial"),
+        soil.cone_intercept if cone else 0.0,
+    )
+
+
+@kernel
+def jaumann_predictor(
+    stress: Six, strain: Nine, volumetric: float, lame_lambda: float, shear_modulus: float
+) -> Six:
+    """Trial stress after one step of hypoelasticity with the Jaumann rate.
+
+    Parameters
+    ----------
+    stress
+        [Pa].
+    strain
+        Velocity gradient times the step, ∂v_a/∂x_b Δt row by row [-].
+    volumetric
+        Its trace, or the one to take instead: the excess is spread over the diagonal [-].
+    lame_lambda, shear_modulus
+        λ, G [Pa].
+
+    Returns
+    -------
+    tuple
+        σ + (Wσ - σW) + λ tr(D) 1 + 2 G D [Pa].
+    """
+    xx, yy, zz, xy, xz, yz = stress
+    dxx, axy, axz, ayx, dyy, ayz, azx, azy, dzz = strain
+    wxy, wxz, wyz = 0.5 * (axy - ayx), 0.5 * (axz - azx), 0.5 * (ayz - azy)
+    shear = 2.0 * shear_modulus
+    even = lame_lambda * volumetric + shear * (volumetric - dxx - dyy - dzz) / 3.0
+    return (
+        xx + even + shear * dxx + 2.0 * (wxy * xy + wxz * xz),
+        yy + even + shear * dyy + 2.0 * (wyz * yz - wxy * xy),
+        zz + even + shear * dzz - 2.0 * (wxz * xz + wyz * yz),
+        xy + shear_modulus * (axy + ayx) + wxy * (yy - xx) + wxz * yz + wyz * xz,
+        xz + shear_modulus * (axz + azx) + wxz * (zz - xx) + wxy * yz - wyz * xy,
+        yz + shear_modulus * (ayz + azy) + wyz * (zz - yy) - wxy * xz - wxz * xy,
+    )
+
+
+@kernel
+def softened(strain: float, material: Material) -> tuple[float, float]:
+    """Mobilised sin φ and sin ψ at a plastic shear strain [-]."""
+    left = max(1.0 - material.per_softening * strain, 0.0)
+    return (
+        material.sin_critical + left * (material.sin_friction - material.sin_critical),
+        left * material.sin_dilation,
+    )
+
+
+@kernel
+def mohr_coulomb_return(
+    mean: float, high: float, low: float, sin_phi: float, sin_psi: float, material: Material
+) -> tuple[float, float, float]:
+    """Return of mean stress and gaps between principal stresses to the Mohr-Coulomb surface.
+
+    Parameters
+    ----------
+    mean
+        Trial mean stress m [Pa].
+    high, low
+        Trial σ₁ - σ₂ and σ₂ - σ₃ [Pa].
+    sin_phi, sin_psi
+        Mobilised [-].
+    material
+        Constants.
+
+    Returns
+    -------
+    tuple
+        The same three after the return [Pa].
+    """
+    lame, shear, k = material.lame_lambda, material.shear_modulus, material.strength
+    first = mean + (2.0 * high + low) / 3.0
+    third = first - high - low
+    excess = (1.0 + sin_phi) * first - (1.0 - sin_phi) * third - k
+    if mean > material.cutoff:
+        return material.tip, 0.0, 0.0
+    if excess <= 0.0:
+        return mean, high, low
+    drop = 2.0 * (lame + 2.0 / 3.0 * shear) * sin_psi
+    common = 4.0 * lame * sin_phi * sin_psi
+    face = common + 4.0 * shear * (1.0 + sin_phi * sin_psi)
+    multiplier = excess / face
+    new_high = high - 2.0 * shear * (1.0 + sin_psi) * multiplier
+    new_low = low - 2.0 * shear * (1.0 - sin_psi) * multiplier
+    if new_high < 0.0:  # the edge σ1 = σ2
+        both = 2.0 * excess - (1.0 + sin_phi) * high
+        multiplier = both / (face + common + 2.0 * shear * (1.0 - sin_phi) * (1.0 - sin_psi))
+        mean -= drop * multiplier
+        new_high, new_low = 0.0, 3.0 * (k - 2.0 * sin_phi * mean) / (3.0 - sin_phi)
+    elif new_low < 0.0:  # the edge σ2 = σ3
+        both = 2.0 * excess - (1.0 - sin_phi) * low
+        multiplier = both / (face + common + 2.0 * shear * (1.0 + sin_phi) * (1.0 + sin_psi))
+        mean -= drop * multiplier
+        new_high, new_low = 3.0 * (k - 2.0 * sin_phi * mean) / (3.0 + sin_phi), 0.0
+    else:
+        mean -= drop * multiplier
+    if mean > material.tip:
+        return material.tip, 0.0, 0.0
+    return mean, new_high, new_low
+
+
+@kernel
+def cone_return(mean: float, radius: float, material: Material) -> tuple[float, float]:
+    """Return of mean stress and √J₂ to the Drucker-Prager cone [Pa]."""
+    alpha, beta, k = material.alpha, material.beta, material.intercept
+    if mean > material.cutoff:
+        return material.tip, 0.0
+    excess = radius + 3.0 * alpha * mean - k
+    if excess <= 0.0:
+        return mean, radius
+    bulk = material.lame_lambda + 2.0 / 3.0 * material.shear_modulus
+    multiplier = excess / (material.shear_modulus + 9.0 * bulk * alpha * beta)
+    radius -= material.shear_modulus * multiplier
+    if radius < 0.0:
+        return material.tip, 0.0
+    return mean - 3.0 * bulk * beta * multiplier, radius
+
+
+@kernel
+def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, float]:
+    """Bring a trial stress back to the yield surface.
+
+    Parameters
+    ----------
+    trial
+        [Pa].
+    strain
+        Plastic shear strain κ so far [-].
+    material
+        Constants.
+
+    Returns
+    -------
+    tuple
+        Admissible stress [Pa].
+    float
+        Increment of κ [-].
+    """
+    xx, yy, zz, xy, xz, yz = trial
+    mean = (xx + yy + zz) / 3.0
+    xx, yy, zz = xx - mean, yy - mean, zz - mean
+    second = 0.5 * (xx * xx + yy * yy + zz * zz) + xy * xy + xz * xz + yz * yz
+    third = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    radius = math.sqrt(second)
+    cosine = 1.5 * math.sqrt(3.0) * third / max(second * radius, SMALLEST_CUBE)
+    lode = math.acos(min(max(cosine, -1.0), 1.0)) / 3.0
+    size = 2.0 / math.sqrt(3.0) * radius
+    first, last = size * math.cos(lode), -size * math.cos(math.pi / 3.0 - lode)
+    high, low = 2.0 * first + last, -first - 2.0 * last
+    if material.cone:
+        new_mean, new_radius = cone_return(mean, radius, material)
+        new_high = high * new_radius / max(radius, SMALLEST)
+        new_low = low * new_radius / max(radius, SMALLEST)
+    else:
+        sin_phi, sin_psi = softened(strain, material)
+        new_mean, new_high, new_low = mohr_coulomb_return(
+            mean, high, low, sin_phi, sin_psi, material
+        )
+    # New principal values as a polynomial of the old: slopes over both gaps, and their difference.
+    slope_high, slope_low = new_high / max(high, SMALLEST), new_low / max(low, SMALLEST)
+    bend = (slope_high - slope_low) / max(high + low, SMALLEST)
+    slope = slope_high + bend * last
+    even = new_mean - bend * 2.0 / 3.0 * second
+    made = (
+        even + slope * xx + bend * (xx * xx + xy * xy + xz * xz),
+        even + slope * yy + bend * (xy * xy + yy * yy + yz * yz),
+        even + slope * zz + bend * (xz * xz + yz * yz + zz * zz),
+        slope * xy + bend * (xx * xy + xy * yy + xz * yz),
+        slope * xz + bend * (xx * xz + xy * yz + xz * zz),
+        slope * yz + bend * (xy * xz + yy * yz + yz * zz),
+    )
+    slip = (high + low - new_high - new_low) / (2.0 * material.shear_modulus)
+    return made, max(slip, 0.0)

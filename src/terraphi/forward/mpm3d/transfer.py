@@ -1,0 +1,249 @@
+r"""Particles and grid: splines, the forces on particles near the leg, and the end of a phase.
+
+With N the product of three quadratic B-splines and r = x_i - x_p, a phase ends with (APIC; Jiang et
+al., 2015, doi 10.1145/2766996)
+
+.. math:: v_p = \sum N v_i, \quad C_p = \tfrac{4}{\Delta x^2} \sum N v_i r^T, \quad
+          x_p \leftarrow x_p + \sum N u_i
+
+at the place that the particle had during the phase, and from its new place
+
+.. math:: m_i = \sum N m_p, \quad m_i v_i = \sum N m_p (v_p + C_p r).
+
+Both are done for one particle after the other, in double precision, so that v_p and C_p are never
+stored; it takes a few hundredths of a phase.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.forward.mpm.compiled import kernel
+from terraphi.forward.mpm.contact import pose_of
+from terraphi.forward.mpm3d.bed import Soil
+from terraphi.forward.mpm3d.contact import Intruder, Spring, Three, place_of, touch
+from terraphi.forward.mpm3d.lattice import Lattice
+
+FloatArray = NDArray[np.float64]
+Nodes = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
+
+
+@kernel
+def weights(offset: float) -> Three:
+    """Quadratic B-spline weights of the nodes at -1, 0, 1 for a place ``offset`` [cell]."""
+    before, after = 0.5 - offset, 0.5 + offset
+    return 0.5 * before * before, 0.75 - offset * offset, 0.5 * after * after
+
+
+@kernel
+def gather(nodes: Nodes, cell: int, place: Three, row: int, layer: int) -> Three:
+    """Interpolate three values of the nodes to a place, an offset from a cell's middle [cell]."""
+    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    first, second, third = 0.0, 0.0, 0.0
+    for c in range(3):
+        for b in range(3):
+            q = cell + (c - 1) * layer + (b - 1) * row - 1
+            share = wz[c] * wy[b]
+            for a in range(3):
+                w = share * wx[a]
+                first += w * nodes[0][q + a]
+                second += w * nodes[1][q + a]
+                third += w * nodes[2][q + a]
+    return first, second, third
+
+
+@kernel
+def push(
+    force: Nodes, cell: int, place: Three, given: Three, arm: Three, row: int, layer: int
+) -> None:
+    """Give a force [N], acting ``arm`` [cell] from a place, to the nodes' forces."""
+    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    for c in range(3):
+        rz = 4.0 * arm[2] * (c - 1 - place[2])
+        for b in range(3):
+            q = cell + (c - 1) * layer + (b - 1) * row - 1
+            ry = 4.0 * arm[1] * (b - 1 - place[1])
+            for a in range(3):
+                share = 1.0 + rz + ry + 4.0 * arm[0] * (a - 1 - place[0])
+                share *= wx[a] * wy[b] * wz[c]
+                force[0][q + a] += share * given[0]
+                force[1][q + a] += share * given[1]
+                force[2][q + a] += share * given[2]
+
+
+@kernel
+def press(
+    soil: Soil,
+    lattice: Lattice,
+    shift: Nodes,
+    force: Nodes,
+    near: NDArray[np.int64],
+    count: int,
+    intruder: Intruder,
+    spring: Spring,
+    pose_row: FloatArray,
+) -> tuple[float, float]:
+    """Let the leg push the particles that it touches.
+
+    Parameters
+    ----------
+    soil
+        Particles; their slip is changed.
+    lattice
+        The grid.
+    shift
+        How far the nodes have moved in the phase [m].
+    force
+        Forces on the nodes [N]; added to.
+    near, count
+        Which particles to look at.
+    intruder, spring
+        Constants.
+    pose_row
+        Where the leg is, as the driver has it.
+
+    Returns
+    -------
+    tuple
+        Force of the leg on the soil of the grid (x, z) [N].
+    """
+    pose = pose_of(pose_row)
+    row, layer, per_cell = lattice.row, lattice.layer, 1.0 / lattice.cell_size
+    total_x, total_z = 0.0, 0.0
+    for number in range(count):
+        p = near[number]
+        cell = soil.cell[p]
+        at = (float(soil.offset[p, 0]), float(soil.offset[p, 1]), float(soil.offset[p, 2]))
+        speed = gather((soil.vx, soil.vy, soil.vz), cell, at, row, layer)
+        moved = gather(shift, cell, at, row, layer)
+        x, y, z = place_of(lattice, cell, at[0], at[1], at[2])
+        given, arm, slip = touch(
+            (x + moved[0], y + moved[1], z + moved[2]),
+            speed,
+            (float(soil.slip[p, 0]), float(soil.slip[p, 1]), float(soil.slip[p, 2])),
+            soil.mass[p],
+            intruder,
+            spring,
+            pose,
+        )
+        soil.slip[p, 0], soil.slip[p, 1], soil.slip[p, 2] = slip[0], slip[1], slip[2]
+        if given[0] != 0.0 or given[1] != 0.0 or given[2] != 0.0:
+            lever = (arm[0] * per_cell, arm[1] * per_cell, arm[2] * per_cell)
+            push(force, cell, at, given, lever, row, layer)
+            total_x += given[0]
+            total_z += given[2]
+    return total_x, total_z
+
+
+@kernel
+def affine_velocity(
+    nodes: Nodes, cell: int, place: Three, row: int, layer: int
+) -> tuple[Three, tuple[Three, Three, Three]]:
+    """Velocity at a place [m/s], and four times its first moments about it [cell m/s]."""
+    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    vx, vy, vz = 0.0, 0.0, 0.0
+    xx, xy, xz = 0.0, 0.0, 0.0
+    yx, yy, yz = 0.0, 0.0, 0.0
+    zx, zy, zz = 0.0, 0.0, 0.0
+    for c in range(3):
+        rz = 4.0 * (c - 1 - place[2])
+        for b in range(3):
+            q = cell + (c - 1) * layer + (b - 1) * row - 1
+            ry = 4.0 * (b - 1 - place[1])
+            for a in range(3):
+                rx = 4.0 * (a - 1 - place[0])
+                w = wx[a] * wy[b] * wz[c]
+                gx, gy, gz = w * nodes[0][q + a], w * nodes[1][q + a], w * nodes[2][q + a]
+                vx, vy, vz = vx + gx, vy + gy, vz + gz
+                xx, xy, xz = xx + gx * rx, xy + gx * ry, xz + gx * rz
+                yx, yy, yz = yx + gy * rx, yy + gy * ry, yz + gy * rz
+                zx, zy, zz = zx + gz * rx, zy + gz * ry, zz + gz * rz
+    return (vx, vy, vz), ((xx, xy, xz), (yx, yy, yz), (zx, zy, zz))
+
+
+@kernel
+def scatter(
+    grid: FloatArray,
+    cell: int,
+    place: Three,
+    mass: float,
+    velocity: Three,
+    affine: tuple[Three, Three, Three],
+    row: int,
+    layer: int,
+) -> None:
+    """Give mass and momentum of a particle to the grid (mass, then momenta; shape [4, node])."""
+    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    for c in range(3):
+        rz = c - 1 - place[2]
+        for b in range(3):
+            q = cell + (c - 1) * layer + (b - 1) * row - 1
+            ry = b - 1 - place[1]
+            share = mass * wz[c] * wy[b]
+            for a in range(3):
+                rx = a - 1 - place[0]
+                w = share * wx[a]
+                grid[0, q + a] += w
+                for axis in range(3):
+                    row_of = affine[axis]
+                    speed = velocity[axis] + row_of[0] * rx + row_of[1] * ry + row_of[2] * rz
+                    grid[1 + axis, q + a] += w * speed
+
+
+@kernel
+def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
+    """End a phase: move the particles and give their masses and momenta to the grid.
+
+    Parameters
+    ----------
+    soil
+        Cells and offsets are changed; its nodes hold the velocities of the phase's end.
+    lattice
+        The grid.
+    shift
+        How far the nodes have moved in the phase [m].
+    grid
+        Mass [kg] and momenta [kg m/s] of the nodes, shape [4, node]; cleared first.
+
+    Returns
+    -------
+    int
+        Index of the first particle to leave the grid, or -1.
+    """
+    grid[:] = 0.0
+    row, layer, per_cell = lattice.row, lattice.layer, 1.0 / lattice.cell_size
+    nodes = (soil.vx, soil.vy, soil.vz)
+    for p in range(soil.cell.size):
+        cell = soil.cell[p]
+        at = (float(soil.offset[p, 0]), float(soil.offset[p, 1]), float(soil.offset[p, 2]))
+        velocity, affine = affine_velocity(nodes, cell, at, row, layer)
+        moved = gather(shift, cell, at, row, layer)
+        k = cell // layer
+        j = (cell - k * layer) // row
+        i = cell - k * layer - j * row
+        x, y, z = (
+            at[0] + moved[0] * per_cell,
+            at[1] + moved[1] * per_cell,
+            at[2] + moved[2] * per_cell,
+        )
+        # Written so that a place that is not a number counts as outside.
+        inside = abs(x) < 1.5 and abs(y) < 1.5 and abs(z) < 1.5
+        if not inside:
+            return p
+        di, dj, dk = np.floor(x + 0.5), np.floor(y + 0.5), np.floor(z + 0.5)
+        # No soil passes a plane of symmetry; rounding might put a particle a hair beyond.
+        if j + dj < 1 or j + dj > lattice.count_y - 2:
+            y = min(max(y, -0.5), 0.4999999)
+            dj = 0.0
+        i, j, k = i + int(di), j + int(dj), k + int(dk)
+        if not (1 <= i < lattice.count_x - 1 and 1 <= k < lattice.count_z - 1):
+            return p
+        cell = k * layer + j * row + i
+        soil.cell[p] = cell
+        soil.offset[p, 0], soil.offset[p, 1], soil.offset[p, 2] = x - di, y - dj, z - dk
+        at = (float(soil.offset[p, 0]), float(soil.offset[p, 1]), float(soil.offset[p, 2]))
+        scatter(grid, cell, at, soil.mass[p], velocity, affine, row, layer)
+    return -1

@@ -1,0 +1,157 @@
+"""Stress update in space: flow rules found anew by least squares, and stress paths with answers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import nnls
+
+from terraphi.experiment.soil import Soil
+from terraphi.forward.mpm3d import lanes
+from terraphi.forward.mpm3d.plasticity import jaumann_predictor, material_of, return_mapping
+
+ANGLES = st.sampled_from([(35.0, 0.0), (35.0, 10.0), (35.0, 35.0), (20.0, 0.0), (50.0, 15.0)])
+PAIRS = [(0, 1), (0, 2), (1, 2), (1, 0), (2, 0), (2, 1)]
+
+
+def soil(phi=35.0, psi=0.0, **changes):
+    return Soil(
+        friction_angle_deg=phi, dilation_angle_deg=psi, yield_criterion="plane_strain",
+        youngs_modulus=2e6, **changes,
+    )  # fmt: skip
+
+
+def matrix(stress):
+    xx, yy, zz, xy, xz, yz = stress
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def components(tensor):
+    return tuple(float(tensor[i]) for i in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+
+
+def turned(principal, seed):
+    q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return components(q @ np.diag(principal) @ q.T)
+
+
+def plane(sine, i, j):
+    """Normal of (1 + sine) σ_i - (1 - sine) σ_j in principal stresses."""
+    normal = np.zeros(3)
+    normal[i], normal[j] = 1.0 + sine, -(1.0 - sine)
+    return normal
+
+
+principals = st.tuples(*[st.floats(-5e3, 1e3)] * 3)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    principal=principals,
+    angles=ANGLES,
+    seed=st.integers(0, 99),
+    cohesion=st.sampled_from([0.0, 500.0]),
+)
+def test_return_follows_the_flow_rule_and_ends_on_the_surface(principal, angles, seed, cohesion):
+    ground = soil(*angles, cohesion=cohesion)
+    material = material_of(ground)
+    trial = turned(principal, seed)
+    made, slip = return_mapping(trial, 0.0, material)
+    old, axes = np.linalg.eigh(matrix(trial))
+    inside = axes.T @ matrix(made) @ axes
+    new = np.diag(inside)
+    scale = np.abs(principal).max() + 1.0
+    assert np.abs(inside - np.diag(new)).max() < 1e-6 * scale  # the directions stay
+    normals = np.array([plane(material.sin_friction, *pair) for pair in PAIRS])
+    f = normals @ new - material.strength
+    assert f.max() < 1e-6 * scale
+    if (normals @ old - material.strength).max() < -1e-6 * scale:
+        np.testing.assert_allclose(new, old, atol=1e-7 * scale)
+        return
+    tip = ground.cohesion / math.tan(math.radians(ground.friction_angle_deg))
+    if np.abs(new - tip).max() < 1e-6 * scale and material.sin_dilation == 0.0:
+        assert old.mean() > tip - 1e-3 * scale  # without dilation only tension leads to the tip
+        return
+    # What was taken away is D times potentials of planes that touch, none of them pulled.
+    active = f > -1e-5 * scale
+    stiffness = material.lame_lambda + 2.0 * material.shear_modulus * np.eye(3)
+    flows = np.array([plane(material.sin_dilation, *pair) for pair in PAIRS])[active]
+    if np.abs(new - tip).max() >= 1e-6 * scale or angles[1] == angles[0]:
+        _, miss = nnls((flows @ stiffness).T / scale, (old - new) / scale)
+        assert miss < 1e-5
+    assert slip >= -1e-12
+
+
+@pytest.mark.parametrize(
+    ("rate", "ratio"),
+    [  # (σ1 - σ3)/(σ1 + σ3) is sin φ whatever the second stress; q/p tells where that lies
+        ((-2.0, 1.0, 1.0), lambda s: 6.0 * s / (3.0 - s)),  # triaxial compression, Lode angle 60°
+        ((-1.0, 0.0, 1.0), None),  # pure shear, 30°
+        ((-1.0, -1.0, 2.0), lambda s: 6.0 * s / (3.0 + s)),  # triaxial extension, 0°
+    ],
+)
+@pytest.mark.parametrize("phi", [25.0, 45.0])
+def test_isochoric_paths_end_at_the_strength_of_mohr_and_coulomb(rate, ratio, phi):
+    material = material_of(soil(phi))
+    laws = lanes.laws_of(material, averaging=False)
+    plain = fast = (-1e3, -1e3, -1e3, 0.0, 0.0, 0.0)
+    step = tuple(1e-4 * v for v in np.diag(rate).ravel())
+    for _ in range(200):
+        trial = jaumann_predictor(plain, step, 0.0, material.lame_lambda, material.shear_modulus)
+        plain, _ = return_mapping(trial, 0.0, material)
+        trial = jaumann_predictor(fast, step, 0.0, material.lame_lambda, material.shear_modulus)
+        fast, _ = lanes.return_stress(tuple(map(np.float32, trial)), np.float32(0.0), laws)
+        fast = tuple(map(float, fast))
+    sine = math.sin(math.radians(phi))
+    for stress, tolerance in ((plain, 1e-9), (fast, 2e-4)):
+        low, _, high = np.sort(stress[:3])
+        assert (high - low) / -(high + low) == pytest.approx(sine, rel=tolerance)
+        assert sum(stress[:3]) == pytest.approx(-3e3, rel=tolerance)
+        if ratio is not None:
+            assert 3.0 * (high - low) / -sum(stress[:3]) == pytest.approx(
+                ratio(sine), rel=tolerance
+            )
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    principal=principals,
+    angles=ANGLES,
+    seed=st.integers(0, 99),
+    worn=st.sampled_from([0.0, 0.05, 1.0]),
+)
+def test_lanes_return_as_the_reference_does(principal, angles, seed, worn):
+    for ground in (
+        soil(*angles, critical_friction_angle_deg=0.8 * angles[0], softening_strain=0.1),
+        soil(*angles, cohesion=300.0, tension_cutoff=100.0),
+        soil(*angles).model_copy(update={"yield_criterion": "triaxial"}),
+    ):
+        material = material_of(ground)
+        trial = turned(principal, seed)
+        made, slip = return_mapping(trial, worn, material)
+        laws = lanes.laws_of(material, averaging=False)
+        fast, fast_slip = lanes.return_stress(tuple(map(np.float32, trial)), np.float32(worn), laws)
+        scale = np.abs(principal).max() + 1.0
+        np.testing.assert_allclose(fast, made, atol=1.5e-3 * scale)
+        assert fast_slip == pytest.approx(slip, abs=3e-3 * scale / material.shear_modulus)
+
+
+def test_softening_takes_the_strength_from_peak_to_critical_state():
+    ground = soil(45.0, 15.0, critical_friction_angle_deg=33.0, softening_strain=0.1)
+    material = material_of(ground)
+    stress, worn, seen = (-1e3, -1e3, -1e3, 0.0, 0.0, 0.0), 0.0, []
+    step = tuple(1e-4 * v for v in np.diag((-1.0, 0.0, 1.0)).ravel())
+    for _ in range(1500):
+        trial = jaumann_predictor(stress, step, 0.0, material.lame_lambda, material.shear_modulus)
+        stress, slip = return_mapping(trial, worn, material)
+        worn += slip
+        low, high = min(stress[:3]), max(stress[:3])
+        seen.append((high - low) / -(high + low))
+    assert max(seen) == pytest.approx(math.sin(math.radians(45.0)), rel=0.01)
+    assert seen[-1] == pytest.approx(math.sin(math.radians(33.0)), rel=1e-6)
+    # Plastic shear is what the strain was but for its elastic part, for dilation has pressed it.
+    assert worn == pytest.approx(0.3, rel=0.1)
