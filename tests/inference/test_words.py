@@ -17,6 +17,7 @@ PLACE = {"side": "low", "at": 15.0, "unit": "°", "name": "plane_strain"}
 DEFECT = {"force": "Fx", "rows": 3, "theta_deg": (-40.0, -38.0), "size_N": None}
 EXAMPLES = {
     "tared": ({"force": "Fz", "size_N": 1.234}, "A constant 1.2 N of Fz would explain"),
+    "saturated": ({"force": "Fz", "size_N": 6.5}, "saturated? Fz cut off at 6.5 N"),
     "moved": ({"force": "Fx", "size_N": -1.5, "theta_deg": 12.0}, "step of -1.5 N at about 12°"),
     "unlike": ({"differences": [("rft.panels", 20, 40)]}, "rft.panels = 20 (40); so the angle"),
     "too_large": ({"peak_N": 200.0, "ratio": 20.0}, "200 N, is 20 times that of the library's"),

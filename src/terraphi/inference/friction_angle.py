@@ -381,10 +381,12 @@ def _judged(
             else:
                 own = deviations(off, most=NRMSD_LIMIT, source=source)
             measures += own
-            if any(measure.exceeded for measure in own):
+            fits = not any(measure.exceeded for measure in own)
+            if not fits:
                 beyond.add(why.beyond)
-                if why.question is not None:
-                    questions.append((why.question, trial))
+            # Noise may hide a flat top, and a smaller angle fit what is left of it.
+            if why.question is not None and (not fits or why.question.code == "saturated"):
+                questions.append((why.question, trial))
     if looked.several:
         measures.append(_agreement(legs, posterior))
     if prior.normal is not None:
@@ -402,7 +404,8 @@ def _judged(
         kind=ways.likelihood,
         beyond=beyond.pop() if len(beyond) == 1 else None,
     )
-    asked = questions if verdict.verdict == "misfit" else []
+    misfit = verdict.verdict == "misfit"
+    asked = [pair for pair in questions if misfit or pair[0].code == "saturated"]
     return verdict, [*warnings, *_doubts(looked, legs, asked)], budget
 
 

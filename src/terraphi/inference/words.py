@@ -90,6 +90,9 @@ DOUBTS = {
         "Did the zero of {force} move? A step of {size_N:.2g} N at about {theta_deg:.0f}° would "
         "explain the record."
     ),
+    "saturated": (
+        "Was the sensor saturated? {force} cut off at {size_N:.3g} N would explain the record."
+    ),
     "unlike": (
         "The history was not simulated as the library was (the library's in brackets): "
         "{differences}; so the angle found may differ from the one that it was simulated with."
