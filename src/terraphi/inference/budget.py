@@ -100,6 +100,9 @@ class Budget:
         Standard deviation of the discrepancy over the peak-to-peak of the data [-], likewise.
     fit
         The best fit without a discrepancy.
+    offset_deg_per_N, offset_chi2_per_N2
+        What a constant force does, Fx and Fz: change of the friction angle that fits best [deg/N],
+        and chi-square that it adds at that angle [1/N^2].
     noise, discrepancy
         How these were treated: ``given`` or ``inferred``; ``none`` or ``gp``.
     """
@@ -111,6 +114,8 @@ class Budget:
     noise_N: float
     discrepancy_of_peak: float
     fit: Fit
+    offset_deg_per_N: FloatArray
+    offset_chi2_per_N2: FloatArray
     noise: str
     discrepancy: str
 
@@ -156,6 +161,9 @@ def budget_of(
     parts = {name: float(direction @ term @ direction) for name, term in terms.items()}
     whole = sum(parts.values())
     told = information_share(total, slope)
+    offsets = np.kron(np.eye(2), np.ones(len(slope) // 2)) / scale
+    along, information = offsets @ direction, float(direction @ slope)
+    chi2 = np.einsum("ij,ji->i", offsets, np.linalg.solve(total, offsets.T))
     return Budget(
         shares={name: part / whole for name, part in parts.items()},
         information=told,
@@ -164,6 +172,8 @@ def budget_of(
         noise_N=scale * float(np.sqrt(noise_variance)),
         discrepancy_of_peak=float(np.sqrt(weights @ np.square(used.amplitude))),
         fit=fit,
+        offset_deg_per_N=along / information,
+        offset_chi2_per_N2=chi2 - np.square(along) / information,
         noise="inferred" if problem.noise_sigma is None else "given",
         discrepancy="gp" if problem.discrepancy else "none",
     )

@@ -71,6 +71,11 @@ CURVES = 401
 """Angles at which the paper's surrogate is asked for what would explain a record."""
 DRAWS = 4000
 """Draws that stand for the noise and the discrepancy that were inferred."""
+UNSEEN = 0.01
+"""Offset, of peak-to-peak, that a sensor may have whose zero no reading shows [-]: about that of
+the shipped measurements in air."""
+FOUND_OUT = 16.0
+"""Chi-square that an offset adds to a record that shows it to be a misfit."""
 
 
 @dataclass(frozen=True)
@@ -404,9 +409,31 @@ def _judged(
         kind=ways.likelihood,
         beyond=beyond.pop() if len(beyond) == 1 else None,
     )
+    if verdict.verdict == "consistent" and budget is not None:
+        warnings = [*warnings, *_zero(looked, posterior, budget)]
     misfit = verdict.verdict == "misfit"
     asked = [pair for pair in questions if misfit or pair[0].code == "saturated"]
     return verdict, [*warnings, *_doubts(looked, legs, asked)], budget
+
+
+def _zero(looked: Looked, posterior: Posterior, budget: Budget) -> list[Doubt]:
+    """A doubt if a zero that may be off matters: noise hides an offset of a per cent or two.
+
+    A history that was simulated has no sensor.
+    """
+    (trial,), (inspection,) = looked.trials, looked.inspections
+    if trial.simulation:
+        return []
+    span = np.ptp(np.stack([trial.history.Fx, trial.history.Fz]), axis=1)
+    hidden = np.minimum(UNSEEN * span, np.sqrt(FOUND_OUT / budget.offset_chi2_per_N2))
+    sizes = hidden if inspection.zero_N is None else np.array(inspection.zero_N)
+    moves = np.abs(budget.offset_deg_per_N * sizes)
+    axis = int(moves.argmax())
+    numbers = {"force": ("Fx", "Fz")[axis], "size_N": sizes[axis], "moves_deg": moves[axis]}
+    doubt = Doubt("zero_unseen" if inspection.zero_N is None else "zero_off", numbers)
+    low, high = posterior.interval(0.68)
+    # Half its half-width: 95 % intervals then hold 92 %.
+    return [doubt] if moves[axis] > 0.25 * (high - low) else []
 
 
 def _agreement(legs: Sequence[_Leg], posterior: Posterior) -> Measure:
