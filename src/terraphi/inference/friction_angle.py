@@ -429,11 +429,12 @@ def _zero(looked: Looked, posterior: Posterior, budget: Budget) -> list[Doubt]:
     sizes = hidden if inspection.zero_N is None else np.array(inspection.zero_N)
     moves = np.abs(budget.offset_deg_per_N * sizes)
     axis = int(moves.argmax())
-    numbers = {"force": ("Fx", "Fz")[axis], "size_N": sizes[axis], "moves_deg": moves[axis]}
+    force, size, change = ("Fx", "Fz")[axis], float(sizes[axis]), float(moves[axis])
+    numbers = {"force": force, "size_N": size, "moves_deg": change}
     doubt = Doubt("zero_unseen" if inspection.zero_N is None else "zero_off", numbers)
     low, high = posterior.interval(0.68)
     # Half its half-width: 95 % intervals then hold 92 %.
-    return [doubt] if moves[axis] > 0.25 * (high - low) else []
+    return [doubt] if change > 0.25 * (high - low) else []
 
 
 def _agreement(legs: Sequence[_Leg], posterior: Posterior) -> Measure:
