@@ -116,6 +116,29 @@ def test_held_values_and_spikes() -> None:
     assert (defect.code, defect.force, defect.rows) == ("spike", "Fz", 1)
 
 
+def test_ten_spikes_are_left_out_too() -> None:
+    """They are not to set the scale by which they are told from other readings."""
+    whole = truth()
+    force, inside = whole.force.copy(), np.flatnonzero(np.abs(whole.theta_deg) < 80.0)
+    at = inside[8::16]
+    force[at, 1] += 5.0 * force.max()
+    (defect,) = inspect_record(replace(whole, force=force)).defects
+    assert (defect.code, defect.force, defect.rows) == ("spike", "Fz", len(at))
+
+
+def test_rows_of_exact_zeros_are_lost_under_a_small_load_too() -> None:
+    """Noise gives every other reading some force; a third of the stroke of this leg is light."""
+    case = next(c for c in Library.load("quick-paper").cases if c.scenario.leg.shape == "c")
+    assert case.history is not None
+    whole, rng = case.history.engaged(), np.random.default_rng(8)
+    noise = 0.01 * np.abs(whole.force).max() * rng.normal(size=whole.force.shape)
+    lost = rng.random(len(whole.position)) < 0.3
+    force = np.where(lost[:, None], 0.0, whole.force + noise)
+    left = inspect_record(replace(whole, force=force)).history
+    assert (left.force == 0.0).all(axis=1).sum() < 0.03 * lost.sum()
+    assert len(left.position) > 0.95 * (~lost).sum()
+
+
 @pytest.mark.parametrize("every", [1, 10])
 def test_a_clipped_top_is_left_out_if_short_and_refused_if_not(every: int) -> None:
     whole = truth(every)
@@ -169,6 +192,25 @@ def test_a_joint_inversion_leaves_them_out_too(library: Library) -> None:
     assert any(said.code == "dropout" for said in answer.warnings)
     phi = answer.marginal["soil.friction_angle_deg"]
     assert phi.ci95[0] < PHI < phi.ci95[1]
+
+
+@pytest.mark.parametrize(
+    ("window", "offset", "doubts"), [(85.5, 0.0, ["zero_unseen"]), (130.0, 0.012, ["zero_off"])]
+)
+def test_a_zero_that_noise_may_hide_is_a_doubt(
+    library: Library, window: float, offset: float, doubts: list[str]
+) -> None:
+    """Off by 1 % of the peak under noise of 3 %, one of four consistent intervals missed."""
+    whole = truth().engaged(window_deg=window)
+    rng, peak = np.random.default_rng(4), np.abs(whole.force).max()
+    force = whole.force + peak * (0.03 * rng.normal(size=whole.force.shape) + [0.0, offset])
+    for provenance, told in (({}, doubts), (whole.provenance, [])):
+        answer = invert(replace(whole, force=force, provenance=provenance), library=library)
+        assert answer.verdict.verdict == "consistent"
+        found = [doubt for doubt in answer.warnings if doubt.code.startswith("zero")]
+        assert [doubt.code for doubt in found] == told
+        if offset and found:
+            assert found[0].numbers["size_N"] == pytest.approx(offset * peak, abs=0.015 * peak)
 
 
 def test_noise_in_air_is_no_offset() -> None:

@@ -123,6 +123,27 @@ def test_a_wrong_record_is_a_misfit_and_not_out_of_range(
         assert answer.phi.ci95[1] - answer.phi.ci95[0] > 1.0
 
 
+@pytest.mark.parametrize("force", [0, 1])
+def test_a_top_that_is_cut_off_under_noise_is_asked_about_whatever_the_verdict(force: int) -> None:
+    """Noise of 2 % of the peak before and 1 % after hides the flat top from who looks at it."""
+    library, rng = Library.load("quick-paper"), np.random.default_rng(2)
+    case = Library.load("quick-paper-truths").cases[4]
+    assert case.history is not None
+    near = case.history.engaged()
+    whole = replace(near, position=near.position[::5], force=near.force[::5], provenance={})
+    peak = np.abs(whole.force).max(axis=0)
+    before, after = peak.max() * rng.normal(size=(2, *whole.force.shape))
+    for share, asked in ((1.0, []), (0.7, ["saturated"])):
+        limit = np.where(np.arange(2) == force, share, 9.0) * peak
+        cut = np.clip(whole.force + 0.02 * before, -limit, limit) + 0.01 * after
+        answer = invert(replace(whole, force=cut), library=library)
+        found = [doubt for doubt in answer.warnings if doubt.code in QUESTIONS]
+        assert [doubt.code for doubt in found] == asked
+        if found:
+            assert found[0].numbers["force"] == ("Fx", "Fz")[force]
+            assert abs(found[0].numbers["size_N"]) == pytest.approx(0.7 * peak[force], rel=0.05)
+
+
 @pytest.mark.parametrize("medium", ["yuma", "poppy_loose", "glass03_close"])
 @pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
 def test_nobody_is_asked_about_a_right_record(library: Library, medium: str, leg: str) -> None:

@@ -12,10 +12,10 @@ from terraphi.inference import prepared_leg
 from terraphi.inference.inversion import invert
 from terraphi.inference.prepared_leg import (
     WHITE,
+    Reading,
+    _beside_neighbours,
     _Errors,
-    _with_white,
     learn_reading,
-    nothing_open,
     prepare,
     reading_errors,
     surrogate_of,
@@ -55,8 +55,8 @@ def test_a_dense_record_leaves_nothing_open() -> None:
     assert own is not None
     prepared = prepare(library, "straight", readings=own.position)
     found = learn_reading(library, "straight", own.position, prepared.surrogate)
-    assert not found.moment.any()
-    assert not nothing_open(4).covariance(np.array([30.0]), np.ones((1, 4))).any()
+    assert found.errors is None
+    assert not found.covariance(30.0, np.array([0.0, 1.0, 0.0, 1.0])).any()
     assert prepared.read_for(prepared.mean[3]) is prepared
 
 
@@ -70,7 +70,7 @@ def test_a_library_that_hardly_reaches_beyond_the_window_will_do() -> None:
     short = replace(library, cases=tuple(cut))
     readings = np.radians(np.arange(-88.0, 88.01, 4.0))
     surrogate = surrogate_of(short, "straight", short.curves("straight"))
-    assert learn_reading(short, "straight", readings, surrogate).moment.any()
+    assert learn_reading(short, "straight", readings, surrogate).moment(30.0).any()
 
 
 def drawn_errors(rng: np.random.Generator, phi: np.ndarray, patterns: np.ndarray) -> _Errors:
@@ -90,13 +90,12 @@ def test_errors_of_curves_that_were_not_learnt_from_are_as_large_as_said(count: 
     white = white_of(errors, surrogate)
     assert white < 0.02 if count == 2 else white > 0.05
     ratios = {0.0: [], white: []}
-    learnt = errors.learnt()
-    for each in phi.tolist():
-        size = np.exp(0.5 * (learnt.log_size[0] + learnt.log_size[1] * each)) * 8.0
+    for each in phi[1:-1].tolist():
         moved = 8.0 * fresh.about[fresh.phi_deg == each].reshape(-1, 80)
         known = surrogate.covariance(each) + surrogate.scatter.covariance(each)
+        rest = errors.of(errors.phi_deg != each)
         for added, found in ratios.items():
-            opened = size**2 * _with_white(learnt, added).moment
+            opened = 64.0 * Reading(rest, added).moment(each)
             direction = np.linalg.solve(known + opened, surrogate.slope(each))
             said = direction @ opened @ direction
             found.append(np.square(moved @ direction).mean() / said)
@@ -109,7 +108,7 @@ def test_curves_without_errors_and_few_curves_have_the_usual_white_part() -> Non
     surrogate = prepare(Library.load("quick-plane-strain"), "straight").surrogate
     rng, phi = np.random.default_rng(1), np.arange(20.0, 33.0, 2.5)
     still = drawn_errors(rng, phi, np.zeros((2, 80)))
-    few = drawn_errors(rng, phi[:3], rng.standard_normal((2, 80)))
+    few = drawn_errors(rng, phi[:5], rng.standard_normal((2, 80)))
     assert [white_of(errors, surrogate) for errors in (still, few)] == [WHITE, WHITE]
 
 
@@ -127,10 +126,39 @@ def test_replicates_are_learnt_from_too() -> None:
         learn_reading(replace(library, replicates=some), "straight", readings, surrogate)
         for some in ((), tuple(louder))
     )
-    at, force = np.array([32.5]), surrogate.predict([32.5])
-    assert np.trace(loud.covariance(at, force)[0]) > 2.0 * np.trace(
-        without.covariance(at, force)[0]
-    )
+    force = surrogate.predict([32.5])[0]
+    assert np.trace(loud.covariance(32.5, force)) > 2.0 * np.trace(without.covariance(32.5, force))
+
+
+def test_what_a_curve_has_beside_its_neighbours_is_alike_throughout_and_at_the_ends() -> None:
+    """One and a half times its own variance, and nothing of what is linear over phi."""
+    rng = np.random.default_rng(4)
+    own, line = rng.standard_normal((5, 40000)), 3.0 * np.arange(5.0)[:, None]
+    for i in range(5):
+        found = _beside_neighbours((own + line)[i], i, list(own + line))
+        assert np.mean(np.square(found)) == pytest.approx(1.5, rel=0.05)
+
+
+def test_the_covariance_is_that_of_the_curves_near_and_each_part_grows_by_itself() -> None:
+    """Points lose and means gain with phi; patterns of far curves do not count."""
+    phi = np.arange(15.0, 51.0, 2.5)
+    one, other, third = np.eye(80)[:3]
+    pattern = np.where(phi[:, None] < 30.0, one, other)
+    shrinks, grows = (0.05 * np.exp(rate * (phi - 15.0)) for rate in (-0.02, 0.05))
+    # Two shifts of opposite signs of one part, so that the parts are not alike.
+    about = shrinks[:, None, None] * np.stack([pattern, -pattern], axis=1)
+    beside = np.repeat(grows[:, None, None] * third, 2, axis=1)
+    errors = _Errors(phi, about, beside, np.ones((phi.size, 80)))
+    for i in (0, -1):
+        low, high, means = np.diag(errors.moment(phi[i]))[:3]
+        near, far = (low, high) if i == 0 else (high, low)
+        assert far < 0.05 * near
+        assert near == pytest.approx(shrinks[i] ** 2, rel=0.05)
+        assert means == pytest.approx(grows[i] ** 2, rel=0.05)
+    # As errors of one record they are added: what is in both counts four times.
+    alike = errors._replace(beside=about)
+    assert np.allclose(alike.moment(20.0), 4.0 * errors.of(phi > 0)._replace(
+        beside=np.zeros_like(about)).moment(20.0))  # fmt: skip
 
 
 @pytest.mark.parametrize("degrees", [0.1, 1.0, 4.0])
@@ -139,7 +167,7 @@ def test_scatter_is_the_calibrations_at_every_spacing(degrees: float) -> None:
     found = prepare(library, "straight", readings=np.radians(np.arange(-95.0, 95.0, degrees)))
     carried = library.calibration["legs"]["straight"]["scatter"]
     assert found.surrogate.scatter.as_dict() == carried
-    assert found.reading.moment.any() == (degrees > 0.1)
+    assert (found.reading.errors is not None) == (degrees > 0.1)
 
 
 def test_covariance_grows_with_the_spacing_and_with_the_force() -> None:
@@ -206,4 +234,4 @@ def test_a_coarse_library_gets_the_variance_that_its_errors_ask_for(monkeypatch)
     prepare(Library.load("resolved"), "straight", readings=np.radians(np.arange(-94.0, 95.0, 4.0)))
     assert found
     assert prepared_leg.WHITES[0] < found[0] < prepared_leg.WHITES[-1]
-    assert found[0] > 4.0  # five degrees between angles: errors that no neighbour shows
+    assert 0.1 < found[0] < 2.0  # five degrees between angles, but what grows is told from what not

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -78,6 +78,15 @@ def covariance_terms(
     }
 
 
+class Offset(NamedTuple):
+    """What a constant force, Fx and Fz, does to an answer."""
+
+    deg_per_N: FloatArray
+    """Change of the friction angle that fits best [deg/N], shape [2]."""
+    chi2_per_N2: FloatArray
+    """Chi-square that it adds at that angle [1/N²], shape [2]."""
+
+
 @dataclass(frozen=True)
 class Budget:
     """Where the interval comes from, in the data's force unit.
@@ -100,6 +109,8 @@ class Budget:
         Standard deviation of the discrepancy over the peak-to-peak of the data [-], likewise.
     fit
         The best fit without a discrepancy; ``None`` beside that of real soils.
+    offset
+        What a constant force does; likewise.
     noise, discrepancy
         How these were treated: ``given`` or ``inferred``; ``none``, ``gp`` or ``soils``.
     degrees
@@ -113,6 +124,7 @@ class Budget:
     noise_N: float
     discrepancy_of_peak: float
     fit: Fit | None
+    offset: Offset | None
     noise: str
     discrepancy: str
     degrees: Mapping[str, float]
@@ -160,6 +172,9 @@ def budget_of(
     parts = {name: float(direction @ term @ direction) for name, term in terms.items()}
     whole = sum(parts.values())
     told = information_share(total, slope)
+    offsets = np.kron(np.eye(2), np.ones(len(slope) // 2)) / scale
+    along, information = offsets @ direction, float(direction @ slope)
+    chi2 = np.einsum("ij,ji->i", offsets, np.linalg.solve(total, offsets.T))
     return Budget(
         shares={name: part / whole for name, part in parts.items()},
         information=told,
@@ -168,6 +183,7 @@ def budget_of(
         noise_N=scale * float(np.sqrt(noise_variance)),
         discrepancy_of_peak=float(np.sqrt(weights @ np.square(used.amplitude))),
         fit=fit,
+        offset=Offset(along / information, chi2 - np.square(along) / information),
         noise="inferred" if problem.noise_sigma is None else "given",
         discrepancy="gp" if problem.discrepancy else "none",
         degrees={n: float(np.sqrt(part)) / float(direction @ slope) for n, part in parts.items()},

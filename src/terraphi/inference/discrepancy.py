@@ -570,6 +570,7 @@ class SoilLikelihood:
             noise_N=scale * self.noise_N,
             discrepancy_of_peak=self.learnt.amplitude,
             fit=None,
+            offset=None,
             noise="inferred" if self.problem.noise_sigma is None else "given",
             discrepancy="soils",
             degrees=degrees,

@@ -82,6 +82,11 @@ CURVES = 401
 """Angles at which the paper's surrogate is asked for what would explain a record."""
 DRAWS = 4000
 """Draws that stand for the noise and the discrepancy that were inferred."""
+UNSEEN = 0.01
+"""Offset, of peak-to-peak, that a sensor may have whose zero no reading shows [-]: about that of
+the shipped measurements in air."""
+FOUND_OUT = 16.0
+"""Chi-square that an offset adds to a record that shows it to be a misfit."""
 
 
 @dataclass(frozen=True)
@@ -452,10 +457,12 @@ def _judged(
             limit = NRMSD_LIMIT if ways.likelihood == "paper" else None
             own += deviations(nrmsd(observation.vector, best), most=limit, source=source)
             measures += own
-            if any(measure.exceeded for measure in own):
+            fits = not any(measure.exceeded for measure in own)
+            if not fits:
                 beyond.add(why.beyond)
-                if why.question is not None:
-                    questions.append((why.question, trial))
+            # Noise may hide a flat top, and a smaller angle fit what is left of it.
+            if why.question is not None and (not fits or why.question.code == "saturated"):
+                questions.append((why.question, trial))
     if looked.several:
         measures += [*_together_as_soils(legs), _agreement(legs, posterior)]
     if prior.normal is not None:
@@ -468,8 +475,11 @@ def _judged(
         beyond=beyond.pop() if len(beyond) == 1 else None,
         numbers=worst,
     )
-    asked = questions if verdict.verdict == "misfit" else []
+    misfit = verdict.verdict == "misfit"
+    asked = [pair for pair in questions if misfit or pair[0].code == "saturated"]
     budget = None if looked.several or prior.normal is not None else budget
+    if verdict.verdict == "consistent" and budget is not None:
+        warnings = [*warnings, *_zero(looked, posterior, budget)]
     return verdict, [*warnings, *_doubts(looked, legs, asked)], budget
 
 
@@ -521,6 +531,28 @@ def _edge(legs: Sequence[_Leg], posterior: Posterior, core: Posterior, ways: Way
         edge = max(both, key=lambda one: one.size)
     whose = "library" if edge.numbers["at"] in _common(legs) else "prior"
     return replace(edge, numbers={**edge.numbers, "of": whose})
+
+
+def _zero(looked: Looked, posterior: Posterior, budget: Budget) -> list[Doubt]:
+    """A doubt if a zero that may be off matters: noise hides an offset of a per cent or two.
+
+    A history that was simulated has no sensor, and beside the spread between real soils no zero
+    matters.
+    """
+    (trial,), (inspection,) = looked.trials, looked.inspections
+    if trial.simulation or budget.offset is None:
+        return []
+    span = np.ptp(np.stack([trial.history.Fx, trial.history.Fz]), axis=1)
+    hidden = np.minimum(UNSEEN * span, np.sqrt(FOUND_OUT / budget.offset.chi2_per_N2))
+    sizes = hidden if inspection.zero_N is None else np.array(inspection.zero_N)
+    moves = np.abs(budget.offset.deg_per_N * sizes)
+    axis = int(moves.argmax())
+    force, size, change = ("Fx", "Fz")[axis], float(sizes[axis]), float(moves[axis])
+    numbers = {"force": force, "size_N": size, "moves_deg": change}
+    doubt = Doubt("zero_unseen" if inspection.zero_N is None else "zero_off", numbers)
+    low, high = posterior.interval(0.68)
+    # Half its half-width: 95 % intervals then hold 92 %.
+    return [doubt] if change > 0.25 * (high - low) else []
 
 
 def _agreement(legs: Sequence[_Leg], posterior: Posterior) -> Measure:

@@ -116,9 +116,9 @@ class PreparedLeg:
         left = surrogate.scatter.sigma(phi)[:, :, None] * surrogate.basis
         right = left.transpose(0, 2, 1)
         covariance, mean = (left * variance[:, None, :]) @ right, surrogate.predict(phi)
-        reading = reading or nothing_open(mean.shape[1])
         none = np.zeros(covariance.shape[1:])
-        return cls(surrogate, curves, phi, mean, covariance, left @ right, reading, none)
+        of_readings = reading or Reading()
+        return cls(surrogate, curves, phi, mean, covariance, left @ right, of_readings, none)
 
     def read_for(self, data: FloatArray) -> PreparedLeg:
         """The same for one record, with what its readings leave open.
@@ -131,10 +131,10 @@ class PreparedLeg:
         data
             Its observation vector [N], shape [2 theta].
         """
-        if not self.reading.moment.any():
+        if self.reading.errors is None:
             return self
         near = int(np.square(self.mean - data).sum(axis=1).argmin())
-        opened = self.reading.covariance(self.phi_deg[[near]], self.mean[[near]])[0]
+        opened = self.reading.covariance(float(self.phi_deg[near]), self.mean[near])
         total = self.covariance + opened
         return replace(self, covariance=total, opened=opened)
 
@@ -329,47 +329,56 @@ def _forget_oldest(kept: OrderedDict[Any, Any], most: int) -> None:
 
 MOST_SHIFTS = 10
 """Shifts of the readings within their spacing that are tried at most."""
-FEWEST_FOR_GROWTH = 3
-"""Cases over phi from which on the size of errors may grow."""
+GROWTH = (3, 8)
+"""Cases over phi from which on the log of the size of errors is a line, and a quadratic."""
+NEAR_DEG = 6.0
+"""Standard deviation over phi of the weights of curves [deg]. Curves that are left out are met with
+the narrowest intervals so, by 5 to 20 % against equal weights, in four libraries; 4 or 8 does as
+well."""
+FEWEST = 3
+"""Angles between the ends above which curves are left out."""
 WHITES = 0.01 * 400.0 ** (np.arange(21) / 13.0)
 """Variances that may be added at each window by itself, of that learnt [-]: up to 100."""
 WHITE = 0.5
 """The same if curves are too few to leave some out."""
 
 
-class Reading(NamedTuple):
-    """Covariance of what a record's readings leave open, over the friction angle."""
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Covariance of what a record's readings leave open, over the friction angle.
 
-    moment: FloatArray
-    """Of forces of unit peak-to-peak, where its size is 1 [-], shape [2 theta, 2 theta]."""
-    log_size: FloatArray
-    """Coefficients a, b of the log of its size, a + b φ [-]; φ in degrees."""
+    Attributes
+    ----------
+    errors
+        What curves show [-], none if nothing is open.
+    white
+        Variance added at each window by itself, of that learnt [-].
+    """
 
-    def covariance(self, phi_deg: FloatArray, forces: FloatArray) -> FloatArray:
-        """Covariance of the window means of a record [N²].
+    errors: _Errors | None = None
+    white: float = 0.0
+
+    def moment(self, phi_deg: float) -> FloatArray:
+        """Covariance at a friction angle of forces of unit peak-to-peak [-], [2 theta, 2 theta]."""
+        if self.errors is None:
+            return np.zeros(())
+        moment = self.errors.moment(phi_deg)
+        found: FloatArray = moment + self.white * np.diag(np.diag(moment))
+        return found
+
+    def covariance(self, phi_deg: float, forces: FloatArray) -> FloatArray:
+        """Covariance of the window means of a record [N²], shape [2 theta, 2 theta].
 
         Parameters
         ----------
         phi_deg
-            Friction angles [deg], shape [k].
+            Friction angle [deg].
         forces
-            Observation vectors there [N], shape [k, 2 theta].
-
-        Returns
-        -------
-        ndarray
-            Shape [k, 2 theta, 2 theta].
+            Observation vector there [N], shape [2 theta].
         """
-        spans = np.ptp(forces.reshape(len(forces), 2, -1), axis=2)
-        size = np.exp(0.5 * (self.log_size[0] + self.log_size[1] * phi_deg))
-        each = np.repeat(size[:, None] * spans, forces.shape[1] // 2, axis=1)
-        covariance: FloatArray = each[:, :, None] * self.moment * each[:, None, :]
+        spans = _spans(forces)
+        covariance: FloatArray = spans[:, None] * self.moment(phi_deg) * spans
         return covariance
-
-
-def nothing_open(size: int) -> Reading:
-    """Of a record that is known all along the path; ``size`` is 2 theta."""
-    return Reading(np.zeros((size, size)), np.zeros(2))
 
 
 class _Errors(NamedTuple):
@@ -384,23 +393,42 @@ class _Errors(NamedTuple):
     spans: FloatArray
     """Peak-to-peak of the force of each window [N], shape [case, 2 theta]."""
 
-    def of(self, which: FloatArray) -> _Errors:
+    def of(self, which: NDArray[np.bool_]) -> _Errors:
         """Those of some curves; a mask."""
         return _Errors(*(part[which] for part in self))
 
-    def learnt(self) -> Reading:
-        """Their covariance."""
-        phi = self.phi_deg
-        total = sum(np.square(part).mean(axis=(1, 2)) for part in (self.about, self.beside))
-        # A slope needs more than a few cases; and a path that nothing touches has no error.
-        degree = 1 if len(np.unique(phi)) >= FEWEST_FOR_GROWTH else 0
-        a, b = np.polynomial.polynomial.polyfit(phi, np.log(np.maximum(total, 1e-30)), degree)[
-            [0, degree]
-        ]
-        b *= degree
-        root = np.exp(0.5 * (a + b * phi))[:, None, None]
-        moment = _second_moment(self.about / root) + _second_moment(self.beside / root)
-        return Reading(moment, np.array([a, b]))
+    def moment(self, phi_deg: float) -> FloatArray:
+        """Their covariance at a friction angle [-], shape [2 theta, 2 theta].
+
+        The curves near it count most. Both parts are of one record, and are added as such; each
+        grows over phi at a rate of its own.
+        """
+        about, beside = (
+            part * np.exp(0.5 * self._log_growth(part, phi_deg))[:, None, None]
+            for part in (self.about, self.beside)
+        )
+        total = about + beside
+        weights = np.exp(-0.5 * np.square((self.phi_deg - phi_deg) / NEAR_DEG))
+        rows = np.sqrt(weights / (weights.sum() * total.shape[1]))[:, None, None] * total
+        rows = rows.reshape(-1, rows.shape[-1])
+        moment: FloatArray = rows.T @ rows
+        return moment
+
+    def _log_growth(self, part: FloatArray, phi_deg: float) -> FloatArray:
+        """Log of the variance of a part at an angle over that at each curve's, shape [case]."""
+        # Growth needs more than a few cases; and a path that nothing touches has no error.
+        degree = int(np.searchsorted(GROWTH, len(np.unique(self.phi_deg)), side="right"))
+        x = (self.phi_deg - phi_deg) / 10.0
+        size = np.log(np.maximum(np.square(part).mean(axis=(1, 2)), 1e-30))
+        fit = np.polynomial.polynomial.polyfit(x, size, degree)
+        growth: FloatArray = fit[0] - np.polynomial.polynomial.polyval(x, fit)
+        return growth
+
+
+def _spans(forces: FloatArray) -> FloatArray:
+    """Peak-to-peak of the force of each window of an observation vector [N], shape [2 theta]."""
+    of_force = peak_to_peak(forces)
+    return np.repeat([of_force["Fx"], of_force["Fz"]], forces.size // 2)
 
 
 def learn_reading(
@@ -426,21 +454,32 @@ def learn_reading(
     """
     cases = _simulations(library.cases, leg)
     phi, histories = list(cases), [found[0] for found in cases.values()]
-    size = histories[0].observation().vector.size
     if not _is_coarser(readings, histories[0].position):
-        return nothing_open(size)
+        return Reading()
     repeated = _simulations(library.replicates, leg)
     around = [_relative_errors(history, readings)[1] for history in histories]
     found = []
-    for i in range(1, len(histories) - 1):
-        # What a case has beside the mean of its neighbours has one and a half times the variance of
-        # its own part: as much as it has beside a surrogate of such curves.
-        neighbours = 0.5 * (around[i - 1] + around[i + 1])
-        for history in (histories[i], *repeated.get(phi[i], ())):
+    for i, angle in enumerate(phi):
+        for history in (histories[i], *repeated.get(angle, ())):
             about, whole, spans = _relative_errors(history, readings)
-            found.append(_Errors(np.array(phi[i]), about, whole - neighbours, spans))
+            beside = _beside_neighbours(whole, i, around)
+            found.append(_Errors(np.array(angle), about, beside, spans))
     errors = _Errors(*(np.stack(part) for part in zip(*found, strict=True)))
-    return _with_white(errors.learnt(), white_of(errors, surrogate))
+    return Reading(errors, white_of(errors, surrogate))
+
+
+def _beside_neighbours(own: FloatArray, i: int, every: Sequence[FloatArray]) -> FloatArray:
+    """What a curve has and its neighbours over phi do not, nor a surrogate of such curves.
+
+    Beside the mean of its neighbours it has one and a half times the variance of its own part: as
+    much as beside the surrogate. The first and the last have two neighbours on one side; what they
+    have beside a line through these has four times that variance.
+    """
+    last = len(every) - 1
+    if 0 < i < last:
+        return own - 0.5 * (every[i - 1] + every[i + 1])
+    inward = 1 if i == 0 else -1
+    return 0.5 * (own - 2.0 * every[i + inward] + every[i + 2 * inward])
 
 
 def _simulations(cases: Sequence[Case], leg: str) -> dict[float, list[ForceHistory]]:
@@ -456,9 +495,7 @@ def _relative_errors(
     history: ForceHistory, readings: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Errors as by :func:`reading_errors` over the peak-to-peak [-], and that [N], [2 theta]."""
-    vector = history.observation().vector
-    of_force = peak_to_peak(vector)
-    spans = np.repeat([of_force["Fx"], of_force["Fz"]], vector.size // 2)
+    spans = _spans(history.observation().vector)
     about, around = reading_errors(history, readings)
     return about / spans, around / spans, spans
 
@@ -466,41 +503,37 @@ def _relative_errors(
 def white_of(errors: _Errors, surrogate: JointSurrogate) -> float:
     """Variance to add at each window by itself, of that learnt [-].
 
-    The curves of every friction angle are left out in turn, and their errors move the angle as they
-    would in an inversion with the covariance that the others show: on average by as much as that
-    says.
+    The curves of every friction angle but the first and the last are left out in turn, and their
+    errors move the angle as they would in an inversion with the covariance that the others show: on
+    average by as much as that says. Beyond the ends, which no inversion is, others show little of
+    what is there.
 
     Parameters
     ----------
     errors
-        Of all curves but the first and the last.
+        Of all curves.
     surrogate
         Of the leg.
     """
-    angles, ratios = np.unique(errors.phi_deg), []
+    inner, ratios = np.unique(errors.phi_deg)[1:-1], []
     nothing = not (errors.about.any() or errors.beside.any())
-    if len(angles) <= FEWEST_FOR_GROWTH or nothing:
+    if len(inner) <= FEWEST or nothing:
         return WHITE
-    for phi in angles.tolist():
+    for phi in inner.tolist():
         rest, left_out = errors.of(errors.phi_deg != phi), errors.of(errors.phi_deg == phi)
-        reading = rest.learnt()
-        known = surrogate.covariance(phi) + surrogate.scatter.covariance(phi)
-        size = np.exp(0.5 * (reading.log_size[0] + reading.log_size[1] * phi)) * left_out.spans[0]
+        spans, known = left_out.spans[0], surrogate.covariance(phi)
+        known += surrogate.scatter.covariance(phi)
+        learnt, slope = spans[:, None] * rest.moment(phi) * spans, surrogate.slope(phi)
         moved = (left_out.about + left_out.beside) * left_out.spans[:, None]
         ratio = []
         for white in WHITES:
-            opened = size[:, None] * _with_white(reading, white).moment * size
-            direction = np.linalg.solve(known + opened, surrogate.slope(phi))
+            opened = learnt + white * np.diag(np.diag(learnt))
+            direction = np.linalg.solve(known + opened, slope)
             ratio.append(np.square(moved @ direction).mean() / (direction @ opened @ direction))
         ratios.append(ratio)
     # The mean falls as the variance grows; where it crosses 1 is what is looked for.
     excess = np.mean(ratios, axis=0)
     return float(np.exp(np.interp(0.0, -np.log(excess), np.log(WHITES))))
-
-
-def _with_white(reading: Reading, white: float) -> Reading:
-    moment = reading.moment + white * np.diag(np.diag(reading.moment))
-    return reading._replace(moment=moment)
 
 
 def reading_errors(history: ForceHistory, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -538,13 +571,6 @@ def reading_errors(history: ForceHistory, readings: FloatArray) -> tuple[FloatAr
         about.append(points.observation().vector - means)
         around.append(means - moved.between(seen[0], seen[-1]).observation().vector)
     return np.stack(about), np.stack(around)
-
-
-def _second_moment(errors: FloatArray) -> FloatArray:
-    """Mean outer product, [..., 2 theta] -> [2 theta, 2 theta]."""
-    rows = errors.reshape(-1, errors.shape[-1])
-    moment: FloatArray = rows.T @ rows / len(rows)
-    return moment
 
 
 def _is_coarser(readings: FloatArray, position: FloatArray) -> bool:

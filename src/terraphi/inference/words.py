@@ -103,6 +103,17 @@ DOUBTS = {
         "Did the zero of {force} move? A step of {size_N:.2g} N at about {theta_deg:.0f}° would "
         "explain the record."
     ),
+    "zero_unseen": (
+        "No reading in air shows the zero of the sensor: an offset of {size_N:.2g} N of {force} "
+        "would hardly show, and move φ by {moves_deg:.2g}°."
+    ),
+    "zero_off": (
+        "In air {force} is {size_N:.2g} N: if the zero of the sensor is off by that, φ is off by "
+        "{moves_deg:.2g}°."
+    ),
+    "saturated": (
+        "Was the sensor saturated? {force} cut off at {size_N:.3g} N would explain the record."
+    ),
     "unlike": (
         "The history was not simulated as the library was (the library's in brackets): "
         "{differences}; so the angle found may differ from the one that it was simulated with."
