@@ -80,6 +80,14 @@ def test_an_interval_is_no_narrower_than_soils_differ(library: Library, leg: str
     assert learnt.level.scale_deg < together.posterior.sd < found.posterior.sd
 
 
+@pytest.mark.parametrize("name", ["glass03_loose/straight", "yuma/reversed_c"])
+def test_the_mean_deviation_explains_most_of_a_record(library: Library, name: str) -> None:
+    record = inverted(library, f"li2013:{name}").record
+    data = record.observation.vector
+    assert record.expected is not None
+    assert np.sum((data - record.expected) ** 2) < 0.3 * np.sum((data - record.best) ** 2)
+
+
 def test_real_soils_are_consistent_and_other_records_are_not(library: Library) -> None:
     glass = "li2013:glass03_close/straight"
     right = measurement(glass).history

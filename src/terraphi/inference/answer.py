@@ -110,6 +110,9 @@ class Record:
         What a history that was simulated says of its simulation; empty for any other.
     band
         Smallest and largest force over the 95 % interval of φ alone [N], shape [2, 2M].
+    expected
+        Measured forces as real soils would have them: ``best`` and their mean deviation from the
+        model [N], shape [2M]; ``None`` where no deviation was learnt.
     """
 
     source: str
@@ -121,6 +124,7 @@ class Record:
     data: Mapping[str, Any] = field(default_factory=dict)
     simulation: Mapping[str, Any] = field(default_factory=dict)
     band: FloatArray | None = None
+    expected: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)

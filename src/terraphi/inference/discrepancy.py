@@ -298,6 +298,12 @@ class Learnt:
         size /= 1.0 + 1.0 / len(self.media)
         return float(np.exp(0.5 * (np.log(size) - self.typical)))
 
+    def expected(self, leg: str, forces: FloatArray) -> FloatArray:
+        """Forces of the model with the mean deviation of real soils, g + p m [N], [2 theta]."""
+        spans = np.ptp(forces.reshape(2, -1), axis=1)
+        found: FloatArray = forces + np.repeat(spans, forces.size // 2) * self.shapes[leg]
+        return found
+
     @property
     def amplitude(self) -> float:
         """Standard deviation of the smooth part of a soil's own shape [-]."""

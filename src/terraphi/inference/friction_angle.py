@@ -425,8 +425,13 @@ def _records(looked: Looked, leg: _Leg, posterior: Posterior) -> list[Record]:
             data=looked.data_of(trial),
             simulation=trial.simulation,
             band=band,
+            expected=one.learnt.expected(leg.group.leg, best)
+            if isinstance(one, SoilLikelihood)
+            else None,
         )
-        for trial, observation in zip(leg.group.trials, leg.group.observations, strict=True)
+        for trial, observation, one in zip(
+            leg.group.trials, leg.group.observations, leg.each, strict=True
+        )
     ]
 
 

@@ -114,7 +114,7 @@ def inversions_figure(inversions: Sequence[Inversion]) -> Figure:
         _draw_forces(row[1], inversion, "Fz", label=origins)
         _draw_posterior(row[2], inversion)
     # Outside the axes: inside, it would hide data in one panel or another.
-    one_legend(figure, ncols=6)
+    one_legend(figure, ncols=4)
     return figure
 
 
@@ -127,6 +127,10 @@ def _draw_forces(axes: Axes, inversion: Inversion, component: str, *, label: str
     within = "curves within the 95 % interval"
     axes.fill_between(seen.theta_deg, *inversion.band[:, part], label=within, **pale)
     axes.plot(seen.theta_deg, inversion.best[part], color=BLUE, label="curve at the median")
+    if inversion.record.expected is not None:
+        expected = inversion.record.expected[part]
+        name = "with the mean deviation of real soils"
+        axes.plot(seen.theta_deg, expected, color=PURPLE, ls="--", label=name)
     axes.plot(seen.theta_deg, data, "o", ms=3.5, color=ORANGE, mec="black", mew=0.4, label=label)
     finish_force_axes(axes, component)
     deviation = 100.0 * inversion.nrmsd[component]
