@@ -229,6 +229,7 @@ OTHER: dict[str, Any] = {
     "numerics.transfer": "pic",
     "numerics.contact": "surface",
     "numerics.dilatation": "cell",
+    "numerics.distortion": "cell",
     "numerics.stress_rate": "none",
     "rft.medium": "poppy_loose",
 }
