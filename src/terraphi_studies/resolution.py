@@ -37,6 +37,8 @@ TOLERANCE_PERCENT = 5.0
 SEED = "seed"
 """Steps whose names begin so are the base with other particle places."""
 PICTURE = "peaks along the way, and what is left of them when things are halved"
+HALVED = "Δx halved"
+"""The step that says what is left of the grid in the forces."""
 
 ByForce = Mapping[str, float]
 
@@ -82,7 +84,9 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         (``peaks_N``: mean over the seeds, ``seed_scatter_percent``), ``halved`` (by step:
         ``peaks_N``, ``change_percent``, ``within_5_percent``, ``mean_change_percent``: that of the
         mean over the path; both also as ``change_deg`` and ``mean_change_deg``, in degrees of the
-        friction angle), ``percent_per_degree`` by force, and ``missing``.
+        friction angle), ``change_when_halved_percent`` (by force: ``mean_change_percent`` of
+        :data:`HALVED`; null while that is missing), ``percent_per_degree`` by force, and
+        ``missing``.
 
     Raises
     ------
@@ -110,6 +114,7 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         "waterfall": steps,
         "resolved": resolved,
         "halved": changes,
+        "change_when_halved_percent": changes.get(HALVED, {}).get("mean_change_percent"),
         "percent_per_degree": {f: 100.0 * degrees.rise_of()[f] for f in FORCES},
         "missing": list(missing),
     }

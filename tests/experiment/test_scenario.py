@@ -259,6 +259,7 @@ OTHER: dict[str, Any] = {
     "numerics.transfer": "pic",
     "numerics.contact": "surface",
     "numerics.dilatation": "cell",
+    "numerics.distortion": "cell",
     "numerics.stress_rate": "none",
     "numerics.symmetry": "whole",
     "rft.medium": "poppy_loose",

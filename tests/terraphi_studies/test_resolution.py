@@ -62,7 +62,10 @@ def test_each_step_takes_the_difference_to_the_one_before(plans: tuple[Plan, Pla
     np.testing.assert_allclose(taken, [(0, 0), (-3, -1), (-1, 0.5)], atol=2e-3)
 
 
-def test_changes_are_measured_from_the_mean_over_the_seeds(plans: tuple[Plan, Plan]) -> None:
+def test_changes_are_measured_from_the_mean_over_the_seeds(
+    plans: tuple[Plan, Plan], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resolution, "HALVED", "k doubled")
     finished = finished_of(plans[0], [(10.0, 5.0)])
     finished |= finished_of(plans[1], [(9.0, 5.0), (11.0, 5.0), (10.3, 4.9), (10.2, 5.6)])
     study = resolution.study_of(*plans, finished)
@@ -76,6 +79,7 @@ def test_changes_are_measured_from_the_mean_over_the_seeds(plans: tuple[Plan, Pl
     assert halved["k doubled"]["change_percent"]["Fx"] == pytest.approx(12.0, rel=1e-2)
     # Bumps of the same shape: their means change as their peaks do.
     assert halved["k doubled"]["mean_change_percent"]["Fx"] == pytest.approx(12.0, rel=1e-2)
+    assert study.data["change_when_halved_percent"] == halved["k doubled"]["mean_change_percent"]
     # In the degrees of the library by which measured forces are inverted.
     for force, change in (("Fz", "change"), ("Fx", "mean_change")):
         percent = halved["k doubled"][f"{change}_percent"][force]

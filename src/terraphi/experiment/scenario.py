@@ -45,6 +45,7 @@ ADDED_LATER: dict[str, Any] = {
     "numerics.contact": "nodes",
     "numerics.remap_interval": 0.0,
     "numerics.dilatation": "particle",
+    "numerics.distortion": "particle",
     "numerics.stress_rate": "jaumann",
 }
 """Dotted key to the value that leaves a scenario as it was before the option existed."""
@@ -175,7 +176,12 @@ class Numerics(Section):
     ``cell``: their mean over a cell (B-bar; Hughes, 1980, doi 10.1002/nme.1620150914), without
     which plastic flow at constant volume locks. Not for soil that dilates: what one particle of
     a cell dilates, its neighbours would have to give back, and the soil gets stiffer
-    instead."""
+    instead, unless ``distortion`` is that of the cell too."""
+    distortion: Literal["particle", "cell"] = "particle"
+    """Distortion rate that the stress follows, as ``dilatation`` says it of the volumetric rate.
+    With both ``cell`` all particles of a cell strain alike, and soil that dilates no longer meets
+    more conditions than its nodes can fulfil (``docs/convergence.md``). Not for flow at constant
+    volume: what then shakes within a cell weakens the soil."""
     stress_rate: Literal["jaumann", "none"] = "jaumann"
     """How stress turns with the soil: ``jaumann``, with its spin; ``none``, not at all, as in
     the public prototype of Xu & Wang."""
@@ -195,6 +201,7 @@ class Numerics(Section):
         for name, value, usual in (
             ("contact", self.contact, ("nodes", "unbalanced")),
             ("dilatation", self.dilatation, ("particle",)),
+            ("distortion", self.distortion, ("particle",)),
         ):
             if value not in usual and self.remap_interval == 0.0:
                 raise ValueError(

@@ -250,8 +250,10 @@ def _wall_cause(settings: str, floor: str, beneath: bool) -> str:
     if beneath:
         return (
             "contact on the surface reaches nodes up to a cell and a half beneath the toe; in the "
-            "leg's soil that falls with the cells (family `plate`), in this stiff one it does not, "
-            "and why is not known" + (PRESET_CAUSE if settings == PRESET else "")
+            "leg's soil that falls with the cells (family `plate`); in this stiff one the plate "
+            "goes so short a way that it never touches particles which jitter put a hair farther "
+            "off, and touches more of them the finer the cells are"
+            + (PRESET_CAUSE if settings == PRESET else "")
         )
     if settings == "surface" and floor == "rough":
         return (

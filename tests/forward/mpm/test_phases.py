@@ -53,7 +53,9 @@ def test_interval_is_rounded_to_steps(coarse, interval, steps):
     assert coarse(**{"numerics.remap_interval": interval}).numerics.steps_per_phase == steps
 
 
-@pytest.mark.parametrize("option", [{"contact": "surface"}, {"dilatation": "cell"}])
+@pytest.mark.parametrize(
+    "option", [{"contact": "surface"}, {"dilatation": "cell"}, {"distortion": "cell"}]
+)
 def test_options_that_need_phases_say_so(coarse, option):
     name = next(iter(option))
     with pytest.raises(ValidationError, match=f"{name} = .*set remap_interval above 0"):
@@ -149,8 +151,8 @@ def test_mass_and_momentum_are_accounted_for(coarse, compare, relief):
 def test_where_the_velocity_is_linear_the_mean_over_a_cell_is_the_value(coarse, criterion):
     scenario = coarse(**PHASES, **{"soil.yield_criterion": criterion})
     found = []
-    for dilatation in ("particle", "cell"):
-        chosen = scenario.replace(**{"numerics.dilatation": dilatation})
+    for kind in ("particle", "cell"):
+        chosen = scenario.replace(**{"numerics.dilatation": kind, "numerics.distortion": kind})
         soil, grid = geostatic_bed(chosen), empty_grid(chosen)
         x, z = np.meshgrid(*[np.arange(len(grid.vx)) * chosen.numerics.cell_size] * 2)
         grid.vx[:], grid.vz[:] = 2.0 * x + 1.0 * z, -3.0 * x - 4.0 * z
@@ -162,14 +164,14 @@ def test_where_the_velocity_is_linear_the_mean_over_a_cell_is_the_value(coarse, 
 
 
 @settings(max_examples=20, deadline=None)
-@given(st.integers(0, 1000))
-def test_forces_do_the_work_that_the_stresses_take_up(seed):
-    """Of mean stress and mean strain rate; or a bed could draw energy from nothing.
+@given(st.integers(0, 1000), st.sampled_from(["particle", "cell"]))
+def test_forces_do_the_work_that_the_stresses_take_up(seed, distortion):
+    """Of mean stresses and mean strain rates; or a bed could draw energy from nothing.
 
     Elastic: the power of the nodes' forces is that of the stresses they come from, for any
     velocities of the nodes.
     """
-    scenario = SMALL.replace(**{"numerics.seed": seed})
+    scenario = SMALL.replace(**{"numerics.seed": seed, "numerics.distortion": distortion})
     soil, grid = geostatic_bed(scenario), empty_grid(scenario)
     cells, stepping = phases.empty_cells(grid), stepping_of(scenario)
     rng = np.random.default_rng(seed)
@@ -189,12 +191,16 @@ def test_forces_do_the_work_that_the_stresses_take_up(seed):
     base = np.floor(soil.position / scenario.numerics.cell_size - 0.5).astype(int)
     cell = base[:, 1] * 1000 + base[:, 0]
     _, cell = np.unique(cell, return_inverse=True)
-    trace = rates[:, 0] + rates[:, 3]
-    mean = (np.bincount(cell, soil.volume * trace) / np.bincount(cell, soil.volume))[cell]
-    excess = 0.5 * (mean - trace)
+
+    def mean(rate):
+        return (np.bincount(cell, soil.volume * rate) / np.bincount(cell, soil.volume))[cell]
+
+    split, shear = rates[:, 0] - rates[:, 3], rates[:, 1] + rates[:, 2]
+    if distortion == "cell":
+        split, shear = mean(split), mean(shear)
+    trace = mean(rates[:, 0] + rates[:, 3])
     sxx, szz, sxz = soil.stress[:, :3].T
-    taken = sxx * (rates[:, 0] + excess) + szz * (rates[:, 3] + excess)
-    taken += sxz * (rates[:, 1] + rates[:, 2])
+    taken = 0.5 * (sxx * (trace + split) + szz * (trace - split)) + sxz * shear
     assert power == pytest.approx(-(soil.volume * taken).sum(), rel=1e-9, abs=1e-9)
 
 
@@ -212,7 +218,8 @@ def test_kernels_agree_on_legs_and_yields(coarse, compare, shape, criterion):
         PHASES,
         SURFACE,
         {**PHASES, "numerics.dilatation": "cell"},
-        {**RESOLVED, "numerics.particle_volume": "updated"},
+        {**PHASES, "numerics.dilatation": "cell", "numerics.distortion": "cell"},
+        {**RESOLVED, "numerics.distortion": "cell", "numerics.particle_volume": "updated"},
         {**RESOLVED, "soil.dilation_angle_deg": 20.0, "soil.cohesion": 300.0},
         {**RESOLVED, "leg.friction": 0.0},
         {**RESOLVED, "numerics.remap_interval": DT},

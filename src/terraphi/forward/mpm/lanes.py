@@ -70,7 +70,10 @@ SUMS_OF_ROW, SUMS_OF_QUANTITY = 9 * LANES, 3 * LANES
 # Of each cell, in a Lagrangian phase: volume times volumetric strain rate [m²/s], volume [m²], and
 # volume times mean stress [N].
 RATE, WHOLE, PRESSED = 49 * LANES, 50 * LANES, 51 * LANES
-WORK = 52 * LANES
+# Volume times distortion rate, half the difference of the normal ones and the shear [m²/s], and
+# volume times the same of the stress [N].
+SPLIT, SHEAR, SPLIT_STRESS, SHEAR_STRESS = 52 * LANES, 53 * LANES, 54 * LANES, 55 * LANES
+WORK = 56 * LANES
 
 # Where a field of lane 0 stands in the motion of a packet.
 VX, VZ = 0 * LANES, 1 * LANES  # velocity [m/s]
@@ -108,6 +111,8 @@ class Laws(NamedTuple):
     """1 if volumes follow the deformation, else 0."""
     averaging: float
     """1 if volumetric strain rate and mean stress are those of whole cells, else 0."""
+    distorting: float
+    """1 if distortion rate and deviatoric stress are those of whole cells, else 0."""
     turning: float
     """1 if stress turns with the soil's spin, else 0."""
 
@@ -421,6 +426,8 @@ def follow_velocity(
         work[RATE + lane] = 0.0
         work[WHOLE + lane] = LEAST_VOLUME
         work[PRESSED + lane] = 0.0
+        work[SPLIT + lane], work[SHEAR + lane] = 0.0, 0.0
+        work[SPLIT_STRESS + lane], work[SHEAR_STRESS + lane] = 0.0, 0.0
     for layer in range(layers):
         for lane in range(lanes):
             at, out = (first + layer) * FIELDS + lane, layer * MOTION + lane
@@ -432,6 +439,8 @@ def follow_velocity(
             motion[out + CXX], motion[out + CXZ] = laws.per_moment * vxx, laws.per_moment * vxz
             motion[out + CZX], motion[out + CZZ] = laws.per_moment * vzx, laws.per_moment * vzz
             work[RATE + lane] += state[at + VOLUME] * laws.per_moment * (vxx + vzz)
+            work[SPLIT + lane] += state[at + VOLUME] * laws.per_moment * 0.5 * (vxx - vzz)
+            work[SHEAR + lane] += state[at + VOLUME] * laws.per_moment * 0.5 * (vxz + vzx)
             work[WHOLE + lane] += state[at + VOLUME]
 
 
@@ -449,9 +458,10 @@ def strain(
 
     As :func:`~terraphi.forward.mpm.phases.strain`: with mean dilatation half of
     (Σ V tr C / Σ V - tr C) is added to both normal strain rates; then the stress is that of
-    :func:`follow_grid`. ``laws.averaging`` is 1 or 0 in place of a branch.
+    :func:`follow_grid`. ``laws.averaging`` is 1 or 0 in place of a branch, and so is
+    ``laws.distorting``, of the mean distortion.
 
-    The mean stresses are summed cell by cell, with the volumes before the step.
+    The stresses are summed cell by cell, with the volumes before the step.
 
     Parameters
     ----------
@@ -469,7 +479,12 @@ def strain(
             cxx, czz = motion[moves + CXX], motion[moves + CZZ]
             excess = 0.5 * laws.averaging * (work[RATE + lane] / work[WHOLE + lane] - (cxx + czz))
             cxx, czz = cxx + excess, czz + excess
-            gradient = (cxx, motion[moves + CXZ], motion[moves + CZX], czz)
+            cxz, czx = motion[moves + CXZ], motion[moves + CZX]
+            split = work[SPLIT + lane] / work[WHOLE + lane] - 0.5 * (cxx - czz)
+            shear = work[SHEAR + lane] / work[WHOLE + lane] - 0.5 * (cxz + czx)
+            split, shear = laws.distorting * split, laws.distorting * shear
+            cxx, czz = cxx + split, czz - split
+            gradient = (cxx, cxz + shear, czx + shear, czz)
             stress = (state[at + SXX], state[at + SZZ], state[at + SXZ], state[at + SYY])
             trial = jaumann_predictor(
                 stress,
@@ -483,6 +498,8 @@ def strain(
             growth = laws.stretching * (cxx + czz) * laws.time_step
             state[at + SXX], state[at + SZZ], state[at + SXZ], state[at + SYY] = stress
             work[PRESSED + lane] += state[at + VOLUME] * 0.5 * (stress[0] + stress[1])
+            work[SPLIT_STRESS + lane] += state[at + VOLUME] * 0.5 * (stress[0] - stress[1])
+            work[SHEAR_STRESS + lane] += state[at + VOLUME] * stress[2]
             state[at + VOLUME] += state[at + VOLUME] * growth
 
 
@@ -541,7 +558,10 @@ def push(
             sxx, szz, sxz = state[at + SXX], state[at + SZZ], state[at + SXZ]
             mean = work[PRESSED + lane] / work[WHOLE + lane]
             excess = laws.averaging * (mean - 0.5 * (sxx + szz))
-            sxx, szz, sxz = k * (sxx + excess), k * (szz + excess), k * sxz
+            split = work[SPLIT_STRESS + lane] / work[WHOLE + lane] - 0.5 * (sxx - szz)
+            split = laws.distorting * split
+            sxz += laws.distorting * (work[SHEAR_STRESS + lane] / work[WHOLE + lane] - sxz)
+            sxx, szz, sxz = k * (sxx + excess + split), k * (szz + excess - split), k * sxz
             # The impulse at the middle node, and from there a row down and a row up.
             px = -sxx * (fx - 1.0) - sxz * (fz - 1.0)
             pz = -sxz * (fx - 1.0) - szz * (fz - 1.0)

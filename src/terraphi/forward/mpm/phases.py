@@ -64,13 +64,22 @@ class Cells(NamedTuple):
     """[m²]."""
     pressed: FloatArray
     """Volume times mean stress [N]."""
+    distortion: FloatArray
+    """Volume times distortion rate: half the difference of the normal ones, and the shear rate
+    [m²/s], shape [row, column, 2]."""
+    sheared: FloatArray
+    """Volume times deviatoric stress: half the difference of the normal ones, and the shear stress
+    [N], shape [row, column, 2]."""
 
 
 @kernel
 def empty_cells(grid: Grid) -> Cells:
     """Working memory for the cells of a grid."""
     shape = grid.mass.shape
-    return Cells(np.zeros(shape), np.zeros(shape), np.zeros(shape))
+    pairs = (*shape, 2)
+    return Cells(
+        np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(pairs), np.zeros(pairs)
+    )
 
 
 @kernel
@@ -176,7 +185,7 @@ def strain(
 ) -> None:
     """Update velocity, its gradient, stress and volume of the particles where they stand.
 
-    The mean stresses are summed over the cells, with the volumes before the step.
+    The stresses are summed over the cells, with the volumes before the step.
 
     Parameters
     ----------
@@ -198,6 +207,11 @@ def strain(
         if stepping.mean_dilatation:
             excess = 0.5 * (cells.rate[j, i] / cells.volume[j, i] - rate)
             dxx, dzz = dxx + excess, dzz + excess
+        if stepping.mean_distortion:
+            split = cells.distortion[j, i, 0] / cells.volume[j, i] - 0.5 * (dxx - dzz)
+            shear = cells.distortion[j, i, 1] / cells.volume[j, i] - 0.5 * (dxz + dzx)
+            dxx, dzz = dxx + split, dzz - split
+            dxz, dzx = dxz + shear, dzx + shear
         stress = (soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2], soil.stress[p, 3])
         trial = jaumann_predictor(
             stress,
@@ -212,13 +226,15 @@ def strain(
             soil.stress[p, c] = stress[c]
         volume = soil.weight[p] * soil.volume[p] * soil.stretch[p]
         cells.pressed[j, i] += volume * 0.5 * (stress[0] + stress[1])
+        cells.sheared[j, i, 0] += volume * 0.5 * (stress[0] - stress[1])
+        cells.sheared[j, i, 1] += volume * stress[2]
         if stepping.update_volume:
             soil.stretch[p] *= 1.0 + (dxx + dzz) * time_step
 
 
 @kernel
 def follow_grid(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -> None:
-    """Take velocities and gradients from the grid, and their traces' sums over the cells.
+    """Take velocities and gradients from the grid, and the strain rates' sums over the cells.
 
     A cell is here the set of places whose splines start from the same node: the piece over which
     the velocity is one polynomial.
@@ -226,6 +242,8 @@ def follow_grid(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -
     cells.rate[:] = 0.0
     cells.volume[:] = 0.0
     cells.pressed[:] = 0.0
+    cells.distortion[:] = 0.0
+    cells.sheared[:] = 0.0
     per_cell = 1.0 / stepping.cell_size
     for p in range(soil.mass.size):
         vx, vz, gradient = grid_to_particle(soil, grid, p, stepping.cell_size)
@@ -237,6 +255,8 @@ def follow_grid(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -
         j = int(soil.position[p, 1] * per_cell - 0.5)
         volume = soil.weight[p] * soil.volume[p] * soil.stretch[p]
         cells.rate[j, i] += volume * (gradient[0] + gradient[3])
+        cells.distortion[j, i, 0] += volume * 0.5 * (gradient[0] - gradient[3])
+        cells.distortion[j, i, 1] += volume * 0.5 * (gradient[1] + gradient[2])
         cells.volume[j, i] += volume
 
 
@@ -244,7 +264,7 @@ def follow_grid(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -
 def push(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -> None:
     """Scatter the impulse of the stresses.
 
-    Where the strain rates are means over cells, so are the mean stresses here: the work of one on
+    Where the strain rates are means over cells, so are their stresses here: the work of one on
     the other is then what the grid's forces do, and no energy comes from nowhere.
 
     Parameters
@@ -259,11 +279,15 @@ def push(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -> None:
     per_cell = 1.0 / stepping.cell_size
     for p in range(soil.mass.size):
         sxx, szz, sxz = soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2]
+        i = int(soil.position[p, 0] * per_cell - 0.5)
+        j = int(soil.position[p, 1] * per_cell - 0.5)
         if stepping.mean_dilatation:
-            i = int(soil.position[p, 0] * per_cell - 0.5)
-            j = int(soil.position[p, 1] * per_cell - 0.5)
             excess = cells.pressed[j, i] / cells.volume[j, i] - 0.5 * (sxx + szz)
             sxx, szz = sxx + excess, szz + excess
+        if stepping.mean_distortion:
+            split = cells.sheared[j, i, 0] / cells.volume[j, i] - 0.5 * (sxx - szz)
+            sxx, szz = sxx + split, szz - split
+            sxz = cells.sheared[j, i, 1] / cells.volume[j, i]
         stress = (sxx, szz, sxz)
         stress_to_grid(soil, grid, p, stress, stepping.cell_size, stepping.time_step)
 

@@ -64,6 +64,8 @@ class Stepping(NamedTuple):
     """Whether particles press on the leg's surface, rather than nodes near it."""
     mean_dilatation: bool
     """Whether stresses follow the mean volumetric strain rate of a cell."""
+    mean_distortion: bool
+    """Whether stresses follow the mean distortion rate of a cell."""
     unbalanced: bool
     """Whether the leg counts more force than it applies, as in the paper's prototype."""
     turning: float
@@ -90,6 +92,7 @@ def stepping_of(scenario: Scenario) -> Stepping:
         phase=numerics.steps_per_phase,
         surface=numerics.contact == "surface",
         mean_dilatation=numerics.dilatation == "cell",
+        mean_distortion=numerics.distortion == "cell",
         unbalanced=numerics.contact == "unbalanced",
         turning=1.0 if numerics.stress_rate == "jaumann" else 0.0,
     )

@@ -131,6 +131,7 @@ def laws_of(material: Material, stepping: Stepping) -> Laws:
         stepping.affine,
         1.0 if stepping.update_volume else 0.0,
         1.0 if stepping.mean_dilatation else 0.0,
+        1.0 if stepping.mean_distortion else 0.0,
         stepping.turning,
     )
 
