@@ -113,8 +113,9 @@ def register_use(function: Callable[..., object], *arguments: object) -> Counter
     return used
 
 
-_ARITHMETIC = re.compile(r"^\s+v?(?:fn?m(?:add|sub)\d*|mul|add|sub|div|sqrt)([ps])[ds]\s(.*)$",
-re.M)
+_ARITHMETIC = re.compile(
+    r"^\s+v?(?:fn?m(?:add|sub)\d*|mul|add|sub|div|sqrt)([ps])[ds]\s(.*)$", re.M
+)
 
 
 def _digest_of_sources() -> str:
