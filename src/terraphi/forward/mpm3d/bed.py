@@ -80,7 +80,7 @@ def geostatic_bed(scenario: Scenario, dtype: DTypeLike = np.float64) -> Soil:
     position = np.array([bed.soil_span[0], lattice.y_low, bed.floor]) + (corner + place) * size
     uppermost = corner[:, 2] == counts[2] - 1
     del corner, place
-    kept, position = _outside_leg(scenario, position, 0.5 * float(np.prod(size)) ** (1.0 / 3.0))
+    kept, position = _outside_leg(scenario, position, 0.5 * float(np.cbrt(np.prod(size))))
     uppermost = uppermost[kept]
 
     stress = np.zeros((len(position), 6), dtype)

@@ -74,7 +74,7 @@ def spring_of(volume: float, modulus: float, time_step: float) -> Spring:
     time_step
         Δt [s].
     """
-    side = volume ** (1.0 / 3.0)
+    side = math.cbrt(volume)
     return Spring(0.5 * side, STIFFNESS * modulus * side, time_step)
 
 

@@ -67,6 +67,7 @@ class Inertia(NamedTuple):
 def setting_of(scenario: Scenario) -> Setting:
     """Constants of a scenario."""
     bed, numerics = scenario.bed, scenario.numerics
+    size = numerics.cell_size
     return Setting(
         numerics.time_step,
         bed.gravity,
@@ -75,7 +76,7 @@ def setting_of(scenario: Scenario) -> Setting:
         bed.left + bed.width,
         bed.floor,
         bed.floor_friction == "rough",
-        LEAST_MASS * scenario.soil.density * numerics.cell_size**3,
+        LEAST_MASS * scenario.soil.density * size * size * size,
     )
 
 
