@@ -24,7 +24,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, panels_of
+from terraphi.view.plots import BLUE, GREY, ORANGE, panels_of
 from terraphi.view.table import Table
 from terraphi_studies import Study, page
 from terraphi_studies.measures import Truth, rms, straight_truths
@@ -45,6 +45,10 @@ PHASES = 5
 BEYOND_DEG = 95.0
 """Readings reach so far to both sides [deg]."""
 LEVELS = (68, 95)
+COLOURS = (BLUE, ORANGE)
+"""Of libraries."""
+MARKS = dict(zip(ROLES, "osD", strict=True))
+"""Of sets of truths."""
 DRAWS = 4000
 """Sets of errors from which shares are expected."""
 DOUBTFUL = 0.05
@@ -70,10 +74,10 @@ METHOD = (
     "Written by `terraphi study spacing --out DIR`. Fresh simulations, off the library's grid, are "
     "thinned to one reading in so many degrees, beginning at evenly spread places, and inverted. "
     "`fourteen` are the paper's angles, three simulations each; `truths` are eight from end to "
-    "end of the library; `random` are at random within even parts of it, and half of them were not "
-    "looked at while the covariance was worked on. Expected are 5 to 95 % of what comes out if "
-    "intervals are right and records of one angle are as alike as these are; errors that angles "
-    "share are not in it. "
+    "end of the library; `random` are at random within even parts of it, two in three of which "
+    "were not looked at while the covariance was worked on. Expected are 5 to 95 % of what comes "
+    "out if intervals are right and records of one angle are as alike as these are; errors that "
+    "angles share are not in it. "
     "What readings leave open is a term of the covariance, learnt from the library alone: see "
     "[inference.md](inference.md)."
 )
@@ -292,10 +296,12 @@ def _figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     for level in LEVELS:
         shares.axhline(level, color=GREY, lw=0.8)
     sets = list(dict.fromkeys(row["truths"] for row in rows))
-    looks = zip(sets, (BLUE, ORANGE, GREEN), "osD", strict=False)
-    for name, colour, mark in looks:
+    colours = dict(zip(dict.fromkeys(row["library"] for row in rows), COLOURS, strict=False))
+    for name in sets:
         mine = [row for row in rows if row["truths"] == name and row["spacing_deg"] is not None]
         x = [row["spacing_deg"] for row in mine]
+        colour = colours[mine[0]["library"]]
+        mark = MARKS[name.rpartition("-")[2]]
         look: dict[str, Any] = {"color": colour, "marker": mark, "ms": 5}
         for level, line in zip(LEVELS, ("-", "--"), strict=True):
             shares.plot(x, [100.0 * row[f"coverage{level}"] for row in mine], line, **look)

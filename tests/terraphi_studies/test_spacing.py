@@ -23,7 +23,8 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = spacing.sets_of
 
     def cut(library: str) -> list:
-        return [(trained, name, truths[1:8:6]) for trained, name, truths in whole(library)]
+        every = whole(library)
+        return [(trained, name, found[1:8:6]) for trained, name, found in every if "truths" in name]
 
     monkeypatch.setattr(spacing, "sets_of", cut)
     monkeypatch.setattr(spacing, "EVERY", (1, 20))
@@ -117,14 +118,15 @@ def test_numbers_that_another_page_quotes_are_those_of_the_page() -> None:
     lines = PAGE.read_text(encoding="utf-8").splitlines()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if "|" in line]
     both = {row[0]: (row[3][:-1], row[5][:-1]) for row in rows if row[1] == "all"}
-    fourteen, eight, paper = (both[name] for name in both)
+    fourteen, eight, random, paper, ten = both.values()
     text = PAGE.with_name("inference.md").read_text(encoding="utf-8")
-    first, second = fourteen
     for sentence in (
-        f"{first} % of the records of fourteen truths",
-        f"are inside 68 % and {second} % inside 95 % intervals",
+        f"over all spacings {fourteen[0]} % of the records of fourteen truths",
+        f"are inside 68 % and {fourteen[1]} % inside 95 % intervals",
         f"{eight[0]} and {eight[1]} % of those of eight truths",
-        f"{paper[0]} and {paper[1]} % of those of eight of `quick-paper`",
+        f"{random[0]} and {random[1]} % of those of twenty",
+        f"{paper[0]} and {paper[1]} % of those of eight and",
+        f"and {ten[0]} and {ten[1]} % of those of ten at random",
     ):
         assert sentence in text
 

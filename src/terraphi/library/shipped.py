@@ -23,6 +23,7 @@ FEWEST_ANGLES = 3
 """Friction angles that an inversion needs."""
 COMPANIONS = {
     "truths": "fresh simulations of known friction angle",
+    "random": "the same, of angles drawn at random",
     "legs": "the legs that the library lacks, at the benchmark's friction angle",
     "jaky": "one of a pair: K0 = 1 - sin φ",
     "half": "the other: K0 = 0.5",
