@@ -96,3 +96,22 @@ def test_forces_are_compared_with_known_soils_in_the_same_apparatus() -> None:
     simulated = invert(case.history, library=library, leg=case.scenario.leg.shape)
     assert simulated.compared is None
     assert simulated.as_dict()["compared_with_known_soils"] is None
+
+
+def test_a_calibrated_angle_is_of_plane_strain_and_its_curve_still_fits() -> None:
+    library = Library.load("quick-paper")
+    record = trial_of(measurement("li2013:poppy_loose/straight"))
+    plain = invert(record, library=library)
+    # A library that is off by some 10°: its best curve is still the one at its own angle.
+    calibration = Calibration.of(library, [soil(45.0, 33.0)])
+    found = invert(record, library=library, calibration=calibration)
+    assert found.convention == "plane_strain"
+    assert found.phi_plane_strain == found.phi
+    assert found.phi.median < plain.phi.median - 8.0
+    assert found.nrmsd == pytest.approx(plain.nrmsd, abs=0.01)
+    assert found.budget is not None
+    degrees = found.budget.degrees
+    assert degrees["soils"] == 3.0
+    level = calibration.level(plain.phi.median, None)
+    assert degrees["calibration"] == pytest.approx(np.sqrt(level.scale_deg**2 - 9.0), rel=0.05)
+    assert sum(found.budget.shares.values()) == pytest.approx(1.0)

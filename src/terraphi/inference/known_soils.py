@@ -26,7 +26,7 @@ import importlib.metadata
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -131,7 +131,7 @@ class Calibration(BaseModel):
         learnt
             The library's discrepancy, if it has one: how well its offset is known already.
         """
-        base = learnt.level if learnt else Level(0.0, SPREAD_DEG, FREEDOM)
+        base = learnt.level if learnt else Level(0.0, {"soils": SPREAD_DEG}, FREEDOM)
         offset_sd = OFFSET_DEG
         if learnt and learnt.levels_deg:
             offset_sd = base.scale_deg / math.sqrt(len(learnt.levels_deg))
@@ -145,8 +145,8 @@ class Calibration(BaseModel):
         covariance = np.linalg.inv(precision)
         mean = covariance @ ((x.T / errors) @ y)
         at = np.array([1.0, found_deg - centre])
-        scale = math.sqrt(base.scale_deg**2 + float(at @ covariance @ at))
-        return Level(float(at @ mean), scale, base.freedom)
+        level = base.wider("calibration", math.sqrt(float(at @ covariance @ at)))
+        return replace(level, offset_deg=float(at @ mean))
 
 
 def known_soil(found: Inversion, phi_deg: float, sd_deg: float, *, medium: str = "") -> KnownSoil:
