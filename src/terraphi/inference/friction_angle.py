@@ -172,6 +172,13 @@ class _Found:
     level: Level | None
     prior: Marginal
 
+    @property
+    def library_angle(self) -> dict[str, float]:
+        """The library's angle, and its error, with that of an assumed density [deg]."""
+        by_density = self.level.parts_deg.get("density", 0.0) if self.level else 0.0
+        sd = float(np.hypot(self.core.sd, by_density))
+        return {"median": self.core.median, "sd": sd}
+
     def in_library(self, phi_deg: ArrayLike, leg: _Leg) -> FloatArray:
         """Angles of the library's curves that stand for angles of the soil [deg], [k] -> [k]."""
         offset = self.level.offset_deg if self.level else 0.0
@@ -247,7 +254,7 @@ def infer(
         warnings=tuple(warnings),
         budget=budget,
         together=_together(legs, found, used, ways) if looked.several else None,
-        provenance={"core_seconds": seconds},
+        provenance={"core_seconds": seconds, "library_angle_deg": found.library_angle},
     )
 
 
@@ -361,6 +368,8 @@ def _level(legs: Sequence[_Leg], ways: Ways, core: Posterior, *, assumed: bool) 
     learnt = soils[0].learnt if soils else None
     level = learnt.level if learnt else None
     if ways.calibration is not None:
+        if learnt is None:
+            ways.calibration.check_legs(leg.group.leg for leg in legs)
         level = ways.calibration.level(core.median, learnt)
     if level is None or not soils or not assumed:
         return level
