@@ -136,7 +136,7 @@ def test_a_level_is_a_convolution() -> None:
     from scipy.stats import t
 
     core = quadrature(lambda phi: -0.5 * np.square((phi - 30.0) / 1.0), (15.0, 50.0))
-    level = Level(2.0, 3.0, 7.0)
+    level = Level(2.0, {"soils": 3.0}, 7.0)
     phi = np.linspace(15.0, 50.0, 29)
     draws = np.random.default_rng(0).normal(32.0, 1.0, 20000)
     expected = t.pdf((phi[:, None] - draws) / 3.0, 7.0).mean(axis=1)

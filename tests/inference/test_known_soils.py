@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.measurements import measurement
 from terraphi.inference.discrepancy import learnt_for
-from terraphi.inference.inversion import invert
+from terraphi.inference.inversion import Trial, invert
 from terraphi.inference.known_soils import Calibration, KnownSoil, angle_with_sd, known_soil
 from terraphi.library.store import Library
 from terraphi_studies.real_soil import trial_of
@@ -20,7 +21,12 @@ REPOSE = {"poppy_loose": 36.0, "glass03_close": 35.0, "glass03_loose": 25.0}
 
 def soil(found_deg: float, phi_deg: float) -> KnownSoil:
     return KnownSoil(
-        phi_deg=phi_deg, sd_deg=2.0, found_deg=found_deg, found_sd_deg=1.0, legs=("c",), forces=()
+        phi_deg=phi_deg,
+        sd_deg=2.0,
+        found_deg=found_deg,
+        found_sd_deg=1.0,
+        legs=("straight",),
+        forces=(),
     )
 
 
@@ -43,16 +49,22 @@ def test_one_soil_moves_an_unknown_library_and_hardly_one_that_is_known() -> Non
     assert low < high < low + 10.0
 
 
-@pytest.mark.parametrize("name", ["quick-plane-strain", "rft3d"])
-def test_calibrated_on_one_medium_the_others_come_out_closer_and_are_held(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "media"),
+    # Loose glass lies at the lower end of the one.
+    [("quick-plane-strain", ("poppy_loose", "glass03_close")), ("rft3d", tuple(REPOSE))],
+)
+def test_calibrated_on_one_medium_the_others_come_out_closer_and_are_held(
+    name: str, media: tuple[str, ...]
+) -> None:
     library = Library.load(name)
     found = {
         medium: invert(trial_of(measurement(f"li2013:{medium}/straight")), library=library)
         for medium in REPOSE
     }
     before, after, held = [], [], []
-    for medium, phi in REPOSE.items():
-        calibration = Calibration.of(library, [known_soil(found[medium], phi, 2.0)])
+    for medium in media:
+        calibration = Calibration.of(library, [known_soil(found[medium], REPOSE[medium], 2.0)])
         for other in REPOSE.keys() - {medium}:
             trial = trial_of(measurement(f"li2013:{other}/straight"))
             answer = invert(trial, library=library, calibration=calibration)
@@ -61,7 +73,7 @@ def test_calibrated_on_one_medium_the_others_come_out_closer_and_are_held(name: 
             held.append(answer.phi.ci95[0] < REPOSE[other] < answer.phi.ci95[1])
     rms = [float(np.sqrt(np.mean(np.square(errors)))) for errors in (before, after)]
     assert rms[1] < 0.75 * rms[0]
-    assert sum(held) >= 5
+    assert sum(held) >= len(held) - 1
 
 
 def test_a_file_is_strict_and_of_one_library(tmp_path: Path) -> None:
@@ -74,6 +86,11 @@ def test_a_file_is_strict_and_of_one_library(tmp_path: Path) -> None:
         invert(record, library=Library.load("quick-plane-strain"), calibration=path)
     path.write_text(path.read_text(encoding="utf-8").replace('"sd_deg"', '"sd"'), encoding="utf-8")
     with pytest.raises(InputError, match="sd"):
+        Calibration.load(path)
+    path.write_text("theta_deg,Fx_N,Fz_N\n" * 99, encoding="utf-8")
+    with pytest.raises(
+        InputError, match=r"soil\.json: not a file that 'terraphi calibrate' wrote$"
+    ):
         Calibration.load(path)
     for text in ("35±2", "35+-2", " 35 +/- 2"):
         assert angle_with_sd(text) == (35.0, 2.0)
@@ -96,3 +113,59 @@ def test_forces_are_compared_with_known_soils_in_the_same_apparatus() -> None:
     simulated = invert(case.history, library=library, leg=case.scenario.leg.shape)
     assert simulated.compared is None
     assert simulated.as_dict()["compared_with_known_soils"] is None
+
+
+def test_a_calibrated_angle_is_of_plane_strain_and_its_curve_still_fits() -> None:
+    library = Library.load("quick-paper")
+    record = trial_of(measurement("li2013:poppy_loose/straight"))
+    plain = invert(record, library=library)
+    # A library that is off by some 10°: its best curve is still the one at its own angle.
+    calibration = Calibration.of(library, [soil(45.0, 33.0)])
+    found = invert(record, library=library, calibration=calibration)
+    assert found.convention == "plane_strain"
+    assert found.phi_plane_strain == found.phi
+    assert found.phi.median < plain.phi.median - 8.0
+    assert found.nrmsd == pytest.approx(plain.nrmsd, abs=0.01)
+    assert found.budget is not None
+    degrees = found.budget.degrees
+    assert degrees["soils"] == 3.0
+    level = calibration.level(plain.phi.median, None)
+    assert degrees["calibration"] == pytest.approx(np.sqrt(level.scale_deg**2 - 9.0), rel=0.05)
+    assert sum(found.budget.shares.values()) == pytest.approx(1.0)
+
+
+def test_what_a_calibration_is_not_for_is_refused() -> None:
+    library = Library.load("rft3d")
+    record = trial_of(measurement("li2013:poppy_loose/straight"))
+    calibration = Calibration.of(library, [known_soil(invert(record, library=library), 36.0, 2.0)])
+    for wrong, options in (
+        ("drop --likelihood and --discrepancy", {"discrepancy": "none"}),
+        ("no soil on leg 'c'", {"leg": "c"}),
+    ):
+        with pytest.raises(InputError, match=wrong):
+            invert(replace(record, leg=options.pop("leg", "straight")), library=library,
+                   calibration=calibration, **options)  # fmt: skip
+    case = library.cases[0]
+    assert case.history is not None
+    simulated = Trial(case.history, case.scenario.leg.shape)
+    with pytest.raises(InputError, match="for measured forces"):
+        invert(simulated, library=library, calibration=calibration)
+    with pytest.raises(InputError, match="is simulated"):
+        known_soil(invert(simulated, library=library), 36.0, 2.0)
+    with pytest.raises(InputError, match="in the calibration already"):
+        calibration.with_soil(calibration.soils[0])
+
+
+def test_a_soil_counts_by_the_error_of_the_librarys_angle_and_not_if_that_is_none() -> None:
+    library = Library.load("resolved")
+    record = trial_of(measurement("li2013:poppy_loose/straight"))
+    one = known_soil(invert(record, library=library), 36.0, 2.0)
+    legs = [trial_of(measurement(f"li2013:poppy_loose/{leg}")) for leg in ("straight", "c")]
+    two = known_soil(invert(legs, library=library), 36.0, 2.0)
+    # Legs err independently, and the spread between soils is in the level already.
+    assert two.found_sd_deg == pytest.approx(one.found_sd_deg / np.sqrt(2.0), rel=0.1)
+    assumed = known_soil(invert(replace(record, density_assumed=True), library=library), 36.0, 2.0)
+    assert assumed.found_sd_deg > one.found_sd_deg
+    for density in (100.0, 1650.0):  # at the library's end, and a misfit
+        with pytest.raises(InputError, match="nothing to calibrate with"):
+            known_soil(invert(replace(record, density=density), library=library), 36.0, 2.0)

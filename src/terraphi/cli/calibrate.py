@@ -52,7 +52,10 @@ def library_calibrate(
 @click.command("calibrate")
 @click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
 @click.option(
-    "--phi", required=True, metavar="MEAN±SD", help="Known friction angle, as 35±2 [deg]."
+    "--phi",
+    required=True,
+    metavar="MEAN±SD",
+    help="Known friction angle, of plane strain, as 35±2 [deg].",
 )
 @click.option("--leg", "legs", type=Choice(LEGS), multiple=True, help="As of 'terraphi invert'.")
 @click.option("--density", type=Float(), help="Bulk density of the soil [kg/m³].")
@@ -112,7 +115,7 @@ def calibrate(
         before.check(taken)
     found = invert(trials, library=taken, density=density)
     soil = known_soil(found, *known, medium=medium or measured[0].medium)
-    made = Calibration.of(taken, [*(before.soils if before else ()), soil])
+    made = before.with_soil(soil) if before else Calibration.of(taken, [soil])
     made.save(out)
     if as_json:
         print_json({"file": str(out), **made.model_dump(mode="json")})

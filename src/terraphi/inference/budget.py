@@ -93,9 +93,6 @@ class Budget:
 
     Attributes
     ----------
-    shares
-        Share of each term in the variance of the friction angle that fits best, if forces were
-        linear in it [-]; they add up to 1.
     information
         What each angle adds to the information on φ of those before it [-], of Fx and Fz, shape
         [2, theta].
@@ -114,10 +111,10 @@ class Budget:
     noise, discrepancy
         How these were treated: ``given`` or ``inferred``; ``none``, ``gp`` or ``soils``.
     degrees
-        Standard deviation of the friction angle by each term [deg].
+        Standard deviation of the friction angle that fits best by each term, if forces were linear
+        in it, and of the soil's angle about it [deg].
     """
 
-    shares: Mapping[str, float]
     information: FloatArray
     information_without_force: float
     sigma_N: Mapping[str, FloatArray]
@@ -129,10 +126,16 @@ class Budget:
     discrepancy: str
     degrees: Mapping[str, float]
 
+    @property
+    def shares(self) -> dict[str, float]:
+        """Share of each term in the variance of the friction angle [-]; they add up to 1."""
+        whole = sum(sd**2 for sd in self.degrees.values())
+        return {name: sd**2 / whole for name, sd in self.degrees.items()}
+
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, without those of each window."""
         return {
-            "shares": dict(self.shares),
+            "shares": self.shares,
             "information_without_force": self.information_without_force,
             "noise": self.noise,
             "noise_N": self.noise_N,
@@ -170,13 +173,11 @@ def budget_of(
     total = sum(terms.values(), np.zeros_like(discrepancy))
     direction = np.linalg.solve(total, slope)
     parts = {name: float(direction @ term @ direction) for name, term in terms.items()}
-    whole = sum(parts.values())
     told = information_share(total, slope)
     offsets = np.kron(np.eye(2), np.ones(len(slope) // 2)) / scale
     along, information = offsets @ direction, float(direction @ slope)
     chi2 = np.einsum("ij,ji->i", offsets, np.linalg.solve(total, offsets.T))
     return Budget(
-        shares={name: part / whole for name, part in parts.items()},
         information=told,
         information_without_force=share_without_force(told, problem.data),
         sigma_N={name: scale * np.sqrt(np.diag(term)) for name, term in terms.items()},
@@ -186,7 +187,7 @@ def budget_of(
         offset=Offset(along / information, chi2 - np.square(along) / information),
         noise="inferred" if problem.noise_sigma is None else "given",
         discrepancy="gp" if problem.discrepancy else "none",
-        degrees={n: float(np.sqrt(part)) / float(direction @ slope) for n, part in parts.items()},
+        degrees={n: float(np.sqrt(part)) / information for n, part in parts.items()},
     )
 
 

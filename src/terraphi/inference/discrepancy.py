@@ -38,16 +38,17 @@ kernel over the leg angle, of LENGTH_DEG, plus WHITE^2 I, and s free,
 ln T of soils that were left out in turn has a mean and a standard deviation; a new record is
 consistent up to their Student-t quantile at ACCEPTED: it deviates as real soils do, or less. The
 media are few, so only the size of the kernel and the mean are learnt. LENGTH_DEG, WHITE and
-ACCEPTED were chosen once, among some hundred settings, by how well they tell the shipped media from
-false records; the likelihood of the shapes alone would take a shorter and smoother kernel. So what
-`study real_soil` finds of the verdict flatters it; of the angles it does not.
+ACCEPTED were chosen once: about three hundred settings of the kernel and the threshold were scanned
+for those that tell the shipped media best from false records. The likelihood of the shapes alone
+would take a shorter and smoother kernel. So what `study real_soil` finds of the verdict flatters
+it; of the angles it does not.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -191,17 +192,24 @@ class Level:
     ----------
     offset_deg
         Its centre: what is added to the library's angle [deg].
-    scale_deg, freedom
-        Its scale [deg] and its degrees of freedom.
+    parts_deg
+        Independent parts of its scale, by name [deg].
+    freedom
+        Its degrees of freedom.
     """
 
     offset_deg: float
-    scale_deg: float
+    parts_deg: Mapping[str, float]
     freedom: float
 
-    def wider(self, sd_deg: float) -> Level:
+    @property
+    def scale_deg(self) -> float:
+        """Its scale [deg]."""
+        return float(np.linalg.norm(list(self.parts_deg.values())))
+
+    def wider(self, part: str, sd_deg: float) -> Level:
         """The same with another, independent error."""
-        return Level(self.offset_deg, float(np.hypot(self.scale_deg, sd_deg)), self.freedom)
+        return replace(self, parts_deg={**self.parts_deg, part: sd_deg})
 
     def bounds(self, low: float, high: float) -> tuple[float, float]:
         """Angles that may be answered, for a library's ends [deg]."""
@@ -271,7 +279,9 @@ class Learnt:
         seen = np.array(list(self.levels_deg.values()))
         freedom = FREEDOM + len(seen)
         square = (FREEDOM * SPREAD_DEG**2 + float(seen @ seen)) / freedom
-        return Level(0.0, float(np.sqrt(square)), freedom)
+        rest = square - float(np.square(list(self.parts_deg.values())).sum())
+        soils = {"soils": float(np.sqrt(max(rest, 0.0)))}
+        return Level(0.0, {**self.parts_deg, **soils}, freedom)
 
     def most(self, accepted: float = ACCEPTED) -> float:
         """Largest deviation that is consistent, over the typical one [-]."""
@@ -560,16 +570,8 @@ class SoilLikelihood:
         scale
             Factor from the library's force unit to the data's [-].
         """
-        degrees = dict(self.sd_deg)
-        learnt = self.learnt.level.scale_deg
-        assumed = float(np.sqrt(max(level.scale_deg**2 - learnt**2, 0.0)))
-        parts = dict(self.learnt.parts_deg) if level.scale_deg >= learnt else {}
-        rest = level.scale_deg**2 - assumed**2 - float(np.square(list(parts.values())).sum())
-        degrees |= {**parts, "density": assumed, "soils": float(np.sqrt(max(rest, 0.0)))}
-        whole = float(np.square(list(degrees.values())).sum())
         told = information_share(self._noise_alone(), self.fitted.slope)
         return Budget(
-            shares={name: sd**2 / whole for name, sd in degrees.items()},
             information=told,
             information_without_force=share_without_force(told, self.problem.data),
             sigma_N={n: scale * np.sqrt(np.diag(term)) for n, term in self.terms.items()},
@@ -579,7 +581,7 @@ class SoilLikelihood:
             offset=None,
             noise="inferred" if self.problem.noise_sigma is None else "given",
             discrepancy="soils",
-            degrees=degrees,
+            degrees={**self.sd_deg, **level.parts_deg},
         )
 
     def _noise_alone(self) -> FloatArray:

@@ -21,7 +21,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
@@ -148,6 +148,43 @@ class _Leg:
         return [self.of(vector, 1) for vector in self.group.vectors]
 
 
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What was found of the friction angle.
+
+    Attributes
+    ----------
+    posterior
+        Of the soil's.
+    flat
+        The same under a uniform prior.
+    core
+        That of the library's angle.
+    level
+        How the soil's lies about the library's; ``None``: it is the same.
+    prior
+        Of the soil's.
+    """
+
+    posterior: Posterior
+    flat: Posterior
+    core: Posterior
+    level: Level | None
+    prior: Marginal
+
+    @property
+    def library_angle(self) -> dict[str, float]:
+        """The library's angle, and its error, with that of an assumed density [deg]."""
+        by_density = self.level.parts_deg.get("density", 0.0) if self.level else 0.0
+        sd = float(np.hypot(self.core.sd, by_density))
+        return {"median": self.core.median, "sd": sd}
+
+    def in_library(self, phi_deg: ArrayLike, leg: _Leg) -> FloatArray:
+        """Angles of the library's curves that stand for angles of the soil [deg], [k] -> [k]."""
+        offset = self.level.offset_deg if self.level else 0.0
+        return np.clip(np.asarray(phi_deg) - offset, *leg.bounds_deg)
+
+
 def infer(
     looked: Looked,
     *,
@@ -185,24 +222,24 @@ def infer(
         legs = [_leg(group, looked, library, density, ways) for group in looked.groups]
         # After the library is ready: the time that one more history takes.
         began = time.perf_counter()
-        level = _level(legs, ways, assumed=density is None or density_assumed)
-        posterior, flat, core, prior = _posterior(legs, prior, ways, level)
+        found = _posterior(legs, prior, ways, assumed=density is None or density_assumed)
         seconds = time.perf_counter() - began
-        found = posterior, flat, core
-        verdict, warnings, budget = _judged(looked, legs, found, prior, ways, level)
-    warnings += uninformed(flat)
-    scenario = legs[0].scenario
+        verdict, warnings, budget = _judged(looked, legs, found, ways)
+    warnings += uninformed(found.flat)
+    scenario, posterior = legs[0].scenario, found.posterior
     summary = Summary.of_posterior(posterior)
     phi = AngleSummary(summary.median, summary.ci68, summary.ci95)
-    equivalent, why_not = plane_strain_summary(phi, scenario)
+    # A calibrated angle is one of plane strain, as those of the known soils are.
+    calibrated = ways.calibration is not None
+    equivalent, why_not = (phi, "") if calibrated else plane_strain_summary(phi, scenario)
     used = scenario.soil.density if density is None else density
-    priors = {PHI: prior}
+    priors = {PHI: found.prior}
     if density is not None:
         priors[DENSITY] = Marginal(density, density)
     return Inversion(
-        records=tuple(r for leg in legs for r in _records(looked, leg, posterior)),
+        records=tuple(r for leg in legs for r in _records(looked, leg, found)),
         library=library.name,
-        convention=scenario.convention,
+        convention="plane_strain" if calibrated else scenario.convention,
         likelihood=ways.likelihood,
         sampler=posterior.sampler,
         seed=posterior.seed,
@@ -216,8 +253,8 @@ def infer(
         verdict=damaged(verdict) if looked.spoilt else verdict,
         warnings=tuple(warnings),
         budget=budget,
-        together=_together(legs, posterior, prior, used, ways, level) if looked.several else None,
-        provenance={"core_seconds": seconds},
+        together=_together(legs, found, used, ways) if looked.several else None,
+        provenance={"core_seconds": seconds, "library_angle_deg": found.library_angle},
     )
 
 
@@ -325,17 +362,18 @@ def _learnt(
     return learnt if learnt and leg in learnt.shapes and (measured or asked) else None
 
 
-def _level(legs: Sequence[_Leg], ways: Ways, *, assumed: bool) -> Level | None:
-    """How far the angle of a soil may lie from that of the library; ``None``: it is the same."""
+def _level(legs: Sequence[_Leg], ways: Ways, core: Posterior, *, assumed: bool) -> Level | None:
+    """How the angle of a soil lies about that of the library; ``None``: it is the same."""
     soils = [leg.whole for leg in legs if isinstance(leg.whole, SoilLikelihood)]
     learnt = soils[0].learnt if soils else None
     level = learnt.level if learnt else None
     if ways.calibration is not None:
-        found = quadrature(_whole(legs), _common(legs), nodes=NODES[ways.likelihood])
-        level = ways.calibration.level(found.median, learnt)
+        if learnt is None:
+            ways.calibration.check_legs(leg.group.leg for leg in legs)
+        level = ways.calibration.level(core.median, learnt)
     if level is None or not soils or not assumed:
         return level
-    return level.wider(float(np.mean([one.by_density_deg for one in soils])))
+    return level.wider("density", float(np.mean([one.by_density_deg for one in soils])))
 
 
 def _default_discrepancy(looked: Looked, library: Library) -> str:
@@ -350,7 +388,10 @@ def _default_discrepancy(looked: Looked, library: Library) -> str:
 
 def _common(legs: Sequence[_Leg]) -> tuple[float, float]:
     """Ends of the friction angles that the library has of all legs [deg]."""
-    return max(leg.bounds_deg[0] for leg in legs), min(leg.bounds_deg[1] for leg in legs)
+    low, high = max(leg.bounds_deg[0] for leg in legs), min(leg.bounds_deg[1] for leg in legs)
+    if not low < high:
+        raise InputError("the legs of the library have no friction angles in common")
+    return low, high
 
 
 def _whole(legs: Sequence[_Leg]) -> LogLikelihood:
@@ -366,24 +407,24 @@ def _whole(legs: Sequence[_Leg]) -> LogLikelihood:
 
 
 def _posterior(
-    legs: Sequence[_Leg], prior: Marginal | None, ways: Ways, level: Level | None
-) -> tuple[Posterior, Posterior, Posterior, Marginal]:
-    """Posterior of φ by all legs, under a uniform prior, of the library's angle, and the prior."""
-    ends = low, high = _common(legs)
+    legs: Sequence[_Leg], prior: Marginal | None, ways: Ways, *, assumed: bool
+) -> _Found:
+    """Posterior of φ by all legs; ``assumed``: whether the density is."""
+    low, high = _common(legs)
     likelihood: LogLikelihood = _whole(legs)
     nodes = NODES[ways.likelihood]
-    core = None
-    if level is not None:
-        if not low < high:
-            raise InputError("the legs of the library have no friction angles in common")
-        core = quadrature(likelihood, ends, nodes=nodes)
+    core = level = None
+    if ways.calibration or _soils(legs):
+        core = quadrature(likelihood, (low, high), nodes=nodes)
+        level = _level(legs, ways, core, assumed=assumed)
+    if core and level:
         low, high = level.bounds(low, high)
         likelihood = _about(level, core)
     every = low, high
     if prior is not None and (level is None or prior.normal is None):
         low, high = max(low, prior.low), min(high, prior.high)
     if not low < high:
-        raise InputError("the legs of the library have no friction angles in common")
+        raise InputError("the prior leaves no friction angle that all legs of the library have")
     known = Marginal(low, high, None if prior is None else prior.normal)
     log.info("sampling φ over %g to %g deg by %s", low, high, ways.sampler)
     log_p = likelihood if known.normal is None else _times(likelihood, known)
@@ -395,7 +436,7 @@ def _posterior(
     flat = posterior
     if known.normal is not None:
         flat = quadrature(likelihood, every, nodes=nodes)
-    return posterior, flat, core or posterior, known
+    return _Found(posterior, flat, core or posterior, level, known)
 
 
 def _about(level: Level, core: Posterior) -> LogLikelihood:
@@ -403,16 +444,17 @@ def _about(level: Level, core: Posterior) -> LogLikelihood:
     return lambda phi_deg: level.log_density(core, phi_deg)
 
 
-def _best(leg: _Leg, posterior: Posterior) -> FloatArray:
+def _best(leg: _Leg, found: _Found) -> FloatArray:
     """The library's curve at the median, or at its end if that lies beyond [N], [2 theta]."""
-    best: FloatArray = leg.predict(np.clip([posterior.median], *leg.bounds_deg))[0]
+    best: FloatArray = leg.predict(found.in_library([found.posterior.median], leg))[0]
     return best
 
 
-def _records(looked: Looked, leg: _Leg, posterior: Posterior) -> list[Record]:
+def _records(looked: Looked, leg: _Leg, found: _Found) -> list[Record]:
     """The histories of a leg, with the curve at the median and the band of the 95 %."""
-    best = _best(leg, posterior)
-    inside = leg.predict(np.clip(np.linspace(*posterior.interval(0.95), 101), *leg.bounds_deg))
+    best = _best(leg, found)
+    angles = np.linspace(*found.posterior.interval(0.95), 101)
+    inside = leg.predict(found.in_library(angles, leg))
     band = np.stack([inside.min(axis=0), inside.max(axis=0)])
     return [
         Record(
@@ -438,27 +480,22 @@ def _records(looked: Looked, leg: _Leg, posterior: Posterior) -> list[Record]:
 def _judged(
     looked: Looked,
     legs: Sequence[_Leg],
-    found: tuple[Posterior, Posterior, Posterior],
-    prior: Marginal,
+    found: _Found,
     ways: Ways,
-    level: Level | None,
 ) -> tuple[Verdict, list[Doubt], Budget | None]:
-    """Verdict, doubts, and the budget, which knows of no normal prior: then there is none.
-
-    ``found``: the posterior, that under a uniform prior, and that of the library's angle.
-    """
-    posterior, flat, core = found
+    """Verdict, doubts, and the budget, which knows of no normal prior: then there is none."""
+    normal = found.prior.normal
     measures: list[Measure] = []
     warnings, budget = looked.damage, None
     questions: list[tuple[Doubt, Trial]] = []
     beyond: set[Side | None] = set()
     for leg in legs:
-        best = _best(leg, posterior)
+        best = _best(leg, found)
         trials = zip(leg.group.trials, leg.group.observations, leg.each, strict=True)
         for trial, observation, likelihood in trials:
             source = trial.source if looked.several else ""
             why = explain(observation.vector, leg.nodes[1], leg.nodes[0])
-            own, budget = _fit_of(likelihood, posterior, level, scale=leg.scale, source=source)
+            own, budget = _fit_of(likelihood, found, leg, source=source)
             limit = NRMSD_LIMIT if ways.likelihood == "paper" else None
             own += deviations(nrmsd(observation.vector, best), most=limit, source=source)
             measures += own
@@ -469,36 +506,38 @@ def _judged(
             if why.question is not None and (not fits or why.question.code == "saturated"):
                 questions.append((why.question, trial))
     if looked.several:
-        measures += [*_together_as_soils(legs), _agreement(legs, posterior)]
-    if prior.normal is not None:
-        measures.append(_against(flat, prior.normal))
+        measures += [*_together_as_soils(legs), _agreement(legs, found)]
+    if normal is not None:
+        measures.append(_against(found.flat, normal))
     worst = _worst(legs)
     verdict = judge(
         measures,
-        _edge(legs, posterior, core, ways),
+        _edge(legs, found, ways),
         kind="soil" if worst else ways.likelihood,
         beyond=beyond.pop() if len(beyond) == 1 else None,
         numbers=worst,
     )
     misfit = verdict.verdict == "misfit"
     asked = [pair for pair in questions if misfit or pair[0].code == "saturated"]
-    budget = None if looked.several or prior.normal is not None else budget
+    budget = None if looked.several or normal is not None else budget
     if verdict.verdict == "consistent" and budget is not None:
-        warnings = [*warnings, *_zero(looked, posterior, budget)]
+        warnings = [*warnings, *_zero(looked, found.posterior, budget)]
     return verdict, [*warnings, *_doubts(looked, legs, asked)], budget
 
 
 def _fit_of(
-    likelihood: LogLikelihood, posterior: Posterior, level: Level | None, *, scale: float,
-    source: str,
-) -> tuple[list[Measure], Budget | None]:  # fmt: skip
+    likelihood: LogLikelihood, found: _Found, leg: _Leg, *, source: str
+) -> tuple[list[Measure], Budget | None]:
     """How well one history fits, and where the interval would come from if it were alone."""
     if isinstance(likelihood, SoilLikelihood):
         own = [likelihood.measure(source=source, accepted=ALONE if source else ACCEPTED)]
-        return own, likelihood.budget(level, scale=scale) if level else None
+        return own, likelihood.budget(found.level, scale=leg.scale) if found.level else None
     if isinstance(likelihood, CalibratedLikelihood):
-        fit = fit_without_discrepancy(likelihood.problem, likelihood.without, scale=scale)
-        budget = budget_of(likelihood, posterior.median, fit, scale=scale)
+        fit = fit_without_discrepancy(likelihood.problem, likelihood.without, scale=leg.scale)
+        (phi,) = found.in_library([found.posterior.median], leg).tolist()
+        budget = budget_of(likelihood, phi, fit, scale=leg.scale)
+        if found.level:
+            budget = replace(budget, degrees={**budget.degrees, **found.level.parts_deg})
         return fit_measures(fit, source=source), budget
     return [], None
 
@@ -526,13 +565,15 @@ def _worst(legs: Sequence[_Leg]) -> dict[str, Any] | None:
     return worst.learnt.where(worst.leg, worst.fitted)
 
 
-def _edge(legs: Sequence[_Leg], posterior: Posterior, core: Posterior, ways: Ways) -> Edge:
+def _edge(legs: Sequence[_Leg], found: _Found, ways: Ways) -> Edge:
     """Where the posterior, or that of the library's angle, is cut off."""
     convention = legs[0].scenario.convention
     if ways.likelihood == "paper":
-        edge = edge_by_mass(posterior, step_deg=legs[0].step_deg, convention=convention)
+        edge = edge_by_mass(found.posterior, step_deg=legs[0].step_deg, convention=convention)
     else:
-        both = (edge_by_density(one, convention=convention) for one in (core, posterior))
+        both = (
+            edge_by_density(one, convention=convention) for one in (found.core, found.posterior)
+        )
         edge = max(both, key=lambda one: one.size)
     whose = "library" if edge.numbers["at"] in _common(legs) else "prior"
     return replace(edge, numbers={**edge.numbers, "of": whose})
@@ -560,13 +601,15 @@ def _zero(looked: Looked, posterior: Posterior, budget: Budget) -> list[Doubt]:
     return [doubt] if change > 0.25 * (high - low) else []
 
 
-def _agreement(legs: Sequence[_Leg], posterior: Posterior) -> Measure:
+def _agreement(legs: Sequence[_Leg], found: _Found) -> Measure:
     """How probable it is that histories of one angle differ as much."""
     from scipy.special import chdtrc
 
     each = [likelihood for leg in legs for likelihood in leg.each]
-    bounds = posterior.bounds_deg
-    nodes = NODES["calibrated"]
+    # Where they are likelihoods of the library's angle, a soil's may lie beyond either end.
+    ends = zip(found.core.bounds_deg, found.posterior.bounds_deg, strict=True)
+    (low, _), (_, high) = map(sorted, ends)
+    bounds, nodes = (low, high), NODES["calibrated"]
 
     def together(phi_deg: FloatArray) -> FloatArray:
         total: FloatArray = np.sum([likelihood(phi_deg) for likelihood in each], axis=0)
@@ -618,21 +661,14 @@ def _times(likelihood: LogLikelihood, prior: Marginal) -> LogLikelihood:
     return lambda phi_deg: likelihood(phi_deg) + prior.log_density(phi_deg)
 
 
-def _together(
-    legs: Sequence[_Leg],
-    posterior: Posterior,
-    prior: Marginal,
-    density: float,
-    ways: Ways,
-    level: Level | None,
-) -> Together:
+def _together(legs: Sequence[_Leg], found: _Found, density: float, ways: Ways) -> Together:
     """What each leg adds, and the noise and discrepancy that were inferred of all."""
-    sd = {}
+    posterior, level, sd = found.posterior, found.level, {}
     for leg in legs:
         alone, bounds = leg.whole, posterior.bounds_deg
         if level is not None:
             alone = _about(level, quadrature(alone, leg.bounds_deg, nodes=NODES[ways.likelihood]))
-        density_of = _times(alone, prior)
+        density_of = _times(alone, found.prior)
         sd[leg.group.leg] = quadrature(density_of, bounds, nodes=NODES[ways.likelihood]).sd
     sd["all"] = posterior.sd
     noise, amplitude = [np.zeros(1)], [np.zeros(1)]
@@ -644,7 +680,7 @@ def _together(
             amplitude.append(np.full(2, leg.whole.learnt.amplitude))
         elif isinstance(leg.whole, CalibratedLikelihood):
             used = leg.whole.used
-            weights = leg.whole.weights(posterior.median)
+            weights = leg.whole.weights(float(found.in_library(posterior.median, leg)))
             drawn = rng.choice(len(weights), DRAWS // len(legs), p=weights / weights.sum())
             noise.append(root * leg.scale * used.noise[drawn])
             amplitude.append(used.amplitude[drawn])
@@ -653,7 +689,7 @@ def _together(
     return Together(
         conditional={PHI: summary},
         point={PHI: summary.median, DENSITY: density},
-        identifiability=Identifiability.of((PHI,), np.array([[posterior.sd**2]]), [prior.sd]),
+        identifiability=Identifiability.of((PHI,), np.array([[posterior.sd**2]]), [found.prior.sd]),
         expected_sd={name: np.array([one]) for name, one in sd.items()},
         noise_N=np.concatenate(noise[some]),
         amplitude=np.concatenate(amplitude[some]),

@@ -128,7 +128,7 @@ def invert(
     if library is None:
         name, why = default_library([trial.history for trial in trials])
         library = _shipped(name)
-    by_soils = _by_soils(calibration, library, likelihood)
+    by_soils = _by_soils(calibration, library, trials, likelihood, discrepancy)
     looked = look(trials, library)
     known = _known(looked, library, prior, density, density_assumed)
     if known.phi_alone:
@@ -185,15 +185,24 @@ def _ways(
 
 
 def _by_soils(
-    given: Calibration | Path | str | None, library: Library, likelihood: str | None
+    given: Calibration | Path | str | None,
+    library: Library,
+    trials: Sequence[Trial],
+    likelihood: str | None,
+    discrepancy: str | Learnt | None,
 ) -> Calibration | None:
-    """A calibration, or that of a file; refused if it is of another library."""
+    """A calibration, or that of a file; refused if it is for another kind of inversion."""
     if given is None:
         return None
     found = given if isinstance(given, Calibration) else Calibration.load(given)
     found.check(library)
-    if likelihood == "paper":
-        raise InputError("a calibration is for the calibrated likelihood; drop one of them")
+    if likelihood == "paper" or discrepancy is not None:
+        raise InputError(
+            "a calibration is for the likelihood and the discrepancy that it was made with, the "
+            "defaults; drop --likelihood and --discrepancy, or the calibration"
+        )
+    if any("scenario" in trial.history.provenance for trial in trials):
+        raise InputError("a calibration is for measured forces; drop it for simulated ones")
     return found
 
 

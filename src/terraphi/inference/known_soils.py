@@ -25,8 +25,8 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -39,6 +39,7 @@ from terraphi.experiment.files import replacing
 from terraphi.experiment.measurements import measurement, medium_and_leg, names
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.discrepancy import FREEDOM, SPREAD_DEG, Learnt, Level
+from terraphi.inference.words import of_verdict
 from terraphi.library.store import Library
 
 if TYPE_CHECKING:
@@ -103,9 +104,11 @@ class Calibration(BaseModel):
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})") from error
         except ValidationError as error:
+            if error.errors()[0]["type"] == "json_invalid":
+                raise InputError(f"{path}: not a file that 'terraphi calibrate' wrote") from error
             raise InputError(sentence_from_validation(error, str(path), cls)) from error
         except UnicodeDecodeError as error:
-            raise InputError(f"{path}: is no text; expected a calibration file") from error
+            raise InputError(f"{path}: not a file that 'terraphi calibrate' wrote") from error
 
     def save(self, path: Path) -> None:
         """Write it, whole or not at all."""
@@ -118,8 +121,27 @@ class Calibration(BaseModel):
             raise InputError(
                 f"the calibration was made with library '{self.library}' "
                 f"({self.library_hash[:8]}); this is '{library.name}' ({library.hash[:8]}): "
-                "calibrate that one"
+                f"take --library {self.library}, or calibrate {library.name}"
             )
+
+    def check_legs(self, legs: Iterable[str]) -> None:
+        """Refuse a leg that no soil was measured on, where nothing is known of how legs differ."""
+        known = {leg for soil in self.soils for leg in soil.legs}
+        for leg in set(legs) - known:
+            raise InputError(
+                f"the calibration has no soil on leg '{leg}', and of library '{self.library}' "
+                "nothing is known of how legs differ; calibrate with that leg"
+            )
+
+    def with_soil(self, soil: KnownSoil) -> Calibration:
+        """The same with one more soil; InputError if it is in it already."""
+        for one in self.soils:
+            if set(one.forces) & set(soil.forces) or (one.medium and one.medium == soil.medium):
+                raise InputError(
+                    f"{', '.join(soil.forces)}: a soil of these forces or of this name is in the "
+                    "calibration already; give all forces of one soil at once"
+                )
+        return self.model_copy(update={"soils": (*self.soils, soil)})
 
     def level(self, found_deg: float, learnt: Learnt | None) -> Level:
         """Level of a soil whose forces give an angle; see the module.
@@ -131,7 +153,7 @@ class Calibration(BaseModel):
         learnt
             The library's discrepancy, if it has one: how well its offset is known already.
         """
-        base = learnt.level if learnt else Level(0.0, SPREAD_DEG, FREEDOM)
+        base = learnt.level if learnt else Level(0.0, {"soils": SPREAD_DEG}, FREEDOM)
         offset_sd = OFFSET_DEG
         if learnt and learnt.levels_deg:
             offset_sd = base.scale_deg / math.sqrt(len(learnt.levels_deg))
@@ -145,12 +167,12 @@ class Calibration(BaseModel):
         covariance = np.linalg.inv(precision)
         mean = covariance @ ((x.T / errors) @ y)
         at = np.array([1.0, found_deg - centre])
-        scale = math.sqrt(base.scale_deg**2 + float(at @ covariance @ at))
-        return Level(float(at @ mean), scale, base.freedom)
+        level = base.wider("calibration", math.sqrt(float(at @ covariance @ at)))
+        return replace(level, offset_deg=float(at @ mean))
 
 
 def known_soil(found: Inversion, phi_deg: float, sd_deg: float, *, medium: str = "") -> KnownSoil:
-    """A soil of known angle from the inversion of its forces; InputError if that is a misfit.
+    """A soil of known angle from the inversion of its forces; InputError if that tells no angle.
 
     Parameters
     ----------
@@ -161,15 +183,20 @@ def known_soil(found: Inversion, phi_deg: float, sd_deg: float, *, medium: str =
     medium
         What it is called.
     """
-    learnt = found.budget.degrees.get("legs") if found.budget else None
-    sd = found.posterior.sd if learnt is None else learnt
-    if found.verdict.code == "damaged":
-        raise InputError(f"{found.source}: {found.verdict.reason}")
+    if found.origin == "simulated":
+        raise InputError(f"{found.source}: is simulated; a calibration is for measured forces")
+    verdict = found.verdict
+    # A model that is wrong alike for all soils is what a calibration is for.
+    alike = verdict.code in ("calibrated_misfit", "calibrated_misfit_at_edge")
+    ends = any(one.exceeded for one in verdict.measures if one.code == "edge_density")
+    if ends or not (alike or verdict.verdict == "consistent"):
+        raise InputError(f"{found.source}: nothing to calibrate with. {of_verdict(verdict)}")
+    own = found.provenance["library_angle_deg"]
     return KnownSoil(
         phi_deg=phi_deg,
         sd_deg=sd_deg,
-        found_deg=found.phi.median,
-        found_sd_deg=sd,
+        found_deg=own["median"],
+        found_sd_deg=own["sd"],
         legs=tuple(found.by_leg),
         forces=tuple(record.source for record in found.records),
         medium=medium,

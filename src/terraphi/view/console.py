@@ -58,7 +58,8 @@ def _title(found: Inversion) -> str:
     what = f"{len(found.records)} histories ({', '.join(of)})"
     if len(found.records) == 1:
         what = f"{found.source}: leg {found.leg}"
-    return f"{what}, library {found.library}{density}"
+    calibrated = ", calibrated" if "calibration" in found.provenance else ""
+    return f"{what}, library {found.library}{calibrated}{density}"
 
 
 def _parameter_rows(found: Inversion, several: bool) -> list[tuple[str, ...]]:
