@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import runpy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from terraphi.robot.footfalls import (
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.model import Quadruped
 
+Walk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["Walk"]
 COLUMNS = ("time", "angle", "velocity", "torque", "quaternion", "angular_velocity", "acceleration")
 
 
@@ -46,6 +48,8 @@ def found(walked: tuple[Any, Any, JointLog]) -> FootfallMap:
 def test_a_walk_on_sand_tells_its_field(walked: Any, found: FootfallMap) -> None:
     walk, recording, _ = walked
     assert found.usable.sum() > 20
+    # Feet under which soil gives way slide; that is no zero of a joint.
+    assert not any("slide" in note for note in found.notes)
     truth = walk.sand.phi(found.path[:, 1:] + recording.position[0, :2])
     assert np.sqrt(np.mean((found.path_phi - truth) ** 2)) < 0.6
     assert np.all(np.abs(found.path_phi - truth) < 2.0 * found.path_absolute_sd)
@@ -79,8 +83,22 @@ def test_one_by_one_agrees_with_the_whole_log(walked: Any, found: FootfallMap) -
 @pytest.mark.slow
 def test_torques_of_another_unit_are_refused(walked: Any) -> None:
     log = walked[2]
-    with pytest.raises(InputError, match="% of the robot's weight on average"):
+    with pytest.raises(InputError, match="no footfall can be told: the feet bear 1.9"):
         find_footfalls(replace(log, torque=2.0 * log.torque))
+
+
+def test_a_log_of_exchanged_legs_tells_no_footfall() -> None:
+    log = Walk(duration=5.0).log()[0]
+    names = ("angle", "velocity", "torque")
+    other = {name: getattr(log, name)[:, [2, 3, 0, 1]] for name in names}
+    with pytest.raises(InputError, match="no footfall can be told: feet that stand slide"):
+        find_footfalls(replace(log, **other))
+
+
+def test_the_weight_is_spoken_of_once() -> None:
+    log = Walk(duration=5.0).log()[0]
+    found = find_footfalls(replace(log, torque=1.25 * log.torque))
+    assert sum("weight" in note for note in found.notes) == 1
 
 
 @pytest.mark.slow

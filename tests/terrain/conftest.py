@@ -23,6 +23,7 @@ def hill(tmp_path) -> Callable[..., Path]:
         crs: str | None = "EPSG:32611",
         heights: Any = None,
         left: float = 0.0,
+        unit: str = "",
     ) -> Path:
         if heights is None:
             rise = np.tan(np.radians(slope_deg)) * (n - np.arange(n) - 0.5)
@@ -34,6 +35,7 @@ def hill(tmp_path) -> Callable[..., Path]:
             dtype="float32", crs=crs, transform=place, nodata=-9999.0,
         ) as file:  # fmt: skip
             file.write(heights.astype(np.float32), 1)
+            file.units = (unit,)
         return tmp_path / name
 
     return write

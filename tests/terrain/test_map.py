@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 from scipy.stats import norm
 
 from terraphi.inference.prior import Marginal
+from terraphi.robot.footfall_files import write_footfalls
+from terraphi.robot.footfalls import FootfallMap
 from terraphi.terrain import slopes
 from terraphi.terrain.slopes import QUANTITIES, Sample, priors_of
 
@@ -20,6 +23,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 
 from terraphi.terrain.field import CENTRE_DEG, LEVEL_SD, STEEPEST, to_logit  # noqa: E402
 from terraphi.terrain.map import map_slopes  # noqa: E402
+from terraphi.terrain.points import Start, read_points  # noqa: E402
+from terraphi.terrain.raster import read_elevation  # noqa: E402
 
 DRY = ("cohesion_Pa=0", "root_cohesion_Pa=0", "wetness=0")
 
@@ -178,22 +183,41 @@ def test_the_command_writes_maps_that_open(terraphi, hill, points, tmp_path) -> 
     assert "Factor of safety below 1 on" in (tmp_path / "r.html").read_text()
 
 
-def test_footfalls_that_are_not_usable_are_left_out(terraphi, hill, tmp_path) -> None:
-    import xarray as xr
-
+def test_footfalls_come_as_they_were_written(terraphi, hill, tmp_path) -> None:
+    """Both files of a walk make one map, its places turned and moved to where it began."""
     x, y = walked(np.random.default_rng(0), count=8)
     phi = np.full(8, 30.0)
-    phi[1], verdict = np.nan, np.array(["consistent"] * 8, object)
-    verdict[0] = "misfit"
-    each = {"x_m": x, "y_m": y, "phi_deg": phi, "sd_deg": np.full(8, 2.0),
-            "shared_sd_deg": np.full(8, 1.0), "verdict": verdict}  # fmt: skip
-    walk = xr.Dataset({name: ("footfall", values) for name, values in each.items()})
-    walk.to_netcdf(tmp_path / "walk.nc", engine="h5netcdf")
-    hill()
-    ran = terraphi("map", "walk.nc", "--dem", "dem.tif", "--out", "maps", "--json")
-    assert ran.status == 0, ran.err
-    assert json.loads(ran.out)["points_used"] == 6
-    assert json.loads(ran.out)["points_left_out"] == 2
+    phi[1] = np.nan
+    n, one = np.full(8, 1.0), np.zeros(1)
+    verdict = ("usable", "too little sinkage", "saturated", *["usable"] * 5)
+    walk = FootfallMap(
+        time=n, foot=("FR",) * 8, place=np.column_stack([y, -x, n]), sinkage=n, phi=phi, sd=n,
+        shared_sd=n, misfit=n, verdict=verdict, path=np.zeros((1, 3)), path_phi=one,
+        path_relative_sd=one, path_absolute_sd=one, shared={}, by_law={},
+    )  # fmt: skip
+    write_footfalls(walk, tmp_path / "walk.nc")
+    dem = hill(left=5e5)
+    told = []
+    for name in ("walk.nc", "walk.csv"):
+        # Northward is ahead, and west is left.
+        ran = terraphi("map", name, "--dem", "dem.tif", "--out", "maps", "--start", "5e5,0,0",
+                       "--json")  # fmt: skip
+        assert ran.status == 0, ran.err
+        told.append(json.loads(ran.out))
+        assert told[-1]["points_used"] == 6
+        assert told[-1]["points_left_out"] == 2
+    assert told[0]["unstable_area_share"] == told[1]["unstable_area_share"]
+    found, *_ = read_points(tmp_path / "walk.nc", read_elevation(dem), Start(5e5, 0.0, 0.0))
+    assert found.x_m == pytest.approx(5e5 + np.delete(x, [1, 2]))
+    assert found.y_m == pytest.approx(np.delete(y, [1, 2]))
+    lost = terraphi("map", "walk.nc", "--dem", "dem.tif", "--out", "lost")
+    assert "--start says where they began" in lost.err
+
+
+def long_rows(path: Path) -> None:
+    """Give each row one value more than there are names."""
+    head, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([head, *(f"{row},9.0" for row in rows)]))
 
 
 Change = Callable[[Any, Any], Any]
@@ -205,6 +229,8 @@ Change = Callable[[Any, Any], Any]
         (lambda hill, _: hill(crs=None), "has no coordinate system (CRS)"),
         (lambda hill, _: hill(crs="EPSG:4326"), "coordinates are degrees (EPSG:4326)"),
         (lambda hill, _: hill(crs="EPSG:2229"), "expected metres"),
+        (lambda hill, _: hill(unit="ft"), "its elevations are in ft, expected metres"),
+        (lambda _, points: long_rows(points([1.0] * 4, 2.0, 31.0, 2.5)), "not a CSV of points"),
         (lambda hill, _: hill(left=1000.0), "is off dem.tif"),
         (lambda hill, _: hill(heights=np.full((60, 60), -9999.0)), "has no elevations"),
         (lambda hill, _: hill(heights=np.where(np.arange(60) < 30, 1.0, -9999.0)
@@ -233,6 +259,7 @@ def test_what_is_no_map(terraphi, hill, points, tmp_path, change: Change, words)
 @pytest.mark.parametrize(
     ("args", "words"),
     [
+        (("--start", "5e5,0"), "expected X,Y,BEARING"),
         (("--prior", "cohesion=3"), "did you mean 'cohesion_Pa'"),
         (("--prior", "wetness=0:2"), "wetness lies between 0 and 1"),
         (("--prior", "depth_m=deep"), "expected KEY=LOW:HIGH"),

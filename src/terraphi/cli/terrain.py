@@ -150,6 +150,12 @@ def convert(
 @click.option("--dem", required=True, type=file_type, help="Elevations: a GeoTIFF in metres.")
 @click.option("--out", required=True, type=file_type, help="Folder for the maps.")
 @click.option(
+    "--start",
+    metavar="X,Y,BEARING",
+    help="Where the walk of footfalls began, in the DEM's coordinates [m], and its first heading, "
+    "clockwise from north [deg].",
+)
+@click.option(
     "--prior",
     multiple=True,
     metavar="KEY=PRIOR",
@@ -163,25 +169,29 @@ def convert(
 )
 @click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of draws.")
 @json_option
-def slope_map(points: Path, dem: Path, out: Path, as_json: bool, **options: Any) -> None:
+def slope_map(
+    points: Path, dem: Path, out: Path, start: str | None, as_json: bool, **options: Any
+) -> None:
     """Map how likely slopes are to slide, from friction angles at POINTS.
 
     POINTS is a CSV with the columns x_m,y_m,phi_deg,sd_deg and, if known, shared_sd_deg (of an
-    error that all points have in common), in the coordinate system of the DEM; or a NetCDF of
-    footfalls. A foot probes centimetres and slopes fail at metres: see the page on maps.
+    error that all points have in common), in the coordinate system of the DEM; or the NetCDF or
+    CSV of 'terraphi footfalls', with --start. A foot probes centimetres and slopes fail at metres: see the page on maps.
 
     Example: terraphi map points.csv --dem dem.tif --out slopes
     """
     from terraphi.experiment.outputs import check_folder, filling
     from terraphi.terrain.map import KIND, LAYERS, SUMMARY, in_words, map_slopes
+    from terraphi.terrain.points import start_from
     from terraphi.view import plots
     from terraphi.view.slope_plots import map_figure
 
     picture = "map.png"
     names = [*(f"{name}.tif" for name in LAYERS), SUMMARY, picture]
     check_folder(out, kind=KIND, names=names)
+    begun = None if start is None else start_from(start)
     with progress_bar("mapping") as report:
-        found = map_slopes(points, dem, progress=report, **options)
+        found = map_slopes(points, dem, start=begun, progress=report, **options)
     with filling(out, kind=KIND, last=SUMMARY) as made:
         found.write(made)
         plots.save(map_figure(found), made.joinpath(picture))

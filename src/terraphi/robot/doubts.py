@@ -31,22 +31,29 @@ MOST_WEIGHTS = 3.0
 """Number of weights beyond which forces are those of another unit."""
 MOST_PUSH = 0.085
 """Part of the weight with which the feet may push sideways on average [-]."""
+BELIEVABLE_LIFT, BELIEVABLE_PUSH = (0.7, 1.4), 0.12
+"""Beyond these, a doubt is grave: no payload and no gain of the motors explains it [-]."""
 COARSEST_ANGLE = 0.005
 """Steps of the angles [rad] beyond which they were rounded."""
-LEAST_SPEED = 0.01
-"""Speed [m/s] below which feet that stand do not slide."""
+LEAST_SPEED, SOFT_SPEED = 0.01, 0.06
+"""Speed [m/s] below which feet that stand do not slide, and above which soil gives way under them,
+so that sliding says nothing of a joint's zero."""
 EXCHANGED = 0.75
 """Legs are exchanged if another order leaves less than this part of the sliding [-]."""
-OFF_RAD, OFF_GAIN = 0.1, 0.1
-"""A joint's zero is off if a shift by more than this [rad] takes off this part of the sliding."""
+OFF_RAD, OFF_GAIN = (0.1, 0.5), 0.1
+"""A joint's zero is off if a shift between these [rad] takes off this part of the sliding."""
 _BEARING = 0.15
 _SAMPLES = 2500
-_UNITS = {
-    1e3: "N mm",
-    1e-3: "kN m",
-    1.0 / GRAVITY: "kgf m",
-    100.0 / GRAVITY: "kgf cm",
-}
+_UNITS = {1e3: "N mm", 100.0 / GRAVITY: "kgf cm"}
+
+
+class Doubts(NamedTuple):
+    """What of a log cannot be right, a sentence each."""
+
+    all: tuple[str, ...]
+    """Every doubt."""
+    grave: tuple[str, ...]
+    """Those with which neither the forces' directions nor the feet's places can be used."""
 
 
 class Balance(NamedTuple):
@@ -72,8 +79,8 @@ def balance(forces: FootForces, stances: Sequence[Stance], weight: float) -> Bal
     return Balance(float(total[2]), float(np.hypot(*total[:2])))
 
 
-def doubts(log: JointLog, robot: Quadruped, forces: FootForces, found: Balance | None) -> list[str]:
-    """What of a log cannot be right, a sentence each.
+def doubts(log: JointLog, robot: Quadruped, forces: FootForces, found: Balance | None) -> Doubts:
+    """What of a log cannot be right.
 
     Parameters
     ----------
@@ -84,20 +91,25 @@ def doubts(log: JointLog, robot: Quadruped, forces: FootForces, found: Balance |
 
     Returns
     -------
-    list of str
+    Doubts
 
     Raises
     ------
     InputError
         If the feet pull at the ground, or bear the robot's weight several times over.
     """
-    said = _of_weight(found, robot) + _of_angles(log)
-    tilted = forces.frame == "body"
+    weight, angles = _of_weight(found, robot), _of_angles(log)
     legs = _of_legs(log, robot, np.nan_to_num(forces.force[..., 2]))
-    if found is not None and found.push > MOST_PUSH and not (tilted or legs or said):
-        push = f"the feet push the robot sideways with {found.push:.0%} of its weight all the time"
-        legs = [f"{push}: are the angles' zeros and the attitude right?"]
-    return said + legs
+    grave = list(legs)
+    if found is not None:
+        low, high = BELIEVABLE_LIFT
+        grave += weight if not low < found.lift < high else []
+        tilted = forces.frame == "body"
+        if found.push > MOST_PUSH and not (tilted or legs or weight or angles):
+            push = f"the feet push the robot sideways with {found.push:.0%} of its weight on average"
+            legs = [f"{push}: are the angles' zeros and the attitude right?"]
+            grave += legs if found.push > BELIEVABLE_PUSH else []
+    return Doubts((*weight, *angles, *legs), tuple(grave))
 
 
 def _of_weight(found: Balance | None, robot: Quadruped) -> list[str]:
@@ -107,18 +119,11 @@ def _of_weight(found: Balance | None, robot: Quadruped) -> list[str]:
     bears = f"the feet bear {lift:.3g} times the robot's weight of {weight:.0f} N on average"
     if lift < -HANGING_SHARE:
         raise InputError(f"{bears}; torques that motors exert on joints are expected, not theirs")
-    unit = next(
-        (name for factor, name in _UNITS.items() if abs(lift / factor - 1.0) < WEIGHT_AGREEMENT),
-        "",
-    )
     if lift > MOST_WEIGHTS:
-        raise InputError(
-            f"{bears}; torques in N m are expected" + (f", not {unit}" if unit else "")
-        )
+        unit = [n for factor, n in _UNITS.items() if abs(lift / factor - 1.0) < WEIGHT_AGREEMENT]
+        raise InputError(", not ".join([f"{bears}; torques in N m are expected", *unit]))
     if abs(lift - 1.0) <= WEIGHT_AGREEMENT or lift < HANGING_SHARE:
         return []
-    if unit:
-        return [f"{bears}: are torques in {unit}?"]
     factor, mass = 1.0 / lift, lift * robot.mass
     return [f"{bears}: are torques about {factor:.2g} times as large, or its mass {mass:.3g} kg?"]
 
@@ -157,6 +162,8 @@ def _of_legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[str]:
         moves = (f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(best) if i != j)
         other = f"at {orders[best]:.2g} m/s if legs were exchanged: {', '.join(moves)}"
         return [f"{_slide(sliding)}, and {other}; check the order of the joints"]
+    if _size(sliding) > SOFT_SPEED:
+        return []
     return _of_zeros(seen, angle, velocity, load, sliding)
 
 
@@ -173,7 +180,7 @@ def _of_zeros(
         left = _size(sliding + by * slope) / _size(sliding)
         if 1.0 - left > gain:
             best, off, gain = name, -by, 1.0 - left
-    if gain < OFF_GAIN or abs(off) < OFF_RAD:
+    if gain < OFF_GAIN or not OFF_RAD[0] <= abs(off) <= OFF_RAD[1]:
         return []
     other = f"{gain:.0%} less if the angle of {best} were {off:+.2f} rad off"
     return [f"{_slide(sliding)}, and {other}: check the zeros of the joints"]

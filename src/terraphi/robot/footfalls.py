@@ -57,11 +57,6 @@ NEAR_EDGE_DEG = 1.0
 """A friction angle this near to the end of what laws are asked for is the end [deg]."""
 LEAST_SCALE = 0.2
 """The noise of a log is at least this part of what is assumed [-]."""
-WEIGHT_RANGE = (0.7, 1.4)
-"""Mean of the feet's forces over the weight, outside of which torques are in no newton metres, or
-the robot is another."""
-UNSURE_WEIGHT = 0.15
-"""The same less one, above which it is said [-]."""
 PATH_STEP = 0.05
 """Spacing of the map along the path, at least [m]."""
 MOST_POINTS = 1500
@@ -197,6 +192,8 @@ def find_footfalls(
     chosen = replace(prior or Prior(), radius=body.foot_radius)
     try:
         found = analyse(log, robot=body, friction=friction)
+        if found.grave:
+            raise InputError(f"no footfall can be told: {found.grave[0]}")
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
     lift = found.forces.force[:, :, 2].astype(np.float64)
@@ -207,7 +204,6 @@ def find_footfalls(
         log.time, lift, motion.lift_acceleration, per, shared_sd(chosen)[: len(TORQUES)],
         mass=body.mass,
     )  # fmt: skip
-    _check_weight(name, weighed, seen)
     fits = {each: fit(seen, each, chosen) for each in LAW_SETS[law]}
     return _together(seen, fits, weighed, chosen, _path(motion, log.time), anchors, found, {
         "log": name, "robot": body.name, "law": law, "laws": list(fits), "probe": probe,
@@ -258,16 +254,6 @@ def _trodden(seen: Touchdowns, near: float) -> BoolArray:
         pairs = cKDTree(seen.place[:, :2]).query_pairs(near, output_type="ndarray")
         trodden[pairs.max(axis=1) if len(pairs) else []] = True
     return trodden
-
-
-def _check_weight(name: str, weighed: Weighing, seen: Touchdowns) -> None:
-    low, high = WEIGHT_RANGE
-    if len(seen.foot) and not (math.isnan(weighed.ratio) or low < weighed.ratio < high):
-        raise InputError(
-            f"{name}: the feet carry {100.0 * weighed.ratio:.0f} % of the robot's weight on "
-            f"average, {100.0 * low:.0f} to {100.0 * high:.0f} % is expected; look at the unit of "
-            "the torques, the order of the joints and --robot"
-        )
 
 
 def _from_the_start(motion: Motion, log: JointLog) -> Motion:
@@ -352,7 +338,7 @@ def _together(
         path_absolute_sd=along[2],
         shared=shared,
         by_law={k: float(f.phi[usable].mean()) for k, f in fits.items()} if usable.any() else {},
-        notes=(*forces.notes, *_notes(usable, weighed, anchors)),
+        notes=(*forces.notes, *_notes(usable, anchors)),
         provenance=provenance,
     )
 
@@ -410,15 +396,10 @@ def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
     }
 
 
-def _notes(usable: BoolArray, weighed: Weighing, anchors: Sequence[Anchor]) -> list[str]:
+def _notes(usable: BoolArray, anchors: Sequence[Anchor]) -> list[str]:
     notes = []
     if len(usable) and not usable.any():
         notes.append("no footfall is usable: the map is empty")
-    if abs(weighed.ratio - 1.0) > UNSURE_WEIGHT:
-        notes.append(
-            f"the feet carry {100.0 * weighed.ratio:.0f} % of the robot's weight on average: a "
-            "payload, another robot or torques that are off"
-        )
     if usable.any() and not anchors:
         notes.append("no anchor: only differences along the path are as sure as the relative band")
     return notes

@@ -63,6 +63,8 @@ class RobotForces:
     lift
         What the feet bear on average over whole strides, as a part of the robot's weight [-];
         ``None`` if unknown.
+    grave
+        Of the notes, those with which neither directions of forces nor places of feet can be used.
     """
 
     forces: FootForces
@@ -73,6 +75,7 @@ class RobotForces:
     sensor_correlation: Mapping[str, float]
     report: Mapping[str, Any]
     lift: float | None = None
+    grave: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, Any]:
         """Main numbers of the analysis, JSON-able.
@@ -187,12 +190,13 @@ def analyse(
         pooled=Ensemble.of(stances),
         notes=(
             *log.report.get("notes", ()),
-            *doubtful,
+            *doubtful.all,
             *_notes(forces, stances, correlation, weight, chosen),
         ),
         sensor_correlation=correlation,
         report={**report, **describe(log.time), **log.report},
         lift=None if mean is None else mean.lift,
+        grave=doubtful.grave,
     )
 
 

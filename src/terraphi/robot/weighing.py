@@ -37,14 +37,10 @@ class Weighing(NamedTuple):
         Gains [-] of the twelve joints, then Coulomb torques that are left [N m]; shape [24].
     covariance
         Shape [24, 24].
-    ratio
-        Mean of Σ F_z over the weight before anything is corrected [-]; not a number without
-        weighings.
     """
 
     mean: FloatArray
     covariance: FloatArray
-    ratio: float
 
 
 def weigh(
@@ -79,7 +75,7 @@ def weigh(
         The prior, where no sample is known or the robot does not stand on its feet.
     """
     weight = mass * GRAVITY
-    prior = Weighing(np.zeros(len(sd)), np.diag(sd**2), float("nan"))
+    prior = Weighing(np.zeros(len(sd)), np.diag(sd**2))
     known = np.isfinite(lift).all(axis=1)
     if known.sum() < 2:
         return prior
@@ -91,10 +87,9 @@ def weigh(
     starts = np.flatnonzero(np.diff(number, prepend=-1))
     counts = np.diff(np.append(starts, len(rows)))
     rows = np.add.reduceat(rows, starts) / counts[:, None]
-    ratio = float(1.0 + rows[:, 0].mean() / weight)
     bears = np.abs(rows[:, 0]) < 0.4 * weight
     if bears.sum() < 20 or bears.mean() < 0.5:
-        return prior._replace(ratio=ratio)
+        return prior
     rows = rows[bears]
     precision = np.diag(np.append(sd, MASS_SD) ** -2.0)
     noise = 0.1 * weight
@@ -105,4 +100,4 @@ def weigh(
         mean = share * covariance @ rows[:, 1:].T @ rows[:, 0]
         left = rows[:, 0] - rows[:, 1:] @ mean
         noise = max(LEAST_NOISE * weight, 1.4826 * float(np.median(np.abs(left))))
-    return Weighing(np.asarray(mean[:-1]), np.asarray(covariance[:-1, :-1]), ratio)
+    return Weighing(np.asarray(mean[:-1]), np.asarray(covariance[:-1, :-1]))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from terraphi.experiment.errors import InputError
 from terraphi.terrain import slopes
 from terraphi.terrain.field import STEEPEST, Field, fit, tangent
-from terraphi.terrain.points import Points, read_points
+from terraphi.terrain.points import Points, Start, read_points
 from terraphi.terrain.raster import Elevation, read_elevation, read_layer, write_layer
 
 FloatArray = NDArray[np.float64]
@@ -36,6 +36,8 @@ LAYERS = {
 """Each map's name, what it shows and its unit."""
 LARGEST = 100.0
 """Factor of safety that maps show at most."""
+STEEP_DEG = 40.0
+"""Median slope beyond which a reader is asked for the unit of the elevations [deg]."""
 FARTHEST = 0.25
 """Share of the map's longer side that no point is farther from, whatever the field's length."""
 BEYOND = 0.1
@@ -76,10 +78,11 @@ def map_slopes(
     points: Path,
     dem: Path,
     *,
+    start: Start | None = None,
     prior: tuple[str, ...] = (),
     wetness: Path | None = None,
     covariate: Path | None = None,
-    draws: int = 100,
+    draws: int = 128,
     seed: int = 0,
     progress: Callable[[float, float], None] = lambda _done, _all: None,
 ) -> SlopeMap:
@@ -91,6 +94,9 @@ def map_slopes(
         As :func:`~terraphi.terrain.points.read_points` takes them.
     dem
         Digital elevation model in metres.
+    start
+        Where the walk began whose footfalls the points are; without it, their places are taken for
+        those of the elevation model.
     prior
         As in :func:`~terraphi.terrain.slopes.priors_of`.
     wetness
@@ -115,7 +121,7 @@ def map_slopes(
     """
     began = time.perf_counter()
     ground = read_elevation(dem)
-    known, row, column = read_points(points, ground)
+    known, row, column = read_points(points, ground, start)
     chosen = slopes.priors_of(prior)
     wet = None if wetness is None else _wetness(wetness, ground)
     named = {"elevation": ground.height, "slope": ground.slope}
@@ -134,9 +140,11 @@ def map_slopes(
     layers = work.run(progress)
     layers["extrapolated"] = _extrapolated(ground, known, learnt, scaled, at_points, there)
     summary = _summary(work, known, layers, named, covariate, wetness)
-    return SlopeMap(
-        ground, known, learnt, layers, {**summary, "seconds": time.perf_counter() - began}
-    )
+    summary |= {
+        "start": None if start is None else start._asdict(),
+        "seconds": time.perf_counter() - began,
+    }
+    return SlopeMap(ground, known, learnt, layers, summary)
 
 
 def _wetness(path: Path, ground: Elevation) -> Any:
@@ -265,6 +273,8 @@ def in_words(told: Mapping[str, Any]) -> list[str]:
         f"Factor of safety below 1 on {area:.0%} of the area, 95 %: {low:.0%} to {high:.0%}.",
         f"Of the variance of the factor of safety {share:.0%} is due to φ; {beyond}.",
     ]
+    if slope > STEEP_DEG:
+        sentences.append("So steep a country is rare: are the elevations in metres?")
     if guessed:
         guesses = ", ".join(guessed)
         sentences.append(f"Wide guesses, which nobody has measured, stand for: {guesses}.")

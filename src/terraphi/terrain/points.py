@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import check_is_file, damage_told, read_bytes, read_whole
+from terraphi.experiment.files import check_is_file, damage_told, plain_number, read_bytes, read_whole
 from terraphi.terrain.raster import Elevation
 
 FloatArray = NDArray[np.float64]
 
 NEEDED = ("x_m", "y_m", "phi_deg", "sd_deg")
 SHARED = "shared_sd_deg"
-USABLE = ("consistent", "usable")
-"""Verdicts of footfalls that are taken."""
+OF_FOOTFALLS = ("t_s", "foot", "surface_m", "sinkage_m", "verdict")
+"""What the table of a walk's footfalls has besides."""
+USABLE = "usable"
+"""Verdict of footfalls that are taken."""
 LEAST_DEG = 2.0
 """No soil has less [deg]; angles in radians are all below."""
 STEEPEST_DEG = 60.0
@@ -55,17 +58,45 @@ class Points:
     left_out: int = 0
 
 
-def read_points(path: Path, dem: Elevation) -> tuple[Points, Any, Any]:
+class Start(NamedTuple):
+    """Where a walk began [m], and the compass bearing of its first heading [deg]."""
+
+    x_m: float
+    y_m: float
+    bearing_deg: float
+
+    def placed(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Places x ahead and y to the left of it [m]."""
+        sine, cosine = np.sin(np.radians(self.bearing_deg)), np.cos(np.radians(self.bearing_deg))
+        return self.x_m + x * sine - y * cosine, self.y_m + x * cosine + y * sine
+
+
+def start_from(text: str) -> Start:
+    """A start as people write it, ``500012,4000034,90``; raises InputError if it is none."""
+    try:
+        x, y, bearing = (plain_number(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(
+            f"start '{text}': expected X,Y,BEARING in metres and degrees, as 500012,4000034,90"
+        ) from None
+    return Start(x, y, bearing)
+
+
+def read_points(
+    path: Path, dem: Elevation, start: Start | None = None
+) -> tuple[Points, Any, Any]:
     """Read points, and look them up in an elevation model.
 
     Parameters
     ----------
     path
         A CSV with the columns ``x_m,y_m,phi_deg,sd_deg[,shared_sd_deg]`` in the coordinate system
-        of the elevation model, which a first line ``# crs: EPSG:32611`` may confirm; or a NetCDF
-        with variables of these names and ``verdict``, as footfalls are written.
+        of the elevation model, which a first line ``# crs: EPSG:32611`` may confirm; or the
+        NetCDF or CSV of a walk's footfalls, of which the usable ones are taken.
     dem
         The elevation model.
+    start
+        Where the walk began, for footfalls, whose places are counted from there.
 
     Returns
     -------
@@ -81,9 +112,14 @@ def read_points(path: Path, dem: Elevation) -> tuple[Points, Any, Any]:
     if crs:
         _check_crs(path, crs, dem)
     given = {name: columns[name] for name in (*NEEDED, SHARED)}
-    there = np.isfinite(list(given.values())).all(axis=0) & columns["usable"]
-    if path.suffix != ".nc" and not there.all():
-        raise InputError(f"{path}, {names[int(np.argmin(there))]}: a value is missing or no number")
+    there = np.isfinite(list(given.values())).all(axis=0)
+    missing = columns["usable"] & ~there
+    if missing.any():
+        first = names[int(np.argmax(missing))]
+        raise InputError(f"{path}, {first}: a value is missing or no number")
+    there &= columns["usable"]
+    if start is not None:
+        given["x_m"], given["y_m"] = start.placed(given["x_m"], given["y_m"])
     for name, bad, expected in (
         (
             "phi_deg",
@@ -116,8 +152,9 @@ def _on(
     off = row < 0
     if off.any():
         first = int(np.argmax(off))
-        degrees = (np.abs(x) <= 180.0).all() and (np.abs(y) <= 90.0).all()
-        hint = "; are these degrees? metres are expected" if degrees and off.all() else ""
+        small = (np.abs(x) <= 180.0).all() and (np.abs(y) <= 90.0).all() and off.all()
+        hint = "; are these degrees? metres are expected. Footfalls? --start says where they began"
+        hint = hint if small else ""
         raise InputError(
             f"{path}, {names[first]}: ({x[first]:g}, {y[first]:g}) is off {dem.source}, which "
             f"covers x = {dem.x[0]:.7g} to {dem.x[-1]:.7g} and y = {dem.y[-1]:.7g} to "
@@ -160,11 +197,17 @@ def _from_csv(path: Path) -> tuple[dict[str, Any], str, list[str]]:
     rows = [i + 1 for i, line in enumerate(lines) if line.strip() and not line.startswith("#")]
     named = [match[1].strip() for line in lines if (match := re.match(r"#\s*crs:(.*)", line))]
     try:
-        table = pd.read_csv(io.StringIO(text), comment="#", skipinitialspace=True)
-    except ValueError as error:
+        with warnings.catch_warnings():
+            # Of a row that is too long, pandas would leave the end away.
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            table = pd.read_csv(
+                io.StringIO(text), comment="#", skipinitialspace=True, index_col=False
+            )
+    except (ValueError, pd.errors.ParserWarning) as error:
         raise InputError(f"{path}: not a CSV of points ({error})") from error
     known = (*NEEDED, SHARED)
-    for name in (*(n for n in NEEDED if n not in table), *(n for n in table if n not in known)):
+    others = [name for name in table if name not in (*known, *OF_FOOTFALLS)]
+    for name in (*(n for n in NEEDED if n not in table), *others):
         what = "is missing" if name in NEEDED else f"is unknown; {nearest(str(name), known)}"
         raise InputError(f"{path}: column '{name}' {what}; expected x_m,y_m,phi_deg,sd_deg and, if "
                          "known, shared_sd_deg")  # fmt: skip
@@ -175,6 +218,8 @@ def _from_csv(path: Path) -> tuple[dict[str, Any], str, list[str]]:
     }
     found.setdefault(SHARED, np.zeros(len(table)))
     found["usable"] = np.ones(len(table), bool)
+    if "verdict" in table:
+        found["usable"] = (table["verdict"] == USABLE).to_numpy(bool)
     return found, "".join(named[:1]), [f"line {line}" for line in rows[1:]]
 
 
@@ -193,6 +238,6 @@ def _from_netcdf(path: Path) -> tuple[dict[str, Any], str, list[str]]:
     }
     found["usable"] = np.ones(count, bool)
     if "verdict" in file:
-        found["usable"] = np.isin(np.asarray(file["verdict"].values).astype(str), USABLE)
+        found["usable"] = np.asarray(file["verdict"].values).astype(str) == USABLE
     crs = str(file.attrs.get("crs", ""))
     return found, crs, [f"footfall {i}" for i in range(count)]

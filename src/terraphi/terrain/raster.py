@@ -17,6 +17,8 @@ from terraphi.experiment.files import check_is_file
 FloatArray = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
+METRES = ("", "m", "metre", "metres", "meter", "meters")
+"""Names of the unit of elevations; without one, metres are meant."""
 MOST_CELLS = 25_000_000
 """Largest elevation model; some ten arrays of it are held."""
 
@@ -77,8 +79,8 @@ def read_elevation(path: Path) -> Elevation:
     Raises
     ------
     InputError
-        If it cannot be read, has no coordinate system or one not in metres, or cells that are not
-        upright squares; if it is too large, or has no elevations.
+        If it cannot be read, has no coordinate system or one not in metres, elevations in another
+        unit, or cells that are not upright squares; if it is too large, or has no elevations.
     """
     height, file = _read(path)
     crs, transform = file["crs"], file["transform"]
@@ -92,6 +94,10 @@ def read_elevation(path: Path) -> Elevation:
     unit, factor = crs.linear_units_factor
     if abs(factor - 1.0) > 1e-9:
         raise InputError(f"{path}: its coordinates are in {unit}, expected metres; project it")
+    if file["unit"].lower() not in METRES:
+        raise InputError(
+            f"{path}: its elevations are in {file['unit']}, expected metres; convert them"
+        )
     a, b, c, d, e, f = tuple(transform)[:6]
     if b or d or a <= 0.0 or abs(a + e) > 1e-6 * a:
         raise InputError(
@@ -145,7 +151,11 @@ def _read(path: Path) -> tuple[Float32, dict[str, Any]]:
                         f"{MOST_CELLS:g} in all; cut a part of it, as with gdal_translate -projwin"
                     )
                 band = opened.read(1, masked=True).astype(np.float32).filled(np.nan)
-                place = {"crs": opened.crs, "transform": opened.transform}
+                place = {
+                    "crs": opened.crs,
+                    "transform": opened.transform,
+                    "unit": opened.units[0] or "",
+                }
         except rasterio.errors.RasterioError as error:
             raise InputError(f"{path}: not a raster that can be read ({error})") from error
     band[~np.isfinite(band)] = np.nan
