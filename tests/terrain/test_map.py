@@ -21,7 +21,7 @@ rasterio = pytest.importorskip("rasterio")
 pytest.importorskip("sklearn")
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 
-from terraphi.terrain.field import CENTRE_DEG, LEVEL_SD, STEEPEST, to_logit  # noqa: E402
+from terraphi.terrain.field import STEEPEST, to_logit  # noqa: E402
 from terraphi.terrain.map import map_slopes  # noqa: E402
 from terraphi.terrain.points import Start, read_points  # noqa: E402
 from terraphi.terrain.raster import read_elevation  # noqa: E402
@@ -35,22 +35,31 @@ def walked(rng: np.random.Generator, n: int = 60, count: int = 40) -> tuple[Any,
 
 @pytest.mark.parametrize("slope_deg", [28.0, 32.0])
 def test_dry_and_cohesionless_it_is_the_distribution_of_phi(hill, points, slope_deg) -> None:
-    # Points that agree but for an error that all have in common: φ is normal with its sd, drawn
-    # a little towards the level that is expected before any point is seen.
+    # Points that agree but for an error that all have in common: φ is normal with its sd.
     x, y = walked(np.random.default_rng(0))
     path = points(x, y, np.full(x.size, 31.0), 0.05, 2.0)
     found = map_slopes(path, hill(slope_deg), prior=DRY)
     middle = (slice(20, 40), slice(20, 40))
-    per_degree = to_logit(30.5) - to_logit(29.5)
-    sd = np.array([2.0, LEVEL_SD / per_degree])
-    precise = 1.0 / sd**2
-    centre = np.array([31.0, CENTRE_DEG]) @ precise / precise.sum()
-    exact = norm.cdf(slope_deg, centre, precise.sum() ** -0.5)
+    exact = norm.cdf(slope_deg, 31.0, 2.0)
     assert found.layers["p_unstable"][middle].mean() == pytest.approx(exact, abs=0.01)
     assert found.layers["phi_share"][middle].mean() == pytest.approx(1.0, abs=1e-6)
     assert found.layers["phi_sd"][middle].mean() == pytest.approx(2.0, rel=0.03)
     ratio = np.tan(np.radians(31.0)) / np.tan(np.radians(slope_deg))
     assert found.layers["fs_median"][middle].mean() == pytest.approx(ratio, rel=0.01)
+
+
+def test_a_common_error_widens_the_map_and_moves_nothing(hill, points) -> None:
+    x, y = walked(np.random.default_rng(2))
+    rng = np.random.default_rng(3)
+    phi = 42.0 + rng.normal(0.0, 0.3, x.size)
+    maps = [
+        map_slopes(points(x, y, phi, 0.3, shared), hill(33.0), prior=DRY).layers
+        for shared in (0.0, rng.uniform(3.8, 4.0, x.size))
+    ]
+    median, sd = ([layers[name][20:40, 20:40].mean() for layers in maps]
+                  for name in ("phi_median", "phi_sd"))  # fmt: skip
+    assert median == pytest.approx([42.0, 42.0], abs=0.3)
+    assert sd[1] == pytest.approx(np.hypot(sd[0], 3.9), rel=0.1)
 
 
 def test_two_strata_on_one_slope(hill, points) -> None:
@@ -81,14 +90,14 @@ def test_lattice_and_draws_are_those_of_the_process_itself(hill, points, monkeyp
     heights = 0.5 * (n - rows) + 3.0 * np.sin(columns / 9.0) + 2.0 * np.sin(rows / 5.0)
     x, y = walked(rng)
     phi = 30.0 + 3.0 * np.sin(x / 12.0) + rng.normal(0.0, 1.0, x.size)
-    found = map_slopes(points(x, y, phi, 1.0, 1.5), hill(heights=heights), draws=64)
+    found = map_slopes(points(x, y, phi, 1.0), hill(heights=heights), draws=64)
     (process,) = kept
-    # The model itself at some cells: place, both covariates standardised, no common error.
+    # The model itself at some cells: place, both covariates standardised.
     cells = [(10, 15), (12, 18), (30, 31), (50, 5)]
     layers = [found.dem.height.astype(float), found.dem.slope.astype(float)]
     scaled = [(one - one.mean()) / one.std() for one in layers]
     asked = np.array(
-        [[found.dem.x[c], found.dem.y[r], scaled[0][r, c], scaled[1][r, c], 0.0] for r, c in cells]
+        [[found.dem.x[c], found.dem.y[r], scaled[0][r, c], scaled[1][r, c]] for r, c in cells]
     )
     mean, covariance = process.predict(asked, return_cov=True)
     short = found.learnt.short_sd**2
@@ -104,7 +113,7 @@ def test_lattice_and_draws_are_those_of_the_process_itself(hill, points, monkeyp
     drawn = found.learnt.draws(4096, 3)
     a, b = 10 * found.learnt.x.size + 12, 11 * found.learnt.x.size + 20
     places = [(i % found.learnt.x.size, i // found.learnt.x.size) for i in (a, b)]
-    at = np.array([[found.learnt.x[i], found.learnt.y[j], 0.0, 0.0, 0.0] for i, j in places])
+    at = np.array([[found.learnt.x[i], found.learnt.y[j], 0.0, 0.0] for i, j in places])
     wanted = process.predict(at, return_cov=True)[1] - short * np.eye(2)
     assert np.cov(drawn[:, a], drawn[:, b]) == pytest.approx(wanted, rel=0.1)
 

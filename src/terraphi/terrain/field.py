@@ -3,13 +3,16 @@ r"""φ over a terrain: a Gaussian process on a logit scale, from points with the
 With :math:`z = \mathrm{logit}(\tan\varphi / \tan 60°)`,
 
 .. math:: z(x) = \mu + s(x) + \sum_j \beta_j c_j(x), \qquad
-    z_i = z(x_i) + b\, z'(\varphi_i) + \varepsilon_i + \eta_i
+    z_i = z(x_i) + \varepsilon_i + \eta_i
 
 where s is a Matérn process (ν = 3/2) over the horizontal place, the c are elevation, slope and
-whatever raster is given, each of mean 0 and standard deviation 1 over the map, b is the error that
-all points have in common, the variance of ε is each point's own and that of η what the soil varies
-over distances too short for the map. Variances of s and η and the length of s maximise the
-evidence; μ, β and b are integrated with priors of fixed width. All of it is scikit-learn's.
+whatever raster is given, each of mean 0 and standard deviation 1 over the map, the variance of ε is
+each point's own and that of η what the soil varies over distances too short for the map. Variances
+of s and η and the length of s maximise the evidence; μ and β are integrated with priors of fixed
+width. All of it is scikit-learn's.
+
+The error that all points have in common widens the map by itself: points tell nothing of it, and
+were it inferred beside μ, the prior of the one would move the other.
 """
 
 from __future__ import annotations
@@ -52,6 +55,14 @@ def to_logit(phi_deg: Any) -> Any:
 def tangent(z: Any) -> Any:
     """Tan φ of z."""
     return STEEPEST * expit(z)
+
+
+def _per_degree(phi_deg: FloatArray) -> FloatArray:
+    """Change of z with the friction angle [1/deg]."""
+    phi = np.radians(phi_deg)
+    inner = np.tan(phi) / STEEPEST
+    found: FloatArray = np.radians(1.0) / np.cos(phi) ** 2 / STEEPEST / (inner * (1.0 - inner))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,13 +147,8 @@ def fit(
     x0, x1, y0, y1 = extent
     side = max(x1 - x0, y1 - y0)
     step = max(side / NODES, 2.0 * cell)
-    phi = np.radians(points.phi_deg)
-    inner = np.tan(phi) / STEEPEST
-    per_degree = np.radians(1.0) / np.cos(phi) ** 2 / STEEPEST / (inner * (1.0 - inner))
     count = covariates.shape[1]
-    # The last column carries the common error: it is 0 where the map is asked for.
-    common = per_degree * points.shared_sd_deg
-    inputs = np.column_stack([points.x_m - x0, points.y_m - y0, covariates, common])
+    inputs = np.column_stack([points.x_m - x0, points.y_m - y0, covariates])
     bounds = (INTERVALS_PER_LENGTH * step, 10.0 * side)
     linear = DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
     kernel = ConstantKernel(0.1, PROCESS) * OnColumns(
@@ -151,10 +157,9 @@ def fit(
     kernel += WhiteKernel(0.01, SHORT)
     kernel += ConstantKernel(LEVEL_SD**2, "fixed")
     kernel += ConstantKernel(EFFECT_SD**2, "fixed") * OnColumns(linear, tuple(range(2, 2 + count)))
-    kernel += OnColumns(linear, (2 + count,))
     process = GaussianProcessRegressor(
         kernel,
-        alpha=np.square(per_degree * points.sd_deg),
+        alpha=np.square(_per_degree(points.phi_deg) * points.sd_deg),
         n_restarts_optimizer=2,
         random_state=seed,
     )
@@ -163,12 +168,17 @@ def fit(
         warnings.simplefilter("ignore", ConvergenceWarning)
         process.fit(inputs, to_logit(points.phi_deg) - to_logit(CENTRE_DEG))
     learnt = process.kernel_.get_params()
-    named = "k1__k1__k1__"
+    named = "k1__k1__"
     across, up = (step * np.arange(np.ceil((b - a) / step - 1e-9) + 1) for a, b in
                   ((x0, x1), (y0, y1)))  # fmt: skip
     # A map of one strip has a second row of nodes all the same.
     across, up = (c if c.size > 1 else step * np.arange(2.0) for c in (across, up))
     mean, covariance = _lattice(process, across, up, count, learnt[f"{named}k2__noise_level"])
+    common = np.zeros_like(mean)
+    places = slice(0, across.size * up.size)
+    phi_deg = np.degrees(np.arctan(tangent(mean[places])))
+    common[places] = _per_degree(phi_deg) * np.sqrt(np.square(points.shared_sd_deg).mean())
+    covariance += np.outer(common, common)
     return Field(
         x0 + across,
         y0 + up,
@@ -185,7 +195,7 @@ def _lattice(
 ) -> tuple[FloatArray, FloatArray]:
     """Mean and covariance on the lattice and of the effects, from predictions where c is 0 or 1."""
     nodes = np.stack(np.meshgrid(across, up), axis=-1).reshape(-1, 2)
-    asked = np.zeros((len(nodes) + count, 3 + count))
+    asked = np.zeros((len(nodes) + count, 2 + count))
     asked[: len(nodes), :2] = nodes
     for j in range(count):
         asked[len(nodes) + j, 2 + j] = 1.0

@@ -266,10 +266,11 @@ def in_words(told: Mapping[str, Any]) -> list[str]:
     left_out = f" ({told['points_left_out']} left out)" if told["points_left_out"] else ""
     area, slope = told["unstable_area_share"]["median"], told["slope_deg"]["median"]
     where = f"{told['cells']} cells, slopes of {slope:.0f} deg in the median"
-    phi, share = told["phi_deg"]["median_of_points"], told["mean_phi_share"]
+    share, middle = told["mean_phi_share"], told["phi_deg"]
+    points = f"{told['points_used']} points{left_out}, φ {middle['median_of_points']:.1f} deg"
     beyond = f"the field extrapolates on {told['extrapolated_share']:.0%} of the area"
     sentences = [
-        f"{told['points_used']} points{left_out}, φ {phi:.1f} deg in the median; {where}.",
+        f"{points} in the median, {middle['median_of_map']:.1f} deg on the map; {where}.",
         f"Factor of safety below 1 on {area:.0%} of the area, 95 %: {low:.0%} to {high:.0%}.",
         f"Of the variance of the factor of safety {share:.0%} is due to φ; {beyond}.",
     ]
