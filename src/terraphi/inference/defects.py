@@ -124,7 +124,8 @@ class Inspection:
     defects
         What was left out, and why.
     zero_N
-        Median of Fx and of Fz in air [N]; ``None`` if next to nothing was read there.
+        How far the zeros of Fx and Fz may be off by what was read in air [N]: a standard error of
+        the median, or the median if it is three of them; ``None`` if next to nothing was read.
     """
 
     history: ForceHistory
@@ -423,10 +424,9 @@ def _offsets(
     for air in (theta < touches_deg[0], theta > touches_deg[1]):
         if air.sum() < NEAR:
             continue
-        mean = np.median(force[air], axis=0)  # a hip a little low meets the soil before
+        mean, error = _median(force[air])  # a hip a little low meets the soil before
         # More than the noise of so many readings makes of none.
-        spread = 1.4826 * np.median(np.abs(force[air] - mean), axis=0)
-        least = np.maximum(OFFSET * span, SURE * 1.2533 * spread / math.sqrt(air.sum()))
+        least = np.maximum(OFFSET * span, SURE * error)
         for axis in np.flatnonzero(np.abs(mean) > least):
             where = (float(theta[air][0]), float(theta[air][-1]))
             name, rows = ("Fx", "Fz")[int(axis)], int(air.sum())
@@ -434,5 +434,13 @@ def _offsets(
     beyond = (theta < touches_deg[0]) | (theta > touches_deg[1])
     if beyond.sum() < NEAR:
         return found, None
-    fx, fz = np.median(force[beyond], axis=0).tolist()
+    mean, error = _median(force[beyond])
+    fx, fz = np.where(np.abs(mean) > 3.0 * error, np.abs(mean), error).tolist()
     return found, (fx, fz)
+
+
+def _median(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Median of each column of normal values and its standard error."""
+    median: FloatArray = np.median(values, axis=0)
+    spread = 1.4826 * np.median(np.abs(values - median), axis=0)
+    return median, 1.2533 * spread / math.sqrt(len(values))

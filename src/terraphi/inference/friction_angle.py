@@ -590,12 +590,12 @@ def _zero(looked: Looked, posterior: Posterior, budget: Budget) -> list[Doubt]:
         return []
     span = np.ptp(np.stack([trial.history.Fx, trial.history.Fz]), axis=1)
     hidden = np.minimum(UNSEEN * span, np.sqrt(FOUND_OUT / budget.offset.chi2_per_N2))
-    sizes = hidden if inspection.zero_N is None else np.array(inspection.zero_N)
+    sizes = hidden if inspection.zero_N is None else np.minimum(hidden, inspection.zero_N)
     moves = np.abs(budget.offset.deg_per_N * sizes)
     axis = int(moves.argmax())
     force, size, change = ("Fx", "Fz")[axis], float(sizes[axis]), float(moves[axis])
     numbers = {"force": force, "size_N": size, "moves_deg": change}
-    doubt = Doubt("zero_unseen" if inspection.zero_N is None else "zero_off", numbers)
+    doubt = Doubt("zero_unseen", numbers)
     low, high = posterior.interval(0.68)
     # Half its half-width: 95 % intervals then hold 92 %.
     return [doubt] if change > 0.25 * (high - low) else []

@@ -104,12 +104,8 @@ DOUBTS = {
         "explain the record."
     ),
     "zero_unseen": (
-        "No reading in air shows the zero of the sensor: an offset of {size_N:.2g} N of {force} "
-        "would hardly show, and move φ by {moves_deg:.2g}°."
-    ),
-    "zero_off": (
-        "In air {force} is {size_N:.2g} N: if the zero of the sensor is off by that, φ is off by "
-        "{moves_deg:.2g}°."
+        "Was the sensor tared? An offset of {size_N:.2g} N of {force} would hardly show, and move "
+        "φ by {moves_deg:.2g}°; readings in air show it."
     ),
     "saturated": (
         "Was the sensor saturated? {force} cut off at {size_N:.3g} N would explain the record."
