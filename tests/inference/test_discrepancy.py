@@ -113,6 +113,11 @@ def test_only_measured_records_have_it(library: Library) -> None:
         assert found.budget.discrepancy == "gp"
     with pytest.raises(InputError, match="none was learnt for leg 'c' of library 'quick"):
         invert(measured, library=quick, leg="c", discrepancy="soils")
+    with pytest.raises(InputError, match="none was learnt for leg 'c' of library 'quick"):
+        invert(measured, library=quick, leg="c", discrepancy=learnt_for(library))
+    together = [Trial(case.history, "straight", "one"), Trial(measured, "c", "other")]
+    with pytest.raises(InputError, match="one is simulated and other is measured"):
+        invert(together, library=library)
 
 
 def test_a_density_that_is_assumed_widens(library: Library) -> None:
