@@ -465,6 +465,7 @@ def _records(looked: Looked, leg: _Leg, found: _Found) -> list[Record]:
             data=looked.data_of(trial),
             simulation=trial.simulation,
             band=band,
+            leg_assumed=trial.leg_assumed,
         )
         for trial, observation in zip(leg.group.trials, leg.group.observations, strict=True)
     ]

@@ -19,6 +19,7 @@ from terraphi.experiment.history import (
     is_dense,
     is_read_again,
 )
+from terraphi.experiment.measurements import Measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
 from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
@@ -44,8 +45,8 @@ class Trial:
         Where it comes from, for people.
     density
         Bulk density of the soil as the source has it [kg/m3]; ``None`` if it is not known.
-    density_assumed
-        Whether that is a guess.
+    density_assumed, leg_assumed
+        Whether that, or the leg, is a guess.
     """
 
     history: ForceHistory
@@ -53,6 +54,19 @@ class Trial:
     source: str = ""
     density: float | None = None
     density_assumed: bool = False
+    leg_assumed: bool = False
+
+    @classmethod
+    def of(cls, one: Measurement, leg: str | None = None) -> Trial:
+        """A measurement, on the leg that is named or else as measured."""
+        return cls(
+            history=one.history,
+            leg=leg or one.leg,
+            source=one.name,
+            density=one.density_kg_m3,
+            density_assumed=one.density_assumed,
+            leg_assumed=one.leg_assumed and leg is None,
+        )
 
     @property
     def simulation(self) -> dict[str, Any]:
