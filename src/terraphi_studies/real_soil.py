@@ -99,12 +99,12 @@ def run(
         return invert(trials, library=through, discrepancy=by)
 
     answers = [
-        _answer(one, inverted(trial_of(one), learnt[medium_and_leg(one.name)[0]])) for one in sands
+        _answer(one, inverted(Trial.of(one), learnt[medium_and_leg(one.name)[0]])) for one in sands
     ]
     joint = []
     for medium in media:
         own = [one for one in sands if medium_and_leg(one.name)[0] == medium]
-        found = inverted([trial_of(one) for one in own], learnt[medium])
+        found = inverted([Trial.of(one) for one in own], learnt[medium])
         joint.append({**_answer(own[0], found), "leg": "all"})
     false = [
         {
@@ -126,11 +126,6 @@ def seen_through(library: Library, one: Measurement) -> Seen:
     data = one.history.observation().vector * own / density
     medium = medium_and_leg(one.name)[0]
     return see(library, medium, one.leg, one.angle_of_repose_deg, data, prepared)
-
-
-def trial_of(one: Measurement) -> Trial:
-    """A measurement as it is inverted."""
-    return Trial(one.history, one.leg, one.name, one.density_kg_m3, one.density_assumed)
 
 
 def false_records(sands: Sequence[Measurement]) -> Iterator[Wrong]:
@@ -160,7 +155,7 @@ def _by_law(kind: str, name: str, leg: str, made: ForceHistory, density: float) 
 def _spoilt(one: Measurement) -> Iterator[Wrong]:
     medium = medium_and_leg(one.name)[0]
     density = one.density_kg_m3 or 0.0
-    right = trial_of(one)
+    right = Trial.of(one)
 
     def record(kind: str, **changes: Any) -> Wrong:
         return Wrong(kind, one.name, medium, replace(right, **changes))

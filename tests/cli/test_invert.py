@@ -43,7 +43,13 @@ def test_a_library_that_tries_others_is_remarked_on(terraphi) -> None:
     assert "try others" not in terraphi("invert", "li2013:yuma/straight", "--library", "rft3d").out
 
 
-def test_a_shipped_record_keeps_its_leg(terraphi, histories) -> None:
+def plain(path: Path) -> None:
+    """Make a simulation a CSV of which nothing is known."""
+    path.write_text("".join(path.read_text(encoding="utf-8").splitlines(True)[1:]), "utf-8")
+
+
+def test_a_shipped_record_keeps_its_leg(terraphi, histories, tmp_path) -> None:
+    plain(tmp_path / "c.csv")
     alone = terraphi("invert", "li2013:yuma/straight", "--leg", "c")
     assert (alone.status, alone.out) == (2, "")
     assert "--leg c: li2013:yuma/straight was measured on leg 'straight'; drop it" in alone.err
@@ -55,6 +61,16 @@ def test_a_shipped_record_keeps_its_leg(terraphi, histories) -> None:
         "invert", "c.csv", "li2013:yuma/straight", *named, "--library", "rft3d", "--json"
     )
     assert {trial["leg"] for trial in json.loads(ran.out)["histories"]} == {"c", "straight"}
+
+
+def test_a_leg_that_nobody_named_is_assumed_in_words(terraphi, histories, tmp_path) -> None:
+    plain(tmp_path / "a.csv")
+    for named, told in (
+        ((), "straight, assumed, library"),
+        (("--leg", "straight"), "straight, lib"),
+    ):
+        ran = terraphi("invert", "a.csv", *named, "--library", "rft3d")
+        assert ran.out.startswith(f"a.csv: leg {told}")
 
 
 def test_several_histories_are_one_data_set(terraphi, histories, tmp_path) -> None:

@@ -16,7 +16,7 @@ from terraphi.inference.inversion import Inversion, Trial, invert
 from terraphi.inference.posterior import quadrature
 from terraphi.inference.prepared_leg import prepare
 from terraphi.library.store import Library
-from terraphi_studies.real_soil import seen_through, trial_of
+from terraphi_studies.real_soil import seen_through
 
 
 @pytest.fixture(scope="module", name="library")
@@ -25,7 +25,7 @@ def _library() -> Library:
 
 
 def inverted(library: Library, name: str, **changes: object) -> Inversion:
-    return invert(replace(trial_of(measurement(name)), **changes), library=library)
+    return invert(replace(Trial.of(measurement(name)), **changes), library=library)
 
 
 def test_the_shipped_file_is_what_is_learnt_from_the_shipped_media(library: Library) -> None:
@@ -66,7 +66,7 @@ def test_an_interval_is_no_narrower_than_soils_differ(library: Library, leg: str
     learnt = learnt_for(library)
     assert learnt is not None
     found = inverted(library, f"li2013:poppy_loose/{leg}")
-    without = invert(trial_of(measurement(f"li2013:poppy_loose/{leg}")), library=library,
+    without = invert(Trial.of(measurement(f"li2013:poppy_loose/{leg}")), library=library,
                      discrepancy="none")  # fmt: skip
     assert found.posterior.sd > max(learnt.level.scale_deg, without.posterior.sd)
     assert found.budget is not None
@@ -75,7 +75,7 @@ def test_an_interval_is_no_narrower_than_soils_differ(library: Library, leg: str
     # A Student distribution of so many degrees of freedom is a little wider than a normal one.
     assert half == pytest.approx(np.sqrt(np.square(degrees).sum()), rel=0.1)
     assert sum(found.budget.shares.values()) == pytest.approx(1.0)
-    all_legs = [trial_of(measurement(f"li2013:poppy_loose/{one}")) for one in learnt.shapes]
+    all_legs = [Trial.of(measurement(f"li2013:poppy_loose/{one}")) for one in learnt.shapes]
     together = invert(all_legs, library=library)
     assert learnt.level.scale_deg < together.posterior.sd < found.posterior.sd
 
@@ -121,6 +121,11 @@ def test_only_measured_records_have_it(library: Library) -> None:
         assert found.budget.discrepancy == "gp"
     with pytest.raises(InputError, match="none was learnt for leg 'c' of library 'quick"):
         invert(measured, library=quick, leg="c", discrepancy="soils")
+    with pytest.raises(InputError, match="none was learnt for leg 'c' of library 'quick"):
+        invert(measured, library=quick, leg="c", discrepancy=learnt_for(library))
+    together = [Trial(case.history, "straight", "one"), Trial(measured, "c", "other")]
+    with pytest.raises(InputError, match="one is simulated and other is measured"):
+        invert(together, library=library)
 
 
 def test_a_density_that_is_assumed_widens(library: Library) -> None:

@@ -175,7 +175,8 @@ def test_two_flawed_trials_are_a_misfit_and_asked_about_by_name(
 
 def test_what_is_refused_names_the_history(library: Library, truth: ForceHistory) -> None:
     short = truth.between(np.radians(-60.0), np.radians(60.0))
-    tiny = replace(truth.scaled(1e-9), provenance={})
+    truth = replace(truth, provenance={})
+    short, tiny = replace(short, provenance={}), truth.scaled(1e-9)
     for bad in (short, tiny):
         trials = [Trial(truth, "straight", "good.csv"), Trial(bad, "straight", "bad.csv")]
         with pytest.raises(InputError, match=r"^bad\.csv: "):

@@ -120,8 +120,8 @@ def test_answer_has_the_keys_that_programs_rely_on(found: Inversion) -> None:
     relied_on = {"phi_deg", "phi_plane_strain_deg", "verdict", "reason", "edge", "nrmsd"}
     relied_on |= {"density_kg_m3", "n_angles", "library", "sampler", "convergence"}
     besides = {"phi_plane_strain_reason", "density_assumed", "source", "leg", "likelihood", "seed"}
-    besides |= {"provenance", "error_budget", "warnings", "data", "measures", "library_reason"}
-    besides |= {"compared_with_known_soils"}
+    besides |= {"provenance", "error_budget", "warnings", "data", "measures", "leg_assumed"}
+    besides |= {"library_reason", "compared_with_known_soils"}
     assert set(answer) == relied_on | besides | {"histories", "parameters", "fixed"}
     assert answer["warnings"] == []
     assert answer["provenance"]["library_hash"]

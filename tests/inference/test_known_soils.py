@@ -14,7 +14,6 @@ from terraphi.inference.discrepancy import learnt_for
 from terraphi.inference.inversion import Trial, invert
 from terraphi.inference.known_soils import Calibration, KnownSoil, angle_with_sd, known_soil
 from terraphi.library.store import Library
-from terraphi_studies.real_soil import trial_of
 
 REPOSE = {"poppy_loose": 36.0, "glass03_close": 35.0, "glass03_loose": 25.0}
 
@@ -59,14 +58,14 @@ def test_calibrated_on_one_medium_the_others_come_out_closer_and_are_held(
 ) -> None:
     library = Library.load(name)
     found = {
-        medium: invert(trial_of(measurement(f"li2013:{medium}/straight")), library=library)
+        medium: invert(Trial.of(measurement(f"li2013:{medium}/straight")), library=library)
         for medium in REPOSE
     }
     before, after, held = [], [], []
     for medium in media:
         calibration = Calibration.of(library, [known_soil(found[medium], REPOSE[medium], 2.0)])
         for other in REPOSE.keys() - {medium}:
-            trial = trial_of(measurement(f"li2013:{other}/straight"))
+            trial = Trial.of(measurement(f"li2013:{other}/straight"))
             answer = invert(trial, library=library, calibration=calibration)
             before.append(found[other].phi.median - REPOSE[other])
             after.append(answer.phi.median - REPOSE[other])
@@ -101,8 +100,8 @@ def test_a_file_is_strict_and_of_one_library(tmp_path: Path) -> None:
 
 def test_forces_are_compared_with_known_soils_in_the_same_apparatus() -> None:
     library = Library.load("resolved")
-    loose = invert(trial_of(measurement("li2013:glass03_loose/c")), library=library)
-    seeds = invert(trial_of(measurement("li2013:poppy_loose/c")), library=library)
+    loose = invert(Trial.of(measurement("li2013:glass03_loose/c")), library=library)
+    seeds = invert(Trial.of(measurement("li2013:poppy_loose/c")), library=library)
     assert loose.compared is not None
     assert seeds.compared is not None
     # The medium itself is not among those that it is compared with.
@@ -117,7 +116,7 @@ def test_forces_are_compared_with_known_soils_in_the_same_apparatus() -> None:
 
 def test_a_calibrated_angle_is_of_plane_strain_and_its_curve_still_fits() -> None:
     library = Library.load("quick-paper")
-    record = trial_of(measurement("li2013:poppy_loose/straight"))
+    record = Trial.of(measurement("li2013:poppy_loose/straight"))
     plain = invert(record, library=library)
     # A library that is off by some 10°: its best curve is still the one at its own angle.
     calibration = Calibration.of(library, [soil(45.0, 33.0)])
@@ -136,7 +135,7 @@ def test_a_calibrated_angle_is_of_plane_strain_and_its_curve_still_fits() -> Non
 
 def test_what_a_calibration_is_not_for_is_refused() -> None:
     library = Library.load("rft3d")
-    record = trial_of(measurement("li2013:poppy_loose/straight"))
+    record = Trial.of(measurement("li2013:poppy_loose/straight"))
     calibration = Calibration.of(library, [known_soil(invert(record, library=library), 36.0, 2.0)])
     for wrong, options in (
         ("drop --likelihood and --discrepancy", {"discrepancy": "none"}),
@@ -158,9 +157,9 @@ def test_what_a_calibration_is_not_for_is_refused() -> None:
 
 def test_a_soil_counts_by_the_error_of_the_librarys_angle_and_not_if_that_is_none() -> None:
     library = Library.load("resolved")
-    record = trial_of(measurement("li2013:poppy_loose/straight"))
+    record = Trial.of(measurement("li2013:poppy_loose/straight"))
     one = known_soil(invert(record, library=library), 36.0, 2.0)
-    legs = [trial_of(measurement(f"li2013:poppy_loose/{leg}")) for leg in ("straight", "c")]
+    legs = [Trial.of(measurement(f"li2013:poppy_loose/{leg}")) for leg in ("straight", "c")]
     two = known_soil(invert(legs, library=library), 36.0, 2.0)
     # Legs err independently, and the spread between soils is in the level already.
     assert two.found_sd_deg == pytest.approx(one.found_sd_deg / np.sqrt(2.0), rel=0.1)

@@ -92,11 +92,11 @@ def calibrate(
 
     Example: terraphi calibrate li2013:poppy_loose/straight --phi 36±2 --out poppy.json
     """
-    from terraphi.cli.invert import legs_of
+    from terraphi.cli.invert import trials_of
     from terraphi.experiment.files import writable
     from terraphi.experiment.measurements import open_forces
     from terraphi.inference.discrepancy import default_library
-    from terraphi.inference.inversion import Trial, invert
+    from terraphi.inference.inversion import invert
     from terraphi.inference.known_soils import Calibration, angle_with_sd, known_soil
     from terraphi.library.store import Library
 
@@ -105,15 +105,11 @@ def calibrate(
         Calibration.load(out)  # what is no calibration is not written over
     known = angle_with_sd(phi)
     measured = [open_forces(source) for source in forces]
-    trials = [
-        Trial(m.history, leg, m.name, m.density_kg_m3, m.density_assumed)
-        for m, leg in zip(measured, legs_of(legs, measured), strict=True)
-    ]
     taken = Library.load(library or default_library([m.history for m in measured])[0])
     before = Calibration.load(earlier) if earlier else None
     if before is not None:
         before.check(taken)
-    found = invert(trials, library=taken, density=density)
+    found = invert(trials_of(legs, measured), library=taken, density=density)
     soil = known_soil(found, *known, medium=medium or measured[0].medium)
     made = before.with_soil(soil) if before else Calibration.of(taken, [soil])
     made.save(out)

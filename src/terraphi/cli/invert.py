@@ -25,7 +25,7 @@ from terraphi.view.console import as_text, print_inversion, print_json, progress
 
 if TYPE_CHECKING:
     from terraphi.experiment.measurements import Measurement
-    from terraphi.inference.inversion import Inversion
+    from terraphi.inference.inversion import Inversion, Trial
 
 DEFAULT_LIKELIHOOD = "calibrated"
 DEFAULT_SAMPLER = "quadrature"
@@ -138,18 +138,15 @@ def invert(
         return
     from terraphi.experiment.measurements import open_forces
     from terraphi.experiment.outputs import check_folder
-    from terraphi.inference.inversion import Trial
     from terraphi.inference.inversion import invert as run
     from terraphi.library.store import Library
 
     if out is not None:
         check_folder(out, kind=KIND, names=MADE)
     measured = [open_forces(source) for source in forces]
-    trials = [
-        Trial(m.history, leg, m.name, m.density_kg_m3, m.density_assumed)
-        for m, leg in zip(measured, legs_of(legs, measured), strict=True)
-    ]
-    found = run(trials, library=Library.load(library) if library else None, **options)
+    found = run(
+        trials_of(legs, measured), library=Library.load(library) if library else None, **options
+    )
     made = () if out is None else save_inversion(found, out)
     if as_json:
         print_json(found.as_dict())
@@ -187,10 +184,12 @@ def tabulate(
     click.echo(f"Written: {table}")
 
 
-def legs_of(legs: Sequence[str], measured: Sequence[Measurement]) -> list[str]:
-    """Shape of each history's leg: as asked for, else as measured."""
+def trials_of(legs: Sequence[str], measured: Sequence[Measurement]) -> list[Trial]:
+    """Each history with its leg: as asked for, else as measured."""
+    from terraphi.inference.inversion import Trial
+
     if not legs:
-        return [m.leg for m in measured]
+        return [Trial.of(one) for one in measured]
     shapes = [legs[0] for _ in measured] if len(legs) == 1 else list(legs)
     if len(shapes) != len(measured):
         raise InputError(
@@ -201,7 +200,7 @@ def legs_of(legs: Sequence[str], measured: Sequence[Measurement]) -> list[str]:
         if one.source and leg != one.leg:
             remedy = "give --leg for each history, in their order" if measured[1:] else "drop it"
             raise InputError(f"--leg {leg}: {one.name} was measured on leg '{one.leg}'; {remedy}")
-    return shapes
+    return [Trial.of(one, leg) for one, leg in zip(measured, shapes, strict=True)]
 
 
 def save_inversion(found: Inversion, place: Path) -> tuple[str, ...]:

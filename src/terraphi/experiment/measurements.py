@@ -54,6 +54,8 @@ class Measurement:
         Fx, Fz [N] over θ.
     leg
         Shape of the leg, as scenarios name it.
+    leg_assumed
+        Whether nobody said so.
     medium
         The soil, for people; empty if unknown.
     density_kg_m3
@@ -74,6 +76,7 @@ class Measurement:
     density_assumed: bool = False
     angle_of_repose_deg: float | None = None
     source: str = ""
+    leg_assumed: bool = False
 
 
 def names() -> tuple[str, ...]:
@@ -187,7 +190,7 @@ def open_forces(source: str | Path) -> Measurement:
         return replace(measurement(str(shipped)), name=named, history=history)
     made_by = history.provenance.get("scenario")
     if made_by is None:
-        return Measurement(name=named, history=history, leg="straight")
+        return Measurement(name=named, history=history, leg="straight", leg_assumed=True)
     try:
         scenario = Scenario.model_validate(made_by)
     except ValidationError as error:

@@ -93,8 +93,8 @@ class Record:
     ----------
     source
         Where the forces come from.
-    leg
-        Shape of the leg.
+    leg, leg_assumed
+        Shape of the leg, and whether nobody said so.
     observation
         The data d.
     readings
@@ -125,6 +125,17 @@ class Record:
     simulation: Mapping[str, Any] = field(default_factory=dict)
     band: FloatArray | None = None
     expected: FloatArray | None = None
+    leg_assumed: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and words, without the forces."""
+        return {
+            "source": self.source,
+            "leg": self.leg,
+            "leg_assumed": self.leg_assumed,
+            "nrmsd": dict(self.nrmsd),
+            "data": dict(self.data),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,6 +351,12 @@ class Inversion:
         return np.array([posterior.quantile(share) for share in shares])[:, None]
 
     @property
+    def legs(self) -> list[str]:
+        """Legs of the histories, with a word on those that are assumed."""
+        assumed = {r.leg for r in self.records if r.leg_assumed}
+        return [f"{leg}, assumed" if leg in assumed else leg for leg in self.by_leg]
+
+    @property
     def by_leg(self) -> dict[str, list[Record]]:
         """The histories of each leg."""
         found: dict[str, list[Record]] = {}
@@ -362,10 +379,10 @@ class Inversion:
         what = self.records[0].source or "a force history"
         if len(self.records) > 1:
             what = f"{len(self.records)} histories"
-        legs = "legs" if len(self.by_leg) > 1 else "leg"
+        leg = "legs" if len(self.by_leg) > 1 else "leg"
         lines = (
             f"Inversion of {what}",
-            f"  {legs} {', '.join(self.by_leg)}, library {self.library}{density}",
+            f"  {leg} {', '.join(self.legs)}, library {self.library}{density}",
             f"  {self.likelihood} likelihood, {self.sampler}",
             *named,
             f"  φ, equivalent in plane strain: {equal}" if equal else "",
@@ -415,10 +432,7 @@ class Inversion:
             "density_kg_m3": self.density,
             "density_assumed": self.density_assumed,
             "n_angles": len(self.records[0].observation.theta_deg),
-            "histories": [
-                {"source": r.source, "leg": r.leg, "nrmsd": dict(r.nrmsd), "data": dict(r.data)}
-                for r in self.records
-            ],
+            "histories": [record.as_dict() for record in self.records],
             "parameters": {key: self._parameter(key) for key in self.keys},
             "fixed": {k: p.low for k, p in self.priors.items() if p.fixed},
             "library": self.library,
@@ -430,8 +444,7 @@ class Inversion:
             "error_budget": self.budget.as_dict() if self.budget else None,
         }
         if len(self.records) == 1:
-            only = told["histories"][0]
-            told |= {name: only[name] for name in ("source", "leg", "nrmsd", "data")}
+            told |= told["histories"][0]
         if self.together is None or self.together.draws is None:
             told["convergence"] = self.posterior.convergence
         if self.together is not None:

@@ -348,18 +348,16 @@ def _learnt(
     looked: Looked, library: Library, asked: str | Learnt | None, leg: str
 ) -> Learnt | None:
     """The discrepancy of real soils, for measured records or where it is asked for."""
-    if isinstance(asked, Learnt):
-        return asked
-    if asked not in (None, "soils"):
+    if asked in ("none", "gp"):
         return None
-    learnt = learnt_for(library)
-    measured = all("scenario" not in t.history.provenance for t in looked.trials)
-    if asked == "soils" and (learnt is None or leg not in learnt.shapes):
+    learnt = asked if isinstance(asked, Learnt) else learnt_for(library)
+    there = learnt and learnt.library_hash == library.hash and leg in learnt.shapes
+    if asked and not there:
         raise InputError(
             f"discrepancy 'soils': none was learnt for leg '{leg}' of library '{library.name}'; "
             "take 'gp'"
         )
-    return learnt if learnt and leg in learnt.shapes and (measured or asked) else None
+    return learnt if there and (asked or not looked.trials[0].simulation) else None
 
 
 def _level(legs: Sequence[_Leg], ways: Ways, core: Posterior, *, assumed: bool) -> Level | None:
@@ -467,6 +465,7 @@ def _records(looked: Looked, leg: _Leg, found: _Found) -> list[Record]:
             data=looked.data_of(trial),
             simulation=trial.simulation,
             band=band,
+            leg_assumed=trial.leg_assumed,
             expected=one.learnt.expected(leg.group.leg, best)
             if isinstance(one, SoilLikelihood)
             else None,

@@ -23,7 +23,7 @@ from terraphi.inference.findings import Doubt
 from terraphi.inference.known_soils import Calibration, Compared, compared
 from terraphi.inference.noise import Noise
 from terraphi.inference.prior import Marginal, is_on, priors
-from terraphi.inference.trials import Looked, Trial, common_density, look
+from terraphi.inference.trials import Looked, Trial, check_origin, common_density, look
 from terraphi.library.shipped import is_there_to_try_others
 from terraphi.library.store import Library
 from terraphi.surrogate.training import DENSITY, is_of_several, parameters
@@ -125,6 +125,7 @@ def invert(
     _check_options(likelihood, sampler, noise, discrepancy)
     began = time.perf_counter()
     trials, why = _trials(histories, leg, source), ""
+    check_origin(trials)
     if library is None:
         name, why = default_library([trial.history for trial in trials])
         library = _shipped(name)
@@ -201,7 +202,7 @@ def _by_soils(
             "a calibration is for the likelihood and the discrepancy that it was made with, the "
             "defaults; drop --likelihood and --discrepancy, or the calibration"
         )
-    if any("scenario" in trial.history.provenance for trial in trials):
+    if any(trial.simulation for trial in trials):
         raise InputError("a calibration is for measured forces; drop it for simulated ones")
     return found
 

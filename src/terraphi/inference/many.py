@@ -24,7 +24,8 @@ log = logging.getLogger(__name__)
 RECORDS = (".csv", ".nc")
 """Suffixes of the records in a folder."""
 COLUMNS = (
-    "source", "leg", "phi_deg", "phi_sd_deg", "phi_ci68_low_deg", "phi_ci68_high_deg",
+    "source", "leg", "leg_assumed", "phi_deg", "phi_sd_deg", "phi_ci68_low_deg",
+    "phi_ci68_high_deg",
     "phi_ci95_low_deg", "phi_ci95_high_deg", "yield", "phi_plane_strain_deg",
     "phi_plane_strain_ci95_low_deg", "phi_plane_strain_ci95_high_deg", "verdict", "reason", "edge",
     "nrmsd_Fx", "nrmsd_Fz", "density_kg_m3", "density_assumed", "library", "likelihood", "seconds",
@@ -92,9 +93,7 @@ def invert_many(
 def _inverted(
     source: str | Path, library: Library | None, leg: str | None, options: dict[str, Any]
 ) -> Inversion:
-    one = open_forces(source)
-    trial = Trial(one.history, leg or one.leg, one.name, one.density_kg_m3, one.density_assumed)
-    return invert(trial, library=library, **options)
+    return invert(Trial.of(open_forces(source), leg), library=library, **options)
 
 
 def _row(found: Inversion) -> dict[str, Any]:
@@ -102,6 +101,7 @@ def _row(found: Inversion) -> dict[str, Any]:
     phi, plane, record = found.phi, found.phi_plane_strain, found.record
     told: dict[str, Any] = {
         "leg": record.leg,
+        "leg_assumed": record.leg_assumed,
         "phi_deg": phi.median,
         "phi_sd_deg": found.marginal["soil.friction_angle_deg"].sd,
         "yield": found.convention,

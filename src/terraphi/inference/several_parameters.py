@@ -263,6 +263,7 @@ def _records(looked: Looked, target: Target, point: Mapping[str, float]) -> tupl
                     nrmsd=nrmsd(seen.vector, best),
                     data=looked.data_of(trial),
                     simulation=trial.simulation,
+                    leg_assumed=trial.leg_assumed,
                 )
             )
     return tuple(found)

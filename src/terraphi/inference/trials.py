@@ -19,6 +19,7 @@ from terraphi.experiment.history import (
     is_dense,
     is_read_again,
 )
+from terraphi.experiment.measurements import Measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
 from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
@@ -44,8 +45,8 @@ class Trial:
         Where it comes from, for people.
     density
         Bulk density of the soil as the source has it [kg/m3]; ``None`` if it is not known.
-    density_assumed
-        Whether that is a guess.
+    density_assumed, leg_assumed
+        Whether that, or the leg, is a guess.
     """
 
     history: ForceHistory
@@ -53,6 +54,19 @@ class Trial:
     source: str = ""
     density: float | None = None
     density_assumed: bool = False
+    leg_assumed: bool = False
+
+    @classmethod
+    def of(cls, one: Measurement, leg: str | None = None) -> Trial:
+        """A measurement, on the leg that is named or else as measured."""
+        return cls(
+            history=one.history,
+            leg=leg or one.leg,
+            source=one.name,
+            density=one.density_kg_m3,
+            density_assumed=one.density_assumed,
+            leg_assumed=one.leg_assumed and leg is None,
+        )
 
     @property
     def simulation(self) -> dict[str, Any]:
@@ -240,6 +254,18 @@ def grouped(trials: Sequence[Trial]) -> list[Repeats]:
     return found
 
 
+def check_origin(trials: Sequence[Trial]) -> None:
+    """Refuse simulated histories beside measured ones: they are of no one soil."""
+    simulated, measured = (
+        [t for t in trials if bool(t.simulation) is kind] for kind in (True, False)
+    )
+    if simulated and measured:
+        raise InputError(
+            f"{simulated[0].source} is simulated and {measured[0].source} is measured; histories "
+            "that are inverted together are of one soil: invert them apart"
+        )
+
+
 def common_density(trials: Sequence[Trial]) -> tuple[float | None, bool]:
     """Density that the sources agree on [kg/m3], and whether it is a guess.
 
@@ -248,18 +274,18 @@ def common_density(trials: Sequence[Trial]) -> tuple[float | None, bool]:
     InputError
         If they do not agree.
     """
-    known = {t.density: t for t in trials if t.density is not None}
-    if len(known) > 1:
-        one, other = list(known.values())[:2]
+    known = [t for t in trials if t.density is not None]
+    one = next(iter(known), None)
+    if one is None:
+        return None, True
+    other = next((t for t in known if t.density != one.density), None)
+    if other is not None:
         raise InputError(
             f"{one.source} is of soil of {one.density:g} kg/m³ and {other.source} of "
             f"{other.density:g} kg/m³; histories that are inverted together are of one soil: give "
             "its density, or invert them apart"
         )
-    if not known:
-        return None, True
-    ((density, trial),) = known.items()
-    return density, trial.density_assumed
+    return one.density, all(t.density_assumed for t in known)
 
 
 def check_trials(

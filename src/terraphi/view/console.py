@@ -54,10 +54,11 @@ def _title(found: Inversion) -> str:
     """What was inverted, and with what."""
     assumed = ", assumed" if found.density_assumed else ""
     density = "" if found.density is None else f", density {found.density:g} kg/m³{assumed}"
-    of = [f"{len(records)} of leg {leg}" for leg, records in found.by_leg.items()]
+    counts = map(len, found.by_leg.values())
+    of = [f"{n} of leg {leg}" for n, leg in zip(counts, found.legs, strict=True)]
     what = f"{len(found.records)} histories ({', '.join(of)})"
     if len(found.records) == 1:
-        what = f"{found.source}: leg {found.leg}"
+        what = f"{found.source}: leg {found.legs[0]}"
     calibrated = ", calibrated" if "calibration" in found.provenance else ""
     return f"{what}, library {found.library}{calibrated}{density}"
 

@@ -25,10 +25,7 @@ def answers(sources: Sequence[str]) -> list[Inversion]:
     from terraphi.inference.inversion import Trial, invert
 
     trials = [Trial(known_record(), "straight", f"simulated, φ = {TRUTH_DEG:g}°")]
-    for source in sources:
-        one = measurement(source)
-        density, assumed = one.density_kg_m3, one.density_assumed
-        trials.append(Trial(one.history, one.leg, source, density, assumed))
+    trials += [Trial.of(measurement(source)) for source in sources]
     return [invert(trial) for trial in trials]
 
 

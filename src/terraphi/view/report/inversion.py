@@ -332,14 +332,16 @@ def _numbers(answer: Mapping[str, Any]) -> Table:
         for name, angle in angles
     ]
     misfit = " and ".join(f"{100.0 * answer['nrmsd'][f]:.1f} % ({f})" for f in ("Fx", "Fz"))
-    assumed = ", assumed" if answer.get("density_assumed") else ""
+    density, leg = (
+        ", assumed" if answer.get(f"{what}_assumed") else "" for what in ("density", "leg")
+    )
     return Table(
         title="In numbers",
         header=("", "median", "68 %", "95 %"),
         rows=rows,
         note=(
-            f"Leg {answer['leg']}, library {answer['library']}, density "
-            f"{answer['density_kg_m3']:g} kg/m³{assumed}. The curve at the median deviates from "
+            f"Leg {answer['leg']}{leg}, library {answer['library']}, density "
+            f"{answer['density_kg_m3']:g} kg/m³{density}. The curve at the median deviates from "
             f"the {_origin(answer)} forces by {misfit} of their peak-to-peak."
         ),
     )
