@@ -13,8 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import check_is_file, damage_told, plain_number, read_bytes, read_whole
+from terraphi.experiment.files import (
+    check_is_file,
+    damage_told,
+    plain_number,
+    read_bytes,
+    read_whole,
+)
 from terraphi.terrain.raster import Elevation
+from terraphi.terrain.simulators import LEAST_DEG
 
 FloatArray = NDArray[np.float64]
 
@@ -24,8 +31,6 @@ OF_FOOTFALLS = ("t_s", "foot", "surface_m", "sinkage_m", "verdict")
 """What the table of a walk's footfalls has besides."""
 USABLE = "usable"
 """Verdict of footfalls that are taken."""
-LEAST_DEG = 2.0
-"""No soil has less [deg]; angles in radians are all below."""
 STEEPEST_DEG = 60.0
 """Friction angles of the field lie below this [deg]."""
 FEWEST = 3
@@ -82,9 +87,7 @@ def start_from(text: str) -> Start:
     return Start(x, y, bearing)
 
 
-def read_points(
-    path: Path, dem: Elevation, start: Start | None = None
-) -> tuple[Points, Any, Any]:
+def read_points(path: Path, dem: Elevation, start: Start | None = None) -> tuple[Points, Any, Any]:
     """Read points, and look them up in an elevation model.
 
     Parameters
@@ -115,8 +118,8 @@ def read_points(
     there = np.isfinite(list(given.values())).all(axis=0)
     missing = columns["usable"] & ~there
     if missing.any():
-        first = names[int(np.argmax(missing))]
-        raise InputError(f"{path}, {first}: a value is missing or no number")
+        named = names[int(np.argmax(missing))]
+        raise InputError(f"{path}, {named}: a value is missing or no number")
     there &= columns["usable"]
     if start is not None:
         given["x_m"], given["y_m"] = start.placed(given["x_m"], given["y_m"])
