@@ -53,6 +53,19 @@ def test_dry_and_cohesionless_it_is_the_distribution_of_phi(hill, points, slope_
     assert found.layers["fs_median"][middle].mean() == pytest.approx(ratio, rel=0.01)
 
 
+def test_a_common_error_is_not_learnt_from_scatter(hill, points) -> None:
+    rng = np.random.default_rng(3)
+    x, y = walked(rng, count=150)
+    phi = 36.0 + rng.normal(0.0, 2.0, x.size)
+    found = map_slopes(points(x, y, phi, 0.5, 4.0), hill(), prior=DRY, draws=16)
+    middle = (slice(20, 40), slice(20, 40))
+    # Level and common error share what is above the level's prior by their variances.
+    level = LEVEL_SD / (to_logit(36.5) - to_logit(35.5))
+    wanted = 36.0 + (CENTRE_DEG - 36.0) * 4.0**2 / (4.0**2 + level**2)
+    assert found.layers["phi_median"][middle].mean() == pytest.approx(wanted, abs=0.4)
+    assert found.layers["phi_sd"][middle].mean() == pytest.approx(3.7, abs=0.4)
+
+
 def test_two_strata_on_one_slope(hill, points) -> None:
     rng = np.random.default_rng(1)
     x, y = walked(rng, count=60)

@@ -3,13 +3,14 @@ r"""φ over a terrain: a Gaussian process on a logit scale, from points with the
 With :math:`z = \mathrm{logit}(\tan\varphi / \tan 60°)`,
 
 .. math:: z(x) = \mu + s(x) + \sum_j \beta_j c_j(x), \qquad
-    z_i = z(x_i) + b\, z'(\varphi_i) + \varepsilon_i + \eta_i
+    z_i = z(x_i) + b\, z'(\operatorname{med}\varphi) + \varepsilon_i + \eta_i
 
 where s is a Matérn process (ν = 3/2) over the horizontal place, the c are elevation, slope and
 whatever raster is given, each of mean 0 and standard deviation 1 over the map, b is the error that
-all points have in common, the variance of ε is each point's own and that of η what the soil varies
-over distances too short for the map. Variances of s and η and the length of s maximise the
-evidence; μ, β and b are integrated with priors of fixed width. All of it is scikit-learn's.
+all points have in common, told at their median, the variance of ε is each point's own and that of η
+what the soil varies over distances too short for the map. Variances of s and η and the length of s
+maximise the evidence; μ, β and b are integrated with priors of fixed width. All of it is
+scikit-learn's.
 """
 
 from __future__ import annotations
@@ -140,8 +141,9 @@ def fit(
     inner = np.tan(phi) / STEEPEST
     per_degree = np.radians(1.0) / np.cos(phi) ** 2 / STEEPEST / (inner * (1.0 - inner))
     count = covariates.shape[1]
-    # The last column carries the common error: it is 0 where the map is asked for.
-    common = per_degree * points.shared_sd_deg
+    # The last column carries the common error: it is 0 where the map is asked for. One z' for all:
+    # that of each point goes with its own error, from which the common one would seem to be learnt.
+    common = np.median(per_degree) * points.shared_sd_deg
     inputs = np.column_stack([points.x_m - x0, points.y_m - y0, covariates, common])
     bounds = (INTERVALS_PER_LENGTH * step, 10.0 * side)
     linear = DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")

@@ -142,6 +142,9 @@ def read_points(path: Path, dem: Elevation, start: Start | None = None) -> tuple
             f"{path}: has {there.sum()} usable points of {there.size}; a map needs {FEWEST}"
         )
     kept = {name: values[there] for name, values in given.items()}
+    if columns["walk"]:
+        # One error: that it weighs a little more where φ is larger is no knowledge of it.
+        kept[SHARED][:] = kept[SHARED].mean()
     row, column = _on(path, kept, [n for n, ok in zip(names, there, strict=True) if ok], dem)
     return Points(str(path), **kept, left_out=int((~there).sum())), row, column
 
@@ -221,7 +224,8 @@ def _from_csv(path: Path) -> tuple[dict[str, Any], str, list[str]]:
     }
     found.setdefault(SHARED, np.zeros(len(table)))
     found["usable"] = np.ones(len(table), bool)
-    if "verdict" in table:
+    found["walk"] = "verdict" in table
+    if found["walk"]:
         found["usable"] = (table["verdict"] == USABLE).to_numpy(bool)
     return found, "".join(named[:1]), [f"line {line}" for line in rows[1:]]
 
@@ -240,7 +244,8 @@ def _from_netcdf(path: Path) -> tuple[dict[str, Any], str, list[str]]:
         for name in (*NEEDED, SHARED)
     }
     found["usable"] = np.ones(count, bool)
-    if "verdict" in file:
+    found["walk"] = "verdict" in file
+    if found["walk"]:
         found["usable"] = np.asarray(file["verdict"].values).astype(str) == USABLE
     crs = str(file.attrs.get("crs", ""))
     return found, crs, [f"footfall {i}" for i in range(count)]
