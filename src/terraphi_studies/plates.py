@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import check_is_file, plain_number
 from terraphi.forward.foot_laws import LAWS
+from terraphi.robot.footfall_files import CI95
 from terraphi.robot.footfall_fit import SHARED, SOIL, Fit, Prior, fit, shared_sd
 from terraphi.robot.touchdowns import Touchdowns
+from terraphi.view.plots import BLUE, GREEN, ORANGE, PURPLE
 from terraphi.view.table import Table
 from terraphi_studies import Study
 
@@ -36,7 +38,6 @@ REPOSE_DEG = 29.0
 """Its angle of repose; there is no shear test [deg]."""
 WINDOWS = ((2.0, 8.0), (8.0, 16.0), (16.0, 26.0))
 """Of sinkage [mm]."""
-CI95 = 1.96
 CONTACT_SD = 5e-4
 """Of the first contact, which the measurement has found already [m]."""
 
@@ -257,7 +258,7 @@ def _figure(
     middles = [0.5 * (a + b) for a, b in WINDOWS]
     widths = sorted({test.diameter_mm for test in tests})
     for i, (law, found) in enumerate(by_law.items()):
-        colour = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")[i % 4]
+        colour = (BLUE, ORANGE, GREEN, PURPLE)[i]
         shift = np.array([t.diameter_mm for t in tests]) + 1.2 * (i - 1.5)
         left.plot(shift, found.phi, "o", ms=4, color=colour, label=law)
         for width, style in zip(widths, ("-", "--", ":", "-."), strict=False):

@@ -25,6 +25,7 @@ from terraphi.robot.joint_log import JointLog
 from terraphi.robot.model import Quadruped
 
 Walk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["Walk"]
+GO2 = Quadruped.load("go2")
 COLUMNS = ("time", "angle", "velocity", "torque", "quaternion", "angular_velocity", "acceleration")
 
 
@@ -83,7 +84,7 @@ def test_one_by_one_agrees_with_the_whole_log(walked: Any, found: FootfallMap) -
 @pytest.mark.slow
 def test_torques_of_another_unit_are_refused(walked: Any) -> None:
     log = walked[2]
-    with pytest.raises(InputError, match="no footfall can be told: the feet bear 1.9"):
+    with pytest.raises(InputError, match=r"no footfall can be told: the feet bear 1\.9"):
         find_footfalls(replace(log, torque=2.0 * log.torque))
 
 
@@ -118,6 +119,20 @@ def test_a_log_without_attitude_is_refused() -> None:
     log = JointLog(np.arange(50) / 500.0, still, still, still)
     with pytest.raises(InputError, match="has no attitude"):
         find_footfalls(log)
+
+
+@pytest.mark.parametrize(
+    ("robot", "law", "words"),
+    [
+        (GO2, "rtf", "law 'rtf' is unknown"),
+        (GO2.model_copy(update={"foot_radius": 0.0}), "rft", "lacks its foot_radius"),
+    ],
+)
+def test_a_stream_that_cannot_answer_says_so_at_once(
+    robot: Quadruped, law: str, words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        Footfalls(robot, law=law)
 
 
 @pytest.mark.parametrize("text", ["x=0:0.5,phi=34±1", "x = 0.5 : 0, phi = 34 +- 1"])

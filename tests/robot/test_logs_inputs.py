@@ -213,6 +213,7 @@ def test_csv_of_an_sdk_by_a_map_of_its_columns(log: JointLog, tmp_path: Path) ->
         ("q_{motor}", "q_3", "'angle' 1 different names; 12 are expected"),
         ('"qx", ', "", "'quaternion' 3 different names; 4 are expected"),
         ('"ms"', '"min"', "time_unit"),
+        ('"ms"', '"us"', "look at the units of times"),
         ("torque", "torqe", "did you mean 'torque'"),
     ],
 )

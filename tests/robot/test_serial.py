@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ from terraphi.robot.forces import estimate
 from terraphi.robot.joint_log import FEET, JointLog, joint_place
 from terraphi.robot.kinematics import foot_position, jacobian
 from terraphi.robot.model import Quadruped
+from terraphi.robot.touchdowns import sensitivity
 
 ROBOTS = {
     "anymal_c_simple_description/urdf/anymal.urdf": "LF_FOOT",
@@ -151,3 +153,7 @@ def test_forces_of_a_robot_that_stands_come_out(pair: Pair) -> None:
     assert np.isfinite(found.sigma).all()
     said = any("across their plane" in line for line in found.provenance["assumed"])
     assert said == (not there.all())
+    # A gain of one per cent adds what footfalls take it to add.
+    more = estimate(replace(log, torque=1.01 * log.torque), robot=robot).force[..., 2]
+    added = sensitivity(log, robot).gain.sum(axis=-1)
+    np.testing.assert_allclose(100.0 * (more - found.force[..., 2]), added, rtol=1e-2, atol=0.1)

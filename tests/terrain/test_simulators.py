@@ -232,6 +232,7 @@ def test_words_of_the_command_line_are_those_of_the_table() -> None:
         (lambda: simulator("geotaichi").from_angle(65.0), "take dpType Circumscribed"),
         (lambda: simulator("chrono-scm").from_angle(30.0, "triaxial"), "no triaxial compression"),
         (lambda: converted(120.0, "genesis"), "between 0 and 90 deg"),
+        (lambda: converted(0.6, "genesis"), "radians?"),
         (lambda: converted(0.0, "newton"), "between 0 and 2"),
         (lambda: converted(0.95, "newton", "geotaichi"), "cannot be as strong"),
     ],

@@ -176,7 +176,8 @@ def slope_map(
 
     POINTS is a CSV with the columns x_m,y_m,phi_deg,sd_deg and, if known, shared_sd_deg (of an
     error that all points have in common), in the coordinate system of the DEM; or the NetCDF or
-    CSV of 'terraphi footfalls', with --start. A foot probes centimetres and slopes fail at metres: see the page on maps.
+    CSV of 'terraphi footfalls', with --start. A foot probes centimetres and slopes fail at metres:
+    see the page on maps.
 
     Example: terraphi map points.csv --dem dem.tif --out slopes
     """

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.forward import bearing
-from terraphi.forward.rft import SCALE_POLYNOMIAL, stress_per_depth_3d, stress_scale
+from terraphi.forward.rft import stress_per_depth_3d, stress_scale
 
 FloatArray = NDArray[np.float64]
 
@@ -129,15 +129,8 @@ class ResistiveForce:
         """
         table = _table(foot.shape, float(surface_friction))
         unit = _interpolated(table, np.asarray(depth) / foot.radius, np.asarray(descent))
-        scale = np.asarray(rft_scale(friction_angle_deg, density)) * foot.radius**3
+        scale = stress_scale(friction_angle_deg, density) * foot.radius**3
         return np.asarray(scale[..., None] * unit)
-
-
-def rft_scale(friction_angle_deg: ArrayLike, density: float) -> FloatArray:
-    """ξ [N/m³] of :func:`~terraphi.forward.rft.stress_scale` for many friction angles [deg]."""
-    mu = np.tan(np.radians(friction_angle_deg))
-    cubic, square, linear = SCALE_POLYNOMIAL
-    return np.asarray(density * GRAVITY * mu * (linear + mu * (square + mu * cubic)))
 
 
 class BearingCapacity:

@@ -24,13 +24,12 @@ al. in loose poppy seeds this is also what the published figures of the second l
 from __future__ import annotations
 
 import logging
-import math
 import time
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
@@ -290,7 +289,7 @@ def stress_per_depth_2d(
     return np.asarray(alpha, dtype=np.float64)
 
 
-def stress_scale(friction_angle_deg: float, density: float) -> float:
+def stress_scale(friction_angle_deg: ArrayLike, density: float) -> FloatArray:
     r"""Stress per depth :math:`\xi = \rho g (894\mu^3 - 386\mu^2 + 89\mu)` of a medium.
 
     Agarwal et al. (2023); :math:`\mu = \tan\varphi`.
@@ -298,18 +297,18 @@ def stress_scale(friction_angle_deg: float, density: float) -> float:
     Parameters
     ----------
     friction_angle_deg
-        φ of this law [deg].
+        φ of this law [deg], of any shape.
     density
         Bulk density ρ [kg/m³].
 
     Returns
     -------
-    float
-        ξ [N/m³].
+    ndarray
+        ξ [N/m³], of the same shape.
     """
-    mu = math.tan(math.radians(friction_angle_deg))
+    mu = np.tan(np.radians(friction_angle_deg))
     cubic, square, linear = SCALE_POLYNOMIAL
-    return density * GRAVITY * (cubic * mu**3 + square * mu**2 + linear * mu)
+    return np.asarray(density * GRAVITY * mu * (linear + mu * (square + mu * cubic)))
 
 
 def stress_per_depth_3d(

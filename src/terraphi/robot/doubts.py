@@ -106,7 +106,9 @@ def doubts(log: JointLog, robot: Quadruped, forces: FootForces, found: Balance |
         grave += weight if not low < found.lift < high else []
         tilted = forces.frame == "body"
         if found.push > MOST_PUSH and not (tilted or legs or weight or angles):
-            push = f"the feet push the robot sideways with {found.push:.0%} of its weight on average"
+            push = (
+                f"the feet push the robot sideways with {found.push:.0%} of its weight on average"
+            )
             legs = [f"{push}: are the angles' zeros and the attitude right?"]
             grave += legs if found.push > BELIEVABLE_PUSH else []
     return Doubts((*weight, *angles, *legs), tuple(grave))

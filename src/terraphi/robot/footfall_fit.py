@@ -314,7 +314,7 @@ def _at_mode(
     shared[:, SHARED.index("law_offset")] = 1.0
     shared[:, SHARED.index("law_slope")] = state[:, 0] - prior.phi_deg
     chi = np.einsum("nk,nkl,nl->n", left, weight, left)
-    free = np.maximum(_independent(seen) - 2.0, 1.0)
+    free = np.maximum(seen.used.sum(axis=1) - 2.0, 1.0)
     misfit = chi / free
     depth = seen.drop + state[:, 1:2] + state[:, 2:3] * seen.time
     depth = np.where(seen.used, depth, -np.inf)
@@ -330,11 +330,6 @@ def _at_mode(
     sinkage = np.where(found, sinkage, 0.0)
     gained = np.where(rising.any(axis=1), bottom - top, 0.0)
     return Fit(state[:, 0], sd, state[:, 1], state[:, 2], sinkage, gained, misfit, shared)
-
-
-def _independent(seen: Touchdowns) -> FloatArray:
-    """Number of samples of a touch-down, less what their noise has in common."""
-    return np.asarray(seen.used.sum(axis=1), dtype=np.float64)
 
 
 def _of_soil(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> list[FloatArray]:

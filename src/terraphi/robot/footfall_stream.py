@@ -2,7 +2,8 @@
 
 Each footfall is answered :data:`~terraphi.robot.touchdowns.WINDOW_S` after its touch-down, by the
 same touch-down and fit as for a whole log. What takes the whole log is left out: friction has to be
-known beforehand, gains are not weighed, and nothing is pooled.
+known beforehand, gains are not weighed, nothing is pooled, nobody sees that a foot stands where one
+has stood before, and a log that cannot be right is not doubted.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
+from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.estimators import GAP_STEPS, Settings, contact_torque, signals
 from terraphi.robot.footfall_fit import LAW_SETS, Prior, fit, shared_sd
-from terraphi.robot.footfalls import USABLE, average, verdicts
+from terraphi.robot.footfalls import USABLE, average, check_known, verdicts
 from terraphi.robot.forces import (
     ACCELERATION_CUTOFF_HZ,
     DEFAULT_ESTIMATOR,
@@ -26,7 +28,7 @@ from terraphi.robot.forces import (
 )
 from terraphi.robot.friction import JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
-from terraphi.robot.kinematics import inverse_transpose, jacobian
+from terraphi.robot.kinematics import forces_of_torques
 from terraphi.robot.model import Quadruped
 from terraphi.robot.odometry import track
 from terraphi.robot.results import RISE_SHARE
@@ -66,6 +68,11 @@ class Footfalls:
         What is known of soil, foot, sensors and law.
     law
         One of :data:`~terraphi.robot.footfall_fit.LAW_SETS`.
+
+    Raises
+    ------
+    InputError
+        If the law is unknown, or the robot's masses or foot radius are.
     """
 
     def __init__(
@@ -76,6 +83,7 @@ class Footfalls:
         prior: Prior | None = None,
         law: str = "rft",
     ) -> None:
+        check_known(law, robot)
         self._robot, self._friction, self._law = robot, friction, law
         self._prior = replace(prior or Prior(), radius=robot.foot_radius)
         self._log: JointLog | None = None
@@ -83,7 +91,7 @@ class Footfalls:
         self._waiting: dict[int, float] = {}
         """Foot to the time of its touch-down, until its loading is over."""
         self._stands = np.zeros(4, dtype=bool)
-        self._rise = RISE_SHARE * robot.mass * 9.81
+        self._rise = RISE_SHARE * robot.mass * GRAVITY
 
     def update(self, block: JointLog) -> list[Footfall]:
         """Take the next samples.
@@ -103,10 +111,12 @@ class Footfalls:
         InputError
             If the block has no attitude, or does not follow the one before.
         """
+        if not len(block.time):
+            return []
         if block.quaternion is None:
             raise InputError("the block has no attitude, without which nobody knows where down is")
         last = self._log
-        if last is not None and len(block.time) and block.time[0] <= last.time[-1]:
+        if last is not None and block.time[0] <= last.time[-1]:
             raise InputError(
                 f"the block begins at {block.time[0]:.4f} s, the last one ended at "
                 f"{last.time[-1]:.4f} s; it should follow"
@@ -133,7 +143,7 @@ class Footfalls:
         seen = signals(log, self._robot, part)
         torque = contact_torque(seen, self._robot, settings, self._friction)
         low = -self._robot.foot_radius * seen.turn[:, None, 2, :]
-        inverse, _ = inverse_transpose(jacobian(self._robot, seen.angle, offset=low))
+        inverse, _ = forces_of_torques(self._robot, seen.angle, offset=low)
         force = np.einsum("sij,sfjk,sfk->sfi", seen.turn, inverse, torque)
         return np.concatenate([known[:first], force[first - (part.start or 0) :]])
 

@@ -176,17 +176,15 @@ def find_footfalls(
         If the log cannot be used, has no attitude, or its forces are not those of this robot; if an
         option is unknown or an anchor lies off the path.
     """
-    if law not in LAW_SETS:
-        raise InputError(f"law '{law}' is unknown; {nearest(law, LAW_SETS)}")
     body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
+    check_known(law, body)
     name = "the log" if isinstance(log, JointLog) else str(log)
-    if body.foot_radius <= 0.0:
-        raise InputError(f"robot '{body.name}' lacks its foot_radius, which footfalls need [m]")
-    if not isinstance(log, JointLog):
+    if isinstance(log, JointLog):
+        log = regular(log)
+    else:
         log = read_log(
             log, topic=topic, joint_names=joint_names, motors=body.joint_order, columns=columns
         )
-    log = regular(log)
     if log.quaternion is None:
         raise InputError(f"{name}: has no attitude, without which nobody knows where down is")
     chosen = replace(prior or Prior(), radius=body.foot_radius)
@@ -210,6 +208,15 @@ def find_footfalls(
         "prior": asdict(chosen), "anchors": [anchor._asdict() for anchor in anchors],
         "terraphi": importlib.metadata.version("terraphi"), "forces": found.provenance(),
     })  # fmt: skip
+
+
+def check_known(law: str, robot: Quadruped) -> None:
+    """Raise InputError if a law is unknown, or a robot's feet or masses are."""
+    if law not in LAW_SETS:
+        raise InputError(f"law '{law}' is unknown; {nearest(law, LAW_SETS)}")
+    if robot.foot_radius <= 0.0 or not robot.has_masses:
+        lacks = "masses of its links" if robot.foot_radius > 0.0 else "foot_radius"
+        raise InputError(f"robot '{robot.name}' lacks its {lacks}, which footfalls need")
 
 
 def average(fits: Sequence[Fit]) -> Fit:

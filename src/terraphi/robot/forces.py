@@ -29,7 +29,7 @@ from terraphi.robot.estimators import (
 )
 from terraphi.robot.friction import JointFriction
 from terraphi.robot.joint_log import FEET, JOINTS, JointLog
-from terraphi.robot.kinematics import completed, inverse_transpose, jacobian, rotation
+from terraphi.robot.kinematics import forces_of_torques, rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.survey import Survey, survey
 
@@ -245,8 +245,7 @@ def _leverage(
     offset = None
     if settings.estimator != "quasi_static" and robot.foot_radius > 0.0:
         offset = -robot.foot_radius * turn[:, None, 2, :]
-    matrix = completed(robot, jacobian(robot, angle, offset=offset))
-    inverse, lever = inverse_transpose(matrix)
+    inverse, lever = forces_of_torques(robot, angle, offset=offset)
     links = np.linalg.norm(robot.chain.origin[:, 2:], axis=-1).sum(axis=-1)
     near = lever < LEAST_LEVER * links
     if frame == "heading":

@@ -115,7 +115,29 @@ def _with_offset(
     return columns[0] + about_x, columns[1] + about_y, columns[2] + about_y
 
 
-def completed(robot: Quadruped, matrix: FloatArray) -> FloatArray:
+def forces_of_torques(
+    robot: Quadruped, angle: FloatArray, *, offset: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """What torques of the joints are at the foot, J⁻ᵀ, although a leg may have two joints.
+
+    Parameters
+    ----------
+    robot
+        Geometry of the legs.
+    angle
+        [rad], shape [..., foot, joint].
+    offset
+        As in :func:`jacobian`.
+
+    Returns
+    -------
+    tuple of ndarray
+        As of :func:`inverse_transpose`.
+    """
+    return inverse_transpose(_completed(robot, jacobian(robot, angle, offset=offset)))
+
+
+def _completed(robot: Quadruped, matrix: FloatArray) -> FloatArray:
     """Jacobians that can be inverted although a leg has two joints.
 
     What they cannot feel, a force across the plane in which they move the foot, is taken to be

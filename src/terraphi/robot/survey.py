@@ -26,7 +26,7 @@ from terraphi.robot.friction import (
     spread,
 )
 from terraphi.robot.joint_log import JointLog
-from terraphi.robot.kinematics import completed, foot_position, inverse_transpose, jacobian
+from terraphi.robot.kinematics import foot_position, forces_of_torques
 from terraphi.robot.model import Quadruped
 
 FloatArray = NDArray[np.float64]
@@ -184,7 +184,7 @@ def _alternate(
 def _lift(seen: Signals, robot: Quadruped, inner: slice) -> FloatArray:
     """Vertical row of J⁻ᵀ in the world; zero where J cannot be inverted."""
     up = seen.turn[inner][:, 2, :]
-    inverse, _ = inverse_transpose(completed(robot, jacobian(robot, seen.angle[inner])))
+    inverse, _ = forces_of_torques(robot, seen.angle[inner])
     row = np.einsum("sk,sfkj->sfj", up, inverse)
     return np.where(np.isfinite(row), row, 0.0)
 

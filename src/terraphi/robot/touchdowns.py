@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from terraphi.robot.forces import FootForces
 from terraphi.robot.friction import smooth_sign
 from terraphi.robot.joint_log import FEET, JointLog
-from terraphi.robot.kinematics import inverse_transpose, jacobian, rotation
+from terraphi.robot.kinematics import forces_of_torques, rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.odometry import Motion
 from terraphi.robot.stance import Stance
@@ -112,8 +112,8 @@ def sensitivity(log: JointLog, robot: Quadruped) -> Sensitivity:
     """
     assert log.quaternion is not None, "forces in the world's frame need it as well"
     up = rotation(log.quaternion)[:, 2, :]
-    offset = -robot.foot_radius * up[:, None, :] if robot.has_masses else None
-    inverse, _ = inverse_transpose(jacobian(robot, np.asarray(log.angle), offset=offset))
+    low = -robot.foot_radius * up[:, None, :]
+    inverse, _ = forces_of_torques(robot, np.asarray(log.angle), offset=low)
     row = np.nan_to_num(np.einsum("sk,sfkj->sfj", up, inverse))
     return Sensitivity(-row * log.torque, -row * smooth_sign(np.asarray(log.velocity)))
 

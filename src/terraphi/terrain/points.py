@@ -13,8 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import check_is_file, damage_told, plain_number, read_bytes, read_whole
+from terraphi.experiment.files import (
+    check_is_file,
+    damage_told,
+    plain_number,
+    read_bytes,
+    read_whole,
+)
 from terraphi.terrain.raster import Elevation
+from terraphi.terrain.simulators import LEAST_DEG
 
 FloatArray = NDArray[np.float64]
 
@@ -24,8 +31,6 @@ OF_FOOTFALLS = ("t_s", "foot", "surface_m", "sinkage_m", "verdict")
 """What the table of a walk's footfalls has besides."""
 USABLE = "usable"
 """Verdict of footfalls that are taken."""
-LEAST_DEG = 2.0
-"""No soil has less [deg]; angles in radians are all below."""
 STEEPEST_DEG = 60.0
 """Friction angles of the field lie below this [deg]."""
 FEWEST = 3
@@ -82,9 +87,7 @@ def start_from(text: str) -> Start:
     return Start(x, y, bearing)
 
 
-def read_points(
-    path: Path, dem: Elevation, start: Start | None = None
-) -> tuple[Points, Any, Any]:
+def read_points(path: Path, dem: Elevation, start: Start | None = None) -> tuple[Points, Any, Any]:
     """Read points, and look them up in an elevation model.
 
     Parameters
@@ -115,8 +118,8 @@ def read_points(
     there = np.isfinite(list(given.values())).all(axis=0)
     missing = columns["usable"] & ~there
     if missing.any():
-        first = names[int(np.argmax(missing))]
-        raise InputError(f"{path}, {first}: a value is missing or no number")
+        named = names[int(np.argmax(missing))]
+        raise InputError(f"{path}, {named}: a value is missing or no number")
     there &= columns["usable"]
     if start is not None:
         given["x_m"], given["y_m"] = start.placed(given["x_m"], given["y_m"])
@@ -139,6 +142,9 @@ def read_points(
             f"{path}: has {there.sum()} usable points of {there.size}; a map needs {FEWEST}"
         )
     kept = {name: values[there] for name, values in given.items()}
+    if columns["walk"]:
+        # One error: that it weighs a little more where φ is larger is no knowledge of it.
+        kept[SHARED][:] = kept[SHARED].mean()
     row, column = _on(path, kept, [n for n, ok in zip(names, there, strict=True) if ok], dem)
     return Points(str(path), **kept, left_out=int((~there).sum())), row, column
 
@@ -218,7 +224,8 @@ def _from_csv(path: Path) -> tuple[dict[str, Any], str, list[str]]:
     }
     found.setdefault(SHARED, np.zeros(len(table)))
     found["usable"] = np.ones(len(table), bool)
-    if "verdict" in table:
+    found["walk"] = "verdict" in table
+    if found["walk"]:
         found["usable"] = (table["verdict"] == USABLE).to_numpy(bool)
     return found, "".join(named[:1]), [f"line {line}" for line in rows[1:]]
 
@@ -237,7 +244,8 @@ def _from_netcdf(path: Path) -> tuple[dict[str, Any], str, list[str]]:
         for name in (*NEEDED, SHARED)
     }
     found["usable"] = np.ones(count, bool)
-    if "verdict" in file:
+    found["walk"] = "verdict" in file
+    if found["walk"]:
         found["usable"] = np.asarray(file["verdict"].values).astype(str) == USABLE
     crs = str(file.attrs.get("crs", ""))
     return found, crs, [f"footfall {i}" for i in range(count)]

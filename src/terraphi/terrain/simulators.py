@@ -24,6 +24,8 @@ MATCHES: tuple[Match, ...] = get_args(Match)
 DP_TYPES = ("Circumscribed", "MiddleCircumscribed", "Inscribed")
 """Cones that GeoTaichi knows; it takes the second where none is named."""
 DEFAULT_DP_TYPE = "MiddleCircumscribed"
+LEAST_DEG = 2.0
+"""No soil has less [deg]; angles in radians are all below."""
 
 
 def ratio_of_angle(phi_deg: float, match: Match = "plane-strain") -> float:
@@ -177,6 +179,11 @@ class Simulator:
             raise InputError(
                 f"{self.parameter} = {value:g}: in {self.title} it lies between 0 and "
                 f"{self.most:g}{' deg' if self.unit else ''}"
+            )
+        if self.unit and value < LEAST_DEG:
+            raise InputError(
+                f"{self.parameter} = {value:g}: {self.title} takes degrees, and no soil has below "
+                f"{LEAST_DEG:g}; radians?"
             )
         return value
 

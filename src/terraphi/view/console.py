@@ -228,7 +228,10 @@ def print_pairs(pairs: dict[str, Any]) -> None:
     """Names and values, one a line."""
     width = max(map(len, pairs))
     for name, value in pairs.items():
-        click.echo(f"{name:<{width}}  {words(value)}")
+        # Sentences stand one a line.
+        lines = value if name == "notes" and value else [value]
+        for i, line in enumerate(lines):
+            click.echo(f"{'' if i else name:<{width}}  {words(line)}")
 
 
 def words(value: Any) -> str:

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from terraphi.robot.footfalls import USABLE, FootfallMap
-from terraphi.view.plots import GREY
+from terraphi.view.plots import BLUE, GREY, ORANGE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 COLOUR_MAP = "viridis"
-BLUE, ORANGE = "#0072B2", "#D55E00"
 
 
 def footfalls_figure(found: FootfallMap) -> Figure:

@@ -58,7 +58,7 @@ def map_figure(found: SlopeMap) -> Figure:
 
 def _hatched(axes: Any, where: Any, extent: tuple[float, float, float, float]) -> None:
     """Hatch a part of a map."""
-    if where.any() and not where.all():
+    if where.any():
         axes.contourf(
             where.astype(float), levels=[0.5, 1.5], colors="none", hatches=["////"],
             extent=extent, origin="upper",

@@ -39,6 +39,8 @@ _REMEDIES = {
 }
 _IMU = ("quaternion", "angular_velocity", "acceleration", "foot_counts")
 _MOTION_SAMPLES = 20_000
+_FASTEST = 30.0
+"""Mean speed of joints that no robot has [rad/s]."""
 _FRACTIONS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 _ROWS = 65_536
 _FIRST_ROWS = 4_096
@@ -259,6 +261,11 @@ class Collector:
         usual = steps <= 1.5 * np.median(steps)
         moved = float(np.abs(np.diff(angle[part], axis=0) / steps).mean(where=usual))
         said = float(np.abs(velocity[part][1:]).mean(where=usual))
+        if moved > _FASTEST:
+            raise InputError(
+                f"{self._path}: the joints' angles change by {moved:.3g} rad/s on average, no more "
+                f"than {_FASTEST:g} are expected; look at the units of times and angles"
+            )
         for unit, number in _FRACTIONS.items():
             if said > 0.3 and 0.5 * number < said / max(moved, 1e-12) < 2.0 * number:
                 raise InputError(
