@@ -88,6 +88,16 @@ def test_the_mean_deviation_explains_most_of_a_record(library: Library, name: st
     assert np.sum((data - record.expected) ** 2) < 0.3 * np.sum((data - record.best) ** 2)
 
 
+def test_a_soil_that_it_was_learnt_from_is_said_to_be(library: Library) -> None:
+    shipped = Trial.of(measurement("li2013:yuma/c"))
+    plain = replace(shipped, history=replace(shipped.history, provenance={}))
+    told = [
+        [doubt.code for doubt in invert(trial, library=library).warnings]
+        for trial in (shipped, plain)
+    ]
+    assert told == [["known_soil"], []]
+
+
 def test_real_soils_are_consistent_and_other_records_are_not(library: Library) -> None:
     glass = "li2013:glass03_close/straight"
     right = measurement(glass).history

@@ -16,9 +16,10 @@ from typing import Any, Literal, NamedTuple
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import medium_and_leg
 from terraphi.inference import friction_angle, several_parameters
 from terraphi.inference.answer import PHI, AngleSummary, Inversion, plane_strain_summary
-from terraphi.inference.discrepancy import Learnt, default_library
+from terraphi.inference.discrepancy import Learnt, default_library, learnt_for
 from terraphi.inference.findings import Doubt
 from terraphi.inference.known_soils import Calibration, Compared, compared
 from terraphi.inference.noise import Noise
@@ -157,6 +158,7 @@ def invert(
     if by_soils is not None:
         told = {"calibration": by_soils.model_dump(mode="json")}
         found = replace(found, provenance={**found.provenance, **told})
+    found = replace(found, warnings=(*found.warnings, *_known_soils(looked, found, library)))
     beside = _compared(looked, found, library)
     found = replace(found, library_reason=why, compared=beside)
     return _signed(found, library, time.perf_counter() - began)
@@ -216,6 +218,16 @@ def _compared(looked: Looked, found: Inversion, library: Library) -> Compared | 
         for r, t in zip(found.records, looked.trials, strict=True)
     ]
     return compared(forces, found.density, library.cases[0].scenario)
+
+
+def _known_soils(looked: Looked, found: Inversion, library: Library) -> list[Doubt]:
+    """A doubt where a discrepancy was learnt from the very medium that is judged by it."""
+    learnt = learnt_for(library)
+    if learnt is None or all(one.code != "soil_deviation" for one in found.verdict.measures):
+        return []
+    shipped = (str(t.history.provenance.get("measurement", "")) for t in looked.trials)
+    known = {medium_and_leg(name)[0] for name in shipped} & set(learnt.media)
+    return [Doubt("known_soil", {"medium": medium}) for medium in sorted(known)]
 
 
 def _trials(

@@ -142,8 +142,13 @@ DOUBTS = {
     **dict.fromkeys(
         ("dropout", "held", "spike", "clipped"), "{readings} left out: {what} {where}."
     ),
-    **dict.fromkeys(
-        ("step", "offset"), "{force} shows {what}: {size_N:.2g} N {where}. Mend the record."
+    **dict.fromkeys(("step",), "{force} shows {what}: {size_N:.2g} N {where}. Mend the record."),
+    "offset": (
+        "{force} shows {what}: {size_N:.2g} N {where}. Mend the record; or is the leg another?"
+    ),
+    "known_soil": (
+        "How real soils deviate was learnt from {medium} too, which flatters this verdict: "
+        "'terraphi study real_soil' leaves it out."
     ),
 }
 """Sentence of each doubt."""

@@ -54,6 +54,10 @@ UNCHECKED = "consistent, with a library whose intervals nobody has checked"
 OTHER_LIKELIHOOD = (
     "consistent; its intervals were not checked, only those of the calibrated likelihood"
 )
+OF_SIMULATED = (
+    "That of the library is of simulated forces. How often the intervals of measured ones hold the "
+    "angle of repose is what 'terraphi study real_soil' says."
+)
 OWN_PRIOR = "consistent; its interval rests on the prior that was given, and was not checked"
 UNCHECKED_TOGETHER = (
     "consistent; nobody has checked how often intervals of several histories or parameters hold "
@@ -212,6 +216,8 @@ def _belief(answer: Mapping[str, Any], used: Library | None) -> tuple[Status, st
     status = STATUS.get(str(answer["verdict"]), "none")
     if status != "good":
         return status, ""
+    if _as_soils(answer):
+        return status, ""
     if used is None:
         return "doubtful", UNKNOWN
     if str(answer["leg"]) not in certificate_of(used):
@@ -221,6 +227,11 @@ def _belief(answer: Mapping[str, Any], used: Library | None) -> tuple[Status, st
     if _has_own_prior(answer, used):
         return "doubtful", OWN_PRIOR
     return status, ""
+
+
+def _as_soils(answer: Mapping[str, Any]) -> bool:
+    """Whether measured forces were compared with how real soils deviate from the model."""
+    return any(one.get("code") == "soil_deviation" for one in answer.get("measures", ()))
 
 
 def _has_own_prior(answer: Mapping[str, Any], used: Library) -> bool:
@@ -240,6 +251,8 @@ def _bounds_deg(answer: Mapping[str, Any], used: Library) -> tuple[float, float]
 def _certificate(answer: Mapping[str, Any], library: Library) -> list[Part]:
     """The library's certificate, but for forces of which it says nothing."""
     leg = str(answer["leg"])
+    if _as_soils(answer):
+        return [Text("No certificate", (OF_SIMULATED,), wide=False)]
     if leg in certificate_of(library) and _has_own_prior(answer, library):
         why = f"That of library {library.name} is of a uniform prior; this answer had another."
         return [Text("No certificate", (why,), wide=False)]
