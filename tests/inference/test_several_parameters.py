@@ -17,6 +17,8 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward import simulate
 from terraphi.inference.answer import Inversion, Summary
+from terraphi.inference.explanation import Explanation
+from terraphi.inference.findings import Doubt
 from terraphi.inference.inversion import invert
 from terraphi.inference.noise import Noise
 from terraphi.inference.prior import Marginal
@@ -28,10 +30,10 @@ from terraphi.inference.several_parameters import (
     _window_noise,
 )
 from terraphi.inference.target import LegLikelihood, Target
-from terraphi.inference.trials import Trial, grouped, warnings_on
+from terraphi.inference.trials import Looked, Repeats, Trial, Tried, grouped
 from terraphi.inference.verdict import EDGE_DENSITY
 from terraphi.surrogate.design import DesignSurrogate
-from terraphi.surrogate.training import training
+from terraphi.surrogate.training import Training, training
 from terraphi.view.plots import corner_figure, fits_figure
 
 PHI, DENSITY, FRICTION = "soil.friction_angle_deg", "soil.density", "leg.friction"
@@ -190,6 +192,30 @@ def test_an_edge_that_a_misfit_only_reaches_is_a_misfit(
         assert edge.value == pytest.approx(density, abs=0.03)
 
 
+def warnings_on(group: Repeats, data: Training, density: float | None) -> list[Doubt]:
+    curves = data.forces * (1.0 if density is None else (density / data.density)[:, None])
+    looked = Looked(group.trials, (), (group,))
+    return looked.doubts_on(group, data.scenario, curves, density, varied=data.bounds)
+
+
+def test_a_slip_that_explains_a_history_is_asked_about_once(two_parameters, trial) -> None:
+    right, data = trial("straight").history, training(two_parameters, "straight")
+    turned = Trial(ForceHistory(right.position, right.force * [1.0, -1.0]), "straight")
+    (group,) = grouped([turned])
+    asked = Explanation(question=Doubt("turned_Fz"))
+    looked = Looked((turned,), (), (group,))
+    for fits, misfit, said in (
+        (False, True, ["turned_Fz"]),
+        (True, True, ["runs_against"]),
+        (False, False, ["runs_against"]),
+    ):
+        tried = [Tried(turned, asked, fits)]
+        found = looked.doubts_on(
+            group, data.scenario, data.forces, 1650.0, tried=tried, misfit=misfit
+        )
+        assert [doubt.code for doubt in found] == said
+
+
 def test_a_history_of_another_model_is_named_and_not_believed_blindly(
     two_parameters, trial
 ) -> None:
@@ -203,13 +229,13 @@ def test_a_history_of_another_model_is_named_and_not_believed_blindly(
     assert not other.made_as(data)
     (group,) = grouped([other])
     (said,) = warnings_on(group, data, None)
-    assert (said.code, said.source) == ("unlike", "other")
+    assert said.code == "unlike"
     assert said.numbers["differences"] == [("rft.panels", 20, 40)]
     known = warnings_on(group, data, 1500.0)
     assert (known[1].code, known[1].numbers["used"]) == ("other_density", 1500.0)
     found = invert([other], library=two_parameters, noise=NOISE_N)
     assert found.together.discrepancy == "gp"
-    assert found.warnings == (replace(said, source=""),)
+    assert found.warnings == (said,)
 
 
 def test_records_read_at_other_angles_are_told(two_parameters, trial) -> None:

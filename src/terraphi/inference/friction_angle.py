@@ -36,7 +36,7 @@ from terraphi.inference.answer import (
 )
 from terraphi.inference.budget import Budget, budget_of
 from terraphi.inference.calibrated import CalibratedLikelihood, Problem
-from terraphi.inference.checks import doubts, unlike
+from terraphi.inference.checks import unlike
 from terraphi.inference.discrepancy import (
     ACCEPTED,
     ALONE,
@@ -45,8 +45,8 @@ from terraphi.inference.discrepancy import (
     SoilLikelihood,
     learnt_for,
 )
-from terraphi.inference.explanation import OFFSETS, explain
-from terraphi.inference.findings import Doubt, Measure, Side, Verdict
+from terraphi.inference.explanation import explain
+from terraphi.inference.findings import Doubt, Measure, Verdict
 from terraphi.inference.fit import SMALLEST_PROBABILITY, fit_without_discrepancy
 from terraphi.inference.identifiability import Identifiability
 from terraphi.inference.known_soils import Calibration
@@ -55,7 +55,7 @@ from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature, tabulated
 from terraphi.inference.prepared_leg import prepare
 from terraphi.inference.prior import Marginal
-from terraphi.inference.trials import Looked, Repeats, Trial, check_trials, read_twice
+from terraphi.inference.trials import Looked, Repeats, Tried, beyond, check_trials
 from terraphi.inference.verdict import (
     NRMSD_LIMIT,
     Edge,
@@ -486,8 +486,7 @@ def _judged(
     normal = found.prior.normal
     measures: list[Measure] = []
     warnings, budget = looked.damage, None
-    questions: list[tuple[Doubt, Trial]] = []
-    beyond: set[Side | None] = set()
+    tried: list[Tried] = []
     for leg in legs:
         best = _best(leg, found)
         trials = zip(leg.group.trials, leg.group.observations, leg.each, strict=True)
@@ -498,12 +497,7 @@ def _judged(
             limit = NRMSD_LIMIT if ways.likelihood == "paper" else None
             own += deviations(nrmsd(observation.vector, best), most=limit, source=source)
             measures += own
-            fits = not any(measure.exceeded for measure in own)
-            if not fits:
-                beyond.add(why.beyond)
-            # Noise may hide a flat top, and a smaller angle fit what is left of it.
-            if why.question is not None and (not fits or why.question.code == "saturated"):
-                questions.append((why.question, trial))
+            tried.append(Tried(trial, why, fits=not any(measure.exceeded for measure in own)))
     if looked.several:
         measures += [*_together_as_soils(legs), _agreement(legs, found)]
     if normal is not None:
@@ -513,15 +507,19 @@ def _judged(
         measures,
         _edge(legs, found, ways),
         kind="soil" if worst else ways.likelihood,
-        beyond=beyond.pop() if len(beyond) == 1 else None,
+        beyond=beyond(tried),
         numbers=worst,
     )
-    misfit = verdict.verdict == "misfit"
-    asked = [pair for pair in questions if misfit or pair[0].code == "saturated"]
     budget = None if looked.several or normal is not None else budget
     if verdict.verdict == "consistent" and budget is not None:
         warnings = [*warnings, *_zero(looked, found.posterior, budget)]
-    return verdict, [*warnings, *_doubts(looked, legs, asked)], budget
+    misfit = verdict.verdict == "misfit"
+    for leg in legs:
+        density, curves = leg.scale * leg.scenario.soil.density, leg.scale * leg.curves
+        warnings = warnings + looked.doubts_on(
+            leg.group, leg.scenario, curves, density, tried=tried, misfit=misfit
+        )
+    return verdict, warnings, budget
 
 
 def _fit_of(
@@ -629,30 +627,6 @@ def _against(free: Posterior, normal: tuple[float, float]) -> Measure:
     mean, sd = normal
     apart = (free.median - mean) ** 2 / (free.sd**2 + sd**2)
     return Measure("prior_agreement", float(chdtrc(1, apart)), least=SMALLEST_PROBABILITY)
-
-
-def _doubts(
-    looked: Looked, legs: Sequence[_Leg], questions: Sequence[tuple[Doubt, Trial]]
-) -> list[Doubt]:
-    """Questions and doubts about each history."""
-    found: list[Doubt] = []
-    asked = {id(trial): question for question, trial in questions}
-    for leg in legs:
-        own = leg.scenario.soil.density
-        density = leg.scale * own
-        for trial, observation in zip(leg.group.trials, leg.group.observations, strict=True):
-            question = asked.get(id(trial))
-            # A zero that is seen to be off is told as such.
-            if looked.spoilt and question is not None and question.code in OFFSETS:
-                question = None
-            said = [question, unlike(trial.history, leg.scenario, leg.group.leg)]
-            curves = leg.scale * leg.curves
-            is_asked = question is not None
-            said += doubts(trial.history, observation, curves, density, asked=is_asked)
-            source = trial.source if looked.several else ""
-            found += [replace(one, source=source) for one in said if one is not None]
-        found += read_twice(leg.group)
-    return found
 
 
 def _times(likelihood: LogLikelihood, prior: Marginal) -> LogLikelihood:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from terraphi.inference.answer import (
     Together,
     plane_strain_summary,
 )
-from terraphi.inference.explanation import Explanation, explain
+from terraphi.inference.explanation import explain
 from terraphi.inference.findings import Doubt, Side, Verdict
 from terraphi.inference.identifiability import Identifiability, label
 from terraphi.inference.noise import Noise, window_covariance
@@ -27,7 +26,7 @@ from terraphi.inference.posterior import Posterior, quadrature
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws, sample
 from terraphi.inference.target import JointLikelihood, LegLikelihood, Target
-from terraphi.inference.trials import Looked, Repeats, check_trials, warnings_on
+from terraphi.inference.trials import Looked, Repeats, Tried, beyond, check_trials
 from terraphi.inference.verdict import (
     AT_EDGE,
     EDGE_DENSITY,
@@ -109,16 +108,7 @@ def infer(
             steps=steps,
             walkers=max(32, 4 * len(keys)),
         )
-        answer = _answer(looked, library, target, draws, density_assumed)
-    verdict = damaged(answer.verdict) if looked.spoilt else answer.verdict
-    asked = answer.warnings if verdict.verdict == "misfit" else ()
-    warnings = [*looked.damage, *asked]
-    for group, one in zip(groups, data, strict=True):
-        found = warnings_on(group, one, _density_of(priors, one))
-        warnings += found if looked.several else [replace(d, source="") for d in found]
-    if not draws.converged:
-        warnings.append(Doubt("not_converged"))
-    return replace(answer, verdict=verdict, warnings=tuple(warnings))
+        return _answer(looked, data, library, target, draws, density_assumed)
 
 
 def _checked(looked: Looked, library: Library, marginals: Mapping[str, Marginal]) -> list[Training]:
@@ -176,7 +166,12 @@ def _window_noise(
 
 
 def _answer(
-    looked: Looked, library: Library, target: Target, draws: Draws, density_assumed: bool
+    looked: Looked,
+    data: Sequence[Training],
+    library: Library,
+    target: Target,
+    draws: Draws,
+    density_assumed: bool,
 ) -> Inversion:
     groups = looked.groups
     d, scenario = len(target.keys), library.cases[0].scenario
@@ -202,8 +197,11 @@ def _answer(
         draws=draws,
     )
     records = _records(looked, target, point)
-    why = _explained(records, groups, target, point)
-    verdict = _judge(target, flat, identifiability, records, beyond=_beyond(records, why))
+    tried = _tried(records, groups, target, point)
+    verdict = _judge(target, flat, identifiability, records, beyond=beyond(tried))
+    warnings = [*looked.damage, *_doubts(looked, data, target, tried, verdict)]
+    if not draws.converged:
+        warnings.append(Doubt("not_converged"))
     return Inversion(
         records=records,
         library=library.name,
@@ -218,12 +216,8 @@ def _answer(
         plane_strain_reason=why_not,
         density=known,
         density_assumed=known is not None and (density_assumed or DENSITY not in point),
-        verdict=verdict,
-        warnings=tuple(
-            replace(one.question, source=record.source if looked.several else "")
-            for record, one in zip(records, why, strict=True)
-            if one.question is not None
-        ),
+        verdict=damaged(verdict) if looked.spoilt else verdict,
+        warnings=tuple(warnings),
         together=together,
     )
 
@@ -269,32 +263,50 @@ def _records(looked: Looked, target: Target, point: Mapping[str, float]) -> tupl
     return tuple(found)
 
 
-def _explained(
+def _tried(
     records: Sequence[Record],
     groups: Sequence[Repeats],
     target: Target,
     point: Mapping[str, float],
-) -> list[Explanation]:
+) -> list[Tried]:
     """What would explain each history, on the curves over φ through the best point."""
     if PHI not in target.keys:
-        return [Explanation() for _ in records]
+        return []
     phi = np.linspace(target.priors[PHI].low, target.priors[PHI].high, CURVES)
     along = {k: np.full(CURVES, v) for k, v in point.items()} | {PHI: phi}
     curves = {
         group.leg: leg.surrogate.predict(along)[0]
         for group, leg in zip(groups, target.likelihood.legs, strict=True)
     }
-    return [explain(r.observation.vector, curves[r.leg], phi) for r in records]
+    trials = (trial for group in groups for trial in group.trials)
+    return [
+        Tried(
+            trial,
+            explain(r.observation.vector, curves[r.leg], phi),
+            fits=max(r.nrmsd.values()) <= NRMSD_LIMIT,
+        )
+        for trial, r in zip(trials, records, strict=True)
+    ]
 
 
-def _beyond(records: Sequence[Record], why: Sequence[Explanation]) -> Side | None:
-    """End of the library beyond which an angle would explain all histories that do not fit."""
-    ends = {
-        one.beyond
-        for record, one in zip(records, why, strict=True)
-        if max(record.nrmsd.values()) > NRMSD_LIMIT
-    }
-    return ends.pop() if len(ends) == 1 else None
+def _doubts(
+    looked: Looked,
+    data: Sequence[Training],
+    target: Target,
+    tried: Sequence[Tried],
+    verdict: Verdict,
+) -> list[Doubt]:
+    """Questions and doubts about each history."""
+    found: list[Doubt] = []
+    for group, one in zip(looked.groups, data, strict=True):
+        density, curves = _density_of(target.priors, one), one.forces
+        if density is not None:
+            curves = curves * (density / one.density)[:, None]
+        found += looked.doubts_on(
+            group, one.scenario, curves, density, tried=tried,
+            misfit=verdict.verdict == "misfit", varied=one.bounds,
+        )  # fmt: skip
+    return found
 
 
 def _plane_strain(

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,8 @@ from terraphi.experiment.measurements import Measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
 from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
-from terraphi.inference.findings import Doubt
+from terraphi.inference.explanation import OFFSETS, Explanation
+from terraphi.inference.findings import Doubt, Side
 from terraphi.inference.words import of_doubt
 from terraphi.library.store import Library
 from terraphi.surrogate.training import Training
@@ -135,6 +136,28 @@ class Repeats:
         return np.stack([o.vector for o in self.observations])
 
 
+class Tried(NamedTuple):
+    """A history, what would explain it, and whether it fits as it stands."""
+
+    trial: Trial
+    why: Explanation
+    fits: bool
+
+    def question(self, *, misfit: bool) -> Doubt | None:
+        """What is asked about it, if the verdict is a misfit or is none."""
+        asked = self.why.question
+        # Noise may hide a flat top, and a smaller angle fit what is left of it.
+        if asked is None or asked.code == "saturated" or (misfit and not self.fits):
+            return asked
+        return None
+
+
+def beyond(tried: Sequence[Tried]) -> Side | None:
+    """End of the library beyond which an angle would explain all histories that do not fit."""
+    ends = {one.why.beyond for one in tried if not one.fits}
+    return ends.pop() if len(ends) == 1 else None
+
+
 @dataclass(frozen=True, eq=False)
 class Looked:
     """Histories that were looked at, without what is not to be believed of them.
@@ -171,6 +194,51 @@ class Looked:
             for trial, inspection in zip(self.trials, self.inspections, strict=True)
             for doubt in inspection.doubts
         ]
+
+    def doubts_on(
+        self,
+        repeats: Repeats,
+        scenario: Scenario,
+        curves: FloatArray,
+        density: float | None,
+        *,
+        tried: Sequence[Tried] = (),
+        misfit: bool = False,
+        varied: Iterable[str] = (),
+    ) -> list[Doubt]:
+        """Questions on the trials of a leg, and why they may not be what they were taken for.
+
+        Parameters
+        ----------
+        repeats
+            Trials of one leg.
+        scenario
+            Any of the library's for it.
+        curves
+            The library's, at that density [N], shape [case, 2 theta].
+        density
+            Density that the trials are inverted with [kg/m3]; ``None`` if it is inferred.
+        tried
+            What would explain histories, these among them.
+        misfit
+            Whether that is the verdict.
+        varied
+            Keys in which they may differ from the library.
+        """
+        found: list[Doubt] = []
+        asked = {id(one.trial): one.question(misfit=misfit) for one in tried}
+        for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
+            question = asked.get(id(trial))
+            # A zero that is seen to be off is told as such.
+            if self.spoilt and question is not None and question.code in OFFSETS:
+                question = None
+            said = [question, unlike(trial.history, scenario, repeats.leg, varied=varied)]
+            is_asked = question is not None
+            said += doubts(trial.history, observation, curves, density, asked=is_asked)
+            source = trial.source if self.several else ""
+            found += [replace(one, source=source) for one in said if one is not None]
+        numbers = {"leg": repeats.leg, "spacing_deg": DENSE_DEG}
+        return found + [Doubt("read_twice", numbers, t.source) for t in repeats.read_twice]
 
     def data_of(self, trial: Trial) -> dict[str, Any]:
         """What was found in a history, as plain numbers."""
@@ -320,32 +388,3 @@ def check_trials(
         with named(trial, several):
             check_magnitudes(density, observation, scenario)
             check_same_setup(trial.history, scenario, varied=varied)
-
-
-def read_twice(repeats: Repeats) -> list[Doubt]:
-    """Doubts about coarse records that are compared at other angles than their own."""
-    numbers = {"leg": repeats.leg, "spacing_deg": DENSE_DEG}
-    return [Doubt("read_twice", numbers, trial.source) for trial in repeats.read_twice]
-
-
-def warnings_on(repeats: Repeats, training: Training, density: float | None) -> list[Doubt]:
-    """Why the trials of a leg may not be what they were taken for.
-
-    Parameters
-    ----------
-    repeats
-        Trials of one leg.
-    training
-        What the library holds of it.
-    density
-        Density that the trials are inverted with [kg/m3]; ``None`` if it is inferred.
-    """
-    found = read_twice(repeats)
-    curves = training.forces
-    if density is not None:
-        curves = curves * (density / training.density)[:, None]
-    for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
-        other = unlike(trial.history, training.scenario, repeats.leg, varied=training.bounds)
-        said = [*filter(None, [other]), *doubts(trial.history, observation, curves, density)]
-        found += [replace(one, source=trial.source) for one in said]
-    return found
