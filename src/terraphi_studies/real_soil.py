@@ -17,7 +17,7 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import Measurement, measurement, medium_and_leg, names
 from terraphi.forward import simulate
 from terraphi.inference.answer import Inversion
-from terraphi.inference.discrepancy import FOLDER, Learnt, Seen, learn, see
+from terraphi.inference.discrepancy import FOLDER, Fitted, Learnt, Seen, learn
 from terraphi.inference.inversion import Trial, invert
 from terraphi.inference.prepared_leg import prepare
 from terraphi.library.store import Library
@@ -124,8 +124,9 @@ def seen_through(library: Library, one: Measurement) -> Seen:
     own = prepared.curves.scenario.soil.density
     density = own if one.density_kg_m3 is None else one.density_kg_m3
     data = one.history.observation().vector * own / density
-    medium = medium_and_leg(one.name)[0]
-    return see(library, medium, one.leg, one.angle_of_repose_deg, data, prepared)
+    fitted = Fitted.of(prepared, data, np.ptp(data.reshape(2, -1), axis=1))
+    medium, theta_deg = medium_and_leg(one.name)[0], prepared.surrogate.theta_deg
+    return Seen(medium, one.leg, one.angle_of_repose_deg, fitted, theta_deg)
 
 
 def false_records(sands: Sequence[Measurement]) -> Iterator[Wrong]:

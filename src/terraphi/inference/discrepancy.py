@@ -371,30 +371,6 @@ def _size(
     return float(z @ np.linalg.solve(kernel, z))
 
 
-def see(
-    library: Library, medium: str, leg: str, repose_deg: float | None, data: FloatArray,
-    prepared: PreparedLeg,
-) -> Seen:  # fmt: skip
-    """Fit a measured record, to learn from it.
-
-    Parameters
-    ----------
-    library
-        Through which.
-    medium, leg, repose_deg
-        What was measured.
-    data
-        Its observation vector at the density of the library [N], shape [2 theta].
-    prepared
-        The leg of the library, for the record's readings.
-    """
-    spans = np.ptp(data.reshape(2, -1), axis=1)
-    if leg not in library.legs:
-        raise InputError(f"library '{library.name}' has no leg '{leg}'; it has {library.legs}")
-    theta = prepared.surrogate.theta_deg
-    return Seen(medium, leg, repose_deg, Fitted.of(prepared, data, spans), theta)
-
-
 def learn(
     library: Library,
     seen: Sequence[Seen],

@@ -97,10 +97,12 @@ def _remarks(found: Inversion, several: bool) -> list[str]:
     if found.library_reason:
         told.append(f"Library {found.library} for {found.library_reason}.")
     if found.compared is not None:
-        low, high = max(found.compared.low_deg, 0.0), found.compared.high_deg
+        ends = found.compared.low_deg, found.compared.high_deg
+        low, high = (min(max(end, 0.0), 90.0) for end in ends)
+        right = ", if the density is right" if found.density_assumed else ""
         told.append(
-            f"Without a library, by the size of the forces compared with known soils: between "
-            f"{low:.0f} and {high:.0f}°."
+            f"By the size of the forces alone, beside known soils: an angle of repose of {low:.0f} "
+            f"to {high:.0f}°{right}."
         )
     if found.together is not None and found.verdict.verdict != "misfit":
         told += found.together.identifiability.sentences()
