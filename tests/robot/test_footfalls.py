@@ -99,6 +99,7 @@ def test_a_log_of_exchanged_legs_tells_no_footfall() -> None:
 def test_the_weight_is_spoken_of_once() -> None:
     log = Walk(duration=5.0).log()[0]
     found = find_footfalls(replace(log, torque=1.25 * log.torque))
+    assert "density 1550 ± 80 kg/m³, assumed" in found.notes
     assert sum("weight" in note for note in found.notes) == 1
 
 

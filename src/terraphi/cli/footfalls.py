@@ -80,7 +80,7 @@ def footfalls(
     from terraphi.robot.friction_file import read_friction
     from terraphi.view import footfall_plots, plots
 
-    prior = prior_for(density)
+    prior = prior_for(density) if density is not None else None
     known = [anchor_from(text) for text in anchors]
     if out is not None:
         if out.suffix != ".nc":

@@ -156,7 +156,8 @@ def find_footfalls(
         One of :data:`~terraphi.robot.footfall_fit.LAW_SETS`: the answers of several laws are
         averaged.
     prior
-        What is known of soil, foot, sensors and law; the foot's radius is the robot's.
+        What is known of soil, foot, sensors and law; the foot's radius is the robot's. ``None``:
+        the usual, and the answer says that the density is assumed.
     anchors
         Friction angles known on stretches of the path.
     friction
@@ -203,11 +204,15 @@ def find_footfalls(
         mass=body.mass,
     )  # fmt: skip
     fits = {each: fit(seen, each, chosen) for each in LAW_SETS[law]}
-    return _together(seen, fits, weighed, chosen, _path(motion, log.time), anchors, found, {
+    made = _together(seen, fits, weighed, chosen, _path(motion, log.time), anchors, found, {
         "log": name, "robot": body.name, "law": law, "laws": list(fits), "probe": probe,
         "prior": asdict(chosen), "anchors": [anchor._asdict() for anchor in anchors],
         "terraphi": importlib.metadata.version("terraphi"), "forces": found.provenance(),
     })  # fmt: skip
+    if prior is not None:
+        return made
+    assumed = f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed"
+    return replace(made, notes=(assumed, *made.notes))
 
 
 def check_known(law: str, robot: Quadruped) -> None:
@@ -443,14 +448,12 @@ def anchor_from(text: str) -> Anchor:
     return Anchor(min(a, b), max(a, b), phi, sd, match["axis"])
 
 
-def prior_for(density: str | None) -> Prior:
+def prior_for(density: str) -> Prior:
     """The prior for a density as people write it, ``1550±80``, ``1550+-80`` or ``1550``.
 
-    Without a standard deviation it is :data:`DENSITY_PART` of the density; ``None`` is the default.
+    Without a standard deviation it is :data:`DENSITY_PART` of the density.
     Raises InputError if it is no such number, or no soil's.
     """
-    if density is None:
-        return Prior()
     value, sign, spread = re.sub(r"\+/?-", "±", density.strip()).partition("±")
     try:
         mean = plain_number(value)
