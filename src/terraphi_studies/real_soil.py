@@ -34,7 +34,8 @@ HEADER = ("medium", "leg", "repose", "φ [deg]", "68 %", "95 %", "deviation", "v
 METHOD = (
     "`terraphi invert` on every shipped measurement of Li et al. (2013); its discrepancy is learnt "
     "from the other media alone. Deviation: that of the record from the mean shape of the others, "
-    "over the typical one of theirs. Run again: `terraphi study real_soil`; with `--out` it writes "
+    "over the typical one of theirs; of all legs the largest, of which more is "
+    "accepted. Run again: `terraphi study real_soil`; with `--out` it writes "
     f"the file that the package ships in `data/{FOLDER}`, learnt from all media."
 )
 PARTS_DEG = {"grid": 1.9, "speed_up": 0.8, "leg_friction": 0.6}
@@ -215,9 +216,9 @@ def study_of(
     table = Table(TITLE, HEADER, [_row(a) for a in [*answers, *joint]])
     against = (
         f"Against the angles of repose the medians err by {told['rms_deg']:.1f}° root mean square "
-        f"({told['mean_deg']:+.1f}° on average); {told['held95']} of {told['with_repose']} 95 % "
-        f"and {told['held68']} 68 % intervals hold them; on {told['legs_in_order']} of "
-        f"{told['legs']} legs the media come out in their order."
+        f"({told['mean_deg']:+.1f}° on average). Of {told['with_repose']} records the 95 % "
+        f"interval holds them in {told['held95']}, the 68 % interval in {told['held68']}. On "
+        f"{told['legs_in_order']} of {told['legs']} legs the media come out in their order."
     )
     false_ones = ", ".join(f"{k} {v['consistent']} of {v['of']}" for k, v in passed.items())
     notes = [
