@@ -139,6 +139,16 @@ def test_rows_of_exact_zeros_are_lost_under_a_small_load_too() -> None:
     assert len(left.position) > 0.95 * (~lost).sum()
 
 
+def test_angles_that_a_record_does_not_have_are_no_damage() -> None:
+    # They are refused for what they are where the record is compared with a library.
+    whole = truth(1)
+    some = whole.theta_deg < -20.0
+    force = whole.force[some].copy()
+    force[-200:-196] = 0.0
+    record = replace(whole, position=whole.position[some], force=force)
+    assert [defect.code for defect in inspect_record(record).defects] == ["dropout"]
+
+
 @pytest.mark.parametrize("every", [1, 10])
 def test_a_clipped_top_is_left_out_if_short_and_refused_if_not(every: int) -> None:
     whole = truth(every)

@@ -366,6 +366,8 @@ def _refuse_what_is_lost(theta: FloatArray, bad: Mask, defects: list[Defect]) ->
     if gaps[widest] > WIDEST_GAP_DEG:
         low, high = ends[widest], ends[widest + 1]
         within = [d for d in defects if d.theta_deg[0] < high and d.theta_deg[1] > low]
+        if not within:  # nothing was left out there: the record has no such angles
+            return
         remedy = "a wider range" if any(d.code == "clipped" for d in within) else "a sound sensor"
         raise InputError(
             f"no undamaged reading between {low:.1f} and {high:.1f}° ({_named(within)}); measure "
