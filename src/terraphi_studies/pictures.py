@@ -338,7 +338,7 @@ def measured_figure(answers: Sequence[Mapping[str, Any]]) -> Figure:
     looks = {"straight": ("o", BLUE), "c": ("s", ORANGE), "reversed_c": ("^", GREEN)}
     columns = min(len(libraries), 3)
     rows = -(-len(libraries) // columns)
-    size = (3.2 * columns + 0.6, 3.6 * rows + 0.6)
+    size = (max(3.2 * columns + 0.6, 6.0), 3.6 * rows + 0.6)
     figure, panels = panels_of(rows, columns, size=size, sharex=True, sharey=True)
     for axes in panels.ravel()[len(libraries) :]:
         axes.remove()
@@ -361,7 +361,7 @@ def measured_figure(answers: Sequence[Mapping[str, Any]]) -> Figure:
     first.plot([], [], "o", color=GREY, mfc="white", ms=5, label="misfit or out of range")
     first.plot([], [], "x", color=GREY, ms=5, label="median as it acts in plane strain")
     first.plot([], [], color=GREY, lw=1.5, label="angle of repose")
-    one_legend(figure, ncols=3)
+    one_legend(figure, ncols=min(columns + 1, 3))
     return figure
 
 
