@@ -358,10 +358,16 @@ class Problem:
         return self._shapes[length_deg]
 
     def _discrepancy_shape(self, length_deg: float) -> FloatArray:
-        theta = self.leg.surrogate.theta_deg
-        lag = np.sqrt(3.0) * np.abs(theta[:, None] - theta) / length_deg
-        shape: FloatArray = np.kron(np.diag(np.square(self.spans)), (1.0 + lag) * np.exp(-lag))
+        kernel = matern32(self.leg.surrogate.theta_deg, length_deg)
+        shape: FloatArray = np.kron(np.diag(np.square(self.spans)), kernel)
         return shape
+
+
+def matern32(theta_deg: FloatArray, length_deg: float) -> FloatArray:
+    """Matérn correlation of smoothness 3/2 between leg angles [deg], shape [theta, theta]."""
+    lag = np.sqrt(3.0) * np.abs(theta_deg[:, None] - theta_deg) / length_deg
+    found: FloatArray = (1.0 + lag) * np.exp(-lag)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

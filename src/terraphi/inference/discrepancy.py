@@ -64,7 +64,7 @@ from terraphi.inference.budget import (
     information_share,
     share_without_force,
 )
-from terraphi.inference.calibrated import Problem, shift_of
+from terraphi.inference.calibrated import Problem, matern32, shift_of
 from terraphi.inference.findings import Measure
 from terraphi.inference.posterior import Posterior
 from terraphi.inference.prepared_leg import PreparedLeg
@@ -363,8 +363,7 @@ def _size(
     z: FloatArray, fitted: Fitted, theta_deg: FloatArray, extra: FloatArray | None = None
 ) -> float:
     """z^T (K + kappa s s^T)^-1 z [-]."""
-    lag = np.sqrt(3.0) * np.abs(theta_deg[:, None] - theta_deg) / LENGTH_DEG
-    kernel = np.kron(np.eye(2), (1.0 + lag) * np.exp(-lag)) + WHITE**2 * np.eye(z.size)
+    kernel = np.kron(np.eye(2), matern32(theta_deg, LENGTH_DEG)) + WHITE**2 * np.eye(z.size)
     kernel += FREE * np.outer(fitted.along, fitted.along)
     if extra is not None:
         kernel += extra
