@@ -143,6 +143,15 @@ def test_density_and_noise_are_those_of_the_answer(served: Served, forces: bytes
     assert "noise = -1.0 N; 0 to" in wrong.text
 
 
+def test_without_a_library_it_is_the_one_that_the_command_takes(
+    served: Served, forces: bytes
+) -> None:
+    found = served.drop(forces, library="auto", density="638")
+    page = served.ask("GET", json.loads(found.text)["page"]).text
+    assert "Verdict: consistent" in page
+    assert "resolved" in page
+
+
 def test_a_hostile_name_is_only_text_and_no_path(
     served: Served, forces: bytes, places: Path
 ) -> None:

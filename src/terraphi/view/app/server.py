@@ -243,7 +243,8 @@ def job_of(query: dict[str, str]) -> dict[str, Any]:
     suffix = PurePosixPath(name).suffix.lower()
     if suffix not in SUFFIXES:
         raise RefusedError(415, f"{name}: a file that ends in {', '.join(SUFFIXES)} is expected")
-    for key, allowed in (("kind", KINDS), ("leg", offered_legs()), ("library", offered())):
+    libraries = ("auto", *offered())
+    for key, allowed in (("kind", KINDS), ("leg", offered_legs()), ("library", libraries)):
         if query.get(key) not in allowed:
             raise RefusedError(400, f"{key}: one of {', '.join(allowed)} is expected")
     chosen = {key: query[key] for key in ("kind", "leg", "library")}

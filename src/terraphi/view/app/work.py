@@ -84,10 +84,10 @@ def _inverted(file: Path, folder: Path, job: Mapping[str, Any]) -> Section:
     from terraphi.view.report import inversion
 
     measured = open_forces(str(file))
-    density = job["density"]
+    density, library = job["density"], str(job["library"])
     found = invert(
         measured.history,
-        library=Library.load(str(job["library"])),
+        library=None if library == "auto" else Library.load(library),
         leg=str(job["leg"]),
         density=density,
         density_assumed=density is None,
