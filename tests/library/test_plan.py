@@ -319,3 +319,25 @@ def test_a_key_is_swept_or_sampled() -> None:
             {"name": "mine", "scenario": RFT, "sweep": {PHI: [30.0]},
              "sample": {"keys": BOX, "count": 2}}
         )  # fmt: skip
+
+
+def test_a_denser_sweep_keeps_the_cases_that_were_there() -> None:
+    legs = ["straight", "c"]
+    own = {"leg.shape": legs, PHI: [20.0, 30.0, 40.0]}
+    between = {"leg.shape": legs, PHI: [25.0, 35.0]}
+    plan = Plan.model_validate({"name": "mine", "scenario": RFT, "sweep": own, "vary_seed": True})
+    more = {"sweep": between, "seed": 5000}
+    denser = plan.model_validate({**plan.model_dump(mode="json"), "more": [more]})
+    cases = denser.cases()
+    assert cases[: plan.count] == plan.cases()
+    assert [(c.leg.shape, value_of(c, PHI), c.numerics.seed) for c in cases[plan.count :]] == [
+        ("straight", 25.0, 5000),
+        ("straight", 35.0, 5001),
+        ("c", 25.0, 5002),
+        ("c", 35.0, 5003),
+    ]
+    assert denser.count == len(cases)
+    with pytest.raises(ValidationError, match="same keys"):
+        plan.model_validate(
+            {**plan.model_dump(mode="json"), "more": [{**more, "sweep": {PHI: [25]}}]}
+        )

@@ -99,6 +99,17 @@ class Sample(BaseModel):
         return [dict(zip(self.keys, p, strict=True)) for p in [*found, *self.also]]
 
 
+class More(BaseModel):
+    """Cases that a sweep got later, such as angles between its own."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+    sweep: dict[str, list[JsonValue]] = Field(min_length=1)
+    """Values of the same keys as those of the plan's own sweep."""
+    seed: int = Field(ge=0)
+    """Particle seed of the first of them, with ``vary_seed``; the next ones count from it."""
+
+
 class Plan(BaseModel):
     """What a library or a study is to contain."""
 
@@ -112,6 +123,9 @@ class Plan(BaseModel):
     """What all cases share."""
     sweep: dict[str, list[JsonValue]] = Field(default_factory=dict)
     """Dotted scenario key to its values; the cases are all combinations, the first key slowest."""
+    more: list[More] = Field(default_factory=list)
+    """Further sweeps of the same keys, whose cases follow: a library that is made denser keeps
+    the simulations that it has."""
     sample: Sample | None = None
     """Points in the bounds of some keys, each with all combinations of the sweep, if there is
     one."""
@@ -140,6 +154,12 @@ class Plan(BaseModel):
             )
         if self.sample and (both := sorted(set(self.sweep) & set(self.sample.keys))):
             raise ValueError(f"'{both[0]}' is both swept and sampled; drop one of the two")
+        for more in self.more:
+            if list(more.sweep) != list(self.sweep):
+                raise ValueError(
+                    f"'more' sweeps {list(more.sweep)} and 'sweep' {list(self.sweep)}; let both "
+                    "have the same keys in the same order"
+                )
         if self.vary_seed and apart:
             raise ValueError("vary_seed changes the seed in every case; it is for a sweep only")
         return self
@@ -155,7 +175,7 @@ class Plan(BaseModel):
         self._refuse_too_many()
         if not self.combined_keys:
             return [variant.scenario for variant in self.variants()]
-        for key, values in self.sweep.items():
+        for key, values in itertools.chain(*(sweep.items() for sweep, _ in self._sweeps())):
             if not values:
                 raise InputError(f"plan '{self.name}': sweep key '{key}' has no values")
         if self.vary_seed and "numerics.seed" in self.combined_keys:
@@ -163,26 +183,31 @@ class Plan(BaseModel):
                 f"plan '{self.name}': vary_seed sets numerics.seed, so it cannot be swept as "
                 "well; drop one of the two"
             )
-        seed = self.scenario.numerics.seed
         table = "sample" if self.sample else "sweep"
         points: list[dict[str, float]] = self.sample.points() if self.sample else [{}]
         found = []
-        every = itertools.product(itertools.product(*self.sweep.values()), points)
-        for i, (combination, point) in enumerate(every):
-            changes: dict[str, JsonValue] = {
-                **dict(zip(self.sweep, combination, strict=True)), **point,
-            }  # fmt: skip
-            if self.vary_seed:
-                changes["numerics.seed"] = seed + i
-            found.append(self._changed(table, changes))
+        for sweep, seed in self._sweeps():
+            every = itertools.product(itertools.product(*sweep.values()), points)
+            for i, (combination, point) in enumerate(every):
+                changes: dict[str, JsonValue] = {
+                    **dict(zip(sweep, combination, strict=True)), **point,
+                }  # fmt: skip
+                if self.vary_seed:
+                    changes["numerics.seed"] = seed + i
+                found.append(self._changed(table, changes))
         return found
+
+    def _sweeps(self) -> list[tuple[dict[str, list[JsonValue]], int]]:
+        """Every sweep and the particle seed that it begins with."""
+        own = (self.sweep, self.scenario.numerics.seed)
+        return [own, *((more.sweep, more.seed) for more in self.more)]
 
     @property
     def count(self) -> int:
         """Number of cases; none of them is made for it."""
         if self.combined_keys:
             points = self.sample.count + len(self.sample.also) if self.sample else 1
-            return math.prod(map(len, self.sweep.values())) * points
+            return points * sum(math.prod(map(len, s.values())) for s, _ in self._sweeps())
         changed = sum(map(len, self.one_at_a_time.values()))
         return 1 + changed + len(self.steps) + len(self.presets)
 

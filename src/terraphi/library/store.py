@@ -125,6 +125,7 @@ class Library:
             "failures": self.failures,
             "density_kg_m3": first.soil.density,
             "sweep": self.plan.sweep or self.plan.one_at_a_time,
+            **({"more": [m.model_dump() for m in self.plan.more]} if self.plan.more else {}),
             **({"sample": self.plan.sample.model_dump()} if self.plan.sample else {}),
             "replicates": len(self.replicates),
             "certificate": self.calibration.get("certificate"),
