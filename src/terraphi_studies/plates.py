@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import check_is_file, plain_number
-from terraphi.forward.foot_laws import LAWS
+from terraphi.forward.foot_laws import LAWS, FootLaw
 from terraphi.robot.footfall_files import CI95
-from terraphi.robot.footfall_fit import SHARED, SOIL, Fit, Prior, fit, shared_sd
+from terraphi.robot.footfall_fit import SHARED, SOIL, Fit, Prior, fit, predicted, shared_sd
 from terraphi.robot.touchdowns import Touchdowns
-from terraphi.view.plots import BLUE, GREEN, ORANGE, PURPLE
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 from terraphi.view.table import Table
 from terraphi_studies import Study
+from terraphi_studies.pressed import FIRST, PressedDiscs, pressed_discs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,18 +62,22 @@ def run(*, data: Path | None = None) -> Study:
         Another table with the columns of :data:`COLUMNS`; by default the measured one.
     """
     tests = read(data)
-    by_law = {law: _fits(tests, law) for law in LAWS}
+    laws = laws_for(tests)
+    by_law = {law: _fits(tests, law) for law in laws.values()}
     windows = {
-        law: [_fits([_part(test, *window) for test in tests], law).phi for window in WINDOWS]
-        for law in LAWS
+        law.name: [_fits([_part(test, *window) for test in tests], law).phi for window in WINDOWS]
+        for law in laws.values()
     }
+    fits = {law.name: each for law, each in by_law.items()}
+    repeats = {law: _repeat_sd(tests, each.phi) for law, each in fits.items()}
+    apart = {law.name: _nrmsd_percent(tests, law, each) for law, each in by_law.items()}
     rows, found = [], []
-    repeats = {law: _repeat_sd(tests, each.phi) for law, each in by_law.items()}
     for i, test in enumerate(tests):
-        for law, each in by_law.items():
+        for law, each in fits.items():
             own = float(np.hypot(each.sd[i], repeats[law]))
             whole = float(np.hypot(own, _shared(each)[i]))
             phi = float(each.phi[i])
+            fitted, at_repose = (float(values[i]) for values in apart[law])
             found.append(
                 {
                     "box": test.box,
@@ -83,28 +88,41 @@ def run(*, data: Path | None = None) -> Study:
                     "ci95_relative": [phi - CI95 * own, phi + CI95 * own],
                     "ci95_absolute": [phi - CI95 * whole, phi + CI95 * whole],
                     "phi_by_window_deg": [_or_none(windows[law][w][i]) for w in range(3)],
+                    "nrmsd_percent": fitted,
+                    "nrmsd_at_repose_percent": at_repose,
                 }
             )
             drift = ["–" if np.isnan(windows[law][w][i]) else f"{windows[law][w][i]:.1f}"
                      for w in range(3)]  # fmt: skip
             rows.append((test.box, f"{test.diameter_mm:g}", test.name, law, f"{phi:.1f}",
-                         f"{CI95 * own:.1f}", f"{CI95 * whole:.1f}", *drift))  # fmt: skip
-    spread = law_spread(windows)
+                         f"{CI95 * own:.1f}", f"{CI95 * whole:.1f}", *drift,
+                         f"{fitted:.0f} %", f"{at_repose:.0f} %"))  # fmt: skip
+    spread = law_spread({law: windows[law] for law in LAWS})
+    one = {law.name: one_angle(tests, law) for law in laws.values()}
     title = "Plates pressed into sand: φ by each law"
     header = ("box", "diameter [mm]", "test", "law", "φ [deg]", "± 95 %, relative",
-              "± 95 %, absolute", *(f"{a:g}–{b:g} mm" for a, b in WINDOWS))  # fmt: skip
+              "± 95 %, absolute", *(f"{a:g}–{b:g} mm" for a, b in WINDOWS), "NRMSD",
+              f"at {REPOSE_DEG:g}°")  # fmt: skip
     return Study(
         table=Table(title, header, rows),
         data={
             "tests": found,
             "repeat_sd_deg": repeats,
-            "mean_deg": {law: float(each.phi.mean()) for law, each in by_law.items()},
+            "mean_deg": {law: float(each.phi.mean()) for law, each in fits.items()},
+            "one_angle": one,
             "law_sd_deg": spread,
             "assumed": {"density_kg_m3": DENSITY, "surface_friction": 0.5},
         },
-        figures={"plates": _figure(tests, by_law, windows)},
-        notes=_notes(tests, by_law, repeats, spread, measured=data is None),
+        figures={"plates": _figure(tests, laws, fits, windows, one)},
+        notes=_notes(tests, fits, repeats, spread, one, measured=data is None),
     )
+
+
+def laws_for(tests: Sequence[Test]) -> dict[str, FootLaw]:
+    """Laws by their names; the material point method's where it knows plates of these sizes."""
+    pressed = pressed_discs()
+    knows = all(pressed.reaches(test.diameter_mm / 1e3) for test in tests)
+    return {**LAWS, **({pressed.name: pressed} if knows else {})}
 
 
 def read(path: Path | None = None) -> list[Test]:
@@ -156,6 +174,47 @@ def prior_of(diameter_mm: float) -> Prior:
     )  # fmt: skip
 
 
+def one_angle(tests: Sequence[Test], law: FootLaw) -> dict[str, float]:
+    """The one φ for all tests [deg], each weighted by its peak-to-peak, and the NRMSD there [%]."""
+    angles = np.arange(20.0, 45.0, 0.1)
+    squares = np.array(
+        [
+            [np.square(_apart(test, law, (angle, 0.0, 0.0))).mean() for angle in angles]
+            for test in (_known(test, law) for test in tests)
+        ]
+    )
+    rms = 100.0 * np.sqrt(squares.mean(axis=0))
+    return {"phi_deg": float(angles[rms.argmin()]), "nrmsd_percent": float(rms.min())}
+
+
+def _nrmsd_percent(
+    tests: Sequence[Test], law: FootLaw, found: Fit
+) -> tuple[list[float], list[float]]:
+    """NRMSD of each test at its own φ and first contact, and at the angle of repose [%]."""
+    own: list[float] = []
+    at_repose: list[float] = []
+    for i, test in enumerate(_known(test, law) for test in tests):
+        for phi, into in ((found.phi[i], own), (REPOSE_DEG, at_repose)):
+            left = _apart(test, law, (phi, found.level[i], found.drift[i]))
+            into.append(100.0 * float(np.sqrt(np.square(left).mean())))
+    return own, at_repose
+
+
+def _apart(test: Test, law: FootLaw, state: tuple[float, float, float]) -> FloatArray:
+    """Foretold less measured force over the peak-to-peak of that [-], shape [reading]."""
+    seen = _as_touchdown(test)
+    foretold = predicted(law, prior_of(test.diameter_mm), seen, np.array([state]))[0]
+    found: FloatArray = (foretold - test.force) / np.ptp(test.force)
+    return found
+
+
+def _known(test: Test, law: FootLaw) -> Test:
+    """The readings that a law is asked about: as deep as it was simulated."""
+    deepest = law.deepest if isinstance(law, PressedDiscs) else np.inf
+    first = FIRST if isinstance(law, PressedDiscs) else 0.0
+    return _part(test, 1e3 * first, 1e3 * deepest)
+
+
 def law_spread(windows: Mapping[str, Sequence[FloatArray]]) -> float:
     """Standard deviation of φ among laws and depths, the mean of the tests' [deg].
 
@@ -171,10 +230,10 @@ def _part(test: Test, low: float, high: float) -> Test:
     return test._replace(sinkage=test.sinkage[inside], force=test.force[inside])
 
 
-def _fits(tests: Sequence[Test], law: str) -> Fit:
+def _fits(tests: Sequence[Test], law: FootLaw) -> Fit:
     """Each test fitted for itself; φ is not a number where readings are too few."""
     parts = []
-    for test in tests:
+    for test in (_known(test, law) for test in tests):
         found = fit(_as_touchdown(test), law, prior_of(test.diameter_mm))
         if len(test.sinkage) < 5:
             found = found._replace(phi=np.array([np.nan]))
@@ -224,6 +283,7 @@ def _notes(
     by_law: Mapping[str, Fit],
     repeats: Mapping[str, float],
     spread: float,
+    one: Mapping[str, Mapping[str, float]],
     *,
     measured: bool,
 ) -> list[str]:
@@ -240,6 +300,11 @@ def _notes(
             for law, each in by_law.items()
         )
         said.append(f"From the {widths.min():g} to the {widths.max():g} mm plate: {drift}.")
+        joint = ", ".join(
+            f"{law} {each['phi_deg']:.1f}° ({each['nrmsd_percent']:.0f} %)"
+            for law, each in one.items()
+        )
+        said.append(f"One φ for all plates, and the NRMSD that it leaves: {joint}.")
     if measured:
         said.append(
             f"The sand's angle of repose is {REPOSE_DEG:g}°; there was no shear test. Its authors "
@@ -249,24 +314,38 @@ def _notes(
 
 
 def _figure(
-    tests: Sequence[Test], by_law: Mapping[str, Fit], windows: Mapping[str, Sequence[FloatArray]]
+    tests: Sequence[Test],
+    laws: Mapping[str, FootLaw],
+    by_law: Mapping[str, Fit],
+    windows: Mapping[str, Sequence[FloatArray]],
+    one: Mapping[str, Mapping[str, float]],
 ) -> Figure:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
+    figure = Figure(figsize=(12.0, 4.0), layout="constrained")
+    forces, left, right = figure.subplots(1, 3)
+    right.sharey(left)
     middles = [0.5 * (a + b) for a, b in WINDOWS]
     widths = sorted({test.diameter_mm for test in tests})
+    styles = dict(zip(widths, ("-", "--", ":", "-."), strict=False))
+    for test in tests:
+        forces.plot(1e3 * test.sinkage, test.force, ".", ms=3, color=GREY)
     for i, (law, found) in enumerate(by_law.items()):
-        colour = (BLUE, ORANGE, GREEN, PURPLE)[i]
-        shift = np.array([t.diameter_mm for t in tests]) + 1.2 * (i - 1.5)
+        colour = (BLUE, ORANGE, GREEN, PURPLE, "black")[i]
+        shift = np.array([t.diameter_mm for t in tests]) + 1.2 * (i - 2.0)
         left.plot(shift, found.phi, "o", ms=4, color=colour, label=law)
-        for width, style in zip(widths, ("-", "--", ":", "-."), strict=False):
+        for width, style in styles.items():
             chosen = [t.diameter_mm == width for t in tests]
             means = [np.mean(values[chosen]) for values in windows[law]]
             right.plot(middles, means, style, color=colour, label=f"{law}, {width:g} mm")
+            test = _known(next(t for t in tests if t.diameter_mm == width), laws[law])
+            apart = _apart(test, laws[law], (one[law]["phi_deg"], 0.0, 0.0))
+            foretold = test.force + np.ptp(test.force) * apart
+            label = f"{law}, {one[law]['phi_deg']:.1f}°" if width == widths[0] else None
+            forces.plot(1e3 * test.sinkage, foretold, style, color=colour, lw=1.0, label=label)
+    forces.set(xlabel="sinkage [mm]", ylabel="force [N]", title="One φ for all plates")
     left.set(xlabel="diameter of the plate [mm]", ylabel="φ [deg]", title="Whole tests")
     right.set(xlabel="sinkage [mm], middle of a window", title="In windows of depth")
-    left.legend(fontsize="small", frameon=False)
-    right.legend(fontsize="x-small", frameon=False, ncols=2)
+    for axes in (forces, left, right):
+        axes.legend(fontsize="x-small", frameon=False)
     return figure

@@ -9,7 +9,11 @@ import pytest
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.footfall_fit import Prior
+from terraphi.forward.foot_laws import Foot
+from terraphi.library.plan import Plan
 from terraphi_studies import Study, plates
+from terraphi_studies.planned import Simulations
+from terraphi_studies.pressed import pressed_discs
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +43,7 @@ def test_absolute_interval_holds_the_angle_of_repose(found: Study) -> None:
 def test_a_table_of_ones_own(tmp_path: Path) -> None:
     """A plate that obeys the law exactly, in units that the table names."""
     lines = [",".join(plates.COLUMNS)]
-    from terraphi.forward.foot_laws import LAWS, Foot
+    from terraphi.forward.foot_laws import LAWS
 
     for depth in np.arange(0.5, 20.0, 0.5):
         force = LAWS["rft"].force(
@@ -69,3 +73,34 @@ def test_an_unusable_table_is_told(tmp_path: Path, text: str, says: str) -> None
     table.write_text(text)
     with pytest.raises(InputError, match=says):
         plates.run(data=table)
+
+
+def test_simulated_plates_are_foretold_from_their_neighbours() -> None:
+    """Each simulated history through the law, at its own density and at another's."""
+    plan = Plan.load("plates")
+    finished = Simulations().histories(plan)
+    for case in plan.cases():
+        history = finished[case.hash]
+        late = history.position > 4e-3
+        foretold = pressed_discs().force(
+            Foot(0.5 * case.leg.width, "disc"), history.position[late], 0.5 * np.pi,
+            friction_angle_deg=case.soil.friction_angle_deg, density=2.0 * case.soil.density,
+            surface_friction=0.5,
+        )[:, 1]  # fmt: skip
+        upward = history.force[late, history.axes.index("z")]
+        assert foretold.mean() == pytest.approx(2.0 * upward.mean(), rel=0.02)
+
+
+def test_a_plate_between_the_simulated_ones_bears_a_force_between_theirs() -> None:
+    def lift(radius: float, phi: float) -> float:
+        found = pressed_discs().force(
+            Foot(radius, "disc"), 0.015, 0.5 * np.pi, friction_angle_deg=phi, density=1330.0,
+            surface_friction=0.5,
+        )  # fmt: skip
+        return float(found[1])
+
+    for phi in (24.0, 29.0, 35.0):
+        assert lift(0.03, phi) < lift(0.04, phi) < lift(0.05, phi)
+        assert lift(0.04, phi) < lift(0.04, phi + 1.0)
+    with pytest.raises(InputError, match="43 to 140 mm, not a disc of 200 mm"):
+        lift(0.1, 30.0)

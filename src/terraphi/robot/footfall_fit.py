@@ -204,7 +204,7 @@ def noise_covariance(seen: Touchdowns, prior: Prior) -> FloatArray:
     return covariance
 
 
-def fit(seen: Touchdowns, law: str, prior: Prior) -> Fit:
+def fit(seen: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     """Fit touch-downs, each for itself.
 
     Parameters
@@ -212,7 +212,7 @@ def fit(seen: Touchdowns, law: str, prior: Prior) -> Fit:
     seen
         The touch-downs, none or more; those without used samples come out at the prior.
     law
-        One of :data:`~terraphi.forward.foot_laws.LAWS`.
+        One of :data:`~terraphi.forward.foot_laws.LAWS`, by its name, or another.
     prior
         What is known before.
 
@@ -220,8 +220,9 @@ def fit(seen: Touchdowns, law: str, prior: Prior) -> Fit:
     -------
     Fit
     """
+    known = LAWS[law] if isinstance(law, str) else law
     parts = [
-        _fit(seen.part(slice(i, i + BLOCK)), LAWS[law], prior)
+        _fit(seen.part(slice(i, i + BLOCK)), known, prior)
         for i in range(0, max(len(seen.foot), 1), BLOCK)
     ]
     return Fit(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
