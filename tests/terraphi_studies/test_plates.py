@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
-from terraphi.robot.footfall_fit import Prior
 from terraphi.forward.foot_laws import Foot
 from terraphi.library.plan import Plan
+from terraphi.robot.footfall_fit import Prior
 from terraphi_studies import Study, plates
 from terraphi_studies.planned import Simulations
 from terraphi_studies.pressed import pressed_discs
