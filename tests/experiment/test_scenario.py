@@ -283,6 +283,8 @@ def test_every_other_field_is_part_of_the_hash(moves: dict[str, Any]) -> None:
     # Some options need Lagrangian phases, one excludes them.
     base = Scenario.model_validate({"motion": moves, "numerics": {"remap_interval": 1.6e-4}})
     stepwise = base.replace(**{"numerics.remap_interval": 0.0})
+    of_cells = base.replace(**{"numerics.distortion": "cell"})
+    starts = {"numerics.transfer": stepwise, "numerics.cell_damping": of_cells}
     keys = leaves(base.model_dump(mode="json"))
     hashes = {base.hash}
     for key, value in keys.items():
@@ -292,7 +294,7 @@ def test_every_other_field_is_part_of_the_hash(moves: dict[str, Any]) -> None:
             start = Scenario.model_validate(tomllib.loads(SPACE + "[bed]\nbreadth = 0.1"))
             hashes.add(start.replace(**{key: IN_SPACE[key]}).hash)
             continue
-        start = stepwise if key == "numerics.transfer" else base
+        start = starts.get(key, base)
         hashes.add(start.replace(**{key: changed(key, value)}).hash)
     hashes.add(stepwise.hash)
     assert len(hashes) == len(keys) - 1
@@ -323,6 +325,7 @@ def test_rft_in_three_dimensions_needs_no_grid() -> None:
     ("numerics", "words"),
     [
         ({"contact": "surface"}, "set remap_interval above 0"),
+        ({"cell_damping": 0.1}, "set dilatation or distortion = 'cell'"),
         (
             {"contact": "surface", "remap_interval": 1.6e-4, "particles_per_cell_side": 4},
             "at most 3 are stable",
