@@ -82,6 +82,7 @@ remap_interval = 1e-4
         ("[motion]\nstart_deg = 20\nstop_deg = 10", ["start_deg = 20 must be below stop_deg = 10"]),
         ("dimensions = 3", ["relief.enabled = true", "relief.enabled = false alone"]),
         (SPACE + "[bed]\nheight = 0.16", ["needs bed.breadth"]),
+        (SPACE + 'distortion = "cell"', ['numerics.distortion = "cell"', '"particle" alone']),
         (SPACE + "[bed]\nbreadth = 0.01", ["leg.width = 0.0254 m does not fit"]),
         (
             SPACE.replace("plane_strain", "paper") + "[bed]\nbreadth = 0.1",
