@@ -82,6 +82,7 @@ remap_interval = 1e-4
         ("[motion]\nstart_deg = 20\nstop_deg = 10", ["start_deg = 20 must be below stop_deg = 10"]),
         ("dimensions = 3", ["relief.enabled = true", "relief.enabled = false alone"]),
         (SPACE + "[bed]\nheight = 0.16", ["needs bed.breadth"]),
+        (SPACE + 'distortion = "cell"', ['numerics.distortion = "cell"', '"particle" alone']),
         (SPACE + "[bed]\nbreadth = 0.01", ["leg.width = 0.0254 m does not fit"]),
         (
             SPACE.replace("plane_strain", "paper") + "[bed]\nbreadth = 0.1",
@@ -283,6 +284,8 @@ def test_every_other_field_is_part_of_the_hash(moves: dict[str, Any]) -> None:
     # Some options need Lagrangian phases, one excludes them.
     base = Scenario.model_validate({"motion": moves, "numerics": {"remap_interval": 1.6e-4}})
     stepwise = base.replace(**{"numerics.remap_interval": 0.0})
+    of_cells = base.replace(**{"numerics.distortion": "cell"})
+    starts = {"numerics.transfer": stepwise, "numerics.cell_damping": of_cells}
     keys = leaves(base.model_dump(mode="json"))
     hashes = {base.hash}
     for key, value in keys.items():
@@ -292,7 +295,7 @@ def test_every_other_field_is_part_of_the_hash(moves: dict[str, Any]) -> None:
             start = Scenario.model_validate(tomllib.loads(SPACE + "[bed]\nbreadth = 0.1"))
             hashes.add(start.replace(**{key: IN_SPACE[key]}).hash)
             continue
-        start = stepwise if key == "numerics.transfer" else base
+        start = starts.get(key, base)
         hashes.add(start.replace(**{key: changed(key, value)}).hash)
     hashes.add(stepwise.hash)
     assert len(hashes) == len(keys) - 1
@@ -323,6 +326,7 @@ def test_rft_in_three_dimensions_needs_no_grid() -> None:
     ("numerics", "words"),
     [
         ({"contact": "surface"}, "set remap_interval above 0"),
+        ({"cell_damping": 0.1}, "set dilatation or distortion = 'cell'"),
         (
             {"contact": "surface", "remap_interval": 1.6e-4, "particles_per_cell_side": 4},
             "at most 3 are stable",

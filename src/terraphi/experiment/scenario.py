@@ -46,6 +46,7 @@ ADDED_LATER: dict[str, Any] = {
     "numerics.remap_interval": 0.0,
     "numerics.dilatation": "particle",
     "numerics.distortion": "particle",
+    "numerics.cell_damping": 0.0,
     "numerics.stress_rate": "jaumann",
 }
 """Dotted key to the value that leaves a scenario as it was before the option existed."""
@@ -180,8 +181,13 @@ class Numerics(Section):
     distortion: Literal["particle", "cell"] = "particle"
     """Distortion rate that the stress follows, as ``dilatation`` says it of the volumetric rate.
     With both ``cell`` all particles of a cell strain alike, and soil that dilates no longer meets
-    more conditions than its nodes can fulfil (``docs/convergence.md``). Not for flow at constant
-    volume: what then shakes within a cell weakens the soil."""
+    more conditions than its nodes can fulfil (``docs/convergence.md``). Not without
+    ``cell_damping``: what then shakes within a cell weakens the soil."""
+    cell_damping: float = Field(0.0, ge=0, le=0.5)
+    """Viscosity against what the particles of a cell strain apart from their mean, as a share of
+    ρ c Δx [-], c that of compression waves; of those rates that are means over the cell. A mean
+    knows nothing of such motion, so that nothing else resists it. 0: none; 0.05 to 0.2 stops
+    it."""
     stress_rate: Literal["jaumann", "none"] = "jaumann"
     """How stress turns with the soil: ``jaumann``, with its spin; ``none``, not at all, as in
     the public prototype of Xu & Wang."""
@@ -208,6 +214,11 @@ class Numerics(Section):
                     f"{name} = '{value}' needs a grid that keeps its velocities for a while; "
                     "set remap_interval above 0, as to 20 time steps"
                 )
+        if self.cell_damping > 0.0 and "cell" not in (self.dilatation, self.distortion):
+            raise ValueError(
+                f"cell_damping = {self.cell_damping:g} acts against motion that means over a cell "
+                "do not see; set dilatation or distortion = 'cell', or cell_damping = 0"
+            )
         if self.contact == "surface" and self.particles_per_cell_side > 3:
             raise ValueError(
                 f"particles_per_cell_side = {self.particles_per_cell_side} makes the penalty of "
@@ -278,6 +289,8 @@ _ONLY_IN_SPACE = {
     "numerics.contact": "surface",
     "numerics.transfer": "apic",
     "numerics.damping_order": "after_contact",
+    "numerics.distortion": "particle",
+    "numerics.cell_damping": 0.0,
     "numerics.stress_rate": "jaumann",
     "numerics.particle_volume": "fixed",
 }

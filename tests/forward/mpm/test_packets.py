@@ -235,6 +235,7 @@ def lane_calls(scenario):
         "follow_velocity": (lanes.follow_velocity, packed.state, motion, work, *block, laws),
         "strain": (lanes.strain, packed.state, motion, work, *block, laws),
         "push": (lanes.push, packed.state, work, *block, laws),
+        "damp": (lanes.damp, packed.state, motion, work, *block, laws),
         "follow_shift": (lanes.follow_shift, packed.state, work, *block, 100.0),
         "fade": (
             lanes.fade,
@@ -253,7 +254,7 @@ def lane_calls(scenario):
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="knows x86 registers")
 @pytest.mark.parametrize(
     "name",
-    ["follow_grid", "scatter", "fade", "follow_velocity", "strain", "push", "follow_shift"],
+    ["follow_grid", "scatter", "fade", "follow_velocity", "strain", "push", "damp", "follow_shift"],
 )
 def test_lanes_become_vectors(coarse, name):
     """Besides the loop in vectors there is one in single steps, for what is left over: nothing.

@@ -14,6 +14,7 @@ function                                     what it computes
 :func:`scatter`, :func:`scatter_row`         m_i = Σ w m_p and the momenta, stress included
 :func:`follow_velocity`, :func:`strain`      the two halves of a phase's strain step
 :func:`push`, :func:`push_row`               impulses of the stresses alone, within a phase
+:func:`damp`                                 the same of a viscosity against motion within cells
 :func:`interpolate`, :func:`follow_shift`    x_p ← x_p + Σ w u_i at a phase's end
 ============================================ ====================================================
 
@@ -115,6 +116,8 @@ class Laws(NamedTuple):
     """1 if distortion rate and deviatoric stress are those of whole cells, else 0."""
     turning: float
     """1 if stress turns with the soil's spin, else 0."""
+    inner_viscosity: float
+    """Viscosity against strain rates that differ from the means over their cells [Pa s]."""
 
 
 @kernel
@@ -562,15 +565,79 @@ def push(
             split = laws.distorting * split
             sxz += laws.distorting * (work[SHEAR_STRESS + lane] / work[WHOLE + lane] - sxz)
             sxx, szz, sxz = k * (sxx + excess + split), k * (szz + excess - split), k * sxz
-            # The impulse at the middle node, and from there a row down and a row up.
-            px = -sxx * (fx - 1.0) - sxz * (fz - 1.0)
-            pz = -sxz * (fx - 1.0) - szz * (fz - 1.0)
-            row = SUMS + lane
-            push_row(work, row, wx, wz[0], px - sxz, pz - szz, sxx, sxz)
-            row += SUMS_OF_ROW
-            push_row(work, row, wx, wz[1], px, pz, sxx, sxz)
-            row += SUMS_OF_ROW
-            push_row(work, row, wx, wz[2], px + sxz, pz + szz, sxx, sxz)
+            push_rows(work, SUMS + lane, (fx, fz), wx, wz, (sxx, szz, sxz))
+
+
+@kernel
+def push_rows(
+    work: FloatArray, row: Index, place: tuple[float, float], wx: Three, wz: Three, stress: Three
+) -> None:
+    """Add the impulses of one particle's stress to its three rows of nodes.
+
+    Parameters
+    ----------
+    work
+        Working memory.
+    row
+        Place of the first row's first sum.
+    place
+        Of the particle from its base node [cell].
+    wx, wz
+        Spline weights along x and z [-].
+    stress
+        (xx, zz, xz), times -4 Δt V/Δx [kg/s].
+    """
+    sxx, szz, sxz = stress
+    # The impulse at the middle node, and from there a row down and a row up.
+    px = -sxx * (place[0] - 1.0) - sxz * (place[1] - 1.0)
+    pz = -sxz * (place[0] - 1.0) - szz * (place[1] - 1.0)
+    push_row(work, row, wx, wz[0], px - sxz, pz - szz, sxx, sxz)
+    row += SUMS_OF_ROW
+    push_row(work, row, wx, wz[1], px, pz, sxx, sxz)
+    row += SUMS_OF_ROW
+    push_row(work, row, wx, wz[2], px + sxz, pz + szz, sxx, sxz)
+
+
+@kernel
+def damp(
+    state: FloatArray,
+    motion: FloatArray,
+    work: FloatArray,
+    first: Index,
+    layers: Index,
+    lanes: Index,
+    laws: Laws,
+) -> None:
+    """Add the impulses of a viscosity against motion within the cells of a block to its sums.
+
+    As :func:`~terraphi.forward.mpm.phases.damp`.
+
+    Parameters
+    ----------
+    state
+        Of all packets.
+    motion
+        Holds the gradients.
+    work
+        Holds the sums for the nodes, and those over the cells.
+    first, layers, lanes, laws
+        As in :func:`follow_grid`.
+    """
+    wide_vectors()
+    for layer in range(layers):
+        for lane in range(lanes):
+            at, moves = (first + layer) * FIELDS + lane, layer * MOTION + lane
+            fx, fz = state[at + OFFSET_X], state[at + OFFSET_Z]
+            wx, wz = weights(fx), weights(fz)
+            k = laws.inner_viscosity * laws.stress_impulse * state[at + VOLUME] * laws.cell_size
+            cxx, czz = motion[moves + CXX], motion[moves + CZZ]
+            rate = laws.averaging * (cxx + czz - work[RATE + lane] / work[WHOLE + lane])
+            split = 0.5 * (cxx - czz) - work[SPLIT + lane] / work[WHOLE + lane]
+            shear = 0.5 * (motion[moves + CXZ] + motion[moves + CZX])
+            shear -= work[SHEAR + lane] / work[WHOLE + lane]
+            split, shear = 2.0 * k * laws.distorting * split, 2.0 * k * laws.distorting * shear
+            stress = (k * rate + split, k * rate - split, shear)
+            push_rows(work, SUMS + lane, (fx, fz), wx, wz, stress)
 
 
 @kernel

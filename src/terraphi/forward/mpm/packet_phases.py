@@ -36,6 +36,7 @@ from terraphi.forward.mpm.lanes import (
     TOTAL_X,
     TOTAL_Z,
     Laws,
+    damp,
     fade,
     follow_shift,
     follow_velocity,
@@ -413,6 +414,8 @@ def strain_sweep(
                 follow_velocity(state, motion, work, first, layers, lanes, part)
                 strain(state, motion, work, first, layers, lanes, part)
                 push(state, work, first, layers, lanes, whole)
+                if whole.inner_viscosity > 0.0:
+                    damp(state, motion, work, first, layers, lanes, whole)
             lay_down(work, memory.strips, k, strip_length(packets), lanes)
         add_strips(memory.strips, strip_length(packets), then, j)
 

@@ -126,6 +126,8 @@ def advance(
         before_x, before_z = impulses[1, 0], impulses[1, 1]
         to_momentum(grid)
         push(soil, grid, cells, stepping)
+        if stepping.inner_viscosity > 0.0:
+            damp(soil, grid, cells, stepping)
         if stepping.surface:
             press(soil, grid, shift, material, intruder, stepping, pose_of(poses[step]), impulses)
         update_grid(grid, intruder, stepping, poses[step], impulses)
@@ -289,6 +291,45 @@ def push(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -> None:
             sxx, szz = sxx + split, szz - split
             sxz = cells.sheared[j, i, 1] / cells.volume[j, i]
         stress = (sxx, szz, sxz)
+        stress_to_grid(soil, grid, p, stress, stepping.cell_size, stepping.time_step)
+
+
+@kernel
+def damp(soil: Particles, grid: Grid, cells: Cells, stepping: Stepping) -> None:
+    """Scatter the impulse of a viscous stress against motion within the cells.
+
+    A particle's rate less the mean over its cell, D', is what neither strain nor stress of the
+    cell knows of: nothing else resists it. The stress is η (tr D' 1 + 2 dev D'), of such rates
+    alone as are means, and does no work on the mean: what moves as a whole is not slowed
+    (hourglass viscosity; Flanagan and Belytschko, 1981, doi 10.1002/nme.1620170504).
+
+    Parameters
+    ----------
+    soil, stepping
+        As in :func:`advance`.
+    grid
+        Holds momenta; added to.
+    cells
+        As :func:`strain` leaves them.
+    """
+    per_cell = 1.0 / stepping.cell_size
+    viscosity = stepping.inner_viscosity
+    for p in range(soil.mass.size):
+        dxx, dzz = soil.gradient[p, 0], soil.gradient[p, 3]
+        i = int(soil.position[p, 0] * per_cell - 0.5)
+        j = int(soil.position[p, 1] * per_cell - 0.5)
+        rate, split, shear = 0.0, 0.0, 0.0
+        if stepping.mean_dilatation:
+            rate = dxx + dzz - cells.rate[j, i] / cells.volume[j, i]
+        if stepping.mean_distortion:
+            split = 0.5 * (dxx - dzz) - cells.distortion[j, i, 0] / cells.volume[j, i]
+            shear = 0.5 * (soil.gradient[p, 1] + soil.gradient[p, 2])
+            shear -= cells.distortion[j, i, 1] / cells.volume[j, i]
+        stress = (
+            viscosity * (rate + 2.0 * split),
+            viscosity * (rate - 2.0 * split),
+            viscosity * 2.0 * shear,
+        )
         stress_to_grid(soil, grid, p, stress, stepping.cell_size, stepping.time_step)
 
 

@@ -70,11 +70,14 @@ class Stepping(NamedTuple):
     """Whether the leg counts more force than it applies, as in the paper's prototype."""
     turning: float
     """1 if stress turns with the soil's spin, else 0."""
+    inner_viscosity: float
+    """Viscosity against strain rates that differ from the means over their cells [Pa s]."""
 
 
 def stepping_of(scenario: Scenario) -> Stepping:
     """Constants of a scenario."""
-    numerics, bed = scenario.numerics, scenario.bed
+    numerics, bed, soil = scenario.numerics, scenario.bed, scenario.soil
+    impedance = soil.density * soil.p_wave_speed
     factor = numerics.damping_factor
     return Stepping(
         time_step=numerics.time_step,
@@ -95,6 +98,7 @@ def stepping_of(scenario: Scenario) -> Stepping:
         mean_distortion=numerics.distortion == "cell",
         unbalanced=numerics.contact == "unbalanced",
         turning=1.0 if numerics.stress_rate == "jaumann" else 0.0,
+        inner_viscosity=numerics.cell_damping * impedance * numerics.cell_size,
     )
 
 

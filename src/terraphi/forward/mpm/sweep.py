@@ -133,6 +133,7 @@ def laws_of(material: Material, stepping: Stepping) -> Laws:
         1.0 if stepping.mean_dilatation else 0.0,
         1.0 if stepping.mean_distortion else 0.0,
         stepping.turning,
+        stepping.inner_viscosity,
     )
 
 
