@@ -463,8 +463,7 @@ def shares(readings: FloatArray) -> FloatArray:
     """
     gaps = np.diff(readings)
     nearer = np.minimum(np.append(gaps, np.inf), np.append(np.inf, gaps))
-    found: FloatArray = np.minimum(nearer, np.radians(READING_DEG))
-    return found
+    return np.minimum(nearer, np.radians(READING_DEG))
 
 
 def check_readings(

@@ -604,8 +604,7 @@ def _section(place: dict[str, Any], name: str) -> dict[str, Any]:
     """Section of a document; made, for the check to refuse, where there is none."""
     if not isinstance(place.get(name), dict):
         place[name] = {}
-    section: dict[str, Any] = place[name]
-    return section
+    return place[name]
 
 
 def _is_entry(value: object, index: str) -> bool:

@@ -253,8 +253,7 @@ def information_share(covariance: ArrayLike, slope: ArrayLike) -> FloatArray:
     added = np.square(np.linalg.solve(factor, derivative[order]))
     if not added.sum() > 0.0:
         raise ValueError("slope is zero at every angle; the forces do not depend on phi")
-    shares: FloatArray = (added / added.sum()).reshape(-1, 2).T
-    return shares
+    return (added / added.sum()).reshape(-1, 2).T
 
 
 def without_force(data: ArrayLike) -> NDArray[np.bool_]:
@@ -271,8 +270,7 @@ def without_force(data: ArrayLike) -> NDArray[np.bool_]:
         Where the force is below :data:`ZERO_FORCE` of the largest, shape [theta].
     """
     size = np.hypot(*np.asarray(data, dtype=np.float64).reshape(2, -1))
-    found: NDArray[np.bool_] = size < ZERO_FORCE * size.max()
-    return found
+    return size < ZERO_FORCE * size.max()
 
 
 def share_without_force(share: FloatArray, data: ArrayLike) -> float:

@@ -106,14 +106,12 @@ class CalibratedLikelihood:
         """
         near = np.clip(phi_deg, *self._ends)
         log_p = log_sum(self.used.log_prior[:, None] - self._spline(near).T)
-        found: FloatArray = log_p - OUTSIDE * np.abs(phi_deg - near)
-        return found
+        return log_p - OUTSIDE * np.abs(phi_deg - near)
 
     def weights(self, phi_deg: float) -> FloatArray:
         """Posterior probability of each combination used at a friction angle, shape [h]."""
         log_p = self.used.log_prior - self._spline(phi_deg)
-        weights: FloatArray = np.exp(log_p - log_sum(log_p))
-        return weights
+        return np.exp(log_p - log_sum(log_p))
 
     def discrepancy(self, weights: FloatArray) -> FloatArray:
         """Covariance of the discrepancy [N^2], shape [2 theta, 2 theta], averaged.
@@ -244,8 +242,7 @@ class _Frame:
             if length not in self._apart:
                 self._apart[length] = taken_apart(shape, *self.over_phi)
             shape = self._apart[length]
-        found: FloatArray = given.amplitude[h] ** 2 * shape
-        return found
+        return given.amplitude[h] ** 2 * shape
 
     def covariance(self, given: Hypotheses, h: int) -> FloatArray:
         """Covariance of the residual under one combination [N^2], shape [2 theta, 2 theta]."""
@@ -340,8 +337,7 @@ class Problem:
         the model do not shrink with a unit.
         """
         model = np.ptp(self.leg.mean.reshape(len(self.leg.mean), 2, -1), axis=2).min(axis=0)
-        spans: FloatArray = np.maximum(np.ptp(self.data.reshape(2, -1), axis=1), 0.5 * model)
-        return spans
+        return np.maximum(np.ptp(self.data.reshape(2, -1), axis=1), 0.5 * model)
 
     def noise_levels(self, relative: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Sizes s that are possible [N], and their log prior probabilities."""
@@ -359,15 +355,13 @@ class Problem:
 
     def _discrepancy_shape(self, length_deg: float) -> FloatArray:
         kernel = matern32(self.leg.surrogate.theta_deg, length_deg)
-        shape: FloatArray = np.kron(np.diag(np.square(self.spans)), kernel)
-        return shape
+        return np.kron(np.diag(np.square(self.spans)), kernel)
 
 
 def matern32(theta_deg: FloatArray, length_deg: float) -> FloatArray:
     """Matérn correlation of smoothness 3/2 between leg angles [deg], shape [theta, theta]."""
     lag = np.sqrt(3.0) * np.abs(theta_deg[:, None] - theta_deg) / length_deg
-    found: FloatArray = (1.0 + lag) * np.exp(-lag)
-    return found
+    return (1.0 + lag) * np.exp(-lag)
 
 
 @dataclass(frozen=True, eq=False)
@@ -501,8 +495,7 @@ def spline_minimum(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 def log_sum(values: FloatArray, axis: int = 0) -> FloatArray:
     """Log of the sum of exponentials along an axis."""
     top = values.max(axis=axis, keepdims=True)
-    total: FloatArray = np.log(np.exp(values - top).sum(axis=axis)) + top.squeeze(axis)
-    return total
+    return np.log(np.exp(values - top).sum(axis=axis)) + top.squeeze(axis)
 
 
 def combinations(
@@ -630,8 +623,7 @@ def shift_of(slope: FloatArray, spans: FloatArray) -> FloatArray:
         Peak-to-peak of each force, by which it is weighted [N], shape [2].
     """
     weighted = (slope.reshape(2, -1) / np.square(spans)[:, None]).ravel()
-    shift: FloatArray = weighted / (slope @ weighted)
-    return shift
+    return weighted / (slope @ weighted)
 
 
 def taken_apart(covariance: FloatArray, slope: FloatArray, shift: FloatArray) -> FloatArray:
@@ -675,5 +667,4 @@ def refitted(
     FloatArray
         Shape [2 theta, node] [N].
     """
-    changed: FloatArray = best[:, None] + np.outer(slope, shift @ residual - shift @ best)
-    return changed
+    return best[:, None] + np.outer(slope, shift @ residual - shift @ best)

@@ -221,8 +221,7 @@ def _normal_scores(chains: FloatArray) -> FloatArray:
     from scipy.stats import rankdata
 
     ranks = rankdata(chains, axis=None).reshape(chains.shape)
-    scores: FloatArray = ndtri((ranks - 0.375) / (chains.size + 0.25))
-    return scores
+    return ndtri((ranks - 0.375) / (chains.size + 0.25))
 
 
 def _rhat(chains: FloatArray) -> float:

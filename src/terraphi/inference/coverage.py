@@ -293,8 +293,7 @@ def one_world(surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Gener
     simulated = surrogate.root_repeats[:, None] * prior[:cases] + scatter
     missing = surrogate.standard_curves - simulated
     standard = prior[cases:] + surrogate.standard_mean(truth, missing)
-    forces: FloatArray = surrogate.scatter.sigma(truth) * (standard @ surrogate.basis.T)
-    return forces
+    return surrogate.scatter.sigma(truth) * (standard @ surrogate.basis.T)
 
 
 def _posteriors(

@@ -251,8 +251,7 @@ def _sudden_nothing(size: FloatArray) -> Mask:
     after = np.searchsorted(where, np.arange(len(size)))
     padded = np.concatenate([np.zeros(NEAR), size[where], np.zeros(NEAR)])
     about = padded[after[:, None] + np.arange(2 * NEAR)].reshape(len(size), 2, NEAR)
-    sudden: Mask = (size <= nothing) & (np.median(about, axis=2).min(axis=1) > lots)
-    return sudden
+    return (size <= nothing) & (np.median(about, axis=2).min(axis=1) > lots)
 
 
 def _loaded(values: FloatArray, zero: Mask, *, share: float = LOADED) -> Mask:
@@ -266,8 +265,7 @@ def _loaded(values: FloatArray, zero: Mask, *, share: float = LOADED) -> Mask:
     before, behind = padded[after], padded[after + 1]
     least = np.minimum(np.abs(before), np.abs(behind))
     load = max(share * np.abs(values).max(), QUANTA * _resolution(values))
-    loaded: Mask = (before * behind > 0.0) & (least > load)
-    return loaded
+    return (before * behind > 0.0) & (least > load)
 
 
 def _resolution(values: FloatArray) -> float:

@@ -163,8 +163,7 @@ class Fitted:
     @cached_property
     def shape(self) -> FloatArray:
         """Rho = P r / p [-], shape [2 theta]."""
-        found: FloatArray = (self.residual - self.slope * (self.shift @ self.residual)) / self.spans
-        return found
+        return (self.residual - self.slope * (self.shift @ self.residual)) / self.spans
 
     @property
     def along(self) -> FloatArray:
@@ -225,8 +224,7 @@ class Level:
         at = np.interp(shares, core.cdf, core.phi_deg)
         apart = (phi_deg[:, None] - at - self.offset_deg) / self.scale_deg
         tail = np.square(apart) / self.freedom
-        found: FloatArray = np.log((np.power(1.0 + tail, -0.5 * (self.freedom + 1.0))).mean(axis=1))
-        return found
+        return np.log((np.power(1.0 + tail, -0.5 * (self.freedom + 1.0))).mean(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,8 +309,7 @@ class Learnt:
     def expected(self, leg: str, forces: FloatArray) -> FloatArray:
         """Forces of the model with the mean deviation of real soils, g + p m [N], [2 theta]."""
         spans = np.ptp(forces.reshape(2, -1), axis=1)
-        found: FloatArray = forces + np.repeat(spans, forces.size // 2) * self.shapes[leg]
-        return found
+        return forces + np.repeat(spans, forces.size // 2) * self.shapes[leg]
 
     @property
     def amplitude(self) -> float:
@@ -516,8 +513,7 @@ class SoilLikelihood:
     def __call__(self, phi_deg: FloatArray, /) -> FloatArray:
         """Log-likelihood up to a constant of friction angles [deg], shape [k] -> [k]."""
         square = float(np.square(list(self.sd_deg.values())).sum())
-        found: FloatArray = -0.5 * np.square(phi_deg - self.fitted.angle_deg) / square
-        return found
+        return -0.5 * np.square(phi_deg - self.fitted.angle_deg) / square
 
     @cached_property
     def deviation(self) -> float:

@@ -122,8 +122,7 @@ def _deviation(data: FloatArray, curves: FloatArray) -> FloatArray:
     """
     measured, model = data.reshape(2, -1), curves.reshape(len(curves), 2, -1)
     root = np.sqrt(np.square(model - measured).mean(axis=2))
-    worst: FloatArray = (root / np.maximum(np.ptp(measured, axis=1), 1e-300)).max(axis=1)
-    return worst
+    return (root / np.maximum(np.ptp(measured, axis=1), 1e-300)).max(axis=1)
 
 
 _Found = tuple[float, Doubt | None]

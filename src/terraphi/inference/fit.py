@@ -139,8 +139,7 @@ def _odds(problem: Problem, phi: float, noise: float) -> tuple[float, float, flo
     def log_p(extra: FloatArray) -> FloatArray:
         total = base + extra.reshape(-1, *base.shape)
         parts = gaussian_parts(total, np.broadcast_to(residual, total.shape[:2]))
-        density: FloatArray = -0.5 * (parts[0] + parts[1]).reshape(extra.shape[:-2])
-        return density
+        return -0.5 * (parts[0] + parts[1]).reshape(extra.shape[:-2])
 
     # Noise is absent or that of the best fit, with and without a discrepancy, and the scatter has
     # its prior: a large one must not pass for a discrepancy.

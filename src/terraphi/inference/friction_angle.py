@@ -444,8 +444,7 @@ def _about(level: Level, core: Posterior) -> LogLikelihood:
 
 def _best(leg: _Leg, found: _Found) -> FloatArray:
     """The library's curve at the median, or at its end if that lies beyond [N], [2 theta]."""
-    best: FloatArray = leg.predict(found.in_library([found.posterior.median], leg))[0]
-    return best
+    return leg.predict(found.in_library([found.posterior.median], leg))[0]
 
 
 def _records(looked: Looked, leg: _Leg, found: _Found) -> list[Record]:
@@ -609,8 +608,7 @@ def _agreement(legs: Sequence[_Leg], found: _Found) -> Measure:
     bounds, nodes = (low, high), NODES["calibrated"]
 
     def together(phi_deg: FloatArray) -> FloatArray:
-        total: FloatArray = np.sum([likelihood(phi_deg) for likelihood in each], axis=0)
-        return total
+        return np.sum([likelihood(phi_deg) for likelihood in each], axis=0)
 
     def top(log_p: LogLikelihood) -> float:
         return float(log_p(quadrature(log_p, bounds, nodes=nodes).phi_deg).max())

@@ -157,8 +157,7 @@ def _means(
 ) -> FloatArray:
     """Weights of samples, or of a part of them, in means around places, shape [place, sample]."""
     low, high = np.maximum(centre - half, x[0]), np.minimum(centre + half, x[-1])
-    weights: FloatArray = (_hats(high, x, part) - _hats(low, x, part)) / (high - low)[:, None]
-    return weights
+    return (_hats(high, x, part) - _hats(low, x, part)) / (high - low)[:, None]
 
 
 def _hats(at: FloatArray, x: FloatArray, part: slice) -> FloatArray:

@@ -146,16 +146,14 @@ class PaperLikelihood:
                 f"predictions have shape {predictions.shape}; expected [k, {self._observed.size}]"
             )
         misfit = np.maximum(self._misfit(predictions - self._observed), self._smallest_misfit)
-        log_likelihood: FloatArray = -0.5 * self._observed.size * np.log(misfit)
-        return log_likelihood
+        return -0.5 * self._observed.size * np.log(misfit)
 
     def _misfit(self, residuals: FloatArray) -> FloatArray:
         """Return r^T Sigma^-1 r [-], shape [k, 2 theta] -> [k]."""
         m = self._observed.size // 2
         white_x = residuals[:, :m] @ self._whiteners[0]
         white_z = residuals[:, m:] @ self._whiteners[1]
-        misfit: FloatArray = np.square(white_x).sum(axis=1) + np.square(white_z).sum(axis=1)
-        return misfit
+        return np.square(white_x).sum(axis=1) + np.square(white_z).sum(axis=1)
 
 
 def peak_to_peak(data: ArrayLike) -> dict[str, float]:

@@ -353,12 +353,11 @@ def _unresolved(phi: FloatArray, log_p: FloatArray) -> NDArray[np.bool_]:
     peak[1:] &= rise >= 0.0
     peak[:-1] &= rise <= 0.0
     beside_peak = peak[:-1] | peak[1:]
-    unresolved: NDArray[np.bool_] = (
+    return (
         (trapezoid > CELL_MASS * total)
         | (np.abs(trapezoid - exponential) > CELL_ERROR * total)
         | (beside_peak & (np.abs(rise) > PEAK_DROP))
     )
-    return unresolved
 
 
 def _from_nodes(phi: FloatArray, log_p: FloatArray, bounds_deg: tuple[float, float]) -> Posterior:

@@ -152,8 +152,7 @@ class PreparedLeg:
 
     def scatter_at(self, phi_deg: float) -> FloatArray:
         """Particle scatter of the data at a friction angle [N^2], shape [2 theta, 2 theta]."""
-        scatter: FloatArray = self.surrogate.scatter.covariance(phi_deg) / self.trials
-        return scatter
+        return self.surrogate.scatter.covariance(phi_deg) / self.trials
 
     def known(self, phi_deg: float) -> FloatArray:
         """Covariance of surrogate and readings at a friction angle [N^2], [2 theta, 2 theta]."""
@@ -363,8 +362,7 @@ class Reading:
         if self.errors is None:
             return np.zeros(())
         moment = self.errors.moment(phi_deg)
-        found: FloatArray = moment + self.white * np.diag(np.diag(moment))
-        return found
+        return moment + self.white * np.diag(np.diag(moment))
 
     def covariance(self, phi_deg: float, forces: FloatArray) -> FloatArray:
         """Covariance of the window means of a record [N²], shape [2 theta, 2 theta].
@@ -377,8 +375,7 @@ class Reading:
             Observation vector there [N], shape [2 theta].
         """
         spans = _spans(forces)
-        covariance: FloatArray = spans[:, None] * self.moment(phi_deg) * spans
-        return covariance
+        return spans[:, None] * self.moment(phi_deg) * spans
 
 
 class _Errors(NamedTuple):
@@ -411,8 +408,7 @@ class _Errors(NamedTuple):
         weights = np.exp(-0.5 * np.square((self.phi_deg - phi_deg) / NEAR_DEG))
         rows = np.sqrt(weights / (weights.sum() * total.shape[1]))[:, None, None] * total
         rows = rows.reshape(-1, rows.shape[-1])
-        moment: FloatArray = rows.T @ rows
-        return moment
+        return rows.T @ rows
 
     def _log_growth(self, part: FloatArray, phi_deg: float) -> FloatArray:
         """Log of the variance of a part at an angle over that at each curve's, shape [case]."""
@@ -421,8 +417,7 @@ class _Errors(NamedTuple):
         x = (self.phi_deg - phi_deg) / 10.0
         size = np.log(np.maximum(np.square(part).mean(axis=(1, 2)), 1e-30))
         fit = np.polynomial.polynomial.polyfit(x, size, degree)
-        growth: FloatArray = fit[0] - np.polynomial.polynomial.polyval(x, fit)
-        return growth
+        return fit[0] - np.polynomial.polynomial.polyval(x, fit)
 
 
 def _spans(forces: FloatArray) -> FloatArray:

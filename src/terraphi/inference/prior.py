@@ -55,8 +55,7 @@ class Marginal:
         shape = np.zeros_like(values)
         if self.normal is not None:
             shape = -0.5 * np.square((values - self.normal[0]) / self.normal[1])
-        result: FloatArray = np.where(inside, shape, -np.inf)
-        return result
+        return np.where(inside, shape, -np.inf)
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Independent draws, shape [count]."""
@@ -66,8 +65,7 @@ class Marginal:
 
         mean, sd = self.normal
         ends = ((self.low - mean) / sd, (self.high - mean) / sd)
-        drawn: FloatArray = truncnorm.rvs(*ends, mean, sd, size=count, random_state=rng)
-        return drawn
+        return truncnorm.rvs(*ends, mean, sd, size=count, random_state=rng)
 
     @property
     def sd(self) -> float:

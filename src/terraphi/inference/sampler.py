@@ -77,8 +77,7 @@ class Draws:
         precision = np.linalg.inv(np.cov(apart.T).reshape(apart.shape[1], apart.shape[1]))
         distance = np.einsum("ki,ij,kj->k", apart, precision, apart)
         nearest = np.argsort(distance)[: max(1, round(NEAR * len(flat)))]
-        central: FloatArray = flat[nearest[self.log_posterior.ravel()[nearest].argmax()]]
-        return central
+        return flat[nearest[self.log_posterior.ravel()[nearest].argmax()]]
 
     @property
     def stride(self) -> int:

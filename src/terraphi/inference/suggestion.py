@@ -221,14 +221,12 @@ class _Known:
         """Variance of a simulation at a candidate, shape [theta]."""
         # A candidate that is known already has next to no variance, and no covariance either.
         floor = np.finfo(float).eps * self.process.roots.max() * self.process.std**2
-        whole: FloatArray = self.candidate[candidate] + self.process.noise_variance + floor
-        return whole
+        return self.candidate[candidate] + self.process.noise_variance + floor
 
     def after(self, candidate: int) -> FloatArray:
         """Variance at the truths after a simulation at a candidate, shape [truth, theta]."""
         explained = np.square(self.across[:, candidate]) / self._whole(candidate)
-        variance: FloatArray = (self.truth - explained).clip(min=0.0)
-        return variance
+        return (self.truth - explained).clip(min=0.0)
 
     def added(self, candidate: int) -> _Known:
         """The same after a simulation at a candidate."""
@@ -277,8 +275,7 @@ class _Leg:
             norm = norm + np.sum(np.square(curve) / whole, axis=1)
         lost = size / (1.0 + size * np.asarray(norm)[:, None])
         outer = np.einsum("xk,xl->xkl", along, along)
-        information: FloatArray = total - lost[:, :, None] * outer
-        return information
+        return total - lost[:, :, None] * outer
 
 
 class _Search:
@@ -315,8 +312,7 @@ class _Search:
         information = [leg.information(v) for leg, v in zip(self.legs, variances, strict=True)]
         # A uniform prior on a unit span has a variance of 1/12.
         precision = np.sum(information, axis=0) + 12.0 * np.eye(len(self.spans))
-        covariance: FloatArray = np.linalg.inv(precision)
-        return covariance
+        return np.linalg.inv(precision)
 
     def expected_sd(self) -> FloatArray:
         """Root of the expected variance of each parameter, in its unit, shape [key]."""
@@ -328,8 +324,7 @@ class _Search:
 
     def _sd(self, variances: Sequence[Sequence[FloatArray]]) -> FloatArray:
         variance = np.diagonal(self._covariance(variances), axis1=1, axis2=2).mean(axis=0)
-        sd: FloatArray = np.sqrt(variance) * self.spans
-        return sd
+        return np.sqrt(variance) * self.spans
 
     def risk(self, candidate: int, counted: Sequence[int]) -> float:
         """Expected variance in units of the prior's after a simulation there, summed [-]."""

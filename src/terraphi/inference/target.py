@@ -145,8 +145,7 @@ class Target:
         if inside.any():
             chosen = values[inside]
             log_p[inside] += self.likelihood(self.named(chosen), *self.errors(chosen))
-        found: FloatArray = log_p
-        return found
+        return log_p
 
 
 class LegLikelihood:
@@ -213,8 +212,7 @@ class LegLikelihood:
             along += np.sum(curve * (mean - curve) / whole, axis=1)
             norm += np.sum(np.square(curve) / whole, axis=1)
         by_factor = factor2 * np.square(along) / (1.0 + factor2 * norm)
-        result: FloatArray = total + 0.5 * (by_factor - np.log1p(factor2 * norm))
-        return result
+        return total + 0.5 * (by_factor - np.log1p(factor2 * norm))
 
     def information(
         self, named: Mapping[str, float], keys: Sequence[str], steps: Sequence[float], *,
@@ -279,5 +277,4 @@ class JointLikelihood:
         self, named: Mapping[str, FloatArray], noise: FloatArray, amplitude: FloatArray
     ) -> FloatArray:
         """Log-likelihood up to a constant, shape [k]; arguments as of `LegLikelihood`."""
-        total: FloatArray = np.sum([leg(named, noise, amplitude) for leg in self.legs], axis=0)
-        return total
+        return np.sum([leg(named, noise, amplitude) for leg in self.legs], axis=0)

@@ -127,8 +127,7 @@ class Repeats:
     @property
     def mean(self) -> FloatArray:
         """Mean of the observation vectors [N], shape [2 theta]."""
-        mean: FloatArray = self.vectors[0] if len(self.trials) == 1 else self.vectors.mean(axis=0)
-        return mean
+        return self.vectors[0] if len(self.trials) == 1 else self.vectors.mean(axis=0)
 
     @property
     def vectors(self) -> FloatArray:

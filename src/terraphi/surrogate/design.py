@@ -89,15 +89,13 @@ class DesignKernel:
 
     def variance(self, points: FloatArray) -> FloatArray:
         """Diagonal of K_x, shape [k, d] -> [k]."""
-        squares: FloatArray = 1.0 + self.trend**2 * (1.0 + np.square(points).sum(axis=1))
-        return squares
+        return 1.0 + self.trend**2 * (1.0 + np.square(points).sum(axis=1))
 
     def distance2(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Squared distances in correlation lengths, shape [k, l]."""
         a, b = one / np.array(self.lengths), other / np.array(self.lengths)
         squares = np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1) - 2.0 * a @ b.T
-        distance2: FloatArray = np.maximum(squares, 0.0)
-        return distance2
+        return np.maximum(squares, 0.0)
 
     def correlation(self, distance2: FloatArray) -> FloatArray:
         """Correlation c of squared distances [-]."""
@@ -111,14 +109,12 @@ class DesignKernel:
         if self.kind == "rbf":
             return np.exp(-0.5 * distance2)
         lag = np.sqrt(5.0 * distance2)
-        slope: FloatArray = 5.0 / 3.0 * (1.0 + lag) * np.exp(-lag)
-        return slope
+        return 5.0 / 3.0 * (1.0 + lag) * np.exp(-lag)
 
     def over_angles(self, theta_deg: FloatArray) -> FloatArray:
         """K_theta, shape [theta, theta]."""
         smooth = np.exp(-0.5 * np.square((theta_deg[:, None] - theta_deg) / self.theta_length_deg))
-        total: FloatArray = smooth + self.fine**2 * np.eye(theta_deg.size)
-        return total
+        return smooth + self.fine**2 * np.eye(theta_deg.size)
 
     def pack(self) -> FloatArray:
         """Logarithms of what is fitted: lengths, theta length, sigma^2, f, tau^2."""
@@ -261,8 +257,7 @@ class DesignGP:
         return self._mean(self.kernel.over_parameters(points, self.points))
 
     def _mean(self, across: FloatArray) -> FloatArray:
-        mean: FloatArray = self._rotated_centre + across @ self.posterior.mean_weights
-        return mean
+        return self._rotated_centre + across @ self.posterior.mean_weights
 
     def rotated(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean [N] and variance [N^2] in the basis, without the scatter, each [k, theta]."""
@@ -400,10 +395,7 @@ class Size:
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Size of the forces [N], shape [k, d] -> [k]."""
-        size: FloatArray = np.exp(
-            self.process.rotated_mean(points)[:, 0] * self.process.basis[0, 0]
-        )
-        return size
+        return np.exp(self.process.rotated_mean(points)[:, 0] * self.process.basis[0, 0])
 
     def variance(self, points: FloatArray) -> FloatArray:
         """Variance of the size relative to its square [-], shape [k, d] -> [k]."""
@@ -484,8 +476,7 @@ class DesignSurrogate:
 
     def scale(self, named: Mapping[str, FloatArray]) -> FloatArray:
         """Factor of density and size on what the processes predict [N], shape [k]."""
-        scale: FloatArray = self._relative_density(named) * self.size(self.points(named))
-        return scale
+        return self._relative_density(named) * self.size(self.points(named))
 
     def located(self, named: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Points, scale and variance of the common factor at once; as the three methods."""
@@ -547,12 +538,10 @@ class DesignSurrogate:
 def to_unit(values: FloatArray, bounds: Mapping[str, tuple[float, float]]) -> FloatArray:
     """Parameters scaled from their bounds to [-1, 1], shape [k, d]."""
     low, high = np.array(list(bounds.values())).T
-    unit: FloatArray = 2.0 * (values - low) / (high - low) - 1.0
-    return unit
+    return 2.0 * (values - low) / (high - low) - 1.0
 
 
 def from_unit(points: FloatArray, bounds: Mapping[str, tuple[float, float]]) -> FloatArray:
     """Inverse of :func:`to_unit`."""
     low, high = np.array(list(bounds.values())).T
-    values: FloatArray = low + 0.5 * (points + 1.0) * (high - low)
-    return values
+    return low + 0.5 * (points + 1.0) * (high - low)

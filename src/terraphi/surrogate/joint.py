@@ -56,8 +56,7 @@ LEAST = 1e-12
 def powers_of(phi_deg: FloatArray, ends_deg: tuple[float, float]) -> FloatArray:
     """1, x, x^2, x^3 at friction angles [-], shape [...] -> [..., 4]."""
     centre, half = 0.5 * (ends_deg[0] + ends_deg[1]), 0.5 * (ends_deg[1] - ends_deg[0])
-    result: FloatArray = ((phi_deg - centre) / half)[..., None] ** ORDERS
-    return result
+    return ((phi_deg - centre) / half)[..., None] ** ORDERS
 
 
 def cubic_variances(amplitudes: tuple[float, ...], power: float, roots: FloatArray) -> FloatArray:
@@ -279,8 +278,7 @@ def matern(one_deg: FloatArray, other_deg: FloatArray, length_deg: float) -> Flo
         Correlation length [deg].
     """
     lag = np.sqrt(5.0) * np.abs(one_deg[..., :, None] - other_deg[..., None, :]) / length_deg
-    correlation: FloatArray = (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
-    return correlation
+    return (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
 
 
 def _pack(kernel: JointKernel, noise: float) -> FloatArray:
@@ -444,8 +442,7 @@ class JointSurrogate:
         """Derivative of the forces with respect to the friction angle [N/deg], shape [2 theta]."""
         around = np.clip(phi_deg + np.array([-STEP_DEG, STEP_DEG]), *self.phi_bounds_deg)
         below, above = self.predict(around)
-        slope: FloatArray = (above - below) / (around[1] - around[0])
-        return slope
+        return (above - below) / (around[1] - around[0])
 
     def standard_mean(self, phi_deg: FloatArray, curves: FloatArray | None = None) -> FloatArray:
         """Mean in the common basis, over sigma [-], shape [k] -> [..., k, 2 theta].
@@ -469,8 +466,7 @@ class JointSurrogate:
 
     def _cubic(self, phi_deg: FloatArray, weights: FloatArray) -> FloatArray:
         coefficients = self.cubic_variance * (self._powers(self.phi_deg).T @ weights)
-        found: FloatArray = self._powers(phi_deg) @ coefficients
-        return found
+        return self._powers(phi_deg) @ coefficients
 
     def standard(self, curves: FloatArray) -> FloatArray:
         """Curves [N] like the library's in the basis, of scatter 1 [-], shape [..., case, 2 theta].
@@ -536,15 +532,13 @@ class JointSurrogate:
         if about is None:
             coefficients = rng.standard_normal((*phi_deg.shape[:-1], 4, size))
             about = self._powers(phi_deg) @ (coefficients * np.sqrt(self.cubic_variance))
-        found: FloatArray = drawn + about
-        return found
+        return drawn + about
 
     def covariance(self, phi_deg: float, *, scale: float = 1.0) -> FloatArray:
         """Predictive covariance of the forces f [N^2], shape [2 theta, 2 theta]."""
         phi = np.array([phi_deg], dtype=np.float64)
         left = scale * self.scatter.sigma(phi)[0][:, None] * self.basis
-        result: FloatArray = (left * self.standard_variance(phi)[0]) @ left.T
-        return result
+        return (left * self.standard_variance(phi)[0]) @ left.T
 
     def _between(self, phi_deg: FloatArray) -> FloatArray:
         """Prior covariance of f with the rows of the curves, [k] -> [2 theta, k, case]."""
@@ -553,8 +547,7 @@ class JointSurrogate:
 
     def _weights(self, curves: FloatArray) -> FloatArray:
         """What a mean gives each curve's angle: K^-1 y times root_repeats, [..., case, 2 theta]."""
-        weights: FloatArray = self.root_repeats[:, None] * self._blocks.weights(curves)
-        return weights
+        return self.root_repeats[:, None] * self._blocks.weights(curves)
 
     def _powers(self, phi_deg: FloatArray) -> FloatArray:
         """Growth times 1, x, x^2, x^3, shape [...] -> [..., 4]."""
@@ -563,8 +556,7 @@ class JointSurrogate:
     def _alone(self, phi_deg: FloatArray) -> FloatArray:
         """Prior variance of f in the basis, over sigma^2 [-], shape [k] -> [k, 2 theta]."""
         local = np.outer(np.square(self.scatter.growth(phi_deg)), self.prior_variance)
-        variance: FloatArray = np.square(self._powers(phi_deg)) @ self.cubic_variance + local
-        return variance
+        return np.square(self._powers(phi_deg)) @ self.cubic_variance + local
 
 
 def _learn(

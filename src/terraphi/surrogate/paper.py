@@ -174,8 +174,7 @@ class GridGP:
 
     def predict(self, phi_deg: ArrayLike) -> FloatArray:
         """Mean of the force at the training leg angles [N], shape [k] -> [k, theta]."""
-        mean: FloatArray = self.mean + self._across(phi_deg) @ self._mean_weights
-        return mean
+        return self.mean + self._across(phi_deg) @ self._mean_weights
 
     def predict_variance(self, phi_deg: ArrayLike) -> FloatArray:
         """Variance of the force `predict`, without the white noise [N^2], same shape."""

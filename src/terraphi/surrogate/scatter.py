@@ -110,8 +110,7 @@ class Scatter:
         a, b, c = self.log_floor
         of_peak = np.exp(a + b * x[:, None] + c * np.square(x)[:, None])
         floor = np.maximum(FLOOR * halves.max(axis=2), of_peak)[:, :, None]
-        result: FloatArray = np.maximum(halves, floor).reshape(len(x), -1)
-        return result
+        return np.maximum(halves, floor).reshape(len(x), -1)
 
     @functools.cached_property
     def sizes(self) -> tuple[FloatArray, FloatArray]:
@@ -139,16 +138,14 @@ class Scatter:
     def covariance(self, phi_deg: float) -> FloatArray:
         """Covariance at a friction angle [N^2], shape [2 theta, 2 theta]."""
         sigma = self.sigma([phi_deg])[0]
-        covariance: FloatArray = sigma[:, None] * self._correlation * sigma
-        return covariance
+        return sigma[:, None] * self._correlation * sigma
 
     def draw(self, phi_deg: ArrayLike, rng: np.random.Generator) -> FloatArray:
         """Draw scatter at friction angles [N], shape [k] -> [k, 2 theta]."""
         sigma = self.sigma(phi_deg)
         white = rng.standard_normal(sigma.shape)
         size = np.sqrt(self.draw_sizes((len(sigma), 1), rng))
-        drawn: FloatArray = size * sigma * (white @ np.linalg.cholesky(self._correlation).T)
-        return drawn
+        return size * sigma * (white @ np.linalg.cholesky(self._correlation).T)
 
     def draw_sizes(self, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
         """Draw sizes of the scatter, factors on its variance [-]."""
@@ -208,10 +205,7 @@ def correlation_matrix(
     for fractions, rho in ((np.array(shared), cross[0]), (1.0 - np.array(shared), cross[1])):
         roots = np.sqrt(fractions)
         parts.append(np.outer(roots, roots) * np.array([[1.0, rho], [rho, 1.0]]))
-    joint: FloatArray = np.kron(parts[0], np.exp(-lag / length)) + np.kron(
-        parts[1], np.eye(theta.size)
-    )
-    return joint
+    return np.kron(parts[0], np.exp(-lag / length)) + np.kron(parts[1], np.eye(theta.size))
 
 
 SMOOTHING_WINDOWS = 1.0
@@ -438,5 +432,4 @@ def _smoother(m: int, width: float) -> FloatArray:
     """Gaussian smoothing along the leg angle, each force by itself, shape [2 m, 2 m]."""
     index = np.arange(m)
     kernel: FloatArray = np.exp(-0.5 * np.square((index[:, None] - index) / width))
-    result: FloatArray = np.kron(np.eye(2), kernel / kernel.sum(axis=1, keepdims=True))
-    return result
+    return np.kron(np.eye(2), kernel / kernel.sum(axis=1, keepdims=True))
