@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
-from terraphi.inference.inversion import Inversion, invert
+from terraphi.inference.answer import Inversion
+from terraphi.inference.inversion import invert
 from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import ensemble, tabulated
 from terraphi.library.shipped import companion

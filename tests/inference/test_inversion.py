@@ -15,7 +15,8 @@ from terraphi.experiment.measurements import measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward import simulate
-from terraphi.inference.inversion import AngleSummary, Inversion, invert, plane_strain_summary
+from terraphi.inference.answer import AngleSummary, Inversion, plane_strain_summary
+from terraphi.inference.inversion import invert
 from terraphi.inference.words import of_doubt
 from terraphi.library.store import Library
 

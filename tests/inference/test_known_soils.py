@@ -11,8 +11,9 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.measurements import measurement
 from terraphi.inference.discrepancy import learnt_for
-from terraphi.inference.inversion import Trial, invert
+from terraphi.inference.inversion import invert
 from terraphi.inference.known_soils import Calibration, KnownSoil, angle_with_sd, known_soil
+from terraphi.inference.trials import Trial
 from terraphi.library.store import Library
 
 REPOSE = {"poppy_loose": 36.0, "glass03_close": 35.0, "glass03_loose": 25.0}

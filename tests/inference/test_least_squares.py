@@ -9,7 +9,8 @@ from scipy.optimize import minimize_scalar
 
 from terraphi.experiment.measurements import Measurement, measurement, names
 from terraphi.inference import calibrated as least_squares
-from terraphi.inference.inversion import Inversion, invert
+from terraphi.inference.answer import Inversion
+from terraphi.inference.inversion import invert
 from terraphi.inference.prepared_leg import PreparedLeg, prepare
 from terraphi.library.store import Library
 

@@ -7,7 +7,8 @@ import pytest
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.measurements import measurement
-from terraphi.inference.inversion import Inversion, invert
+from terraphi.inference.answer import Inversion
+from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
 from terraphi.view import plots
 

@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, positions, write_netcdf
 from terraphi.experiment.force_table import read_force_table, write_force_table
-
-FloatArray = NDArray[np.float64]
 
 WINDOW_DEG = 85.0
 """Half width of the engaged window of the paper [deg]."""

@@ -11,10 +11,9 @@ import math
 from typing import Annotated, Literal, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
 
 
 class Poses(NamedTuple):

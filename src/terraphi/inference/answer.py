@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import Observation
 from terraphi.experiment.scenario import Scenario
@@ -23,10 +23,6 @@ from terraphi.inference.posterior import Posterior
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws
 from terraphi.inference.words import of_doubt, reason
-
-__all__ = ["AngleSummary", "Inversion", "plane_strain_summary"]
-
-FloatArray = NDArray[np.float64]
 
 PHI = "soil.friction_angle_deg"
 NARROW_DEG = 0.1

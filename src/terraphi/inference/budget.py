@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.inference.calibrated import (
     REGISTRATION_DEG,
     CalibratedLikelihood,
@@ -24,8 +25,6 @@ from terraphi.inference.calibrated import (
 )
 from terraphi.inference.fit import Fit
 from terraphi.inference.posterior import Posterior
-
-FloatArray = NDArray[np.float64]
 
 TERMS = {
     "interpolation": "surrogate between the library's angles",
@@ -189,9 +188,6 @@ def budget_of(
         discrepancy="gp" if problem.discrepancy else "none",
         degrees={n: float(np.sqrt(part)) / information for n, part in parts.items()},
     )
-
-
-__all__ = ["information_gain_bits", "information_share", "share_without_force", "without_force"]
 
 
 BINS = 20

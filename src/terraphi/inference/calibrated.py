@@ -55,10 +55,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.inference.prepared_leg import PreparedLeg
 from terraphi.surrogate.kronecker import single_threaded
-
-FloatArray = NDArray[np.float64]
 
 ROUNDS = 8
 """Times at most that the best angles beside a discrepancy, of soil and leg, are looked for."""

@@ -16,19 +16,8 @@ import sys
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = [
-    "EnsembleDiagnostics",
-    "autocorrelation_time",
-    "chains",
-    "diagnose",
-    "effective_sample_size",
-    "median_standard_error",
-    "split_rhat",
-]
-
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -23,14 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.inference.calibrated import log_sum
 from terraphi.inference.prepared_leg import PreparedLeg, learn
 from terraphi.library.store import Library, hash_of, unseeded
 from terraphi.surrogate.joint import JointSurrogate
 from terraphi.surrogate.kronecker import single_threaded
-
-FloatArray = NDArray[np.float64]
 
 CHUNK = 200
 """Replicates at once."""

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import WIDEST_GAP_DEG, WINDOW_DEG, ForceHistory
 from terraphi.inference.findings import Doubt
 from terraphi.library.store import Library
 
-FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NEAR = 5

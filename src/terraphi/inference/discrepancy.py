@@ -53,8 +53,8 @@ from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_file, shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
@@ -69,8 +69,6 @@ from terraphi.inference.findings import Measure
 from terraphi.inference.posterior import Posterior
 from terraphi.inference.prepared_leg import PreparedLeg
 from terraphi.library.store import Library
-
-FloatArray = NDArray[np.float64]
 
 FOR_SIMULATED = "quick-plane-strain"
 """Library for simulated records."""

@@ -13,12 +13,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import WINDOW_DEG
 from terraphi.inference.findings import Doubt, Side
-
-FloatArray = NDArray[np.float64]
 
 BETTER = 0.5
 """Deviation that is left, over that before, up to which an explanation counts [-]."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.inference.calibrated import (
     AMPLITUDES,
     LENGTHS_DEG,
@@ -24,8 +24,6 @@ from terraphi.inference.calibrated import (
     log_sum,
 )
 from terraphi.surrogate.kronecker import single_threaded
-
-FloatArray = NDArray[np.float64]
 
 SMALLEST_PROBABILITY = 0.01
 """Chi-squares that are less probable count as a misfit."""

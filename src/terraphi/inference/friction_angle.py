@@ -21,8 +21,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.answer import (
@@ -73,7 +74,6 @@ from terraphi.surrogate.kronecker import single_threaded
 from terraphi.surrogate.paper import LegSurrogate
 from terraphi.surrogate.training import DENSITY
 
-FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 NODES = {"calibrated": 401, "paper": 4001}

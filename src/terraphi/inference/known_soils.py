@@ -31,9 +31,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, sentence_from_validation
 from terraphi.experiment.files import replacing
 from terraphi.experiment.measurements import measurement, medium_and_leg, names
@@ -45,7 +45,6 @@ from terraphi.library.store import Library
 if TYPE_CHECKING:
     from terraphi.inference.answer import Inversion
 
-FloatArray = NDArray[np.float64]
 
 OFFSET_DEG = 10.0
 """Standard deviation of a library's offset before soils are seen [deg]."""

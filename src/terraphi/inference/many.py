@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import replacing, writable
 from terraphi.experiment.measurements import open_forces
-from terraphi.inference.inversion import Inversion, Trial, invert
+from terraphi.inference.answer import Inversion
+from terraphi.inference.inversion import invert
+from terraphi.inference.trials import Trial
 from terraphi.library.store import Library
 
 if TYPE_CHECKING:

@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import parse_toml
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import is_there, plain_number
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory, is_read_again, shares
-
-FloatArray = NDArray[np.float64]
 
 INFERRED = "inferred"
 LARGEST_N = 1e5

@@ -11,17 +11,9 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-__all__ = [
-    "Likelihood",
-    "PaperLikelihood",
-    "peak_to_peak",
-    "residual_autocorrelation",
-    "residual_correlation_length_deg",
-]
-
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
 
 # Forces and predictions are not known to more digits than this, relative to the data. Below it the
 # marginal likelihood would grow without bound, and could not be integrated, at an exact fit.

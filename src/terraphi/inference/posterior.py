@@ -14,11 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.inference.convergence import autocorrelation_time, chains, diagnose
 
-__all__ = ["LogLikelihood", "Posterior", "ensemble", "quadrature"]
-
-FloatArray = NDArray[np.float64]
 LogLikelihood = Callable[[FloatArray], FloatArray]
 """Log-likelihood [-] of friction angles [deg], shape [k] -> [k]."""
 

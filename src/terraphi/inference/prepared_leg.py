@@ -36,6 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.inference.paper_likelihood import peak_to_peak
@@ -44,7 +45,6 @@ from terraphi.surrogate.joint import JointKernel, JointSurrogate
 from terraphi.surrogate.kronecker import single_threaded
 from terraphi.surrogate.scatter import Scatter, estimate
 
-FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 NODES = 281

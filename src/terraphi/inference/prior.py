@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import plain_number
 from terraphi.inference.checks import DENSITIES
 from terraphi.surrogate.training import DENSITY
-
-FloatArray = NDArray[np.float64]
 
 FAR = 6.0
 """Standard deviations at which a normal prior ends."""

@@ -16,11 +16,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.inference.convergence import EnsembleDiagnostics, diagnose
 
-FloatArray = NDArray[np.float64]
 Coordinates = Callable[[FloatArray], FloatArray]
 """Parameters of coordinates, shape [k, d] -> [k, d]."""
 LogPosterior = Callable[[FloatArray], FloatArray]

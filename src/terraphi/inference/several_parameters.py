@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.answer import (
@@ -41,8 +41,6 @@ from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.kronecker import single_threaded
 from terraphi.surrogate.training import DENSITY, Training, training
-
-FloatArray = NDArray[np.float64]
 
 DILATION = "soil.dilation_angle_deg"
 STEPS = 1500

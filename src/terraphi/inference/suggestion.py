@@ -20,16 +20,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.inference.identifiability import axis_label, label
 from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignGP, DesignSurrogate, from_unit
 from terraphi.surrogate.kronecker import single_threaded
 from terraphi.surrogate.training import training
-
-FloatArray = NDArray[np.float64]
 
 TRUTHS = 64
 """Truths over which the variance is averaged; a power of two."""

@@ -31,13 +31,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.inference.prior import Marginal
 from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.training import DENSITY
-
-FloatArray = NDArray[np.float64]
 
 NOISE_RANGE = (1e-4, 0.3)
 """Noise of a window mean that may be inferred, of the largest peak-to-peak [-]; log-uniform."""

@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import (
     DENSE_DEG,
@@ -28,8 +28,6 @@ from terraphi.inference.findings import Doubt, Side
 from terraphi.inference.words import of_doubt
 from terraphi.library.store import Library
 from terraphi.surrogate.training import Training
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,6 @@ from terraphi.inference.fit import LARGEST_ODDS, SMALLEST_PROBABILITY, Fit
 from terraphi.inference.paper_likelihood import peak_to_peak
 from terraphi.inference.posterior import Posterior
 
-__all__ = ["Edge", "judge", "nrmsd"]
-
 NRMSD_LIMIT = 0.10
 """Largest deviation of a force that is accepted without a test of fit, of peak-to-peak [-]."""
 EDGE_MASS = 0.05

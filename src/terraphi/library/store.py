@@ -17,14 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_file, shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import is_there, open_netcdf, positions, write_netcdf
 from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan, describe, value_of
-
-FloatArray = NDArray[np.float64]
 
 SCHEMA = 1
 """Version of the layout of a library file."""

@@ -26,12 +26,12 @@ from dataclasses import dataclass, field
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.surrogate.kronecker import Kronecker, Posterior, maximise, single_threaded
 from terraphi.surrogate.training import DENSITY, Training
 
-FloatArray = NDArray[np.float64]
 Kind = Literal["matern52", "rbf"]
 
 TREND = 10.0

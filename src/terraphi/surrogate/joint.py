@@ -37,12 +37,11 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.surrogate.kronecker import Blocks, Kronecker, maximise, single_threaded
 from terraphi.surrogate.scatter import Scatter, corrected, with_tail
-
-FloatArray = NDArray[np.float64]
 
 ORDERS = np.arange(4)
 AMPLITUDES = (1e-2, 1e3)

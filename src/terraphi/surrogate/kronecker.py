@@ -38,10 +38,11 @@ from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
+
 Side = Literal["left", "right"]
 
 

@@ -23,11 +23,10 @@ from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.surrogate.kronecker import Kronecker, Posterior, maximise, single_threaded
-
-FloatArray = NDArray[np.float64]
 
 SHORTEST_THETA_LENGTH_DEG = 12.0
 """Lower bound of the correlation length over the leg angle [deg], twice the residual's 6°."""

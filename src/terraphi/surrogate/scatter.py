@@ -23,9 +23,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
 
 FLOOR = 0.1
 """Least scatter over the largest of that force at the same phi [-]: where the leg leaves the soil,

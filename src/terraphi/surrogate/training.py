@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import value_of
 from terraphi.library.store import Library, differ_beyond
-
-FloatArray = NDArray[np.float64]
 
 DENSITY = "soil.density"
 NOT_PARAMETERS = ("leg.shape", "numerics.seed")

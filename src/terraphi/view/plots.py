@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.files import replacing
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
+from terraphi.inference.answer import Inversion
 from terraphi.inference.identifiability import label
-from terraphi.inference.inversion import Inversion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,7 +13,8 @@ import xarray as xr
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.measurements import measurement
-from terraphi.inference.inversion import Inversion, invert
+from terraphi.inference.answer import Inversion
+from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
 from terraphi.view.report.inversion import (
     CONVENTION,
