@@ -24,12 +24,13 @@ from terraphi.inference.noise import Noise
 from terraphi.inference.prior import Marginal
 from terraphi.inference.several_parameters import (
     DILATION,
+    LegLikelihood,
+    Target,
     _density_of,
     _judge,
     _plane_strain,
     _window_noise,
 )
-from terraphi.inference.target import LegLikelihood, Target
 from terraphi.inference.trials import Looked, Repeats, Trial, Tried, grouped
 from terraphi.inference.verdict import EDGE_DENSITY
 from terraphi.surrogate.design import DesignSurrogate
@@ -221,12 +222,12 @@ def test_a_history_of_another_model_is_named_and_not_believed_blindly(
 ) -> None:
     given = trial("straight")
     data = training(two_parameters, "straight")
-    assert given.made_as(data)
+    assert given.made_as(data.scenario, data.bounds)
     bare = ForceHistory(given.history.position, given.history.force)
-    assert not replace(given, history=bare).made_as(data)
+    assert not replace(given, history=bare).made_as(data.scenario, data.bounds)
     coarser = two_parameters.cases[0].scenario.replace(**TRUTH, **{"rft.panels": 20})
     other = Trial(simulate(coarser), "straight", "other")
-    assert not other.made_as(data)
+    assert not other.made_as(data.scenario, data.bounds)
     (group,) = grouped([other])
     (said,) = warnings_on(group, data, None)
     assert said.code == "unlike"
@@ -311,7 +312,7 @@ def test_the_equivalent_in_plane_strain_knows_the_dilation(two_parameters) -> No
     marginal = {PHI: Summary.of(np.full(10, 30.0))}
     for psi in (0.0, 15.0):
         priors = {PHI: Marginal(20.0, 40.0), DILATION: Marginal(psi, psi)}
-        target = Target(None, priors, (PHI,), 0.1, False)
+        target = Target((), priors, (PHI,), 0.1, False)
         found, _ = _plane_strain(marginal, target, scenario)
         exact = plane_strain_friction_angle_deg(30.0, "triaxial", dilation_angle_deg=psi)
         assert found.median == pytest.approx(exact)

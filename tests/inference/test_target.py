@@ -7,7 +7,8 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
-from terraphi.inference.target import JointLikelihood, LegLikelihood
+from terraphi.inference.prior import Marginal
+from terraphi.inference.several_parameters import LegLikelihood, Target
 from terraphi.surrogate.design import DesignGP, DesignKernel, DesignSurrogate, Size
 
 THETA_DEG = np.linspace(-85.0, 85.0, 6)
@@ -80,9 +81,8 @@ def test_likelihood_is_that_of_a_dense_normal_distribution(trials, amplitude, ra
 def test_legs_add_up() -> None:
     one, other = (LegLikelihood(leg(s), RNG.standard_normal((1, 12)) + 3.0) for s in (0.0, 1.0))
     args = {KEY: np.array([25.0, 31.0])}, np.full(2, 0.3), np.zeros(2)
-    both = JointLikelihood((one, other))
-    np.testing.assert_allclose(both(*args), one(*args) + other(*args))
-    assert both.largest == max(one.largest, other.largest)
+    both = Target((one, other), {KEY: Marginal(20.0, 40.0)}, (KEY,), 0.3, False)
+    np.testing.assert_allclose(both(args[0][KEY][:, None]), one(*args) + other(*args))
 
 
 def test_information_is_that_of_dense_matrices() -> None:

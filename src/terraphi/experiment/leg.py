@@ -15,15 +15,16 @@ import math
 from typing import Literal, NamedTuple, Self, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-
-from terraphi.experiment.arrays import FloatArray
 
 LegShape = Literal["straight", "c", "reversed_c", "plate"]
 LEG_SHAPES: tuple[LegShape, ...] = get_args(LegShape)
 SOLID_SHAPES = ("sphere", "cylinder")
 """Bodies that are no outline drawn out across the plane of motion: in three dimensions only."""
 BodyShape = Literal["straight", "c", "reversed_c", "plate", "sphere", "cylinder"]
+
+FloatArray = NDArray[np.float64]
 
 
 def segment_distance(

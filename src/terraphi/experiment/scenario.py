@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validator
+from pydantic import Field, ValidationInfo, model_validator
 
-from terraphi.experiment.documents import WRITTEN, parse_toml, shipped_file, strictly
+from terraphi.experiment.documents import WRITTEN, Strict, parse_toml, shipped_file, strictly
 from terraphi.experiment.files import is_there
 from terraphi.experiment.leg import LEG_SHAPES, SOLID_SHAPES, Leg, frame_axes
 from terraphi.experiment.motion import Motion, Rotation, bin_count
@@ -57,15 +57,7 @@ PAPER_DAMPING_RATE = -math.log(0.997) / 8e-6
 """The paper multiplies grid velocities by 0.997 every 8 µs: a decay rate of 375.6 1/s."""
 
 
-class Section(BaseModel):
-    """Frozen, strict and finite."""
-
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
-    )
-
-
-class Bed(Section):
+class Bed(Strict):
     """The box of soil; its walls are fixed in space whatever the grid."""
 
     left: float = Field(0.005, ge=0)
@@ -120,7 +112,7 @@ class Bed(Section):
         return self.floor + self.height
 
 
-class Relief(Section):
+class Relief(Strict):
     """Fading of soil that the leg has carried away (the paper's tail-phase relief)."""
 
     enabled: bool = True
@@ -133,7 +125,7 @@ class Relief(Section):
     """Smallest weight q of a particle [-]."""
 
 
-class Numerics(Section):
+class Numerics(Strict):
     """Discretisation of the material point method."""
 
     domain: float = Field(0.300, gt=0)
@@ -243,7 +235,7 @@ class Numerics(Section):
         return math.exp(-self.damping_rate * self.time_step / self.speed_up)
 
 
-class Resistive(Section):
+class Resistive(Strict):
     """Resistive force theory."""
 
     medium: Literal[
@@ -287,7 +279,7 @@ LEAST, LARGEST = 1e-15, 1e15
 """Sizes of numbers, in SI or degrees, that can be computed with."""
 
 
-class Scenario(Section):
+class Scenario(Strict):
     """A soil, a leg, a motion and the numerics that bring them together."""
 
     name: str = ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,7 @@ class AngleSummary:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
-        return {"median": self.median, "ci68": list(self.ci68), "ci95": list(self.ci95)}
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,7 @@ class Summary:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
-        return {
-            "median": self.median, "sd": self.sd, "ci68": list(self.ci68), "ci95": list(self.ci95),
-        }  # fmt: skip
+        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)

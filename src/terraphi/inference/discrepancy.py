@@ -332,26 +332,15 @@ class Learnt:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, as its file has them."""
-        told = dict(vars(self))
-        told["media"] = list(self.media)
-        told["theta_deg"] = [round(float(v), 6) for v in self.theta_deg]
-        told["shapes"] = {
-            leg: [round(float(v), 6) for v in shape] for leg, shape in self.shapes.items()
-        }
-        return told
+        shapes = {leg: np.round(shape, 6).tolist() for leg, shape in self.shapes.items()}
+        return {**vars(self), "theta_deg": np.round(self.theta_deg, 6).tolist(), "shapes": shapes}
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> Learnt:
         """Inverse of :meth:`as_dict`."""
         shapes = {leg: np.array(shape) for leg, shape in told["shapes"].items()}
-        return cls(
-            **{
-                **told,
-                "media": tuple(told["media"]),
-                "theta_deg": np.array(told["theta_deg"]),
-                "shapes": shapes,
-            }
-        )
+        theta, media = np.array(told["theta_deg"]), tuple(told["media"])
+        return cls(**{**told, "media": media, "theta_deg": theta, "shapes": shapes})
 
 
 def _size(

@@ -26,14 +26,15 @@ import importlib.metadata
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError, sentence_from_validation
 from terraphi.experiment.files import replacing
 from terraphi.experiment.measurements import measurement, medium_and_leg, names
@@ -60,10 +61,8 @@ HIP_ABOVE = 0.020
 """Height of their hip above the soil [m]."""
 
 
-class KnownSoil(BaseModel):
+class KnownSoil(Strict):
     """A soil of known friction angle, and what came out of its forces."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     phi_deg: float = Field(gt=0.0, lt=90.0)
     sd_deg: float = Field(gt=0.0)
@@ -74,10 +73,8 @@ class KnownSoil(BaseModel):
     medium: str = ""
 
 
-class Calibration(BaseModel):
+class Calibration(Strict):
     """A library compared with soils of known friction angle, as its file has it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: Literal["terraphi calibration on known soils"] = "terraphi calibration on known soils"
     version: str = ""
@@ -231,7 +228,7 @@ class Compared:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words."""
-        return {"low_deg": self.low_deg, "high_deg": self.high_deg, "media": list(self.media)}
+        return asdict(self)
 
 
 def compared(

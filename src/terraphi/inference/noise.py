@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.documents import parse_toml
+from terraphi.experiment.documents import Strict, parse_toml
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import is_there, plain_number
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory, is_read_again, shares
@@ -30,10 +30,8 @@ RIDGE = 1e-3
 """Added to the noise covariance, of its mean variance [-]: coarse records make it singular."""
 
 
-class _Sensor(BaseModel):
+class _Sensor(Strict):
     """A file on a sensor."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     sigma_Fx_N: float = Field(ge=0, le=LARGEST_N)
     sigma_Fz_N: float = Field(ge=0, le=LARGEST_N)

@@ -25,13 +25,11 @@ would count as known. So variance is added at each window by itself: as much as 
 
 from __future__ import annotations
 
-import hashlib
+import functools
 import logging
-import weakref
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,12 +164,7 @@ class PreparedLeg:
         shape
             W, the noise covariance of unit size [-], positive definite, [2 theta, 2 theta].
         """
-        # A leg stays, and its identity with it, for as long as its decompositions do.
-        key = (id(self), np.round(shape, 9).tobytes())
-        found = _SPECTRA.pop(key, None) or Spectra(self, shape)
-        _SPECTRA[key] = found
-        _forget_oldest(_SPECTRA, DECOMPOSED)
-        return found
+        return _spectra(self, shape.tobytes())
 
 
 class Spectra:
@@ -218,9 +211,9 @@ class Spectra:
         return Spectrum(*(array[size, part] for array in arrays))
 
 
-_Key = tuple[int, str, bytes]
-_KNOWN: OrderedDict[_Key, tuple[weakref.ref[Library], PreparedLeg]] = OrderedDict()
-_SPECTRA: OrderedDict[tuple[int, bytes], Spectra] = OrderedDict()
+@functools.lru_cache(maxsize=DECOMPOSED)
+def _spectra(leg: PreparedLeg, shape: bytes) -> Spectra:
+    return Spectra(leg, np.frombuffer(shape).reshape(leg.opened.shape))
 
 
 def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -> PreparedLeg:
@@ -233,33 +226,25 @@ def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -
         otherwise they are estimated from its curves.
     leg, readings
         As in :meth:`Library.curves`. What the readings leave open of the path is part of the
-        covariance (`reading`).
+        covariance.
 
     Raises
     ------
     InputError
         As :meth:`Library.curves` does.
     """
-    key = (id(library), leg, _sampling(readings))
-    known = _KNOWN.get(key)
-    if known and known[0]() is library:
-        return known[1]
+    return _prepared(library, leg, None if readings is None else readings.tobytes())
+
+
+@functools.lru_cache(maxsize=REMEMBERED)
+def _prepared(library: Library, leg: str, readings_as_bytes: bytes | None) -> PreparedLeg:
+    if readings_as_bytes is None:
+        curves = library.curves(leg)
+        return PreparedLeg.of(surrogate_of(library, leg, curves), curves)
+    readings = np.frombuffer(readings_as_bytes)
     curves = library.curves(leg, readings=readings)
     surrogate = surrogate_of(library, leg, curves, readings=readings)
-    reading = None
-    if readings is not None:
-        reading = learn_reading(library, leg, readings, surrogate)
-    prepared = PreparedLeg.of(surrogate, curves, reading)
-    _KNOWN[key] = (weakref.ref(library), prepared)
-    _forget_oldest(_KNOWN, REMEMBERED)
-    return prepared
-
-
-def _sampling(readings: FloatArray | None) -> bytes:
-    """What tells how curves are seen; a record may have a million readings."""
-    if readings is None:
-        return b""
-    return hashlib.sha256(np.round(readings, 9).tobytes()).digest()
+    return PreparedLeg.of(surrogate, curves, learn_reading(library, leg, readings, surrogate))
 
 
 def surrogate_of(
@@ -303,10 +288,9 @@ def learn(curves: Curves, replicates: Sequence[tuple[float, FloatArray]] = ()) -
     replicates
         As from :meth:`Library.repeated`. Forces at their angles are known the better for them.
     """
-    vectors = np.hstack([curves.Fx, curves.Fz])
     means, repeats = _means(curves, replicates)
     with single_threaded():
-        scatter = estimate(curves.theta_deg, curves.phi_deg, vectors, replicates)
+        scatter = estimate(curves.theta_deg, curves.phi_deg, curves.vectors, replicates)
         return JointSurrogate.fit(curves.phi_deg, curves.theta_deg, means, scatter, repeats=repeats)
 
 
@@ -314,16 +298,11 @@ def _means(
     curves: Curves, replicates: Sequence[tuple[float, FloatArray]]
 ) -> tuple[FloatArray, FloatArray]:
     """Mean of all simulations of each case [N], shape [case, 2 theta], and how many they are."""
-    means, repeats = np.hstack([curves.Fx, curves.Fz]), np.ones(len(curves.phi_deg))
+    means, repeats = curves.vectors, np.ones(len(curves.phi_deg))
     for phi, vectors in replicates:
         (case,) = np.flatnonzero(curves.phi_deg == phi)
         means[case], repeats[case] = vectors.mean(axis=0), len(vectors)
     return means, repeats
-
-
-def _forget_oldest(kept: OrderedDict[Any, Any], most: int) -> None:
-    while len(kept) > most:
-        kept.popitem(last=False)
 
 
 MOST_SHIFTS = 10

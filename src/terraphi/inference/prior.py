@@ -10,9 +10,10 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import plain_number
-from terraphi.inference.checks import DENSITIES
 from terraphi.surrogate.training import DENSITY
 
+DENSITIES = (100.0, 10000.0)
+"""Bulk densities that are accepted [kg/m³]; 1.6 is one in g/cm³."""
 FAR = 6.0
 """Standard deviations at which a normal prior ends."""
 

@@ -16,7 +16,7 @@ Verdinelli, *Stat. Sci.* 10:273, 1995). Further ones follow one by one, each giv
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -68,14 +68,7 @@ class Suggestion:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
-        return {
-            "library": self.library,
-            "legs": list(self.legs),
-            "points": [dict(point) for point in self.points],
-            "expected_sd": [dict(sd) for sd in self.expected_sd],
-            "floor_sd": dict(self.floor_sd),
-            "noise_N": dict(self.noise_N),
-        }
+        return asdict(self)
 
     def title(self) -> str:
         """One line for people."""

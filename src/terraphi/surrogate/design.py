@@ -6,8 +6,8 @@ design in d parameters and M leg angles the covariance of a force is
     K = sigma^2 K_x (x) K_theta + tau^2 I,         (x) the Kronecker product (`kronecker`),
     K_x = t^2 (1 + x.y) + c(r),                    K_theta = exp(-lag^2 / 2 l^2) + f^2 I,
 
-r the distance of x and y, c the Matern correlation of order 5/2 or the squared exponential, with a
-length of its own along each parameter (Rasmussen & Williams, eqs 4.17 and 4.9), t the size of a
+r the distance of x and y, c the Matern correlation of order 5/2, with a length of its own
+along each parameter (Rasmussen & Williams, eq. 4.17), t the size of a
 free plane and f that of a part which is smooth over the parameters and jumps over the leg angle, as
 forces do where a face of the leg begins to lead. Parameters are scaled to their bounds, from -1 to
 1. Beyond `FIT_CASES` points hyperparameters are those of maximum evidence on as many of them,
@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,8 +31,6 @@ from numpy.typing import ArrayLike
 from terraphi.experiment.arrays import FloatArray
 from terraphi.surrogate.kronecker import Kronecker, Posterior, maximise, single_threaded
 from terraphi.surrogate.training import DENSITY, Training
-
-Kind = Literal["matern52", "rbf"]
 
 TREND = 10.0
 """Prior standard deviation of the plane over that of the process [-]: nearly free."""
@@ -52,15 +50,6 @@ class DesignKernel:
         sigma^2 and tau^2 [-].
     fine
         f, size of the part that is white over the leg angle [-].
-    kind
-        Correlation along the parameters.
-    trend
-        t, size of the plane [-]; 0 for none.
-
-    Raises
-    ------
-    ValueError
-        If a number is not positive and finite (``fine`` and ``trend`` may be zero).
     """
 
     lengths: tuple[float, ...]
@@ -68,28 +57,16 @@ class DesignKernel:
     signal_variance: float
     noise_variance: float
     fine: float = 0.0
-    kind: Kind = "matern52"
-    trend: float = TREND
-
-    def __post_init__(self) -> None:
-        positive = (
-            *self.lengths, self.theta_length_deg, self.signal_variance, self.noise_variance,
-        )  # fmt: skip
-        if not all(np.isfinite(v) and v > 0.0 for v in positive):
-            raise ValueError(f"lengths and variances are {positive}; they must be positive")
-        if not (0.0 <= self.fine < np.inf and 0.0 <= self.trend < np.inf):
-            raise ValueError(f"fine is {self.fine} and trend {self.trend}; neither is negative")
 
     def over_parameters(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """K_x between points, shapes [k, d] and [l, d] -> [k, l]."""
-        covariance = self.correlation(self.distance2(one, other))
-        if self.trend:
-            covariance += self.trend**2 * (1.0 + one @ other.T)
-        return covariance
+        lag = np.sqrt(5.0 * self.distance2(one, other))
+        correlation = (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
+        return correlation + TREND**2 * (1.0 + one @ other.T)
 
     def variance(self, points: FloatArray) -> FloatArray:
         """Diagonal of K_x, shape [k, d] -> [k]."""
-        return 1.0 + self.trend**2 * (1.0 + np.square(points).sum(axis=1))
+        return 1.0 + TREND**2 * (1.0 + np.square(points).sum(axis=1))
 
     def distance2(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Squared distances in correlation lengths, shape [k, l]."""
@@ -97,17 +74,8 @@ class DesignKernel:
         squares = np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1) - 2.0 * a @ b.T
         return np.maximum(squares, 0.0)
 
-    def correlation(self, distance2: FloatArray) -> FloatArray:
-        """Correlation c of squared distances [-]."""
-        if self.kind == "rbf":
-            return np.exp(-0.5 * distance2)
-        lag = np.sqrt(5.0 * distance2)
-        return (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
-
     def slope(self, distance2: FloatArray) -> FloatArray:
         """-2 dc/d(squared distance); times (x_k - y_k)^2 / l_k^2 it is dc/d log l_k."""
-        if self.kind == "rbf":
-            return np.exp(-0.5 * distance2)
         lag = np.sqrt(5.0 * distance2)
         return 5.0 / 3.0 * (1.0 + lag) * np.exp(-lag)
 
@@ -126,10 +94,10 @@ class DesignKernel:
         )  # fmt: skip
 
     @classmethod
-    def unpack(cls, logarithms: FloatArray, kind: Kind, trend: float) -> DesignKernel:
+    def unpack(cls, logarithms: FloatArray) -> DesignKernel:
         """Inverse of :meth:`pack`."""
         *lengths, theta, signal, fine, noise = np.exp(logarithms).tolist()
-        return cls(tuple(lengths), theta, signal, noise, fine, kind, trend)
+        return cls(tuple(lengths), theta, signal, noise, fine)
 
 
 FIT_CASES = 250
@@ -180,9 +148,6 @@ class DesignGP:
         theta_deg: ArrayLike,
         values: ArrayLike,
         *,
-        kind: Kind = "matern52",
-        trend: float = TREND,
-        restarts: int = 1,
         seed: int = 0,
     ) -> Self:
         """Find the hyperparameters of maximum marginal likelihood, and condition on the values.
@@ -195,15 +160,13 @@ class DesignGP:
             Leg angles, or other places along the path, increasing, shape [theta].
         values
             Force [N], shape [case, theta].
-        kind, trend
-            As in `DesignKernel`.
-        restarts, seed
-            Random starts of the optimiser besides two good guesses, and their seed.
+        seed
+            Of the optimiser's random start besides two good guesses.
 
         Raises
         ------
         ValueError
-            If shapes disagree, points are too few, or a value is not finite or all are equal.
+            If all points have the same values.
         """
         with single_threaded():
             data = _Data(points, theta_deg, values)
@@ -211,7 +174,7 @@ class DesignGP:
             if len(data.points) > FIT_CASES:
                 even = np.linspace(0, len(data.points) - 1, FIT_CASES).round().astype(int)
                 chosen = _Data(data.points[even], theta_deg, data.values[even])
-            kernel = _maximise_evidence(chosen, kind, trend, restarts, seed)
+            kernel = _maximise_evidence(chosen, seed)
             return cls._conditioned(data, kernel)
 
     @classmethod
@@ -280,28 +243,17 @@ class DesignGP:
             Parameters scaled to [-1, 1], shape [k, d].
         """
         where = np.atleast_2d(np.asarray(points, dtype=np.float64))
-        if where.shape[1] != self.points.shape[1]:
-            raise ValueError(f"points have shape {where.shape}; expected [k, {len(self.points.T)}]")
         mean, variance = self.rotated(where)
         return mean @ self.basis.T, variance @ np.square(self.basis.T)
 
 
 class _Data:
-    """Validated training data, standardised: mean zero at each leg angle, unit variance."""
+    """Training data, standardised: mean zero at each leg angle, unit variance."""
 
     def __init__(self, points: ArrayLike, theta_deg: ArrayLike, values: ArrayLike) -> None:
         self.points = np.array(points, dtype=np.float64)
         self.theta_deg = np.array(theta_deg, dtype=np.float64)
         self.values = np.array(values, dtype=np.float64)
-        if self.points.ndim != 2 or len(self.points) < 3:
-            raise ValueError(f"points have shape {self.points.shape}; expected [3 or more, d]")
-        if not (np.diff(self.theta_deg) > 0.0).all():
-            raise ValueError("theta_deg must increase")
-        shape = (len(self.points), self.theta_deg.size)
-        if self.values.shape != shape:
-            raise ValueError(f"values have shape {self.values.shape}; expected {shape}")
-        if not (np.isfinite(self.values).all() and np.isfinite(self.points).all()):
-            raise ValueError("points and values must be finite")
         self.mean = self.values.mean(axis=0)
         self.std = float((self.values - self.mean).std())
         if self.std == 0.0:
@@ -337,11 +289,9 @@ class _Data:
         return known.log_evidence(), np.array(found)
 
 
-def _maximise_evidence(
-    data: _Data, kind: Kind, trend: float, restarts: int, seed: int
-) -> DesignKernel:
+def _maximise_evidence(data: _Data, seed: int) -> DesignKernel:
     def evidence(logarithms: FloatArray) -> tuple[float, FloatArray]:
-        return data.evidence(DesignKernel.unpack(logarithms, kind, trend))
+        return data.evidence(DesignKernel.unpack(logarithms))
 
     d = data.points.shape[1]
     # A single leg angle, of a quantity that has none, has no spacing: any will do.
@@ -354,10 +304,10 @@ def _maximise_evidence(
         for length, fine, noise in ((2.0, 0.1, 1e-4), (5.0, 0.01, 1e-2))
     ]
     best = maximise(
-        evidence, guesses, np.log(bounds), restarts=restarts, seed=seed,
+        evidence, guesses, np.log(bounds), restarts=1, seed=seed,
         ftol=1e-10, gtol=1e-4, maxiter=200,
     )  # fmt: skip
-    return DesignKernel.unpack(best, kind, trend)
+    return DesignKernel.unpack(best)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ with that library.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -143,28 +143,17 @@ class JointKernel:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return asdict(self)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
         """Read what :meth:`as_dict` wrote; raises KeyError, TypeError or ValueError."""
-
-        def pair(name: str) -> tuple[float, float]:
-            return float(data[name][0]), float(data[name][1])
-
-        a, b, c, d = (float(value) for value in data["cubic"])
-        return cls(
-            float(data["phi_length_deg"]),
-            pair("theta_length_deg"),
-            pair("amplitude"),
-            pair("fine"),
-            (a, b, c, d),
-            float(data["cubic_power"]),
-        )
+        told = {f.name: data[f.name] for f in fields(cls)}
+        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in told.items()})
 
 
 class Standardised:
-    """Validated curves over sigma, times the root of their repeats, and the factor of R."""
+    """Curves over sigma, times the root of their repeats, and the factor of R."""
 
     def __init__(
         self,
@@ -177,18 +166,7 @@ class Standardised:
         self.phi = phi = np.array(phi_deg, dtype=np.float64)
         self.theta = theta = np.array(theta_deg, dtype=np.float64)
         values = np.array(curves, dtype=np.float64)
-        if phi.ndim != 1 or phi.size < 3 or not (np.diff(phi) > 0.0).all():
-            raise ValueError(f"phi_deg is {phi}; at least three increasing angles are needed")
-        if values.shape != (phi.size, 2 * theta.size) or not np.isfinite(values).all():
-            raise ValueError(
-                f"curves have shape {values.shape}; expected finite ones of shape "
-                f"{(phi.size, 2 * theta.size)}"
-            )
-        if not np.allclose(scatter.theta_deg, theta, atol=1e-6):
-            raise ValueError("the scatter is given at other leg angles than the curves")
         counts = np.ones(phi.size) if repeats is None else np.array(repeats, dtype=np.float64)
-        if counts.shape != phi.shape or not (counts >= 1.0).all():
-            raise ValueError(f"repeats are {counts}; expected one number, 1 or more, of each curve")
         self.root_repeats = np.sqrt(counts)
         self.values = self.root_repeats[:, None] * (values / scatter.sigma(phi))
         self.factor = np.linalg.cholesky(scatter.correlation)
@@ -388,11 +366,6 @@ class JointSurrogate:
             Hyperparameters, for a scatter already fitted; ``None`` finds those of maximum evidence.
         repeats
             Number of simulations that each curve is the mean of, shape [case]; ``None`` is one.
-
-        Raises
-        ------
-        ValueError
-            If shapes disagree, angles do not increase or are too few, or a value is not finite.
         """
         with single_threaded():
             if kernel is None:
@@ -533,10 +506,10 @@ class JointSurrogate:
             about = self._powers(phi_deg) @ (coefficients * np.sqrt(self.cubic_variance))
         return drawn + about
 
-    def covariance(self, phi_deg: float, *, scale: float = 1.0) -> FloatArray:
+    def covariance(self, phi_deg: float) -> FloatArray:
         """Predictive covariance of the forces f [N^2], shape [2 theta, 2 theta]."""
         phi = np.array([phi_deg], dtype=np.float64)
-        left = scale * self.scatter.sigma(phi)[0][:, None] * self.basis
+        left = self.scatter.sigma(phi)[0][:, None] * self.basis
         return (left * self.standard_variance(phi)[0]) @ left.T
 
     def _between(self, phi_deg: FloatArray) -> FloatArray:

@@ -49,22 +49,12 @@ class KernelParameters:
         Correlation lengths along the friction angle and the leg angle [deg].
     noise_variance
         sigma_n^2 [-].
-
-    Raises
-    ------
-    ValueError
-        If any of them is not positive and finite.
     """
 
     signal_variance: float
     phi_length_deg: float
     theta_length_deg: float
     noise_variance: float
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (np.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} is {value}; it must be positive and finite")
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,11 +120,8 @@ class GridGP:
         Raises
         ------
         ValueError
-            If angles are too few, not finite or not increasing; if values have another shape, are
-            not finite or are all equal; if ``restarts`` is negative.
+            If all values are equal.
         """
-        if restarts < 0:
-            raise ValueError(f"restarts is {restarts}; it must be 0 or more")
         # Threads cost these small matrices far more than they gain, and starve other processes.
         with single_threaded():
             grid = _Grid(phi_deg, theta_deg, values)
@@ -155,8 +142,8 @@ class GridGP:
         known = _Known(grid, parameters)
         posterior = known.posterior()
         return cls(
-            phi_deg=_read_only(grid.phi_deg),
-            theta_deg=_read_only(grid.theta_deg),
+            phi_deg=grid.phi_deg,
+            theta_deg=grid.theta_deg,
             parameters=parameters,
             log_marginal_likelihood=known.log_evidence(),
             mean=grid.mean,
@@ -184,25 +171,17 @@ class GridGP:
     def _across(self, phi_deg: ArrayLike) -> FloatArray:
         """Correlation over phi with the training angles [-], shape [k, phi]."""
         phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))
-        if phi.ndim != 1:
-            raise ValueError(f"phi_deg has shape {phi.shape}; expected one dimension")
         distance = (phi[:, None] - self.phi_deg) / self.parameters.phi_length_deg
         return np.exp(-0.5 * np.square(distance))
 
 
 class _Grid:
-    """Validated training data, standardised to zero mean and unit variance."""
+    """Training data, standardised to zero mean and unit variance."""
 
     def __init__(self, phi_deg: ArrayLike, theta_deg: ArrayLike, values: ArrayLike) -> None:
-        self.phi_deg = phi = _increasing("phi_deg", phi_deg, minimum=3)
-        self.theta_deg = theta = _increasing("theta_deg", theta_deg, minimum=2)
+        self.phi_deg = phi = np.array(phi_deg, dtype=np.float64)
+        self.theta_deg = theta = np.array(theta_deg, dtype=np.float64)
         grid = np.array(values, dtype=np.float64)
-        shape = (phi.size, theta.size)
-        if grid.shape != shape:
-            raise ValueError(f"values have shape {grid.shape}; expected [phi, theta] = {shape}")
-        for i, j in np.argwhere(~np.isfinite(grid)):
-            place = f"phi = {phi[i]:g} deg, theta = {theta[j]:g} deg"
-            raise ValueError(f"the value at {place} is {grid[i, j]}; it must be finite")
         self.mean, self.std = float(grid.mean()), float(grid.std())
         if np.ptp(grid) == 0.0:
             raise ValueError(f"all values equal {self.mean:g}; they must vary over the grid")
@@ -260,25 +239,6 @@ def _maximise_evidence(
         gtol=1e-6,
     )
     return KernelParameters(*np.exp(best).tolist())
-
-
-def _increasing(name: str, angles_deg: ArrayLike, *, minimum: int) -> FloatArray:
-    angles = np.array(angles_deg, dtype=np.float64)
-    if angles.ndim != 1 or angles.size < minimum:
-        raise ValueError(f"{name} has shape {angles.shape}; expected at least {minimum} angles")
-    rising = np.isfinite(angles[1:]) & (angles[1:] > angles[:-1])
-    if not (rising.all() and np.isfinite(angles[0])):
-        i = int(np.argmin(rising))
-        raise ValueError(
-            f"{name}[{i}] and {name}[{i + 1}] are {angles[i]:g} and {angles[i + 1]:g}; "
-            "angles must be finite and strictly increasing"
-        )
-    return angles
-
-
-def _read_only(array: FloatArray) -> FloatArray:
-    array.setflags(write=False)
-    return array
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,6 +319,6 @@ class LegSurrogate:
         """
         return scale * np.hstack([self.Fx.predict(phi_deg), self.Fz.predict(phi_deg)])
 
-    def predict_variance(self, phi_deg: ArrayLike, *, scale: float = 1.0) -> FloatArray:
+    def predict_variance(self, phi_deg: ArrayLike) -> FloatArray:
         """Variance of the latent forces of `predict` [N^2], shape [k] -> [k, 2 theta]."""
-        return scale**2 * np.hstack([gp.predict_variance(phi_deg) for gp in (self.Fx, self.Fz)])
+        return np.hstack([gp.predict_variance(phi_deg) for gp in (self.Fx, self.Fz)])

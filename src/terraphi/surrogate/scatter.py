@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -160,18 +160,11 @@ class Scatter:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, as a library's file keeps them."""
-        return {
-            "theta_deg": np.round(self.theta_deg, 9).tolist(),
-            "log_sigma": np.round(self.log_sigma, 5).tolist(),
-            "centre_deg": self.centre_deg,
-            "length_deg": self.length_deg,
-            "shared": list(self.shared),
-            "cross": list(self.cross),
-            "log_floor": np.round(self.log_floor, 5).tolist(),
-            "tail": self.tail,
-            "contrasts": self.contrasts,
-            "origin": self.origin,
-        }
+        told = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
+        told["theta_deg"] = np.round(self.theta_deg, 9).tolist()
+        for name in ("log_sigma", "log_floor"):
+            told[name] = np.round(told[name], 5).tolist()
+        return told
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
@@ -182,18 +175,10 @@ class Scatter:
         data
             Numbers and lists.
         """
-        return cls(
-            theta_deg=np.array(data["theta_deg"], dtype=np.float64),
-            log_sigma=np.array(data["log_sigma"], dtype=np.float64),
-            centre_deg=float(data["centre_deg"]),
-            length_deg=float(data["length_deg"]),
-            shared=(float(data["shared"][0]), float(data["shared"][1])),
-            cross=(float(data["cross"][0]), float(data["cross"][1])),
-            log_floor=np.array(data["log_floor"], dtype=np.float64),
-            tail=float(data["tail"]),
-            contrasts=int(data["contrasts"]),
-            origin=str(data["origin"]),
-        )
+        told = {f.name: data[f.name] for f in fields(cls) if f.init}
+        for name in ("theta_deg", "log_sigma", "log_floor"):
+            told[name] = np.array(told[name], dtype=np.float64)
+        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in told.items()})
 
 
 def correlation_matrix(
@@ -254,18 +239,13 @@ def estimate(
     Raises
     ------
     ValueError
-        If a group has a single replicate, shapes disagree, or nothing varies.
+        If nothing varies.
     """
     contrasts, angles = _differences(
         np.asarray(phi_deg, dtype=np.float64), np.asarray(curves, dtype=np.float64)
     )
     for phi, group in replicates:
         vectors = np.asarray(group, dtype=np.float64)
-        if vectors.ndim != 2 or len(vectors) < 2:
-            raise ValueError(
-                f"the group at phi = {phi:g} deg has shape {vectors.shape}; two replicates or "
-                "more are needed"
-            )
         contrasts.append(_helmert(len(vectors)) @ vectors)
         angles += [phi] * (len(vectors) - 1)
     found = _estimate(theta_deg, np.array(angles), np.vstack(contrasts))
@@ -318,11 +298,6 @@ def _differences(phi: FloatArray, curves: FloatArray) -> tuple[list[FloatArray],
 def _estimate(theta_deg: ArrayLike, phi: FloatArray, contrasts: FloatArray) -> Scatter:
     """Fit the model to contrasts [N], each with the covariance at its phi; shape [k, 2 theta]."""
     theta = np.array(theta_deg, dtype=np.float64)
-    if contrasts.shape[1:] != (2 * theta.size,):
-        raise ValueError(
-            f"the vectors have {contrasts.shape[1]} values; expected two forces at "
-            f"{theta.size} angles"
-        )
     scale = np.sqrt(np.mean(np.square(contrasts)))
     if not (np.isfinite(contrasts).all() and scale > 0.0):
         raise ValueError("replicates must be finite, and must not all be equal")
