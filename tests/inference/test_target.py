@@ -26,7 +26,7 @@ def process(shift: float) -> DesignGP:
 
 def leg(shift: float) -> DesignSurrogate:
     points = np.linspace(-1.0, 1.0, 5)[:, None]
-    rough = DesignKernel((0.3,), 90.0, 1.0, 1e-2, kind="rbf")
+    rough = DesignKernel((0.3,), 90.0, 1.0, 1e-2)
     size = Size(DesignGP.condition(points, [0.0], 0.2 + 0.3 * points**2, rough))
     both = process(shift), process(shift + 1.0)
     return DesignSurrogate({KEY: (20.0, 40.0)}, 1650.0, size, *both)

@@ -233,22 +233,13 @@ def information_share(covariance: ArrayLike, slope: ArrayLike) -> FloatArray:
     FloatArray
         Shares of the whole [-], summing to one, of Fx and Fz, shape [2, theta]. Where the two
         forces err together, Fx comes first at each angle.
-
-    Raises
-    ------
-    ValueError
-        If the slope has another shape or is zero throughout.
     """
     sigma = np.asarray(covariance, dtype=np.float64)
     derivative = np.asarray(slope, dtype=np.float64)
-    if derivative.shape != (len(sigma),):
-        raise ValueError(f"slope has shape {derivative.shape}; expected {(len(sigma),)}")
     # Angle by angle: Fx and Fz of the first, Fx and Fz of the second, and so on.
     order = np.arange(len(sigma)).reshape(2, -1).T.ravel()
     factor = np.linalg.cholesky(sigma[np.ix_(order, order)])
     added = np.square(np.linalg.solve(factor, derivative[order]))
-    if not added.sum() > 0.0:
-        raise ValueError("slope is zero at every angle; the forces do not depend on phi")
     return (added / added.sum()).reshape(-1, 2).T
 
 

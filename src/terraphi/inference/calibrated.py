@@ -300,7 +300,6 @@ MARGIN = 2
 """Nodes that are kept beside those."""
 FEWEST = 4
 """Neighbouring nodes through which a spline is drawn at least."""
-HUGE = 1e250
 
 
 @dataclass(frozen=True, eq=False)
@@ -491,10 +490,10 @@ def spline_minimum(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     return at, least
 
 
-def log_sum(values: FloatArray, axis: int = 0) -> FloatArray:
-    """Log of the sum of exponentials along an axis."""
-    top = values.max(axis=axis, keepdims=True)
-    return np.log(np.exp(values - top).sum(axis=axis)) + top.squeeze(axis)
+def log_sum(values: FloatArray) -> FloatArray:
+    """Log of the sum of exponentials along the first axis."""
+    top = values.max(axis=0)
+    return np.log(np.exp(values - top).sum(axis=0)) + top
 
 
 def combinations(
@@ -544,16 +543,10 @@ def gaussian_parts(covariance: FloatArray, residual: FloatArray) -> tuple[FloatA
     residual
         Shape [k, n].
     """
-    # The factor of the matrix bordered with r holds L^-1 r in its last row: a solve for nothing.
-    n = residual.shape[1]
-    bordered = np.empty((len(residual), n + 1, n + 1))
-    bordered[:, :n, :n] = covariance
-    bordered[:, n, :n] = bordered[:, :n, n] = residual
-    bordered[:, n, n] = HUGE  # more than any chi-square, or the matrix would not be positive
-    factor = np.linalg.cholesky(bordered)
-    chi2 = np.square(factor[:, n, :n]).sum(axis=1)
-    diagonal = np.diagonal(factor, axis1=1, axis2=2)[:, :n]
-    return chi2, 2.0 * np.log(diagonal).sum(axis=1)
+    factor = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(factor, residual[:, :, None])[:, :, 0]
+    diagonal = np.diagonal(factor, axis1=1, axis2=2)
+    return np.square(white).sum(axis=1), 2.0 * np.log(diagonal).sum(axis=1)
 
 
 REGISTRATION_DEG = 1.0

@@ -119,14 +119,7 @@ def calibrate(leg: PreparedLeg, *, replicates: int, seed: int, worlds: str = "pr
         Of all draws.
     worlds
         Their kind, one of :data:`WORLDS`.
-
-    Raises
-    ------
-    ValueError
-        If there is no such kind.
     """
-    if worlds not in WORLDS:
-        raise ValueError(f"worlds is '{worlds}'; expected one of {', '.join(WORLDS)}")
     rng = np.random.default_rng(seed)
     surrogate, found = leg.surrogate, []
     with single_threaded():

@@ -67,7 +67,7 @@ from terraphi.inference.budget import (
 from terraphi.inference.calibrated import Problem, matern32, shift_of
 from terraphi.inference.findings import Measure
 from terraphi.inference.posterior import Posterior
-from terraphi.inference.prepared_leg import PreparedLeg
+from terraphi.inference.prepared_leg import PreparedLeg, window_spans
 from terraphi.library.store import Library
 
 FOR_SIMULATED = "quick-plane-strain"
@@ -150,8 +150,7 @@ class Fitted:
         slope, forces = leg.surrogate.slope(phi), leg.surrogate.predict([phi])[0]
         shift, residual = shift_of(slope, spans), data - forces
         beyond = float(np.clip(shift @ residual, -FURTHEST_DEG, FURTHEST_DEG))
-        each = np.ptp(forces.reshape(2, -1), axis=1)
-        return cls(phi, beyond, slope, shift, forces, residual, np.repeat(each, data.size // 2))
+        return cls(phi, beyond, slope, shift, forces, residual, window_spans(forces))
 
     @property
     def angle_deg(self) -> float:
@@ -306,8 +305,7 @@ class Learnt:
 
     def expected(self, leg: str, forces: FloatArray) -> FloatArray:
         """Forces of the model with the mean deviation of real soils, g + p m [N], [2 theta]."""
-        spans = np.ptp(forces.reshape(2, -1), axis=1)
-        return forces + np.repeat(spans, forces.size // 2) * self.shapes[leg]
+        return forces + window_spans(forces) * self.shapes[leg]
 
     @property
     def amplitude(self) -> float:

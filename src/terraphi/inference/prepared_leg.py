@@ -37,7 +37,6 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.inference.paper_likelihood import peak_to_peak
 from terraphi.library.store import Case, Curves, Library
 from terraphi.surrogate.joint import JointKernel, JointSurrogate
 from terraphi.surrogate.kronecker import single_threaded
@@ -353,7 +352,7 @@ class Reading:
         forces
             Observation vector there [N], shape [2 theta].
         """
-        spans = _spans(forces)
+        spans = window_spans(forces)
         return spans[:, None] * self.moment(phi_deg) * spans
 
 
@@ -399,10 +398,9 @@ class _Errors(NamedTuple):
         return fit[0] - np.polynomial.polynomial.polyval(x, fit)
 
 
-def _spans(forces: FloatArray) -> FloatArray:
+def window_spans(forces: FloatArray) -> FloatArray:
     """Peak-to-peak of the force of each window of an observation vector [N], shape [2 theta]."""
-    of_force = peak_to_peak(forces)
-    return np.repeat([of_force["Fx"], of_force["Fz"]], forces.size // 2)
+    return np.repeat(np.ptp(forces.reshape(2, -1), axis=1), forces.size // 2)
 
 
 def learn_reading(
@@ -469,7 +467,7 @@ def _relative_errors(
     history: ForceHistory, readings: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Errors as by :func:`reading_errors` over the peak-to-peak [-], and that [N], [2 theta]."""
-    spans = _spans(history.observation().vector)
+    spans = window_spans(history.observation().vector)
     about, around = reading_errors(history, readings)
     return about / spans, around / spans, spans
 

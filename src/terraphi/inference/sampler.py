@@ -25,6 +25,8 @@ Coordinates = Callable[[FloatArray], FloatArray]
 LogPosterior = Callable[[FloatArray], FloatArray]
 """Log density up to a constant of points, shape [k, d] -> [k]."""
 
+ENSEMBLES = 4
+"""With fewer, R-hat between them means little."""
 RHAT_LIMIT = 1.01
 LENGTH_LIMIT = 50.0
 """Autocorrelation times that an ensemble must be long."""
@@ -98,7 +100,6 @@ def sample(
     *,
     walkers: int = 32,
     steps: int = 1500,
-    ensembles: int = 4,
     doublings: int = DOUBLINGS,
     seed: int = 0,
     parameters: Coordinates = lambda coordinates: coordinates,
@@ -115,8 +116,6 @@ def sample(
         Of an ensemble, even, at least twice the dimensions.
     steps
         Of each ensemble, of which the first fifth is burn-in.
-    ensembles
-        At least 4.
     doublings
         How often the steps may double if the draws have not converged.
     seed
@@ -127,12 +126,10 @@ def sample(
     Raises
     ------
     ValueError
-        If a number is too small, or the log density is NaN or nearly everywhere minus infinity.
+        If the log density is NaN or nearly everywhere minus infinity.
     """
-    if ensembles < 4:
-        raise ValueError(f"ensembles is {ensembles}; it must be at least 4")
     running = []
-    for stream in np.random.SeedSequence(seed).spawn(ensembles):
+    for stream in np.random.SeedSequence(seed).spawn(ENSEMBLES):
         first, second = stream.spawn(2)
         rng = np.random.default_rng(first)
         random = np.random.RandomState(np.random.MT19937(second))

@@ -148,8 +148,9 @@ class JointKernel:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
         """Read what :meth:`as_dict` wrote; raises KeyError, TypeError or ValueError."""
-        told = {f.name: data[f.name] for f in fields(cls)}
-        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in told.items()})
+        told: dict[str, Any] = {f.name: data[f.name] for f in fields(cls)}
+        pairs = {k: tuple(v) for k, v in told.items() if isinstance(v, list)}
+        return cls(**{**told, **pairs})
 
 
 class Standardised:

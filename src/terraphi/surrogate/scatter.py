@@ -175,10 +175,12 @@ class Scatter:
         data
             Numbers and lists.
         """
-        told = {f.name: data[f.name] for f in fields(cls) if f.init}
+        told: dict[str, Any] = {f.name: data[f.name] for f in fields(cls) if f.init}
         for name in ("theta_deg", "log_sigma", "log_floor"):
             told[name] = np.array(told[name], dtype=np.float64)
-        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in told.items()})
+        for name in ("shared", "cross"):
+            told[name] = tuple(told[name])
+        return cls(**told)
 
 
 def correlation_matrix(
