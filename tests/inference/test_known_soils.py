@@ -125,7 +125,7 @@ def test_a_calibrated_angle_is_of_plane_strain_and_its_curve_still_fits() -> Non
     assert found.convention == "plane_strain"
     assert found.phi_plane_strain == found.phi
     assert found.phi.median < plain.phi.median - 8.0
-    assert found.nrmsd == pytest.approx(plain.nrmsd, abs=0.01)
+    assert found.record.nrmsd == pytest.approx(plain.record.nrmsd, abs=0.01)
     assert found.budget is not None
     degrees = found.budget.degrees
     assert degrees["soils"] == 3.0

@@ -46,7 +46,7 @@ def parts_of(surrogate, data, named, noise, amplitude, ratio=(1.0, 1.0)):
         own.append(((r * noise) ** 2 + scale**2 * part.noise_variance) * np.eye(THETA_DEG.size))
         means.append(scale * part.basis @ mean[0])
     mean = np.concatenate(means)
-    factor = surrogate.factor_variance(at)[0] * np.outer(mean, mean)
+    factor = surrogate.located(at)[2][0] * np.outer(mean, mean)
     return mean, block_diag(*shared) + factor, block_diag(*own)
 
 

@@ -289,44 +289,6 @@ class Inversion:
         return ", ".join(record.source for record in self.records)
 
     @property
-    def leg(self) -> str:
-        """Leg of the only history."""
-        return self.record.leg
-
-    @property
-    def observation(self) -> Observation:
-        """Data of the only history."""
-        return self.record.observation
-
-    @property
-    def readings(self) -> FloatArray:
-        """Leg angles at which the only history was read [rad], shape [sample]."""
-        return self.record.readings
-
-    @property
-    def best(self) -> FloatArray:
-        """Best curve of the only history [N], shape [2M]."""
-        return self.record.best
-
-    @property
-    def band(self) -> FloatArray:
-        """Band of the curves of the only history [N], shape [2, 2M]; φ alone."""
-        band = self.record.band
-        if band is None:
-            raise ValueError("several parameters have no band of curves over φ")
-        return band
-
-    @property
-    def nrmsd(self) -> Mapping[str, float]:
-        """Misfit of the only history by force, fractions of peak-to-peak."""
-        return self.record.nrmsd
-
-    @property
-    def data(self) -> Mapping[str, Any]:
-        """What was found in the only history before the inversion."""
-        return self.record.data
-
-    @property
     def origin(self) -> str:
         """What its forces are, in a word: ``measured`` or ``simulated``."""
         return "simulated" if all(r.simulation for r in self.records) else "measured"

@@ -49,7 +49,8 @@ angle of least squares, and as wide as a discrepancy of the size of the rest wou
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -138,7 +139,7 @@ def _without_discrepancy(problem: Problem) -> Hypotheses:
     nodes = found.window(len(leg.phi_deg), MARGIN)
     # Of the sizes of noise, those that matter if the scatter has its middle size, and some more.
     whole = found.within(1.5 * NEGLIGIBLE).of_all_sizes(leg.surrogate.scatter.sizes[1])
-    return _diagonal(problem, whole, nodes).probable()
+    return _diagonal(problem, whole, nodes).within()
 
 
 def _diagonal(problem: Problem, given: Hypotheses, nodes: NDArray[np.intp]) -> Hypotheses:
@@ -152,7 +153,7 @@ def _diagonal(problem: Problem, given: Hypotheses, nodes: NDArray[np.intp]) -> H
         total = spectrum.roots + np.square(given.noise[of_size])[:, None, None]
         chi2[of_size] = np.einsum("hkj,kj->hk", 1.0 / total, np.square(rotated))
         volume[of_size] = spectra.log_determinant + np.log(total).sum(axis=2)
-    return given.evaluated(nodes, chi2, volume)
+    return replace(given, nodes=nodes, chi2=chi2, volume=volume)
 
 
 def _with_discrepancy(problem: Problem, without: Hypotheses) -> tuple[Hypotheses, _Frame]:
@@ -173,9 +174,9 @@ def _with_discrepancy(problem: Problem, without: Hypotheses) -> tuple[Hypotheses
         },
     )
     frame, found = _settled(joined, _Frame(problem, round(without.best[1])))
-    whole = found.probable().of_all_sizes(log_size)
+    whole = found.within().of_all_sizes(log_size)
     near = found.window(count, int(np.diff(found.nodes).max()))
-    return _frozen(whole, frame, near).probable(), frame
+    return _frozen(whole, frame, near).within(), frame
 
 
 def _settled(joined: Hypotheses, frame: _Frame) -> tuple[_Frame, Hypotheses]:
@@ -236,7 +237,7 @@ class _Frame:
     def discrepancy(self, given: Hypotheses, h: int) -> FloatArray:
         """Covariance of one combination's discrepancy [N^2], shape [2 theta, 2 theta]."""
         length = float(given.length_deg[h])
-        shape = self.problem.discrepancy_shape(length)
+        shape = self.problem.discrepancy_shapes[length]
         if given.amplitude[h] > LARGEST_BESIDE:
             if length not in self._apart:
                 self._apart[length] = taken_apart(shape, *self.over_phi)
@@ -278,7 +279,7 @@ def _frozen(given: Hypotheses, frame: _Frame, nodes: NDArray[np.intp]) -> Hypoth
         white, _ = dtrtrs(factor, wrong if far_off else right, lower=1)
         chi2[h] = np.square(white).sum(axis=0)
         volume[h] = 2.0 * np.log(np.diag(factor)).sum()
-    return given.evaluated(nodes, chi2, volume)
+    return replace(given, nodes=nodes, chi2=chi2, volume=volume)
 
 
 NOISE_LEVELS = np.geomspace(3e-4, 0.3, 20)
@@ -325,7 +326,6 @@ class Problem:
     noise_shape: FloatArray
     noise_sigma: float | None
     discrepancy: bool
-    _shapes: dict[float, FloatArray] = field(default_factory=dict, repr=False)
 
     @property
     def spans(self) -> FloatArray:
@@ -345,15 +345,11 @@ class Problem:
         half = np.log(0.5 / len(relative))
         return sizes, np.concatenate([[np.log(0.5)], np.full(len(relative), half)])
 
-    def discrepancy_shape(self, length_deg: float) -> FloatArray:
-        """Covariance of a discrepancy of unit relative amplitude [N^2], [2 theta, 2 theta]."""
-        if length_deg not in self._shapes:
-            self._shapes[length_deg] = self._discrepancy_shape(length_deg)
-        return self._shapes[length_deg]
-
-    def _discrepancy_shape(self, length_deg: float) -> FloatArray:
-        kernel = matern32(self.leg.surrogate.theta_deg, length_deg)
-        return np.kron(np.diag(np.square(self.spans)), kernel)
+    @cached_property
+    def discrepancy_shapes(self) -> dict[float, FloatArray]:
+        """Covariance of a discrepancy of unit relative amplitude [N^2], by its length [deg]."""
+        theta, spans = self.leg.surrogate.theta_deg, np.diag(np.square(self.spans))
+        return {one: np.kron(spans, matern32(theta, one)) for one in LENGTHS_DEG.tolist()}
 
 
 def matern32(theta_deg: FloatArray, length_deg: float) -> FloatArray:
@@ -428,12 +424,8 @@ class Hypotheses:
         parts = {name: part[which] for name, part in vars(self).items() if name != "nodes"}
         return replace(self, **parts)
 
-    def probable(self) -> Hypotheses:
-        """Those that are not negligible at the angle that suits each best."""
-        return self.within(NEGLIGIBLE)
-
-    def within(self, nats: float) -> Hypotheses:
-        """Those whose largest log density is so close to the largest of all."""
+    def within(self, nats: float = NEGLIGIBLE) -> Hypotheses:
+        """Those that, at the angle that suits each best, are so close to the most probable."""
         top = self.peaks[1]
         return self.kept(top > top.max() - nats)
 
@@ -445,12 +437,6 @@ class Hypotheses:
         top = self.log_density.max(axis=0)
         near = self.nodes[top > top.max() - OUTSIDE]
         return np.arange(max(near[0] - margin, 0), min(near[-1] + margin + 1, count))
-
-    def evaluated(
-        self, nodes: NDArray[np.intp], chi2: FloatArray, volume: FloatArray
-    ) -> Hypotheses:
-        """The same with their density at nodes, shape [h, node]."""
-        return replace(self, nodes=nodes, chi2=chi2, volume=volume)
 
     def of_all_sizes(self, log_prior: FloatArray) -> Hypotheses:
         """Each, of one size of the scatter, with every size; log prior probabilities of these."""

@@ -144,7 +144,7 @@ def _odds(problem: Problem, phi: float, noise: float) -> tuple[float, float, flo
     sizes = np.array([noise]) if problem.noise_sigma is not None else np.unique([0.0, noise])
     factors, log_prior = surrogate.scatter.sizes
     white = np.square(sizes)[:, None, None, None] * problem.noise_shape
-    shapes = np.stack([problem.discrepancy_shape(length) for length in LENGTHS_DEG])
+    shapes = np.stack(list(problem.discrepancy_shapes.values()))
     wrong = np.square(AMPLITUDES)[:, None, None, None] * shapes
 
     null = log_p(white + factors[:, None, None] * scatter) + log_prior

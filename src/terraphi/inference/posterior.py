@@ -67,6 +67,27 @@ class Posterior:
     seed: int | None = None
     convergence: dict[str, float]
 
+    @classmethod
+    def of_draws(
+        cls,
+        draws_deg: FloatArray,
+        bounds_deg: tuple[float, float],
+        *,
+        seed: int,
+        convergence: dict[str, float],
+    ) -> Posterior:
+        """The empirical distribution of draws [deg], shape [ensemble, walker, step]."""
+        ordered = np.sort(draws_deg, axis=None)
+        return cls(
+            bounds_deg=bounds_deg,
+            phi_deg=ordered,
+            cdf=(np.arange(ordered.size) + 0.5) / ordered.size,
+            draws_deg=draws_deg,
+            sampler="emcee",
+            seed=seed,
+            convergence=convergence,
+        )
+
     @property
     def median(self) -> float:
         """Median [deg]."""
@@ -273,16 +294,8 @@ def ensemble(
     start = starts(log_posterior, (low, high), (ensembles, walkers), random)
     chains, accepted = run(log_posterior, start, steps=steps, burn_in=burn_in, random=random)
     draws = np.ascontiguousarray(chains[..., 0])
-    ordered = np.sort(draws, axis=None)
-    return Posterior(
-        bounds_deg=(low, high),
-        phi_deg=ordered,
-        cdf=(np.arange(ordered.size) + 0.5) / ordered.size,
-        draws_deg=draws,
-        sampler="emcee",
-        seed=seed,
-        convergence={**diagnose(draws).as_dict(), "acceptance_fraction": accepted},
-    )
+    told = {**diagnose(draws).as_dict(), "acceptance_fraction": accepted}
+    return Posterior.of_draws(draws, (low, high), seed=seed, convergence=told)
 
 
 def _resolved(

@@ -275,21 +275,20 @@ class LegLikelihood:
             G^T C^-1 G, G the slopes of the forces; shape [key, key].
         """
         at = {key: np.array([value]) for key, value in named.items()}
-        scale = float(self.surrogate.scale(at)[0])
+        points, (scale,), (factor2,) = self.surrogate.located(at)
         total = np.zeros((len(keys), len(keys)))
         along, norm = np.zeros(len(keys)), 0.0
         both = self.surrogate.slopes(at, keys, steps)
         for (process, _, _, shape), slopes, ratio in zip(
             self.parts, both, self.noise_ratio, strict=True
         ):
-            forces, surrogate_variance = process.rotated(self.surrogate.points(at))
+            forces, surrogate_variance = process.rotated(points)
             curve, shared = scale * forces[0], scale**2 * surrogate_variance[0]
             own = (ratio * noise) ** 2 + scale**2 * process.noise_variance
             variance = shared + amplitude**2 * shape + own / self.trials
             total += (slopes[0] / variance) @ slopes[0].T
             along += slopes[0] @ (curve / variance)
             norm += float(np.sum(np.square(curve) / variance))
-        factor2 = float(self.surrogate.factor_variance(at)[0])
         lost: FloatArray = factor2 * np.outer(along, along) / (1.0 + factor2 * norm)
         return total - lost
 
@@ -462,16 +461,8 @@ def _of_phi(draws: Draws, target: Target) -> Posterior | None:
         return None
     i, prior = target.keys.index(PHI), target.priors[PHI]
     drawn = np.ascontiguousarray(draws.values[..., i])
-    ordered = np.sort(drawn, axis=None)
-    return Posterior(
-        bounds_deg=(prior.low, prior.high),
-        phi_deg=ordered,
-        cdf=(np.arange(ordered.size) + 0.5) / ordered.size,
-        draws_deg=drawn,
-        sampler="emcee",
-        seed=draws.seed,
-        convergence=draws.diagnostics[i].as_dict(),
-    )
+    told = draws.diagnostics[i].as_dict()
+    return Posterior.of_draws(drawn, (prior.low, prior.high), seed=draws.seed, convergence=told)
 
 
 def _records(looked: Looked, target: Target, point: Mapping[str, float]) -> tuple[Record, ...]:

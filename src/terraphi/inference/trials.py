@@ -347,9 +347,6 @@ def grouped(trials: Sequence[Trial]) -> list[Repeats]:
                 "a trial that counts twice would make the interval too narrow; drop one of the two"
             )
         seen[key] = trial.source
-    for trial in trials:
-        with named(trial, len(trials) > 1):
-            trial.history.observation()  # refuses by itself what does not cover the window
     found = []
     for leg in dict.fromkeys(t.leg for t in trials):
         same = tuple(t for t in trials if t.leg == leg)

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -139,7 +140,6 @@ class DesignGP:
     mean: FloatArray
     std: float
     posterior: Posterior = field(repr=False)
-    _rotated_centre: FloatArray = field(repr=False)
 
     @classmethod
     def fit(
@@ -188,7 +188,6 @@ class DesignGP:
     @classmethod
     def _conditioned(cls, data: _Data, kernel: DesignKernel) -> Self:
         known = data.known(kernel)
-        posterior = known.posterior(data.std)
         return cls(
             points=data.points,
             theta_deg=data.theta_deg,
@@ -196,9 +195,12 @@ class DesignGP:
             log_marginal_likelihood=known.log_evidence(),
             mean=data.mean,
             std=data.std,
-            posterior=posterior,
-            _rotated_centre=data.mean @ posterior.basis,
+            posterior=known.posterior(data.std),
         )
+
+    @cached_property
+    def _rotated_centre(self) -> FloatArray:
+        return self.mean @ self.basis
 
     @property
     def basis(self) -> FloatArray:
@@ -347,10 +349,6 @@ class Size:
         """Size of the forces [N], shape [k, d] -> [k]."""
         return np.exp(self.process.rotated_mean(points)[:, 0] * self.process.basis[0, 0])
 
-    def variance(self, points: FloatArray) -> FloatArray:
-        """Variance of the size relative to its square [-], shape [k, d] -> [k]."""
-        return self.both(points)[1]
-
     def both(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Size [N] and its relative variance [-] at once, shape [k, d] -> [k] each."""
         logarithm, variance = self.process.predict(points)
@@ -429,7 +427,7 @@ class DesignSurrogate:
         return self._relative_density(named) * self.size(self.points(named))
 
     def located(self, named: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Points, scale and variance of the common factor at once; as the three methods."""
+        """Points, scale, and variance of the factor by which both forces may be wrong alike [-]."""
         points = self.points(named)
         size, variance = self.size.both(points)
         return points, self._relative_density(named) * size, variance
@@ -437,10 +435,6 @@ class DesignSurrogate:
     def _relative_density(self, named: Mapping[str, FloatArray]) -> FloatArray | float:
         density = named.get(DENSITY)
         return 1.0 if density is None else density / self.reference_density
-
-    def factor_variance(self, named: Mapping[str, FloatArray]) -> FloatArray:
-        """Variance of the factor by which both forces may be wrong alike [-], shape [k]."""
-        return self.size.variance(self.points(named))
 
     def slopes(
         self, named: Mapping[str, FloatArray], keys: Sequence[str], steps: Sequence[float]
@@ -478,11 +472,11 @@ class DesignSurrogate:
         named
             Dotted key to values in the key's own unit; ``soil.density`` may be left out.
         """
-        points, scale = self.points(named), self.scale(named)[:, None]
+        points, scale, factor = self.located(named)
         parts = [process.predict(points) for process in self.processes]
-        mean = scale * np.hstack([mean for mean, _ in parts])
-        variance = np.square(scale) * np.hstack([variance for _, variance in parts])
-        return mean, variance + self.factor_variance(named)[:, None] * np.square(mean)
+        mean = scale[:, None] * np.hstack([mean for mean, _ in parts])
+        variance = np.square(scale)[:, None] * np.hstack([variance for _, variance in parts])
+        return mean, variance + factor[:, None] * np.square(mean)
 
 
 def to_unit(values: FloatArray, bounds: Mapping[str, tuple[float, float]]) -> FloatArray:

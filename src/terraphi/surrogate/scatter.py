@@ -77,7 +77,6 @@ class Scatter:
     tail: float = TAILS[1]
     contrasts: int = 0
     origin: str = "given"
-    _correlation: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Raise ValueError if shapes disagree or a parameter is out of its range."""
@@ -92,14 +91,11 @@ class Scatter:
             raise ValueError(f"shared is {self.shared}; fractions in [0, 1) are expected")
         if not all(-1.0 < c < 1.0 for c in self.cross):
             raise ValueError(f"cross is {self.cross}; correlations in (-1, 1) are expected")
-        matrix = correlation_matrix(self.theta_deg, self.length_deg, self.shared, self.cross)
-        matrix.setflags(write=False)
-        object.__setattr__(self, "_correlation", matrix)
 
-    @property
+    @functools.cached_property
     def correlation(self) -> FloatArray:
         """R [-], shape [2 theta, 2 theta]."""
-        return self._correlation
+        return correlation_matrix(self.theta_deg, self.length_deg, self.shared, self.cross)
 
     def sigma(self, phi_deg: ArrayLike) -> FloatArray:
         """Standard deviation at friction angles [N], shape [k] -> [k, 2 theta]."""
@@ -138,14 +134,14 @@ class Scatter:
     def covariance(self, phi_deg: float) -> FloatArray:
         """Covariance at a friction angle [N^2], shape [2 theta, 2 theta]."""
         sigma = self.sigma([phi_deg])[0]
-        return sigma[:, None] * self._correlation * sigma
+        return sigma[:, None] * self.correlation * sigma
 
     def draw(self, phi_deg: ArrayLike, rng: np.random.Generator) -> FloatArray:
         """Draw scatter at friction angles [N], shape [k] -> [k, 2 theta]."""
         sigma = self.sigma(phi_deg)
         white = rng.standard_normal(sigma.shape)
         size = np.sqrt(self.draw_sizes((len(sigma), 1), rng))
-        return size * sigma * (white @ np.linalg.cholesky(self._correlation).T)
+        return size * sigma * (white @ np.linalg.cholesky(self.correlation).T)
 
     def draw_sizes(self, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
         """Draw sizes of the scatter, factors on its variance [-]."""
@@ -160,7 +156,7 @@ class Scatter:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, as a library's file keeps them."""
-        told = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
+        told = {f.name: getattr(self, f.name) for f in fields(self)}
         told["theta_deg"] = np.round(self.theta_deg, 9).tolist()
         for name in ("log_sigma", "log_floor"):
             told[name] = np.round(told[name], 5).tolist()
@@ -175,7 +171,7 @@ class Scatter:
         data
             Numbers and lists.
         """
-        told: dict[str, Any] = {f.name: data[f.name] for f in fields(cls) if f.init}
+        told: dict[str, Any] = {f.name: data[f.name] for f in fields(cls)}
         for name in ("theta_deg", "log_sigma", "log_floor"):
             told[name] = np.array(told[name], dtype=np.float64)
         for name in ("shared", "cross"):
