@@ -9,17 +9,18 @@ from scipy.stats import multivariate_normal
 
 from terraphi.inference.prior import Marginal
 from terraphi.inference.several_parameters import LegLikelihood, Target
-from terraphi.surrogate.design import DesignGP, DesignKernel, DesignSurrogate, Size
+from terraphi.surrogate.design import DesignKernel, DesignSurrogate, Size
+from terraphi.surrogate.process import Process
 
 THETA_DEG = np.linspace(-85.0, 85.0, 6)
 KEY = "soil.friction_angle_deg"
 RNG = np.random.default_rng(7)
 
 
-def process(shift: float) -> DesignGP:
+def process(shift: float) -> Process:
     points = np.linspace(-1.0, 1.0, 5)[:, None]
     values = np.sin(THETA_DEG / 30.0 + shift) * (1.5 + points) + 0.05 * RNG.standard_normal((5, 6))
-    return DesignGP.condition(
+    return Process.condition(
         points, THETA_DEG, values, DesignKernel((1.2,), 30.0, 1.0, 5e-3, fine=0.1)
     )
 
@@ -27,7 +28,7 @@ def process(shift: float) -> DesignGP:
 def leg(shift: float) -> DesignSurrogate:
     points = np.linspace(-1.0, 1.0, 5)[:, None]
     rough = DesignKernel((0.3,), 90.0, 1.0, 1e-2)
-    size = Size(DesignGP.condition(points, [0.0], 0.2 + 0.3 * points**2, rough))
+    size = Size(Process.condition(points, [0.0], 0.2 + 0.3 * points**2, rough))
     both = process(shift), process(shift + 1.0)
     return DesignSurrogate({KEY: (20.0, 40.0)}, 1650.0, size, *both)
 

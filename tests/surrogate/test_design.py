@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal, qmc
 
-from terraphi.surrogate.design import TREND, DesignGP, DesignKernel, _Data
+from terraphi.surrogate.design import TREND, DesignKernel, fit
+from terraphi.surrogate.process import Process, Values
 
 THETA_DEG = np.linspace(-85.0, 85.0, 9)
 
@@ -57,7 +58,7 @@ def dense(points, values, kernel):
 def test_evidence_is_that_of_a_dense_normal_distribution() -> None:
     standardised, covariance, _, _ = dense(POINTS, VALUES, KERNEL)
     expected = multivariate_normal(cov=covariance).logpdf(standardised)
-    process = DesignGP.condition(POINTS, THETA_DEG, VALUES, KERNEL)
+    process = Process.condition(POINTS, THETA_DEG, VALUES, KERNEL)
     assert process.log_marginal_likelihood == pytest.approx(expected, abs=1e-6)
 
 
@@ -67,7 +68,7 @@ def test_prediction_is_that_of_a_dense_matrix() -> None:
     across = dense_covariance(where, POINTS, KERNEL).reshape(5 * 9, -1)
     prior = dense_covariance(where, where, KERNEL).reshape(5 * 9, -1)
     posterior = std**2 * (prior - across @ np.linalg.solve(covariance, across.T))
-    process = DesignGP.condition(POINTS, THETA_DEG, VALUES, KERNEL)
+    process = Process.condition(POINTS, THETA_DEG, VALUES, KERNEL)
     found, variance = process.predict(where)
     expected = mean + std * (across @ np.linalg.solve(covariance, standardised)).reshape(5, 9)
     np.testing.assert_allclose(found, expected, atol=1e-8)
@@ -79,7 +80,7 @@ def test_prediction_is_that_of_a_dense_matrix() -> None:
 
 
 def test_gradient_is_that_of_differences() -> None:
-    data = _Data(POINTS, THETA_DEG, VALUES)
+    data = Values(POINTS, THETA_DEG, VALUES, DesignKernel)
 
     def evidence(logarithms):
         return data.evidence(DesignKernel.unpack(logarithms))[0]
@@ -90,12 +91,12 @@ def test_gradient_is_that_of_differences() -> None:
 
 
 def test_fit_finds_an_evidence_that_no_guess_beats() -> None:
-    process = DesignGP.fit(POINTS, THETA_DEG, VALUES)
+    process = fit(POINTS, THETA_DEG, VALUES)
     rng = np.random.default_rng(1)
     best = process.kernel.pack()
     for _ in range(20):
         nearby = DesignKernel.unpack(best + 0.3 * rng.standard_normal(best.size))
-        other = DesignGP.condition(POINTS, THETA_DEG, VALUES, nearby)
+        other = Process.condition(POINTS, THETA_DEG, VALUES, nearby)
         assert other.log_marginal_likelihood <= process.log_marginal_likelihood + 1e-3
 
 
@@ -105,8 +106,8 @@ def test_another_point_never_raises_the_variance(seed, at) -> None:
     points = 2.0 * np.random.default_rng(seed).random((6, 2)) - 1.0
     where = np.array([at])
     values = forces(points)
-    fewer = DesignGP.condition(points[:5], THETA_DEG, values[:5], KERNEL)
-    more = DesignGP.condition(points, THETA_DEG, values, KERNEL)
+    fewer = Process.condition(points[:5], THETA_DEG, values[:5], KERNEL)
+    more = Process.condition(points, THETA_DEG, values, KERNEL)
     # Standardised: the two have different units.
     before, after = (p.rotated(where)[1] / p.std**2 for p in (fewer, more))
     assert (after <= before + 1e-9).all()
@@ -116,7 +117,7 @@ def test_a_thousand_cases_take_no_dense_matrix() -> None:
     points, theta = design(1000, 3), np.linspace(-85.0, 85.0, 40)
     rng = np.random.default_rng(0)
     truth = forces(points, theta)
-    process = DesignGP.fit(points, theta, truth + 1e-3 * rng.standard_normal(truth.shape))
+    process = fit(points, theta, truth + 1e-3 * rng.standard_normal(truth.shape))
     where = design(64, 3, seed=9)
     assert np.abs(process.predict(where)[0] - forces(where, theta)).max() < 0.01
 
@@ -124,7 +125,7 @@ def test_a_thousand_cases_take_no_dense_matrix() -> None:
         theta = np.linspace(-85.0, 85.0, angles)
         values = forces(points, theta)
         tracemalloc.start()
-        DesignGP.condition(points, theta, values, process.kernel)
+        Process.condition(points, theta, values, process.kernel)
         _, bytes_ = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         return bytes_
@@ -138,4 +139,4 @@ def test_a_thousand_cases_take_no_dense_matrix() -> None:
 
 def test_forces_that_do_not_vary_are_refused() -> None:
     with pytest.raises(ValueError, match="same values"):
-        DesignGP.fit(POINTS, THETA_DEG, np.ones_like(VALUES))
+        fit(POINTS, THETA_DEG, np.ones_like(VALUES))

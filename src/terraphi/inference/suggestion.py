@@ -25,8 +25,9 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.inference.identifiability import axis_label, label
 from terraphi.library.store import Library
-from terraphi.surrogate.design import DesignGP, DesignSurrogate, from_unit
+from terraphi.surrogate.design import DesignKernel, DesignSurrogate, from_unit
 from terraphi.surrogate.kronecker import single_threaded
+from terraphi.surrogate.process import Process
 from terraphi.surrogate.training import training
 
 TRUTHS = 64
@@ -191,7 +192,7 @@ class _Known:
     over the root of its variance [candidate, theta].
     """
 
-    process: DesignGP
+    process: Process[DesignKernel]
     candidates: FloatArray
     truth: FloatArray
     candidate: FloatArray
@@ -199,7 +200,9 @@ class _Known:
     towards: tuple[FloatArray, ...] = ()
 
     @classmethod
-    def of(cls, process: DesignGP, truths: FloatArray, candidates: FloatArray) -> _Known:
+    def of(
+        cls, process: Process[DesignKernel], truths: FloatArray, candidates: FloatArray
+    ) -> _Known:
         return cls(
             process,
             candidates,

@@ -22,15 +22,15 @@ error that multiplies both forces on the leg alike, at all leg angles.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.surrogate.kronecker import Kronecker, Posterior, maximise, single_threaded
+from terraphi.surrogate.kronecker import Kronecker, maximise, single_threaded
+from terraphi.surrogate.process import Process, Values
 from terraphi.surrogate.training import DENSITY, Training
 
 TREND = 10.0
@@ -59,7 +59,7 @@ class DesignKernel:
     noise_variance: float
     fine: float = 0.0
 
-    def over_parameters(self, one: FloatArray, other: FloatArray) -> FloatArray:
+    def over_points(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """K_x between points, shapes [k, d] and [l, d] -> [k, l]."""
         lag = np.sqrt(5.0 * self.distance2(one, other))
         correlation = (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
@@ -84,6 +84,29 @@ class DesignKernel:
         """K_theta, shape [theta, theta]."""
         smooth = np.exp(-0.5 * np.square((theta_deg[:, None] - theta_deg) / self.theta_length_deg))
         return smooth + self.fine**2 * np.eye(theta_deg.size)
+
+    @staticmethod
+    def centre_and_unit(values: FloatArray) -> tuple[FloatArray, float]:
+        """Mean at each leg angle, and the standard deviation about it [N]."""
+        mean = values.mean(axis=0)
+        return mean, float((values - mean).std())
+
+    def gradient(self, known: Kronecker, points: FloatArray, theta_deg: FloatArray) -> FloatArray:
+        """Derivative of the log evidence by each logarithm of :meth:`pack`."""
+        slope = known.by_entries("left") * self.slope(self.distance2(points, points))
+        rows = slope.sum(axis=1)
+        found = []
+        for k, length in enumerate(self.lengths):
+            x = points[:, k] / length
+            # sum_ij slope_ij (x_i - x_j)^2 without the matrix of differences.
+            found.append(2.0 * float(rows @ np.square(x) - x @ slope @ x))
+        by_theta = known.by_entries("right")
+        lag2 = np.square((theta_deg[:, None] - theta_deg) / self.theta_length_deg)
+        found.append(float(np.sum(by_theta * lag2 * np.exp(-0.5 * lag2))))
+        found.append(known.by_signal())
+        found.append(2.0 * self.fine**2 * float(np.trace(by_theta)))
+        found.append(known.by_noise())
+        return np.array(found)
 
     def pack(self) -> FloatArray:
         """Logarithms of what is fitted: lengths, theta length, sigma^2, f, tau^2."""
@@ -110,188 +133,35 @@ NOISE_VARIANCES = (1e-9, 1e1)
 FINES = (1e-4, 1e1)
 
 
-@dataclass(frozen=True, eq=False)
-class DesignGP:
-    """A force over parameters and leg angle.
+def fit(
+    points: ArrayLike, theta_deg: ArrayLike, values: ArrayLike, *, seed: int = 0
+) -> Process[DesignKernel]:
+    """The process of the hyperparameters of most evidence, conditioned on the values.
 
-    In the basis of the leg angles that diagonalises K_theta (columns of `basis`) the predictive
-    covariance is diagonal, and so is white noise: `rotated` predicts there.
-
-    Attributes
+    Parameters
     ----------
     points
-        Training points, parameters scaled to [-1, 1], shape [case, d].
-    theta_deg
-        Leg angles [deg], shape [theta].
-    kernel
-        Hyperparameters.
-    log_marginal_likelihood
-        Of the standardised values [-].
-    mean, std
-        Mean at each leg angle, shape [theta], and the standard deviation about it [N].
-    posterior
-        Of the force less its mean, in the basis.
+        Parameters scaled to [-1, 1], at least three points, shape [case, d].
+    theta_deg, values
+        As in :meth:`Process.condition`.
+    seed
+        Of the optimiser's random start besides two good guesses.
+
+    Raises
+    ------
+    ValueError
+        If all values are the same.
     """
-
-    points: FloatArray
-    theta_deg: FloatArray
-    kernel: DesignKernel
-    log_marginal_likelihood: float
-    mean: FloatArray
-    std: float
-    posterior: Posterior = field(repr=False)
-
-    @classmethod
-    def fit(
-        cls,
-        points: ArrayLike,
-        theta_deg: ArrayLike,
-        values: ArrayLike,
-        *,
-        seed: int = 0,
-    ) -> Self:
-        """Find the hyperparameters of maximum marginal likelihood, and condition on the values.
-
-        Parameters
-        ----------
-        points
-            Parameters scaled to [-1, 1], at least three points, shape [case, d].
-        theta_deg
-            Leg angles, or other places along the path, increasing, shape [theta].
-        values
-            Force [N], shape [case, theta].
-        seed
-            Of the optimiser's random start besides two good guesses.
-
-        Raises
-        ------
-        ValueError
-            If all points have the same values.
-        """
-        with single_threaded():
-            data = _Data(points, theta_deg, values)
-            chosen = data
-            if len(data.points) > FIT_CASES:
-                even = np.linspace(0, len(data.points) - 1, FIT_CASES).round().astype(int)
-                chosen = _Data(data.points[even], theta_deg, data.values[even])
-            kernel = _maximise_evidence(chosen, seed)
-            return cls._conditioned(data, kernel)
-
-    @classmethod
-    def condition(
-        cls, points: ArrayLike, theta_deg: ArrayLike, values: ArrayLike, kernel: DesignKernel
-    ) -> Self:
-        """Condition on the values at given hyperparameters; arguments and errors as in `fit`."""
-        with single_threaded():
-            return cls._conditioned(_Data(points, theta_deg, values), kernel)
-
-    @classmethod
-    def _conditioned(cls, data: _Data, kernel: DesignKernel) -> Self:
-        known = data.known(kernel)
-        return cls(
-            points=data.points,
-            theta_deg=data.theta_deg,
-            kernel=kernel,
-            log_marginal_likelihood=known.log_evidence(),
-            mean=data.mean,
-            std=data.std,
-            posterior=known.posterior(data.std),
-        )
-
-    @cached_property
-    def _rotated_centre(self) -> FloatArray:
-        return self.mean @ self.basis
-
-    @property
-    def basis(self) -> FloatArray:
-        """Orthogonal basis of the leg angles, shape [theta, theta]."""
-        return self.posterior.basis
-
-    @property
-    def roots(self) -> FloatArray:
-        """Eigenvalues of K_theta [-], shape [theta]."""
-        return self.posterior.roots
-
-    @property
-    def noise_variance(self) -> float:
-        """tau^2 [N^2]: the scatter of the simulations at one leg angle."""
-        return self.std**2 * self.kernel.noise_variance
-
-    def rotated_mean(self, points: FloatArray) -> FloatArray:
-        """Mean in the basis [N], shape [k, d] -> [k, theta]."""
-        return self._mean(self.kernel.over_parameters(points, self.points))
-
-    def _mean(self, across: FloatArray) -> FloatArray:
-        return self._rotated_centre + across @ self.posterior.mean_weights
-
-    def rotated(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean [N] and variance [N^2] in the basis, without the scatter, each [k, theta]."""
-        across = self.kernel.over_parameters(points, self.points)
-        variance = self.posterior.variance(across, self.kernel.variance(points))
-        return self._mean(across), variance
-
-    def rotated_covariance(self, one: FloatArray, other: FloatArray) -> FloatArray:
-        """Posterior covariance between points in the basis [N^2], shape [k, l, theta]."""
-        left, right = (self.kernel.over_parameters(x, self.points) for x in (one, other))
-        between = self.kernel.over_parameters(one, other)
-        return self.posterior.covariance(left, right, between)
-
-    def predict(self, points: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Mean [N] and variance [N^2] of the latent force, shape [k, d] -> [k, theta] each.
-
-        Parameters
-        ----------
-        points
-            Parameters scaled to [-1, 1], shape [k, d].
-        """
-        where = np.atleast_2d(np.asarray(points, dtype=np.float64))
-        mean, variance = self.rotated(where)
-        return mean @ self.basis.T, variance @ np.square(self.basis.T)
+    with single_threaded():
+        data = Values(points, theta_deg, values, DesignKernel)
+        if len(data.points) > FIT_CASES:
+            even = np.linspace(0, len(data.points) - 1, FIT_CASES).round().astype(int)
+            data = Values(data.points[even], theta_deg, data.values[even], DesignKernel)
+        kernel = _maximise_evidence(data, seed)
+        return Process.condition(points, theta_deg, values, kernel)
 
 
-class _Data:
-    """Training data, standardised: mean zero at each leg angle, unit variance."""
-
-    def __init__(self, points: ArrayLike, theta_deg: ArrayLike, values: ArrayLike) -> None:
-        self.points = np.array(points, dtype=np.float64)
-        self.theta_deg = np.array(theta_deg, dtype=np.float64)
-        self.values = np.array(values, dtype=np.float64)
-        self.mean = self.values.mean(axis=0)
-        self.std = float((self.values - self.mean).std())
-        if self.std == 0.0:
-            raise ValueError("all points have the same values; they must vary over the design")
-        self.standardised = (self.values - self.mean) / self.std
-
-    def known(self, kernel: DesignKernel) -> Kronecker:
-        """The values with their covariance."""
-        return Kronecker(
-            kernel.over_parameters(self.points, self.points),
-            kernel.over_angles(self.theta_deg),
-            self.standardised,
-            signal=kernel.signal_variance,
-            noise=kernel.noise_variance,
-        )
-
-    def evidence(self, kernel: DesignKernel) -> tuple[float, FloatArray]:
-        """Log evidence and its gradient by each logarithm of `DesignKernel.pack`."""
-        known, points = self.known(kernel), self.points
-        slope = known.by_entries("left") * kernel.slope(kernel.distance2(points, points))
-        rows = slope.sum(axis=1)
-        found = []
-        for k, length in enumerate(kernel.lengths):
-            x = points[:, k] / length
-            # sum_ij slope_ij (x_i - x_j)^2 without the matrix of differences.
-            found.append(2.0 * float(rows @ np.square(x) - x @ slope @ x))
-        by_theta = known.by_entries("right")
-        lag2 = np.square((self.theta_deg[:, None] - self.theta_deg) / kernel.theta_length_deg)
-        found.append(float(np.sum(by_theta * lag2 * np.exp(-0.5 * lag2))))
-        found.append(known.by_signal())
-        found.append(2.0 * kernel.fine**2 * float(np.trace(by_theta)))
-        found.append(known.by_noise())
-        return known.log_evidence(), np.array(found)
-
-
-def _maximise_evidence(data: _Data, seed: int) -> DesignKernel:
+def _maximise_evidence(data: Values, seed: int) -> DesignKernel:
     def evidence(logarithms: FloatArray) -> tuple[float, FloatArray]:
         return data.evidence(DesignKernel.unpack(logarithms))
 
@@ -322,7 +192,7 @@ class Size:
         Of the logarithm of the force in newtons; it has no leg angles, or rather one.
     """
 
-    process: DesignGP
+    process: Process[DesignKernel]
 
     @classmethod
     def fit(cls, points: FloatArray, forces: FloatArray, *, seed: int = 0) -> Self:
@@ -343,7 +213,7 @@ class Size:
             If all cases have forces of one size.
         """
         sizes = np.log(np.sqrt(np.mean(np.square(forces), axis=1)))
-        return cls(DesignGP.fit(points, [0.0], sizes[:, None], seed=seed))
+        return cls(fit(points, [0.0], sizes[:, None], seed=seed))
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Size of the forces [N], shape [k, d] -> [k]."""
@@ -378,12 +248,12 @@ class DesignSurrogate:
     bounds: Mapping[str, tuple[float, float]]
     reference_density: float
     size: Size
-    Fx: DesignGP
-    Fz: DesignGP
+    Fx: Process[DesignKernel]
+    Fz: Process[DesignKernel]
 
     @classmethod
     def fit(cls, data: Training, *, seed: int = 0) -> Self:
-        """Fit a process to each force; errors as in `DesignGP.fit`.
+        """Fit a process to each force; errors as in :func:`fit`.
 
         Parameters
         ----------
@@ -399,7 +269,7 @@ class DesignSurrogate:
         scaled /= size(points)[:, None]
         half = data.theta_deg.size
         parts = (scaled[:, :half], scaled[:, half:])
-        fx, fz = (DesignGP.fit(points, data.theta_deg, part, seed=seed) for part in parts)
+        fx, fz = (fit(points, data.theta_deg, part, seed=seed) for part in parts)
         return cls(data.bounds, reference, size, fx, fz)
 
     @property
@@ -408,7 +278,7 @@ class DesignSurrogate:
         return self.Fx.theta_deg
 
     @property
-    def processes(self) -> tuple[DesignGP, DesignGP]:
+    def processes(self) -> tuple[Process[DesignKernel], Process[DesignKernel]]:
         """Those of Fx and Fz."""
         return self.Fx, self.Fz
 
