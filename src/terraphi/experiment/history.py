@@ -27,10 +27,7 @@ OBSERVATION_ANGLES = 40
 """Number M of angles in the paper's observation vector."""
 SCHEMA = 1
 
-_SHOWN = (
-    *("scenario_hash", "model_version", "particles", "steps"),
-    *("momentum_mismatch", "seconds"),
-)
+_SHOWN = ["scenario_hash", "model_version", "particles", "steps", "momentum_mismatch", "seconds"]
 _APPLIED = "applied_force"
 """Where a history's provenance keeps what its contact applied, if it counts something else."""
 _UNITS = {"theta": "rad", "displacement": "m", "time": "s"}

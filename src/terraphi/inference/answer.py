@@ -74,6 +74,11 @@ class Summary:
         ends = posterior.interval(0.68), posterior.interval(0.95)
         return cls(posterior.median, posterior.sd, *ends)
 
+    @property
+    def angle(self) -> AngleSummary:
+        """The same of a friction angle [deg]."""
+        return AngleSummary(self.median, self.ci68, self.ci95)
+
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
         return asdict(self)
@@ -261,8 +266,7 @@ class Inversion:
         """Summary of φ [deg]; ValueError if it was not inferred."""
         if PHI not in self.marginal:
             raise ValueError("the friction angle was not inferred")
-        one = self.marginal[PHI]
-        return AngleSummary(one.median, one.ci68, one.ci95)
+        return self.marginal[PHI].angle
 
     @property
     def posterior(self) -> Posterior:

@@ -28,7 +28,6 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.answer import (
     PHI,
-    AngleSummary,
     Inversion,
     Record,
     Summary,
@@ -233,10 +232,11 @@ def infer(
     warnings += uninformed(found.flat)
     scenario, posterior = legs[0].scenario, found.posterior
     summary = Summary.of_posterior(posterior)
-    phi = AngleSummary(summary.median, summary.ci68, summary.ci95)
     # A calibrated angle is one of plane strain, as those of the known soils are.
     calibrated = ways.calibration is not None
-    equivalent, why_not = (phi, "") if calibrated else plane_strain_summary(phi, scenario)
+    equivalent, why_not = (
+        (summary.angle, "") if calibrated else plane_strain_summary(summary.angle, scenario)
+    )
     used = scenario.soil.density if density is None else density
     priors = {PHI: found.prior}
     if density is not None:

@@ -119,7 +119,19 @@ def invert(
     looked = look(trials, library)
     known = _known(looked, library, prior, density, density_assumed)
     if known.phi_alone:
-        ways = _ways(likelihood, noise, discrepancy, sampler, seed, by_soils)
+        if likelihood == "joint":
+            raise InputError(
+                "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or "
+                "'paper'"
+            )
+        ways = friction_angle.Ways(
+            likelihood or "calibrated",
+            Noise.parse(noise),
+            discrepancy,
+            sampler or "quadrature",
+            seed,
+            by_soils,
+        )
         found = friction_angle.infer(
             looked,
             library=library,
@@ -147,29 +159,6 @@ def invert(
     beside = _compared(looked, found, library)
     found = replace(found, library_reason=why, compared=beside)
     return _signed(found, library, time.perf_counter() - began)
-
-
-def _ways(
-    likelihood: str | None,
-    noise: float | str | Path | None,
-    discrepancy: str | Learnt | None,
-    sampler: str | None,
-    seed: int,
-    calibration: Calibration | None,
-) -> friction_angle.Ways:
-    """How φ alone is inferred, with its defaults."""
-    if likelihood == "joint":
-        raise InputError(
-            "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or 'paper'"
-        )
-    return friction_angle.Ways(
-        likelihood or "calibrated",
-        Noise.parse(noise),
-        discrepancy,
-        sampler or "quadrature",
-        seed,
-        calibration,
-    )
 
 
 def _by_soils(

@@ -99,11 +99,9 @@ class Calibration(Strict):
             return cls.model_validate_json(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-        except ValidationError as error:
-            if error.errors()[0]["type"] == "json_invalid":
-                raise InputError(f"{path}: not a file that 'terraphi calibrate' wrote") from error
-            raise InputError(sentence_from_validation(error, str(path), cls)) from error
-        except UnicodeDecodeError as error:
+        except ValueError as error:
+            if isinstance(error, ValidationError) and error.errors()[0]["type"] != "json_invalid":
+                raise InputError(sentence_from_validation(error, str(path), cls)) from error
             raise InputError(f"{path}: not a file that 'terraphi calibrate' wrote") from error
 
     def save(self, path: Path) -> None:

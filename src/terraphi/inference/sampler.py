@@ -11,6 +11,7 @@ what they have come to is reported either way.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -193,7 +194,7 @@ def _annealed(
 
     state = emcee.State(walkers, random_state=random.get_state())
     for _ in range(STAGES):
-        sampler = _sampler(_raised(log_posterior, power), walkers)
+        sampler = _sampler(functools.partial(_raised, log_posterior, power), walkers)
         state = sampler.run_mcmc(state, STAGE_STEPS, skip_initial_state_check=True)
         log_p = state.log_prob / power
         if power >= 1.0:
@@ -206,13 +207,9 @@ def _annealed(
     return emcee.State(state.coords, random_state=state.random_state)
 
 
-def _raised(log_density: LogPosterior, power: float) -> LogPosterior:
+def _raised(log_density: LogPosterior, power: float, points: FloatArray) -> FloatArray:
     """Logarithm of a power of a density."""
-
-    def raised(points: FloatArray) -> FloatArray:
-        return power * log_density(points)
-
-    return raised
+    return power * log_density(points)
 
 
 def _next_power(log_p: FloatArray, power: float, worth: float) -> float:

@@ -533,8 +533,7 @@ def _plane_strain(
     dilation = _fixed(target.priors, DILATION)
     if dilation is not None:
         scenario = scenario.replace(**{DILATION: dilation})
-    phi = marginal[PHI]
-    return plane_strain_summary(AngleSummary(phi.median, phi.ci68, phi.ci95), scenario)
+    return plane_strain_summary(marginal[PHI].angle, scenario)
 
 
 def _conditional(target: Target, best: FloatArray, i: int) -> Summary:

@@ -76,10 +76,10 @@ class KernelParameters:
 
     def gradient(self, known: Kronecker, points: FloatArray, theta_deg: FloatArray) -> FloatArray:
         """Derivative of the log evidence by the logarithm of each hyperparameter."""
-        lag2 = np.square(points - points.T) / self.phi_length_deg**2
-        by_phi = known.along("left", self.over_points(points, points) * lag2)
-        lag2 = np.square(theta_deg[:, None] - theta_deg) / self.theta_length_deg**2
-        by_theta = known.along("right", self.over_angles(theta_deg) * lag2)
+        over_phi, over_theta = self.over_points(points, points), self.over_angles(theta_deg)
+        phi2, theta2 = np.square(points - points.T), np.square(theta_deg[:, None] - theta_deg)
+        by_phi = known.along("left", over_phi * phi2 / self.phi_length_deg**2)
+        by_theta = known.along("right", over_theta * theta2 / self.theta_length_deg**2)
         return np.array([known.by_signal(), by_phi, by_theta, known.by_noise()])
 
 
