@@ -452,7 +452,7 @@ def is_dense(readings: FloatArray) -> bool:
 
 
 def between(position: FloatArray, low: float, high: float) -> NDArray[np.bool_]:
-    """Which positions lie between two others, ends included; same unit, shape [sample]."""
+    """Mask of the positions from low to high, both included; all in one unit, shape [sample]."""
     # Degrees turned to radians and back may miss an end by a rounding error.
     slack = 1e-9 * (1.0 + np.abs(position))
     return np.asarray((position >= low - slack) & (position <= high + slack))

@@ -3,8 +3,6 @@
 The defaults are those of the paper's benchmark (Xu & Wang): a straight leg, Yuma sand, 128² cells,
 2.9 million steps. The shipped presets write them all out (``terraphi simulate paper-1``).
 
-The parts of a scenario beside soil, leg and motion: bed, relief, discretisation, RFT.
-
 An option that is added later says in :data:`ADDED_LATER` which value means what was there before.
 A scenario that leaves it there keeps its hash, and what was simulated is not simulated again.
 """

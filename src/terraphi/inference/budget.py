@@ -1,6 +1,6 @@
-"""The terms of the residual's covariance, one by one, and what each adds to the interval.
+"""Where an interval comes from, and which leg angles tell of the friction angle.
 
-How much a force history tells of the friction angle, and which of its angles do.
+The terms of the residual's covariance are listed one by one, with what each adds to the interval.
 
 A history sweeps through its angles in order. What each one adds to those before it follows from
 the derivative of the forces with respect to φ, made white by the Cholesky factor of the residual

@@ -17,25 +17,19 @@ If the model may be wrong, V, S and g' are those at the best angle throughout, a
 be off. That scatter grows with phi would else be evidence of phi, by way of how smooth a measured
 record is. Of a model that is far off, the angle is that of `least_squares`.
 
-What may be true of a residual besides the friction angle, and what is assumed of the data.
+A hypothesis is one size of the scatter, one size of the noise, and one discrepancy or none; the
+likelihood is summed over all of them.
 
-A hypothesis is one size of the scatter, one of the noise and one discrepancy, or none; `calibrated`
-says what they mean and sums over them.
-
-An error of the leg angle: what it does to the window means, linear about the likeliest one.
-
-A leg angle that is off by delta shows g(theta - delta) at theta. Its prior is normal of standard
-deviation t; linear about some delta_0 the forces are
+**An error of the leg angle.** A leg angle that is off by delta shows g(theta - delta) at theta. Its
+prior is normal of standard deviation t; linear about some delta_0 the forces are
 
     g(theta - delta) = g + c - delta s,   s = g'(theta - delta_0),   c = g(theta - delta_0) - g
                                                                        + delta_0 s,
 
 so that delta is integrated out by adding c to the mean and t^2 s s^T to the covariance.
 
-What the friction angle is if the model is far off: that of least squares.
-
-A discrepancy that is a process beside the right curve (Kennedy & O'Hagan) does not say what the
-angle of a wrong model is: if it is large, a record is the more probable the less the model says,
+**A model that is far off.** A discrepancy that is a process beside the right curve (Kennedy &
+O'Hagan) does not say what the angle of a wrong model is: if it is large, a record is the more probable the less the model says,
 and the posterior runs to the angle of the smallest forces (Brynjarsdottir & O'Hagan, Inverse
 Problems 30:114007, 2014). The angle that can be meant is the one of the smallest residual (Tuo
 and Wu, Ann. Stat. 43:2331, 2015; Plumlee, J. Am. Stat. Assoc. 112:1274, 2017).

@@ -239,9 +239,9 @@ class Learnt:
     shapes
         Mean shape m by leg [-], shape [2 theta] each.
     typical, spread
-        Mean and standard deviation of ln T of records that were left out, and how many they were.
+        Mean and standard deviation of ln T of records that were left out in turn.
     records
-        See ``typical``.
+        How many records that were.
     levels_deg
         Level of each medium with an angle of repose: mean over its legs of phi* less that [deg].
     between_legs_deg

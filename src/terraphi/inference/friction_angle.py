@@ -159,15 +159,15 @@ class _Found:
     Attributes
     ----------
     posterior
-        Of the soil's.
+        Of the soil's angle.
     flat
         The same under a uniform prior.
     core
-        That of the library's angle.
+        Posterior of the library's angle: before the spread of soils about the library is added.
     level
-        How the soil's lies about the library's; ``None``: it is the same.
+        That spread; ``None``: the soil's angle is the library's.
     prior
-        Of the soil's.
+        Of the soil's angle.
     """
 
     posterior: Posterior

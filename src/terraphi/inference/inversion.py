@@ -119,19 +119,7 @@ def invert(
     looked = look(trials, library)
     known = _known(looked, library, prior, density, density_assumed)
     if known.phi_alone:
-        if likelihood == "joint":
-            raise InputError(
-                "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or "
-                "'paper'"
-            )
-        ways = friction_angle.Ways(
-            likelihood or "calibrated",
-            Noise.parse(noise),
-            discrepancy,
-            sampler or "quadrature",
-            seed,
-            by_soils,
-        )
+        ways = _ways(likelihood, noise, discrepancy, sampler, seed, by_soils)
         found = friction_angle.infer(
             looked,
             library=library,
@@ -159,6 +147,23 @@ def invert(
     beside = _compared(looked, found, library)
     found = replace(found, library_reason=why, compared=beside)
     return _signed(found, library, time.perf_counter() - began)
+
+
+def _ways(
+    likelihood: str | None,
+    noise: float | str | Path | None,
+    discrepancy: str | Learnt | None,
+    sampler: str | None,
+    seed: int,
+    by_soils: Calibration | None,
+) -> friction_angle.Ways:
+    """How φ alone is inferred, with its defaults."""
+    if likelihood == "joint":
+        raise InputError(
+            "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or 'paper'"
+        )
+    how, drawn = likelihood or "calibrated", sampler or "quadrature"
+    return friction_angle.Ways(how, Noise.parse(noise), discrepancy, drawn, seed, by_soils)
 
 
 def _by_soils(

@@ -159,7 +159,7 @@ class Repeats:
 
 
 class Tried(NamedTuple):
-    """A history, what would explain it, and whether it fits as it stands."""
+    """A history, what would explain its misfit, and whether it fits without that."""
 
     trial: Trial
     why: Explanation
@@ -182,16 +182,16 @@ def beyond(tried: Sequence[Tried]) -> Side | None:
 
 @dataclass(frozen=True, eq=False)
 class Looked:
-    """Histories that were looked at, without what is not to be believed of them.
+    """Histories without their damaged readings, and what was found to be damaged.
 
     Attributes
     ----------
     trials
-        What is left of each, in the order given.
+        Each history without its damaged readings, in the order given.
     inspections
-        What was found in each.
+        The damage found in each.
     groups
-        The same by leg.
+        The trials by leg.
     """
 
     trials: tuple[Trial, ...]
@@ -205,7 +205,7 @@ class Looked:
 
     @property
     def spoilt(self) -> bool:
-        """Whether one is damaged such that any answer is a misfit."""
+        """Whether one is damaged so badly that no answer can be believed."""
         return any(inspection.spoilt for inspection in self.inspections)
 
     @property

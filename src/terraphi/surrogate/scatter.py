@@ -1,6 +1,4 @@
-"""Particle scatter of simulated forces: its model, and how it is estimated.
-
-Particle scatter: how far two simulations differ that differ in their particle seed alone.
+"""Particle scatter: how far two simulations differ whose particle seeds differ, and nothing else.
 
 The forces d = [Fx(theta_1..m), Fz(theta_1..m)] of a simulation are f(phi) + e(phi). Replicates of
 one case under other seeds show e, and here is its model,
