@@ -29,10 +29,11 @@ prior is normal of standard deviation t; linear about some delta_0 the forces ar
 so that delta is integrated out by adding c to the mean and t^2 s s^T to the covariance.
 
 **A model that is far off.** A discrepancy that is a process beside the right curve (Kennedy &
-O'Hagan) does not say what the angle of a wrong model is: if it is large, a record is the more probable the less the model says,
-and the posterior runs to the angle of the smallest forces (Brynjarsdottir & O'Hagan, Inverse
-Problems 30:114007, 2014). The angle that can be meant is the one of the smallest residual (Tuo
-and Wu, Ann. Stat. 43:2331, 2015; Plumlee, J. Am. Stat. Assoc. 112:1274, 2017).
+O'Hagan) does not say what the angle of a wrong model is: if it is large, a record is the more
+probable the less the model says, and the posterior runs to the angle of the smallest forces
+(Brynjarsdottir & O'Hagan, Inverse Problems 30:114007, 2014). The angle that can be meant is the one
+of the smallest residual (Tuo and Wu, Ann. Stat. 43:2331, 2015; Plumlee, J. Am. Stat. Assoc.
+112:1274, 2017).
 
 With s = dg/dphi and c = A s / (s^T A s), A the weights of the forces, c^T r is the change of the
 angle by which a residual r is fitted best. A large discrepancy of covariance D is taken apart into

@@ -5,11 +5,12 @@ their covariance at the nodes, and their decomposition together with a noise cov
 the library's own force unit; an inversion divides by the ratio of densities instead.
 
 **What readings leave open.** Nodes of the grid enter and leave the leg's contact one by one, so
-that simulated forces ripple by a few per cent with a period near a degree. A record that is read every degree or so may show the
-ripple's crests alone, or its troughs; and one that is read every few degrees knows nothing of the
-path between. How far a sensor averages is not known, nor where crests would be on another grid. So
-a library is compared through means about the readings (:meth:`ForceHistory.as_read_at`), and the
-errors of that have a covariance, learnt from the library's own curves:
+that simulated forces ripple by a few per cent with a period near a degree. A record that is read
+every degree or so may show the ripple's crests alone, or its troughs; and one that is read every
+few degrees knows nothing of the path between. How far a sensor averages is not known, nor where
+crests would be on another grid. So a library is compared through means about the readings
+(:meth:`ForceHistory.as_read_at`), and the errors of that have a covariance, learnt from the
+library's own curves:
 
 - of points beside means about them, with the readings moved along by fractions of their spacing;
 - of means about the readings beside means of the whole path. What all curves share of it is in

@@ -143,7 +143,7 @@ class JointKernel:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
-        return asdict(self)
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:

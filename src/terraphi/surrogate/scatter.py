@@ -158,6 +158,8 @@ class Scatter:
         told["theta_deg"] = np.round(self.theta_deg, 9).tolist()
         for name in ("log_sigma", "log_floor"):
             told[name] = np.round(told[name], 5).tolist()
+        for name in ("shared", "cross"):
+            told[name] = list(told[name])
         return told
 
     @classmethod
