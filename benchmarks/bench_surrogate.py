@@ -15,7 +15,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import qmc
 from threadpoolctl import threadpool_limits
 
-from terraphi.surrogate.design import DesignGP
+from terraphi.surrogate.design import fit
+from terraphi.surrogate.process import Process
 
 FloatArray = NDArray[np.float64]
 
@@ -38,11 +39,11 @@ def main() -> None:
     values = forces(points) + 1e-3 * rng.standard_normal((CASES, THETA_DEG.size))
     with threadpool_limits(limits=1, user_api="blas"):
         began = time.process_time()
-        process = DesignGP.fit(points, THETA_DEG, values)
-        fit = time.process_time() - began
+        process = fit(points, THETA_DEG, values)
+        fitting = time.process_time() - began
         began = time.process_time()
         tracemalloc.start()
-        DesignGP.condition(points, THETA_DEG, values, process.kernel)
+        Process.condition(points, THETA_DEG, values, process.kernel)
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         condition = time.process_time() - began
@@ -50,13 +51,13 @@ def main() -> None:
         some = points[:DENSE_CASES]
         kernel = process.kernel
         dense = kernel.signal_variance * np.kron(
-            kernel.over_parameters(some, some), kernel.over_angles(THETA_DEG)
+            kernel.over_points(some, some), kernel.over_angles(THETA_DEG)
         ) + kernel.noise_variance * np.eye(some.shape[0] * THETA_DEG.size)
         cho_solve(cho_factor(dense), values[:DENSE_CASES].ravel())
         larger = CASES / DENSE_CASES
         dense_seconds = (time.process_time() - began) * larger**3
     print(f"surrogate_cases_times_angles {values.size}")
-    print(f"surrogate_fit_seconds {fit:.3g}")
+    print(f"surrogate_fit_seconds {fitting:.3g}")
     print(f"surrogate_condition_seconds {condition:.3g}")
     print(f"surrogate_condition_peak_megabytes {peak / 1e6:.3g}")
     print(f"dense_extrapolated_per_kronecker_seconds {dense_seconds / condition:.3g}")

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from terraphi.experiment.scenario import Scenario
     from terraphi.experiment.soil import Soil
     from terraphi.forward import simulate
-    from terraphi.inference.inversion import Inversion, invert
+    from terraphi.inference.answer import Inversion
+    from terraphi.inference.inversion import invert
     from terraphi.inference.many import invert_many
     from terraphi.library.build import build
     from terraphi.library.plan import Plan
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "ForceHistory": "experiment.history",
     "InputError": "experiment.errors",
-    "Inversion": "inference.inversion",
+    "Inversion": "inference.answer",
     "Leg": "experiment.leg",
     "Library": "library.store",
     "Plan": "library.plan",

@@ -22,6 +22,7 @@ from terraphi.experiment.documents import shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
+from terraphi.inference.answer import Inversion
 from terraphi.inference.calibrated import CalibratedLikelihood, Problem
 from terraphi.inference.coverage import (
     WORLDS,
@@ -34,7 +35,8 @@ from terraphi.inference.coverage import (
     through_one_library,
 )
 from terraphi.inference.fit import fit_without_discrepancy
-from terraphi.inference.inversion import DISCREPANCIES, NODES, Inversion, invert
+from terraphi.inference.friction_angle import NODES
+from terraphi.inference.inversion import DISCREPANCIES, invert
 from terraphi.inference.posterior import quadrature
 from terraphi.inference.prepared_leg import PreparedLeg, prepare
 from terraphi.library.store import Library
@@ -461,7 +463,7 @@ def matched(
         forces += noise * np.abs(forces).max(axis=1, keepdims=True) * white
         for phi, data in zip(truth.tolist(), forces, strict=True):
             likelihood = CalibratedLikelihood(Problem(leg, data, shape, None, discrepancy=False))
-            posterior = quadrature(likelihood, surrogate.phi_bounds_deg, nodes=NODES)
+            posterior = quadrature(likelihood, surrogate.phi_bounds_deg, nodes=NODES["calibrated"])
             ranks.append(posterior.mass(surrogate.phi_bounds_deg[0], phi))
             fit = fit_without_discrepancy(likelihood.problem, likelihood.without, scale=1.0)
             misfits += fit.misfit

@@ -124,7 +124,7 @@ class Box:
             whole.append(own + np.square(noise)[:, None])
         curve, slope, variance = np.hstack(forces), np.dstack(slopes), np.hstack(whole)
         bases = block_diag(*(process.basis for process in surrogate.processes))
-        together = surrogate.factor_variance(named)[:, None, None]
+        together = surrogate.located(named)[2][:, None, None]
         covariance = variance[:, :, None] * np.eye(variance.shape[1])
         covariance = covariance + together * np.einsum("xt,xu->xtu", curve, curve)
         weighted = np.linalg.solve(covariance, slope.swapaxes(1, 2))

@@ -123,7 +123,7 @@ def _answer(library: str, one: Measurement, found: Inversion) -> dict[str, Any]:
         "told_by_forces": not uninformed(found.posterior),
         "ci95_deg": list(found.phi.ci95),
         "phi_plane_strain_deg": plane.median if plane else None,
-        "nrmsd_percent": {force: 100.0 * value for force, value in found.nrmsd.items()},
+        "nrmsd_percent": {force: 100.0 * value for force, value in found.record.nrmsd.items()},
         "verdict": found.verdict.verdict,
         "reason": found.reason,
         "angle_of_repose_deg": one.angle_of_repose_deg,

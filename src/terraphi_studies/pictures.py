@@ -166,7 +166,7 @@ def surfaces_figure(surrogate: LegSurrogate, held_out_deg: FloatArray, conventio
     figure, (row,) = panels_of(1, 2, size=(8.8, 3.9))
     phi = np.linspace(*surrogate.phi_bounds_deg, 201)
     surfaces = np.hsplit(surrogate.predict(phi), 2)
-    seen = surrogate.Fx.phi_deg
+    seen = surrogate.phi_deg
     for axes, force, values in zip(row, ("Fx", "Fz"), surfaces, strict=True):
         shown = axes.contourf(surrogate.theta_deg, phi, values, 24, cmap=COLOURS)
         axes.contour(surrogate.theta_deg, phi, values, [0.0], colors="white", linewidths=1.2)

@@ -18,8 +18,9 @@ from terraphi.experiment.measurements import Measurement, measurement, medium_an
 from terraphi.forward import simulate
 from terraphi.inference.answer import Inversion
 from terraphi.inference.discrepancy import FOLDER, Fitted, Learnt, Seen, learn
-from terraphi.inference.inversion import Trial, invert
+from terraphi.inference.inversion import invert
 from terraphi.inference.prepared_leg import prepare
+from terraphi.inference.trials import Trial
 from terraphi.library.store import Library
 from terraphi.view.console import as_text
 from terraphi.view.table import Table

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
-from terraphi.inference.inversion import Inversion, invert
+from terraphi.inference.answer import Inversion
+from terraphi.inference.inversion import invert
 from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import ensemble, tabulated
 from terraphi.library.shipped import companion
@@ -146,7 +147,7 @@ def _about_emcee(cases: list[dict[str, Any]]) -> str:
 def _walkers(library: Library, truth: Case, exact: Inversion) -> Walkers:
     """An ensemble's way from the prior to the posterior, the first of those that were inverted."""
     assert truth.history is not None
-    curves = library.curves(exact.leg)
+    curves = library.curves(exact.record.leg)
     surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
     likelihood = PaperLikelihood(truth.history.observation().vector, curves.theta_deg)
 

@@ -131,7 +131,8 @@ def _about_the_spread(found: HeldOut) -> str:
     """How many held-out forces the surrogate's own standard deviation covers."""
     curve = found.surrogate.predict_variance(found.phi_deg)
     angles = found.curves.theta_deg.size
-    noise = np.repeat([found.surrogate.Fx.noise_std, found.surrogate.Fz.noise_std], angles)
+    both = (found.surrogate.Fx, found.surrogate.Fz)
+    noise = np.repeat([np.sqrt(process.noise_variance) for process in both], angles)
     off = np.abs(found.truth - found.predicted)
     inside = float(np.mean(off < 2.0 * np.sqrt(curve + noise**2)))
     return (
@@ -196,7 +197,7 @@ def _error(found: HeldOut, force: str, at_deg: float) -> dict[str, Any]:
 def _parameters(surrogate: LegSurrogate, force: str) -> dict[str, float]:
     process = surrogate.Fx if force == "Fx" else surrogate.Fz
     return {
-        "phi_length_deg": process.parameters.phi_length_deg,
-        "theta_length_deg": process.parameters.theta_length_deg,
-        "noise_N": process.noise_std,
+        "phi_length_deg": process.kernel.phi_length_deg,
+        "theta_length_deg": process.kernel.theta_length_deg,
+        "noise_N": float(np.sqrt(process.noise_variance)),
     }

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import check_readings, is_dense, shares
+from terraphi.experiment.history import ForceHistory, is_dense, shares
 
 
 def test_a_share_ends_at_the_nearer_neighbour_and_at_one_degree() -> None:
@@ -21,8 +21,12 @@ def test_records_of_half_a_degree_are_dense_whatever_their_rounding() -> None:
 
 
 def test_a_record_needs_a_reading_for_each_window() -> None:
-    enough = np.linspace(-85.0, 85.0, 40)
-    ends = {"window_deg": 85.0, "slack_deg": 2.0}
-    assert check_readings(enough, **ends, fewest=40).all()
+    def record(count: int) -> ForceHistory:
+        known = {"file": "a.csv"}
+        return ForceHistory(
+            np.radians(np.linspace(-85.0, 85.0, count)), np.ones((count, 2)), provenance=known
+        )
+
+    assert len(record(40).observation().theta_deg) == 40
     with pytest.raises(InputError, match=r"^a\.csv: only 39 angles .* at least 40 are needed, one"):
-        check_readings(np.linspace(-85.0, 85.0, 39), **ends, fewest=40, file="a.csv: ")
+        record(39).observation()

@@ -126,17 +126,3 @@ def test_diagnosis_gathers_plain_numbers() -> None:
 def test_infinite_rhat_can_still_be_written_as_json() -> None:
     frozen = np.ones((4, 8, 100)) * np.arange(4)[:, None, None]
     assert json.dumps(diagnose(frozen).as_dict(), allow_nan=False)
-
-
-@pytest.mark.parametrize(
-    ("draws", "message"),
-    [
-        (np.ones((4, 100)), r"shape \(4, 100\)"),
-        (np.ones((1, 8, 100)), "at least 2 ensemble"),
-        (np.ones((4, 8, 3)), "4 steps"),
-        (np.full((4, 8, 100), np.nan), "3200 draws are not finite"),
-    ],
-)
-def test_unusable_draws_are_refused(draws: FloatArray, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        split_rhat(draws)

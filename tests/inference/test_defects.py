@@ -77,7 +77,7 @@ def test_dropouts_are_left_out_and_the_angle_stays(
     assert np.isin(whole.theta_deg[loaded], gone).all()
     assert {d.code for d in inspection.defects} == {"dropout"}
     answer = invert(zeroed, library=library)
-    assert answer.data["left_out"] == sum(d.rows for d in inspection.defects) > 0
+    assert answer.record.data["left_out"] == sum(d.rows for d in inspection.defects) > 0
     assert answer.phi.ci95[0] < PHI < answer.phi.ci95[1]
     assert "dropout" in {doubt.code for doubt in answer.warnings}
 
@@ -89,7 +89,7 @@ def test_dropouts_to_a_zero_that_is_a_little_off(library: Library, left: float) 
     answer = invert(
         replace(whole, force=np.where(lost[:, None], left, whole.force)), library=library
     )
-    assert answer.data["left_out"] > 10
+    assert answer.record.data["left_out"] > 10
     assert answer.phi.ci95[0] < PHI < answer.phi.ci95[1] or answer.verdict.verdict == "misfit"
 
 
@@ -177,7 +177,7 @@ def test_an_offset_in_air_makes_a_misfit(library: Library) -> None:
     answer = invert(moved, library=library)
     assert answer.verdict.verdict == "misfit"
     assert answer.verdict.code == "damaged"
-    assert "kept" in {d["treatment"] for d in answer.data["defects"]}
+    assert "kept" in {d["treatment"] for d in answer.record.data["defects"]}
 
 
 def test_a_step_in_the_stroke_makes_a_misfit() -> None:

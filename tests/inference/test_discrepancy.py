@@ -10,11 +10,13 @@ import pytest
 import terraphi.inference.discrepancy as of_soils
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.measurements import measurement, names
+from terraphi.inference.answer import Inversion
 from terraphi.inference.calibrated import Problem
 from terraphi.inference.discrepancy import Level, SoilLikelihood, learn, learnt_for
-from terraphi.inference.inversion import Inversion, Trial, invert
+from terraphi.inference.inversion import invert
 from terraphi.inference.posterior import quadrature
 from terraphi.inference.prepared_leg import prepare
+from terraphi.inference.trials import Trial
 from terraphi.library.store import Library
 from terraphi_studies.real_soil import seen_through
 

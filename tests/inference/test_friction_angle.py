@@ -11,7 +11,8 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement
-from terraphi.inference.inversion import Inversion, invert
+from terraphi.inference.answer import Inversion
+from terraphi.inference.inversion import invert
 from terraphi.inference.trials import Trial
 from terraphi.library.store import Library
 

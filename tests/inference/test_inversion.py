@@ -15,7 +15,8 @@ from terraphi.experiment.measurements import measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward import simulate
-from terraphi.inference.inversion import AngleSummary, Inversion, invert, plane_strain_summary
+from terraphi.inference.answer import AngleSummary, Inversion, plane_strain_summary
+from terraphi.inference.inversion import invert
 from terraphi.inference.words import of_doubt
 from terraphi.library.store import Library
 
@@ -52,14 +53,14 @@ def test_known_angle_is_found(found: Inversion) -> None:
     # No word on the interval: the paper's likelihood knows nothing of the surrogate's own error,
     # all there is here where the forces are without noise.
     assert found.verdict.verdict == "consistent"
-    assert max(found.nrmsd.values()) < 0.01
+    assert max(found.record.nrmsd.values()) < 0.01
 
 
 def test_intervals_nest_and_the_band_holds_the_best_curve(found: Inversion) -> None:
     (low95, high95), (low68, high68) = found.phi.ci95, found.phi.ci68
     assert low95 < low68 < found.phi.median < high68 < high95
-    assert np.all(found.band[0] <= found.best + 1e-9)
-    assert np.all(found.best <= found.band[1] + 1e-9)
+    assert np.all(found.record.band[0] <= found.record.best + 1e-9)
+    assert np.all(found.record.best <= found.record.band[1] + 1e-9)
 
 
 def test_density_scales_the_curves(
@@ -105,7 +106,7 @@ def test_an_answer_at_a_prompt_fits_in_ten_lines(found: Inversion) -> None:
     assert len(lines) <= 10
     assert max(map(len, lines)) <= 100
     told = repr(found)
-    for word in (found.leg, found.library, found.verdict.verdict, f"{found.phi.median:.2f}"):
+    for word in (found.record.leg, found.library, found.verdict.verdict, f"{found.phi.median:.2f}"):
         assert word in told
 
 
@@ -140,7 +141,7 @@ def test_posterior_file_opens_in_arviz(
     assert np.median(draws) == pytest.approx(made.phi.median, abs=0.05 * width)
     low, high = np.quantile(draws, [0.16, 0.84])
     assert high - low == pytest.approx(width, rel=0.1)
-    assert np.asarray(opened["observed_data"]["Fx"])[0] == pytest.approx(made.observation.Fx)
+    assert np.asarray(opened["observed_data"]["Fx"])[0] == pytest.approx(made.record.observation.Fx)
     assert "prior" in opened
 
 
@@ -257,7 +258,7 @@ def test_a_record_that_ends_with_the_window_loses_nothing(
     # Its end windows are half as wide; the library's must be, too.
     cut = invert(history.engaged(), library=library)
     assert cut.phi.median == pytest.approx(found.phi.median, abs=0.02)
-    assert max(cut.nrmsd.values()) < 1.2 * max(found.nrmsd.values())
+    assert max(cut.record.nrmsd.values()) < 1.2 * max(found.record.nrmsd.values())
 
 
 def test_a_sensor_stuck_at_an_offset_is_refused(history: ForceHistory, library: Library) -> None:

@@ -9,7 +9,8 @@ from scipy.optimize import minimize_scalar
 
 from terraphi.experiment.measurements import Measurement, measurement, names
 from terraphi.inference import calibrated as least_squares
-from terraphi.inference.inversion import Inversion, invert
+from terraphi.inference.answer import Inversion
+from terraphi.inference.inversion import invert
 from terraphi.inference.prepared_leg import PreparedLeg, prepare
 from terraphi.library.store import Library
 
@@ -71,7 +72,7 @@ def answer(library: Library, one: Measurement) -> Inversion:
 @pytest.mark.parametrize("name", LIBRARIES)
 def test_of_measured_sand_the_posterior_holds_the_angle_of_least_squares(name: str) -> None:
     library = Library.load(name)
-    for one in map(measurement, names()):
+    for one in map(measurement, names()[::3]):
         found, best = answer(library, one), fitted(library, one)
         assert found.verdict.verdict != "consistent", one.name
         if best - library.cases[0].scenario.soil.friction_angle_deg < 2.5:

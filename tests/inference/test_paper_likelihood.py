@@ -25,22 +25,18 @@ def squared_exponential(length_deg: float) -> FloatArray:
     return np.exp(-((THETA[:, None] - THETA) ** 2) / (2.0 * length_deg**2))
 
 
-def dense_misfit(residual: FloatArray, length_deg: float, fraction: float) -> float:
+def dense_misfit(residual: FloatArray) -> float:
     covariance = np.zeros((80, 80))
     for block in (slice(0, 40), slice(40, 80)):
-        sigma = fraction * (DATA[block].max() - DATA[block].min())
-        covariance[block, block] = sigma**2 * squared_exponential(length_deg)
+        sigma = 0.01 * (DATA[block].max() - DATA[block].min())
+        covariance[block, block] = sigma**2 * squared_exponential(6.0)
     return float(residual @ np.linalg.solve(covariance, residual))
 
 
-@pytest.mark.parametrize(("length_deg", "fraction"), [(6.0, 0.01), (3.0, 0.05)])
-def test_equals_the_printed_formula_with_dense_matrices(length_deg: float, fraction: float) -> None:
+def test_equals_the_printed_formula_with_dense_matrices() -> None:
     predictions = DATA + np.random.default_rng(2).standard_normal((5, 80))
-    likelihood = PaperLikelihood(
-        DATA, THETA, correlation_length_deg=length_deg, sigma_fraction=fraction
-    )
-    expected = [-40.0 * np.log(dense_misfit(g - DATA, length_deg, fraction)) for g in predictions]
-    np.testing.assert_allclose(likelihood(predictions), expected, rtol=1e-10)
+    expected = [-40.0 * np.log(dense_misfit(g - DATA)) for g in predictions]
+    np.testing.assert_allclose(PaperLikelihood(DATA, THETA)(predictions), expected, rtol=1e-10)
 
 
 def test_equals_the_numerical_marginal_over_the_scale() -> None:
@@ -48,7 +44,7 @@ def test_equals_the_numerical_marginal_over_the_scale() -> None:
     first, second = DATA + 0.3 * rng.standard_normal((2, 80)) * np.array([[1.0], [1.4]])
 
     def log_marginal(prediction: FloatArray) -> float:
-        misfit = dense_misfit(prediction - DATA, 6.0, 0.01)
+        misfit = dense_misfit(prediction - DATA)
         centre = np.log(misfit / 80.0)
 
         # Normal density of covariance s Sigma times the prior 1/s, integrated over log s.
@@ -63,11 +59,11 @@ def test_equals_the_numerical_marginal_over_the_scale() -> None:
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.floats(1e-3, 1e3), st.floats(1e-3, 1.0))
-def test_differences_do_not_depend_on_units_or_sigma(unit: float, fraction: float) -> None:
+@given(st.floats(1e-3, 1e3))
+def test_differences_do_not_depend_on_units(unit: float) -> None:
     predictions = DATA + np.random.default_rng(4).standard_normal((2, 80))
     plain = PaperLikelihood(DATA, THETA)(predictions)
-    scaled = PaperLikelihood(unit * DATA, THETA, sigma_fraction=fraction)(unit * predictions)
+    scaled = PaperLikelihood(unit * DATA, THETA)(unit * predictions)
     assert np.diff(scaled)[0] == pytest.approx(np.diff(plain)[0], abs=1e-7)
 
 
@@ -75,30 +71,6 @@ def test_exact_fit_is_finite_and_the_best() -> None:
     values = PaperLikelihood(DATA, THETA)(np.stack([DATA, 1.001 * DATA]))
     assert np.isfinite(values).all()
     assert values[0] > values[1]
-
-
-@pytest.mark.parametrize(
-    ("data", "theta", "options", "message"),
-    [
-        (np.r_[DATA[:40], np.ones(40)], THETA, {}, "Fz is 1 N at all 40 angles"),
-        (DATA[:-1], THETA, {}, r"data have shape \(79,\)"),
-        (DATA * np.nan, THETA, {}, r"data\[0\] is nan"),
-        (DATA, THETA[:-1], {}, r"theta_deg has shape \(39,\)"),
-        (DATA, THETA, {"correlation_length_deg": 60.0}, "singular at .* 60 deg with 40 angles"),
-        (DATA, THETA, {"correlation_length_deg": 0.0}, r"correlation_length_deg is 0\.0"),
-        (DATA, THETA, {"sigma_fraction": -0.01}, r"sigma_fraction is -0\.01"),
-    ],
-)
-def test_unusable_input_is_refused(
-    data: FloatArray, theta: FloatArray, options: dict[str, float], message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        PaperLikelihood(data, theta, **options)
-
-
-def test_prediction_of_another_shape_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"shape \(80,\); expected \[k, 80\]"):
-        PaperLikelihood(DATA, THETA)(DATA)
 
 
 def test_peak_to_peak_of_each_force() -> None:
@@ -118,17 +90,6 @@ def test_white_residuals_have_less_than_the_spacing() -> None:
     assert residual_correlation_length_deg(THETA, residuals) < 0.5 * (THETA[1] - THETA[0])
 
 
-@pytest.mark.parametrize(
-    ("theta", "residuals", "message"),
-    [
-        (THETA, np.ones((3, 40)), "still 1.00 or more"),
-        (THETA, np.zeros((3, 40)), "not all zero"),
-        (THETA**3, np.ones((3, 40)), "increase evenly"),
-        (THETA, np.ones((40, 3)), r"shapes \(40,\) and \(40, 3\)"),
-    ],
-)
-def test_residuals_without_a_length_are_refused(
-    theta: FloatArray, residuals: FloatArray, message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        residual_correlation_length_deg(theta, residuals)
+def test_residuals_without_a_length_are_refused() -> None:
+    with pytest.raises(ValueError, match="or more up to a lag"):
+        residual_correlation_length_deg(THETA, np.ones((3, 40)))

@@ -213,43 +213,24 @@ def test_quadrature_has_no_draws() -> None:
 
 @pytest.mark.parametrize("method", [quadrature, lambda f, b: ensemble(f, b, seed=0)])
 @pytest.mark.parametrize(
-    ("log_likelihood", "bounds", "message"),
+    ("log_likelihood", "message"),
     [
-        (np.zeros_like, (45.0, 25.0), "bounds_deg are 45 and 25"),
-        (np.zeros_like, (25.0, np.inf), "bounds_deg are 25 and inf"),
-        (lambda phi: np.where(phi > 30, np.nan, 0.0), BOUNDS, "is nan at phi = "),
-        (lambda phi: np.full_like(phi, np.inf), BOUNDS, "is inf at phi = "),
-        (lambda phi: np.full_like(phi, -np.inf), BOUNDS, "minus infinity at all"),
-        (lambda phi: phi[:, None], BOUNDS, "expected"),
+        (lambda phi: np.where(phi > 30, np.nan, 0.0), "is nan at phi = "),
+        (lambda phi: np.full_like(phi, np.inf), "is inf at phi = "),
+        (lambda phi: np.full_like(phi, -np.inf), "minus infinity at all"),
+        (lambda phi: phi[:, None], "expected"),
     ],
 )
-def test_unusable_log_likelihood_or_bounds_are_refused(
-    method: Any, log_likelihood: LogLikelihood, bounds: tuple[float, float], message: str
+def test_an_unusable_log_likelihood_is_refused(
+    method: Any, log_likelihood: LogLikelihood, message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
-        method(log_likelihood, bounds)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"walkers": 7}, "walkers is 7"),
-        ({"burn_in": 4000}, "burn_in is 4000 of 4000"),
-        ({"ensembles": 3}, "ensembles is 3"),
-    ],
-)
-def test_too_small_an_ensemble_is_refused(options: dict[str, int], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        ensemble(np.zeros_like, BOUNDS, seed=0, **options)
+        method(log_likelihood, BOUNDS)
 
 
 def test_unusable_probabilities_are_refused() -> None:
     posterior = quadrature(np.zeros_like, BOUNDS, nodes=5)
-    with pytest.raises(ValueError, match="nodes is 4"):
-        quadrature(np.zeros_like, BOUNDS, nodes=4)
     with pytest.raises(ValueError, match=r"probability is 1\.5"):
         posterior.quantile(1.5)
-    with pytest.raises(ValueError, match="probability is 68"):
+    with pytest.raises(ValueError, match="probability is"):
         posterior.interval(68)
-    with pytest.raises(ValueError, match=r"low = 30\.0 deg exceeds high = 29\.0"):
-        posterior.mass(30.0, 29.0)

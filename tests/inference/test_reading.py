@@ -183,10 +183,9 @@ def test_covariance_grows_with_the_spacing_and_with_the_force() -> None:
     assert sizes[0] < 0.1 * sizes[1] < sizes[2]
 
 
-@pytest.mark.parametrize("every", [10, 20])
-def test_intervals_hold_the_truth_at_every_phase(every: int) -> None:
+def test_intervals_hold_the_truth_at_every_phase() -> None:
     """Without the covariance of the readings 95 % intervals held 30 to 40 % of these truths."""
-    library = Library.load("quick-plane-strain")
+    library, every = Library.load("quick-plane-strain"), 20
     inside, consistent = [], []
     for case in Library.load("quick-plane-strain-fourteen").cases[1:14:4]:
         truth = case.scenario.soil.friction_angle_deg

@@ -24,12 +24,13 @@ from terraphi.inference.noise import Noise
 from terraphi.inference.prior import Marginal
 from terraphi.inference.several_parameters import (
     DILATION,
+    LegLikelihood,
+    Target,
     _density_of,
     _judge,
     _plane_strain,
     _window_noise,
 )
-from terraphi.inference.target import LegLikelihood, Target
 from terraphi.inference.trials import Looked, Repeats, Trial, Tried, grouped
 from terraphi.inference.verdict import EDGE_DENSITY
 from terraphi.surrogate.design import DesignSurrogate
@@ -39,6 +40,8 @@ from terraphi.view.plots import corner_figure, fits_figure
 PHI, DENSITY, FRICTION = "soil.friction_angle_deg", "soil.density", "leg.friction"
 TRUTH = {PHI: 32.7, FRICTION: 0.37, DENSITY: 1650.0}
 NOISE_N = 0.5
+FEW = 150
+"""Steps to begin with, where a verdict is asked for and no quantile."""
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +139,7 @@ def test_a_second_leg_adds_what_was_expected(straight, both) -> None:
 def test_repeated_trials_narrow_the_interval_by_their_root(two_parameters, trial) -> None:
     four = [trial("straight", seed, noise=2.0) for seed in range(4)]
     one, found = (
-        invert(trials, library=two_parameters, noise=2.0, prior=["leg.friction=0.37"])
+        invert(trials, library=two_parameters, noise=2.0, prior=["leg.friction=0.37"], steps=FEW)
         for trials in (four[:1], four)
     )
     ratio = one.marginal[PHI].sd / found.marginal[PHI].sd
@@ -151,6 +154,7 @@ def test_noise_is_inferred_if_it_is_not_given(two_parameters, trial) -> None:
         [trial("straight"), trial("straight", 1)],
         library=two_parameters,
         prior=["leg.friction=0.37"],
+        steps=FEW,
     )
     # Some 44 readings 0.1° apart make a window mean.
     assert np.median(found.together.noise_N) == pytest.approx(NOISE_N / np.sqrt(44.0), rel=0.25)
@@ -158,7 +162,8 @@ def test_noise_is_inferred_if_it_is_not_given(two_parameters, trial) -> None:
 
 def test_forces_that_no_parameters_explain_are_a_misfit(two_parameters, trial) -> None:
     c = trial("c")
-    found = invert([Trial(c.history, "straight", "passed off")], library=two_parameters)
+    wrong = Trial(c.history, "straight", "passed off")
+    found = invert([wrong], library=two_parameters, steps=FEW)
     assert found.verdict.verdict in ("misfit", "out_of_range")
 
 
@@ -221,21 +226,21 @@ def test_a_history_of_another_model_is_named_and_not_believed_blindly(
 ) -> None:
     given = trial("straight")
     data = training(two_parameters, "straight")
-    assert given.made_as(data)
+    assert given.made_as(data.scenario, data.bounds)
     bare = ForceHistory(given.history.position, given.history.force)
-    assert not replace(given, history=bare).made_as(data)
+    assert not replace(given, history=bare).made_as(data.scenario, data.bounds)
     coarser = two_parameters.cases[0].scenario.replace(**TRUTH, **{"rft.panels": 20})
     other = Trial(simulate(coarser), "straight", "other")
-    assert not other.made_as(data)
+    assert not other.made_as(data.scenario, data.bounds)
     (group,) = grouped([other])
     (said,) = warnings_on(group, data, None)
     assert said.code == "unlike"
     assert said.numbers["differences"] == [("rft.panels", 20, 40)]
     known = warnings_on(group, data, 1500.0)
     assert (known[1].code, known[1].numbers["used"]) == ("other_density", 1500.0)
-    found = invert([other], library=two_parameters, noise=NOISE_N)
+    found = invert([other], library=two_parameters, noise=NOISE_N, steps=FEW)
     assert found.together.discrepancy == "gp"
-    assert found.warnings == (said,)
+    assert said in found.warnings
 
 
 def test_records_read_at_other_angles_are_told(two_parameters, trial) -> None:
@@ -295,7 +300,7 @@ def test_noise_that_is_told_is_of_each_force(trial) -> None:
 def test_an_edge_of_the_library_cuts_a_normal_prior_too(two_parameters, trial) -> None:
     scenario = two_parameters.cases[0].scenario
     beyond = Trial(simulate(scenario.replace(**{PHI: 47.5, FRICTION: 0.4})), "straight", "beyond")
-    options = {"library": two_parameters, "noise": 0.3}
+    options = {"library": two_parameters, "noise": 0.3, "steps": FEW}
     found = invert([beyond], prior=["friction_angle_deg=38+-10", "leg.friction=0.4"], **options)
     assert found.verdict.verdict == "out_of_range"
     assert found.verdict.edge == "high"
@@ -311,7 +316,7 @@ def test_the_equivalent_in_plane_strain_knows_the_dilation(two_parameters) -> No
     marginal = {PHI: Summary.of(np.full(10, 30.0))}
     for psi in (0.0, 15.0):
         priors = {PHI: Marginal(20.0, 40.0), DILATION: Marginal(psi, psi)}
-        target = Target(None, priors, (PHI,), 0.1, False)
+        target = Target((), priors, (PHI,), 0.1, False)
         found, _ = _plane_strain(marginal, target, scenario)
         exact = plane_strain_friction_angle_deg(30.0, "triaxial", dilation_angle_deg=psi)
         assert found.median == pytest.approx(exact)

@@ -12,7 +12,8 @@ from terraphi.forward import simulate
 from terraphi.inference.suggestion import _Search, suggest
 from terraphi.library.plan import Plan
 from terraphi.library.store import Case, Library
-from terraphi.surrogate.design import DesignGP, DesignSurrogate
+from terraphi.surrogate.design import DesignSurrogate
+from terraphi.surrogate.process import Process
 from terraphi.surrogate.training import training
 
 PHI = "soil.friction_angle_deg"
@@ -39,7 +40,7 @@ def test_risk_is_that_of_a_process_with_the_point_added(few) -> None:
     for known in leg.known:
         process = known.process
         # Forces there play no part in a variance: any will do, in the units of the process.
-        more = DesignGP.condition(
+        more = Process.condition(
             np.vstack([process.points, at]),
             process.theta_deg,
             np.vstack([process.predict(process.points)[0], process.predict(at)[0]]),

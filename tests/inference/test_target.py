@@ -7,26 +7,28 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
-from terraphi.inference.target import JointLikelihood, LegLikelihood
-from terraphi.surrogate.design import DesignGP, DesignKernel, DesignSurrogate, Size
+from terraphi.inference.prior import Marginal
+from terraphi.inference.several_parameters import LegLikelihood, Target
+from terraphi.surrogate.design import DesignKernel, DesignSurrogate, Size
+from terraphi.surrogate.process import Process
 
 THETA_DEG = np.linspace(-85.0, 85.0, 6)
 KEY = "soil.friction_angle_deg"
 RNG = np.random.default_rng(7)
 
 
-def process(shift: float) -> DesignGP:
+def process(shift: float) -> Process:
     points = np.linspace(-1.0, 1.0, 5)[:, None]
     values = np.sin(THETA_DEG / 30.0 + shift) * (1.5 + points) + 0.05 * RNG.standard_normal((5, 6))
-    return DesignGP.condition(
+    return Process.condition(
         points, THETA_DEG, values, DesignKernel((1.2,), 30.0, 1.0, 5e-3, fine=0.1)
     )
 
 
 def leg(shift: float) -> DesignSurrogate:
     points = np.linspace(-1.0, 1.0, 5)[:, None]
-    rough = DesignKernel((0.3,), 90.0, 1.0, 1e-2, kind="rbf")
-    size = Size(DesignGP.condition(points, [0.0], 0.2 + 0.3 * points**2, rough))
+    rough = DesignKernel((0.3,), 90.0, 1.0, 1e-2)
+    size = Size(Process.condition(points, [0.0], 0.2 + 0.3 * points**2, rough))
     both = process(shift), process(shift + 1.0)
     return DesignSurrogate({KEY: (20.0, 40.0)}, 1650.0, size, *both)
 
@@ -45,7 +47,7 @@ def parts_of(surrogate, data, named, noise, amplitude, ratio=(1.0, 1.0)):
         own.append(((r * noise) ** 2 + scale**2 * part.noise_variance) * np.eye(THETA_DEG.size))
         means.append(scale * part.basis @ mean[0])
     mean = np.concatenate(means)
-    factor = surrogate.factor_variance(at)[0] * np.outer(mean, mean)
+    factor = surrogate.located(at)[2][0] * np.outer(mean, mean)
     return mean, block_diag(*shared) + factor, block_diag(*own)
 
 
@@ -80,9 +82,8 @@ def test_likelihood_is_that_of_a_dense_normal_distribution(trials, amplitude, ra
 def test_legs_add_up() -> None:
     one, other = (LegLikelihood(leg(s), RNG.standard_normal((1, 12)) + 3.0) for s in (0.0, 1.0))
     args = {KEY: np.array([25.0, 31.0])}, np.full(2, 0.3), np.zeros(2)
-    both = JointLikelihood((one, other))
-    np.testing.assert_allclose(both(*args), one(*args) + other(*args))
-    assert both.largest == max(one.largest, other.largest)
+    both = Target((one, other), {KEY: Marginal(20.0, 40.0)}, (KEY,), 0.3, False)
+    np.testing.assert_allclose(both(args[0][KEY][:, None]), one(*args) + other(*args))
 
 
 def test_information_is_that_of_dense_matrices() -> None:

@@ -112,22 +112,3 @@ def test_nrmsd_by_hand() -> None:
 def test_nrmsd_does_not_depend_on_the_unit(unit: float) -> None:
     data, model = np.random.default_rng(0).standard_normal((2, 80))
     assert nrmsd(unit * data, unit * model) == pytest.approx(nrmsd(data, model))
-
-
-@pytest.mark.parametrize(
-    ("data", "model", "message"),
-    [
-        (np.arange(4.0), np.arange(6.0), r"model has shape \(6,\); data have \(4,\)"),
-        (np.ones(4), np.ones(4), "Fx is 1 N at all 2 angles"),
-        (np.arange(4.0), np.array([0.0, 1.0, np.nan, 3.0]), r"model\[2\] is nan"),
-    ],
-)
-def test_unusable_vectors_are_refused(data: FloatArray, model: FloatArray, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        nrmsd(data, model)
-
-
-@pytest.mark.parametrize("step_deg", [0.0, -1.0, np.inf, np.nan])
-def test_a_step_that_is_none_is_refused(step_deg: float) -> None:
-    with pytest.raises(ValueError, match="step_deg is"):
-        edge_by_mass(at(35.0), step_deg=step_deg)

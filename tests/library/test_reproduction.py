@@ -45,7 +45,7 @@ def test_a_shipped_case_comes_out_again(name: str) -> None:
     case = shipped.cases[0]
     here = replace(shipped, cases=(case._replace(history=simulate(case.scenario)),))
     once_more = rebuild(here, 1)
-    assert once_more.same, once_more.sentence
+    assert once_more.same_bits, once_more.sentence
     assert once_more.sentence.endswith("the same to the last bit.")
 
 
@@ -92,7 +92,7 @@ def test_what_is_the_same_here_is_expected_again() -> None:
     assert found["expected"]
     assert found["sentence"].startswith("its plan gives the same bits here")
     again = rebuild(library, 2)
-    assert (again.same, again.largest_change, again.differences) == (True, 0.0, ())
+    assert (again.same_bits, again.largest_change, again.differences) == (True, 0.0, ())
     assert again.case == "case 2 (soil.friction_angle_deg = 30.0)"
 
 
@@ -122,7 +122,7 @@ def test_other_forces_are_seen() -> None:
     force[1000, 0] += 1e-3 * abs(force).max()
     first = case._replace(history=replace(case.history, force=force))
     again = rebuild(replace(library, cases=(first, *library.cases[1:])), 1)
-    assert not again.same
+    assert not again.same_bits
     assert again.largest_change == pytest.approx(1e-3, rel=1e-3)
     assert "forces differ by up to 1.0e-03 of the largest (and nothing that" in again.sentence
 

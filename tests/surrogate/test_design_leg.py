@@ -94,14 +94,14 @@ def test_size_between_the_points_and_what_is_not_known_of_it() -> None:
     errors = np.log(found(where) / size(where))
     assert np.abs(errors).max() < 0.01
     # The process knows how large its errors are.
-    assert 0.1 < np.sqrt(np.mean(errors**2 / found.variance(where))) < 2.0
-    assert found.variance(points).max() < 0.1 * found.variance(where).max()
+    assert 0.1 < np.sqrt(np.mean(errors**2 / found.both(where)[1])) < 2.0
+    assert found.both(points)[1].max() < 0.1 * found.both(where)[1].max()
 
 
 def test_both_forces_may_be_wrong_by_a_common_factor(surrogate) -> None:
     at = {PHI: np.array([24.0]), FRICTION: np.array([0.55])}
     mean, variance = surrogate.predict(at)
-    assert (variance >= surrogate.factor_variance(at) * np.square(mean)).all()
+    assert (variance >= surrogate.located(at)[2] * np.square(mean)).all()
 
 
 def test_parameters_are_the_numbers_that_vary() -> None:

@@ -90,12 +90,6 @@ def test_prediction_and_covariance_are_those_of_scikit_learn(
     assert surrogate.standard(means) == pytest.approx(surrogate.standard_curves)
 
 
-def test_repeats_that_are_none_are_refused(curves: np.ndarray) -> None:
-    for repeats in (np.zeros(6), np.ones(5)):
-        with pytest.raises(ValueError, match="expected one number, 1 or more"):
-            JointSurrogate.fit(PHI, THETA, curves, scatter(), kernel=KERNEL, repeats=repeats)
-
-
 def test_evidence_is_that_of_the_dense_normal_density(curves: np.ndarray) -> None:
     data = Standardised(PHI, THETA, curves, scatter())
     known = Evidence(data, KERNEL, 1.3)
@@ -203,8 +197,3 @@ def test_scatter_survives_its_file() -> None:
     again = Scatter.from_dict(truth.as_dict())
     assert again.sigma(PHI) == pytest.approx(truth.sigma(PHI), rel=1e-4)
     assert again.correlation == pytest.approx(truth.correlation)
-
-
-def test_a_single_replicate_is_refused(curves: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="two replicates"):
-        estimate(THETA, PHI, curves, [(30.0, curves[:1])])

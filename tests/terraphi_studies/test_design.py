@@ -55,7 +55,7 @@ def test_errors_are_those_of_the_most_probable_angle() -> None:
                 variances.append(scale**2 * variance + noise**2)
                 curves.append(scale * process.rotated_mean(surrogate.points(at))[0])
             r, curve = np.concatenate(residual), np.concatenate(curves)
-            factor = surrogate.factor_variance(at)[0] * np.outer(curve, curve)
+            factor = surrogate.located(at)[2][0] * np.outer(curve, curve)
             covariance = np.diag(np.concatenate(variances)) + factor
             return total + r @ np.linalg.solve(covariance, r)
 

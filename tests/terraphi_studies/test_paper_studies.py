@@ -190,8 +190,9 @@ def test_surrogate_counts_what_its_spread_covers() -> None:
     found = surrogate.held_out("quick-paper")
     phi = np.linspace(20.0, 45.0, 200)
     predicted, curve = found.surrogate.predict(phi), found.surrogate.predict_variance(phi)
-    noise = np.repeat([found.surrogate.Fx.noise_std, found.surrogate.Fz.noise_std],
-                      found.curves.theta_deg.size)  # fmt: skip
+    both = (found.surrogate.Fx, found.surrogate.Fz)
+    sizes = [np.sqrt(process.noise_variance) for process in both]
+    noise = np.repeat(sizes, found.curves.theta_deg.size)
     errors = np.random.default_rng(0).standard_normal(predicted.shape)
     for scale, expected in ((np.sqrt(curve + noise**2), 95), (2.0 * np.sqrt(curve + noise**2), 68)):
         note = surrogate._about_the_spread(

@@ -11,7 +11,8 @@ import pytest
 import terraphi_studies as studies
 from terraphi.experiment.measurements import measurement
 from terraphi.inference.discrepancy import learn
-from terraphi.inference.inversion import Trial, invert
+from terraphi.inference.inversion import invert
+from terraphi.inference.trials import Trial
 from terraphi.library.store import Library
 from terraphi_studies import real_soil
 

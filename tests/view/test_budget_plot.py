@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.measurements import measurement
+from terraphi.inference.answer import Inversion
 from terraphi.inference.budget import TERMS
-from terraphi.inference.inversion import Inversion, invert
+from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
 from terraphi.view.plots import budget_figure
 

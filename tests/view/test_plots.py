@@ -7,7 +7,8 @@ import pytest
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.measurements import measurement
-from terraphi.inference.inversion import Inversion, invert
+from terraphi.inference.answer import Inversion
+from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
 from terraphi.view import plots
 
@@ -28,9 +29,9 @@ def test_a_row_an_inversion_with_data_curve_and_posterior(found: Inversion) -> N
     assert len(figure.axes) == 6
     thrust, lift, posterior = figure.axes[:3]
     points = next(line for line in thrust.lines if line.get_marker() == "o")
-    assert np.asarray(points.get_ydata()) == pytest.approx(found.observation.Fx)
+    assert np.asarray(points.get_ydata()) == pytest.approx(found.record.observation.Fx)
     curves = [np.asarray(line.get_ydata()) for line in lift.lines]
-    assert any(len(c) == 40 and np.allclose(c, found.best[40:]) for c in curves)
+    assert any(len(c) == 40 and np.allclose(c, found.record.best[40:]) for c in curves)
     assert f"φ = {found.phi.median:.0f}°" in posterior.get_title()
     low, high = posterior.get_xlim()
     assert low < found.phi.ci95[0] < found.phi.ci95[1] < high

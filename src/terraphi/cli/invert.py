@@ -25,7 +25,8 @@ from terraphi.view.console import as_text, print_inversion, print_json, progress
 
 if TYPE_CHECKING:
     from terraphi.experiment.measurements import Measurement
-    from terraphi.inference.inversion import Inversion, Trial
+    from terraphi.inference.answer import Inversion
+    from terraphi.inference.trials import Trial
 
 DEFAULT_LIKELIHOOD = "calibrated"
 DEFAULT_SAMPLER = "quadrature"
@@ -186,7 +187,7 @@ def tabulate(
 
 def trials_of(legs: Sequence[str], measured: Sequence[Measurement]) -> list[Trial]:
     """Each history with its leg: as asked for, else as measured."""
-    from terraphi.inference.inversion import Trial
+    from terraphi.inference.trials import Trial
 
     if not legs:
         return [Trial.of(one) for one in measured]

@@ -10,12 +10,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
 from terraphi.experiment.files import read_bytes
 
 Model = TypeVar("Model", bound=BaseModel)
+
 STUDIES = "terraphi.studies"
 """Group of the entry points by which packages of studies are found."""
 
@@ -31,6 +32,14 @@ def data_folders() -> tuple[Path, ...]:
 
 WRITTEN = "written by people"
 """Context in which pydantic checks a document that people write, in contrast to a stored one."""
+
+
+class Strict(BaseModel):
+    """A table of a document: frozen, without unknown keys, of finite numbers."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 def shipped_names(folder: str, suffix: str) -> list[str]:

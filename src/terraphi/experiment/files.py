@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 
 
@@ -93,8 +93,6 @@ def read_whole(path: Path) -> Contents:
         {name: v for name, v in found.items() if name in coordinates},
     )
 
-
-FloatArray = NDArray[np.float64]
 
 DAMAGE = (EOFError, LookupError, OSError, RuntimeError, ValueError)
 """What the HDF5 stack raises on a damaged file."""

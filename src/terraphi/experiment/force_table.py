@@ -20,12 +20,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import plain_number, read_bytes, replacing
 
-FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 CSV_COLUMNS = ("theta_deg", "Fx_N", "Fz_N")

@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, positions, write_netcdf
 from terraphi.experiment.force_table import read_force_table, write_force_table
-
-FloatArray = NDArray[np.float64]
 
 WINDOW_DEG = 85.0
 """Half width of the engaged window of the paper [deg]."""
@@ -28,10 +27,7 @@ OBSERVATION_ANGLES = 40
 """Number M of angles in the paper's observation vector."""
 SCHEMA = 1
 
-_SHOWN = (
-    *("scenario_hash", "model_version", "particles", "steps"),
-    *("momentum_mismatch", "seconds"),
-)
+_SHOWN = ["scenario_hash", "model_version", "particles", "steps", "momentum_mismatch", "seconds"]
 _APPLIED = "applied_force"
 """Where a history's provenance keeps what its contact applied, if it counts something else."""
 _UNITS = {"theta": "rad", "displacement": "m", "time": "s"}
@@ -266,9 +262,33 @@ class ForceHistory:
         return Observation(theta_deg, fx, fz)
 
     def _check_window(self, window_deg: float, slack_deg: float, fewest: int) -> None:
+        """Refuse too few readings, or too far apart, for window means, and no force.
+
+        From fewer readings than means these are of lines between readings, and tell less than they
+        seem to. A record may stop ``slack_deg`` short of the window's ends.
+        """
         file = f"{self.provenance['file']}: " if "file" in self.provenance else ""
-        ends = {"window_deg": window_deg, "slack_deg": slack_deg}
-        inside = check_readings(self.theta_deg, **ends, fewest=fewest, file=file)
+        theta_deg = self.theta_deg
+        # Angles a record's step short of the window's end still leave half a mean to take.
+        if max(theta_deg[0] + window_deg, window_deg - theta_deg[-1]) > 0.999 * slack_deg:
+            raise InputError(
+                f"{file}theta covers {theta_deg[0]:.1f} to {theta_deg[-1]:.1f} deg, but the whole "
+                f"window -{window_deg:g} to {window_deg:g} deg is needed"
+            )
+        inside = np.abs(theta_deg) <= window_deg
+        if inside.sum() < fewest:
+            raise InputError(
+                f"{file}only {inside.sum()} angles lie within |theta| <= {window_deg:g} deg, "
+                f"at least {fewest} are needed, one for each window mean"
+            )
+        gaps = np.diff(np.clip(theta_deg, -window_deg, window_deg))
+        if gaps.max() > WIDEST_GAP_DEG:
+            at = int(gaps.argmax())
+            low, high = theta_deg[at : at + 2]
+            raise InputError(
+                f"{file}no angle between {low:.1f} and {high:.1f} deg; gaps of up to "
+                f"{WIDEST_GAP_DEG:g} deg are accepted"
+            )
         for axis, name in zip(self.force.T, self.axes, strict=True):
             if not np.any(axis[inside]):
                 raise InputError(
@@ -432,7 +452,7 @@ def is_dense(readings: FloatArray) -> bool:
 
 
 def between(position: FloatArray, low: float, high: float) -> NDArray[np.bool_]:
-    """Which positions lie between two others, ends included; same unit, shape [sample]."""
+    """Mask of the positions from low to high, both included; all in one unit, shape [sample]."""
     # Degrees turned to radians and back may miss an end by a rounding error.
     slack = 1e-9 * (1.0 + np.abs(position))
     return np.asarray((position >= low - slack) & (position <= high + slack))
@@ -463,56 +483,4 @@ def shares(readings: FloatArray) -> FloatArray:
     """
     gaps = np.diff(readings)
     nearer = np.minimum(np.append(gaps, np.inf), np.append(np.inf, gaps))
-    found: FloatArray = np.minimum(nearer, np.radians(READING_DEG))
-    return found
-
-
-def check_readings(
-    theta_deg: FloatArray, *, window_deg: float, slack_deg: float, fewest: int, file: str = ""
-) -> NDArray[np.bool_]:
-    """Refuse a record whose readings are too few or too far apart for window means.
-
-    Parameters
-    ----------
-    theta_deg
-        Leg angles of the readings [deg], increasing, shape [sample].
-    window_deg
-        Half width of the window [deg].
-    slack_deg
-        How far short of the window's ends a record may stop [deg].
-    fewest
-        Readings needed within the window, one for each mean: from fewer, means are of lines between
-        readings, and tell less than they seem to.
-    file
-        How a sentence begins.
-
-    Returns
-    -------
-    ndarray
-        Which readings are within the window, shape [sample].
-
-    Raises
-    ------
-    InputError
-        If the record does not cover the window, has a wide gap in it or too few readings.
-    """
-    # Angles a record's step short of the window's end still leave half a mean to take.
-    if max(theta_deg[0] + window_deg, window_deg - theta_deg[-1]) > 0.999 * slack_deg:
-        raise InputError(
-            f"{file}theta covers {theta_deg[0]:.1f} to {theta_deg[-1]:.1f} deg, but the whole "
-            f"window -{window_deg:g} to {window_deg:g} deg is needed"
-        )
-    inside = np.abs(theta_deg) <= window_deg
-    if inside.sum() < fewest:
-        raise InputError(
-            f"{file}only {inside.sum()} angles lie within |theta| <= {window_deg:g} deg, "
-            f"at least {fewest} are needed, one for each window mean"
-        )
-    gaps = np.diff(np.clip(theta_deg, -window_deg, window_deg))
-    if gaps.max() > WIDEST_GAP_DEG:
-        at = int(gaps.argmax())
-        raise InputError(
-            f"{file}no angle between {theta_deg[at]:.1f} and {theta_deg[at + 1]:.1f} deg; gaps of "
-            f"up to {WIDEST_GAP_DEG:g} deg are accepted"
-        )
-    return inside
+    return np.minimum(nearer, np.radians(READING_DEG))

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
-from terraphi.experiment.documents import parse_toml, shipped_file, shipped_names
+from terraphi.experiment.documents import Strict, parse_toml, shipped_file, shipped_names
 from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
 from terraphi.experiment.files import is_there
 from terraphi.experiment.history import ForceHistory
@@ -24,10 +24,8 @@ COLLECTION = "li2013"
 _RFT = "-rft"
 
 
-class _Medium(BaseModel):
+class _Medium(Strict):
     """A row of the table of media; what the source does not report is left out."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     label: str
     density: float | None = Field(None, gt=0)
@@ -35,9 +33,7 @@ class _Medium(BaseModel):
     angle_of_repose_deg: float | None = Field(None, gt=0, lt=90)
 
 
-class _Media(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+class _Media(Strict):
     citation: str
     media: Mapping[str, _Medium]
 

@@ -11,10 +11,10 @@ import math
 from typing import Annotated, Literal, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.documents import Strict
 
 
 class Poses(NamedTuple):
@@ -30,13 +30,7 @@ class Poses(NamedTuple):
     """Angular rate dθ/dt [rad/s], shape [time]."""
 
 
-class _Motion(BaseModel):
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
-    )
-
-
-class Rotation(_Motion):
+class Rotation(Strict):
     """Rotation about a fixed hip, at a constant rate or along a profile ω(θ)."""
 
     kind: Literal["rotation"] = "rotation"
@@ -165,7 +159,7 @@ class Rotation(_Motion):
         return self.top_rate * reach
 
 
-class Translation(_Motion):
+class Translation(Strict):
     """Straight motion at a constant velocity and orientation, for plates and penetration."""
 
     kind: Literal["translation"] = "translation"

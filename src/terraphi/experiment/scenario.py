@@ -3,8 +3,6 @@
 The defaults are those of the paper's benchmark (Xu & Wang): a straight leg, Yuma sand, 128² cells,
 2.9 million steps. The shipped presets write them all out (``terraphi simulate paper-1``).
 
-The parts of a scenario beside soil, leg and motion: bed, relief, discretisation, RFT.
-
 An option that is added later says in :data:`ADDED_LATER` which value means what was there before.
 A scenario that leaves it there keeps its hash, and what was simulated is not simulated again.
 """
@@ -21,9 +19,9 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validator
+from pydantic import Field, ValidationInfo, model_validator
 
-from terraphi.experiment.documents import WRITTEN, parse_toml, shipped_file, strictly
+from terraphi.experiment.documents import WRITTEN, Strict, parse_toml, shipped_file, strictly
 from terraphi.experiment.files import is_there
 from terraphi.experiment.leg import LEG_SHAPES, SOLID_SHAPES, Leg, frame_axes
 from terraphi.experiment.motion import Motion, Rotation, bin_count
@@ -58,15 +56,7 @@ PAPER_DAMPING_RATE = -math.log(0.997) / 8e-6
 """The paper multiplies grid velocities by 0.997 every 8 µs: a decay rate of 375.6 1/s."""
 
 
-class Section(BaseModel):
-    """Frozen, strict and finite."""
-
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
-    )
-
-
-class Bed(Section):
+class Bed(Strict):
     """The box of soil; its walls are fixed in space whatever the grid."""
 
     left: float = Field(0.005, ge=0)
@@ -121,7 +111,7 @@ class Bed(Section):
         return self.floor + self.height
 
 
-class Relief(Section):
+class Relief(Strict):
     """Fading of soil that the leg has carried away (the paper's tail-phase relief)."""
 
     enabled: bool = True
@@ -134,7 +124,7 @@ class Relief(Section):
     """Smallest weight q of a particle [-]."""
 
 
-class Numerics(Section):
+class Numerics(Strict):
     """Discretisation of the material point method."""
 
     domain: float = Field(0.300, gt=0)
@@ -254,7 +244,7 @@ class Numerics(Section):
         return math.exp(-self.damping_rate * self.time_step / self.speed_up)
 
 
-class Resistive(Section):
+class Resistive(Strict):
     """Resistive force theory."""
 
     medium: Literal[
@@ -300,7 +290,7 @@ LEAST, LARGEST = 1e-15, 1e15
 """Sizes of numbers, in SI or degrees, that can be computed with."""
 
 
-class Scenario(Section):
+class Scenario(Strict):
     """A soil, a leg, a motion and the numerics that bring them together."""
 
     name: str = ""
@@ -617,8 +607,7 @@ def _section(place: dict[str, Any], name: str) -> dict[str, Any]:
     """Section of a document; made, for the check to refuse, where there is none."""
     if not isinstance(place.get(name), dict):
         place[name] = {}
-    section: dict[str, Any] = place[name]
-    return section
+    return place[name]
 
 
 def _is_entry(value: object, index: str) -> bool:

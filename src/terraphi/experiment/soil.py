@@ -23,8 +23,9 @@ from __future__ import annotations
 import math
 from typing import Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError
 
 YieldCriterion = Literal["paper", "plane_strain", "triaxial"]
@@ -156,12 +157,8 @@ def friction_angle_from_plane_strain_deg(
     return _angle_from_cone_slope(slope, yield_criterion)
 
 
-class Soil(BaseModel):
+class Soil(Strict):
     """Dry soil: hypoelastic, Drucker-Prager."""
-
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
-    )
 
     density: float = Field(1650.0, gt=0)
     """Bulk density ρ [kg/m³]."""

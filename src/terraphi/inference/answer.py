@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import Observation
 from terraphi.experiment.scenario import Scenario
@@ -23,10 +23,6 @@ from terraphi.inference.posterior import Posterior
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws
 from terraphi.inference.words import of_doubt, reason
-
-__all__ = ["AngleSummary", "Inversion", "plane_strain_summary"]
-
-FloatArray = NDArray[np.float64]
 
 PHI = "soil.friction_angle_deg"
 NARROW_DEG = 0.1
@@ -54,7 +50,7 @@ class AngleSummary:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
-        return {"median": self.median, "ci68": list(self.ci68), "ci95": list(self.ci95)}
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -78,11 +74,14 @@ class Summary:
         ends = posterior.interval(0.68), posterior.interval(0.95)
         return cls(posterior.median, posterior.sd, *ends)
 
+    @property
+    def angle(self) -> AngleSummary:
+        """The same of a friction angle [deg]."""
+        return AngleSummary(self.median, self.ci68, self.ci95)
+
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
-        return {
-            "median": self.median, "sd": self.sd, "ci68": list(self.ci68), "ci95": list(self.ci95),
-        }  # fmt: skip
+        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,8 +266,7 @@ class Inversion:
         """Summary of φ [deg]; ValueError if it was not inferred."""
         if PHI not in self.marginal:
             raise ValueError("the friction angle was not inferred")
-        one = self.marginal[PHI]
-        return AngleSummary(one.median, one.ci68, one.ci95)
+        return self.marginal[PHI].angle
 
     @property
     def posterior(self) -> Posterior:
@@ -293,44 +291,6 @@ class Inversion:
     def source(self) -> str:
         """Where the forces of the only history come from, or of each."""
         return ", ".join(record.source for record in self.records)
-
-    @property
-    def leg(self) -> str:
-        """Leg of the only history."""
-        return self.record.leg
-
-    @property
-    def observation(self) -> Observation:
-        """Data of the only history."""
-        return self.record.observation
-
-    @property
-    def readings(self) -> FloatArray:
-        """Leg angles at which the only history was read [rad], shape [sample]."""
-        return self.record.readings
-
-    @property
-    def best(self) -> FloatArray:
-        """Best curve of the only history [N], shape [2M]."""
-        return self.record.best
-
-    @property
-    def band(self) -> FloatArray:
-        """Band of the curves of the only history [N], shape [2, 2M]; φ alone."""
-        band = self.record.band
-        if band is None:
-            raise ValueError("several parameters have no band of curves over φ")
-        return band
-
-    @property
-    def nrmsd(self) -> Mapping[str, float]:
-        """Misfit of the only history by force, fractions of peak-to-peak."""
-        return self.record.nrmsd
-
-    @property
-    def data(self) -> Mapping[str, Any]:
-        """What was found in the only history before the inversion."""
-        return self.record.data
 
     @property
     def origin(self) -> str:

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import check_is_file, damage_told, read_bytes, write_netcdf
 from terraphi.inference.convergence import chains
@@ -32,7 +32,6 @@ from terraphi.inference.identifiability import label
 if TYPE_CHECKING:
     from terraphi.inference.answer import Inversion
 
-FloatArray = NDArray[np.float64]
 
 KIND, SCHEMA = "inversion", 2
 """What the file says that it is, and the version of its layout; 1 had one history alone."""

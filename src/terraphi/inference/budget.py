@@ -1,6 +1,6 @@
-"""The terms of the residual's covariance, one by one, and what each adds to the interval.
+"""Where an interval comes from, and which leg angles tell of the friction angle.
 
-How much a force history tells of the friction angle, and which of its angles do.
+The terms of the residual's covariance are listed one by one, with what each adds to the interval.
 
 A history sweeps through its angles in order. What each one adds to those before it follows from
 the derivative of the forces with respect to φ, made white by the Cholesky factor of the residual
@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.inference.calibrated import (
     REGISTRATION_DEG,
     CalibratedLikelihood,
@@ -24,8 +25,6 @@ from terraphi.inference.calibrated import (
 )
 from terraphi.inference.fit import Fit
 from terraphi.inference.posterior import Posterior
-
-FloatArray = NDArray[np.float64]
 
 TERMS = {
     "interpolation": "surrogate between the library's angles",
@@ -191,9 +190,6 @@ def budget_of(
     )
 
 
-__all__ = ["information_gain_bits", "information_share", "share_without_force", "without_force"]
-
-
 BINS = 20
 """In which draws are counted."""
 ZERO_FORCE = 0.01
@@ -237,24 +233,14 @@ def information_share(covariance: ArrayLike, slope: ArrayLike) -> FloatArray:
     FloatArray
         Shares of the whole [-], summing to one, of Fx and Fz, shape [2, theta]. Where the two
         forces err together, Fx comes first at each angle.
-
-    Raises
-    ------
-    ValueError
-        If the slope has another shape or is zero throughout.
     """
     sigma = np.asarray(covariance, dtype=np.float64)
     derivative = np.asarray(slope, dtype=np.float64)
-    if derivative.shape != (len(sigma),):
-        raise ValueError(f"slope has shape {derivative.shape}; expected {(len(sigma),)}")
     # Angle by angle: Fx and Fz of the first, Fx and Fz of the second, and so on.
     order = np.arange(len(sigma)).reshape(2, -1).T.ravel()
     factor = np.linalg.cholesky(sigma[np.ix_(order, order)])
     added = np.square(np.linalg.solve(factor, derivative[order]))
-    if not added.sum() > 0.0:
-        raise ValueError("slope is zero at every angle; the forces do not depend on phi")
-    shares: FloatArray = (added / added.sum()).reshape(-1, 2).T
-    return shares
+    return (added / added.sum()).reshape(-1, 2).T
 
 
 def without_force(data: ArrayLike) -> NDArray[np.bool_]:
@@ -271,8 +257,7 @@ def without_force(data: ArrayLike) -> NDArray[np.bool_]:
         Where the force is below :data:`ZERO_FORCE` of the largest, shape [theta].
     """
     size = np.hypot(*np.asarray(data, dtype=np.float64).reshape(2, -1))
-    found: NDArray[np.bool_] = size < ZERO_FORCE * size.max()
-    return found
+    return size < ZERO_FORCE * size.max()
 
 
 def share_without_force(share: FloatArray, data: ArrayLike) -> float:

@@ -17,28 +17,23 @@ If the model may be wrong, V, S and g' are those at the best angle throughout, a
 be off. That scatter grows with phi would else be evidence of phi, by way of how smooth a measured
 record is. Of a model that is far off, the angle is that of `least_squares`.
 
-What may be true of a residual besides the friction angle, and what is assumed of the data.
+A hypothesis is one size of the scatter, one size of the noise, and one discrepancy or none; the
+likelihood is summed over all of them.
 
-A hypothesis is one size of the scatter, one of the noise and one discrepancy, or none; `calibrated`
-says what they mean and sums over them.
-
-An error of the leg angle: what it does to the window means, linear about the likeliest one.
-
-A leg angle that is off by delta shows g(theta - delta) at theta. Its prior is normal of standard
-deviation t; linear about some delta_0 the forces are
+**An error of the leg angle.** A leg angle that is off by delta shows g(theta - delta) at theta. Its
+prior is normal of standard deviation t; linear about some delta_0 the forces are
 
     g(theta - delta) = g + c - delta s,   s = g'(theta - delta_0),   c = g(theta - delta_0) - g
                                                                        + delta_0 s,
 
 so that delta is integrated out by adding c to the mean and t^2 s s^T to the covariance.
 
-What the friction angle is if the model is far off: that of least squares.
-
-A discrepancy that is a process beside the right curve (Kennedy & O'Hagan) does not say what the
-angle of a wrong model is: if it is large, a record is the more probable the less the model says,
-and the posterior runs to the angle of the smallest forces (Brynjarsdottir & O'Hagan, Inverse
-Problems 30:114007, 2014). The angle that can be meant is the one of the smallest residual (Tuo
-and Wu, Ann. Stat. 43:2331, 2015; Plumlee, J. Am. Stat. Assoc. 112:1274, 2017).
+**A model that is far off.** A discrepancy that is a process beside the right curve (Kennedy &
+O'Hagan) does not say what the angle of a wrong model is: if it is large, a record is the more
+probable the less the model says, and the posterior runs to the angle of the smallest forces
+(Brynjarsdottir & O'Hagan, Inverse Problems 30:114007, 2014). The angle that can be meant is the one
+of the smallest residual (Tuo and Wu, Ann. Stat. 43:2331, 2015; Plumlee, J. Am. Stat. Assoc.
+112:1274, 2017).
 
 With s = dg/dphi and c = A s / (s^T A s), A the weights of the forces, c^T r is the change of the
 angle by which a residual r is fitted best. A large discrepancy of covariance D is taken apart into
@@ -49,16 +44,16 @@ angle of least squares, and as wide as a discrepancy of the size of the rest wou
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.inference.prepared_leg import PreparedLeg
 from terraphi.surrogate.kronecker import single_threaded
-
-FloatArray = NDArray[np.float64]
 
 ROUNDS = 8
 """Times at most that the best angles beside a discrepancy, of soil and leg, are looked for."""
@@ -106,14 +101,12 @@ class CalibratedLikelihood:
         """
         near = np.clip(phi_deg, *self._ends)
         log_p = log_sum(self.used.log_prior[:, None] - self._spline(near).T)
-        found: FloatArray = log_p - OUTSIDE * np.abs(phi_deg - near)
-        return found
+        return log_p - OUTSIDE * np.abs(phi_deg - near)
 
     def weights(self, phi_deg: float) -> FloatArray:
         """Posterior probability of each combination used at a friction angle, shape [h]."""
         log_p = self.used.log_prior - self._spline(phi_deg)
-        weights: FloatArray = np.exp(log_p - log_sum(log_p))
-        return weights
+        return np.exp(log_p - log_sum(log_p))
 
     def discrepancy(self, weights: FloatArray) -> FloatArray:
         """Covariance of the discrepancy [N^2], shape [2 theta, 2 theta], averaged.
@@ -141,7 +134,7 @@ def _without_discrepancy(problem: Problem) -> Hypotheses:
     nodes = found.window(len(leg.phi_deg), MARGIN)
     # Of the sizes of noise, those that matter if the scatter has its middle size, and some more.
     whole = found.within(1.5 * NEGLIGIBLE).of_all_sizes(leg.surrogate.scatter.sizes[1])
-    return _diagonal(problem, whole, nodes).probable()
+    return _diagonal(problem, whole, nodes).within()
 
 
 def _diagonal(problem: Problem, given: Hypotheses, nodes: NDArray[np.intp]) -> Hypotheses:
@@ -155,7 +148,7 @@ def _diagonal(problem: Problem, given: Hypotheses, nodes: NDArray[np.intp]) -> H
         total = spectrum.roots + np.square(given.noise[of_size])[:, None, None]
         chi2[of_size] = np.einsum("hkj,kj->hk", 1.0 / total, np.square(rotated))
         volume[of_size] = spectra.log_determinant + np.log(total).sum(axis=2)
-    return given.evaluated(nodes, chi2, volume)
+    return replace(given, nodes=nodes, chi2=chi2, volume=volume)
 
 
 def _with_discrepancy(problem: Problem, without: Hypotheses) -> tuple[Hypotheses, _Frame]:
@@ -176,9 +169,9 @@ def _with_discrepancy(problem: Problem, without: Hypotheses) -> tuple[Hypotheses
         },
     )
     frame, found = _settled(joined, _Frame(problem, round(without.best[1])))
-    whole = found.probable().of_all_sizes(log_size)
+    whole = found.within().of_all_sizes(log_size)
     near = found.window(count, int(np.diff(found.nodes).max()))
-    return _frozen(whole, frame, near).probable(), frame
+    return _frozen(whole, frame, near).within(), frame
 
 
 def _settled(joined: Hypotheses, frame: _Frame) -> tuple[_Frame, Hypotheses]:
@@ -239,13 +232,12 @@ class _Frame:
     def discrepancy(self, given: Hypotheses, h: int) -> FloatArray:
         """Covariance of one combination's discrepancy [N^2], shape [2 theta, 2 theta]."""
         length = float(given.length_deg[h])
-        shape = self.problem.discrepancy_shape(length)
+        shape = self.problem.discrepancy_shapes[length]
         if given.amplitude[h] > LARGEST_BESIDE:
             if length not in self._apart:
                 self._apart[length] = taken_apart(shape, *self.over_phi)
             shape = self._apart[length]
-        found: FloatArray = given.amplitude[h] ** 2 * shape
-        return found
+        return given.amplitude[h] ** 2 * shape
 
     def covariance(self, given: Hypotheses, h: int) -> FloatArray:
         """Covariance of the residual under one combination [N^2], shape [2 theta, 2 theta]."""
@@ -282,7 +274,7 @@ def _frozen(given: Hypotheses, frame: _Frame, nodes: NDArray[np.intp]) -> Hypoth
         white, _ = dtrtrs(factor, wrong if far_off else right, lower=1)
         chi2[h] = np.square(white).sum(axis=0)
         volume[h] = 2.0 * np.log(np.diag(factor)).sum()
-    return given.evaluated(nodes, chi2, volume)
+    return replace(given, nodes=nodes, chi2=chi2, volume=volume)
 
 
 NOISE_LEVELS = np.geomspace(3e-4, 0.3, 20)
@@ -304,7 +296,6 @@ MARGIN = 2
 """Nodes that are kept beside those."""
 FEWEST = 4
 """Neighbouring nodes through which a spline is drawn at least."""
-HUGE = 1e250
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,7 +321,6 @@ class Problem:
     noise_shape: FloatArray
     noise_sigma: float | None
     discrepancy: bool
-    _shapes: dict[float, FloatArray] = field(default_factory=dict, repr=False)
 
     @property
     def spans(self) -> FloatArray:
@@ -340,8 +330,7 @@ class Problem:
         the model do not shrink with a unit.
         """
         model = np.ptp(self.leg.mean.reshape(len(self.leg.mean), 2, -1), axis=2).min(axis=0)
-        spans: FloatArray = np.maximum(np.ptp(self.data.reshape(2, -1), axis=1), 0.5 * model)
-        return spans
+        return np.maximum(np.ptp(self.data.reshape(2, -1), axis=1), 0.5 * model)
 
     def noise_levels(self, relative: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Sizes s that are possible [N], and their log prior probabilities."""
@@ -351,23 +340,17 @@ class Problem:
         half = np.log(0.5 / len(relative))
         return sizes, np.concatenate([[np.log(0.5)], np.full(len(relative), half)])
 
-    def discrepancy_shape(self, length_deg: float) -> FloatArray:
-        """Covariance of a discrepancy of unit relative amplitude [N^2], [2 theta, 2 theta]."""
-        if length_deg not in self._shapes:
-            self._shapes[length_deg] = self._discrepancy_shape(length_deg)
-        return self._shapes[length_deg]
-
-    def _discrepancy_shape(self, length_deg: float) -> FloatArray:
-        kernel = matern32(self.leg.surrogate.theta_deg, length_deg)
-        shape: FloatArray = np.kron(np.diag(np.square(self.spans)), kernel)
-        return shape
+    @cached_property
+    def discrepancy_shapes(self) -> dict[float, FloatArray]:
+        """Covariance of a discrepancy of unit relative amplitude [N^2], by its length [deg]."""
+        theta, spans = self.leg.surrogate.theta_deg, np.diag(np.square(self.spans))
+        return {one: np.kron(spans, matern32(theta, one)) for one in LENGTHS_DEG.tolist()}
 
 
 def matern32(theta_deg: FloatArray, length_deg: float) -> FloatArray:
     """Matérn correlation of smoothness 3/2 between leg angles [deg], shape [theta, theta]."""
     lag = np.sqrt(3.0) * np.abs(theta_deg[:, None] - theta_deg) / length_deg
-    found: FloatArray = (1.0 + lag) * np.exp(-lag)
-    return found
+    return (1.0 + lag) * np.exp(-lag)
 
 
 @dataclass(frozen=True, eq=False)
@@ -436,12 +419,8 @@ class Hypotheses:
         parts = {name: part[which] for name, part in vars(self).items() if name != "nodes"}
         return replace(self, **parts)
 
-    def probable(self) -> Hypotheses:
-        """Those that are not negligible at the angle that suits each best."""
-        return self.within(NEGLIGIBLE)
-
-    def within(self, nats: float) -> Hypotheses:
-        """Those whose largest log density is so close to the largest of all."""
+    def within(self, nats: float = NEGLIGIBLE) -> Hypotheses:
+        """Those that, at the angle that suits each best, are so close to the most probable."""
         top = self.peaks[1]
         return self.kept(top > top.max() - nats)
 
@@ -453,12 +432,6 @@ class Hypotheses:
         top = self.log_density.max(axis=0)
         near = self.nodes[top > top.max() - OUTSIDE]
         return np.arange(max(near[0] - margin, 0), min(near[-1] + margin + 1, count))
-
-    def evaluated(
-        self, nodes: NDArray[np.intp], chi2: FloatArray, volume: FloatArray
-    ) -> Hypotheses:
-        """The same with their density at nodes, shape [h, node]."""
-        return replace(self, nodes=nodes, chi2=chi2, volume=volume)
 
     def of_all_sizes(self, log_prior: FloatArray) -> Hypotheses:
         """Each, of one size of the scatter, with every size; log prior probabilities of these."""
@@ -498,11 +471,10 @@ def spline_minimum(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     return at, least
 
 
-def log_sum(values: FloatArray, axis: int = 0) -> FloatArray:
-    """Log of the sum of exponentials along an axis."""
-    top = values.max(axis=axis, keepdims=True)
-    total: FloatArray = np.log(np.exp(values - top).sum(axis=axis)) + top.squeeze(axis)
-    return total
+def log_sum(values: FloatArray) -> FloatArray:
+    """Log of the sum of exponentials along the first axis."""
+    top = values.max(axis=0)
+    return np.log(np.exp(values - top).sum(axis=0)) + top
 
 
 def combinations(
@@ -552,16 +524,10 @@ def gaussian_parts(covariance: FloatArray, residual: FloatArray) -> tuple[FloatA
     residual
         Shape [k, n].
     """
-    # The factor of the matrix bordered with r holds L^-1 r in its last row: a solve for nothing.
-    n = residual.shape[1]
-    bordered = np.empty((len(residual), n + 1, n + 1))
-    bordered[:, :n, :n] = covariance
-    bordered[:, n, :n] = bordered[:, :n, n] = residual
-    bordered[:, n, n] = HUGE  # more than any chi-square, or the matrix would not be positive
-    factor = np.linalg.cholesky(bordered)
-    chi2 = np.square(factor[:, n, :n]).sum(axis=1)
-    diagonal = np.diagonal(factor, axis1=1, axis2=2)[:, :n]
-    return chi2, 2.0 * np.log(diagonal).sum(axis=1)
+    factor = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(factor, residual[:, :, None])[:, :, 0]
+    diagonal = np.diagonal(factor, axis1=1, axis2=2)
+    return np.square(white).sum(axis=1), 2.0 * np.log(diagonal).sum(axis=1)
 
 
 REGISTRATION_DEG = 1.0
@@ -630,8 +596,7 @@ def shift_of(slope: FloatArray, spans: FloatArray) -> FloatArray:
         Peak-to-peak of each force, by which it is weighted [N], shape [2].
     """
     weighted = (slope.reshape(2, -1) / np.square(spans)[:, None]).ravel()
-    shift: FloatArray = weighted / (slope @ weighted)
-    return shift
+    return weighted / (slope @ weighted)
 
 
 def taken_apart(covariance: FloatArray, slope: FloatArray, shift: FloatArray) -> FloatArray:
@@ -675,5 +640,4 @@ def refitted(
     FloatArray
         Shape [2 theta, node] [N].
     """
-    changed: FloatArray = best[:, None] + np.outer(slope, shift @ residual - shift @ best)
-    return changed
+    return best[:, None] + np.outer(slope, shift @ residual - shift @ best)

@@ -16,19 +16,8 @@ import sys
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = [
-    "EnsembleDiagnostics",
-    "autocorrelation_time",
-    "chains",
-    "diagnose",
-    "effective_sample_size",
-    "median_standard_error",
-    "split_rhat",
-]
-
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
 
 
 @dataclass(frozen=True)
@@ -86,11 +75,6 @@ def diagnose(draws: FloatArray) -> EnsembleDiagnostics:
     ----------
     draws
         Draws after burn-in, shape [ensemble, walker, step].
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two ensembles or four steps, or a draw is not finite.
     """
     slowest = float(autocorrelation_time(draws).max())
     return EnsembleDiagnostics(
@@ -118,15 +102,9 @@ def autocorrelation_time(draws: FloatArray) -> FloatArray:
     FloatArray
         Times [step], at least 1 and at most the number of steps, shape [ensemble]. A walker that
         never moved makes it the number of steps: it is worth a single draw.
-
-    Raises
-    ------
-    ValueError
-        If shapes are wrong or a draw is not finite.
     """
     from emcee.autocorr import integrated_time
 
-    _check(draws, ensembles=1)
     steps = draws.shape[2]
     times = np.full(len(draws), float(steps))
     for i, ensemble in enumerate(draws):
@@ -143,11 +121,6 @@ def effective_sample_size(draws: FloatArray) -> float:
     ----------
     draws
         Draws after burn-in, shape [ensemble, walker, step].
-
-    Raises
-    ------
-    ValueError
-        If shapes are wrong or a draw is not finite.
     """
     times = autocorrelation_time(draws)
     return float(np.sum(draws.shape[1] * draws.shape[2] / times))
@@ -170,13 +143,7 @@ def split_rhat(draws: FloatArray) -> float:
     float
         R-hat [-]; huge or infinite if halves differ but do not vary in themselves, 1 if all draws
         are equal.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two ensembles or four steps, or a draw is not finite.
     """
-    _check(draws, ensembles=2)
     half = draws.shape[2] // 2
     halves = np.stack([draws[:, :, :half], draws[:, :, -half:]], axis=1)
     chains = halves.reshape(2 * len(draws), -1)
@@ -200,11 +167,6 @@ def median_standard_error(draws: FloatArray) -> float:
     -------
     float
         Standard error, in the unit of the draws.
-
-    Raises
-    ------
-    ValueError
-        If shapes are wrong or a draw is not finite.
     """
     from scipy.special import betaincinv, ndtr
 
@@ -221,8 +183,7 @@ def _normal_scores(chains: FloatArray) -> FloatArray:
     from scipy.stats import rankdata
 
     ranks = rankdata(chains, axis=None).reshape(chains.shape)
-    scores: FloatArray = ndtri((ranks - 0.375) / (chains.size + 0.25))
-    return scores
+    return ndtri((ranks - 0.375) / (chains.size + 0.25))
 
 
 def _rhat(chains: FloatArray) -> float:
@@ -233,13 +194,3 @@ def _rhat(chains: FloatArray) -> float:
     if within == 0.0:
         return 1.0 if between == 0.0 else float("inf")
     return float(np.sqrt((size - 1) / size + between / within))
-
-
-def _check(draws: FloatArray, *, ensembles: int) -> None:
-    if draws.ndim != 3 or draws.shape[0] < ensembles or draws.shape[2] < 4:
-        raise ValueError(
-            f"draws have shape {draws.shape}; expected [ensemble, walker, step] with at least "
-            f"{ensembles} ensemble(s) and 4 steps"
-        )
-    if not np.isfinite(draws).all():
-        raise ValueError(f"{np.count_nonzero(~np.isfinite(draws))} draws are not finite")

@@ -23,14 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.inference.calibrated import log_sum
 from terraphi.inference.prepared_leg import PreparedLeg, learn
 from terraphi.library.store import Library, hash_of, unseeded
 from terraphi.surrogate.joint import JointSurrogate
 from terraphi.surrogate.kronecker import single_threaded
-
-FloatArray = NDArray[np.float64]
 
 CHUNK = 200
 """Replicates at once."""
@@ -120,14 +119,7 @@ def calibrate(leg: PreparedLeg, *, replicates: int, seed: int, worlds: str = "pr
         Of all draws.
     worlds
         Their kind, one of :data:`WORLDS`.
-
-    Raises
-    ------
-    ValueError
-        If there is no such kind.
     """
-    if worlds not in WORLDS:
-        raise ValueError(f"worlds is '{worlds}'; expected one of {', '.join(WORLDS)}")
     rng = np.random.default_rng(seed)
     surrogate, found = leg.surrogate, []
     with single_threaded():
@@ -293,8 +285,7 @@ def one_world(surrogate: JointSurrogate, truth: FloatArray, rng: np.random.Gener
     simulated = surrogate.root_repeats[:, None] * prior[:cases] + scatter
     missing = surrogate.standard_curves - simulated
     standard = prior[cases:] + surrogate.standard_mean(truth, missing)
-    forces: FloatArray = surrogate.scatter.sigma(truth) * (standard @ surrogate.basis.T)
-    return forces
+    return surrogate.scatter.sigma(truth) * (standard @ surrogate.basis.T)
 
 
 def _posteriors(

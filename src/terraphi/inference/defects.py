@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import WIDEST_GAP_DEG, WINDOW_DEG, ForceHistory
 from terraphi.inference.findings import Doubt
 from terraphi.library.store import Library
 
-FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NEAR = 5
@@ -251,8 +251,7 @@ def _sudden_nothing(size: FloatArray) -> Mask:
     after = np.searchsorted(where, np.arange(len(size)))
     padded = np.concatenate([np.zeros(NEAR), size[where], np.zeros(NEAR)])
     about = padded[after[:, None] + np.arange(2 * NEAR)].reshape(len(size), 2, NEAR)
-    sudden: Mask = (size <= nothing) & (np.median(about, axis=2).min(axis=1) > lots)
-    return sudden
+    return (size <= nothing) & (np.median(about, axis=2).min(axis=1) > lots)
 
 
 def _loaded(values: FloatArray, zero: Mask, *, share: float = LOADED) -> Mask:
@@ -266,8 +265,7 @@ def _loaded(values: FloatArray, zero: Mask, *, share: float = LOADED) -> Mask:
     before, behind = padded[after], padded[after + 1]
     least = np.minimum(np.abs(before), np.abs(behind))
     load = max(share * np.abs(values).max(), QUANTA * _resolution(values))
-    loaded: Mask = (before * behind > 0.0) & (least > load)
-    return loaded
+    return (before * behind > 0.0) & (least > load)
 
 
 def _resolution(values: FloatArray) -> float:

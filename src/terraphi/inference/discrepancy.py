@@ -53,8 +53,8 @@ from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_file, shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
@@ -67,10 +67,8 @@ from terraphi.inference.budget import (
 from terraphi.inference.calibrated import Problem, matern32, shift_of
 from terraphi.inference.findings import Measure
 from terraphi.inference.posterior import Posterior
-from terraphi.inference.prepared_leg import PreparedLeg
+from terraphi.inference.prepared_leg import PreparedLeg, window_spans
 from terraphi.library.store import Library
-
-FloatArray = NDArray[np.float64]
 
 FOR_SIMULATED = "quick-plane-strain"
 """Library for simulated records."""
@@ -152,8 +150,7 @@ class Fitted:
         slope, forces = leg.surrogate.slope(phi), leg.surrogate.predict([phi])[0]
         shift, residual = shift_of(slope, spans), data - forces
         beyond = float(np.clip(shift @ residual, -FURTHEST_DEG, FURTHEST_DEG))
-        each = np.ptp(forces.reshape(2, -1), axis=1)
-        return cls(phi, beyond, slope, shift, forces, residual, np.repeat(each, data.size // 2))
+        return cls(phi, beyond, slope, shift, forces, residual, window_spans(forces))
 
     @property
     def angle_deg(self) -> float:
@@ -163,8 +160,7 @@ class Fitted:
     @cached_property
     def shape(self) -> FloatArray:
         """Rho = P r / p [-], shape [2 theta]."""
-        found: FloatArray = (self.residual - self.slope * (self.shift @ self.residual)) / self.spans
-        return found
+        return (self.residual - self.slope * (self.shift @ self.residual)) / self.spans
 
     @property
     def along(self) -> FloatArray:
@@ -225,8 +221,7 @@ class Level:
         at = np.interp(shares, core.cdf, core.phi_deg)
         apart = (phi_deg[:, None] - at - self.offset_deg) / self.scale_deg
         tail = np.square(apart) / self.freedom
-        found: FloatArray = np.log((np.power(1.0 + tail, -0.5 * (self.freedom + 1.0))).mean(axis=1))
-        return found
+        return np.log((np.power(1.0 + tail, -0.5 * (self.freedom + 1.0))).mean(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,9 +239,9 @@ class Learnt:
     shapes
         Mean shape m by leg [-], shape [2 theta] each.
     typical, spread
-        Mean and standard deviation of ln T of records that were left out, and how many they were.
+        Mean and standard deviation of ln T of records that were left out in turn.
     records
-        See ``typical``.
+        How many records that were.
     levels_deg
         Level of each medium with an angle of repose: mean over its legs of phi* less that [deg].
     between_legs_deg
@@ -310,9 +305,7 @@ class Learnt:
 
     def expected(self, leg: str, forces: FloatArray) -> FloatArray:
         """Forces of the model with the mean deviation of real soils, g + p m [N], [2 theta]."""
-        spans = np.ptp(forces.reshape(2, -1), axis=1)
-        found: FloatArray = forces + np.repeat(spans, forces.size // 2) * self.shapes[leg]
-        return found
+        return forces + window_spans(forces) * self.shapes[leg]
 
     @property
     def amplitude(self) -> float:
@@ -337,26 +330,15 @@ class Learnt:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, as its file has them."""
-        told = dict(vars(self))
-        told["media"] = list(self.media)
-        told["theta_deg"] = [round(float(v), 6) for v in self.theta_deg]
-        told["shapes"] = {
-            leg: [round(float(v), 6) for v in shape] for leg, shape in self.shapes.items()
-        }
-        return told
+        shapes = {leg: np.round(shape, 6).tolist() for leg, shape in self.shapes.items()}
+        return {**vars(self), "theta_deg": np.round(self.theta_deg, 6).tolist(), "shapes": shapes}
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> Learnt:
         """Inverse of :meth:`as_dict`."""
         shapes = {leg: np.array(shape) for leg, shape in told["shapes"].items()}
-        return cls(
-            **{
-                **told,
-                "media": tuple(told["media"]),
-                "theta_deg": np.array(told["theta_deg"]),
-                "shapes": shapes,
-            }
-        )
+        theta, media = np.array(told["theta_deg"]), tuple(told["media"])
+        return cls(**{**told, "media": media, "theta_deg": theta, "shapes": shapes})
 
 
 def _size(
@@ -516,8 +498,7 @@ class SoilLikelihood:
     def __call__(self, phi_deg: FloatArray, /) -> FloatArray:
         """Log-likelihood up to a constant of friction angles [deg], shape [k] -> [k]."""
         square = float(np.square(list(self.sd_deg.values())).sum())
-        found: FloatArray = -0.5 * np.square(phi_deg - self.fitted.angle_deg) / square
-        return found
+        return -0.5 * np.square(phi_deg - self.fitted.angle_deg) / square
 
     @cached_property
     def deviation(self) -> float:

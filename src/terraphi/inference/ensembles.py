@@ -15,7 +15,7 @@ import numpy as np
 from emcee.state import State
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
 
 STRETCH = 2.0
 """Scale a of the stretch move [-] (Goodman & Weare, *Commun. Appl. Math. Comput. Sci.* 5, 2010)."""

@@ -9,16 +9,15 @@ model does not describe; a wider library would not help.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import operator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import WINDOW_DEG
 from terraphi.inference.findings import Doubt, Side
-
-FloatArray = NDArray[np.float64]
 
 BETTER = 0.5
 """Deviation that is left, over that before, up to which an explanation counts [-]."""
@@ -98,9 +97,9 @@ def explain(data: FloatArray, curves: FloatArray, phi_deg: FloatArray) -> Explan
         if 0 < int(deviations.argmin()) < len(curves) - 1:
             slips.append((float(deviations.min()), code))
     slip, code = min(slips, default=(np.inf, ""))
-    offset, tare = _offset(data, curves)
-    left, step = _step(data, curves)
-    cut, saturated = _saturated(data, curves)
+    offset, tare = _least(_offset(data, curves))
+    left, step = _least(_step(data, curves))
+    cut, saturated = _least(_saturated(data, curves))
     if cut <= min(CLOSE_OFFSET, BETTER_CUT * min(as_is, slip, beyond), offset, left):
         return Explanation(question=saturated)
     if left <= min(CLOSE_OFFSET, BETTER * min(as_is, slip, beyond, offset)):
@@ -122,22 +121,21 @@ def _deviation(data: FloatArray, curves: FloatArray) -> FloatArray:
     """
     measured, model = data.reshape(2, -1), curves.reshape(len(curves), 2, -1)
     root = np.sqrt(np.square(model - measured).mean(axis=2))
-    worst: FloatArray = (root / np.maximum(np.ptp(measured, axis=1), 1e-300)).max(axis=1)
-    return worst
+    return (root / np.maximum(np.ptp(measured, axis=1), 1e-300)).max(axis=1)
 
 
-_Found = tuple[float, Doubt | None]
+_Found = Iterator[tuple[float, Doubt]]
+"""Deviations from the best curves of a record that is mended, and the question that mends it."""
 
 
-def _deviation_of(found: _Found) -> float:
-    return found[0]
+def _least(found: _Found) -> tuple[float, Doubt | None]:
+    return min(found, key=operator.itemgetter(0), default=(np.inf, None))
 
 
 def _offset(data: FloatArray, curves: FloatArray) -> _Found:
     """Deviation from the best curve once the mean is taken from one force, and the question."""
     apart = data.reshape(2, -1) - curves.reshape(len(curves), 2, -1)
     spans = np.ptp(data.reshape(2, -1), axis=1)
-    found: list[_Found] = []
     for axis, name in enumerate(("Fx", "Fz")):
         sizes = apart[:, axis].mean(axis=1)
         left = apart.copy()
@@ -147,8 +145,7 @@ def _offset(data: FloatArray, curves: FloatArray) -> _Found:
         inside = 0 < best < len(curves) - 1
         if inside and abs(sizes[best]) > OFFSET * spans[axis]:
             question = Doubt("tared", {"force": name, "size_N": float(sizes[best])})
-            found.append((float(share[best].max()), question))
-    return min(found, key=_deviation_of, default=(np.inf, None))
+            yield float(share[best].max()), question
 
 
 def _step(data: FloatArray, curves: FloatArray) -> _Found:
@@ -159,7 +156,6 @@ def _step(data: FloatArray, curves: FloatArray) -> _Found:
     apart = data.reshape(2, -1) - curves.reshape(len(curves), 2, -1)
     spans, count = np.maximum(np.ptp(data.reshape(2, -1), axis=1), 1e-300), apart.shape[2]
     squares = np.square(apart).sum(axis=2)
-    found: list[_Found] = []
     theta_deg = np.linspace(-WINDOW_DEG, WINDOW_DEG, count)
     for axis, name in enumerate(("Fx", "Fz")):
         sums = np.cumsum(apart[:, axis, ::-1], axis=1)[:, ::-1]
@@ -173,8 +169,7 @@ def _step(data: FloatArray, curves: FloatArray) -> _Found:
         if 0 < best < len(curves) - 1 and abs(size) > STEP * spans[axis]:
             at = 0.5 * (theta_deg[first - 1] + theta_deg[first])
             question = Doubt("moved", {"force": name, "size_N": size, "theta_deg": float(at)})
-            found.append((float(share[best, after]), question))
-    return min(found, key=_deviation_of, default=(np.inf, None))
+            yield float(share[best, after]), question
 
 
 def _saturated(data: FloatArray, curves: FloatArray) -> _Found:
@@ -188,7 +183,6 @@ def _saturated(data: FloatArray, curves: FloatArray) -> _Found:
     spans, count = np.maximum(np.ptp(measured, axis=1), 1e-300), model.shape[2]
     squares = np.square(measured - model).sum(axis=2)
     many = np.arange(1, count + 1)
-    found: list[_Found] = []
     for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
         order = np.argsort(-sign * model[:, axis], axis=1)
         own = np.take_along_axis(sign * model[:, axis], order, axis=1)
@@ -205,8 +199,7 @@ def _saturated(data: FloatArray, curves: FloatArray) -> _Found:
         best, last = np.unravel_index(int(share.argmin()), share.shape)
         if 0 < best < len(curves) - 1 and np.isfinite(share[best, last]):
             numbers = {"force": ("Fx", "Fz")[axis], "size_N": float(sign * limits[best, last])}
-            found.append((float(share[best, last]), Doubt("saturated", numbers)))
-    return min(found, key=_deviation_of, default=(np.inf, None))
+            yield float(share[best, last]), Doubt("saturated", numbers)
 
 
 def _beyond(data: FloatArray, curves: FloatArray, phi_deg: FloatArray, end: str) -> float:

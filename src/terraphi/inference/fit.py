@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.inference.calibrated import (
     AMPLITUDES,
     LENGTHS_DEG,
@@ -24,8 +24,6 @@ from terraphi.inference.calibrated import (
     log_sum,
 )
 from terraphi.surrogate.kronecker import single_threaded
-
-FloatArray = NDArray[np.float64]
 
 SMALLEST_PROBABILITY = 0.01
 """Chi-squares that are less probable count as a misfit."""
@@ -139,15 +137,14 @@ def _odds(problem: Problem, phi: float, noise: float) -> tuple[float, float, flo
     def log_p(extra: FloatArray) -> FloatArray:
         total = base + extra.reshape(-1, *base.shape)
         parts = gaussian_parts(total, np.broadcast_to(residual, total.shape[:2]))
-        density: FloatArray = -0.5 * (parts[0] + parts[1]).reshape(extra.shape[:-2])
-        return density
+        return -0.5 * (parts[0] + parts[1]).reshape(extra.shape[:-2])
 
     # Noise is absent or that of the best fit, with and without a discrepancy, and the scatter has
     # its prior: a large one must not pass for a discrepancy.
     sizes = np.array([noise]) if problem.noise_sigma is not None else np.unique([0.0, noise])
     factors, log_prior = surrogate.scatter.sizes
     white = np.square(sizes)[:, None, None, None] * problem.noise_shape
-    shapes = np.stack([problem.discrepancy_shape(length) for length in LENGTHS_DEG])
+    shapes = np.stack(list(problem.discrepancy_shapes.values()))
     wrong = np.square(AMPLITUDES)[:, None, None, None] * shapes
 
     null = log_p(white + factors[:, None, None] * scatter) + log_prior

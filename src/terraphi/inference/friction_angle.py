@@ -14,20 +14,20 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.answer import (
     PHI,
-    AngleSummary,
     Inversion,
     Record,
     Summary,
@@ -36,7 +36,6 @@ from terraphi.inference.answer import (
 )
 from terraphi.inference.budget import Budget, budget_of
 from terraphi.inference.calibrated import CalibratedLikelihood, Problem
-from terraphi.inference.checks import unlike
 from terraphi.inference.discrepancy import (
     ACCEPTED,
     ALONE,
@@ -50,10 +49,10 @@ from terraphi.inference.findings import Doubt, Measure, Verdict
 from terraphi.inference.fit import SMALLEST_PROBABILITY, fit_without_discrepancy
 from terraphi.inference.identifiability import Identifiability
 from terraphi.inference.known_soils import Calibration
-from terraphi.inference.noise import Noise, shape_of, window_covariance
+from terraphi.inference.noise import Noise, shape_of
 from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature, tabulated
-from terraphi.inference.prepared_leg import prepare
+from terraphi.inference.prepared_leg import PreparedLeg, prepare
 from terraphi.inference.prior import Marginal
 from terraphi.inference.trials import Looked, Repeats, Tried, beyond, check_trials
 from terraphi.inference.verdict import (
@@ -69,11 +68,11 @@ from terraphi.inference.verdict import (
     uninformed,
 )
 from terraphi.library.store import Library
+from terraphi.surrogate.joint import JointSurrogate
 from terraphi.surrogate.kronecker import single_threaded
 from terraphi.surrogate.paper import LegSurrogate
 from terraphi.surrogate.training import DENSITY
 
-FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 NODES = {"calibrated": 401, "paper": 4001}
@@ -111,29 +110,34 @@ class _Leg:
         The histories.
     scenario
         Any of the library's for this leg.
-    curves
-        The library's, at its density [N], shape [case, 2 theta].
-    predict
-        Curves at friction angles, at the density of the soil [N], [k] -> [k, 2 theta].
-    nodes
-        Friction angles at which records are explained [deg], and the curves there [N].
-    bounds_deg, step_deg
-        Range of the library's angles [deg], and their spacing.
     scale
         Density of the soil over that of the library [-].
+    curves
+        The library's, at the density of the soil [N], shape [case, 2 theta].
+    surrogate
+        Of the library's curves, at the library's density.
+    nodes
+        Friction angles at which records are explained [deg], and the curves there [N].
     of
         Log-likelihood of the mean [N], shape [2 theta], of a number of its histories.
     """
 
     group: Repeats
     scenario: Scenario
-    curves: FloatArray
-    predict: Callable[[FloatArray], FloatArray]
-    nodes: tuple[FloatArray, FloatArray]
-    bounds_deg: tuple[float, float]
-    step_deg: float
     scale: float
+    curves: FloatArray
+    surrogate: LegSurrogate | JointSurrogate
+    nodes: tuple[FloatArray, FloatArray]
     of: Callable[[FloatArray, int], LogLikelihood]
+
+    @property
+    def bounds_deg(self) -> tuple[float, float]:
+        """Range of the library's angles [deg]."""
+        return self.surrogate.phi_bounds_deg
+
+    def predict(self, phi_deg: ArrayLike) -> FloatArray:
+        """Curves at friction angles, at the density of the soil [N], [k] -> [k, 2 theta]."""
+        return self.surrogate.predict(phi_deg, scale=self.scale)
 
     @cached_property
     def whole(self) -> LogLikelihood:
@@ -155,15 +159,15 @@ class _Found:
     Attributes
     ----------
     posterior
-        Of the soil's.
+        Of the soil's angle.
     flat
         The same under a uniform prior.
     core
-        That of the library's angle.
+        Posterior of the library's angle: before the spread of soils about the library is added.
     level
-        How the soil's lies about the library's; ``None``: it is the same.
+        That spread; ``None``: the soil's angle is the library's.
     prior
-        Of the soil's.
+        Of the soil's angle.
     """
 
     posterior: Posterior
@@ -228,10 +232,11 @@ def infer(
     warnings += uninformed(found.flat)
     scenario, posterior = legs[0].scenario, found.posterior
     summary = Summary.of_posterior(posterior)
-    phi = AngleSummary(summary.median, summary.ci68, summary.ci95)
     # A calibrated angle is one of plane strain, as those of the known soils are.
     calibrated = ways.calibration is not None
-    equivalent, why_not = (phi, "") if calibrated else plane_strain_summary(phi, scenario)
+    equivalent, why_not = (
+        (summary.angle, "") if calibrated else plane_strain_summary(summary.angle, scenario)
+    )
     used = scenario.soil.density if density is None else density
     priors = {PHI: found.prior}
     if density is not None:
@@ -262,57 +267,51 @@ def _leg(
     group: Repeats, looked: Looked, library: Library, density: float | None, ways: Ways
 ) -> _Leg:
     """Make a leg of the library ready."""
-    maker = _by_paper if ways.likelihood == "paper" else _calibrated
-    return maker(group, looked, library, density, ways)
+    prepared = None
+    if ways.likelihood == "paper":
+        curves = library.curves(group.leg, readings=group.readings)
+    else:
+        prepared = prepare(library, group.leg, readings=group.readings)
+        curves = prepared.curves
+    check_trials(group, curves.scenario, density=density, several=looked.several)
+    scale = 1.0 if density is None else density / curves.scenario.soil.density
+    surrogate: LegSurrogate | JointSurrogate
+    if prepared is None:
+        surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
+        angles = np.linspace(*surrogate.phi_bounds_deg, CURVES)
+        nodes = angles, surrogate.predict(angles, scale=scale)
+        of = _by_paper(surrogate, scale)
+    else:
+        surrogate, nodes = prepared.surrogate, (prepared.phi_deg, scale * prepared.mean)
+        of = _calibrated(group, looked, library, prepared, scale, ways)
+    return _Leg(group, curves.scenario, scale, scale * curves.vectors, surrogate, nodes, of)
 
 
-def _by_paper(
-    group: Repeats, looked: Looked, library: Library, density: float | None, _ways: Ways
-) -> _Leg:
+def _by_paper(surrogate: LegSurrogate, scale: float) -> Callable[[FloatArray, int], LogLikelihood]:
     """As printed by Xu & Wang."""
-    curves = library.curves(group.leg, readings=group.readings)
-    scenario = curves.scenario
-    check_trials(group, scenario, density=density, several=looked.several)
-    surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
-    scale = 1.0 if density is None else density / scenario.soil.density
-    nodes = np.linspace(*surrogate.phi_bounds_deg, CURVES)
-
-    def predict(phi_deg: FloatArray) -> FloatArray:
-        return surrogate.predict(phi_deg, scale=scale)
 
     def of(vector: FloatArray, _trials: int) -> LogLikelihood:
-        likelihood = PaperLikelihood(vector, group.observations[0].theta_deg)
-        return lambda phi_deg: likelihood(predict(phi_deg))
+        likelihood = PaperLikelihood(vector, surrogate.theta_deg)
+        return lambda phi_deg: likelihood(surrogate.predict(phi_deg, scale=scale))
 
-    return _Leg(
-        group=group,
-        scenario=scenario,
-        curves=np.hstack([curves.Fx, curves.Fz]),
-        predict=predict,
-        nodes=(nodes, predict(nodes)),
-        bounds_deg=surrogate.phi_bounds_deg,
-        step_deg=surrogate.phi_step_deg,
-        scale=scale,
-        of=of,
-    )
+    return of
 
 
 def _calibrated(
-    group: Repeats, looked: Looked, library: Library, density: float | None, ways: Ways
-) -> _Leg:
+    group: Repeats,
+    looked: Looked,
+    library: Library,
+    prepared: PreparedLeg,
+    scale: float,
+    ways: Ways,
+) -> Callable[[FloatArray, int], LogLikelihood]:
     """Every part of the residual with its own covariance."""
-    prepared = prepare(library, group.leg, readings=group.readings)
-    curves, surrogate = prepared.curves, prepared.surrogate
-    check_trials(group, curves.scenario, density=density, several=looked.several)
-    scale = 1.0 if density is None else density / curves.scenario.soil.density
-    for trial in group.trials:
-        ways.noise.check_against(trial.history, source=trial.source if looked.several else "")
+    looked.check_noise(ways.noise)
     learnt = _learnt(looked, library, ways.discrepancy, group.leg)
-    gp = (ways.discrepancy or _default_discrepancy(looked, library)) == "gp"
-    shape, sigma = shape_of(ways.noise, _windows(group))
-
-    def predict(phi_deg: FloatArray) -> FloatArray:
-        return surrogate.predict(phi_deg, scale=scale)
+    ours = all(trial.made_as(library.cases[0].scenario) for trial in looked.trials)
+    gp = ways.discrepancy == "gp" or (ways.discrepancy is None and not ours)
+    each = group.window_covariances
+    shape, sigma = shape_of(ways.noise, each[0] if len(each) == 1 else np.mean(each, axis=0))
 
     def of(vector: FloatArray, trials: int) -> LogLikelihood:
         data = vector / scale
@@ -322,26 +321,7 @@ def _calibrated(
             return SoilLikelihood(Problem(leg, data, shape, size, True), learnt, group.leg)
         return CalibratedLikelihood(Problem(leg, data, shape, size, gp))
 
-    return _Leg(
-        group=group,
-        scenario=curves.scenario,
-        curves=np.hstack([curves.Fx, curves.Fz]),
-        predict=predict,
-        nodes=(prepared.phi_deg, scale * prepared.mean),
-        bounds_deg=surrogate.phi_bounds_deg,
-        step_deg=surrogate.phi_step_deg,
-        scale=scale,
-        of=of,
-    )
-
-
-def _windows(group: Repeats) -> FloatArray:
-    """Noise covariance of window means, of readings of unit variance; that of each on average."""
-    each = [
-        window_covariance(t.history.position, o.theta_deg, read_at=group.readings)
-        for t, o in zip(group.trials, group.observations, strict=True)
-    ]
-    return each[0] if len(each) == 1 else np.mean(each, axis=0)
+    return of
 
 
 def _learnt(
@@ -374,16 +354,6 @@ def _level(legs: Sequence[_Leg], ways: Ways, core: Posterior, *, assumed: bool) 
     return level.wider("density", float(np.mean([one.by_density_deg for one in soils])))
 
 
-def _default_discrepancy(looked: Looked, library: Library) -> str:
-    """None where the library's own model made all histories: the model is right then."""
-    scenario = library.cases[0].scenario
-    ours = [
-        "scenario" in t.history.provenance and not unlike(t.history, scenario, t.leg)
-        for t in looked.trials
-    ]
-    return "none" if all(ours) else "gp"
-
-
 def _common(legs: Sequence[_Leg]) -> tuple[float, float]:
     """Ends of the friction angles that the library has of all legs [deg]."""
     low, high = max(leg.bounds_deg[0] for leg in legs), min(leg.bounds_deg[1] for leg in legs)
@@ -392,16 +362,10 @@ def _common(legs: Sequence[_Leg]) -> tuple[float, float]:
     return low, high
 
 
-def _whole(legs: Sequence[_Leg]) -> LogLikelihood:
-    """Log likelihood of all legs, which err independently."""
-
-    def likelihood(phi_deg: FloatArray) -> FloatArray:
-        total = legs[0].whole(phi_deg)
-        for leg in legs[1:]:
-            total = total + leg.whole(phi_deg)
-        return total
-
-    return likelihood
+def _added(likelihoods: Iterable[LogLikelihood]) -> LogLikelihood:
+    """Log likelihood of what errs independently."""
+    every = list(likelihoods)
+    return lambda phi_deg: sum((one(phi_deg) for one in every), np.zeros_like(phi_deg))
 
 
 def _posterior(
@@ -409,7 +373,7 @@ def _posterior(
 ) -> _Found:
     """Posterior of φ by all legs; ``assumed``: whether the density is."""
     low, high = _common(legs)
-    likelihood: LogLikelihood = _whole(legs)
+    likelihood = _added(leg.whole for leg in legs)
     nodes = NODES[ways.likelihood]
     core = level = None
     if ways.calibration or _soils(legs):
@@ -444,8 +408,7 @@ def _about(level: Level, core: Posterior) -> LogLikelihood:
 
 def _best(leg: _Leg, found: _Found) -> FloatArray:
     """The library's curve at the median, or at its end if that lies beyond [N], [2 theta]."""
-    best: FloatArray = leg.predict(found.in_library([found.posterior.median], leg))[0]
-    return best
+    return leg.predict(found.in_library([found.posterior.median], leg))[0]
 
 
 def _records(looked: Looked, leg: _Leg, found: _Found) -> list[Record]:
@@ -454,26 +417,14 @@ def _records(looked: Looked, leg: _Leg, found: _Found) -> list[Record]:
     angles = np.linspace(*found.posterior.interval(0.95), 101)
     inside = leg.predict(found.in_library(angles, leg))
     band = np.stack([inside.min(axis=0), inside.max(axis=0)])
-    return [
-        Record(
-            source=trial.source,
-            leg=leg.group.leg,
-            observation=observation,
-            readings=trial.history.position,
-            best=best,
-            nrmsd=nrmsd(observation.vector, best),
-            data=looked.data_of(trial),
-            simulation=trial.simulation,
-            band=band,
-            leg_assumed=trial.leg_assumed,
-            expected=one.learnt.expected(leg.group.leg, best)
-            if isinstance(one, SoilLikelihood)
-            else None,
-        )
-        for trial, observation, one in zip(
-            leg.group.trials, leg.group.observations, leg.each, strict=True
-        )
-    ]
+    records = []
+    trials = zip(leg.group.trials, leg.group.observations, leg.each, strict=True)
+    for trial, observation, one in trials:
+        learnt = one.learnt if isinstance(one, SoilLikelihood) else None
+        expected = learnt.expected(leg.group.leg, best) if learnt else None
+        record = looked.record(trial, observation, best)
+        records.append(replace(record, band=band, expected=expected))
+    return records
 
 
 def _judged(
@@ -515,9 +466,9 @@ def _judged(
         warnings = [*warnings, *_zero(looked, found.posterior, budget)]
     misfit = verdict.verdict == "misfit"
     for leg in legs:
-        density, curves = leg.scale * leg.scenario.soil.density, leg.scale * leg.curves
+        density = leg.scale * leg.scenario.soil.density
         warnings = warnings + looked.doubts_on(
-            leg.group, leg.scenario, curves, density, tried=tried, misfit=misfit
+            leg.group, leg.scenario, leg.curves, density, tried=tried, misfit=misfit
         )
     return verdict, warnings, budget
 
@@ -566,7 +517,8 @@ def _edge(legs: Sequence[_Leg], found: _Found, ways: Ways) -> Edge:
     """Where the posterior, or that of the library's angle, is cut off."""
     convention = legs[0].scenario.convention
     if ways.likelihood == "paper":
-        edge = edge_by_mass(found.posterior, step_deg=legs[0].step_deg, convention=convention)
+        step = legs[0].surrogate.phi_step_deg
+        edge = edge_by_mass(found.posterior, step_deg=step, convention=convention)
     else:
         both = (
             edge_by_density(one, convention=convention) for one in (found.core, found.posterior)
@@ -608,14 +560,10 @@ def _agreement(legs: Sequence[_Leg], found: _Found) -> Measure:
     (low, _), (_, high) = map(sorted, ends)
     bounds, nodes = (low, high), NODES["calibrated"]
 
-    def together(phi_deg: FloatArray) -> FloatArray:
-        total: FloatArray = np.sum([likelihood(phi_deg) for likelihood in each], axis=0)
-        return total
-
     def top(log_p: LogLikelihood) -> float:
         return float(log_p(quadrature(log_p, bounds, nodes=nodes).phi_deg).max())
 
-    lost = 2.0 * (sum(map(top, each)) - top(together))
+    lost = 2.0 * (sum(map(top, each)) - top(_added(each)))
     probability = float(chdtrc(len(each) - 1, max(lost, 0.0)))
     return Measure("agreement", probability, least=SMALLEST_PROBABILITY)
 
@@ -669,11 +617,9 @@ def _together(legs: Sequence[_Leg], found: _Found, density: float, ways: Ways) -
         discrepancy="soils"
         if _soils(legs)
         else "gp"
-        if any(_allows(leg.whole) for leg in legs)
+        if any(
+            isinstance(leg.whole, CalibratedLikelihood) and leg.whole.problem.discrepancy
+            for leg in legs
+        )
         else "none",
     )
-
-
-def _allows(likelihood: LogLikelihood) -> bool:
-    """Whether a likelihood allows for a discrepancy."""
-    return isinstance(likelihood, CalibratedLikelihood) and likelihood.problem.discrepancy

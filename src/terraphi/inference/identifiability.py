@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
 
 FIXED = 0.25
 """Posterior over prior standard deviation below which a parameter counts as fixed [-]."""

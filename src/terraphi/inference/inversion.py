@@ -12,13 +12,13 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import medium_and_leg
 from terraphi.inference import friction_angle, several_parameters
-from terraphi.inference.answer import PHI, AngleSummary, Inversion, plane_strain_summary
+from terraphi.inference.answer import PHI, Inversion
 from terraphi.inference.discrepancy import Learnt, default_library, learnt_for
 from terraphi.inference.findings import Doubt
 from terraphi.inference.known_soils import Calibration, Compared, compared
@@ -29,24 +29,9 @@ from terraphi.library.shipped import is_there_to_try_others
 from terraphi.library.store import Library
 from terraphi.surrogate.training import DENSITY, is_of_several, parameters
 
-__all__ = [
-    "DISCREPANCIES",
-    "LIKELIHOODS",
-    "SAMPLERS",
-    "AngleSummary",
-    "Inversion",
-    "Trial",
-    "invert",
-    "plane_strain_summary",
-]
-
-Likelihood = Literal["calibrated", "paper"]
-Sampler = Literal["quadrature", "emcee"]
-LIKELIHOODS: tuple[Likelihood, ...] = ("calibrated", "paper")
-SAMPLERS: tuple[Sampler, ...] = ("quadrature", "emcee")
+LIKELIHOODS = ("calibrated", "paper")
+SAMPLERS = ("quadrature", "emcee")
 DISCREPANCIES = ("none", "gp", "soils")
-NODES = friction_angle.NODES["calibrated"]
-"""Nodes of the quadrature to begin with, where the likelihood is smooth."""
 
 _SOFTWARE = ("terraphi", "numpy", "scipy", "emcee")
 
@@ -170,21 +155,15 @@ def _ways(
     discrepancy: str | Learnt | None,
     sampler: str | None,
     seed: int,
-    calibration: Calibration | None,
+    by_soils: Calibration | None,
 ) -> friction_angle.Ways:
     """How φ alone is inferred, with its defaults."""
     if likelihood == "joint":
         raise InputError(
             "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or 'paper'"
         )
-    return friction_angle.Ways(
-        likelihood or "calibrated",
-        Noise.parse(noise),
-        discrepancy,
-        sampler or "quadrature",
-        seed,
-        calibration,
-    )
+    how, drawn = likelihood or "calibrated", sampler or "quadrature"
+    return friction_angle.Ways(how, Noise.parse(noise), discrepancy, drawn, seed, by_soils)
 
 
 def _by_soils(

@@ -26,14 +26,15 @@ import importlib.metadata
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError, sentence_from_validation
 from terraphi.experiment.files import replacing
 from terraphi.experiment.measurements import measurement, medium_and_leg, names
@@ -45,7 +46,6 @@ from terraphi.library.store import Library
 if TYPE_CHECKING:
     from terraphi.inference.answer import Inversion
 
-FloatArray = NDArray[np.float64]
 
 OFFSET_DEG = 10.0
 """Standard deviation of a library's offset before soils are seen [deg]."""
@@ -61,10 +61,8 @@ HIP_ABOVE = 0.020
 """Height of their hip above the soil [m]."""
 
 
-class KnownSoil(BaseModel):
+class KnownSoil(Strict):
     """A soil of known friction angle, and what came out of its forces."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     phi_deg: float = Field(gt=0.0, lt=90.0)
     sd_deg: float = Field(gt=0.0)
@@ -75,10 +73,8 @@ class KnownSoil(BaseModel):
     medium: str = ""
 
 
-class Calibration(BaseModel):
+class Calibration(Strict):
     """A library compared with soils of known friction angle, as its file has it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: Literal["terraphi calibration on known soils"] = "terraphi calibration on known soils"
     version: str = ""
@@ -103,11 +99,9 @@ class Calibration(BaseModel):
             return cls.model_validate_json(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-        except ValidationError as error:
-            if error.errors()[0]["type"] == "json_invalid":
-                raise InputError(f"{path}: not a file that 'terraphi calibrate' wrote") from error
-            raise InputError(sentence_from_validation(error, str(path), cls)) from error
-        except UnicodeDecodeError as error:
+        except ValueError as error:
+            if isinstance(error, ValidationError) and error.errors()[0]["type"] != "json_invalid":
+                raise InputError(sentence_from_validation(error, str(path), cls)) from error
             raise InputError(f"{path}: not a file that 'terraphi calibrate' wrote") from error
 
     def save(self, path: Path) -> None:
@@ -232,7 +226,7 @@ class Compared:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words."""
-        return {"low_deg": self.low_deg, "high_deg": self.high_deg, "media": list(self.media)}
+        return asdict(self)
 
 
 def compared(

@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import replacing, writable
 from terraphi.experiment.measurements import open_forces
-from terraphi.inference.inversion import Inversion, Trial, invert
+from terraphi.inference.answer import Inversion
+from terraphi.inference.inversion import invert
+from terraphi.inference.trials import Trial
 from terraphi.library.store import Library
 
 if TYPE_CHECKING:
@@ -74,7 +76,8 @@ def invert_many(
         progress(done, len(sources))
         began = time.perf_counter()
         try:
-            row = _row(_inverted(source, library, leg, options))
+            trial = Trial.of(open_forces(source), leg)
+            row = _row(invert(trial, library=library, **options))
         except InputError as error:
             row = {"error": str(error)}
         except Exception as error:
@@ -88,12 +91,6 @@ def invert_many(
         first = f"; the first: {failed[0]}" if failed else ""
         raise InputError(f"none of {len(rows)} records could be inverted{first}")
     return pd.DataFrame(rows, columns=list(COLUMNS))
-
-
-def _inverted(
-    source: str | Path, library: Library | None, leg: str | None, options: dict[str, Any]
-) -> Inversion:
-    return invert(Trial.of(open_forces(source), leg), library=library, **options)
 
 
 def _row(found: Inversion) -> dict[str, Any]:

@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from terraphi.experiment.documents import parse_toml
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.documents import Strict, parse_toml
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import is_there, plain_number
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory, is_read_again, shares
-
-FloatArray = NDArray[np.float64]
 
 INFERRED = "inferred"
 LARGEST_N = 1e5
@@ -32,10 +30,8 @@ RIDGE = 1e-3
 """Added to the noise covariance, of its mean variance [-]: coarse records make it singular."""
 
 
-class _Sensor(BaseModel):
+class _Sensor(Strict):
     """A file on a sensor."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     sigma_Fx_N: float = Field(ge=0, le=LARGEST_N)
     sigma_Fz_N: float = Field(ge=0, le=LARGEST_N)
@@ -157,8 +153,7 @@ def _means(
 ) -> FloatArray:
     """Weights of samples, or of a part of them, in means around places, shape [place, sample]."""
     low, high = np.maximum(centre - half, x[0]), np.minimum(centre + half, x[-1])
-    weights: FloatArray = (_hats(high, x, part) - _hats(low, x, part)) / (high - low)[:, None]
-    return weights
+    return (_hats(high, x, part) - _hats(low, x, part)) / (high - low)[:, None]
 
 
 def _hats(at: FloatArray, x: FloatArray, part: slice) -> FloatArray:

@@ -14,11 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.inference.convergence import autocorrelation_time, chains, diagnose
 
-__all__ = ["LogLikelihood", "Posterior", "ensemble", "quadrature"]
-
-FloatArray = NDArray[np.float64]
 LogLikelihood = Callable[[FloatArray], FloatArray]
 """Log-likelihood [-] of friction angles [deg], shape [k] -> [k]."""
 
@@ -69,6 +67,27 @@ class Posterior:
     seed: int | None = None
     convergence: dict[str, float]
 
+    @classmethod
+    def of_draws(
+        cls,
+        draws_deg: FloatArray,
+        bounds_deg: tuple[float, float],
+        *,
+        seed: int,
+        convergence: dict[str, float],
+    ) -> Posterior:
+        """The empirical distribution of draws [deg], shape [ensemble, walker, step]."""
+        ordered = np.sort(draws_deg, axis=None)
+        return cls(
+            bounds_deg=bounds_deg,
+            phi_deg=ordered,
+            cdf=(np.arange(ordered.size) + 0.5) / ordered.size,
+            draws_deg=draws_deg,
+            sampler="emcee",
+            seed=seed,
+            convergence=convergence,
+        )
+
     @property
     def median(self) -> float:
         """Median [deg]."""
@@ -90,14 +109,7 @@ class Posterior:
         ----------
         probability
             Mass of the interval [-], in (0, 1).
-
-        Raises
-        ------
-        ValueError
-            If the probability is outside (0, 1).
         """
-        if not 0.0 < probability < 1.0:
-            raise ValueError(f"probability is {probability}; it must lie between 0 and 1")
         tail = (1.0 - probability) / 2.0
         return self.quantile(tail), self.quantile(1.0 - tail)
 
@@ -129,15 +141,7 @@ class Posterior:
         return float(self.phi_deg[i] + min(offset, width))
 
     def mass(self, low: float, high: float) -> float:
-        """Posterior probability [-] of friction angles between ``low`` and ``high`` [deg].
-
-        Raises
-        ------
-        ValueError
-            If ``low`` exceeds ``high`` or either is not a number.
-        """
-        if not low <= high:
-            raise ValueError(f"low = {low} deg exceeds high = {high} deg")
+        """Posterior probability [-] of friction angles between ``low`` and ``high`` [deg]."""
         if self.density is None:
             first = np.searchsorted(self.phi_deg, low, side="left")
             last = np.searchsorted(self.phi_deg, high, side="right")
@@ -204,8 +208,8 @@ def quadrature(
     Raises
     ------
     ValueError
-        If bounds are not finite and increasing, ``nodes`` is less than 5, or the log-likelihood is
-        NaN or plus infinity anywhere, minus infinity everywhere, or does not settle.
+        If the log-likelihood is NaN or plus infinity anywhere, minus infinity everywhere, or does
+        not settle.
     """
     phi, log_p = _resolved(log_likelihood, bounds_deg, nodes)
     low, high = float(phi[0]), float(phi[-1])
@@ -275,18 +279,11 @@ def ensemble(
     Raises
     ------
     ValueError
-        If bounds are not finite and increasing, a number is too small, or the log-likelihood is
-        NaN or plus infinity anywhere or minus infinity nearly everywhere.
+        If the log-likelihood is NaN or plus infinity anywhere or minus infinity nearly everywhere.
     """
     from terraphi.inference.ensembles import run, starts
 
-    low, high = _checked_bounds(bounds_deg)
-    if walkers < 4 or walkers % 2:
-        raise ValueError(f"walkers is {walkers}; it must be even and at least 4")
-    if not 0 <= burn_in <= steps - 4:
-        raise ValueError(f"burn_in is {burn_in} of {steps} steps; at least 4 must remain")
-    if ensembles < 4:
-        raise ValueError(f"ensembles is {ensembles}; it must be at least 4")
+    low, high = bounds_deg
 
     def log_posterior(positions: FloatArray) -> FloatArray:
         phi = positions[:, 0]
@@ -297,25 +294,15 @@ def ensemble(
     start = starts(log_posterior, (low, high), (ensembles, walkers), random)
     chains, accepted = run(log_posterior, start, steps=steps, burn_in=burn_in, random=random)
     draws = np.ascontiguousarray(chains[..., 0])
-    ordered = np.sort(draws, axis=None)
-    return Posterior(
-        bounds_deg=(low, high),
-        phi_deg=_read_only(ordered),
-        cdf=_read_only((np.arange(ordered.size) + 0.5) / ordered.size),
-        draws_deg=_read_only(draws),
-        sampler="emcee",
-        seed=seed,
-        convergence={**diagnose(draws).as_dict(), "acceptance_fraction": accepted},
-    )
+    told = {**diagnose(draws).as_dict(), "acceptance_fraction": accepted}
+    return Posterior.of_draws(draws, (low, high), seed=seed, convergence=told)
 
 
 def _resolved(
     log_likelihood: LogLikelihood, bounds_deg: tuple[float, float], nodes: int
 ) -> tuple[FloatArray, FloatArray]:
     """Nodes that gather where the mass is [deg], and the log-likelihood there."""
-    low, high = _checked_bounds(bounds_deg)
-    if nodes < 5:
-        raise ValueError(f"nodes is {nodes}; it must be at least 5")
+    low, high = bounds_deg
     phi = np.linspace(low, high, nodes)
     log_p = _checked(log_likelihood, phi)
     if not np.isfinite(log_p).any():
@@ -353,12 +340,11 @@ def _unresolved(phi: FloatArray, log_p: FloatArray) -> NDArray[np.bool_]:
     peak[1:] &= rise >= 0.0
     peak[:-1] &= rise <= 0.0
     beside_peak = peak[:-1] | peak[1:]
-    unresolved: NDArray[np.bool_] = (
+    return (
         (trapezoid > CELL_MASS * total)
         | (np.abs(trapezoid - exponential) > CELL_ERROR * total)
         | (beside_peak & (np.abs(rise) > PEAK_DROP))
     )
-    return unresolved
 
 
 def _from_nodes(phi: FloatArray, log_p: FloatArray, bounds_deg: tuple[float, float]) -> Posterior:
@@ -366,9 +352,9 @@ def _from_nodes(phi: FloatArray, log_p: FloatArray, bounds_deg: tuple[float, flo
     mass = np.r_[0.0, np.cumsum(0.5 * np.diff(phi) * (p[:-1] + p[1:]))]
     return Posterior(
         bounds_deg=bounds_deg,
-        phi_deg=_read_only(phi),
-        cdf=_read_only(mass / mass[-1]),
-        density=_read_only(p / mass[-1]),
+        phi_deg=phi,
+        cdf=mass / mass[-1],
+        density=p / mass[-1],
         sampler="quadrature",
         convergence={},
     )
@@ -382,15 +368,3 @@ def _checked(log_likelihood: LogLikelihood, phi: FloatArray) -> FloatArray:
         i = int(np.argmin(log_p < np.inf))
         raise ValueError(f"the log-likelihood is {log_p[i]} at phi = {float(phi[i])!r} deg")
     return log_p
-
-
-def _checked_bounds(bounds_deg: tuple[float, float]) -> tuple[float, float]:
-    low, high = (float(bound) for bound in bounds_deg)
-    if not (np.isfinite([low, high]).all() and low < high):
-        raise ValueError(f"bounds_deg are {low:g} and {high:g}; they must be finite and increase")
-    return low, high
-
-
-def _read_only(array: FloatArray) -> FloatArray:
-    array.setflags(write=False)
-    return array

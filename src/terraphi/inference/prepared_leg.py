@@ -4,14 +4,13 @@ Whatever does not depend on the forces that are inverted is computed here, once:
 their covariance at the nodes, and their decomposition together with a noise covariance. All is in
 the library's own force unit; an inversion divides by the ratio of densities instead.
 
-What readings at points leave open where the model's forces ripple between them.
-
-Nodes of the grid enter and leave the leg's contact one by one, so that simulated forces ripple by a
-few per cent with a period near a degree. A record that is read every degree or so may show the
-ripple's crests alone, or its troughs; and one that is read every few degrees knows nothing of the
-path between. How far a sensor averages is not known, nor where crests would be on another grid. So
-a library is compared through means about the readings (:meth:`ForceHistory.as_read_at`), and the
-errors of that have a covariance, learnt from the library's own curves:
+**What readings leave open.** Nodes of the grid enter and leave the leg's contact one by one, so
+that simulated forces ripple by a few per cent with a period near a degree. A record that is read
+every degree or so may show the ripple's crests alone, or its troughs; and one that is read every
+few degrees knows nothing of the path between. How far a sensor averages is not known, nor where
+crests would be on another grid. So a library is compared through means about the readings
+(:meth:`ForceHistory.as_read_at`), and the errors of that have a covariance, learnt from the
+library's own curves:
 
 - of points beside means about them, with the readings moved along by fractions of their spacing;
 - of means about the readings beside means of the whole path. What all curves share of it is in
@@ -25,26 +24,23 @@ would count as known. So variance is added at each window by itself: as much as 
 
 from __future__ import annotations
 
-import hashlib
+import functools
 import logging
-import weakref
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.inference.paper_likelihood import peak_to_peak
 from terraphi.library.store import Case, Curves, Library
 from terraphi.surrogate.joint import JointKernel, JointSurrogate
 from terraphi.surrogate.kronecker import single_threaded
 from terraphi.surrogate.scatter import Scatter, estimate
 
-FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 NODES = 281
@@ -152,8 +148,7 @@ class PreparedLeg:
 
     def scatter_at(self, phi_deg: float) -> FloatArray:
         """Particle scatter of the data at a friction angle [N^2], shape [2 theta, 2 theta]."""
-        scatter: FloatArray = self.surrogate.scatter.covariance(phi_deg) / self.trials
-        return scatter
+        return self.surrogate.scatter.covariance(phi_deg) / self.trials
 
     def known(self, phi_deg: float) -> FloatArray:
         """Covariance of surrogate and readings at a friction angle [N^2], [2 theta, 2 theta]."""
@@ -167,12 +162,7 @@ class PreparedLeg:
         shape
             W, the noise covariance of unit size [-], positive definite, [2 theta, 2 theta].
         """
-        # A leg stays, and its identity with it, for as long as its decompositions do.
-        key = (id(self), np.round(shape, 9).tobytes())
-        found = _SPECTRA.pop(key, None) or Spectra(self, shape)
-        _SPECTRA[key] = found
-        _forget_oldest(_SPECTRA, DECOMPOSED)
-        return found
+        return _spectra(self, shape.tobytes())
 
 
 class Spectra:
@@ -219,9 +209,9 @@ class Spectra:
         return Spectrum(*(array[size, part] for array in arrays))
 
 
-_Key = tuple[int, str, bytes]
-_KNOWN: OrderedDict[_Key, tuple[weakref.ref[Library], PreparedLeg]] = OrderedDict()
-_SPECTRA: OrderedDict[tuple[int, bytes], Spectra] = OrderedDict()
+@functools.lru_cache(maxsize=DECOMPOSED)
+def _spectra(leg: PreparedLeg, shape: bytes) -> Spectra:
+    return Spectra(leg, np.frombuffer(shape).reshape(leg.opened.shape))
 
 
 def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -> PreparedLeg:
@@ -234,33 +224,25 @@ def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -
         otherwise they are estimated from its curves.
     leg, readings
         As in :meth:`Library.curves`. What the readings leave open of the path is part of the
-        covariance (`reading`).
+        covariance.
 
     Raises
     ------
     InputError
         As :meth:`Library.curves` does.
     """
-    key = (id(library), leg, _sampling(readings))
-    known = _KNOWN.get(key)
-    if known and known[0]() is library:
-        return known[1]
+    return _prepared(library, leg, None if readings is None else readings.tobytes())
+
+
+@functools.lru_cache(maxsize=REMEMBERED)
+def _prepared(library: Library, leg: str, readings_as_bytes: bytes | None) -> PreparedLeg:
+    if readings_as_bytes is None:
+        curves = library.curves(leg)
+        return PreparedLeg.of(surrogate_of(library, leg, curves), curves)
+    readings = np.frombuffer(readings_as_bytes)
     curves = library.curves(leg, readings=readings)
     surrogate = surrogate_of(library, leg, curves, readings=readings)
-    reading = None
-    if readings is not None:
-        reading = learn_reading(library, leg, readings, surrogate)
-    prepared = PreparedLeg.of(surrogate, curves, reading)
-    _KNOWN[key] = (weakref.ref(library), prepared)
-    _forget_oldest(_KNOWN, REMEMBERED)
-    return prepared
-
-
-def _sampling(readings: FloatArray | None) -> bytes:
-    """What tells how curves are seen; a record may have a million readings."""
-    if readings is None:
-        return b""
-    return hashlib.sha256(np.round(readings, 9).tobytes()).digest()
+    return PreparedLeg.of(surrogate, curves, learn_reading(library, leg, readings, surrogate))
 
 
 def surrogate_of(
@@ -304,10 +286,9 @@ def learn(curves: Curves, replicates: Sequence[tuple[float, FloatArray]] = ()) -
     replicates
         As from :meth:`Library.repeated`. Forces at their angles are known the better for them.
     """
-    vectors = np.hstack([curves.Fx, curves.Fz])
     means, repeats = _means(curves, replicates)
     with single_threaded():
-        scatter = estimate(curves.theta_deg, curves.phi_deg, vectors, replicates)
+        scatter = estimate(curves.theta_deg, curves.phi_deg, curves.vectors, replicates)
         return JointSurrogate.fit(curves.phi_deg, curves.theta_deg, means, scatter, repeats=repeats)
 
 
@@ -315,16 +296,11 @@ def _means(
     curves: Curves, replicates: Sequence[tuple[float, FloatArray]]
 ) -> tuple[FloatArray, FloatArray]:
     """Mean of all simulations of each case [N], shape [case, 2 theta], and how many they are."""
-    means, repeats = np.hstack([curves.Fx, curves.Fz]), np.ones(len(curves.phi_deg))
+    means, repeats = curves.vectors, np.ones(len(curves.phi_deg))
     for phi, vectors in replicates:
         (case,) = np.flatnonzero(curves.phi_deg == phi)
         means[case], repeats[case] = vectors.mean(axis=0), len(vectors)
     return means, repeats
-
-
-def _forget_oldest(kept: OrderedDict[Any, Any], most: int) -> None:
-    while len(kept) > most:
-        kept.popitem(last=False)
 
 
 MOST_SHIFTS = 10
@@ -363,8 +339,7 @@ class Reading:
         if self.errors is None:
             return np.zeros(())
         moment = self.errors.moment(phi_deg)
-        found: FloatArray = moment + self.white * np.diag(np.diag(moment))
-        return found
+        return moment + self.white * np.diag(np.diag(moment))
 
     def covariance(self, phi_deg: float, forces: FloatArray) -> FloatArray:
         """Covariance of the window means of a record [N²], shape [2 theta, 2 theta].
@@ -376,9 +351,8 @@ class Reading:
         forces
             Observation vector there [N], shape [2 theta].
         """
-        spans = _spans(forces)
-        covariance: FloatArray = spans[:, None] * self.moment(phi_deg) * spans
-        return covariance
+        spans = window_spans(forces)
+        return spans[:, None] * self.moment(phi_deg) * spans
 
 
 class _Errors(NamedTuple):
@@ -411,8 +385,7 @@ class _Errors(NamedTuple):
         weights = np.exp(-0.5 * np.square((self.phi_deg - phi_deg) / NEAR_DEG))
         rows = np.sqrt(weights / (weights.sum() * total.shape[1]))[:, None, None] * total
         rows = rows.reshape(-1, rows.shape[-1])
-        moment: FloatArray = rows.T @ rows
-        return moment
+        return rows.T @ rows
 
     def _log_growth(self, part: FloatArray, phi_deg: float) -> FloatArray:
         """Log of the variance of a part at an angle over that at each curve's, shape [case]."""
@@ -421,14 +394,12 @@ class _Errors(NamedTuple):
         x = (self.phi_deg - phi_deg) / 10.0
         size = np.log(np.maximum(np.square(part).mean(axis=(1, 2)), 1e-30))
         fit = np.polynomial.polynomial.polyfit(x, size, degree)
-        growth: FloatArray = fit[0] - np.polynomial.polynomial.polyval(x, fit)
-        return growth
+        return fit[0] - np.polynomial.polynomial.polyval(x, fit)
 
 
-def _spans(forces: FloatArray) -> FloatArray:
+def window_spans(forces: FloatArray) -> FloatArray:
     """Peak-to-peak of the force of each window of an observation vector [N], shape [2 theta]."""
-    of_force = peak_to_peak(forces)
-    return np.repeat([of_force["Fx"], of_force["Fz"]], forces.size // 2)
+    return np.repeat(np.ptp(forces.reshape(2, -1), axis=1), forces.size // 2)
 
 
 def learn_reading(
@@ -495,7 +466,7 @@ def _relative_errors(
     history: ForceHistory, readings: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Errors as by :func:`reading_errors` over the peak-to-peak [-], and that [N], [2 theta]."""
-    spans = _spans(history.observation().vector)
+    spans = window_spans(history.observation().vector)
     about, around = reading_errors(history, readings)
     return about / spans, around / spans, spans
 

@@ -6,15 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import plain_number
-from terraphi.inference.checks import DENSITIES
 from terraphi.surrogate.training import DENSITY
 
-FloatArray = NDArray[np.float64]
-
+DENSITIES = (100.0, 10000.0)
+"""Bulk densities that are accepted [kg/m³]; 1.6 is one in g/cm³."""
 FAR = 6.0
 """Standard deviations at which a normal prior ends."""
 
@@ -55,8 +54,7 @@ class Marginal:
         shape = np.zeros_like(values)
         if self.normal is not None:
             shape = -0.5 * np.square((values - self.normal[0]) / self.normal[1])
-        result: FloatArray = np.where(inside, shape, -np.inf)
-        return result
+        return np.where(inside, shape, -np.inf)
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Independent draws, shape [count]."""
@@ -66,8 +64,7 @@ class Marginal:
 
         mean, sd = self.normal
         ends = ((self.low - mean) / sd, (self.high - mean) / sd)
-        drawn: FloatArray = truncnorm.rvs(*ends, mean, sd, size=count, random_state=rng)
-        return drawn
+        return truncnorm.rvs(*ends, mean, sd, size=count, random_state=rng)
 
     @property
     def sd(self) -> float:

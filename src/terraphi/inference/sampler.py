@@ -11,21 +11,23 @@ what they have come to is reported either way.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.inference.convergence import EnsembleDiagnostics, diagnose
 
-FloatArray = NDArray[np.float64]
 Coordinates = Callable[[FloatArray], FloatArray]
 """Parameters of coordinates, shape [k, d] -> [k, d]."""
 LogPosterior = Callable[[FloatArray], FloatArray]
 """Log density up to a constant of points, shape [k, d] -> [k]."""
 
+ENSEMBLES = 4
+"""With fewer, R-hat between them means little."""
 RHAT_LIMIT = 1.01
 LENGTH_LIMIT = 50.0
 """Autocorrelation times that an ensemble must be long."""
@@ -77,8 +79,7 @@ class Draws:
         precision = np.linalg.inv(np.cov(apart.T).reshape(apart.shape[1], apart.shape[1]))
         distance = np.einsum("ki,ij,kj->k", apart, precision, apart)
         nearest = np.argsort(distance)[: max(1, round(NEAR * len(flat)))]
-        central: FloatArray = flat[nearest[self.log_posterior.ravel()[nearest].argmax()]]
-        return central
+        return flat[nearest[self.log_posterior.ravel()[nearest].argmax()]]
 
     @property
     def stride(self) -> int:
@@ -100,7 +101,6 @@ def sample(
     *,
     walkers: int = 32,
     steps: int = 1500,
-    ensembles: int = 4,
     doublings: int = DOUBLINGS,
     seed: int = 0,
     parameters: Coordinates = lambda coordinates: coordinates,
@@ -117,8 +117,6 @@ def sample(
         Of an ensemble, even, at least twice the dimensions.
     steps
         Of each ensemble, of which the first fifth is burn-in.
-    ensembles
-        At least 4.
     doublings
         How often the steps may double if the draws have not converged.
     seed
@@ -129,12 +127,10 @@ def sample(
     Raises
     ------
     ValueError
-        If a number is too small, or the log density is NaN or nearly everywhere minus infinity.
+        If the log density is NaN or nearly everywhere minus infinity.
     """
-    if ensembles < 4:
-        raise ValueError(f"ensembles is {ensembles}; it must be at least 4")
     running = []
-    for stream in np.random.SeedSequence(seed).spawn(ensembles):
+    for stream in np.random.SeedSequence(seed).spawn(ENSEMBLES):
         first, second = stream.spawn(2)
         rng = np.random.default_rng(first)
         random = np.random.RandomState(np.random.MT19937(second))
@@ -198,7 +194,7 @@ def _annealed(
 
     state = emcee.State(walkers, random_state=random.get_state())
     for _ in range(STAGES):
-        sampler = _sampler(_raised(log_posterior, power), walkers)
+        sampler = _sampler(functools.partial(_raised, log_posterior, power), walkers)
         state = sampler.run_mcmc(state, STAGE_STEPS, skip_initial_state_check=True)
         log_p = state.log_prob / power
         if power >= 1.0:
@@ -211,13 +207,9 @@ def _annealed(
     return emcee.State(state.coords, random_state=state.random_state)
 
 
-def _raised(log_density: LogPosterior, power: float) -> LogPosterior:
+def _raised(log_density: LogPosterior, power: float, points: FloatArray) -> FloatArray:
     """Logarithm of a power of a density."""
-
-    def raised(points: FloatArray) -> FloatArray:
-        return power * log_density(points)
-
-    return raised
+    return power * log_density(points)
 
 
 def _next_power(log_p: FloatArray, power: float, worth: float) -> float:

@@ -16,20 +16,19 @@ Verdinelli, *Stat. Sci.* 10:273, 1995). Further ones follow one by one, each giv
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.inference.identifiability import axis_label, label
 from terraphi.library.store import Library
-from terraphi.surrogate.design import DesignGP, DesignSurrogate, from_unit
+from terraphi.surrogate.design import DesignKernel, DesignSurrogate, from_unit
 from terraphi.surrogate.kronecker import single_threaded
+from terraphi.surrogate.process import Process
 from terraphi.surrogate.training import training
-
-FloatArray = NDArray[np.float64]
 
 TRUTHS = 64
 """Truths over which the variance is averaged; a power of two."""
@@ -70,14 +69,7 @@ class Suggestion:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
-        return {
-            "library": self.library,
-            "legs": list(self.legs),
-            "points": [dict(point) for point in self.points],
-            "expected_sd": [dict(sd) for sd in self.expected_sd],
-            "floor_sd": dict(self.floor_sd),
-            "noise_N": dict(self.noise_N),
-        }
+        return asdict(self)
 
     def title(self) -> str:
         """One line for people."""
@@ -200,7 +192,7 @@ class _Known:
     over the root of its variance [candidate, theta].
     """
 
-    process: DesignGP
+    process: Process[DesignKernel]
     candidates: FloatArray
     truth: FloatArray
     candidate: FloatArray
@@ -208,7 +200,9 @@ class _Known:
     towards: tuple[FloatArray, ...] = ()
 
     @classmethod
-    def of(cls, process: DesignGP, truths: FloatArray, candidates: FloatArray) -> _Known:
+    def of(
+        cls, process: Process[DesignKernel], truths: FloatArray, candidates: FloatArray
+    ) -> _Known:
         return cls(
             process,
             candidates,
@@ -221,14 +215,12 @@ class _Known:
         """Variance of a simulation at a candidate, shape [theta]."""
         # A candidate that is known already has next to no variance, and no covariance either.
         floor = np.finfo(float).eps * self.process.roots.max() * self.process.std**2
-        whole: FloatArray = self.candidate[candidate] + self.process.noise_variance + floor
-        return whole
+        return self.candidate[candidate] + self.process.noise_variance + floor
 
     def after(self, candidate: int) -> FloatArray:
         """Variance at the truths after a simulation at a candidate, shape [truth, theta]."""
         explained = np.square(self.across[:, candidate]) / self._whole(candidate)
-        variance: FloatArray = (self.truth - explained).clip(min=0.0)
-        return variance
+        return (self.truth - explained).clip(min=0.0)
 
     def added(self, candidate: int) -> _Known:
         """The same after a simulation at a candidate."""
@@ -277,8 +269,7 @@ class _Leg:
             norm = norm + np.sum(np.square(curve) / whole, axis=1)
         lost = size / (1.0 + size * np.asarray(norm)[:, None])
         outer = np.einsum("xk,xl->xkl", along, along)
-        information: FloatArray = total - lost[:, :, None] * outer
-        return information
+        return total - lost[:, :, None] * outer
 
 
 class _Search:
@@ -315,8 +306,7 @@ class _Search:
         information = [leg.information(v) for leg, v in zip(self.legs, variances, strict=True)]
         # A uniform prior on a unit span has a variance of 1/12.
         precision = np.sum(information, axis=0) + 12.0 * np.eye(len(self.spans))
-        covariance: FloatArray = np.linalg.inv(precision)
-        return covariance
+        return np.linalg.inv(precision)
 
     def expected_sd(self) -> FloatArray:
         """Root of the expected variance of each parameter, in its unit, shape [key]."""
@@ -328,8 +318,7 @@ class _Search:
 
     def _sd(self, variances: Sequence[Sequence[FloatArray]]) -> FloatArray:
         variance = np.diagonal(self._covariance(variances), axis1=1, axis2=2).mean(axis=0)
-        sd: FloatArray = np.sqrt(variance) * self.spans
-        return sd
+        return np.sqrt(variance) * self.spans
 
     def risk(self, candidate: int, counted: Sequence[int]) -> float:
         """Expected variance in units of the prior's after a simulation there, summed [-]."""

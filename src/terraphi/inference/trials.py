@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from pydantic import ValidationError
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import (
     DENSE_DEG,
@@ -21,15 +22,30 @@ from terraphi.experiment.history import (
 )
 from terraphi.experiment.measurements import Measurement
 from terraphi.experiment.scenario import Scenario
-from terraphi.inference.checks import check_magnitudes, check_same_setup, doubts, unlike
+from terraphi.inference.answer import Record
 from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
 from terraphi.inference.explanation import OFFSETS, Explanation
 from terraphi.inference.findings import Doubt, Side
+from terraphi.inference.noise import Noise, window_covariance
+from terraphi.inference.prior import DENSITIES
+from terraphi.inference.verdict import nrmsd
 from terraphi.inference.words import of_doubt
 from terraphi.library.store import Library
-from terraphi.surrogate.training import Training
 
-FloatArray = NDArray[np.float64]
+FORCES = (1e-4, 1e5)
+"""Peak forces that are accepted [N]."""
+OUT_OF_SCALE = 5.0
+"""Peak force over the largest of the library, or that of its smallest over it, above which its unit
+is asked about [-]."""
+TURNED = -0.5
+"""Correlation of a force with the library's mean curve below which its sign is asked about [-]."""
+FREE = {"name", "soil.friction_angle_deg", "soil.density", "numerics.seed"}
+"""Keys in which a simulated history may differ from the library."""
+IDLE = {"mpm": ("rft.",), "rft": ("numerics.", "relief.", "bed.", "soil.")}
+"""Sections that a forward model does not read, but for what is in ``READ``."""
+READ = {"mpm": (), "rft": ("bed.gravity",)}
+"""Keys of such sections that it does read."""
+HIP = "hip above the surface"
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +93,10 @@ class Trial:
         known = ("scenario_hash", "model_version", "seed")
         return {key: self.history.provenance.get(key) for key in known}
 
-    def made_as(self, training: Training) -> bool:
-        """Whether the library's own model made it, whatever the parameters that it varies."""
+    def made_as(self, scenario: Scenario, varied: Iterable[str] = ()) -> bool:
+        """Whether a library's own model made it, whatever the parameters that it varies."""
         known = "scenario" in self.history.provenance
-        varied = training.bounds
-        return known and not unlike(self.history, training.scenario, self.leg, varied=varied)
+        return known and not unlike(self.history, scenario, self.leg, varied=varied)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,10 +140,17 @@ class Repeats:
         ]
 
     @property
+    def window_covariances(self) -> list[FloatArray]:
+        """Noise covariance of each trial's window means, of readings of unit variance [-]."""
+        return [
+            window_covariance(t.history.position, o.theta_deg, read_at=self.readings)
+            for t, o in zip(self.trials, self.observations, strict=True)
+        ]
+
+    @property
     def mean(self) -> FloatArray:
         """Mean of the observation vectors [N], shape [2 theta]."""
-        mean: FloatArray = self.vectors[0] if len(self.trials) == 1 else self.vectors.mean(axis=0)
-        return mean
+        return self.vectors[0] if len(self.trials) == 1 else self.vectors.mean(axis=0)
 
     @property
     def vectors(self) -> FloatArray:
@@ -137,7 +159,7 @@ class Repeats:
 
 
 class Tried(NamedTuple):
-    """A history, what would explain it, and whether it fits as it stands."""
+    """A history, what would explain its misfit, and whether it fits without that."""
 
     trial: Trial
     why: Explanation
@@ -160,16 +182,16 @@ def beyond(tried: Sequence[Tried]) -> Side | None:
 
 @dataclass(frozen=True, eq=False)
 class Looked:
-    """Histories that were looked at, without what is not to be believed of them.
+    """Histories without their damaged readings, and what was found to be damaged.
 
     Attributes
     ----------
     trials
-        What is left of each, in the order given.
+        Each history without its damaged readings, in the order given.
     inspections
-        What was found in each.
+        The damage found in each.
     groups
-        The same by leg.
+        The trials by leg.
     """
 
     trials: tuple[Trial, ...]
@@ -183,7 +205,7 @@ class Looked:
 
     @property
     def spoilt(self) -> bool:
-        """Whether one is damaged such that any answer is a misfit."""
+        """Whether one is damaged so badly that no answer can be believed."""
         return any(inspection.spoilt for inspection in self.inspections)
 
     @property
@@ -240,10 +262,25 @@ class Looked:
         numbers = {"leg": repeats.leg, "spacing_deg": DENSE_DEG}
         return found + [Doubt("read_twice", numbers, t.source) for t in repeats.read_twice]
 
-    def data_of(self, trial: Trial) -> dict[str, Any]:
-        """What was found in a history, as plain numbers."""
+    def check_noise(self, noise: Noise) -> None:
+        """Refuse noise that a history cannot have."""
+        for trial in self.trials:
+            noise.check_against(trial.history, source=trial.source if self.several else "")
+
+    def record(self, trial: Trial, observation: Observation, best: FloatArray) -> Record:
+        """A history as an answer has it, with the curve that fits best [N], shape [2 theta]."""
         at = next(i for i, one in enumerate(self.trials) if one is trial)
-        return self.inspections[at].as_dict()
+        return Record(
+            source=trial.source,
+            leg=trial.leg,
+            observation=observation,
+            readings=trial.history.position,
+            best=best,
+            nrmsd=nrmsd(observation.vector, best),
+            data=self.inspections[at].as_dict(),
+            simulation=trial.simulation,
+            leg_assumed=trial.leg_assumed,
+        )
 
 
 @contextmanager
@@ -310,9 +347,6 @@ def grouped(trials: Sequence[Trial]) -> list[Repeats]:
                 "a trial that counts twice would make the interval too narrow; drop one of the two"
             )
         seen[key] = trial.source
-    for trial in trials:
-        with named(trial, len(trials) > 1):
-            trial.history.observation()  # refuses by itself what does not cover the window
     found = []
     for leg in dict.fromkeys(t.leg for t in trials):
         same = tuple(t for t in trials if t.leg == leg)
@@ -388,3 +422,174 @@ def check_trials(
         with named(trial, several):
             check_magnitudes(density, observation, scenario)
             check_same_setup(trial.history, scenario, varied=varied)
+
+
+def check_magnitudes(density: float | None, observation: Observation, scenario: Scenario) -> None:
+    """Refuse numbers that can only be in another unit, and scaling where it does not hold."""
+    low, high = DENSITIES
+    if density is not None and not low <= density <= high:
+        raise InputError(
+            f"density = {density:g} kg/m³ is not that of a soil; {low:g} to {high:g} kg/m³ is "
+            "accepted"
+        )
+    if density not in (None, scenario.soil.density) and scenario.soil.cohesion > 0.0:
+        raise InputError(
+            f"density = {density:g} kg/m³: the library's soil has cohesion and a density of "
+            f"{scenario.soil.density:g} kg/m³, and its forces are not proportional to the density"
+        )
+    for name, force in (("Fx", observation.Fx), ("Fz", observation.Fz)):
+        # Exact equality would be lost to the rounding of the window means.
+        if np.ptp(force) <= 1e-9 * np.abs(force).max():
+            raise InputError(f"{name} is {force[0]:g} N at every angle; is the sensor connected?")
+    low, high = FORCES
+    peak = float(np.abs(observation.vector).max())
+    if not low <= peak <= high:
+        raise InputError(
+            f"the largest mean force is {peak:g} N; {low:g} to {high:g} N is accepted: are the "
+            "forces in newtons?"
+        )
+
+
+def unlike(
+    history: ForceHistory, scenario: Scenario, leg: str, *, varied: Iterable[str] = ()
+) -> Doubt | None:
+    """How a simulated history differs from the library; ``None`` if it does not.
+
+    The friction angle is what is asked for, forces are scaled by the density, and seeds are to
+    differ; all else makes the library another model than the one that the history is of.
+
+    Parameters
+    ----------
+    history
+        Forces; it carries its scenario if we simulated it.
+    scenario
+        Any of the library's for this leg.
+    leg
+        Shape of the leg that the history is inverted as.
+    varied
+        Further keys in which it may differ: those that the library varies.
+    """
+    made_by = scenario_of(history)
+    if made_by is None:
+        return None
+    expected = scenario.replace(**{"leg.shape": leg})
+    if made_by.model != expected.model:
+        differences: list[tuple[str, Any, Any]] = [("model", made_by.model, expected.model)]
+    else:
+        own, other = (dict(_flat(s.model_dump(mode="json"))) for s in (made_by, expected))
+        idle, read = IDLE[made_by.model], READ[made_by.model]
+        free = FREE.union(varied)
+        differences = [
+            (key, own.get(key), other.get(key))
+            for key in {**other, **own}
+            if key not in free
+            and (key in read or not key.startswith(idle))
+            and own.get(key) != other.get(key)
+        ]
+    return Doubt("unlike", {"differences": differences}) if differences else None
+
+
+def doubts(
+    history: ForceHistory,
+    observation: Observation,
+    curves: FloatArray,
+    density: float | None,
+    *,
+    asked: bool = False,
+) -> list[Doubt]:
+    """What is likely to be a slip: of units, of signs, or of the density.
+
+    Parameters
+    ----------
+    history
+        Forces; it carries its scenario if we simulated it.
+    observation
+        Its window means.
+    curves
+        The library's, at that density [N], shape [case, 2 theta].
+    density
+        With which the history is inverted [kg/m³]; ``None`` if it is inferred.
+    asked
+        Whether a slip of units or signs that explains the history is asked about already.
+    """
+    found = [] if asked else _slips(observation, curves)
+    made_by = scenario_of(history)
+    how = "simulated with" if made_by else "measured at"
+    own = made_by.soil.density if made_by else history.provenance.get("density_kg_m3")
+    if density and own and abs(own - density) > 1e-6 * density:
+        found.append(Doubt("other_density", {"made": how, "own": own, "used": density}))
+    return found
+
+
+def _slips(observation: Observation, curves: FloatArray) -> list[Doubt]:
+    """Questions on units and signs."""
+    found = []
+    names, measured = ("Fx", "Fz"), observation.vector.reshape(2, -1)
+    library = curves.reshape(len(curves), 2, -1)
+    peak, peaks = np.abs(measured).max(), np.abs(library).max(axis=(1, 2))
+    for code, ratio in (("too_large", peak / peaks.max()), ("too_small", peaks.min() / peak)):
+        if ratio > OUT_OF_SCALE:
+            found.append(Doubt(code, {"peak_N": float(peak), "ratio": float(ratio)}))
+    for name, force, own in zip(names, measured, library.mean(axis=0), strict=True):
+        correlation = float(np.corrcoef(force, own)[0, 1])
+        if correlation < TURNED:
+            found.append(Doubt("runs_against", {"force": name, "correlation": correlation}))
+    return found
+
+
+def scenario_of(history: ForceHistory) -> Scenario | None:
+    """Scenario that a simulated history carries; ``None`` if it carries none.
+
+    Raises
+    ------
+    InputError
+        If it is not one of this version.
+    """
+    if "scenario" not in history.provenance:
+        return None
+    try:
+        return Scenario.model_validate(history.provenance["scenario"])
+    except ValidationError as error:
+        raise InputError(
+            "the history carries a scenario that this version of terraphi cannot read; simulate it "
+            "again, or give its forces alone (a CSV without its comment)"
+        ) from error
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted keys and their values."""
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def check_same_setup(
+    history: ForceHistory, scenario: Scenario, *, varied: Iterable[str] = ()
+) -> None:
+    """Refuse a simulated history of a leg or hip unlike the library's.
+
+    Parameters
+    ----------
+    history, scenario
+        As in :func:`unlike`.
+    varied
+        Keys that the library varies, in which histories may differ.
+    """
+    made_by, free = scenario_of(history), set(varied)
+    if made_by is None:
+        return
+    if any(key.startswith(("motion.hip", "bed.")) for key in free):
+        free.add(HIP)
+    for name, found, expected in (
+        ("leg.chord", made_by.leg.chord, scenario.leg.chord),
+        ("leg.width", made_by.leg.width, scenario.leg.width),
+        ("leg.half_thickness", made_by.leg.half_thickness, scenario.leg.half_thickness),
+        (HIP, made_by.hip_height, scenario.hip_height),
+    ):
+        if name not in free and abs(found - expected) > 1e-6:
+            raise InputError(
+                f"the history was simulated with {name} = {found:g} m, the library "
+                f"with {expected:g} m; build a library for this setup"
+            )

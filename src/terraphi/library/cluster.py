@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from contextlib import contextmanager
 from functools import partial
-from types import TracebackType
 from typing import Any, Self
 
 from terraphi.experiment.errors import InputError
@@ -80,7 +79,7 @@ class Cluster:
             self._compare_with_scheduler()
             self.workers = len(self._client.scheduler_info(n_workers=-1)["workers"])
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         # Not pure: a case that failed in an earlier build is tried again, not remembered.
         self.executor: Executor = _Translated(self._client.get_executor(pure=False), address)
@@ -109,12 +108,7 @@ class Cluster:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         # Dask gives what this client asked for up as soon as it has left.
         with without_interrupts():
             self._client.close(timeout=CONNECT_SECONDS)

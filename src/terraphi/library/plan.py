@@ -13,9 +13,9 @@ import math
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
+from pydantic import Field, JsonValue, ValidationError, model_validator
 
-from terraphi.experiment.documents import parse_toml, shipped_file
+from terraphi.experiment.documents import Strict, parse_toml, shipped_file
 from terraphi.experiment.errors import InputError, sentence_from_validation
 from terraphi.experiment.files import is_there
 from terraphi.experiment.scenario import Scenario
@@ -39,10 +39,8 @@ class Variant(NamedTuple):
     """The whole."""
 
 
-class Step(BaseModel):
+class Step(Strict):
     """A change of some keys at once."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     name: str = Field(min_length=1)
     """Name of the step, for people."""
@@ -52,16 +50,12 @@ class Step(BaseModel):
     """What is changed: the ``previous`` step's scenario, or the ``base``."""
 
 
-class Sample(BaseModel):
+class Sample(Strict):
     """Points in the box of several keys' bounds, by a scrambled Sobol sequence.
 
     A larger count goes on where a smaller one of the same seed ended, so that a library built
     anew with more points computes only those.
     """
-
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
-    )
 
     keys: dict[str, tuple[float, float]] = Field(min_length=1)
     """Dotted scenario key, of a number, to its lower and upper bound."""
@@ -99,10 +93,8 @@ class Sample(BaseModel):
         return [dict(zip(self.keys, p, strict=True)) for p in [*found, *self.also]]
 
 
-class More(BaseModel):
+class More(Strict):
     """Cases that a sweep got later, such as angles between its own."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     sweep: dict[str, list[JsonValue]] = Field(min_length=1)
     """Values of the same keys as those of the plan's own sweep."""
@@ -110,10 +102,8 @@ class More(BaseModel):
     """Particle seed of the first of them, with ``vary_seed``; the next ones count from it."""
 
 
-class Plan(BaseModel):
+class Plan(Strict):
     """What a library or a study is to contain."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     name: str = Field(min_length=1)
     """Name of the plan, for people."""

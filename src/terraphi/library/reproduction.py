@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,7 @@ class Rebuilt:
     ----------
     case
         Which one, for people.
-    same
+    same_bits
         Whether its forces are the same to the last bit.
     largest_change
         Largest difference of a force over the largest force [-].
@@ -51,14 +51,14 @@ class Rebuilt:
     """
 
     case: str
-    same: bool
+    same_bits: bool
     largest_change: float
     differences: tuple[str, ...]
 
     @property
     def sentence(self) -> str:
         """What came of it."""
-        if self.same:
+        if self.same_bits:
             return f"{self.case}: simulated again, the same to the last bit."
         reason = "; ".join(self.differences) or "and nothing that it rests on: please report this"
         return (
@@ -68,12 +68,7 @@ class Rebuilt:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able."""
-        return {
-            "case": self.case,
-            "same_bits": self.same,
-            "largest_change": self.largest_change,
-            "differences": list(self.differences),
-        }
+        return asdict(self)
 
 
 def differences(case: Case) -> tuple[str, ...]:

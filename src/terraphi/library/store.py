@@ -17,14 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_file, shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import is_there, open_netcdf, positions, write_netcdf
-from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
+from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan, describe, value_of
-
-FloatArray = NDArray[np.float64]
 
 SCHEMA = 1
 """Version of the layout of a library file."""
@@ -65,8 +64,13 @@ class Curves(NamedTuple):
     scenario: Scenario
     """Scenario of the first case: density, convention and all that is not swept."""
 
+    @property
+    def vectors(self) -> FloatArray:
+        """Observation vectors [Fx, Fz] [N], shape [case, 2 M]."""
+        return np.hstack([self.Fx, self.Fz])
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Library:
     """The simulations of a plan.
 
@@ -132,22 +136,45 @@ class Library:
             "provenance": dict(self.provenance),
         }
 
-    def curves(
-        self,
-        leg: str,
-        *,
-        angles: int = OBSERVATION_ANGLES,
-        window_deg: float = WINDOW_DEG,
-        readings: FloatArray | None = None,
-    ) -> Curves:
+    def rotations(self, leg: str, *, over_phi: bool = True) -> list[Case]:
+        """Finished cases of one leg.
+
+        Parameters
+        ----------
+        leg
+            Its shape.
+        over_phi
+            Whether a friction angle is to be inferred from them.
+
+        Raises
+        ------
+        InputError
+            If there is none, the leg does not rotate, or its forces know no friction angle.
+        """
+        chosen = [c for c in self.cases if c.history and c.scenario.leg.shape == leg]
+        if not chosen:
+            raise InputError(
+                f"library '{self.name}' has no leg '{leg}'; it has {', '.join(self.legs)}"
+            )
+        first = chosen[0].scenario
+        if over_phi and (first.model, first.dimensions) == ("rft", 2):
+            raise InputError(
+                f"library '{self.name}': two-dimensional resistive force theory has no friction "
+                "angle to infer; build it with dimensions = 3"
+            )
+        if first.motion.kind != "rotation":
+            raise InputError(
+                f"library '{self.name}' is one of translations; an inversion needs rotations"
+            )
+        return chosen
+
+    def curves(self, leg: str, *, readings: FloatArray | None = None) -> Curves:
         """Observation vectors of one leg over the friction angle.
 
         Parameters
         ----------
         leg
             Shape of the leg.
-        angles, window_deg
-            As in :meth:`ForceHistory.observation`.
         readings
             Leg angles at which the measured record was read [rad], so that windows at its ends
             are cut alike and gaps bridged alike (:meth:`ForceHistory.as_read_at`); ``None`` takes
@@ -163,20 +190,7 @@ class Library:
             If the library lacks the leg, has fewer than three friction angles for it or several
             cases of one, or varies anything else.
         """
-        chosen = [c for c in self.cases if c.history and c.scenario.leg.shape == leg]
-        if not chosen:
-            raise InputError(
-                f"library '{self.name}' has no leg '{leg}'; it has {', '.join(self.legs)}"
-            )
-        if (chosen[0].scenario.model, chosen[0].scenario.dimensions) == ("rft", 2):
-            raise InputError(
-                f"library '{self.name}': two-dimensional resistive force theory has no friction "
-                "angle to infer; build it with dimensions = 3"
-            )
-        if chosen[0].scenario.motion.kind != "rotation":
-            raise InputError(
-                f"library '{self.name}' is one of translations; an inversion needs rotations"
-            )
+        chosen = self.rotations(leg)
         if self.plan.sample and len(self.plan.sample.keys) > 1:
             raise InputError(
                 f"library '{self.name}' varies {', '.join(self.plan.sample.keys)} together, not "
@@ -194,11 +208,7 @@ class Library:
                 f"library '{self.name}' varies more than the friction angle of leg '{leg}'; this "
                 "inversion knows one parameter"
             )
-        seen = [
-            case.history.as_read_at(readings).observation(angles=angles, window_deg=window_deg)
-            for case in chosen
-            if case.history
-        ]
+        seen = [case.history.as_read_at(readings).observation() for case in chosen if case.history]
         return Curves(
             phi,
             seen[0].theta_deg,

@@ -18,7 +18,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from multiprocessing.sharedctypes import Synchronized
 from multiprocessing.synchronize import Event
-from types import TracebackType
 from typing import Self, TypeVar
 
 
@@ -191,12 +190,7 @@ class WorkerPool:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         if kind is not None:
             self._stop.set()
         # A second Ctrl-C in the middle of this would leave both sides waiting for each other.

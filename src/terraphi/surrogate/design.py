@@ -6,8 +6,8 @@ design in d parameters and M leg angles the covariance of a force is
     K = sigma^2 K_x (x) K_theta + tau^2 I,         (x) the Kronecker product (`kronecker`),
     K_x = t^2 (1 + x.y) + c(r),                    K_theta = exp(-lag^2 / 2 l^2) + f^2 I,
 
-r the distance of x and y, c the Matern correlation of order 5/2 or the squared exponential, with a
-length of its own along each parameter (Rasmussen & Williams, eqs 4.17 and 4.9), t the size of a
+r the distance of x and y, c the Matern correlation of order 5/2, with a length of its own
+along each parameter (Rasmussen & Williams, eq. 4.17), t the size of a
 free plane and f that of a part which is smooth over the parameters and jumps over the leg angle, as
 forces do where a face of the leg begins to lead. Parameters are scaled to their bounds, from -1 to
 1. Beyond `FIT_CASES` points hyperparameters are those of maximum evidence on as many of them,
@@ -22,17 +22,16 @@ error that multiplies both forces on the leg alike, at all leg angles.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal, Self
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from terraphi.surrogate.kronecker import Kronecker, Posterior, maximise, single_threaded
+from terraphi.experiment.arrays import FloatArray
+from terraphi.surrogate.kronecker import Kronecker, maximise, single_threaded
+from terraphi.surrogate.process import Process, Values
 from terraphi.surrogate.training import DENSITY, Training
-
-FloatArray = NDArray[np.float64]
-Kind = Literal["matern52", "rbf"]
 
 TREND = 10.0
 """Prior standard deviation of the plane over that of the process [-]: nearly free."""
@@ -52,15 +51,6 @@ class DesignKernel:
         sigma^2 and tau^2 [-].
     fine
         f, size of the part that is white over the leg angle [-].
-    kind
-        Correlation along the parameters.
-    trend
-        t, size of the plane [-]; 0 for none.
-
-    Raises
-    ------
-    ValueError
-        If a number is not positive and finite (``fine`` and ``trend`` may be zero).
     """
 
     lengths: tuple[float, ...]
@@ -68,57 +58,55 @@ class DesignKernel:
     signal_variance: float
     noise_variance: float
     fine: float = 0.0
-    kind: Kind = "matern52"
-    trend: float = TREND
 
-    def __post_init__(self) -> None:
-        positive = (
-            *self.lengths, self.theta_length_deg, self.signal_variance, self.noise_variance,
-        )  # fmt: skip
-        if not all(np.isfinite(v) and v > 0.0 for v in positive):
-            raise ValueError(f"lengths and variances are {positive}; they must be positive")
-        if not (0.0 <= self.fine < np.inf and 0.0 <= self.trend < np.inf):
-            raise ValueError(f"fine is {self.fine} and trend {self.trend}; neither is negative")
-
-    def over_parameters(self, one: FloatArray, other: FloatArray) -> FloatArray:
+    def over_points(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """K_x between points, shapes [k, d] and [l, d] -> [k, l]."""
-        covariance = self.correlation(self.distance2(one, other))
-        if self.trend:
-            covariance += self.trend**2 * (1.0 + one @ other.T)
-        return covariance
+        lag = np.sqrt(5.0 * self.distance2(one, other))
+        correlation = (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
+        return correlation + TREND**2 * (1.0 + one @ other.T)
 
     def variance(self, points: FloatArray) -> FloatArray:
         """Diagonal of K_x, shape [k, d] -> [k]."""
-        squares: FloatArray = 1.0 + self.trend**2 * (1.0 + np.square(points).sum(axis=1))
-        return squares
+        return 1.0 + TREND**2 * (1.0 + np.square(points).sum(axis=1))
 
     def distance2(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Squared distances in correlation lengths, shape [k, l]."""
         a, b = one / np.array(self.lengths), other / np.array(self.lengths)
         squares = np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1) - 2.0 * a @ b.T
-        distance2: FloatArray = np.maximum(squares, 0.0)
-        return distance2
-
-    def correlation(self, distance2: FloatArray) -> FloatArray:
-        """Correlation c of squared distances [-]."""
-        if self.kind == "rbf":
-            return np.exp(-0.5 * distance2)
-        lag = np.sqrt(5.0 * distance2)
-        return (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
+        return np.maximum(squares, 0.0)
 
     def slope(self, distance2: FloatArray) -> FloatArray:
         """-2 dc/d(squared distance); times (x_k - y_k)^2 / l_k^2 it is dc/d log l_k."""
-        if self.kind == "rbf":
-            return np.exp(-0.5 * distance2)
         lag = np.sqrt(5.0 * distance2)
-        slope: FloatArray = 5.0 / 3.0 * (1.0 + lag) * np.exp(-lag)
-        return slope
+        return 5.0 / 3.0 * (1.0 + lag) * np.exp(-lag)
 
     def over_angles(self, theta_deg: FloatArray) -> FloatArray:
         """K_theta, shape [theta, theta]."""
         smooth = np.exp(-0.5 * np.square((theta_deg[:, None] - theta_deg) / self.theta_length_deg))
-        total: FloatArray = smooth + self.fine**2 * np.eye(theta_deg.size)
-        return total
+        return smooth + self.fine**2 * np.eye(theta_deg.size)
+
+    @staticmethod
+    def centre_and_unit(values: FloatArray) -> tuple[FloatArray, float]:
+        """Mean at each leg angle, and the standard deviation about it [N]."""
+        mean = values.mean(axis=0)
+        return mean, float((values - mean).std())
+
+    def gradient(self, known: Kronecker, points: FloatArray, theta_deg: FloatArray) -> FloatArray:
+        """Derivative of the log evidence by each logarithm of :meth:`pack`."""
+        slope = known.by_entries("left") * self.slope(self.distance2(points, points))
+        rows = slope.sum(axis=1)
+        found = []
+        for k, length in enumerate(self.lengths):
+            x = points[:, k] / length
+            # sum_ij slope_ij (x_i - x_j)^2 without the matrix of differences.
+            found.append(2.0 * float(rows @ np.square(x) - x @ slope @ x))
+        by_theta = known.by_entries("right")
+        lag2 = np.square((theta_deg[:, None] - theta_deg) / self.theta_length_deg)
+        found.append(float(np.sum(by_theta * lag2 * np.exp(-0.5 * lag2))))
+        found.append(known.by_signal())
+        found.append(2.0 * self.fine**2 * float(np.trace(by_theta)))
+        found.append(known.by_noise())
+        return np.array(found)
 
     def pack(self) -> FloatArray:
         """Logarithms of what is fitted: lengths, theta length, sigma^2, f, tau^2."""
@@ -130,10 +118,10 @@ class DesignKernel:
         )  # fmt: skip
 
     @classmethod
-    def unpack(cls, logarithms: FloatArray, kind: Kind, trend: float) -> DesignKernel:
+    def unpack(cls, logarithms: FloatArray) -> DesignKernel:
         """Inverse of :meth:`pack`."""
         *lengths, theta, signal, fine, noise = np.exp(logarithms).tolist()
-        return cls(tuple(lengths), theta, signal, noise, fine, kind, trend)
+        return cls(tuple(lengths), theta, signal, noise, fine)
 
 
 FIT_CASES = 250
@@ -145,208 +133,37 @@ NOISE_VARIANCES = (1e-9, 1e1)
 FINES = (1e-4, 1e1)
 
 
-@dataclass(frozen=True, eq=False)
-class DesignGP:
-    """A force over parameters and leg angle.
+def fit(
+    points: ArrayLike, theta_deg: ArrayLike, values: ArrayLike, *, seed: int = 0
+) -> Process[DesignKernel]:
+    """The process of the hyperparameters of most evidence, conditioned on the values.
 
-    In the basis of the leg angles that diagonalises K_theta (columns of `basis`) the predictive
-    covariance is diagonal, and so is white noise: `rotated` predicts there.
-
-    Attributes
+    Parameters
     ----------
     points
-        Training points, parameters scaled to [-1, 1], shape [case, d].
-    theta_deg
-        Leg angles [deg], shape [theta].
-    kernel
-        Hyperparameters.
-    log_marginal_likelihood
-        Of the standardised values [-].
-    mean, std
-        Mean at each leg angle, shape [theta], and the standard deviation about it [N].
-    posterior
-        Of the force less its mean, in the basis.
+        Parameters scaled to [-1, 1], at least three points, shape [case, d].
+    theta_deg, values
+        As in :meth:`Process.condition`.
+    seed
+        Of the optimiser's random start besides two good guesses.
+
+    Raises
+    ------
+    ValueError
+        If all values are the same.
     """
-
-    points: FloatArray
-    theta_deg: FloatArray
-    kernel: DesignKernel
-    log_marginal_likelihood: float
-    mean: FloatArray
-    std: float
-    posterior: Posterior = field(repr=False)
-    _rotated_centre: FloatArray = field(repr=False)
-
-    @classmethod
-    def fit(
-        cls,
-        points: ArrayLike,
-        theta_deg: ArrayLike,
-        values: ArrayLike,
-        *,
-        kind: Kind = "matern52",
-        trend: float = TREND,
-        restarts: int = 1,
-        seed: int = 0,
-    ) -> Self:
-        """Find the hyperparameters of maximum marginal likelihood, and condition on the values.
-
-        Parameters
-        ----------
-        points
-            Parameters scaled to [-1, 1], at least three points, shape [case, d].
-        theta_deg
-            Leg angles, or other places along the path, increasing, shape [theta].
-        values
-            Force [N], shape [case, theta].
-        kind, trend
-            As in `DesignKernel`.
-        restarts, seed
-            Random starts of the optimiser besides two good guesses, and their seed.
-
-        Raises
-        ------
-        ValueError
-            If shapes disagree, points are too few, or a value is not finite or all are equal.
-        """
-        with single_threaded():
-            data = _Data(points, theta_deg, values)
-            chosen = data
-            if len(data.points) > FIT_CASES:
-                even = np.linspace(0, len(data.points) - 1, FIT_CASES).round().astype(int)
-                chosen = _Data(data.points[even], theta_deg, data.values[even])
-            kernel = _maximise_evidence(chosen, kind, trend, restarts, seed)
-            return cls._conditioned(data, kernel)
-
-    @classmethod
-    def condition(
-        cls, points: ArrayLike, theta_deg: ArrayLike, values: ArrayLike, kernel: DesignKernel
-    ) -> Self:
-        """Condition on the values at given hyperparameters; arguments and errors as in `fit`."""
-        with single_threaded():
-            return cls._conditioned(_Data(points, theta_deg, values), kernel)
-
-    @classmethod
-    def _conditioned(cls, data: _Data, kernel: DesignKernel) -> Self:
-        known = data.known(kernel)
-        posterior = known.posterior(data.std)
-        return cls(
-            points=data.points,
-            theta_deg=data.theta_deg,
-            kernel=kernel,
-            log_marginal_likelihood=known.log_evidence(),
-            mean=data.mean,
-            std=data.std,
-            posterior=posterior,
-            _rotated_centre=data.mean @ posterior.basis,
-        )
-
-    @property
-    def basis(self) -> FloatArray:
-        """Orthogonal basis of the leg angles, shape [theta, theta]."""
-        return self.posterior.basis
-
-    @property
-    def roots(self) -> FloatArray:
-        """Eigenvalues of K_theta [-], shape [theta]."""
-        return self.posterior.roots
-
-    @property
-    def noise_variance(self) -> float:
-        """tau^2 [N^2]: the scatter of the simulations at one leg angle."""
-        return self.std**2 * self.kernel.noise_variance
-
-    def rotated_mean(self, points: FloatArray) -> FloatArray:
-        """Mean in the basis [N], shape [k, d] -> [k, theta]."""
-        return self._mean(self.kernel.over_parameters(points, self.points))
-
-    def _mean(self, across: FloatArray) -> FloatArray:
-        mean: FloatArray = self._rotated_centre + across @ self.posterior.mean_weights
-        return mean
-
-    def rotated(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean [N] and variance [N^2] in the basis, without the scatter, each [k, theta]."""
-        across = self.kernel.over_parameters(points, self.points)
-        variance = self.posterior.variance(across, self.kernel.variance(points))
-        return self._mean(across), variance
-
-    def rotated_covariance(self, one: FloatArray, other: FloatArray) -> FloatArray:
-        """Posterior covariance between points in the basis [N^2], shape [k, l, theta]."""
-        left, right = (self.kernel.over_parameters(x, self.points) for x in (one, other))
-        between = self.kernel.over_parameters(one, other)
-        return self.posterior.covariance(left, right, between)
-
-    def predict(self, points: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Mean [N] and variance [N^2] of the latent force, shape [k, d] -> [k, theta] each.
-
-        Parameters
-        ----------
-        points
-            Parameters scaled to [-1, 1], shape [k, d].
-        """
-        where = np.atleast_2d(np.asarray(points, dtype=np.float64))
-        if where.shape[1] != self.points.shape[1]:
-            raise ValueError(f"points have shape {where.shape}; expected [k, {len(self.points.T)}]")
-        mean, variance = self.rotated(where)
-        return mean @ self.basis.T, variance @ np.square(self.basis.T)
+    with single_threaded():
+        data = Values(points, theta_deg, values, DesignKernel)
+        if len(data.points) > FIT_CASES:
+            even = np.linspace(0, len(data.points) - 1, FIT_CASES).round().astype(int)
+            data = Values(data.points[even], theta_deg, data.values[even], DesignKernel)
+        kernel = _maximise_evidence(data, seed)
+        return Process.condition(points, theta_deg, values, kernel)
 
 
-class _Data:
-    """Validated training data, standardised: mean zero at each leg angle, unit variance."""
-
-    def __init__(self, points: ArrayLike, theta_deg: ArrayLike, values: ArrayLike) -> None:
-        self.points = np.array(points, dtype=np.float64)
-        self.theta_deg = np.array(theta_deg, dtype=np.float64)
-        self.values = np.array(values, dtype=np.float64)
-        if self.points.ndim != 2 or len(self.points) < 3:
-            raise ValueError(f"points have shape {self.points.shape}; expected [3 or more, d]")
-        if not (np.diff(self.theta_deg) > 0.0).all():
-            raise ValueError("theta_deg must increase")
-        shape = (len(self.points), self.theta_deg.size)
-        if self.values.shape != shape:
-            raise ValueError(f"values have shape {self.values.shape}; expected {shape}")
-        if not (np.isfinite(self.values).all() and np.isfinite(self.points).all()):
-            raise ValueError("points and values must be finite")
-        self.mean = self.values.mean(axis=0)
-        self.std = float((self.values - self.mean).std())
-        if self.std == 0.0:
-            raise ValueError("all points have the same values; they must vary over the design")
-        self.standardised = (self.values - self.mean) / self.std
-
-    def known(self, kernel: DesignKernel) -> Kronecker:
-        """The values with their covariance."""
-        return Kronecker(
-            kernel.over_parameters(self.points, self.points),
-            kernel.over_angles(self.theta_deg),
-            self.standardised,
-            signal=kernel.signal_variance,
-            noise=kernel.noise_variance,
-        )
-
-    def evidence(self, kernel: DesignKernel) -> tuple[float, FloatArray]:
-        """Log evidence and its gradient by each logarithm of `DesignKernel.pack`."""
-        known, points = self.known(kernel), self.points
-        slope = known.by_entries("left") * kernel.slope(kernel.distance2(points, points))
-        rows = slope.sum(axis=1)
-        found = []
-        for k, length in enumerate(kernel.lengths):
-            x = points[:, k] / length
-            # sum_ij slope_ij (x_i - x_j)^2 without the matrix of differences.
-            found.append(2.0 * float(rows @ np.square(x) - x @ slope @ x))
-        by_theta = known.by_entries("right")
-        lag2 = np.square((self.theta_deg[:, None] - self.theta_deg) / kernel.theta_length_deg)
-        found.append(float(np.sum(by_theta * lag2 * np.exp(-0.5 * lag2))))
-        found.append(known.by_signal())
-        found.append(2.0 * kernel.fine**2 * float(np.trace(by_theta)))
-        found.append(known.by_noise())
-        return known.log_evidence(), np.array(found)
-
-
-def _maximise_evidence(
-    data: _Data, kind: Kind, trend: float, restarts: int, seed: int
-) -> DesignKernel:
+def _maximise_evidence(data: Values, seed: int) -> DesignKernel:
     def evidence(logarithms: FloatArray) -> tuple[float, FloatArray]:
-        return data.evidence(DesignKernel.unpack(logarithms, kind, trend))
+        return data.evidence(DesignKernel.unpack(logarithms))
 
     d = data.points.shape[1]
     # A single leg angle, of a quantity that has none, has no spacing: any will do.
@@ -359,10 +176,10 @@ def _maximise_evidence(
         for length, fine, noise in ((2.0, 0.1, 1e-4), (5.0, 0.01, 1e-2))
     ]
     best = maximise(
-        evidence, guesses, np.log(bounds), restarts=restarts, seed=seed,
+        evidence, guesses, np.log(bounds), restarts=1, seed=seed,
         ftol=1e-10, gtol=1e-4, maxiter=200,
     )  # fmt: skip
-    return DesignKernel.unpack(best, kind, trend)
+    return DesignKernel.unpack(best)
 
 
 @dataclass(frozen=True, eq=False)
@@ -375,7 +192,7 @@ class Size:
         Of the logarithm of the force in newtons; it has no leg angles, or rather one.
     """
 
-    process: DesignGP
+    process: Process[DesignKernel]
 
     @classmethod
     def fit(cls, points: FloatArray, forces: FloatArray, *, seed: int = 0) -> Self:
@@ -396,18 +213,11 @@ class Size:
             If all cases have forces of one size.
         """
         sizes = np.log(np.sqrt(np.mean(np.square(forces), axis=1)))
-        return cls(DesignGP.fit(points, [0.0], sizes[:, None], seed=seed))
+        return cls(fit(points, [0.0], sizes[:, None], seed=seed))
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Size of the forces [N], shape [k, d] -> [k]."""
-        size: FloatArray = np.exp(
-            self.process.rotated_mean(points)[:, 0] * self.process.basis[0, 0]
-        )
-        return size
-
-    def variance(self, points: FloatArray) -> FloatArray:
-        """Variance of the size relative to its square [-], shape [k, d] -> [k]."""
-        return self.both(points)[1]
+        return np.exp(self.process.rotated_mean(points)[:, 0] * self.process.basis[0, 0])
 
     def both(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Size [N] and its relative variance [-] at once, shape [k, d] -> [k] each."""
@@ -438,12 +248,12 @@ class DesignSurrogate:
     bounds: Mapping[str, tuple[float, float]]
     reference_density: float
     size: Size
-    Fx: DesignGP
-    Fz: DesignGP
+    Fx: Process[DesignKernel]
+    Fz: Process[DesignKernel]
 
     @classmethod
     def fit(cls, data: Training, *, seed: int = 0) -> Self:
-        """Fit a process to each force; errors as in `DesignGP.fit`.
+        """Fit a process to each force; errors as in :func:`fit`.
 
         Parameters
         ----------
@@ -459,7 +269,7 @@ class DesignSurrogate:
         scaled /= size(points)[:, None]
         half = data.theta_deg.size
         parts = (scaled[:, :half], scaled[:, half:])
-        fx, fz = (DesignGP.fit(points, data.theta_deg, part, seed=seed) for part in parts)
+        fx, fz = (fit(points, data.theta_deg, part, seed=seed) for part in parts)
         return cls(data.bounds, reference, size, fx, fz)
 
     @property
@@ -468,7 +278,7 @@ class DesignSurrogate:
         return self.Fx.theta_deg
 
     @property
-    def processes(self) -> tuple[DesignGP, DesignGP]:
+    def processes(self) -> tuple[Process[DesignKernel], Process[DesignKernel]]:
         """Those of Fx and Fz."""
         return self.Fx, self.Fz
 
@@ -484,11 +294,10 @@ class DesignSurrogate:
 
     def scale(self, named: Mapping[str, FloatArray]) -> FloatArray:
         """Factor of density and size on what the processes predict [N], shape [k]."""
-        scale: FloatArray = self._relative_density(named) * self.size(self.points(named))
-        return scale
+        return self._relative_density(named) * self.size(self.points(named))
 
     def located(self, named: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Points, scale and variance of the common factor at once; as the three methods."""
+        """Points, scale, and variance of the factor by which both forces may be wrong alike [-]."""
         points = self.points(named)
         size, variance = self.size.both(points)
         return points, self._relative_density(named) * size, variance
@@ -496,10 +305,6 @@ class DesignSurrogate:
     def _relative_density(self, named: Mapping[str, FloatArray]) -> FloatArray | float:
         density = named.get(DENSITY)
         return 1.0 if density is None else density / self.reference_density
-
-    def factor_variance(self, named: Mapping[str, FloatArray]) -> FloatArray:
-        """Variance of the factor by which both forces may be wrong alike [-], shape [k]."""
-        return self.size.variance(self.points(named))
 
     def slopes(
         self, named: Mapping[str, FloatArray], keys: Sequence[str], steps: Sequence[float]
@@ -537,22 +342,20 @@ class DesignSurrogate:
         named
             Dotted key to values in the key's own unit; ``soil.density`` may be left out.
         """
-        points, scale = self.points(named), self.scale(named)[:, None]
+        points, scale, factor = self.located(named)
         parts = [process.predict(points) for process in self.processes]
-        mean = scale * np.hstack([mean for mean, _ in parts])
-        variance = np.square(scale) * np.hstack([variance for _, variance in parts])
-        return mean, variance + self.factor_variance(named)[:, None] * np.square(mean)
+        mean = scale[:, None] * np.hstack([mean for mean, _ in parts])
+        variance = np.square(scale)[:, None] * np.hstack([variance for _, variance in parts])
+        return mean, variance + factor[:, None] * np.square(mean)
 
 
 def to_unit(values: FloatArray, bounds: Mapping[str, tuple[float, float]]) -> FloatArray:
     """Parameters scaled from their bounds to [-1, 1], shape [k, d]."""
     low, high = np.array(list(bounds.values())).T
-    unit: FloatArray = 2.0 * (values - low) / (high - low) - 1.0
-    return unit
+    return 2.0 * (values - low) / (high - low) - 1.0
 
 
 def from_unit(points: FloatArray, bounds: Mapping[str, tuple[float, float]]) -> FloatArray:
     """Inverse of :func:`to_unit`."""
     low, high = np.array(list(bounds.values())).T
-    values: FloatArray = low + 0.5 * (points + 1.0) * (high - low)
-    return values
+    return low + 0.5 * (points + 1.0) * (high - low)

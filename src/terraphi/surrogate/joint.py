@@ -33,16 +33,15 @@ with that library.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.surrogate.kronecker import Blocks, Kronecker, maximise, single_threaded
 from terraphi.surrogate.scatter import Scatter, corrected, with_tail
-
-FloatArray = NDArray[np.float64]
 
 ORDERS = np.arange(4)
 AMPLITUDES = (1e-2, 1e3)
@@ -56,8 +55,7 @@ LEAST = 1e-12
 def powers_of(phi_deg: FloatArray, ends_deg: tuple[float, float]) -> FloatArray:
     """1, x, x^2, x^3 at friction angles [-], shape [...] -> [..., 4]."""
     centre, half = 0.5 * (ends_deg[0] + ends_deg[1]), 0.5 * (ends_deg[1] - ends_deg[0])
-    result: FloatArray = ((phi_deg - centre) / half)[..., None] ** ORDERS
-    return result
+    return ((phi_deg - centre) / half)[..., None] ** ORDERS
 
 
 def cubic_variances(amplitudes: tuple[float, ...], power: float, roots: FloatArray) -> FloatArray:
@@ -150,23 +148,13 @@ class JointKernel:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
         """Read what :meth:`as_dict` wrote; raises KeyError, TypeError or ValueError."""
-
-        def pair(name: str) -> tuple[float, float]:
-            return float(data[name][0]), float(data[name][1])
-
-        a, b, c, d = (float(value) for value in data["cubic"])
-        return cls(
-            float(data["phi_length_deg"]),
-            pair("theta_length_deg"),
-            pair("amplitude"),
-            pair("fine"),
-            (a, b, c, d),
-            float(data["cubic_power"]),
-        )
+        told: dict[str, Any] = {f.name: data[f.name] for f in fields(cls)}
+        pairs = {k: tuple(v) for k, v in told.items() if isinstance(v, list)}
+        return cls(**{**told, **pairs})
 
 
 class Standardised:
-    """Validated curves over sigma, times the root of their repeats, and the factor of R."""
+    """Curves over sigma, times the root of their repeats, and the factor of R."""
 
     def __init__(
         self,
@@ -179,18 +167,7 @@ class Standardised:
         self.phi = phi = np.array(phi_deg, dtype=np.float64)
         self.theta = theta = np.array(theta_deg, dtype=np.float64)
         values = np.array(curves, dtype=np.float64)
-        if phi.ndim != 1 or phi.size < 3 or not (np.diff(phi) > 0.0).all():
-            raise ValueError(f"phi_deg is {phi}; at least three increasing angles are needed")
-        if values.shape != (phi.size, 2 * theta.size) or not np.isfinite(values).all():
-            raise ValueError(
-                f"curves have shape {values.shape}; expected finite ones of shape "
-                f"{(phi.size, 2 * theta.size)}"
-            )
-        if not np.allclose(scatter.theta_deg, theta, atol=1e-6):
-            raise ValueError("the scatter is given at other leg angles than the curves")
         counts = np.ones(phi.size) if repeats is None else np.array(repeats, dtype=np.float64)
-        if counts.shape != phi.shape or not (counts >= 1.0).all():
-            raise ValueError(f"repeats are {counts}; expected one number, 1 or more, of each curve")
         self.root_repeats = np.sqrt(counts)
         self.values = self.root_repeats[:, None] * (values / scatter.sigma(phi))
         self.factor = np.linalg.cholesky(scatter.correlation)
@@ -279,8 +256,7 @@ def matern(one_deg: FloatArray, other_deg: FloatArray, length_deg: float) -> Flo
         Correlation length [deg].
     """
     lag = np.sqrt(5.0) * np.abs(one_deg[..., :, None] - other_deg[..., None, :]) / length_deg
-    correlation: FloatArray = (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
-    return correlation
+    return (1.0 + lag + np.square(lag) / 3.0) * np.exp(-lag)
 
 
 def _pack(kernel: JointKernel, noise: float) -> FloatArray:
@@ -391,11 +367,6 @@ class JointSurrogate:
             Hyperparameters, for a scatter already fitted; ``None`` finds those of maximum evidence.
         repeats
             Number of simulations that each curve is the mean of, shape [case]; ``None`` is one.
-
-        Raises
-        ------
-        ValueError
-            If shapes disagree, angles do not increase or are too few, or a value is not finite.
         """
         with single_threaded():
             if kernel is None:
@@ -444,8 +415,7 @@ class JointSurrogate:
         """Derivative of the forces with respect to the friction angle [N/deg], shape [2 theta]."""
         around = np.clip(phi_deg + np.array([-STEP_DEG, STEP_DEG]), *self.phi_bounds_deg)
         below, above = self.predict(around)
-        slope: FloatArray = (above - below) / (around[1] - around[0])
-        return slope
+        return (above - below) / (around[1] - around[0])
 
     def standard_mean(self, phi_deg: FloatArray, curves: FloatArray | None = None) -> FloatArray:
         """Mean in the common basis, over sigma [-], shape [k] -> [..., k, 2 theta].
@@ -469,8 +439,7 @@ class JointSurrogate:
 
     def _cubic(self, phi_deg: FloatArray, weights: FloatArray) -> FloatArray:
         coefficients = self.cubic_variance * (self._powers(self.phi_deg).T @ weights)
-        found: FloatArray = self._powers(phi_deg) @ coefficients
-        return found
+        return self._powers(phi_deg) @ coefficients
 
     def standard(self, curves: FloatArray) -> FloatArray:
         """Curves [N] like the library's in the basis, of scatter 1 [-], shape [..., case, 2 theta].
@@ -536,15 +505,13 @@ class JointSurrogate:
         if about is None:
             coefficients = rng.standard_normal((*phi_deg.shape[:-1], 4, size))
             about = self._powers(phi_deg) @ (coefficients * np.sqrt(self.cubic_variance))
-        found: FloatArray = drawn + about
-        return found
+        return drawn + about
 
-    def covariance(self, phi_deg: float, *, scale: float = 1.0) -> FloatArray:
+    def covariance(self, phi_deg: float) -> FloatArray:
         """Predictive covariance of the forces f [N^2], shape [2 theta, 2 theta]."""
         phi = np.array([phi_deg], dtype=np.float64)
-        left = scale * self.scatter.sigma(phi)[0][:, None] * self.basis
-        result: FloatArray = (left * self.standard_variance(phi)[0]) @ left.T
-        return result
+        left = self.scatter.sigma(phi)[0][:, None] * self.basis
+        return (left * self.standard_variance(phi)[0]) @ left.T
 
     def _between(self, phi_deg: FloatArray) -> FloatArray:
         """Prior covariance of f with the rows of the curves, [k] -> [2 theta, k, case]."""
@@ -553,8 +520,7 @@ class JointSurrogate:
 
     def _weights(self, curves: FloatArray) -> FloatArray:
         """What a mean gives each curve's angle: K^-1 y times root_repeats, [..., case, 2 theta]."""
-        weights: FloatArray = self.root_repeats[:, None] * self._blocks.weights(curves)
-        return weights
+        return self.root_repeats[:, None] * self._blocks.weights(curves)
 
     def _powers(self, phi_deg: FloatArray) -> FloatArray:
         """Growth times 1, x, x^2, x^3, shape [...] -> [..., 4]."""
@@ -563,8 +529,7 @@ class JointSurrogate:
     def _alone(self, phi_deg: FloatArray) -> FloatArray:
         """Prior variance of f in the basis, over sigma^2 [-], shape [k] -> [k, 2 theta]."""
         local = np.outer(np.square(self.scatter.growth(phi_deg)), self.prior_variance)
-        variance: FloatArray = np.square(self._powers(phi_deg)) @ self.cubic_variance + local
-        return variance
+        return np.square(self._powers(phi_deg)) @ self.cubic_variance + local
 
 
 def _learn(

@@ -38,10 +38,11 @@ from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
+
 Side = Literal["left", "right"]
 
 
@@ -146,8 +147,7 @@ class Kronecker:
         basis, roots, weights, inverse = self._seen_from(side)
         middle = (weights * roots) @ weights.T - np.diag(inverse @ roots)
         rotated = basis.T if through is None else basis.T @ through
-        derivative: FloatArray = 0.5 * self.signal * rotated.T @ middle @ rotated
-        return derivative
+        return 0.5 * self.signal * rotated.T @ middle @ rotated
 
     def _seen_from(self, side: Side) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Basis of one factor, roots of the other; weights and inverse with its axis first."""
@@ -162,8 +162,7 @@ class Kronecker:
         """
         basis = self.left.basis
         squares = np.square(basis @ self.weights) / (np.square(basis) @ self._inverse)
-        total: FloatArray = squares.sum(axis=1)
-        return total
+        return squares.sum(axis=1)
 
     def posterior(self, unit: float = 1.0) -> Posterior:
         """What is known of the process without noise, in values of this unit."""
@@ -218,8 +217,7 @@ class Posterior:
             "ki,ij,li->klj", left, self._variance_weights, right, optimize="greedy"
         )
         prior = (self.signal * between)[:, :, None] * self.roots
-        covariance: FloatArray = self.unit**2 * (prior - explained)
-        return covariance
+        return self.unit**2 * (prior - explained)
 
 
 class Blocks:
@@ -237,8 +235,7 @@ class Blocks:
 
     def weights(self, values: FloatArray) -> FloatArray:
         """K^-1 y in each direction, values in the basis V of shape [..., n, M]."""
-        solved: FloatArray = np.einsum("jab,...bj->...aj", self.inverse, values, optimize=True)
-        return solved
+        return np.einsum("jab,...bj->...aj", self.inverse, values, optimize=True)
 
     def evidence(self, values: FloatArray, shapes: FloatArray) -> tuple[float, FloatArray]:
         """Log evidence up to a constant, and its derivative by variances of terms within.
@@ -271,13 +268,11 @@ class Blocks:
         between
             Covariance with the values, shape [M, k, n]; the result has [k, M].
         """
-        explained: FloatArray = np.sum((between @ self.inverse) * between, axis=2).T
-        return explained
+        return np.sum((between @ self.inverse) * between, axis=2).T
 
     def carried(self, between: FloatArray) -> FloatArray:
         """Variance of the mean by unit noise of the values; shapes as in :meth:`explained`."""
-        carried: FloatArray = np.square(between @ self.inverse).sum(axis=2).T
-        return carried
+        return np.square(between @ self.inverse).sum(axis=2).T
 
 
 def maximise(
@@ -319,14 +314,12 @@ def maximise(
         )
         for start in (*starts, *random)
     ]  # fmt: skip
-    best: FloatArray = min(optima, key=lambda optimum: float(optimum.fun)).x
-    return best
+    return min(optima, key=lambda optimum: float(optimum.fun)).x
 
 
 def single_threaded() -> AbstractContextManager[Any]:
     """Context in which BLAS uses one thread: more cost small matrices far more than they gain."""
-    limit: AbstractContextManager[Any] = _threads().limit(limits=1, user_api="blas")
-    return limit
+    return _threads().limit(limits=1, user_api="blas")
 
 
 @functools.cache

@@ -19,15 +19,15 @@ twice the residual's length; results are the same from 10° to 15°.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from terraphi.surrogate.kronecker import Kronecker, Posterior, maximise, single_threaded
-
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
+from terraphi.surrogate.kronecker import Kronecker, maximise, single_threaded
+from terraphi.surrogate.process import Process, Values
 
 SHORTEST_THETA_LENGTH_DEG = 12.0
 """Lower bound of the correlation length over the leg angle [deg], twice the residual's 6°."""
@@ -50,11 +50,6 @@ class KernelParameters:
         Correlation lengths along the friction angle and the leg angle [deg].
     noise_variance
         sigma_n^2 [-].
-
-    Raises
-    ------
-    ValueError
-        If any of them is not positive and finite.
     """
 
     signal_variance: float
@@ -62,225 +57,79 @@ class KernelParameters:
     theta_length_deg: float
     noise_variance: float
 
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (np.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} is {value}; it must be positive and finite")
+    def over_points(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """K_phi between friction angles [deg], shapes [k, 1] and [l, 1] -> [k, l]."""
+        return np.exp(-0.5 * np.square(one - other.T) / self.phi_length_deg**2)
+
+    def variance(self, points: FloatArray) -> FloatArray:
+        """Diagonal of K_phi, shape [k, 1] -> [k]."""
+        return np.ones(len(points))
+
+    def over_angles(self, theta_deg: FloatArray) -> FloatArray:
+        """K_theta, shape [theta, theta]."""
+        return np.exp(-0.5 * np.square(theta_deg[:, None] - theta_deg) / self.theta_length_deg**2)
+
+    @staticmethod
+    def centre_and_unit(values: FloatArray) -> tuple[FloatArray, float]:
+        """Mean and standard deviation of all values [N], the mean for each leg angle alike."""
+        return np.full(values.shape[1], values.mean()), float(values.std())
+
+    def gradient(self, known: Kronecker, points: FloatArray, theta_deg: FloatArray) -> FloatArray:
+        """Derivative of the log evidence by the logarithm of each hyperparameter."""
+        over_phi, over_theta = self.over_points(points, points), self.over_angles(theta_deg)
+        phi2, theta2 = np.square(points - points.T), np.square(theta_deg[:, None] - theta_deg)
+        by_phi = known.along("left", over_phi * phi2 / self.phi_length_deg**2)
+        by_theta = known.along("right", over_theta * theta2 / self.theta_length_deg**2)
+        return np.array([known.by_signal(), by_phi, by_theta, known.by_noise()])
 
 
-@dataclass(frozen=True, eq=False)
-class GridGP:
-    """A Gaussian process for one force component on the full phi x theta grid.
+def fit(
+    phi_deg: ArrayLike,
+    theta_deg: ArrayLike,
+    values: ArrayLike,
+    *,
+    shortest_theta_length_deg: float = SHORTEST_THETA_LENGTH_DEG,
+    restarts: int = 3,
+) -> Process[KernelParameters]:
+    """The process of the hyperparameters of most evidence, conditioned on the values.
 
-    Made by `fit` (hyperparameters of maximum evidence) or `condition` (hyperparameters given).
-    Predictions are at the training leg angles. Beyond the training friction angles the process
-    returns to the mean of its values: it interpolates, it does not extrapolate.
+    L-BFGS-B on the logarithms of the parameters, from one heuristic start and several random ones.
+    Correlation lengths are at most ten times the span of the training angles, and that over the
+    friction angle at least half their smallest spacing. Beyond these angles the process returns to
+    the mean of its values: it interpolates, it does not extrapolate.
 
-    Attributes
+    Parameters
     ----------
     phi_deg, theta_deg
-        Training friction and leg angles [deg], shapes [phi] and [theta].
-    parameters
-        Hyperparameters; variances relative to ``std**2``.
-    log_marginal_likelihood
-        Log evidence of the standardised values [-].
-    mean, std
-        Mean and standard deviation of the training values [N].
+        Friction angles, at least three, and leg angles [deg], increasing, shapes [phi] and [theta].
+    values
+        Force [N], shape [phi, theta].
+    shortest_theta_length_deg
+        Lower bound of the correlation length along the leg angle [deg].
+    restarts
+        Number of random starts.
+
+    Raises
+    ------
+    ValueError
+        If all values are the same.
     """
 
-    phi_deg: FloatArray
-    theta_deg: FloatArray
-    parameters: KernelParameters
-    log_marginal_likelihood: float
-    mean: float
-    std: float
-    _posterior: Posterior = field(repr=False)
-    _mean_weights: FloatArray = field(repr=False)
+    def evidence(logarithms: FloatArray) -> tuple[float, FloatArray]:
+        return data.evidence(KernelParameters(*np.exp(logarithms).tolist()))
 
-    @classmethod
-    def fit(
-        cls,
-        phi_deg: ArrayLike,
-        theta_deg: ArrayLike,
-        values: ArrayLike,
-        *,
-        shortest_theta_length_deg: float | None = None,
-        restarts: int = 3,
-        seed: int = 0,
-    ) -> Self:
-        """Find the hyperparameters of maximum marginal likelihood, and condition on the values.
-
-        L-BFGS-B on the logarithms of the parameters, from one heuristic start and several random
-        ones. Correlation lengths lie between half the smallest spacing and ten times the span of
-        the training angles.
-
-        Parameters
-        ----------
-        phi_deg
-            Friction angles [deg], at least three, strictly increasing, shape [phi].
-        theta_deg
-            Leg angles [deg], at least two, strictly increasing, shape [theta].
-        values
-            Force component [N], shape [phi, theta].
-        shortest_theta_length_deg
-            Lower bound of the correlation length along the leg angle [deg]; ``None`` for half the
-            smallest spacing.
-        restarts, seed
-            Number of random starts after the heuristic one, and their seed.
-
-        Raises
-        ------
-        ValueError
-            If angles are too few, not finite or not increasing; if values have another shape, are
-            not finite or are all equal; if ``restarts`` is negative.
-        """
-        if restarts < 0:
-            raise ValueError(f"restarts is {restarts}; it must be 0 or more")
-        # Threads cost these small matrices far more than they gain, and starve other processes.
-        with single_threaded():
-            grid = _Grid(phi_deg, theta_deg, values)
-            shortest = shortest_theta_length_deg or 0.5 * float(np.diff(grid.theta_deg).min())
-            parameters = _maximise_evidence(grid, shortest, restarts=restarts, seed=seed)
-            return cls.condition(phi_deg, theta_deg, values, parameters)
-
-    @classmethod
-    def condition(
-        cls,
-        phi_deg: ArrayLike,
-        theta_deg: ArrayLike,
-        values: ArrayLike,
-        parameters: KernelParameters,
-    ) -> Self:
-        """Condition on the values at given hyperparameters; arguments and errors as in `fit`."""
-        grid = _Grid(phi_deg, theta_deg, values)
-        known = _Known(grid, parameters)
-        posterior = known.posterior()
-        return cls(
-            phi_deg=_read_only(grid.phi_deg),
-            theta_deg=_read_only(grid.theta_deg),
-            parameters=parameters,
-            log_marginal_likelihood=known.log_evidence(),
-            mean=grid.mean,
-            std=grid.std,
-            _posterior=posterior,
-            # Leg angles never change, so the way back from the basis folds into the weights.
-            _mean_weights=grid.std * (posterior.mean_weights @ posterior.basis.T),
-        )
-
-    @property
-    def noise_std(self) -> float:
-        """Standard deviation of the white noise [N]: the scatter of the library itself."""
-        return self.std * float(np.sqrt(self.parameters.noise_variance))
-
-    def predict(self, phi_deg: ArrayLike) -> FloatArray:
-        """Mean of the force at the training leg angles [N], shape [k] -> [k, theta]."""
-        mean: FloatArray = self.mean + self._across(phi_deg) @ self._mean_weights
-        return mean
-
-    def predict_variance(self, phi_deg: ArrayLike) -> FloatArray:
-        """Variance of the force `predict`, without the white noise [N^2], same shape."""
-        across = self._across(phi_deg)
-        variance = self._posterior.variance(across, np.ones(len(across)))
-        return self.std**2 * (variance @ np.square(self._posterior.basis.T))
-
-    def _across(self, phi_deg: ArrayLike) -> FloatArray:
-        """Correlation over phi with the training angles [-], shape [k, phi]."""
-        phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))
-        if phi.ndim != 1:
-            raise ValueError(f"phi_deg has shape {phi.shape}; expected one dimension")
-        distance = (phi[:, None] - self.phi_deg) / self.parameters.phi_length_deg
-        return np.exp(-0.5 * np.square(distance))
-
-
-class _Grid:
-    """Validated training data, standardised to zero mean and unit variance."""
-
-    def __init__(self, phi_deg: ArrayLike, theta_deg: ArrayLike, values: ArrayLike) -> None:
-        self.phi_deg = phi = _increasing("phi_deg", phi_deg, minimum=3)
-        self.theta_deg = theta = _increasing("theta_deg", theta_deg, minimum=2)
-        grid = np.array(values, dtype=np.float64)
-        shape = (phi.size, theta.size)
-        if grid.shape != shape:
-            raise ValueError(f"values have shape {grid.shape}; expected [phi, theta] = {shape}")
-        for i, j in np.argwhere(~np.isfinite(grid)):
-            place = f"phi = {phi[i]:g} deg, theta = {theta[j]:g} deg"
-            raise ValueError(f"the value at {place} is {grid[i, j]}; it must be finite")
-        self.mean, self.std = float(grid.mean()), float(grid.std())
-        if np.ptp(grid) == 0.0:
-            raise ValueError(f"all values equal {self.mean:g}; they must vary over the grid")
-        self.standardised = (grid - self.mean) / self.std
-        self.distances2 = [np.square(angles[:, None] - angles) for angles in (phi, theta)]
-
-    def evidence(self, logarithms: FloatArray) -> tuple[float, FloatArray]:
-        """Log evidence and its gradient by the logarithm of each of `KernelParameters`."""
-        known = _Known(self, KernelParameters(*np.exp(logarithms).tolist()))
-        return known.log_evidence(), known.gradient()
-
-
-class _Known(Kronecker):
-    """The standardised values with their covariance."""
-
-    def __init__(self, grid: _Grid, parameters: KernelParameters) -> None:
-        # Squared exponentials (R & W eq. 4.9), and their derivatives by log length.
-        lengths_deg = (parameters.phi_length_deg, parameters.theta_length_deg)
-        pairs = list(zip(grid.distances2, lengths_deg, strict=True))
-        left, right = (np.exp(-0.5 * distance2 / length**2) for distance2, length in pairs)
-        self.slopes = [
-            factor * distance2 / length**2
-            for factor, (distance2, length) in zip((left, right), pairs, strict=True)
-        ]
-        super().__init__(
-            left,
-            right,
-            grid.standardised,
-            signal=parameters.signal_variance,
-            noise=parameters.noise_variance,
-        )
-
-    def gradient(self) -> FloatArray:
-        """By the logarithm of each of `KernelParameters`."""
-        by_phi, by_theta = self.slopes
-        along = self.along("left", by_phi), self.along("right", by_theta)
-        return np.array([self.by_signal(), *along, self.by_noise()])
-
-
-def _maximise_evidence(
-    grid: _Grid, shortest_theta_length_deg: float, *, restarts: int, seed: int
-) -> KernelParameters:
-    angles = (grid.phi_deg, grid.theta_deg)
-    shortest = (0.5 * np.diff(grid.phi_deg).min(), shortest_theta_length_deg)
-    lengths = [(low, 10.0 * np.ptp(a)) for low, a in zip(shortest, angles, strict=True)]
-    # Forces vary slowly with phi and over some tens of degrees with theta; little of it is noise.
-    heuristic = np.log([1.0, np.ptp(angles[0]) / 2.0, np.ptp(angles[1]) / 8.0, 1e-3])
-    best = maximise(
-        grid.evidence,
-        [heuristic],
-        np.log([SIGNAL_VARIANCE_BOUNDS, *lengths, NOISE_VARIANCE_BOUNDS]),
-        restarts=restarts,
-        seed=seed,
-        ftol=1e-13,
-        gtol=1e-6,
-    )
-    return KernelParameters(*np.exp(best).tolist())
-
-
-def _increasing(name: str, angles_deg: ArrayLike, *, minimum: int) -> FloatArray:
-    angles = np.array(angles_deg, dtype=np.float64)
-    if angles.ndim != 1 or angles.size < minimum:
-        raise ValueError(f"{name} has shape {angles.shape}; expected at least {minimum} angles")
-    rising = np.isfinite(angles[1:]) & (angles[1:] > angles[:-1])
-    if not (rising.all() and np.isfinite(angles[0])):
-        i = int(np.argmin(rising))
-        raise ValueError(
-            f"{name}[{i}] and {name}[{i + 1}] are {angles[i]:g} and {angles[i + 1]:g}; "
-            "angles must be finite and strictly increasing"
-        )
-    return angles
-
-
-def _read_only(array: FloatArray) -> FloatArray:
-    array.setflags(write=False)
-    return array
+    with single_threaded():
+        phi = np.asarray(phi_deg, dtype=np.float64)
+        data = Values(phi[:, None], theta_deg, values, KernelParameters)
+        spans = np.ptp(phi), np.ptp(data.theta_deg)
+        shortest = (0.5 * np.diff(phi).min(), shortest_theta_length_deg)
+        lengths = [(low, 10.0 * span) for low, span in zip(shortest, spans, strict=True)]
+        # Forces vary slowly with phi and over some tens of degrees with theta; little is noise.
+        heuristic = np.log([1.0, spans[0] / 2.0, spans[1] / 8.0, 1e-3])
+        bounds = np.log([SIGNAL_VARIANCE_BOUNDS, *lengths, NOISE_VARIANCE_BOUNDS])
+        best = maximise(evidence, [heuristic], bounds, restarts=restarts, ftol=1e-13, gtol=1e-6)
+        kernel = KernelParameters(*np.exp(best).tolist())
+        return Process.condition(phi[:, None], theta_deg, values, kernel)
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,8 +139,8 @@ class LegSurrogate:
     Its observation vectors are d = [Fx(theta_1..m), Fz(theta_1..m)], the order of the paper.
     """
 
-    Fx: GridGP
-    Fz: GridGP
+    Fx: Process[KernelParameters]
+    Fz: Process[KernelParameters]
 
     @classmethod
     def fit(
@@ -301,9 +150,7 @@ class LegSurrogate:
         Fx: ArrayLike,
         Fz: ArrayLike,
         *,
-        shortest_theta_length_deg: float = SHORTEST_THETA_LENGTH_DEG,
         restarts: int = 3,
-        seed: int = 0,
     ) -> Self:
         """Fit a process to each component.
 
@@ -313,26 +160,15 @@ class LegSurrogate:
             Friction and leg angles [deg], shapes [phi] and [theta].
         Fx, Fz
             Forward and upward force of the soil on the leg [N], shape [phi, theta].
-        shortest_theta_length_deg, restarts, seed
-            As in `GridGP.fit`.
-
-        Raises
-        ------
-        ValueError
-            As in `GridGP.fit`.
+        restarts
+            As in :func:`fit`, whose errors are raised.
         """
-        fx, fz = (
-            GridGP.fit(
-                phi_deg,
-                theta_deg,
-                force,
-                shortest_theta_length_deg=shortest_theta_length_deg,
-                restarts=restarts,
-                seed=seed,
-            )
-            for force in (Fx, Fz)
-        )
-        return cls(Fx=fx, Fz=fz)
+        return cls(*(fit(phi_deg, theta_deg, force, restarts=restarts) for force in (Fx, Fz)))
+
+    @property
+    def phi_deg(self) -> FloatArray:
+        """Training friction angles [deg], shape [phi]."""
+        return self.Fx.points[:, 0]
 
     @property
     def theta_deg(self) -> FloatArray:
@@ -342,12 +178,12 @@ class LegSurrogate:
     @property
     def phi_bounds_deg(self) -> tuple[float, float]:
         """Smallest and largest training friction angle [deg]."""
-        return float(self.Fx.phi_deg[0]), float(self.Fx.phi_deg[-1])
+        return float(self.phi_deg[0]), float(self.phi_deg[-1])
 
     @property
     def phi_step_deg(self) -> float:
         """Largest spacing of the training friction angles [deg]."""
-        return float(np.diff(self.Fx.phi_deg).max())
+        return float(np.diff(self.phi_deg).max())
 
     def predict(self, phi_deg: ArrayLike, *, scale: float = 1.0) -> FloatArray:
         """Mean observation vectors [N], shape [k] -> [k, 2 theta].
@@ -359,8 +195,10 @@ class LegSurrogate:
         scale
             Factor on the forces [-], such as the soil's density over the library's.
         """
-        return scale * np.hstack([self.Fx.predict(phi_deg), self.Fz.predict(phi_deg)])
+        phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))[:, None]
+        return scale * np.hstack([gp.rotated_mean(phi) @ gp.basis.T for gp in (self.Fx, self.Fz)])
 
-    def predict_variance(self, phi_deg: ArrayLike, *, scale: float = 1.0) -> FloatArray:
+    def predict_variance(self, phi_deg: ArrayLike) -> FloatArray:
         """Variance of the latent forces of `predict` [N^2], shape [k] -> [k, 2 theta]."""
-        return scale**2 * np.hstack([gp.predict_variance(phi_deg) for gp in (self.Fx, self.Fz)])
+        phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))[:, None]
+        return np.hstack([gp.predict(phi)[1] for gp in (self.Fx, self.Fz)])

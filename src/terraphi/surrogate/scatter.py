@@ -1,6 +1,4 @@
-"""Particle scatter of simulated forces: its model, and how it is estimated.
-
-Particle scatter: how far two simulations differ that differ in their particle seed alone.
+"""Particle scatter: how far two simulations differ whose particle seeds differ, and nothing else.
 
 The forces d = [Fx(theta_1..m), Fz(theta_1..m)] of a simulation are f(phi) + e(phi). Replicates of
 one case under other seeds show e, and here is its model,
@@ -19,13 +17,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
 
 FLOOR = 0.1
 """Least scatter over the largest of that force at the same phi [-]: where the leg leaves the soil,
@@ -77,7 +75,6 @@ class Scatter:
     tail: float = TAILS[1]
     contrasts: int = 0
     origin: str = "given"
-    _correlation: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Raise ValueError if shapes disagree or a parameter is out of its range."""
@@ -92,14 +89,11 @@ class Scatter:
             raise ValueError(f"shared is {self.shared}; fractions in [0, 1) are expected")
         if not all(-1.0 < c < 1.0 for c in self.cross):
             raise ValueError(f"cross is {self.cross}; correlations in (-1, 1) are expected")
-        matrix = correlation_matrix(self.theta_deg, self.length_deg, self.shared, self.cross)
-        matrix.setflags(write=False)
-        object.__setattr__(self, "_correlation", matrix)
 
-    @property
+    @functools.cached_property
     def correlation(self) -> FloatArray:
         """R [-], shape [2 theta, 2 theta]."""
-        return self._correlation
+        return correlation_matrix(self.theta_deg, self.length_deg, self.shared, self.cross)
 
     def sigma(self, phi_deg: ArrayLike) -> FloatArray:
         """Standard deviation at friction angles [N], shape [k] -> [k, 2 theta]."""
@@ -110,8 +104,7 @@ class Scatter:
         a, b, c = self.log_floor
         of_peak = np.exp(a + b * x[:, None] + c * np.square(x)[:, None])
         floor = np.maximum(FLOOR * halves.max(axis=2), of_peak)[:, :, None]
-        result: FloatArray = np.maximum(halves, floor).reshape(len(x), -1)
-        return result
+        return np.maximum(halves, floor).reshape(len(x), -1)
 
     @functools.cached_property
     def sizes(self) -> tuple[FloatArray, FloatArray]:
@@ -139,16 +132,14 @@ class Scatter:
     def covariance(self, phi_deg: float) -> FloatArray:
         """Covariance at a friction angle [N^2], shape [2 theta, 2 theta]."""
         sigma = self.sigma([phi_deg])[0]
-        covariance: FloatArray = sigma[:, None] * self._correlation * sigma
-        return covariance
+        return sigma[:, None] * self.correlation * sigma
 
     def draw(self, phi_deg: ArrayLike, rng: np.random.Generator) -> FloatArray:
         """Draw scatter at friction angles [N], shape [k] -> [k, 2 theta]."""
         sigma = self.sigma(phi_deg)
         white = rng.standard_normal(sigma.shape)
         size = np.sqrt(self.draw_sizes((len(sigma), 1), rng))
-        drawn: FloatArray = size * sigma * (white @ np.linalg.cholesky(self._correlation).T)
-        return drawn
+        return size * sigma * (white @ np.linalg.cholesky(self.correlation).T)
 
     def draw_sizes(self, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
         """Draw sizes of the scatter, factors on its variance [-]."""
@@ -163,18 +154,13 @@ class Scatter:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, as a library's file keeps them."""
-        return {
-            "theta_deg": np.round(self.theta_deg, 9).tolist(),
-            "log_sigma": np.round(self.log_sigma, 5).tolist(),
-            "centre_deg": self.centre_deg,
-            "length_deg": self.length_deg,
-            "shared": list(self.shared),
-            "cross": list(self.cross),
-            "log_floor": np.round(self.log_floor, 5).tolist(),
-            "tail": self.tail,
-            "contrasts": self.contrasts,
-            "origin": self.origin,
-        }
+        told = {f.name: getattr(self, f.name) for f in fields(self)}
+        told["theta_deg"] = np.round(self.theta_deg, 9).tolist()
+        for name in ("log_sigma", "log_floor"):
+            told[name] = np.round(told[name], 5).tolist()
+        for name in ("shared", "cross"):
+            told[name] = list(told[name])
+        return told
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
@@ -185,18 +171,12 @@ class Scatter:
         data
             Numbers and lists.
         """
-        return cls(
-            theta_deg=np.array(data["theta_deg"], dtype=np.float64),
-            log_sigma=np.array(data["log_sigma"], dtype=np.float64),
-            centre_deg=float(data["centre_deg"]),
-            length_deg=float(data["length_deg"]),
-            shared=(float(data["shared"][0]), float(data["shared"][1])),
-            cross=(float(data["cross"][0]), float(data["cross"][1])),
-            log_floor=np.array(data["log_floor"], dtype=np.float64),
-            tail=float(data["tail"]),
-            contrasts=int(data["contrasts"]),
-            origin=str(data["origin"]),
-        )
+        told: dict[str, Any] = {f.name: data[f.name] for f in fields(cls)}
+        for name in ("theta_deg", "log_sigma", "log_floor"):
+            told[name] = np.array(told[name], dtype=np.float64)
+        for name in ("shared", "cross"):
+            told[name] = tuple(told[name])
+        return cls(**told)
 
 
 def correlation_matrix(
@@ -208,10 +188,7 @@ def correlation_matrix(
     for fractions, rho in ((np.array(shared), cross[0]), (1.0 - np.array(shared), cross[1])):
         roots = np.sqrt(fractions)
         parts.append(np.outer(roots, roots) * np.array([[1.0, rho], [rho, 1.0]]))
-    joint: FloatArray = np.kron(parts[0], np.exp(-lag / length)) + np.kron(
-        parts[1], np.eye(theta.size)
-    )
-    return joint
+    return np.kron(parts[0], np.exp(-lag / length)) + np.kron(parts[1], np.eye(theta.size))
 
 
 SMOOTHING_WINDOWS = 1.0
@@ -260,18 +237,13 @@ def estimate(
     Raises
     ------
     ValueError
-        If a group has a single replicate, shapes disagree, or nothing varies.
+        If nothing varies.
     """
     contrasts, angles = _differences(
         np.asarray(phi_deg, dtype=np.float64), np.asarray(curves, dtype=np.float64)
     )
     for phi, group in replicates:
         vectors = np.asarray(group, dtype=np.float64)
-        if vectors.ndim != 2 or len(vectors) < 2:
-            raise ValueError(
-                f"the group at phi = {phi:g} deg has shape {vectors.shape}; two replicates or "
-                "more are needed"
-            )
         contrasts.append(_helmert(len(vectors)) @ vectors)
         angles += [phi] * (len(vectors) - 1)
     found = _estimate(theta_deg, np.array(angles), np.vstack(contrasts))
@@ -324,11 +296,6 @@ def _differences(phi: FloatArray, curves: FloatArray) -> tuple[list[FloatArray],
 def _estimate(theta_deg: ArrayLike, phi: FloatArray, contrasts: FloatArray) -> Scatter:
     """Fit the model to contrasts [N], each with the covariance at its phi; shape [k, 2 theta]."""
     theta = np.array(theta_deg, dtype=np.float64)
-    if contrasts.shape[1:] != (2 * theta.size,):
-        raise ValueError(
-            f"the vectors have {contrasts.shape[1]} values; expected two forces at "
-            f"{theta.size} angles"
-        )
     scale = np.sqrt(np.mean(np.square(contrasts)))
     if not (np.isfinite(contrasts).all() and scale > 0.0):
         raise ValueError("replicates must be finite, and must not all be equal")
@@ -438,5 +405,4 @@ def _smoother(m: int, width: float) -> FloatArray:
     """Gaussian smoothing along the leg angle, each force by itself, shape [2 m, 2 m]."""
     index = np.arange(m)
     kernel: FloatArray = np.exp(-0.5 * np.square((index[:, None] - index) / width))
-    result: FloatArray = np.kron(np.eye(2), kernel / kernel.sum(axis=1, keepdims=True))
-    return result
+    return np.kron(np.eye(2), kernel / kernel.sum(axis=1, keepdims=True))

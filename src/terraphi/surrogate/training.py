@@ -6,15 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import value_of
 from terraphi.library.store import Library, differ_beyond
-
-FloatArray = NDArray[np.float64]
 
 DENSITY = "soil.density"
 NOT_PARAMETERS = ("leg.shape", "numerics.seed")
@@ -126,21 +123,7 @@ def training(library: Library, leg: str, *, readings: FloatArray | None = None) 
         or its histories cannot be inverted.
     """
     bounds = parameters(library)
-    chosen = [c for c in library.cases if c.history and c.scenario.leg.shape == leg]
-    if not chosen:
-        raise InputError(
-            f"library '{library.name}' has no leg '{leg}'; it has {', '.join(library.legs)}"
-        )
-    first = chosen[0].scenario
-    if (first.model, first.dimensions) == ("rft", 2) and "soil.friction_angle_deg" in bounds:
-        raise InputError(
-            f"library '{library.name}': two-dimensional resistive force theory has no friction "
-            "angle to infer; build it with dimensions = 3"
-        )
-    if first.motion.kind != "rotation":
-        raise InputError(
-            f"library '{library.name}' is one of translations; an inversion needs rotations"
-        )
+    chosen = library.rotations(leg, over_phi="soil.friction_angle_deg" in bounds)
     if len(chosen) < FEWEST_CASES:
         raise InputError(
             f"library '{library.name}' has {len(chosen)} cases of leg '{leg}'; at least "
@@ -152,10 +135,6 @@ def training(library: Library, leg: str, *, readings: FloatArray | None = None) 
             f"'{leg}' differ in what is no number, and would count as scatter; build one for each"
         )
     values = np.array([[float(value_of(c.scenario, k)) for k in bounds] for c in chosen])
-    seen = [
-        c.history.as_read_at(readings).observation(angles=OBSERVATION_ANGLES, window_deg=WINDOW_DEG)
-        for c in chosen
-        if c.history
-    ]
+    seen = [c.history.as_read_at(readings).observation() for c in chosen if c.history]
     forces = np.stack([o.vector for o in seen])
-    return Training(bounds, values, seen[0].theta_deg, forces, first)
+    return Training(bounds, values, seen[0].theta_deg, forces, chosen[0].scenario)

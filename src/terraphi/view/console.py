@@ -15,9 +15,9 @@ import click
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
+    from terraphi.inference.answer import Inversion
     from terraphi.inference.budget import Budget
     from terraphi.inference.findings import Doubt, Verdict
-    from terraphi.inference.inversion import Inversion
     from terraphi.library.store import Library
 
 

@@ -12,7 +12,7 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement
 
 if TYPE_CHECKING:
-    from terraphi.inference.inversion import Inversion
+    from terraphi.inference.answer import Inversion
 
 TRUTHS, TRUTH_DEG = "quick-plane-strain-truths", 33.97
 """Fresh simulations, off the grid of their library and of other seeds, and the one that is used."""
@@ -22,7 +22,8 @@ NOISE_N = 0.1
 
 def answers(sources: Sequence[str]) -> list[Inversion]:
     """Inversions of the known record and of shipped measurements, in that order."""
-    from terraphi.inference.inversion import Trial, invert
+    from terraphi.inference.inversion import invert
+    from terraphi.inference.trials import Trial
 
     trials = [Trial(known_record(), "straight", f"simulated, φ = {TRUTH_DEG:g}°")]
     trials += [Trial.of(measurement(source)) for source in sources]

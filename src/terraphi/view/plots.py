@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.files import replacing
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
+from terraphi.inference.answer import Inversion
 from terraphi.inference.identifiability import label
-from terraphi.inference.inversion import Inversion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -119,21 +119,23 @@ def inversions_figure(inversions: Sequence[Inversion]) -> Figure:
 
 
 def _draw_forces(axes: Axes, inversion: Inversion, component: str, *, label: str) -> None:
-    seen = inversion.observation
+    record = inversion.record
+    seen = record.observation
     half = len(seen.theta_deg)
     part = slice(0, half) if component == "Fx" else slice(half, None)
     data = seen.Fx if component == "Fx" else seen.Fz
     pale: dict[str, Any] = {"color": BLUE, "alpha": 0.25, "lw": 0}
     within = "curves within the 95 % interval"
-    axes.fill_between(seen.theta_deg, *inversion.band[:, part], label=within, **pale)
-    axes.plot(seen.theta_deg, inversion.best[part], color=BLUE, label="curve at the median")
-    if inversion.record.expected is not None:
-        expected = inversion.record.expected[part]
+    if record.band is not None:
+        axes.fill_between(seen.theta_deg, *record.band[:, part], label=within, **pale)
+    axes.plot(seen.theta_deg, record.best[part], color=BLUE, label="curve at the median")
+    if record.expected is not None:
+        expected = record.expected[part]
         name = "with the mean deviation of real soils"
         axes.plot(seen.theta_deg, expected, color=PURPLE, ls="--", label=name)
     axes.plot(seen.theta_deg, data, "o", ms=3.5, color=ORANGE, mec="black", mew=0.4, label=label)
     finish_force_axes(axes, component)
-    deviation = 100.0 * inversion.nrmsd[component]
+    deviation = 100.0 * record.nrmsd[component]
     what = inversion.source if component == "Fx" else f"library {inversion.library}"
     axes.set_title(f"{what}: NRMSD {deviation:.1f} %", fontsize=10)
 
@@ -362,7 +364,7 @@ def budget_figure(inversion: Inversion) -> Figure:
     ValueError
         If the inversion has no budget: the paper's likelihood has no terms.
     """
-    budget, theta = inversion.budget, inversion.observation.theta_deg
+    budget, theta = inversion.budget, inversion.record.observation.theta_deg
     if budget is None:
         raise ValueError(f"likelihood '{inversion.likelihood}' has no terms; take 'calibrated'")
     figure, (panels,) = panels_of(1, 2, size=(10.0, 4.2))

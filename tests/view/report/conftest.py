@@ -14,7 +14,8 @@ from terraphi.experiment.measurements import measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.forward.mpm.fields import FieldSeries
-from terraphi.inference.inversion import Inversion, invert
+from terraphi.inference.answer import Inversion
+from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
 from terraphi.robot.results import analyse, write_forces
 

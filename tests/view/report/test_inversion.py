@@ -13,7 +13,8 @@ import xarray as xr
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.measurements import measurement
-from terraphi.inference.inversion import Inversion, invert
+from terraphi.inference.answer import Inversion
+from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
 from terraphi.view.report.inversion import (
     CONVENTION,
@@ -90,23 +91,25 @@ def test_curves_are_those_of_the_inversion(inversion: Inversion, inversion_folde
     found = plots(section(inversion_folder))
     assert not [plot.title for plot in found.values() if "misfit" in plot.title]
     assert found["Fx"].title.startswith("Fx: deviation ")
-    half = len(inversion.observation.theta_deg)
+    half = len(inversion.record.observation.theta_deg)
     for name, part in (("Fx", slice(0, half)), ("Fz", slice(half, None))):
         band, best, measured = found[name].traces
-        np.testing.assert_allclose(measured["x"], inversion.observation.theta_deg, rtol=1e-4)
+        np.testing.assert_allclose(measured["x"], inversion.record.observation.theta_deg, rtol=1e-4)
         np.testing.assert_allclose(
-            measured["y"], inversion.observation.vector[part], rtol=1e-4, atol=1e-6
+            measured["y"], inversion.record.observation.vector[part], rtol=1e-4, atol=1e-6
         )
-        np.testing.assert_allclose(best["y"], inversion.best[part], rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(best["y"], inversion.record.best[part], rtol=1e-4, atol=1e-6)
         top, floor = np.array(band["y"]).reshape(2, -1)
-        np.testing.assert_allclose(top, inversion.band[1, part], rtol=1e-3, atol=1e-5)
-        np.testing.assert_allclose(floor[::-1], inversion.band[0, part], rtol=1e-3, atol=1e-5)
+        np.testing.assert_allclose(top, inversion.record.band[1, part], rtol=1e-3, atol=1e-5)
+        np.testing.assert_allclose(
+            floor[::-1], inversion.record.band[0, part], rtol=1e-3, atol=1e-5
+        )
 
 
 def test_residuals_are_data_minus_best(inversion: Inversion, inversion_folder: Path) -> None:
     traces = plots(section(inversion_folder))["Residuals"].traces
-    rest = (inversion.observation.vector - inversion.best).reshape(2, -1)
-    spans = [np.ptp(inversion.observation.Fx), np.ptp(inversion.observation.Fz)]
+    rest = (inversion.record.observation.vector - inversion.record.best).reshape(2, -1)
+    spans = [np.ptp(inversion.record.observation.Fx), np.ptp(inversion.record.observation.Fz)]
     for trace, residual, span in zip(traces, rest, spans, strict=True):
         np.testing.assert_allclose(trace["customdata"], residual, rtol=1e-4, atol=1e-6)
         np.testing.assert_allclose(trace["y"], 100.0 * residual / span, rtol=1e-3, atol=1e-4)
@@ -301,8 +304,8 @@ def test_a_calibrated_answer_has_its_own_band_and_budget(tmp_path: Path) -> None
     page = section(tmp_path)
     band = plots(page)["Fz"].traces[0]
     top, floor = np.array(band["y"]).reshape(2, -1)
-    np.testing.assert_allclose(top, found.band[1, 40:], rtol=1e-3, atol=1e-4)
-    np.testing.assert_allclose(floor[::-1], found.band[0, 40:], rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(top, found.record.band[1, 40:], rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(floor[::-1], found.record.band[0, 40:], rtol=1e-3, atol=1e-4)
     titles = [part.title for part in page.parts]
     assert "What the width of the interval comes from" in titles
     # The record's leg touches the soil later than the model's: no angle explains that.
@@ -312,10 +315,10 @@ def test_a_calibrated_answer_has_its_own_band_and_budget(tmp_path: Path) -> None
     assert isinstance(none, Text)
     assert "does not apply" in none.paragraphs[0]
     told = plots(page)["Which angles told the friction angle"]
-    size = np.hypot(found.observation.Fx, found.observation.Fz)
+    size = np.hypot(found.record.observation.Fx, found.record.observation.Fz)
     silent = size < 0.01 * size.max()
     assert silent.sum() == len(told.layout["shapes"]) == 3
-    angles = found.observation.theta_deg[silent]
+    angles = found.record.observation.theta_deg[silent]
     for shape, theta in zip(told.layout["shapes"], angles, strict=True):
         assert shape["x0"] < theta < shape["x1"]
     part = sum(np.array(bars["y"])[silent].sum() for bars in told.traces[:2])
