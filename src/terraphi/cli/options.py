@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
@@ -57,14 +58,29 @@ class IntRange(click.IntRange):
         return super().convert(value, param, ctx)
 
 
+PATH = click.Path(path_type=Path)
+
+
 class Choice(click.Choice[str]):
-    """One of some words: help lists them, tab completes them, and a slip is told the nearest."""
+    """One of some words: help lists them, tab completes them, and a slip is told the nearest.
+
+    Parameters
+    ----------
+    choices
+        The words.
+    noun
+        What each of them is, for messages; by default the option's name.
+    """
+
+    def __init__(self, choices: Sequence[str], noun: str = "") -> None:
+        super().__init__(choices)
+        self._noun = noun
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: Any) -> str:
         """The word, if it is one of the choices."""
         if value in self.choices:
             return str(value)
-        name = param.opts[0].lstrip("-").replace("_", " ") if param is not None else "word"
+        name = self._noun or (param.opts[0].lstrip("-") if param is not None else "word")
         hint = nearest(str(value), self.choices)
         raise click.UsageError(f"unknown {name} '{value}'; {hint}", ctx)
 
