@@ -15,6 +15,7 @@ import importlib.metadata
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -97,19 +98,27 @@ def render(sections: Sequence[Section]) -> str:
     sections
         What it holds.
     """
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError as error:
-        raise _missing() from error
-    library = get_plotlyjs()
+    library, packed = _plotly()
     script = "\n".join(asset(name) for name in ("colours.js", "player.js", "report.js"))
     html: str = template("page.html").render(
         **context(sections),
         policy=_policy(script, library),
         script=script,
-        plotly=base64.b64encode(gzip.compress(library.encode(), 9, mtime=0)).decode("ascii"),
+        plotly=packed,
     )
     return html
+
+
+@cache
+def _plotly() -> tuple[str, str]:
+    """The script of plotly, and the same compressed, in base64; kept, for it takes a second."""
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError as error:
+        raise _missing() from error
+    library: str = get_plotlyjs()
+    packed = gzip.compress(library.encode(), 9, mtime=0)
+    return library, base64.b64encode(packed).decode("ascii")
 
 
 def context(sections: Sequence[Section]) -> dict[str, Any]:

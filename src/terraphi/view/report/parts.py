@@ -20,7 +20,6 @@ from terraphi.view.table import Table
 Status = Literal["good", "doubtful", "bad", "none"]
 """Whether an answer may be believed; said in words beside it too."""
 
-MOST_DECIMALS = 8
 LONGEST_LABEL = 120
 """Characters of a text in a plot."""
 
@@ -149,14 +148,6 @@ def label(text: object) -> str:
     if len(plain) > LONGEST_LABEL:
         plain = plain[: LONGEST_LABEL - 1] + "…"
     return plain.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-
-
-def decimals(ends: Sequence[float], fewest: int) -> int:
-    """Decimals that show the width of an interval with two digits, and no fewer than asked for."""
-    width = abs(float(ends[1]) - float(ends[0]))
-    if not 0.0 < width < math.inf:
-        return fewest
-    return min(max(fewest, 1 - math.floor(math.log10(width))), MOST_DECIMALS)
 
 
 def number(value: Any, digits: int = 4) -> str:
