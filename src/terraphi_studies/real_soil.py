@@ -23,9 +23,8 @@ from terraphi.inference.prepared_leg import prepare
 from terraphi.library.store import Library
 from terraphi.view.console import as_text
 from terraphi.view.table import Table
-from terraphi_studies import Study, page
+from terraphi_studies import Study, page, steps
 from terraphi_studies.pictures import measured_figure
-from terraphi_studies.planned import Simulations
 
 NAME = "real_soil"
 TITLE = "Measured sands, each inverted with what the others taught"
@@ -41,8 +40,8 @@ METHOD = (
 PARTS_DEG = {"grid": 1.9, "speed_up": 0.8, "leg_friction": 0.6}
 """Parts of the level that are known [deg]: halving the cells moves the mean forces of preset
 `resolved` by 1.5° (F_z) and 2.3° (F_x), halving the speed-up by 0.8° (`study resolution`); a
-friction of the leg anywhere between 0.2 and 0.5 has a standard deviation of 0.087, worth 0.6°
-(`friction_of_the_leg_deg`, from the cases of `study prediction`)."""
+friction of the leg anywhere between 0.2 and 0.5 has a standard deviation of 0.087, worth 0.6° by
+the mean forces of the cases of `study prediction` at 30°."""
 SPACE_DEG = (15.0, 20.0, 25.0, 30.0, 35.0, 40.0)
 """Friction angles of the records by resistive force theory in three dimensions [deg]."""
 PLANE = {"poppy_loose": 638.0, "glass03_loose": 1450.0, "glass03_close": 1550.0}
@@ -90,14 +89,10 @@ def run(
     learnt = {m: learn(through, [s for s in seen if s.medium != m]) for m in media}
     whole = learn(through, seen, parts_deg=PARTS_DEG, provenance={"made_by": f"study {NAME}"})
     wrong = list(false_records(sands))
-    total, done = len(sands) + len(media) + len(wrong), 0
+    step = steps(len(sands) + len(media) + len(wrong), progress)
 
     def inverted(trials: Trial | Sequence[Trial], by: Learnt) -> Inversion:
-        nonlocal done
-        if progress is not None:
-            progress(done, total)
-        done += 1
-        return invert(trials, library=through, discrepancy=by)
+        return step(invert(trials, library=through, discrepancy=by))
 
     answers = [
         _answer(one, inverted(Trial.of(one), learnt[medium_and_leg(one.name)[0]])) for one in sands
@@ -284,16 +279,3 @@ def _row(answer: Mapping[str, Any]) -> tuple[str, ...]:
         f"{answer['deviation']:.1f}",
         answer["verdict"].replace("_", " "),
     )
-
-
-def friction_of_the_leg_deg() -> float:
-    """What not knowing the leg's friction, 0.2 to 0.5, is worth at 30° [deg]; straight leg."""
-    from terraphi.library.plan import Plan
-    from terraphi_studies.prediction import Interpolated
-
-    plan = Plan.load("prediction")
-    forces = Interpolated(plan, Simulations().histories(plan))
-    size = {mu: np.abs(forces(30.0, mu)).mean(axis=0) for mu in (0.2, 0.5)}
-    steeper = np.abs(forces(31.0, 0.35)).mean(axis=0) / np.abs(forces(29.0, 0.35)).mean(axis=0)
-    worth = np.log(size[0.5] / size[0.2]) / (0.5 * np.log(steeper))
-    return float(np.abs(worth).mean() / np.sqrt(12.0))
