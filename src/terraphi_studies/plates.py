@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import csv
 import importlib.resources
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,8 @@ from terraphi.forward.foot_laws import LAWS
 from terraphi.robot.footfall_files import CI95
 from terraphi.robot.footfall_fit import SHARED, SOIL, Fit, Prior, fit, shared_sd
 from terraphi.robot.touchdowns import Touchdowns
-from terraphi.view.plots import BLUE, GREEN, ORANGE, PURPLE
-from terraphi.view.table import Table
+from terraphi.view.plots import BLUE, GREEN, ORANGE, PURPLE, panels_of
+from terraphi.view.table import Column, Table
 from terraphi_studies import Study
 
 if TYPE_CHECKING:
@@ -40,6 +40,26 @@ WINDOWS = ((2.0, 8.0), (8.0, 16.0), (16.0, 26.0))
 """Of sinkage [mm]."""
 CONTACT_SD = 5e-4
 """Of the first contact, which the measurement has found already [m]."""
+
+
+def _half(key: str) -> Callable[[Mapping[str, Any]], str]:
+    return lambda one: f"{one[key][1] - one['phi_deg']:.1f}"
+
+
+def _in_window(i: int) -> Callable[[Mapping[str, Any]], str]:
+    return lambda one: "–" if (phi := one["phi_by_window_deg"][i]) is None else f"{phi:.1f}"
+
+
+CELLS: tuple[Column, ...] = (
+    ("box", "{box}"),
+    ("diameter [mm]", "{diameter_mm:g}"),
+    ("test", "{test}"),
+    ("law", "{law}"),
+    ("φ [deg]", "{phi_deg:.1f}"),
+    ("± 95 %, relative", _half("ci95_relative")),
+    ("± 95 %, absolute", _half("ci95_absolute")),
+    *((f"{a:g}–{b:g} mm", _in_window(i)) for i, (a, b) in enumerate(WINDOWS)),
+)
 
 
 class Test(NamedTuple):
@@ -66,7 +86,7 @@ def run(*, data: Path | None = None) -> Study:
         law: [_fits([_part(test, *window) for test in tests], law).phi for window in WINDOWS]
         for law in LAWS
     }
-    rows, found = [], []
+    found = []
     repeats = {law: _repeat_sd(tests, each.phi) for law, each in by_law.items()}
     for i, test in enumerate(tests):
         for law, each in by_law.items():
@@ -85,16 +105,10 @@ def run(*, data: Path | None = None) -> Study:
                     "phi_by_window_deg": [_or_none(windows[law][w][i]) for w in range(3)],
                 }
             )
-            drift = ["–" if np.isnan(windows[law][w][i]) else f"{windows[law][w][i]:.1f}"
-                     for w in range(3)]  # fmt: skip
-            rows.append((test.box, f"{test.diameter_mm:g}", test.name, law, f"{phi:.1f}",
-                         f"{CI95 * own:.1f}", f"{CI95 * whole:.1f}", *drift))  # fmt: skip
     spread = law_spread(windows)
     title = "Plates pressed into sand: φ by each law"
-    header = ("box", "diameter [mm]", "test", "law", "φ [deg]", "± 95 %, relative",
-              "± 95 %, absolute", *(f"{a:g}–{b:g} mm" for a, b in WINDOWS))  # fmt: skip
     return Study(
-        table=Table(title, header, rows),
+        table=Table.of(title, CELLS, found),
         data={
             "tests": found,
             "repeat_sd_deg": repeats,
@@ -251,10 +265,7 @@ def _notes(
 def _figure(
     tests: Sequence[Test], by_law: Mapping[str, Fit], windows: Mapping[str, Sequence[FloatArray]]
 ) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
+    figure, ((left, right),) = panels_of(1, 2, size=(9.0, 4.0), sharey=True)
     middles = [0.5 * (a + b) for a, b in WINDOWS]
     widths = sorted({test.diameter_mm for test in tests})
     for i, (law, found) in enumerate(by_law.items()):

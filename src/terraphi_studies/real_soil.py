@@ -29,7 +29,16 @@ from terraphi_studies.pictures import measured_figure
 NAME = "real_soil"
 TITLE = "Measured sands, each inverted with what the others taught"
 LIBRARY = "resolved"
-HEADER = ("medium", "leg", "repose", "φ [deg]", "68 %", "95 %", "deviation", "verdict")
+COLUMNS = (
+    ("medium", "{medium}"),
+    ("leg", "{leg}"),
+    ("repose", lambda a: f"{r:g}°" if (r := a["angle_of_repose_deg"]) is not None else "–"),
+    ("φ [deg]", "{phi_median_deg:.1f}"),
+    ("68 %", "{ci68_deg[0]:.0f} to {ci68_deg[1]:.0f}"),
+    ("95 %", "{ci95_deg[0]:.0f} to {ci95_deg[1]:.0f}"),
+    ("deviation", "{deviation:.1f}"),
+    ("verdict", lambda a: a["verdict"].replace("_", " ")),
+)
 METHOD = (
     "`terraphi invert` on every shipped measurement of Li et al. (2013); its discrepancy is learnt "
     "from the other media alone. Deviation: that of the record from the mean shape of the others, "
@@ -208,7 +217,7 @@ def study_of(
         for kind in kinds
     }
     told = summary(answers)
-    table = Table(TITLE, HEADER, [_row(a) for a in [*answers, *joint]])
+    table = Table.of(TITLE, COLUMNS, [*answers, *joint])
     against = (
         f"Against the angles of repose the medians err by {told['rms_deg']:.1f}° root mean square "
         f"({told['mean_deg']:+.1f}° on average). Of {told['with_repose']} records the 95 % "
@@ -265,17 +274,3 @@ def summary(answers: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "legs_in_order": sum(rank > 0.999 for rank in ranks.values()),
         "half_width68_deg": float(np.median([0.5 * np.ptp(a["ci68_deg"]) for a in answers])),
     }
-
-
-def _row(answer: Mapping[str, Any]) -> tuple[str, ...]:
-    repose = answer["angle_of_repose_deg"]
-    spans = [f"{low:.0f} to {high:.0f}" for low, high in (answer["ci68_deg"], answer["ci95_deg"])]
-    return (
-        answer["medium"],
-        answer["leg"],
-        "–" if repose is None else f"{repose:g}°",
-        f"{answer['phi_median_deg']:.1f}",
-        *spans,
-        f"{answer['deviation']:.1f}",
-        answer["verdict"].replace("_", " "),
-    )

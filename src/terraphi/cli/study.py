@@ -22,7 +22,7 @@ from terraphi.view.console import print_json, print_table, progress_bar
 from terraphi.view.table import Table
 
 LIST = "list"
-"""In the place of a study's name: which there are."""
+"""Word in the place of a study's name that lists all studies."""
 
 
 @click.command()

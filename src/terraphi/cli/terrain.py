@@ -52,7 +52,9 @@ dp_type_option = click.option(
     is_flag=True,
     help="For chrono-scm: press plates into simulated soil (minutes) for Bekker's K and n.",
 )
-@click.option("--anyway", is_flag=True, help="Take a misfit or an answer out of range.")
+@click.option(
+    "--anyway", is_flag=True, help="Export it although the verdict is a misfit or out of range."
+)
 @click.option("--out", type=PATH, help="A .py, .json or (newton, isaaclab) .usda file.")
 @json_option
 def export(
@@ -127,8 +129,8 @@ def pressed(found: Export, told: Told) -> Export:
 
 @click.command()
 @click.argument("value", type=Float())
-@click.option("--from", "source", required=True, type=SIMULATOR, help="Whose it is.")
-@click.option("--to", "target", type=SIMULATOR, help="Whose it should be.")
+@click.option("--from", "source", required=True, type=SIMULATOR, help="Simulator of VALUE.")
+@click.option("--to", "target", type=SIMULATOR, help="Another simulator, whose value is wanted.")
 @dp_type_option
 @json_option
 def convert(

@@ -42,7 +42,7 @@ USABLE = "usable"
 SHALLOW, TRODDEN, MISFIT = "too little sinkage", "not virgin ground", "the law does not fit"
 TORN, SATURATED, EDGE = "timing unreliable", "saturated", "at a prior's edge"
 VERDICTS = (USABLE, SHALLOW, TRODDEN, MISFIT, TORN, SATURATED, EDGE)
-"""What is said of a footfall."""
+"""Verdicts of footfalls."""
 
 LEAST_SINKAGE, LEAST_GAINED = 0.006, 0.003
 """Sinkage that a footfall needs, and what of it must come while the force rises [m]: on hard
@@ -224,7 +224,7 @@ def average(fits: Sequence[Fit]) -> Fit:
 
 
 def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
-    """What is said of each footfall; the first that holds of what speaks against it.
+    """Verdict of each footfall: the first reason that speaks against it, else :data:`USABLE`.
 
     Parameters
     ----------

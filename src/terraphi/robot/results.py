@@ -256,7 +256,7 @@ def _notes(
 
 
 def _why_no_stances(forces: FootForces, weight: float | None, criteria: Criteria) -> str:
-    """One sentence on what the robot did instead of walking."""
+    """Why there are no stances: what the robot did instead of walking."""
     with np.errstate(invalid="ignore"):
         known = np.isfinite(forces.force[:, :, 2]).all(axis=1)
         lift = forces.force[known][:, :, 2].astype(np.float64)

@@ -26,7 +26,8 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.measurements import measurement
 from terraphi.library import shipped as choices
 from terraphi.view.app import server
-from terraphi.view.app.server import application, job_of, shown_name
+from terraphi.view.app.server import Limits, application, job_of, shown_name
+from terraphi.view.app.work import section_of
 
 uvicorn = pytest.importorskip("uvicorn")
 
@@ -87,7 +88,7 @@ def served(places: Path) -> Iterator[Served]:
     bound = socket.socket()
     bound.bind(("127.0.0.1", 0))
     running = uvicorn.Server(
-        uvicorn.Config(application(most_bytes=MOST_BYTES), log_level="critical", lifespan="off")
+        uvicorn.Config(application(Limits(bytes=MOST_BYTES)), log_level="critical", lifespan="off")
     )
     thread = threading.Thread(target=running.run, kwargs={"sockets": [bound]})
     thread.start()
@@ -202,7 +203,7 @@ def waiting(seconds: float) -> Iterator[Served]:
     """An app that waits so long for more of a file, and logs what goes wrong."""
     with socket.socket() as bound:
         bound.bind(("127.0.0.1", 0))
-        served = application(most_idle_seconds=seconds)
+        served = application(Limits(idle_seconds=seconds))
         running = uvicorn.Server(
             uvicorn.Config(served, log_config=None, log_level="warning", lifespan="off")
         )
@@ -355,3 +356,11 @@ def test_a_file_dropped_in_a_browser_ends_in_its_report(
         assert "Verdict: " in page.locator(".headline").inner_text()
         browser.close()
     assert trouble == []
+
+
+def test_the_density_is_that_of_the_record_if_it_says_one(tmp_path: Path) -> None:
+    measurement("li2013:poppy_loose/straight").history.to_csv(tmp_path / "dropped.csv")
+    job = {"kind": "auto", "leg": "straight", "library": "rft3d", "name": "mine.csv"}
+    found = section_of(tmp_path / "dropped.csv", tmp_path, {**job, "density": None, "noise": None})
+    table = next(part for part in found.parts if part.title == "In numbers")
+    assert "density 638 kg/m³." in table.note

@@ -212,7 +212,7 @@ def _histories(answer: Mapping[str, Any]) -> Table:
 
 
 def _belief(answer: Mapping[str, Any], used: Library | None) -> tuple[Status, str]:
-    """Whether to believe an answer, and words for it where the usual ones would say too much."""
+    """Status of an answer, and words for its badge where the usual ones would promise too much."""
     status = STATUS.get(str(answer["verdict"]), "none")
     if status != "good":
         return status, ""
@@ -311,7 +311,7 @@ def _apart(answer: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _origin(answer: Mapping[str, Any]) -> str:
-    """What its forces are, in a word."""
+    """Whether the forces were ``measured`` or ``simulated``."""
     return "simulated" if "simulation" in answer.get("provenance", {}) else "measured"
 
 
@@ -610,7 +610,7 @@ def _answer(path: Path) -> dict[str, Any]:
 
 
 def _parsed(text: str) -> Any:
-    """JSON of numbers that are some; raises ValueError."""
+    """JSON without NaN and infinities; raises ValueError if there are any."""
 
     def no_number(name: str) -> None:
         raise ValueError(f"{name} is no number")
