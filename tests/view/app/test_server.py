@@ -27,7 +27,7 @@ from terraphi.experiment.measurements import measurement
 from terraphi.library import shipped as choices
 from terraphi.view.app import server
 from terraphi.view.app.server import Limits, application, job_of, shown_name
-from terraphi.view.app.work import section_of
+from terraphi.view.app.work import JOB, REFUSED, section_of, work
 
 uvicorn = pytest.importorskip("uvicorn")
 
@@ -175,17 +175,24 @@ def test_a_hostile_name_is_only_text_and_no_path(
     ],
 )
 def test_what_cannot_be_read_ends_in_a_sentence(
-    body: bytes, name: str, words: str, served: Served, places: Path
+    body: bytes, name: str, words: str, tmp_path: Path
 ) -> None:
-    found = served.drop(body, name=name)
-    assert found.status == 422
-    assert found.headers["content-type"].startswith("application/json")
-    sentence = json.loads(found.text)["refused"]
+    job = job_of({**USUAL, "name": name})
+    (tmp_path / job["file"]).write_bytes(body)
+    (tmp_path / JOB).write_text(json.dumps(job), encoding="utf-8")
+    work(tmp_path)
+    sentence = (tmp_path / REFUSED).read_text(encoding="utf-8")
     assert words in sentence
     assert name in sentence
     assert "dropped." not in sentence
-    assert "Traceback" not in sentence
-    assert str(places) not in sentence
+    assert str(tmp_path) not in sentence
+
+
+def test_a_refusal_comes_back_and_nothing_stays(served: Served, places: Path) -> None:
+    found = served.drop(FLAT, name="a.csv")
+    assert found.status == 422
+    assert found.headers["content-type"].startswith("application/json")
+    assert "at every angle" in json.loads(found.text)["refused"]
     assert list(places.iterdir()) == []
 
 
