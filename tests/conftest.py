@@ -6,7 +6,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 from hypothesis import settings
@@ -41,14 +41,33 @@ def _as_loud_as_at_first() -> Iterator[None]:
         sys.modules["terraphi.view.console"].listen()
 
 
+_READ: dict[Path, Any] = {}
+
+
 @pytest.fixture
 def terraphi(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> Callable[..., Ran]:
-    """Run a command in an empty folder, in this process."""
+    """Run a command in an empty folder, in this process.
+
+    A shipped library is read once for all tests, and so made ready once for its inversions.
+    """
     from terraphi.cli.main import main
+    from terraphi.experiment.documents import shipped_folder
+    from terraphi.library.store import Library
 
     monkeypatch.chdir(tmp_path)
+    read = Library.load
+
+    def recalled(source: Path | str) -> Library:
+        place = shipped_folder("libraries", f"{source}.nc")
+        if Path(source).exists() or not place.is_file():
+            return read(source)
+        if place not in _READ:
+            _READ[place] = read(source)
+        return _READ[place]
+
+    monkeypatch.setattr(Library, "load", recalled)
 
     def run(*args: str) -> Ran:
         monkeypatch.setattr(sys, "argv", ["terraphi", *args])

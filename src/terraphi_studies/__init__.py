@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import itertools
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.outputs import check_folder, filling
@@ -16,6 +17,9 @@ from terraphi.view.table import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+Found = TypeVar("Found")
 
 
 class Outline(NamedTuple):
@@ -190,6 +194,18 @@ def page(
 def capitalised(words: str) -> str:
     """Words with a capital in front, and nothing else changed."""
     return words[:1].upper() + words[1:]
+
+
+def steps(total: int, progress: Callable[[float, float], None] | None) -> Callable[[Found], Found]:
+    """A function that hands on what it is given, and reports one more of all steps as done."""
+    done = itertools.count(1)
+
+    def step(found: Found) -> Found:
+        if progress is not None:
+            progress(next(done), total)
+        return found
+
+    return step
 
 
 def run(

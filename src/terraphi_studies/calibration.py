@@ -7,13 +7,12 @@ they are and made worse; histories that the model must not explain.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,14 +41,13 @@ from terraphi.inference.prepared_leg import PreparedLeg, prepare
 from terraphi.library.store import Library
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, panels_of
 from terraphi.view.table import Table
-from terraphi_studies import Study
+from terraphi_studies import Study, steps
 from terraphi_studies.measures import Truth, recovered, straight_truths
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FloatArray = NDArray[np.float64]
-Found = TypeVar("Found")
 
 REPLICATES = 5000
 BESIDE = 2000
@@ -144,13 +142,7 @@ def run(
     """
     trained = Library.load(library)
     todo = ways(library, np.random.default_rng(seed + 2))
-    total, done = 7 + len(todo), itertools.count(1)
-
-    def done_with(found: Found) -> Found:
-        if progress is not None:
-            progress(next(done), total)
-        return found
-
+    done_with = steps(7 + len(todo), progress)
     leg = prepare(trained, "straight")
     counts = {kind: min(replicates, BESIDE) for kind in WORLDS} | {"prior": replicates}
     worlds = {

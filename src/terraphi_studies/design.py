@@ -29,7 +29,7 @@ from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.training import training
 from terraphi.view.plots import BLUE, GREY, ORANGE, panels_of
 from terraphi.view.table import Table
-from terraphi_studies import Study
+from terraphi_studies import Study, steps
 from terraphi_studies.measures import PHI
 
 FloatArray = NDArray[np.float64]
@@ -158,11 +158,8 @@ def run(*, progress: Callable[[float, float], None] | None = None) -> Study:
         ``grid``, ``sobol`` and ``suggested`` (root mean square error of each parameter, by size)
         and ``order`` (the suggested points, after those at the beginning).
     """
-    comparisons = []
-    for box in BOXES:
-        comparisons.append(_compared(box))
-        if progress is not None:
-            progress(len(comparisons), len(BOXES))
+    step = steps(len(BOXES), progress)
+    comparisons = [step(_compared(box)) for box in BOXES]
     return Study(
         table=Table.of(
             "Errors of a library's own: an even grid, a Sobol sequence, the suggested order",

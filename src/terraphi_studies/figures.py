@@ -16,10 +16,10 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import Snapshot, simulate
-from terraphi.view.plots import GREY, panels_of
+from terraphi.view.plots import GREY, LEG_NAMES, panels_of
 from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, Study, benchmark, phi_sensitivity, recovery, surrogate
-from terraphi_studies.pictures import COLOURS, LEG_NAMES, legs_figure
+from terraphi_studies.pictures import COLOURS, legs_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

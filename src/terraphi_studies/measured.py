@@ -23,7 +23,7 @@ from terraphi.inference.inversion import invert
 from terraphi.inference.verdict import uninformed
 from terraphi.library.store import Library
 from terraphi.view.table import Table
-from terraphi_studies import Study, page
+from terraphi_studies import Study, page, steps
 from terraphi_studies.pictures import measured_figure
 
 NAME = "measured"
@@ -94,9 +94,8 @@ def run(
     loaded = {name: Library.load(name) for name in chosen}
     wanted = [(name, measurement(source)) for name in chosen for source in names()]
     answers: list[dict[str, Any]] = []
-    for done, (name, one) in enumerate(wanted):
-        if progress is not None:
-            progress(done, len(wanted))
+    step = steps(len(wanted), progress)
+    for name, one in map(step, wanted):
         if any(case.scenario.leg.shape == one.leg for case in loaded[name].cases):
             found = invert(
                 one.history,

@@ -17,6 +17,7 @@ from terraphi.view.plots import (
     BLUE,
     GREEN,
     GREY,
+    LEG_NAMES,
     ORANGE,
     PHI_LABEL,
     PURPLE,
@@ -35,7 +36,6 @@ FloatArray = NDArray[np.float64]
 
 COLOURS = "viridis"
 """Evenly stepped in lightness, told apart by colour-blind readers."""
-LEG_NAMES = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C leg"}
 
 
 def _angle_axis(axes: Axes) -> None:

@@ -50,7 +50,7 @@ class Simulations:
     progress: Callable[[float, float], None] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what would do nothing."""
+        """Refuse workers or a cluster without a folder for what they simulate."""
         if (self.workers or self.cluster) and self.build is None:
             raise InputError("workers are for what is simulated: name a --build FOLDER")
 

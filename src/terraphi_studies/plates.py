@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import csv
 import importlib.resources
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,8 @@ from terraphi.forward.foot_laws import LAWS, FootLaw
 from terraphi.robot.footfall_files import CI95
 from terraphi.robot.footfall_fit import SHARED, SOIL, Fit, Prior, fit, predicted, shared_sd
 from terraphi.robot.touchdowns import Touchdowns
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
-from terraphi.view.table import Table
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, panels_of
+from terraphi.view.table import Column, Table
 from terraphi_studies import Study
 from terraphi_studies.pressed import FIRST, PressedDiscs, pressed_discs
 
@@ -41,6 +41,28 @@ WINDOWS = ((2.0, 8.0), (8.0, 16.0), (16.0, 26.0))
 """Of sinkage [mm]."""
 CONTACT_SD = 5e-4
 """Of the first contact, which the measurement has found already [m]."""
+
+
+def _half(key: str) -> Callable[[Mapping[str, Any]], str]:
+    return lambda one: f"{one[key][1] - one['phi_deg']:.1f}"
+
+
+def _in_window(i: int) -> Callable[[Mapping[str, Any]], str]:
+    return lambda one: "–" if (phi := one["phi_by_window_deg"][i]) is None else f"{phi:.1f}"
+
+
+CELLS: tuple[Column, ...] = (
+    ("box", "{box}"),
+    ("diameter [mm]", "{diameter_mm:g}"),
+    ("test", "{test}"),
+    ("law", "{law}"),
+    ("φ [deg]", "{phi_deg:.1f}"),
+    ("± 95 %, relative", _half("ci95_relative")),
+    ("± 95 %, absolute", _half("ci95_absolute")),
+    *((f"{a:g}–{b:g} mm", _in_window(i)) for i, (a, b) in enumerate(WINDOWS)),
+    ("NRMSD", "{nrmsd_percent:.0f} %"),
+    (f"at {REPOSE_DEG:g}°", "{nrmsd_at_repose_percent:.0f} %"),
+)
 
 
 class Test(NamedTuple):
@@ -71,7 +93,7 @@ def run(*, data: Path | None = None) -> Study:
     fits = {law.name: each for law, each in by_law.items()}
     repeats = {law: _repeat_sd(tests, each.phi) for law, each in fits.items()}
     apart = {law.name: _nrmsd_percent(tests, law, each) for law, each in by_law.items()}
-    rows, found = [], []
+    found = []
     for i, test in enumerate(tests):
         for law, each in fits.items():
             own = float(np.hypot(each.sd[i], repeats[law]))
@@ -92,19 +114,11 @@ def run(*, data: Path | None = None) -> Study:
                     "nrmsd_at_repose_percent": at_repose,
                 }
             )
-            drift = ["–" if np.isnan(windows[law][w][i]) else f"{windows[law][w][i]:.1f}"
-                     for w in range(3)]  # fmt: skip
-            rows.append((test.box, f"{test.diameter_mm:g}", test.name, law, f"{phi:.1f}",
-                         f"{CI95 * own:.1f}", f"{CI95 * whole:.1f}", *drift,
-                         f"{fitted:.0f} %", f"{at_repose:.0f} %"))  # fmt: skip
     spread = law_spread({law: windows[law] for law in LAWS})
     one = {law.name: one_angle(tests, law) for law in laws.values()}
     title = "Plates pressed into sand: φ by each law"
-    header = ("box", "diameter [mm]", "test", "law", "φ [deg]", "± 95 %, relative",
-              "± 95 %, absolute", *(f"{a:g}–{b:g} mm" for a, b in WINDOWS), "NRMSD",
-              f"at {REPOSE_DEG:g}°")  # fmt: skip
     return Study(
-        table=Table(title, header, rows),
+        table=Table.of(title, CELLS, found),
         data={
             "tests": found,
             "repeat_sd_deg": repeats,
@@ -320,10 +334,7 @@ def _figure(
     windows: Mapping[str, Sequence[FloatArray]],
     one: Mapping[str, Mapping[str, float]],
 ) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 4.0), layout="constrained")
-    forces, left, right = figure.subplots(1, 3)
+    figure, ((forces, left, right),) = panels_of(1, 3, size=(12.0, 4.0))
     right.sharey(left)
     middles = [0.5 * (a + b) for a, b in WINDOWS]
     widths = sorted({test.diameter_mm for test in tests})

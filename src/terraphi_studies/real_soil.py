@@ -24,14 +24,22 @@ from terraphi.inference.trials import Trial
 from terraphi.library.store import Library
 from terraphi.view.console import as_text
 from terraphi.view.table import Table
-from terraphi_studies import Study, page
+from terraphi_studies import Study, page, steps
 from terraphi_studies.pictures import measured_figure
-from terraphi_studies.planned import Simulations
 
 NAME = "real_soil"
 TITLE = "Measured sands, each inverted with what the others taught"
 LIBRARY = "resolved"
-HEADER = ("medium", "leg", "repose", "φ [deg]", "68 %", "95 %", "deviation", "verdict")
+COLUMNS = (
+    ("medium", "{medium}"),
+    ("leg", "{leg}"),
+    ("repose", lambda a: f"{r:g}°" if (r := a["angle_of_repose_deg"]) is not None else "–"),
+    ("φ [deg]", "{phi_median_deg:.1f}"),
+    ("68 %", "{ci68_deg[0]:.0f} to {ci68_deg[1]:.0f}"),
+    ("95 %", "{ci95_deg[0]:.0f} to {ci95_deg[1]:.0f}"),
+    ("deviation", "{deviation:.1f}"),
+    ("verdict", lambda a: a["verdict"].replace("_", " ")),
+)
 METHOD = (
     "`terraphi invert` on every shipped measurement of Li et al. (2013); its discrepancy is learnt "
     "from the other media alone. Deviation: that of the record from the mean shape of the others, "
@@ -42,8 +50,8 @@ METHOD = (
 PARTS_DEG = {"grid": 1.9, "speed_up": 0.8, "leg_friction": 0.6}
 """Parts of the level that are known [deg]: halving the cells moves the mean forces of preset
 `resolved` by 1.5° (F_z) and 2.3° (F_x), halving the speed-up by 0.8° (`study resolution`); a
-friction of the leg anywhere between 0.2 and 0.5 has a standard deviation of 0.087, worth 0.6°
-(`friction_of_the_leg_deg`, from the cases of `study prediction`)."""
+friction of the leg anywhere between 0.2 and 0.5 has a standard deviation of 0.087, worth 0.6° by
+the mean forces of the cases of `study prediction` at 30°."""
 SPACE_DEG = (15.0, 20.0, 25.0, 30.0, 35.0, 40.0)
 """Friction angles of the records by resistive force theory in three dimensions [deg]."""
 PLANE = {"poppy_loose": 638.0, "glass03_loose": 1450.0, "glass03_close": 1550.0}
@@ -91,14 +99,10 @@ def run(
     learnt = {m: learn(through, [s for s in seen if s.medium != m]) for m in media}
     whole = learn(through, seen, parts_deg=PARTS_DEG, provenance={"made_by": f"study {NAME}"})
     wrong = list(false_records(sands))
-    total, done = len(sands) + len(media) + len(wrong), 0
+    step = steps(len(sands) + len(media) + len(wrong), progress)
 
     def inverted(trials: Trial | Sequence[Trial], by: Learnt) -> Inversion:
-        nonlocal done
-        if progress is not None:
-            progress(done, total)
-        done += 1
-        return invert(trials, library=through, discrepancy=by)
+        return step(invert(trials, library=through, discrepancy=by))
 
     answers = [
         _answer(one, inverted(Trial.of(one), learnt[medium_and_leg(one.name)[0]])) for one in sands
@@ -214,7 +218,7 @@ def study_of(
         for kind in kinds
     }
     told = summary(answers)
-    table = Table(TITLE, HEADER, [_row(a) for a in [*answers, *joint]])
+    table = Table.of(TITLE, COLUMNS, [*answers, *joint])
     against = (
         f"Against the angles of repose the medians err by {told['rms_deg']:.1f}° root mean square "
         f"({told['mean_deg']:+.1f}° on average). Of {told['with_repose']} records the 95 % "
@@ -271,30 +275,3 @@ def summary(answers: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "legs_in_order": sum(rank > 0.999 for rank in ranks.values()),
         "half_width68_deg": float(np.median([0.5 * np.ptp(a["ci68_deg"]) for a in answers])),
     }
-
-
-def _row(answer: Mapping[str, Any]) -> tuple[str, ...]:
-    repose = answer["angle_of_repose_deg"]
-    spans = [f"{low:.0f} to {high:.0f}" for low, high in (answer["ci68_deg"], answer["ci95_deg"])]
-    return (
-        answer["medium"],
-        answer["leg"],
-        "–" if repose is None else f"{repose:g}°",
-        f"{answer['phi_median_deg']:.1f}",
-        *spans,
-        f"{answer['deviation']:.1f}",
-        answer["verdict"].replace("_", " "),
-    )
-
-
-def friction_of_the_leg_deg() -> float:
-    """What not knowing the leg's friction, 0.2 to 0.5, is worth at 30° [deg]; straight leg."""
-    from terraphi.library.plan import Plan
-    from terraphi_studies.prediction import Interpolated
-
-    plan = Plan.load("prediction")
-    forces = Interpolated(plan, Simulations().histories(plan))
-    size = {mu: np.abs(forces(30.0, mu)).mean(axis=0) for mu in (0.2, 0.5)}
-    steeper = np.abs(forces(31.0, 0.35)).mean(axis=0) / np.abs(forces(29.0, 0.35)).mean(axis=0)
-    worth = np.log(size[0.5] / size[0.2]) / (0.5 * np.log(steeper))
-    return float(np.abs(worth).mean() / np.sqrt(12.0))

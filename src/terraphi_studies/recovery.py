@@ -22,7 +22,7 @@ from terraphi.library.shipped import companion
 from terraphi.library.store import Case, Library
 from terraphi.surrogate.paper import LegSurrogate
 from terraphi.view.table import Table
-from terraphi_studies import PAPER_LIBRARY, Study
+from terraphi_studies import PAPER_LIBRARY, Study, steps
 from terraphi_studies.measures import recovered
 from terraphi_studies.pictures import Walkers, recovery_figure, walkers_figure
 
@@ -82,7 +82,8 @@ def run(
     convention = trained.cases[0].scenario.convention
     cases: list[dict[str, Any]] = []
     answers: list[tuple[float, Inversion]] = []
-    for number, truth in enumerate(truths.cases, start=1):
+    step = steps(len(truths.cases), progress)
+    for truth in truths.cases:
         if truth.history is None:
             raise InputError(f"library '{truths.name}' holds a failed case: {truth.failure}")
         leg, phi = truth.scenario.leg.shape, truth.scenario.soil.friction_angle_deg
@@ -91,9 +92,7 @@ def run(
             for sampler in ("quadrature", "emcee")
         )
         answers.append((phi, exact))
-        cases.append(_case(phi, exact, sampled))
-        if progress is not None:
-            progress(number, len(truths.cases))
+        cases.append(step(_case(phi, exact, sampled)))
     summary = recovered(answers)
     shown = min(range(len(cases)), key=lambda i: abs(answers[i][0] - SHOWN_DEG))
     return Study(

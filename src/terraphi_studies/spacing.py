@@ -26,7 +26,7 @@ from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
 from terraphi.view.plots import BLUE, GREY, ORANGE, panels_of
 from terraphi.view.table import Table
-from terraphi_studies import Study, page
+from terraphi_studies import Study, page, steps
 from terraphi_studies.measures import Truth, rms, straight_truths
 
 if TYPE_CHECKING:
@@ -126,18 +126,16 @@ def run(
     """
     sets = [pair for name in ([library] if library else LIBRARIES) for pair in sets_of(name)]
     total = sum(len(truths) * len(phases(every)) for _, _, truths in sets for every in EVERY)
-    done, rows = itertools.count(1), []
+    step, rows = steps(total, progress), []
     for trained, name, truths in sets:
-        step = float(np.median(np.diff(truths[0].history.theta_deg)))
+        spacing = float(np.median(np.diff(truths[0].history.theta_deg)))
         answers: list[Answer] = []
         for every in EVERY:
             before = len(answers)
             for phase, truth in itertools.product(phases(every), truths):
                 record = thinned(truth.history, every, phase)
-                answers.append(answer_of(trained, truth.phi_deg, record))
-                if progress is not None:
-                    progress(next(done), total)
-            rows.append(row_of(trained.name, name, round(every * step, 6), answers[before:]))
+                answers.append(step(answer_of(trained, truth.phi_deg, record)))
+            rows.append(row_of(trained.name, name, round(every * spacing, 6), answers[before:]))
         rows.append(row_of(trained.name, name, None, answers))
     table, notes = Table.of(TITLE, COLUMNS, rows), _notes(rows)
     return Study(

@@ -79,6 +79,8 @@ def test_a_choice_is_refused_in_one_sentence(terraphi) -> None:
     status, out, err = terraphi("invert", "absent.csv", "--sampler", "emce")
     assert (status, out) == (2, "")
     assert err == "terraphi: unknown sampler 'emce'; did you mean 'emcee'?\n"
+    err = terraphi("convert", "0.5", "--from", "newtn").err
+    assert err == "terraphi: unknown simulator 'newtn'; did you mean 'newton'?\n"
 
 
 def test_choices_are_those_of_the_rooms_that_take_them() -> None:

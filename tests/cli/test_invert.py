@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import io
 import json
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -120,6 +120,7 @@ def test_an_answer_takes_the_place_of_another_kind_and_is_utf8(
     assert {encoding for _, encoding in written} == {"utf-8"}
 
 
+@pytest.mark.slow
 def test_a_prior_makes_the_density_a_parameter(terraphi, histories) -> None:
     ran = terraphi(
         "invert", "a.csv", "--library", "rft3d", "--prior", "density=1550:1750", "--noise", "0.3"
@@ -251,11 +252,9 @@ def test_a_comment_that_does_not_belong_is_said(terraphi, histories, tmp_path) -
     assert "simulation" not in json.loads(ran.out)["provenance"]
 
 
-def test_forces_from_standard_input_and_from_a_pipe(histories, tmp_path) -> None:
-    told = [sys.executable, "-m", "terraphi.cli", "invert", "-", "--library", "rft3d", "--json"]
-    done = subprocess.run(
-        told, cwd=tmp_path, input=(tmp_path / "a.csv").read_bytes(), capture_output=True, check=True
-    )
-    answer = json.loads(done.stdout)
+def test_forces_from_standard_input(terraphi, histories, tmp_path, monkeypatch) -> None:
+    given = io.BytesIO((tmp_path / "a.csv").read_bytes())
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(given))
+    answer = json.loads(terraphi("invert", "-", "--library", "rft3d", "--json").out)
     assert answer["source"] == "standard input"
     assert answer["leg"] == "straight"

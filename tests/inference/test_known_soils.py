@@ -97,6 +97,8 @@ def test_a_file_is_strict_and_of_one_library(tmp_path: Path) -> None:
     for text in ("35", "35±0", "95±2", "a±b"):
         with pytest.raises(InputError, match="as 35±2"):
             angle_with_sd(text)
+    with pytest.raises(InputError, match=r"80 degrees says nothing of the angle; .* at most 15"):
+        angle_with_sd("36±80")
 
 
 def test_forces_are_compared_with_known_soils_in_the_same_apparatus() -> None:

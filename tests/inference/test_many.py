@@ -11,7 +11,7 @@ import pytest
 
 from terraphi.experiment.measurements import measurement
 from terraphi.inference.inversion import invert
-from terraphi.inference.many import COLUMNS
+from terraphi.inference.many import COLUMNS, records_in
 from terraphi.library.store import Library
 
 QUICKLY = ("--library", "rft3d", "--likelihood", "paper")
@@ -85,3 +85,10 @@ def test_parquet_says_what_it_needs(terraphi, records, tmp_path, monkeypatch) ->
     for _ in range(2):
         assert terraphi(*args).status == 0
     assert pd.read_parquet(tmp_path / "a.parquet")["error"].str.len().gt(0).sum() == 2
+
+
+def test_a_table_among_the_records_is_none_of_them(records) -> None:
+    before = records_in([str(records)])
+    (records / "answers.csv").write_text(",".join(COLUMNS) + "\n")
+    assert records_in([str(records)]) == before
+    assert not any("answers" in name for name in records_in([f"{records}/*.csv"]))

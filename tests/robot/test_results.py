@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-import logging
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
-from go2.logs import write_npz
 
-from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.kinematics import jacobian
 from terraphi.robot.model import Quadruped
-from terraphi.robot.results import RobotForces, analyse, read_stances, write_forces
+from terraphi.robot.results import RobotForces, analyse, write_forces
 from terraphi.view import robot_plots as plots
 
 STEP, PERIOD = 0.002, 0.4
@@ -106,7 +103,6 @@ def test_no_stances_are_explained(load: float, word: str, tmp_path: Path) -> Non
     assert any(word in note for note in summary["notes"])
     json.dumps(summary, allow_nan=False)
     write_forces(found, tmp_path / "still.nc")
-    assert read_stances(tmp_path / "still.nc") == ()
     plots.forces_figure(found)
     plots.stance_figure(found)
 
@@ -137,53 +133,12 @@ def test_file_has_labelled_axes_and_knows_where_it_comes_from(
     assert data.sigma.shape == data.force.shape
     assert data.flagged.dims == ("time", "foot")
     assert data.stance_count.values.tolist() == [25, 24, 24, 25]
+    assert data.stance_foot.values.tolist() == [stance.foot for stance in found.stances]
+    assert data.stance_begin.values.tolist() == [stance.begin for stance in found.stances]
+    assert data.stance_end.values.tolist() == [stance.end for stance in found.stances]
+    assert found.stances[0].history().Fz.max() == pytest.approx(76.0, rel=1e-3)
     assert float(data.pooled_mean.sel(axis="z").max()) == pytest.approx(76.0, rel=2e-3)
     assert (data.attrs["frame"], data.attrs["estimator"]) == ("world", "quasi_static")
     provenance = json.loads(data.attrs["provenance"])
     assert {"terraphi", "robot", "log"} <= set(provenance)
     assert json.loads(data.attrs["summary"]) == json.loads(json.dumps(found.summary()))
-
-
-def test_stances_come_back_as_histories(found: RobotForces, tmp_path: Path) -> None:
-    write_forces(found, tmp_path / "forces.nc")
-    back = read_stances(tmp_path / "forces.nc")
-    assert [stance.foot for stance in back] == [stance.foot for stance in found.stances]
-    for one, other in zip(back, found.stances, strict=True):
-        assert one.time.tolist() == other.time.tolist()
-        assert one.force.tolist() == other.force.tolist()
-    assert back[0].history().Fz.max() == pytest.approx(76.0, rel=1e-3)
-
-
-def test_other_files_are_refused(found: RobotForces, tmp_path: Path) -> None:
-    found.stances[0].history().to_netcdf(tmp_path / "history.nc")
-    with pytest.raises(InputError, match="not a foot forces"):
-        read_stances(tmp_path / "history.nc")
-    with pytest.raises(InputError, match="cannot be written"):
-        write_forces(found, tmp_path / "no" / "forces.nc")
-    assert [path.name for path in tmp_path.iterdir()] == ["history.nc"]
-
-
-def test_a_path_is_read_first(found: RobotForces, tmp_path: Path) -> None:
-    write_npz(tmp_path / "log.npz", made_log(pulses(STEP * np.arange(5000))))
-    read = analyse(tmp_path / "log.npz", estimator="quasi_static")
-    assert read.forces.force == pytest.approx(found.forces.force, abs=1e-3)
-    assert read.provenance()["log"]["source"].endswith("log.npz")
-    with pytest.raises(InputError, match="no such file"):
-        analyse(tmp_path / "none.npz")
-
-
-def test_figures_show_both_forces_of_all_feet(
-    found: RobotForces, caplog: pytest.LogCaptureFixture
-) -> None:
-    figure = plots.forces_figure(found, seconds=7.0)
-    assert len(figure.axes) == 8
-    line = figure.axes[1].lines[0]
-    assert np.ptp(np.asarray(line.get_xdata())) == pytest.approx(7.0, abs=2 * STEP)
-    assert max(np.asarray(line.get_ydata())) == pytest.approx(76.0, rel=1e-3)
-    # FR stands 17 or 18 times in 7 s at 2.5 stances a second.
-    assert len(figure.axes[0].patches) in {17, 18}
-    with caplog.at_level(logging.WARNING):
-        mean = plots.stance_figure(found)
-    assert not caplog.records
-    thick = max(mean.axes[1].lines, key=lambda each: each.get_linewidth())
-    assert max(np.asarray(thick.get_ydata())) == pytest.approx(76.0, rel=2e-3)

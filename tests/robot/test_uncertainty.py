@@ -46,16 +46,16 @@ def covered(priors: Priors, *, gait: str = "trot") -> float:
 
 
 @pytest.mark.parametrize(
-    "known",
+    ("gait", "known"),
     [
-        {},
-        {"coulomb_Nm": 0.0, "attitude_deg": 0.0},
-        {"gain": 0.0, "attitude_deg": 0.0},
-        {"gain": 0.0, "coulomb_Nm": 0.0},
+        ("walk", {}),
+        ("trot", {}),
+        ("trot", {"coulomb_Nm": 0.0, "attitude_deg": 0.0}),
+        ("trot", {"gain": 0.0, "attitude_deg": 0.0}),
+        ("trot", {"gain": 0.0, "coulomb_Nm": 0.0}),
     ],
-    ids=["all", "gain", "friction", "attitude"],
+    ids=["walk", "all", "gain", "friction", "attitude"],
 )
-@pytest.mark.parametrize("gait", ["trot", "walk"])
 def test_sigma_covers_what_all_samples_share(known: dict[str, float], gait: str) -> None:
     assert 0.60 < covered(replace(Priors(), **known), gait=gait) < 0.76
 

@@ -44,16 +44,6 @@ def test_each_replicate_has_a_library_of_its_own_with_the_models_scatter(leg: Pr
     assert kurtosis > 3.1  # 3 without a tail; 3.2 with one of 30 degrees of freedom
 
 
-def test_coverage_is_near_what_it_says_and_has_the_promised_numbers(leg: PreparedLeg) -> None:
-    found = calibrate(leg, replicates=600, seed=7)
-    numbers = found.as_dict()
-    assert set(numbers) >= PROMISED
-    assert np.unique(found.truth_deg).size == numbers["replicates"] == 600
-    # 600 replicates: 1.9 % and 0.9 %.
-    assert numbers["coverage68"] == pytest.approx(0.68, abs=0.06)
-    assert numbers["coverage95"] == pytest.approx(0.95, abs=0.03)
-
-
 def test_worlds_of_no_kind_are_refused(leg: PreparedLeg) -> None:
     with pytest.raises(ValueError, match="expected one of prior, fitted, tails"):
         calibrate(leg, replicates=10, seed=0, worlds="flat")
@@ -112,6 +102,7 @@ def test_a_certificate_comes_out_again(leg: PreparedLeg) -> None:
     shipped = certificate["legs"]["straight"]
     found = calibrate(leg, replicates=shipped["replicates"], seed=certificate["seed"]).as_dict()
     # Another processor rounds otherwise; a few ranks may change their bin.
+    assert set(found) >= PROMISED
     p = found.pop("rank_chi2_p")
     assert found == pytest.approx({key: shipped[key] for key in found}, rel=1e-2)
     assert p == pytest.approx(shipped["rank_chi2_p"], abs=0.05)

@@ -8,6 +8,7 @@ import pytest
 from terraphi_studies import design
 
 
+@pytest.mark.slow
 def test_the_suggested_order_beats_the_even_grid_over_two_parameters(monkeypatch) -> None:
     box = design.Box({design.PHI: (20.0, 45.0), "leg.friction": (0.2, 0.6)}, (4, 9), 16)
     monkeypatch.setattr(design, "BOXES", (box,))
@@ -20,6 +21,17 @@ def test_the_suggested_order_beats_the_even_grid_over_two_parameters(monkeypatch
     assert seen == [(1, 1)]
     assert len(study.table.rows) == 4
     assert study.notes[0].startswith("φ, μ_leg, 9 cases: the even grid errs")
+
+
+def test_one_parameter_in_three_orders(monkeypatch) -> None:
+    box = design.Box({design.PHI: (15.0, 50.0)}, (3, 4), 8)
+    monkeypatch.setattr(design, "BOXES", (box,))
+    study = design.run()
+    (found,) = study.data["comparisons"]
+    assert found["grid"][0] == found["suggested"][0]
+    assert found["suggested"][1] < found["suggested"][0]
+    assert len(found["order"]) == 1
+    assert study.notes[0].startswith("φ, 4 cases: the even grid errs")
 
 
 def test_a_grid_has_its_corners_and_all_combinations() -> None:

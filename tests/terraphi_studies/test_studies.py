@@ -54,11 +54,11 @@ def test_recovery_finds_fresh_off_grid_simulations() -> None:
 
 def test_recovery_of_some(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = Library.load("paper-truths")
-    few = replace(whole, cases=whole.cases[2:12:6])
+    few = replace(whole, cases=whole.cases[2:3])
     monkeypatch.setattr(recovery, "companion", lambda *_: few)
     reported: list[tuple[float, float]] = []
     found = studies.run("recovery", progress=lambda done, total: reported.append((done, total)))
-    assert reported == [(1, 2), (2, 2)]
+    assert reported == [(1, 1)]
     cases, data = found.data["cases"], found.data
     assert max(case["medians_apart_in_errors"] for case in cases) < 3.0
     errors = max(case["medians_apart_in_errors"] for case in cases)

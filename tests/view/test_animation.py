@@ -218,6 +218,7 @@ def test_an_mp4_is_left_to_ffmpeg(made: Made, tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     # Moments that are twice as far apart are shown twice as long.
     monkeypatch.setattr(animation, "durations", lambda _: [83, 166, 83, 83, 166, 83, 83])
+    monkeypatch.setattr(animation, "DOTS_PER_INCH", 30)  # nobody looks at it
     animate(tmp_path / "b.mp4", made.history, made.scenario, made.series)
     assert (tmp_path / "b.mp4").read_text() == "9.0 frames at 12"
     program.write_text(f"#!{sys.executable}\nimport sys\nsys.stdin.buffer.read()\nsys.exit(8)\n")

@@ -18,7 +18,9 @@ from terraphi.view import doctor
 
 
 def found() -> dict[str, doctor.Check]:
-    return {check.name: check for check in doctor.examine()}
+    """What is said of packages and machine; the shipped files, which take long, are left out."""
+    parts = (doctor._software(), doctor._machine(), doctor._kernels())
+    return {check.name: check for part in parts for check in part}
 
 
 def test_this_installation_is_sound(terraphi) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from terraphi.cli.options import LEGS, Choice, Float, IntRange, json_option, library_names
+from terraphi.cli.options import LEGS, PATH, Choice, Float, IntRange, json_option, library_names
 from terraphi.view.console import print_json, print_table, progress_bar, words
 from terraphi.view.table import Table
 
@@ -16,7 +16,7 @@ from terraphi.view.table import Table
 @click.option(
     "--replicates", help="Library with some of the same cases under other particle seeds."
 )
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file to make.")
+@click.option("--out", type=PATH, required=True, help="NetCDF file to make.")
 @click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed.")
 @json_option
 def library_calibrate(
@@ -68,10 +68,10 @@ def library_calibrate(
 @click.option(
     "--with",
     "earlier",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="An earlier file of the same library, whose soils are kept.",
 )
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="JSON file to make.")
+@click.option("--out", type=PATH, required=True, help="JSON file to make.")
 @json_option
 def calibrate(
     forces: tuple[str, ...],

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from terraphi.cli.forces import (
-    columns_option,
-    joint_names_option,
-    robot_option,
-    split_names,
-    topic_option,
-)
-from terraphi.cli.options import LAW_SETS, Choice, json_option
+from terraphi.cli.forces import friction_option, log_options
+from terraphi.cli.options import LAW_SETS, PATH, Choice, json_option
 from terraphi.view.console import print_footfalls, print_json
 
 
 @click.command()
-@click.argument("log")
-@robot_option
+@log_options
 @click.option(
     "--density",
     metavar="KG_M3[±SD]",
@@ -39,36 +33,24 @@ from terraphi.view.console import print_footfalls, print_json
     show_default=True,
     help="Force law: resistive force theory, bearing capacity, or the mean of all.",
 )
-@click.option(
-    "--friction",
-    type=click.Path(path_type=Path),
-    help="TOML with the joints' friction, from 'terraphi friction'.",
-)
+@friction_option
 @click.option(
     "--probe", is_flag=True, help="Feet were pressed slowly on purpose: use the whole loading."
 )
-@topic_option
-@joint_names_option
-@columns_option
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="NetCDF file; .png, .csv and .geojson of the same name go beside it.",
 )
 @json_option
 def footfalls(
     log: str,
-    robot: str,
     density: str | None,
     anchors: tuple[str, ...],
-    law: str,
     friction: Path | None,
-    probe: bool,
-    topic: str | None,
-    joint_names: str | None,
-    columns: Path | None,
     out: Path | None,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Friction angle under every footfall of a robot's LOG, and along its path.
 
@@ -90,15 +72,10 @@ def footfalls(
             check_file(out.with_suffix(suffix))
     found = find_footfalls(
         log,
-        robot=robot,
-        law=law,
         prior=prior,
         anchors=known,
         friction=read_friction(friction) if friction is not None else None,
-        probe=probe,
-        topic=topic,
-        joint_names=split_names(joint_names),
-        columns=columns,
+        **options,
     )
     made: tuple[Path, ...] = ()
     if out is not None:

@@ -2,36 +2,53 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
-from terraphi.cli.options import ESTIMATORS, FRAMES, Choice, json_option, shipped
+from terraphi.cli.options import ESTIMATORS, FRAMES, PATH, Choice, json_option, shipped
 from terraphi.view.console import print_forces, print_json, print_table
 from terraphi.view.table import Table
 
-robot_option = click.option(
-    "--robot",
-    default="go2",
-    show_default=True,
-    help="Name, TOML or URDF of the robot.",
-    shell_complete=shipped("robots", ".toml"),
-)
-topic_option = click.option(
-    "--topic", help="Topic of a bag; if not given, the one with joint states."
-)
-joint_names_option = click.option(
-    "--joint-names",
-    metavar="NAME,...",
-    help="Names of the twelve joints in a bag's JointState messages, if they are not recognised; "
-    "in the order FR, FL, RR, RL, each hip, thigh, calf.",
-)
 
-columns_option = click.option(
-    "--columns",
-    type=click.Path(path_type=Path),
-    help="TOML that says which columns of a CSV are what; 'terraphi keys columns' prints its keys.",
+def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Argument and options of every command that reads a robot's log."""
+    options = (
+        click.argument("log"),
+        click.option(
+            "--robot",
+            default="go2",
+            show_default=True,
+            help="Name, TOML or URDF of the robot.",
+            shell_complete=shipped("robots", ".toml"),
+        ),
+        click.option("--topic", help="Topic of a bag; if not given, the one with joint states."),
+        click.option(
+            "--joint-names",
+            callback=lambda _context, _option, names: split_names(names),
+            metavar="NAME,...",
+            help="Names of the twelve joints in a bag's JointState messages, if they are not "
+            "recognised; in the order FR, FL, RR, RL, each hip, thigh, calf.",
+        ),
+        click.option(
+            "--columns",
+            type=PATH,
+            help="TOML that says which columns of a CSV are what; 'terraphi keys columns' prints "
+            "its keys.",
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+friction_option = click.option(
+    "--friction",
+    type=PATH,
+    help="TOML with the joints' friction, from 'terraphi friction'; if not given, it is found in "
+    "swing.",
 )
 
 
@@ -41,8 +58,7 @@ def split_names(joint_names: str | None) -> list[str] | None:
 
 
 @click.command()
-@click.argument("log")
-@robot_option
+@log_options
 @click.option(
     "--estimator",
     type=Choice(ESTIMATORS),
@@ -57,32 +73,19 @@ def split_names(joint_names: str | None) -> list[str] | None:
     show_default=True,
     help="Axes of the forces: the world's, level ones along the robot, or the body's.",
 )
-@click.option(
-    "--friction",
-    type=click.Path(path_type=Path),
-    help="TOML with the joints' friction, from 'terraphi friction'; if not given, it is found in "
-    "swing.",
-)
-@topic_option
-@joint_names_option
-@columns_option
-@click.option("--out", type=click.Path(path_type=Path), help="NetCDF file for forces and stances.")
-@click.option(
-    "--figures", type=click.Path(path_type=Path), help="Folder for forces.png and stance.png."
-)
+@friction_option
+@click.option("--out", type=PATH, help="NetCDF file for forces and stances.")
+@click.option("--figures", type=PATH, help="Folder for forces.png and stance.png.")
 @json_option
 def forces(
     log: str,
-    robot: str,
     estimator: Any,
     frame: Any,
     friction: Path | None,
-    topic: str | None,
-    joint_names: str | None,
-    columns: Path | None,
     out: Path | None,
     figures: Path | None,
     as_json: bool,
+    **reading: Any,
 ) -> None:
     """Foot forces and stances from a robot's LOG: CSV, npz, MCAP or rosbag2.
 
@@ -99,16 +102,8 @@ def forces(
         check_file(out, kind=results_file.KIND)
     if figures is not None:
         check_folder(figures, kind="forces", names=["forces.png", "stance.png"])
-    found = analyse(
-        log,
-        robot=robot,
-        estimator=estimator,
-        frame=frame,
-        topic=topic,
-        joint_names=split_names(joint_names),
-        columns=columns,
-        friction=read_friction(friction) if friction is not None else None,
-    )
+    known = read_friction(friction) if friction is not None else None
+    found = analyse(log, estimator=estimator, frame=frame, friction=known, **reading)
     if out is not None:
         results_file.write_forces(found, out)
     if figures is not None:
@@ -122,24 +117,10 @@ def forces(
 
 
 @click.command()
-@click.argument("log")
-@robot_option
-@topic_option
-@joint_names_option
-@columns_option
-@click.option(
-    "--out", type=click.Path(path_type=Path), required=True, help="TOML file for the friction."
-)
+@log_options
+@click.option("--out", type=PATH, required=True, help="TOML file for the friction.")
 @json_option
-def friction(
-    log: str,
-    robot: str,
-    topic: str | None,
-    joint_names: str | None,
-    columns: Path | None,
-    out: Path,
-    as_json: bool,
-) -> None:
+def friction(log: str, out: Path, as_json: bool, **reading: Any) -> None:
     """Friction of each joint from the LOG of a robot that hangs and moves its legs.
 
     'terraphi forces --friction FILE' takes it off the torques of a walk.
@@ -150,9 +131,7 @@ def friction(
     from terraphi.robot.friction_file import friction_of_hanging, write_friction
 
     check_file(out)
-    found, name = friction_of_hanging(
-        log, robot=robot, topic=topic, joint_names=split_names(joint_names), columns=columns
-    )
+    found, name = friction_of_hanging(log, **reading)
     write_friction(found, out, robot=name, source=log)
     joints = {
         f"{foot}_{joint}": numbers

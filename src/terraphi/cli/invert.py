@@ -12,6 +12,7 @@ from terraphi.cli.options import (
     DISCREPANCIES,
     LEGS,
     LIKELIHOODS,
+    PATH,
     SAMPLERS,
     Choice,
     Float,
@@ -86,7 +87,7 @@ MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
 )
 @click.option(
     "--calibration",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Soils of known friction angle, from 'terraphi calibrate'.",
 )
 @click.option(
@@ -98,12 +99,12 @@ MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
 @click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of emcee.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Folder for answer.json, posterior.nc (opens in ArviZ) and figures.",
 )
 @click.option(
     "--table",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Invert each of FORCES (files, folders, patterns) by itself: a .csv or .parquet file "
     "with a row each.",
 )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from terraphi.cli.options import (
+    PATH,
     IntRange,
     checkpoint_every_option,
     cluster_option,
@@ -47,7 +48,7 @@ def library() -> None:
 
 @library.command("build")
 @click.argument("plan", shell_complete=shipped("plans", ".toml"))
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="NetCDF file to make.")
+@click.option("--out", type=PATH, required=True, help="NetCDF file to make.")
 @click.option("--workers", type=IntRange(min=1), help="Processes; all cores if not given.")
 @cluster_option
 @checkpoint_every_option

@@ -17,21 +17,14 @@ from terraphi.cli.forces import forces, friction
 from terraphi.cli.invert import KIND, MADE, invert, save_inversion
 from terraphi.cli.keys import keys
 from terraphi.cli.library import library
-from terraphi.cli.options import (
-    json_option,
-    tells_as_much_as_asked,
-)
+from terraphi.cli.options import PATH, json_option, tells_as_much_as_asked
 from terraphi.cli.report import report
 from terraphi.cli.simulate import simulate
 from terraphi.cli.study import study
 from terraphi.cli.suggest import library_suggest
 from terraphi.cli.terrain import convert, export, slope_map
 from terraphi.experiment.errors import InputError, SimulationError
-from terraphi.view.console import (
-    ignore_interrupts,
-    listen,
-    print_json,
-)
+from terraphi.view.console import ignore_interrupts, listen, print_json
 
 UNUSABLE = 2
 """Exit status when the input could not be used."""
@@ -83,7 +76,7 @@ def cli() -> None:
 @cli.command()
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=PATH,
     default="terraphi-demo",
     show_default=True,
     help="Folder for the figure and the answers.",
@@ -119,28 +112,13 @@ def demo(out: Path, as_json: bool) -> None:
     click.echo("Next, on forces of your own: terraphi invert FORCES.csv --leg LEG --density KG_M3")
 
 
-cli.add_command(invert)
-cli.add_command(calibrate)
-cli.add_command(simulate)
-cli.add_command(library)
-cli.add_command(study)
-cli.add_command(report)
-cli.add_command(app)
-cli.add_command(keys)
-cli.add_command(doctor)
-cli.add_command(export)
-cli.add_command(convert)
-cli.add_command(slope_map)
-
-
-library.add_command(library_calibrate)
-library.add_command(library_suggest)
-
-
-cli.add_command(forces)
-cli.add_command(footfalls)
-cli.add_command(friction)
-
+for command in (
+    *(invert, calibrate, simulate, library, study, report, app, keys, doctor),
+    *(export, convert, slope_map, forces, footfalls, friction),
+):
+    cli.add_command(command)
+for command in (library_calibrate, library_suggest):
+    library.add_command(command)
 tells_as_much_as_asked(cli)
 
 
@@ -158,41 +136,33 @@ def main() -> None:
         cli.main(prog_name="terraphi", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as asked:
         click.echo(asked.format_message())
-    except click.ClickException as error:
-        click.echo(f"terraphi: {error.format_message()}", err=True)
-        sys.exit(UNUSABLE)
-    except (InputError, SimulationError) as error:
-        click.echo(f"terraphi: {error}", err=True)
-        sys.exit(UNUSABLE)
-    except (click.Abort, KeyboardInterrupt):
+    except (Exception, KeyboardInterrupt) as error:
+        sentence, status = told(error)
+        click.echo(f"terraphi: {sentence}", err=True)
+        sys.exit(status)
+
+
+def told(error: BaseException) -> tuple[str, int]:
+    """What a person is told of an error, and the exit status."""
+    if isinstance(error, click.ClickException):
+        return error.format_message(), UNUSABLE
+    if isinstance(error, InputError | SimulationError):
+        return str(error), UNUSABLE
+    if isinstance(error, click.Abort | KeyboardInterrupt):
         ignore_interrupts()
-        click.echo("terraphi: interrupted; nothing was written", err=True)
-        sys.exit(UNUSABLE)
-    except OSError as error:
-        click.echo(
-            f"terraphi: the operating system reports: {error}; nothing more was written", err=True
-        )
-        sys.exit(UNUSABLE)
-    except MemoryError as error:
+        return "interrupted; nothing was written", UNUSABLE
+    if isinstance(error, OSError):
+        return f"the operating system reports: {error}; nothing more was written", UNUSABLE
+    if isinstance(error, MemoryError):
         why = f" ({error})" if str(error) else ""
-        click.echo(
-            f"terraphi: this needs more memory than there is{why}; give less, or ask for a coarser "
-            "grid",
-            err=True,
-        )
-        sys.exit(UNUSABLE)
-    except ImportError as error:
-        click.echo(f"terraphi: {error}; install terraphi and its packages again", err=True)
-        sys.exit(OURS)
-    except Exception as error:
-        log.info("the traceback:", exc_info=True)
-        what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        click.echo(
-            f"terraphi: an error of terraphi itself ({what}); please report it with the command "
-            "that you ran and what it prints as 'terraphi -v ...'",
-            err=True,
-        )
-        sys.exit(OURS)
+        remedy = "give less, or ask for a coarser grid"
+        return f"this needs more memory than there is{why}; {remedy}", UNUSABLE
+    if isinstance(error, ImportError):
+        return f"{error}; install terraphi and its packages again", OURS
+    log.info("the traceback:", exc_info=error)
+    what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+    asked = "please report it with the command that you ran and what it prints as"
+    return f"an error of terraphi itself ({what}); {asked} 'terraphi -v ...'", OURS
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
@@ -14,57 +15,58 @@ from terraphi.experiment.errors import InputError, nearest
 from terraphi.view.console import listen
 
 
-def _check_plain(
-    kind: click.ParamType[Any], value: Any, param: click.Parameter | None, ctx: click.Context | None
-) -> None:
-    """Refuse what only Python takes for a number, as ``1_000``, and infinite values."""
-    from terraphi.experiment.files import plain_number
-
-    if not isinstance(value, str):
-        return
-    try:
-        finite = math.isfinite(plain_number(value))
-    except ValueError:
-        finite = False
-    if not finite:
-        kind.fail(f"{value[:40]!r} is not a number; expected one such as 1000 or 0.25", param, ctx)
-
-
-class Float(click.types.FloatParamType):
-    """A number on the command line, written as in data files: ``1000``, ``0.25``, ``2e7``."""
+class _Plain(click.ParamType[Any]):
+    """A number as data files have it: not what only Python takes for one, as ``1_000``, nor ∞."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         """The number."""
-        _check_plain(self, value, param, ctx)
+        from terraphi.experiment.files import plain_number
+
+        try:
+            finite = not isinstance(value, str) or math.isfinite(plain_number(value))
+        except ValueError:
+            finite = False
+        if not finite:
+            sentence = f"{value[:40]!r} is not a number; expected one such as 1000 or 0.25"
+            self.fail(sentence, param, ctx)
         return super().convert(value, param, ctx)
 
 
-class FloatRange(click.FloatRange):
+class Float(_Plain, click.types.FloatParamType):
+    """A number on the command line: ``1000``, ``0.25``, ``2e7``."""
+
+
+class FloatRange(_Plain, click.FloatRange):
     """A number within bounds."""
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """The number."""
-        _check_plain(self, value, param, ctx)
-        return super().convert(value, param, ctx)
 
-
-class IntRange(click.IntRange):
+class IntRange(_Plain, click.IntRange):
     """A whole number within bounds."""
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """The number."""
-        _check_plain(self, value, param, ctx)
-        return super().convert(value, param, ctx)
+
+PATH = click.Path(path_type=Path)
 
 
 class Choice(click.Choice[str]):
-    """One of some words: help lists them, tab completes them, and a slip is told the nearest."""
+    """One of some words: help lists them, tab completes them, and a slip is told the nearest.
+
+    Parameters
+    ----------
+    choices
+        The words.
+    noun
+        What each of them is, for messages; by default the option's name.
+    """
+
+    def __init__(self, choices: Sequence[str], noun: str = "") -> None:
+        super().__init__(choices)
+        self._noun = noun
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: Any) -> str:
         """The word, if it is one of the choices."""
         if value in self.choices:
             return str(value)
-        name = param.opts[0].lstrip("-").replace("_", " ") if param is not None else "word"
+        name = self._noun or (param.opts[0].lstrip("-") if param is not None else "word")
         hint = nearest(str(value), self.choices)
         raise click.UsageError(f"unknown {name} '{value}'; {hint}", ctx)
 
@@ -125,7 +127,7 @@ checkpoint_every_option = click.option(
 
 
 def _listen(context: click.Context, parameter: click.Parameter, value: int) -> int:
-    """Set how much is printed on standard error, wherever the option stands."""
+    """Set how much is printed on standard error, by --verbose or --quiet of any command."""
     if value:
         opposite = context.meta.setdefault("terraphi.loudness", parameter.name) != parameter.name
         if opposite:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from terraphi.cli.options import json_option
+from terraphi.cli.options import PATH, json_option
 from terraphi.experiment.errors import InputError
 from terraphi.view.console import print_json
 
@@ -15,9 +15,7 @@ SUFFIXES = (".html", ".htm")
 
 @click.command()
 @click.argument("results", nargs=-1, required=True, metavar="RESULT...")
-@click.option(
-    "--out", type=click.Path(path_type=Path), required=True, help="HTML file to make, under 6 MB."
-)
+@click.option("--out", type=PATH, required=True, help="HTML file to make, under 6 MB.")
 @click.option(
     "--library",
     help="Library that the inversions used, by name or as a .nc file; needed for your own.",

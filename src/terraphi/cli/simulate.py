@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from terraphi.cli.options import IntRange, checkpoint_every_option, json_option, shipped
+from terraphi.cli.options import PATH, IntRange, checkpoint_every_option, json_option, shipped
 from terraphi.experiment.errors import InputError
 from terraphi.view.console import ignore_interrupts, note, print_json, print_pairs, progress_bar
 
@@ -20,14 +20,13 @@ if TYPE_CHECKING:
     from terraphi.forward.mpm.fields import FieldSeries
 
 log = logging.getLogger(__name__)
-file_type = click.Path(path_type=Path)
 
 
 @click.command()
 @click.argument("scenario", shell_complete=shipped("scenarios", ".toml"))
-@click.option("--out", type=file_type, help="NetCDF file for the history.")
-@click.option("--fields", type=file_type, help="Folder for particles and leg as VTK (ParaView).")
-@click.option("--animate", type=file_type, help="A .gif or .mp4 of particles and growing forces.")
+@click.option("--out", type=PATH, help="NetCDF file for the history.")
+@click.option("--fields", type=PATH, help="Folder for particles and leg as VTK (ParaView).")
+@click.option("--animate", type=PATH, help="A .gif or .mp4 of particles and growing forces.")
 @click.option(
     "--frames",
     type=IntRange(min=2),
@@ -37,7 +36,7 @@ file_type = click.Path(path_type=Path)
 )
 @click.option(
     "--checkpoint",
-    type=file_type,
+    type=PATH,
     help="File for the state, kept until all output is written; by default beside the output.",
 )
 @checkpoint_every_option

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from terraphi.cli.options import (
+    PATH,
     IntRange,
     cluster_option,
     json_option,
@@ -21,7 +22,7 @@ from terraphi.view.console import print_json, print_table, progress_bar
 from terraphi.view.table import Table
 
 LIST = "list"
-"""In the place of a study's name: which there are."""
+"""Word in the place of a study's name that lists all studies."""
 
 
 @click.command()
@@ -34,18 +35,18 @@ LIST = "list"
 @click.option("--only", help="For verification: only this family of problems.")
 @click.option(
     "--data",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="For plates: another table of tests, with the columns of the shipped one.",
 )
 @click.option("--quick", is_flag=True, default=None, help="For verification: coarse and fast.")
 @click.option(
     "--build",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Folder: simulate what the study still needs, and keep it there; only some studies.",
 )
 @click.option("--workers", type=IntRange(min=1), help="Processes; 1 if not given.")
 @cluster_option
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for data.json and figures.")
+@click.option("--out", type=PATH, help="Folder for data.json and figures.")
 @json_option
 def study(name: str | None, out: Path | None, as_json: bool, **options: Any) -> None:
     """Run the study NAME; list, or no name, lists them with how long they take.

@@ -10,6 +10,7 @@ import click
 from terraphi.cli.options import (
     DP_TYPES,
     MATCHES,
+    PATH,
     SIMULATORS,
     Choice,
     Float,
@@ -23,18 +24,20 @@ if TYPE_CHECKING:
     from terraphi.inference.answer_file import Told
     from terraphi.terrain.export import Export
 
-file_type = click.Path(path_type=Path)
+SIMULATOR = Choice(SIMULATORS, "simulator")
 dp_type_option = click.option(
-    "--dp-type", type=Choice(DP_TYPES), help="Cone of geotaichi.  [default: MiddleCircumscribed]"
+    "--dp-type",
+    type=Choice(DP_TYPES, "cone"),
+    help="Cone of geotaichi.  [default: MiddleCircumscribed]",
 )
 
 
 @click.command()
-@click.argument("answer", type=file_type)
-@click.option("--to", required=True, type=Choice(SIMULATORS), help="The simulator.")
+@click.argument("answer", type=PATH)
+@click.option("--to", required=True, type=SIMULATOR, help="The simulator.")
 @click.option(
     "--match",
-    type=Choice(MATCHES),
+    type=Choice(MATCHES, "stress path"),
     default="plane-strain",
     show_default=True,
     help="Where the simulator's cone is as strong as the soil; it cannot be in both.",
@@ -49,8 +52,10 @@ dp_type_option = click.option(
     is_flag=True,
     help="For chrono-scm: press plates into simulated soil (minutes) for Bekker's K and n.",
 )
-@click.option("--anyway", is_flag=True, help="Take a misfit or an answer out of range.")
-@click.option("--out", type=file_type, help="A .py, .json or (newton, isaaclab) .usda file.")
+@click.option(
+    "--anyway", is_flag=True, help="Export it although the verdict is a misfit or out of range."
+)
+@click.option("--out", type=PATH, help="A .py, .json or (newton, isaaclab) .usda file.")
 @json_option
 def export(
     answer: Path,
@@ -124,8 +129,8 @@ def pressed(found: Export, told: Told) -> Export:
 
 @click.command()
 @click.argument("value", type=Float())
-@click.option("--from", "source", required=True, type=Choice(SIMULATORS), help="Whose it is.")
-@click.option("--to", "target", type=Choice(SIMULATORS), help="Whose it should be.")
+@click.option("--from", "source", required=True, type=SIMULATOR, help="Simulator of VALUE.")
+@click.option("--to", "target", type=SIMULATOR, help="Another simulator, whose value is wanted.")
 @dp_type_option
 @json_option
 def convert(
@@ -146,9 +151,9 @@ def convert(
 
 
 @click.command("map")
-@click.argument("points", type=file_type)
-@click.option("--dem", required=True, type=file_type, help="Elevations: a GeoTIFF in metres.")
-@click.option("--out", required=True, type=file_type, help="Folder for the maps.")
+@click.argument("points", type=PATH)
+@click.option("--dem", required=True, type=PATH, help="Elevations: a GeoTIFF in metres.")
+@click.option("--out", required=True, type=PATH, help="Folder for the maps.")
 @click.option(
     "--start",
     metavar="X,Y,BEARING",
@@ -162,8 +167,8 @@ def convert(
     help="LOW:HIGH, MEAN+-SD or VALUE of cohesion_Pa, root_cohesion_Pa, root_loss, depth_m "
     "(normal to the slope), wetness or density_kg_m3; may be repeated.",
 )
-@click.option("--wetness", type=file_type, help="Raster of the saturated share, 0 to 1.")
-@click.option("--covariate", type=file_type, help="Raster that φ may follow, as burn severity.")
+@click.option("--wetness", type=PATH, help="Raster of the saturated share, 0 to 1.")
+@click.option("--covariate", type=PATH, help="Raster that φ may follow, as burn severity.")
 @click.option(
     "--draws", type=IntRange(16, 4096), default=128, show_default=True, help="Joint draws."
 )

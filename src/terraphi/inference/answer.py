@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,18 @@ QUANTILES = 4000
 """Quantiles that stand for a posterior by quadrature where draws are wanted."""
 MOST_NAMED = 5
 """Parameters that a representation has room for."""
+
+
+def decimals(ci68: Sequence[float]) -> int:
+    """Decimals that an angle [deg] deserves by its interval, as in 34 ± 4 and in 34.1 ± 0.4."""
+    half = max(0.5 * (ci68[1] - ci68[0]), 1e-3)
+    return min(max(math.ceil(-math.log10(half)), 0), 3)
+
+
+def decimals_of_sd(sd: float) -> int:
+    """Decimals of any parameter for its standard deviation, in its unit: two digits of that."""
+    places = -math.floor(math.log10(0.5 * sd)) if sd > 0.0 else 2
+    return min(max(places, 0), 12)
 
 
 @dataclass(frozen=True)
@@ -358,12 +370,8 @@ class Inversion:
         """Format that gives the numbers of a parameter the digits they deserve."""
         one = self.marginal[key]
         if self.together is None or self.together.draws is None:
-            half = max(0.5 * (one.ci68[1] - one.ci68[0]), 1e-3)
-            # A digit more than the interval has: 34 ± 4, 34.1 ± 0.4.
-            return f".{min(max(math.ceil(-math.log10(half)), 0), 3)}f"
-        smallest = min(one.sd, self.together.conditional[key].sd)
-        places = -math.floor(math.log10(0.5 * smallest)) if smallest > 0.0 else 2
-        return f".{min(max(places, 0), 12)}f"
+            return f".{decimals(one.ci68)}f"
+        return f".{decimals_of_sd(min(one.sd, self.together.conditional[key].sd))}f"
 
     def span(self, key: str, ends: tuple[float, float]) -> str:
         """An interval of a parameter, in words."""

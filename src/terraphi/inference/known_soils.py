@@ -197,6 +197,10 @@ def known_soil(found: Inversion, phi_deg: float, sd_deg: float, *, medium: str =
     )
 
 
+MOST_SD_DEG = 15.0
+"""Standard deviation beyond which a friction angle is not known at all [deg]."""
+
+
 def angle_with_sd(text: str) -> tuple[float, float]:
     """``35±2`` or ``35+-2`` as numbers [deg]; InputError if it is neither."""
     found = re.fullmatch(r"\s*(\d+\.?\d*)\s*(?:±|\+-|\+/-)\s*(\d+\.?\d*)\s*", text)
@@ -205,7 +209,13 @@ def angle_with_sd(text: str) -> tuple[float, float]:
             f"--phi {text}: expected the friction angle and its standard deviation in degrees, "
             "as 35±2 or 35+-2"
         )
-    return float(found[1]), float(found[2])
+    mean, sd = float(found[1]), float(found[2])
+    if sd > MOST_SD_DEG:
+        raise InputError(
+            f"--phi {text}: an uncertainty of {sd:g} degrees says nothing of the angle; above 0 "
+            f"and at most {MOST_SD_DEG:g} is expected"
+        )
+    return mean, sd
 
 
 @dataclass(frozen=True)

@@ -125,6 +125,8 @@ def _row(found: Inversion) -> dict[str, Any]:
 def records_in(places: Sequence[str]) -> list[str]:
     """Records that folders and patterns stand for, sorted; names of other things as they are.
 
+    A table of answers that lies among them is none.
+
     Raises
     ------
     InputError
@@ -134,13 +136,21 @@ def records_in(places: Sequence[str]) -> list[str]:
     for place in places:
         inside = [place]
         if Path(place).is_dir():
-            inside = sorted(str(f) for f in Path(place).iterdir() if f.suffix in RECORDS)
+            files = [str(f) for f in Path(place).iterdir() if f.suffix in RECORDS]
+            inside = sorted(f for f in files if not _is_table(f))
         elif glob.has_magic(place) and not Path(place).exists():
-            inside = sorted(glob.glob(place))  # noqa: PTH207 - absolute patterns too
+            files = glob.glob(place)  # noqa: PTH207 - absolute patterns too
+            inside = sorted(f for f in files if not _is_table(f))
         if not inside:
             raise InputError(f"{place}: no records (.csv or .nc) there")
         found += inside
     return list(dict.fromkeys(found))
+
+
+def _is_table(name: str) -> bool:
+    """Whether a file is a table of answers, such as an earlier run wrote beside the records."""
+    path = Path(name)
+    return path.suffix == ".csv" and path.is_file() and _columns_of(path) == COLUMNS
 
 
 def check_table(path: Path) -> None:

@@ -48,12 +48,12 @@ _UNITS = {1e3: "N mm", 100.0 / GRAVITY: "kgf cm"}
 
 
 class Doubts(NamedTuple):
-    """What of a log cannot be right, a sentence each."""
+    """What in a log, or in the description of its robot, looks wrong; a sentence each."""
 
     all: tuple[str, ...]
     """Every doubt."""
     grave: tuple[str, ...]
-    """Those with which neither the forces' directions nor the feet's places can be used."""
+    """Those that make directions of forces and places of feet useless."""
 
 
 class Balance(NamedTuple):
@@ -80,7 +80,7 @@ def balance(forces: FootForces, stances: Sequence[Stance], weight: float) -> Bal
 
 
 def doubts(log: JointLog, robot: Quadruped, forces: FootForces, found: Balance | None) -> Doubts:
-    """What of a log cannot be right.
+    """Compare a log with its robot, and say what looks wrong.
 
     Parameters
     ----------

@@ -24,6 +24,18 @@ CI95 = 1.959964
 """Half-width of a normal 95 % interval over its standard deviation [-]; of a 68 % one it is 1."""
 EARTH_RADIUS = 6_371_000.0
 """[m]."""
+VARIABLES = {
+    "time_s": ("time", "footfall", "s", "touch-down"),
+    "sinkage_m": ("sinkage", "footfall", "m", "depth of the foot at the end of the loading"),
+    "phi_deg": ("phi", "footfall", "degree", "friction angle, by this footfall alone"),
+    "sd_deg": ("sd", "footfall", "degree", "its own standard deviation (relative)"),
+    "shared_sd_deg": ("shared_sd", "footfall", "degree", "that it shares with all footfalls"),
+    "chi2": ("misfit", "footfall", "1", "chi squared over the degrees of freedom"),
+    "path_phi_deg": ("path_phi", "point", "degree", "friction angle, footfalls pooled"),
+    "path_relative_sd_deg": ("path_relative_sd", "point", "degree", "standard deviation, relative"),
+    "path_absolute_sd_deg": ("path_absolute_sd", "point", "degree", "standard deviation, absolute"),
+}
+"""Variable of a file to the field of a map that it holds, its dimension, unit and meaning."""
 
 
 def _number(value: float, digits: int = 4) -> float | None:
@@ -112,31 +124,24 @@ def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
     """
     import xarray as xr
 
-    def of(values: Any, units: str, name: str) -> tuple[str, Any, dict[str, str]]:
-        return "footfall", values, {"units": units, "long_name": name}
-
-    def along(values: Any, units: str, name: str) -> tuple[str, Any, dict[str, str]]:
-        return "point", values, {"units": units, "long_name": name}
-
-    relative, absolute = "standard deviation, relative", "standard deviation, absolute"
+    variables: dict[str, Any] = {
+        name: (over, getattr(found, field), {"units": units, "long_name": about})
+        for name, (field, over, units, about) in VARIABLES.items()
+    }
+    ahead, aside = (
+        {"units": "m", "long_name": about} for about in ("along the first heading", "to its left")
+    )
+    level = {"units": "m", "long_name": "level of the surface"}
     dataset = xr.Dataset(
         {
-            "time_s": of(found.time, "s", "touch-down"),
+            **variables,
             "foot": ("footfall", np.array(found.foot, dtype="U2")),
-            "x_m": of(found.place[:, 0], "m", "along the first heading"),
-            "y_m": of(found.place[:, 1], "m", "to its left"),
-            "surface_m": of(found.place[:, 2], "m", "level of the surface"),
-            "sinkage_m": of(found.sinkage, "m", "depth of the foot at the end of the loading"),
-            "phi_deg": of(found.phi, "degree", "friction angle, by this footfall alone"),
-            "sd_deg": of(found.sd, "degree", "its own standard deviation (relative)"),
-            "shared_sd_deg": of(found.shared_sd, "degree", "that it shares with all footfalls"),
-            "chi2": of(found.misfit, "1", "chi squared over the degrees of freedom"),
             "verdict": ("footfall", np.array(found.verdict, dtype="U24")),
-            "path_x_m": along(found.path[:, 1], "m", "along the first heading"),
-            "path_y_m": along(found.path[:, 2], "m", "to its left"),
-            "path_phi_deg": along(found.path_phi, "degree", "friction angle, footfalls pooled"),
-            "path_relative_sd_deg": along(found.path_relative_sd, "degree", relative),
-            "path_absolute_sd_deg": along(found.path_absolute_sd, "degree", absolute),
+            "x_m": ("footfall", found.place[:, 0], ahead),
+            "y_m": ("footfall", found.place[:, 1], aside),
+            "surface_m": ("footfall", found.place[:, 2], level),
+            "path_x_m": ("point", found.path[:, 1], ahead),
+            "path_y_m": ("point", found.path[:, 2], aside),
         },
         coords={"s_m": ("point", found.path[:, 0], {"units": "m", "long_name": "along the path"})},
         attrs={
@@ -162,19 +167,11 @@ def read_footfalls(path: Path) -> FootfallMap:
     data = open_netcdf(path, kind=KIND, schema=SCHEMA)
     try:
         found = FootfallMap(
-            time=data["time_s"].values,
+            **{field: data[name].values for name, (field, *_) in VARIABLES.items()},
             foot=tuple(map(str, data["foot"].values)),
-            place=np.column_stack([data[n].values for n in ("x_m", "y_m", "surface_m")]),
-            sinkage=data["sinkage_m"].values,
-            phi=data["phi_deg"].values,
-            sd=data["sd_deg"].values,
-            shared_sd=data["shared_sd_deg"].values,
-            misfit=data["chi2"].values,
             verdict=tuple(map(str, data["verdict"].values)),
+            place=np.column_stack([data[n].values for n in ("x_m", "y_m", "surface_m")]),
             path=np.column_stack([data[n].values for n in ("s_m", "path_x_m", "path_y_m")]),
-            path_phi=data["path_phi_deg"].values,
-            path_relative_sd=data["path_relative_sd_deg"].values,
-            path_absolute_sd=data["path_absolute_sd_deg"].values,
             shared=json.loads(data.attrs["shared"]),
             by_law=json.loads(data.attrs["by_law_deg"]),
             notes=tuple(json.loads(data.attrs["notes"])),

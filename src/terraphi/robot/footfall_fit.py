@@ -296,20 +296,9 @@ def _at_mode(
         column = 3 * seen.foot + joint
         shared[rows, column] = np.einsum("nl,nl->n", gain, seen.per_gain[..., joint])
         shared[rows, 12 + column] = np.einsum("nl,nl->n", gain, seen.per_friction[..., joint])
-    curved = (
-        predicted(law, prior, seen, state, exponent=0.05)
-        - predicted(law, prior, seen, state, exponent=-0.05)
-    ) / 0.1
     # How far φ̂ is off where the truth is above what is assumed: forces are higher than expected
     # by so much, and a drop that reads too large makes the expected ones too high.
-    density, surface, radius = _of_soil(law, prior, seen, state)
-    rises = {
-        "drop": -slope[..., 1] * seen.drop,
-        "log_density": density,
-        "surface_friction": surface,
-        "radius": radius,
-        "law_exponent": curved,
-    }
+    rises = {"drop": -slope[..., 1] * seen.drop} | _of_soil(law, prior, seen, state)
     for name, rise in rises.items():
         shared[:, SHARED.index(name)] = np.einsum("nl,nl->n", gain, rise)
     shared[:, SHARED.index("law_offset")] = 1.0
@@ -333,16 +322,18 @@ def _at_mode(
     return Fit(state[:, 0], sd, state[:, 1], state[:, 2], sinkage, gained, misfit, shared)
 
 
-def _of_soil(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> list[FloatArray]:
-    """Derivatives of forces by ln ρ, μ_s and R."""
-    made = []
-    for name, step, scale in (
-        ("density", 0.01 * prior.density, prior.density),
-        ("surface_friction", 0.05, 1.0),
-        ("radius", 2e-4, 1.0),
+def _of_soil(
+    law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray
+) -> dict[str, FloatArray]:
+    """Derivatives of forces by what they share of soil, foot and law, by its name."""
+    made = {}
+    for name, key, centre, step, scale in (
+        ("log_density", "density", prior.density, 0.01 * prior.density, prior.density),
+        ("surface_friction", "surface_friction", prior.surface_friction, 0.05, 1.0),
+        ("radius", "radius", prior.radius, 2e-4, 1.0),
+        ("law_exponent", "exponent", 0.0, 0.05, 1.0),
     ):
-        centre = getattr(prior, name)
-        after = predicted(law, prior, seen, state, **{name: centre + step})
-        before = predicted(law, prior, seen, state, **{name: centre - step})
-        made.append((after - before) * scale / (2.0 * step))
+        after = predicted(law, prior, seen, state, **{key: centre + step})
+        before = predicted(law, prior, seen, state, **{key: centre - step})
+        made[name] = (after - before) * scale / (2.0 * step)
     return made

@@ -24,7 +24,6 @@ from terraphi.robot.forces import (
     DEFAULT_ESTIMATOR,
     OBSERVER_GAIN,
     SATURATED,
-    FootForces,
 )
 from terraphi.robot.friction import JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
@@ -164,20 +163,11 @@ class Footfalls:
             first = int(np.searchsorted(log.time, begin))
             stances.append(Stance(FEET[foot], log.time[first:], self._force[first:, foot]))
         limit = SATURATED * np.array(robot.torque_limit or (np.inf,) * 3)
-        single = self._force.astype(np.float32)
-        forces = FootForces(
-            time=log.time,
-            force=single,
-            sigma=single,  # nobody asks
-            noise=single,
-            flagged=np.zeros((len(log.time), 4), dtype=bool),
-            saturated=np.asarray((np.abs(log.torque) >= limit).any(axis=-1)),
-            swing_residual=np.zeros((4, 3)),
-            estimator=DEFAULT_ESTIMATOR,
-            frame="world",
-        )
+        saturated = np.asarray((np.abs(log.torque) >= limit).any(axis=-1))
         motion = track(log, robot, self._force[:, :, 2])
-        seen = touchdowns(log, robot, forces, motion, stances, sensitivity(log, robot))
+        seen = touchdowns(
+            log, robot, self._force[:, :, 2], saturated, motion, stances, sensitivity(log, robot)
+        )
         found = average([fit(seen, each, prior) for each in LAW_SETS[self._law]])
         shared = np.sqrt(found.shared**2 @ shared_sd(prior) ** 2)
         return [

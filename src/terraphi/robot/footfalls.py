@@ -29,11 +29,9 @@ from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled,
 from terraphi.robot.friction import JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.kinematics import rotation
-from terraphi.robot.logs import read_log
-from terraphi.robot.logs.clock import regular
 from terraphi.robot.model import Quadruped
 from terraphi.robot.odometry import Motion, track
-from terraphi.robot.results import RobotForces, analyse
+from terraphi.robot.results import RobotForces, analyse, opened
 from terraphi.robot.touchdowns import Touchdowns, sensitivity, touchdowns
 from terraphi.robot.weighing import Weighing, weigh
 
@@ -44,7 +42,7 @@ USABLE = "usable"
 SHALLOW, TRODDEN, MISFIT = "too little sinkage", "not virgin ground", "the law does not fit"
 TORN, SATURATED, EDGE = "timing unreliable", "saturated", "at a prior's edge"
 VERDICTS = (USABLE, SHALLOW, TRODDEN, MISFIT, TORN, SATURATED, EDGE)
-"""What is said of a footfall."""
+"""Verdicts of footfalls."""
 
 LEAST_SINKAGE, LEAST_GAINED = 0.006, 0.003
 """Sinkage that a footfall needs, and what of it must come while the force rises [m]: on hard
@@ -140,9 +138,7 @@ def find_footfalls(
     anchors: Sequence[Anchor] = (),
     friction: JointFriction | None = None,
     probe: bool = False,
-    topic: str | None = None,
-    joint_names: Sequence[str] | None = None,
-    columns: Path | None = None,
+    **reading: Any,
 ) -> FootfallMap:
     """φ under each footfall of a walk, and a map of it along the path.
 
@@ -164,8 +160,8 @@ def find_footfalls(
         Of the joints, from a log of the hanging robot; what it lacks is found in swing.
     probe
         Feet were pressed slowly, on purpose, while the others stood: the whole loading counts.
-    topic, joint_names, columns
-        See :func:`~terraphi.robot.logs.read_log`.
+    **reading
+        ``topic``, ``joint_names`` and ``columns`` of :func:`~terraphi.robot.logs.read_log`.
 
     Returns
     -------
@@ -180,12 +176,7 @@ def find_footfalls(
     body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
     check_known(law, body)
     name = "the log" if isinstance(log, JointLog) else str(log)
-    if isinstance(log, JointLog):
-        log = regular(log)
-    else:
-        log = read_log(
-            log, topic=topic, joint_names=joint_names, motors=body.joint_order, columns=columns
-        )
+    log, _ = opened(log, body, **reading)
     if log.quaternion is None:
         raise InputError(f"{name}: has no attitude, without which nobody knows where down is")
     chosen = replace(prior or Prior(), radius=body.foot_radius)
@@ -198,7 +189,8 @@ def find_footfalls(
     lift = found.forces.force[:, :, 2].astype(np.float64)
     motion = _from_the_start(track(log, body, lift), log)
     per = sensitivity(log, body)
-    seen = touchdowns(log, body, found.forces, motion, found.stances, per, probe=probe)
+    saturated = found.forces.saturated
+    seen = touchdowns(log, body, lift, saturated, motion, found.stances, per, probe=probe)
     weighed = weigh(
         log.time, lift, motion.lift_acceleration, per, shared_sd(chosen)[: len(TORQUES)],
         mass=body.mass,
@@ -232,7 +224,7 @@ def average(fits: Sequence[Fit]) -> Fit:
 
 
 def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
-    """What is said of each footfall; the first that holds of what speaks against it.
+    """Verdict of each footfall: the first reason that speaks against it, else :data:`USABLE`.
 
     Parameters
     ----------

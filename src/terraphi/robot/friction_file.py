@@ -7,8 +7,8 @@ says of friction is worth more than what can be found in the swings of a slow wa
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
@@ -21,9 +21,8 @@ from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.forces import estimate
 from terraphi.robot.friction import HANGING_SHARE, JointFriction
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, JointLog
-from terraphi.robot.logs import read_log
-from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
+from terraphi.robot.results import opened
 
 LEAST_AIR = 0.5
 """Part of the log that each foot has to be in the air [-]; the ends of movements are left out."""
@@ -82,15 +81,12 @@ def read_friction(path: Path | str) -> JointFriction:
     InputError
         If it cannot be read, or a key is unknown, missing or out of range.
     """
-    content = parse_toml(Path(path), FrictionFile)
-    numbers, found = np.zeros((3, len(JOINT_NAMES))), np.zeros(len(JOINT_NAMES), dtype=bool)
-    for name, joint in content.joints.items():
-        at = JOINT_NAMES.index(name)
-        numbers[:, at] = joint.coulomb_Nm, joint.viscous_Nms, joint.inertia_kgm2
-        found[at] = True
-    shape = len(FEET), len(JOINTS)
-    coulomb, viscous, inertia = numbers.reshape(3, *shape)
-    return JointFriction(coulomb, viscous, inertia, found.reshape(shape))
+    joints = parse_toml(Path(path), FrictionFile).joints
+    none = JointNumbers(coulomb_Nm=0.0)
+    rows = [tuple(dict(joints.get(name, none)).values()) for name in JOINT_NAMES]
+    coulomb, viscous, inertia = np.array(rows).T.reshape(3, len(FEET), len(JOINTS))
+    found = np.isin(JOINT_NAMES, list(joints)).reshape(coulomb.shape)
+    return JointFriction(coulomb, viscous, inertia, found)
 
 
 def write_friction(friction: JointFriction, path: Path | str, *, robot: str, source: str) -> None:
@@ -124,15 +120,13 @@ def friction_of_hanging(
     log: JointLog | Path | str,
     *,
     robot: Quadruped | Path | str = "go2",
-    topic: str | None = None,
-    joint_names: Sequence[str] | None = None,
-    columns: Columns | Path | str | None = None,
+    **reading: Any,
 ) -> tuple[JointFriction, str]:
     """Find the friction of the joints of a robot that hangs and moves its legs.
 
     Parameters
     ----------
-    log, robot, topic, joint_names, columns
+    log, robot, **reading
         As :func:`~terraphi.robot.results.analyse` takes them.
 
     Returns
@@ -146,17 +140,8 @@ def friction_of_hanging(
     InputError
         If the feet touched something, a joint hardly moved, or the log cannot be used.
     """
-    body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
-    name = "the log"
-    if not isinstance(log, JointLog):
-        name = str(log)
-        log = read_log(
-            log,
-            topic=topic,
-            joint_names=joint_names,
-            motors=body.joint_order,
-            columns=columns,
-        )
+    name = "the log" if isinstance(log, JointLog) else str(log)
+    log, body = opened(log, robot, **reading)
     found = estimate(log, robot=body, frame="body" if log.quaternion is None else "world")
     weight = body.mass * GRAVITY
     lift = float(np.nanmedian(np.nansum(found.force[..., 2], axis=1)))

@@ -1,12 +1,7 @@
-"""Where the feet are and how the joints move them, in closed form.
+"""Where the feet are and how the joints move them, for legs whose joints turn about any axes.
 
-With a, t, k the angles of hip, thigh and calf, the ball's centre lies in the body's frame at
-
-    hip + Rx(a) [thigh + Ry(t) calf + Ry(t + k) foot],
-
-where the four vectors are those of :class:`~terraphi.robot.model.QuadrupedLeg`. For the usual leg
-with links of length l this is x = −l (sin t + sin(t+k)), y = L cos a − z_s sin a and
-z = L sin a + z_s cos a, with z_s = −l (cos t + cos(t+k)), seen from the hip.
+With R_j the rotation of a joint and p_j its place in the frame of the link before, a foot lies at
+p_1 + R_1 (p_2 + R_2 (p_3 + R_3 p_4)) in the body's frame.
 """
 
 from __future__ import annotations
@@ -14,8 +9,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.robot import serial
 from terraphi.robot.model import Quadruped
+from terraphi.robot.triples import (
+    Matrix,
+    Part,
+    Triple,
+    added,
+    cross,
+    matrix_of,
+    plus,
+    product,
+    stacked,
+    times,
+    triple_of,
+    turned,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -35,9 +43,10 @@ def foot_position(robot: Quadruped, angle: FloatArray) -> FloatArray:
     ndarray
         Positions [m], shape [..., foot, 3].
     """
-    if not robot.chain.usual:
-        return serial.place_and_columns(robot, np.asarray(angle))[0]
-    return _place_and_columns(robot, angle)[0]
+    *joints, place = origins(robot)
+    for origin, rotation in reversed(list(zip(joints, rotations(robot, angle), strict=True))):
+        place = added(origin, turned(rotation, place))
+    return stacked(place, angle.shape[:-1])
 
 
 def jacobian(
@@ -60,59 +69,60 @@ def jacobian(
     -------
     ndarray
         ∂position/∂angle [m/rad], shape [..., foot, 3, joint].
+
+    Notes
+    -----
+    A column is k × (p - o) for a joint with axis k at o and the foot's point p.
     """
-    if not robot.chain.usual:
-        return serial.place_and_columns(robot, np.asarray(angle), offset)[1]
-    _, columns = _place_and_columns(robot, angle)
-    if offset is not None:
-        a = robot.chain.sign[:, 0] * angle[..., 0]
-        columns = _with_offset(columns, np.asarray(offset, dtype=np.float64), a)
-    return np.stack(columns, axis=-1) * robot.chain.sign[:, None, :]
+    x, y, z = (0.0, 0.0, 0.0) if offset is None else np.moveaxis(np.asarray(offset), -1, 0)
+    chain, (*joints, place) = robot.chain, origins(robot)
+    columns: list[Triple] = []
+    axes: list[Triple] = []
+    for j, rotation in reversed(list(enumerate(rotations(robot, angle)))):
+        place = turned(rotation, place)
+        columns = [turned(rotation, column) for column in columns]
+        axes = [turned(rotation, axis) for axis in axes]
+        axes.append(turned(matrix_of(chain.turn[:, j]), triple_of(chain.axis[:, j])))
+        columns.append(cross(axes[-1], place))
+        place = added(joints[j], place)
+    whole = (added(c, cross(axis, (x, y, z))) for c, axis in zip(columns, axes, strict=True))
+    return np.stack([stacked(column, angle.shape[:-1]) for column in whole][::-1], axis=-1)
 
 
-def _place_and_columns(
-    robot: Quadruped, angle: FloatArray
-) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
-    """Positions, and their derivatives by the three angles counted about +x, +y, +y."""
-    chain = robot.chain
-    a, t, k = np.moveaxis(np.asarray(angle, dtype=np.float64) * chain.sign, -1, 0)
-    hip, thigh, calf, foot = np.moveaxis(chain.origin, 1, 0)
-    # In the frame that turns with the hip, the thigh and calf only turn about y.
-    lower = _turned_y(foot, np.sin(t + k), np.cos(t + k))
-    upper = _turned_y(calf, np.sin(t), np.cos(t))
-    leg = tuple(thigh[:, i] + upper[i] + lower[i] for i in range(3))
-    both = (upper[0] + lower[0], upper[2] + lower[2])
-    zero = np.zeros_like(a)
-    sine, cosine = np.sin(a), np.cos(a)
-    columns = (
-        _turned_x((zero, -leg[2], leg[1]), sine, cosine),
-        _turned_x((both[1], zero, -both[0]), sine, cosine),
-        _turned_x((lower[2], zero, -lower[0]), sine, cosine),
-    )
-    return hip + _turned_x(leg, sine, cosine), columns
+def origins(robot: Quadruped) -> list[Triple]:
+    """Places of hip, thigh, knee and foot, each in the frame before [m]."""
+    return [triple_of(robot.chain.origin[:, i]) for i in range(4)]
 
 
-def _turned_x(vector: tuple[FloatArray, ...], sine: FloatArray, cosine: FloatArray) -> FloatArray:
-    x, y, z = vector
-    return np.stack([x, cosine * y - sine * z, sine * y + cosine * z], axis=-1)
+def rotations(robot: Quadruped, angle: FloatArray) -> list[Matrix]:
+    """From each link's frame to that before: T exp(q [k]×), by Rodrigues' formula.
+
+    T is the rotation at zero angle, k the joint's axis in its link's frame; a joint that is not
+    there has none and turns nothing.
+    """
+    found = []
+    for j in range(angle.shape[-1]):
+        # Contiguous: each is read dozens of times.
+        q = np.ascontiguousarray(angle[..., j], dtype=np.float64)
+        sine, cosine = np.sin(q), np.cos(q)
+        k, there = triple_of(robot.chain.axis[:, j]), robot.there[:, j]
+        if not there.all():
+            sine, cosine = np.where(there, sine, 0.0), np.where(there, cosine, 1.0)
+        turn = [[_turn(k, i, m, sine, cosine) for m in range(3)] for i in range(3)]
+        x, y, z = ((row[0], row[1], row[2]) for row in turn)
+        found.append(product(matrix_of(robot.chain.turn[:, j]), (x, y, z)))
+    return found
 
 
-def _turned_y(
-    vector: FloatArray, sine: FloatArray, cosine: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    x, y, z = vector.T
-    return cosine * x + sine * z, np.broadcast_to(y, sine.shape), cosine * z - sine * x
-
-
-def _with_offset(
-    columns: tuple[FloatArray, ...], offset: FloatArray, a: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Add axis × offset to each column; the axes are x, then twice the y axis turned by the hip."""
-    x, y, z = np.moveaxis(offset, -1, 0)
-    sine, cosine = np.sin(a), np.cos(a)
-    about_y = np.stack(np.broadcast_arrays(cosine * z - sine * y, sine * x, -cosine * x), axis=-1)
-    about_x = np.stack(np.broadcast_arrays(np.zeros_like(x), -z, y), axis=-1)
-    return columns[0] + about_x, columns[1] + about_y, columns[2] + about_y
+def _turn(k: Triple, i: int, m: int, sine: FloatArray, cosine: FloatArray) -> Part:
+    """Entry of exp(q [k]×): cos q δ_im + (1 - cos q) k_i k_m - sin q ε_imn k_n."""
+    square = times(k[i], k[m])
+    if i == m:
+        if isinstance(square, float):
+            return 1.0 if square else cosine
+        return 1.0 if np.all(square == 1.0) else cosine + (1.0 - cosine) * square
+    sign = 1.0 if (m - i) % 3 == 2 else -1.0
+    return plus(times(square, 1.0 - cosine), times(times(k[3 - i - m], sine), sign))
 
 
 def forces_of_torques(

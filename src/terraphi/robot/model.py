@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from terraphi.experiment.documents import toml_content
+from terraphi.experiment.documents import shipped_folder, shipped_names, toml_content
 from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
 from terraphi.experiment.files import is_there, read_bytes
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS
@@ -150,14 +149,10 @@ class Chain:
 
     origin: FloatArray
     """Places of hip, thigh, knee and foot, each in the frame before [m]; shape [foot, 4, 3]."""
-    sign: FloatArray
-    """±1 [-]; shape [foot, joint]."""
     turn: FloatArray
     """Rotations of the links' frames against those before, at zero angles; [foot, link, 3, 3]."""
     axis: FloatArray
     """Axes of the joints in their links' frames, with their sign; shape [foot, joint, 3]."""
-    usual: bool
-    """Whether the axes are x, y, y of parallel frames, as the closed forms take them."""
     mass: FloatArray
     """[kg]; shape [foot, link]."""
     first: FloatArray
@@ -231,17 +226,9 @@ class Quadruped(_Part):
                 second[at] += body.mass * np.outer(centre, centre)
         origin = np.array([[leg.hip, leg.thigh, leg.calf, leg.foot] for leg in legs])
         sign = np.array([leg.signs for leg in legs], dtype=np.float64)
-        usual = all(leg.axes is None and leg.turns is None for leg in legs)
         turn = np.array([[rotation_of(rpy) for rpy in leg.turns or _PARALLEL] for leg in legs])
         axis = np.array([leg.axes or _USUAL_AXES for leg in legs]) * sign[..., None]
-        return Chain(origin, sign, turn, axis, usual, mass, first, second)
-
-    @classmethod
-    def names(cls) -> tuple[str, ...]:
-        """Names of the robots that are shipped."""
-        place = resources.files("terraphi").joinpath("data", "robots")
-        names = [entry.name for entry in place.iterdir()] if place.is_dir() else []
-        return tuple(sorted(n.removesuffix(".toml") for n in names if n.endswith(".toml")))
+        return Chain(origin, turn, axis, mass, first, second)
 
     @classmethod
     def load(cls, source: Path | str) -> Quadruped:
@@ -269,11 +256,11 @@ class Quadruped(_Part):
         """
         path = Path(source)
         if not path.suffix and not is_there(path):
-            if path.name not in cls.names():
-                hint = nearest(path.name, cls.names())
+            names = shipped_names("robots", ".toml")
+            if path.name not in names:
+                hint = nearest(path.name, names)
                 raise InputError(f"'{source}' is neither a file nor a shipped robot; {hint}")
-            path = Path(str(resources.files("terraphi").joinpath("data", "robots", path.name)))
-            path = path.with_suffix(".toml")
+            path = shipped_folder("robots", f"{path.name}.toml")
         text = _text(path)
         if path.suffix.lower() in {".urdf", ".xml"}:
             from terraphi.robot.urdf import document_from_urdf

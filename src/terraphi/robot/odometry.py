@@ -26,6 +26,7 @@ from terraphi.robot.estimators import signals
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.kinematics import foot_position
 from terraphi.robot.model import Quadruped
+from terraphi.robot.stance import running_mean
 
 FloatArray = NDArray[np.float64]
 
@@ -88,7 +89,7 @@ def track(log: JointLog, robot: Quadruped, load: FloatArray) -> Motion:
     if log.acceleration is not None:
         felt = np.einsum("sij,sj->si", seen.turn, seen.body.specific_force)
         felt[:, 2] -= GRAVITY
-        felt -= _running_mean(felt, round(BIAS_S / float(np.median(step))))
+        felt -= running_mean(felt, max(1, round(BIAS_S / float(np.median(step))) // 2))
     sd = UNKNOWN_ACCELERATION_SD if log.acceleration is None else ACCELERATION_SD
     # v_k belongs to the middle of step k: the readings between two middles are a sample's.
     between = 0.5 * (step[1:] + step[:-1])
@@ -111,15 +112,6 @@ def track(log: JointLog, robot: Quadruped, load: FloatArray) -> Motion:
         weight = bearing / (1.0 + (off / STANCE_SD) ** 2) ** 2
     trunk = np.concatenate([np.zeros((1, 3)), np.cumsum(velocity * step[:, None], axis=0)])
     return Motion(trunk, trunk[:, None] + place, felt[:, 2])
-
-
-def _running_mean(values: FloatArray, width: int) -> FloatArray:
-    """Centred mean over a number of samples, over as many as there are at the ends."""
-    half = max(1, width // 2)
-    total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
-    centre = np.arange(len(values))
-    low, high = np.maximum(centre - half, 0), np.minimum(centre + half + 1, len(values))
-    return np.asarray((total[high] - total[low]) / (high - low)[:, None])
 
 
 def _smoothed(values: FloatArray) -> FloatArray:

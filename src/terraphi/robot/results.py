@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import open_netcdf, write_netcdf
+from terraphi.experiment.files import write_netcdf
 from terraphi.robot.doubts import balance, doubts
 from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.estimators import Estimator
@@ -23,7 +23,6 @@ from terraphi.robot.friction import HANGING_SHARE, JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.logs import read_log
 from terraphi.robot.logs.clock import describe, regular
-from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import AXES, Criteria, Ensemble, Stance, find_stances
 
@@ -112,17 +111,25 @@ class RobotForces:
         }
 
 
+def opened(
+    log: Path | str | JointLog, robot: Quadruped | Path | str, **reading: Any
+) -> tuple[JointLog, Quadruped]:
+    """A log and the robot that it is of, each as it is or read; options of ``read_log``."""
+    body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
+    if isinstance(log, JointLog):
+        return regular(log), body
+    return read_log(log, motors=body.joint_order, **reading), body
+
+
 def analyse(
     log: Path | str | JointLog,
     *,
     robot: Quadruped | Path | str = "go2",
     estimator: Estimator = DEFAULT_ESTIMATOR,
     frame: Frame = "world",
-    topic: str | None = None,
-    joint_names: Sequence[str] | None = None,
     criteria: Criteria | None = None,
     friction: JointFriction | None = None,
-    columns: Columns | Path | str | None = None,
+    **reading: Any,
 ) -> RobotForces:
     """Foot forces, stances and mean stances of a log.
 
@@ -134,13 +141,13 @@ def analyse(
         The robot, or its name, TOML or URDF.
     estimator, frame
         See :func:`~terraphi.robot.forces.estimate`.
-    topic, joint_names, columns
-        See :func:`~terraphi.robot.logs.read_log`.
     criteria
         What makes a stance; by default a tenth of the robot's weight has to be reached.
     friction
         Of the joints, as :func:`~terraphi.robot.friction_file.read_friction` has it; what it lacks
         is found in swing.
+    **reading
+        ``topic``, ``joint_names`` and ``columns`` of :func:`~terraphi.robot.logs.read_log`.
 
     Returns
     -------
@@ -151,21 +158,10 @@ def analyse(
     InputError
         If the log or the description of the robot cannot be used, or an option is unknown.
     """
-    body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
     report: dict[str, Any] = {"dropped": {}}
-    if not isinstance(log, JointLog):
-        report["source"] = str(log)
-        # What a LowState holds; an hour of it fits into memory.
-        log = read_log(
-            log,
-            topic=topic,
-            joint_names=joint_names,
-            motors=body.joint_order,
-            precision="single",
-            columns=columns,
-        )
-    else:
-        log = regular(log)
+    report |= {} if isinstance(log, JointLog) else {"source": str(log)}
+    # What a LowState holds; an hour of it fits into memory.
+    log, body = opened(log, robot, precision="single", **reading)
     weight = body.mass * GRAVITY if body.has_masses else None
     usual = Criteria()
     if weight is not None:
@@ -260,7 +256,7 @@ def _notes(
 
 
 def _why_no_stances(forces: FootForces, weight: float | None, criteria: Criteria) -> str:
-    """One sentence on what the robot did instead of walking."""
+    """Why there are no stances: what the robot did instead of walking."""
     with np.errstate(invalid="ignore"):
         known = np.isfinite(forces.force[:, :, 2]).all(axis=1)
         lift = forces.force[known][:, :, 2].astype(np.float64)
@@ -288,26 +284,18 @@ SCHEMA = 1
 
 
 def write_forces(result: RobotForces, path: Path | str) -> None:
-    """Write forces, stances and mean stances as NetCDF-4.
+    """Write what :func:`analyse` found as NetCDF-4; raises InputError if that cannot be done."""
+    write_netcdf(dataset_of(result), Path(path))
 
-    Parameters
-    ----------
-    result
-        What :func:`~terraphi.robot.results.analyse` found.
-    path
-        The file to make or replace.
 
-    Raises
-    ------
-    InputError
-        If the place cannot be written.
-    """
+def dataset_of(result: RobotForces) -> Any:
+    """Forces, stances and mean stances as an ``xarray.Dataset``, which a file holds as it is."""
     import xarray as xr
 
     forces = result.forces
     of_feet = ("time", "foot", "axis")
     whose = "force of the ground on the foot"
-    dataset = xr.Dataset(
+    return xr.Dataset(
         {
             "force": (of_feet, forces.force, {"units": "N", "long_name": whose}),
             "sigma": (of_feet, forces.sigma, {"units": "N", "long_name": "standard uncertainty"}),
@@ -339,49 +327,6 @@ def write_forces(result: RobotForces, path: Path | str) -> None:
             "provenance": json.dumps(result.provenance()),
         },
     )
-    write_netcdf(dataset, Path(path))
-
-
-def read_stances(path: Path | str) -> tuple[Stance, ...]:
-    """Read the stances of a file that :func:`write_forces` wrote.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    tuple of Stance
-        In the order of touch-down.
-
-    Raises
-    ------
-    InputError
-        If the file is not a whole NetCDF of this kind and schema.
-    """
-    dataset = open_netcdf(Path(path), kind=KIND, schema=SCHEMA)
-    try:
-        time, force = dataset["time"].values, dataset["force"].values
-        labels = [str(foot) for foot in dataset["foot"].values]
-        columns = zip(
-            (str(foot) for foot in dataset["stance_foot"].values),
-            np.searchsorted(time, dataset["stance_begin"].values).tolist(),
-            np.searchsorted(time, dataset["stance_end"].values).tolist(),
-            strict=True,
-        )
-        return tuple(_stance(foot, labels, time, force, a, b) for foot, a, b in columns)
-    except (KeyError, ValueError) as error:
-        raise InputError(
-            f"{path}: not as terraphi writes foot forces ({error}); make it again"
-        ) from error
-
-
-def _stance(foot: str, labels: list[str], time: Any, force: Any, first: int, last: int) -> Stance:
-    part = slice(first, last + 1)
-    own = force[part, labels.index(foot)]
-    known = np.isfinite(own).all(axis=1)
-    return Stance(foot, time[part][known], own[known])
 
 
 def _stances(stances: tuple[Stance, ...]) -> dict[str, Any]:

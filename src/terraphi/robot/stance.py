@@ -279,11 +279,15 @@ def _crossings(
 
 def _smoothed(values: Forces, width: int) -> FloatArray:
     """Centred moving mean over an odd number of samples, over fewer at the ends."""
-    half = min(width // 2, (len(values) - 1) // 2)
-    total = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
+    return running_mean(values[:, None], min(width // 2, (len(values) - 1) // 2))[:, 0]
+
+
+def running_mean(values: Forces, half: int) -> FloatArray:
+    """Mean over so many samples to both sides, over as many as there are at the ends."""
+    total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, 0, np.float64)])
     centre = np.arange(len(values))
-    left, right = np.maximum(centre - half, 0), np.minimum(centre + half + 1, len(values))
-    return np.asarray((total[right] - total[left]) / (right - left))
+    low, high = np.maximum(centre - half, 0), np.minimum(centre + half + 1, len(values))
+    return np.asarray((total[high] - total[low]) / (high - low)[:, None])
 
 
 def _runs(flag: BoolArray) -> tuple[IntArray, IntArray]:

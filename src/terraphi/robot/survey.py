@@ -1,4 +1,4 @@
-"""What is constant over a whole log, estimated from parts of it: joint friction, torque noise."""
+"""Joint friction and torque noise of a whole log, estimated from parts of it."""
 
 from __future__ import annotations
 

@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.robot.forces import FootForces
 from terraphi.robot.friction import smooth_sign
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.kinematics import forces_of_torques, rotation
@@ -121,7 +120,8 @@ def sensitivity(log: JointLog, robot: Quadruped) -> Sensitivity:
 def touchdowns(
     log: JointLog,
     robot: Quadruped,
-    forces: FootForces,
+    lift: FloatArray,
+    saturated: BoolArray,
     motion: Motion,
     stances: Sequence[Stance],
     per: Sensitivity,
@@ -134,8 +134,10 @@ def touchdowns(
     ----------
     log, robot
         What was read, and what walked.
-    forces
-        In the frame of the world.
+    lift
+        Upward force on each foot [N], shape [sample, foot].
+    saturated
+        Whether a motor of the leg is at its limit, shape [sample, foot].
     motion
         Of the feet.
     stances
@@ -151,7 +153,6 @@ def touchdowns(
     """
     step = float(np.median(np.diff(log.time)))
     half = max(1, round(0.5 * SMOOTH_S / step))
-    lift = forces.force[:, :, 2].astype(np.float64)
     pieces = [
         _piece(log.time, lift[:, f], motion.feet[:, f], stance, half, probe=probe)
         for stance in stances
@@ -164,7 +165,7 @@ def touchdowns(
     }
     joints = np.zeros((2, *shape, 3))
     used, torn = np.zeros(shape, dtype=bool), np.zeros(len(stances), dtype=bool)
-    saturated, place = torn.copy(), np.zeros((len(stances), 3))
+    at_limit, place = torn.copy(), np.zeros((len(stances), 3))
     for i, (foot, (rows, columns, good, last)) in enumerate(zip(feet, pieces, strict=True)):
         n = len(rows)
         for name, values in columns.items():
@@ -175,13 +176,13 @@ def touchdowns(
         between = np.diff(log.time[rows[0] : last + 1]) if n else np.array([])
         torn[i] = n == 0 or bool((between > WIDEST_STEP * step).any()) or good.sum() < FEWEST
         if n:
-            saturated[i] = bool(forces.saturated[rows[0] : last + 1, foot].any())
+            at_limit[i] = bool(saturated[rows[0] : last + 1, foot].any())
             place[i] = motion.feet[last, foot]
     place[:, 2] -= robot.foot_radius
     begin = np.array([stance.begin for stance in stances], dtype=np.float64)
     return Touchdowns(
         feet, begin, place, made["time"], made["drop"], made["descent"], made["speed"],
-        made["force"], joints[0], joints[1], used, torn, saturated,
+        made["force"], joints[0], joints[1], used, torn, at_limit,
     )  # fmt: skip
 
 

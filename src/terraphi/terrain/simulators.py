@@ -172,7 +172,7 @@ class Simulator:
         return found
 
     def check(self, value: float) -> float:
-        """Refuse what the parameter cannot be; the value otherwise."""
+        """The value; raises InputError if the parameter cannot have it."""
         if self.refused:
             raise InputError(self.refused)
         if not 0.0 < value < self.most:

@@ -23,7 +23,7 @@ from terraphi.experiment.motion import Poses
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.vtk import Grid, read_points, read_series
-from terraphi.view.plots import AXIS_LABEL, BLUE, GREY, ORANGE
+from terraphi.view.plots import AXIS_LABEL, BLUE, GREY, ORANGE, leg_name, shown_position
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -138,7 +138,7 @@ class Scene:
 
         self._scenario = scenario
         self._place, self._force = _smoothed(history)
-        self._span = _shown(np.array(scenario.motion.span), history.coordinate)
+        self._span = shown_position(np.array(scenario.motion.span), history.coordinate)
         self.figure = Figure(
             figsize=(12.0, 5.4), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08)
         )
@@ -172,7 +172,9 @@ class Scene:
         scenario = self._scenario
         pose_time = np.array([time * scenario.numerics.speed_up])
         pose = scenario.motion.poses(pose_time)
-        now = float(_shown(scenario.motion.coordinates(pose_time), scenario.motion.coordinate)[0])
+        now = float(
+            shown_position(scenario.motion.coordinates(pose_time), scenario.motion.coordinate)[0]
+        )
         self._particles.set_offsets(1e3 * soil.points[:, [0, 2]])
         # Slow as the leg itself: what it did to the soil in a fast simulation, it does slowly.
         self._particles.set_array(1e3 * soil.point_data["speed"] / scenario.numerics.speed_up)
@@ -275,13 +277,9 @@ def _smoothed(history: ForceHistory) -> tuple[FloatArray, FloatArray]:
     """Leg angle [deg] or path [mm], and forces [N], both averaged over a few bins."""
     centre = history.position
     if len(centre) < 2:
-        return _shown(centre, history.coordinate), history.force
+        return shown_position(centre, history.coordinate), history.force
     half = 0.5 * SMOOTHING_BINS * float(np.diff(centre).min())
-    return _shown(centre, history.coordinate), history.means(centre, half)
-
-
-def _shown(position: FloatArray, coordinate: str) -> FloatArray:
-    return np.degrees(position) if coordinate == "theta" else 1e3 * position
+    return shown_position(centre, history.coordinate), history.means(centre, half)
 
 
 def _in_room(pose: Poses, points: FloatArray) -> FloatArray:
@@ -321,8 +319,9 @@ def _tick(span: FloatArray) -> float:
 
 def _name(scenario: Scenario) -> str:
     soil = scenario.soil
-    leg = {"c": "C", "reversed_c": "reversed C"}.get(scenario.leg.shape, scenario.leg.shape)
-    return f"{leg} leg, φ = {soil.friction_angle_deg:g}° ({soil.yield_criterion})"
+    return (
+        f"{leg_name(scenario.leg.shape)}, φ = {soil.friction_angle_deg:g}° ({soil.yield_criterion})"
+    )
 
 
 FRAMES_PER_SECOND = 12

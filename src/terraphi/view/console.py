@@ -321,7 +321,9 @@ def progress_bar(
     if quiet() or not sys.stderr.isatty():
         yield lambda _done, _total: None
         return
-    compiling = compiles and not _kernels_are_compiled()
+    from terraphi.view.doctor import kernels_are_compiled
+
+    compiling = compiles and not kernels_are_compiled()
     columns = (
         TextColumn("{task.description}:"),
         TimeRemainingColumn(),
@@ -339,9 +341,3 @@ def progress_bar(
                 bar.update(task, completed=done, total=total, description=description)
 
         yield report
-
-
-def _kernels_are_compiled() -> bool:
-    from terraphi.view.doctor import kernels_are_compiled
-
-    return kernels_are_compiled()

@@ -159,7 +159,7 @@ def kernels_are_compiled() -> bool:
 
 
 def _cache_of(kernel: Any) -> Path:
-    """Folder of a kernel's machine code; its type does not say that it is compiled."""
+    """Folder of a kernel's machine code (Numba's types do not tell that a function has one)."""
     return Path(kernel.stats.cache_path)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from terraphi.robot.footfalls import USABLE, FootfallMap
-from terraphi.view.plots import BLUE, GREY, ORANGE
+from terraphi.view.plots import BLUE, GREY, ORANGE, panels_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,10 +28,7 @@ def footfalls_figure(found: FootfallMap) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
-    plan, course = figure.subplots(1, 2, width_ratios=(1.0, 1.35))
+    figure, ((plan, course),) = panels_of(1, 2, size=(11.0, 4.6), width_ratios=(1.0, 1.35))
     usable = found.usable
     plan.plot(found.path[:, 1], found.path[:, 2], color=GREY, lw=0.8, zorder=0)
     plan.scatter(

@@ -35,6 +35,19 @@ PHI_LABEL = {
 }
 
 
+LEG_NAMES = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C leg"}
+
+
+def leg_name(shape: str) -> str:
+    """A leg's shape for people."""
+    return LEG_NAMES.get(shape, f"{shape} leg")
+
+
+def shown_position(position: FloatArray, coordinate: str) -> FloatArray:
+    """Positions of a history for people: leg angle [deg], or path [mm]."""
+    return np.degrees(position) if coordinate == "theta" else 1e3 * position
+
+
 class Curve(NamedTuple):
     """A history and how to draw it."""
 

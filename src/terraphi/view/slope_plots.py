@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from terraphi.view.plots import panels_of
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -24,7 +26,6 @@ PANELS = (
 def map_figure(found: SlopeMap) -> Figure:
     """Four maps with hillshade, the points, and hatching where the field extrapolates."""
     from matplotlib.colors import LightSource
-    from matplotlib.figure import Figure
 
     every = max(1, -(-max(found.dem.height.shape) // MOST_PIXELS))
     thin = (slice(None, None, every), slice(None, None, every))
@@ -36,10 +37,9 @@ def map_figure(found: SlopeMap) -> Figure:
     shade = LightSource(azdeg=315.0, altdeg=45.0).hillshade(height, dx=cell, dy=cell)
     tall = (extent[3] - extent[2]) / (extent[1] - extent[0])
     size = 5.2 * min(max(tall, 0.4), 2.0)
-    figure = Figure(figsize=(11.0, 1.7 * size + 0.6), layout="constrained")
-    panels = figure.subplots(2, 2, sharex=True, sharey=True).flat
+    figure, grid = panels_of(2, 2, size=(11.0, 1.7 * size + 0.6), sharex=True, sharey=True)
     beyond = found.layers["extrapolated"][thin] == 1
-    for axes, (name, title, colours, limits) in zip(panels, PANELS, strict=True):
+    for axes, (name, title, colours, limits) in zip(grid.flat, PANELS, strict=True):
         values = np.ma.masked_invalid(found.layers[name][thin])
         low, high = limits or (None, None)
         axes.imshow(shade, cmap="gray", extent=extent, vmin=0.0, vmax=1.2)

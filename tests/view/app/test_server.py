@@ -26,7 +26,8 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.measurements import measurement
 from terraphi.library import shipped as choices
 from terraphi.view.app import server
-from terraphi.view.app.server import application, job_of, shown_name
+from terraphi.view.app.server import Limits, application, job_of, shown_name
+from terraphi.view.app.work import JOB, REFUSED, section_of, work
 
 uvicorn = pytest.importorskip("uvicorn")
 
@@ -87,7 +88,7 @@ def served(places: Path) -> Iterator[Served]:
     bound = socket.socket()
     bound.bind(("127.0.0.1", 0))
     running = uvicorn.Server(
-        uvicorn.Config(application(most_bytes=MOST_BYTES), log_level="critical", lifespan="off")
+        uvicorn.Config(application(Limits(bytes=MOST_BYTES)), log_level="critical", lifespan="off")
     )
     thread = threading.Thread(target=running.run, kwargs={"sockets": [bound]})
     thread.start()
@@ -174,17 +175,24 @@ def test_a_hostile_name_is_only_text_and_no_path(
     ],
 )
 def test_what_cannot_be_read_ends_in_a_sentence(
-    body: bytes, name: str, words: str, served: Served, places: Path
+    body: bytes, name: str, words: str, tmp_path: Path
 ) -> None:
-    found = served.drop(body, name=name)
-    assert found.status == 422
-    assert found.headers["content-type"].startswith("application/json")
-    sentence = json.loads(found.text)["refused"]
+    job = job_of({**USUAL, "name": name})
+    (tmp_path / job["file"]).write_bytes(body)
+    (tmp_path / JOB).write_text(json.dumps(job), encoding="utf-8")
+    work(tmp_path)
+    sentence = (tmp_path / REFUSED).read_text(encoding="utf-8")
     assert words in sentence
     assert name in sentence
     assert "dropped." not in sentence
-    assert "Traceback" not in sentence
-    assert str(places) not in sentence
+    assert str(tmp_path) not in sentence
+
+
+def test_a_refusal_comes_back_and_nothing_stays(served: Served, places: Path) -> None:
+    found = served.drop(FLAT, name="a.csv")
+    assert found.status == 422
+    assert found.headers["content-type"].startswith("application/json")
+    assert "at every angle" in json.loads(found.text)["refused"]
     assert list(places.iterdir()) == []
 
 
@@ -202,7 +210,7 @@ def waiting(seconds: float) -> Iterator[Served]:
     """An app that waits so long for more of a file, and logs what goes wrong."""
     with socket.socket() as bound:
         bound.bind(("127.0.0.1", 0))
-        served = application(most_idle_seconds=seconds)
+        served = application(Limits(idle_seconds=seconds))
         running = uvicorn.Server(
             uvicorn.Config(served, log_config=None, log_level="warning", lifespan="off")
         )
@@ -355,3 +363,11 @@ def test_a_file_dropped_in_a_browser_ends_in_its_report(
         assert "Verdict: " in page.locator(".headline").inner_text()
         browser.close()
     assert trouble == []
+
+
+def test_the_density_is_that_of_the_record_if_it_says_one(tmp_path: Path) -> None:
+    measurement("li2013:poppy_loose/straight").history.to_csv(tmp_path / "dropped.csv")
+    job = {"kind": "auto", "leg": "straight", "library": "rft3d", "name": "mine.csv"}
+    found = section_of(tmp_path / "dropped.csv", tmp_path, {**job, "density": None, "noise": None})
+    table = next(part for part in found.parts if part.title == "In numbers")
+    assert "density 638 kg/m³." in table.note

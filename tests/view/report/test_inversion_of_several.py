@@ -27,6 +27,7 @@ def folder(tmp_path: Path) -> Path:
         "seed": 0,
         "fixed": {},
         "converged": True,
+        "acceptance_fraction": 0.4,
         "parameters": {
             "soil.friction_angle_deg": {**one, "name": "φ", "unit": "deg"},
             "soil.density": {**one, "name": "ρ", "unit": "kg/m³"},
@@ -49,7 +50,7 @@ def test_a_joint_inversion_is_told_and_shown(folder: Path) -> None:
     for source in (folder, folder / "answer.json"):
         assert recognise(str(source)).kind == "inversion"
         (found,) = sections([str(source)])
-        assert found.headline.startswith("φ, rft3d [deg] = 31 (68 %: 30.9 to 31.1); ρ [kg/m³]")
+        assert found.headline.startswith("φ, rft3d [deg] = 31.00 (68 %: 30.90 to 31.10); ρ [kg/m³]")
         # Its likelihood has no certificate: coverage was never simulated.
         assert (found.status, found.badge) == ("doubtful", UNCHECKED_TOGETHER)
         assert [part.title for part in found.parts] == [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -42,40 +43,6 @@ _MOTION_SAMPLES = 20_000
 _FASTEST = 30.0
 """Mean speed of joints that no robot has [rad/s]."""
 _FRACTIONS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
-_ROWS = 65_536
-_FIRST_ROWS = 4_096
-
-
-class Column:
-    """A column of values that grows in place, without a second copy in memory."""
-
-    def __init__(self, shape: tuple[int, ...], dtype: Any) -> None:
-        self.values = np.empty((0, *shape), dtype=dtype)
-        self.length = 0
-
-    def append(self, values: Array) -> None:
-        """Add rows."""
-        end = self.length + len(values)
-        if end > len(self.values):
-            rows = max(end, len(self.values) + max(_FIRST_ROWS, len(self.values) // 16))
-            self.values.resize((rows, *self.values.shape[1:]), refcheck=False)
-        self.values[self.length : end] = values
-        self.length = end
-
-    def keep(self, mask: NDArray[np.bool_]) -> None:
-        """Keep only some rows."""
-        end = 0
-        for start in range(0, self.length, _ROWS):
-            part = slice(start, min(start + _ROWS, self.length))
-            chosen = self.values[part][mask[part]]
-            self.values[end : end + len(chosen)] = chosen
-            end += len(chosen)
-        self.length = end
-
-    def finish(self) -> Array:
-        """Return the rows, and free the memory reserved beyond them."""
-        self.values.resize((self.length, *self.values.shape[1:]), refcheck=False)
-        return self.values
 
 
 class Collector:
@@ -97,31 +64,24 @@ class Collector:
         self._path = path
         self._clock = clock
         self._dtype = np.float64 if precision == "double" else np.float32
-        self._columns: dict[str, Column] = {}
-        self._stamp: Column | None = None
-        self._recorded: Column | None = None
+        self._parts: list[dict[str, Array]] = []
 
     @property
     def empty(self) -> bool:
         """Whether no sample has been kept."""
-        return self._stamp is None or not self._stamp.length
+        return not any(len(part["stamp"]) for part in self._parts)
 
     def add(self, block: Block) -> None:
         """Add the valid samples of a block."""
         self.dropped.update(block.dropped)
         if not len(block.stamp):
             return
-        if self._stamp is None:
-            self._stamp = Column((), block.stamp.dtype)
-            self._recorded = None if block.recorded is None else Column((), np.int64)
-            self._columns = {name: Column(SHAPES[name], self._dtype) for name in block.values}
         mask = self._sound(block)
-        self._stamp.append(block.stamp[mask])
-        if self._recorded is not None and block.recorded is not None:
-            self._recorded.append(block.recorded[mask])
-        for name, column in self._columns.items():
-            values = block.values[name]
-            column.append(values if mask.all() else values[mask])
+        part = {name: v[mask].astype(self._dtype, copy=False) for name, v in block.values.items()}
+        part["stamp"] = block.stamp[mask]
+        if block.recorded is not None:
+            part["recorded"] = block.recorded[mask]
+        self._parts.append(part)
 
     def _sound(self, block: Block) -> NDArray[np.bool_]:
         values = block.values
@@ -163,25 +123,27 @@ class Collector:
         InputError
             If no sample is sound, if over half are not for one reason, or if the units are wrong.
         """
-        if self._stamp is None or not self._stamp.length:
+        if self.empty:
             self._refuse_if_hopeless(0)
             raise InputError(f"{self._path}: no samples in it; record the log again")
-        self._drop_unlevel()
-        self._refuse_if_hopeless(self._stamp.length)
-        recorded = None if self._recorded is None else self._recorded.finish()
-        time, clock, facts = clocks.seconds(self._stamp.finish(), recorded, self._clock)
+        # Column by column, so that no second copy of the whole log is in memory.
+        values = {
+            name: np.concatenate([part.pop(name) for part in self._parts])
+            for name in tuple(self._parts[0])
+        }
+        self._drop_unlevel(values)
+        stamp, recorded = values.pop("stamp"), values.pop("recorded", None)
+        self._refuse_if_hopeless(len(stamp))
+        time, clock, facts = clocks.seconds(stamp, recorded, self._clock)
         self.facts["notes"] += facts.pop("notes", [])
-        time = self._evened(time)
+        time = self._evened(time, values)
         mask, dropped = clocks.increasing(time)
         if dropped:
             self.dropped.update(dropped)
             time = time[mask]
-            for column in self._columns.values():
-                column.keep(mask)
+            _keep(values, mask)
             self._refuse_if_hopeless(len(time))
-            time = self._evened(time)
-        values = {name: column.finish() for name, column in self._columns.items()}
-        self._columns.clear()
+            time = self._evened(time, values)
         if "velocity" in values:
             self._check_velocity(time, values["angle"], values["velocity"])
         else:
@@ -196,13 +158,11 @@ class Collector:
         }
         return JointLog(time, **self._present(values), report=report)
 
-    def _evened(self, time: FloatArray) -> FloatArray:
+    def _evened(self, time: FloatArray, values: Mapping[str, Array]) -> FloatArray:
         """Times of samples at a constant rate, if only their stamps are uneven."""
-        angle, velocity = (self._columns.get(name) for name in ("angle", "velocity"))
-        if angle is None or "jitter_s" in self.facts:
+        if "jitter_s" in self.facts:
             return time
-        known = None if velocity is None else velocity.values[: velocity.length]
-        even, facts = clocks.evened(time, angle.values[: angle.length], known)
+        even, facts = clocks.evened(time, values["angle"], values.get("velocity"))
         self.facts["notes"] += facts.pop("notes", [])
         self.facts |= facts
         return even
@@ -216,18 +176,14 @@ class Collector:
             remedy = _REMEDIES.get(reason, "check what wrote it, or record it again")
             raise InputError(f"{self._path}: {number} of {kept + lost} samples: {reason}; {remedy}")
 
-    def _drop_unlevel(self) -> None:
+    def _drop_unlevel(self, values: dict[str, Array]) -> None:
         """Drop samples without attitude (a zero quaternion), unless all samples lack it."""
-        column = self._columns.get("quaternion")
-        if column is None or self._stamp is None:
+        if "quaternion" not in values:
             return
-        level = np.asarray(column.values[: column.length].any(axis=1), dtype=bool)
-        if level.all() or not level.any():
-            return
-        self.dropped[ATTITUDE] += int((~level).sum())
-        for each in (self._stamp, self._recorded, *self._columns.values()):
-            if each is not None:
-                each.keep(level)
+        level = np.asarray(values["quaternion"].any(axis=1), dtype=bool)
+        if level.any() and not level.all():
+            self.dropped[ATTITUDE] += int((~level).sum())
+            _keep(values, level)
 
     def _present(self, values: dict[str, Array]) -> dict[str, Array]:
         """Drop columns that are zero throughout, and normalise the quaternions."""
@@ -236,11 +192,8 @@ class Collector:
             self.facts["notes"].append(f"always zero, taken as absent: {', '.join(silent)}")
         for name in silent:
             del values[name]
-        attitude = values.get("quaternion")
-        if attitude is not None:
-            for start in range(0, len(attitude), _ROWS):
-                part = attitude[start : start + _ROWS]
-                part /= np.linalg.norm(part, axis=1, keepdims=True)
+        if "quaternion" in values:
+            values["quaternion"] /= np.linalg.norm(values["quaternion"], axis=1, keepdims=True)
         return values
 
     def _velocity(self, time: np.ndarray[Any, Any], angle: Array) -> Array:
@@ -277,6 +230,12 @@ class Collector:
                 f"{self._path}: joint velocities are {said / moved:.0f} times the rate at which "
                 "the angles change; they look like degrees per second, rad/s are expected"
             )
+
+
+def _keep(values: dict[str, Array], mask: NDArray[np.bool_]) -> None:
+    """Keep some samples of each column, one column after the other."""
+    for name in values:
+        values[name] = values[name][mask]
 
 
 Array = NDArray[Any]

@@ -9,6 +9,23 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+_IMU = """
+        float32[4] quaternion
+        float32[3] gyroscope
+        float32[3] accelerometer
+        float32[3] rpy
+        int8 temperature
+"""
+_MOTOR = """
+        uint8 mode
+        float32 q
+        float32 dq
+        float32 ddq
+        float32 tau_est
+        float32 q_raw
+        float32 dq_raw
+        float32 ddq_raw
+        int8 temperature"""
 UNITREE_GO = {
     "LowState": """
         uint8[2] head
@@ -34,23 +51,8 @@ UNITREE_GO = {
         uint32 reserve
         uint32 crc
     """,
-    "IMUState": """
-        float32[4] quaternion
-        float32[3] gyroscope
-        float32[3] accelerometer
-        float32[3] rpy
-        int8 temperature
-    """,
-    "MotorState": """
-        uint8 mode
-        float32 q
-        float32 dq
-        float32 ddq
-        float32 tau_est
-        float32 q_raw
-        float32 dq_raw
-        float32 ddq_raw
-        int8 temperature
+    "IMUState": _IMU,
+    "MotorState": f"""{_MOTOR}
         uint32 lost
         uint32[2] reserve
     """,
@@ -88,23 +90,8 @@ UNITREE_LEGGED = {
         uint32 reserve
         uint32 crc
     """,
-    "IMU": """
-        float32[4] quaternion
-        float32[3] gyroscope
-        float32[3] accelerometer
-        float32[3] rpy
-        int8 temperature
-    """,
-    "MotorState": """
-        uint8 mode
-        float32 q
-        float32 dq
-        float32 ddq
-        float32 tau_est
-        float32 q_raw
-        float32 dq_raw
-        float32 ddq_raw
-        int8 temperature
+    "IMU": _IMU,
+    "MotorState": f"""{_MOTOR}
         uint32[2] reserve
     """,
     "BmsState": """

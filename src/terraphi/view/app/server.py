@@ -35,14 +35,8 @@ if TYPE_CHECKING:
 
 HOST = "127.0.0.1"
 PORT = 8321
-MOST_BYTES = 200_000_000
-"""Largest file that is taken: an hour of a robot's log."""
-MOST_SECONDS = 180.0
-"""Longest time for one file [s]."""
 MOST_PAGES = 8
 """Pages that are kept, in memory."""
-MOST_IDLE_SECONDS = 30.0
-"""Longest time between two parts of a file, and for the page to end once it is asked to [s]."""
 LONGEST_NAME = 80
 """Letters of a file's name that are shown."""
 SUFFIXES = (".csv", ".npz", ".mcap", ".db3")
@@ -55,10 +49,11 @@ HEADER = "x-terraphi"
 class Limits(NamedTuple):
     """Limits for one file."""
 
-    bytes: int
-    seconds: float
+    bytes: int = 200_000_000
+    """Largest: an hour of a robot's log."""
+    seconds: float = 180.0
     """For all work on it [s]."""
-    idle_seconds: float
+    idle_seconds: float = 30.0
     """Between two parts of it as it comes in [s]."""
 
 
@@ -121,26 +116,9 @@ def _missing() -> InputError:
     )
 
 
-def application(
-    *,
-    most_bytes: int = MOST_BYTES,
-    most_seconds: float = MOST_SECONDS,
-    most_idle_seconds: float = MOST_IDLE_SECONDS,
-) -> Starlette:
-    """Make the Starlette application.
-
-    Parameters
-    ----------
-    most_bytes, most_seconds
-        Largest file, and longest time for one [s].
-    most_idle_seconds
-        Longest time for which nothing of a file comes in [s].
-
-    Raises
-    ------
-    InputError
-        If a package is missing.
-    """
+def application(limits: Limits | None = None) -> Starlette:
+    """Make the Starlette application; raises InputError if a package is missing."""
+    limits = limits or Limits()
     try:
         from starlette.applications import Starlette
         from starlette.middleware import Middleware
@@ -149,14 +127,12 @@ def application(
         from starlette.routing import Route
     except ImportError as error:
         raise _missing() from error
-    front, policy = front_page(most_bytes)
+    front, policy = front_page(limits.bytes)
     pages: OrderedDict[str, str] = OrderedDict()
     one_at_a_time = asyncio.Lock()
 
     async def home(_: Request) -> Response:
         return HTMLResponse(front, headers={**_HEADERS, "content-security-policy": policy})
-
-    limits = Limits(most_bytes, most_seconds, most_idle_seconds)
 
     async def report(request: Request) -> Response:
         try:

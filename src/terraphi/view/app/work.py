@@ -80,19 +80,17 @@ def has_forces(file: Path) -> bool:
 def _inverted(file: Path, folder: Path, job: Mapping[str, Any]) -> Section:
     from terraphi.experiment.measurements import open_forces
     from terraphi.inference.inversion import invert
+    from terraphi.inference.trials import Trial
     from terraphi.library.store import Library
     from terraphi.view.report import inversion
 
-    measured = open_forces(str(file))
-    density, library = job["density"], str(job["library"])
+    trial = Trial.of(open_forces(str(file)), str(job["leg"]))
+    library = str(job["library"])
     found = invert(
-        measured.history,
+        replace(trial, source=str(job["name"])),
         library=None if library == "auto" else Library.load(library),
-        leg=str(job["leg"]),
-        density=density,
-        density_assumed=density is None,
+        density=job["density"],
         noise=job["noise"],
-        source=str(job["name"]),
     )
     found.to_netcdf(folder / "posterior.nc")
     return inversion.section(folder / "posterior.nc")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import damage_told
-from terraphi.inference.answer import PHI
+from terraphi.inference.answer import PHI, decimals, decimals_of_sd
 from terraphi.inference.budget import (
     MOST_WITHOUT_FORCE,
     ZERO_FORCE,
@@ -33,7 +33,6 @@ from terraphi.view.report.parts import (
     Section,
     Status,
     Text,
-    decimals,
     number,
     smooth_density,
 )
@@ -135,8 +134,7 @@ def _of_several(path: Path, answer: Mapping[str, Any]) -> Section:
     about = {key: answer[key] for key in ("library", "likelihood", "sampler", "seed", "fixed")}
     named = _names(answer)
     found = [
-        f"{name} = {number(one['median'])} (68 %: {_ends(one['ci68'])})"
-        for name, one in zip(named, answer["parameters"].values(), strict=True)
+        f"{name} = {median} (68 %: {ci68})" for name, median, ci68, *_ in _spans(answer, named)
     ]
     fixed = tuple(map(str, answer["identifiability"]["sentences"]))
     return Section(
@@ -168,24 +166,26 @@ def _names(answer: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def _ends(ends: Any) -> str:
-    return f"{number(ends[0], 5)} to {number(ends[1], 5)}"
+def _spans(answer: Mapping[str, Any], names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Name, median and intervals of each parameter, the last with all others known."""
+    rows = []
+    for name, one in zip(names, answer["parameters"].values(), strict=True):
+        digits = decimals_of_sd(min(one["sd"], one["conditional"]["sd"]))
+        if "acceptance_fraction" not in answer:  # φ alone, by quadrature
+            digits = decimals(one["ci68"])
+        ends = (one["ci68"], one["ci95"], one["conditional"]["ci68"])
+        spans = (f"{low:.{digits}f} to {high:.{digits}f}" for low, high in ends)
+        rows.append((name, f"{one['median']:.{digits}f}", *spans))
+    return rows
 
 
 def _parameters(answer: Mapping[str, Any], names: Sequence[str]) -> Table:
     rows = []
-    for name, one in zip(names, answer["parameters"].values(), strict=True):
+    for spans, one in zip(_spans(answer, names), answer["parameters"].values(), strict=True):
         rhat = one["convergence"].get("split_rhat")
         draws = one["convergence"].get("effective_sample_size")
-        rows.append(
-            (
-                name,
-                number(one["median"], 5),
-                *map(_ends, (one["ci68"], one["ci95"], one["conditional"]["ci68"])),
-                "–" if rhat is None else f"{rhat:.3f}",
-                "–" if draws is None else f"{draws:.0f}",
-            )
-        )
+        told = "–" if rhat is None else f"{rhat:.3f}", "–" if draws is None else f"{draws:.0f}"
+        rows.append((*spans, *told))
     header = ("", "median", "68 %", "95 %", "68 %, others known", "R-hat", "effective draws")
     note = "" if answer["converged"] else "The draws have not converged: do not use them."
     return Table("Parameters", header, rows, note, wide=True)
@@ -212,7 +212,7 @@ def _histories(answer: Mapping[str, Any]) -> Table:
 
 
 def _belief(answer: Mapping[str, Any], used: Library | None) -> tuple[Status, str]:
-    """Whether to believe an answer, and words for it where the usual ones would say too much."""
+    """Status of an answer, and words for its badge where the usual ones would promise too much."""
     status = STATUS.get(str(answer["verdict"]), "none")
     if status != "good":
         return status, ""
@@ -311,17 +311,17 @@ def _apart(answer: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _origin(answer: Mapping[str, Any]) -> str:
-    """What its forces are, in a word."""
+    """Whether the forces were ``measured`` or ``simulated``."""
     return "simulated" if "simulation" in answer.get("provenance", {}) else "measured"
 
 
-def _median(angle: Mapping[str, Any], fewest: int = 1) -> str:
-    return f"{angle['median']:.{decimals(angle['ci68'], fewest)}f}"
+def _median(angle: Mapping[str, Any]) -> str:
+    return f"{angle['median']:.{decimals(angle['ci68'])}f}"
 
 
-def _range(angle: Mapping[str, Any], level: str, fewest: int = 1, unit: str = "°") -> str:
-    """An interval, both levels with the digits that the narrower one needs."""
-    low, high = (f"{end:.{decimals(angle['ci68'], fewest)}f}" for end in angle[level])
+def _range(angle: Mapping[str, Any], level: str, unit: str = "°") -> str:
+    """An interval, both levels with the digits that the narrower one deserves."""
+    low, high = (f"{end:.{decimals(angle['ci68'])}f}" for end in angle[level])
     return f"{low} to {high}{unit}"
 
 
@@ -335,15 +335,7 @@ def _numbers(answer: Mapping[str, Any]) -> Table:
     angles = [(f"φ, {answer['phi_deg'].get('yield')} [deg]", answer["phi_deg"])]
     if answer["phi_plane_strain_deg"] and answer["phi_deg"].get("yield") != "plane_strain":
         angles.append(("φ, equivalent in plane strain [deg]", answer["phi_plane_strain_deg"]))
-    rows = [
-        (
-            name,
-            _median(angle, 2),
-            _range(angle, "ci68", 2, ""),
-            _range(angle, "ci95", 2, ""),
-        )
-        for name, angle in angles
-    ]
+    rows = [(n, _median(a), _range(a, "ci68", ""), _range(a, "ci95", "")) for n, a in angles]
     misfit = " and ".join(f"{100.0 * answer['nrmsd'][f]:.1f} % ({f})" for f in ("Fx", "Fz"))
     density, leg = (
         ", assumed" if answer.get(f"{what}_assumed") else "" for what in ("density", "leg")
@@ -371,7 +363,7 @@ def _density(saved: Saved, used: Library | None) -> Plot:
     phi = saved.answer["phi_deg"]
     bounds = None if used is None else _bounds_deg(saved.answer, used)
     x, density = smooth_density(saved.draws_deg, bounds=bounds)
-    hover = f"φ = %{{x:.{decimals(phi['ci68'], 2)}f}}°<extra></extra>"
+    hover = f"φ = %{{x:.{decimals(phi['ci68'])}f}}°<extra></extra>"
     traces = [fig.line(x, density, "posterior density", "@blue", hovertemplate=hover)]
     for level, colour in (("ci95", "@blue/0.18"), ("ci68", "@blue/0.40")):
         low, high = phi[level]
@@ -618,7 +610,7 @@ def _answer(path: Path) -> dict[str, Any]:
 
 
 def _parsed(text: str) -> Any:
-    """JSON of numbers that are some; raises ValueError."""
+    """JSON without NaN and infinities; raises ValueError if there are any."""
 
     def no_number(name: str) -> None:
         raise ValueError(f"{name} is no number")

@@ -11,12 +11,12 @@ from terraphi.experiment.history import WINDOW_DEG
 from terraphi.library.plan import describe
 from terraphi.library.reproduction import account
 from terraphi.library.store import Case, Library
+from terraphi.view.plots import leg_name
 from terraphi.view.report import parts as fig
 from terraphi.view.report.certificate import certificate_parts
 from terraphi.view.report.parts import Part, Plot, Section, label, number
 from terraphi.view.table import Table
 
-LEG_WORDS = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C leg"}
 MOST_CURVES = 24
 """Curves of a plot; of more, every second, third and so on is drawn."""
 
@@ -92,7 +92,7 @@ def _leg_plots(library: Library, leg: str, cases: list[Case]) -> list[Part]:
     shown = cases[:: -(-len(cases) // MOST_CURVES)]
     phis = [case.scenario.soil.friction_angle_deg for case in cases]
     swept = len(set(phis)) == len(phis) > 2
-    words = LEG_WORDS.get(leg, leg)
+    words = leg_name(leg)
     plots: list[Part] = []
     for name in ("Fx", "Fz"):
         traces = [
@@ -153,7 +153,7 @@ def _peaks(library: Library) -> list[Part]:
         peaks = [case.history.peaks() for case in chosen if case.history]
         for name, found in traces.items():
             values = [getattr(peak, name) for peak in peaks]
-            curve = fig.line(phis, values, LEG_WORDS.get(leg, leg), colour, dash=dash)
+            curve = fig.line(phis, values, leg_name(leg), colour, dash=dash)
             found.append({**curve, "mode": "lines+markers",
                           "marker": {"symbol": symbol, "color": colour, "size": 6},
                           "hovertemplate": "φ = %{x:g}°: %{y:.2f} N"})  # fmt: skip

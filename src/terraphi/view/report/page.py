@@ -14,7 +14,7 @@ import hashlib
 import importlib.metadata
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from typing import Any
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import replacing
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
-from terraphi.view.report.parts import Part, Player, Plot, Section, number, pairs
+from terraphi.view.report.parts import Part, Player, Plot, Section, pairs
 from terraphi.view.table import Table
 
 LARGEST_BYTES = 6_000_000
@@ -97,19 +97,27 @@ def render(sections: Sequence[Section]) -> str:
     sections
         What it holds.
     """
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError as error:
-        raise _missing() from error
-    library = get_plotlyjs()
+    library, packed = _plotly()
     script = "\n".join(asset(name) for name in ("colours.js", "player.js", "report.js"))
     html: str = template("page.html").render(
         **context(sections),
         policy=_policy(script, library),
         script=script,
-        plotly=base64.b64encode(gzip.compress(library.encode(), 9, mtime=0)).decode("ascii"),
+        plotly=packed,
     )
     return html
+
+
+@cache
+def _plotly() -> tuple[str, str]:
+    """The script of plotly, and the same compressed, in base64; kept, for it takes a second."""
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError as error:
+        raise _missing() from error
+    library: str = get_plotlyjs()
+    packed = gzip.compress(library.encode(), 9, mtime=0)
+    return library, base64.b64encode(packed).decode("ascii")
 
 
 def context(sections: Sequence[Section]) -> dict[str, Any]:
@@ -220,7 +228,6 @@ def _overviews(sections: Sequence[Section]) -> list[Table]:
 
 def _shown(section: Section, index: int) -> dict[str, Any]:
     """A section for the template; the data of its plots are passed separately, by name."""
-    parts = [{**_fields(part), "id": name} for name, part in _named(section, index)]
     return {
         "kind": section.kind,
         "title": section.title,
@@ -228,24 +235,9 @@ def _shown(section: Section, index: int) -> dict[str, Any]:
         "status": section.status,
         "badge": section.badge or WORDS[section.status],
         "reason": section.reason,
-        "parts": parts,
+        "parts": _named(section, index),
         "provenance": Table("", ("", ""), pairs(section.provenance)),
     }
-
-
-def _fields(part: Part) -> dict[str, Any]:
-    """The fields of a part that the template shows."""
-    if isinstance(part, Player):
-        curves = [_fields(curve) for curve in part.curves]
-        return {"part": part.part, "title": part.title, "note": part.note, "wide": part.wide,
-                "curves": curves, "frames": number(len(part.data["theta_deg"]))}  # fmt: skip
-    if isinstance(part, Plot):
-        return {"part": part.part, "title": part.title, "note": part.note, "wide": part.wide,
-                "height": part.height}  # fmt: skip
-    if isinstance(part, Table):
-        return {"part": part.part, "title": part.title, "wide": part.wide, "folded": part.folded,
-                "table": part}  # fmt: skip
-    return asdict(part)
 
 
 def _named(section: Section, index: int) -> list[tuple[str, Part]]:

@@ -20,7 +20,6 @@ from terraphi.view.table import Table
 Status = Literal["good", "doubtful", "bad", "none"]
 """Whether an answer may be believed; said in words beside it too."""
 
-MOST_DECIMALS = 8
 LONGEST_LABEL = 120
 """Characters of a text in a plot."""
 
@@ -151,14 +150,6 @@ def label(text: object) -> str:
     return plain.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
-def decimals(ends: Sequence[float], fewest: int) -> int:
-    """Decimals that show the width of an interval with two digits, and no fewer than asked for."""
-    width = abs(float(ends[1]) - float(ends[0]))
-    if not 0.0 < width < math.inf:
-        return fewest
-    return min(max(fewest, 1 - math.floor(math.log10(width))), MOST_DECIMALS)
-
-
 def number(value: Any, digits: int = 4) -> str:
     """Format a value for a table: yes or no, a rounded number, or its parts."""
     if isinstance(value, bool) or value is None:
@@ -215,46 +206,30 @@ def line(
     x: ArrayLike, y: ArrayLike, name: str, colour: str, *, dash: str = "solid", **more: Any
 ) -> dict[str, Any]:
     """A curve."""
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": numbers(x),
-        "y": numbers(y),
-        "name": label(name),
+    return _trace("lines", x, y, name) | {
         "line": {"color": colour, "dash": dash, "width": 2},
         **more,
     }
 
 
 def points(
-    x: ArrayLike, y: ArrayLike, name: str, colour: str, *, symbol: str = "circle", **more: Any
+    x: ArrayLike, y: ArrayLike, name: str, colour: str, *, symbol: str = "circle"
 ) -> dict[str, Any]:
     """Points."""
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "x": numbers(x),
-        "y": numbers(y),
-        "name": label(name),
-        "marker": {"color": colour, "symbol": symbol, "size": 6},
-        **more,
-    }
+    marker = {"color": colour, "symbol": symbol, "size": 6}
+    return _trace("markers", x, y, name) | {"marker": marker}
+
+
+def _trace(mode: str, x: ArrayLike, y: ArrayLike, name: str) -> dict[str, Any]:
+    return {"type": "scatter", "mode": mode, "x": numbers(x), "y": numbers(y), "name": label(name)}
 
 
 def band(x: ArrayLike, low: ArrayLike, high: ArrayLike, name: str, colour: str) -> dict[str, Any]:
     """The area between two curves."""
     ends, floor, top = (np.asarray(v, dtype=np.float64) for v in (x, low, high))
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": numbers(np.concatenate([ends, ends[::-1]])),
-        "y": numbers(np.concatenate([top, floor[::-1]])),
-        "fill": "toself",
-        "fillcolor": colour,
-        "line": {"width": 0},
-        "hoverinfo": "skip",
-        "name": label(name),
-    }
+    around = np.concatenate([ends, ends[::-1]]), np.concatenate([top, floor[::-1]])
+    look = {"fill": "toself", "fillcolor": colour, "line": {"width": 0}, "hoverinfo": "skip"}
+    return _trace("lines", *around, name) | look
 
 
 def bars(x: Sequence[Any], y: ArrayLike, name: str, colour: str, **more: Any) -> dict[str, Any]:
@@ -274,10 +249,8 @@ def layout(x: str, y: str, **more: Any) -> dict[str, Any]:
 
     Keyword arguments are added to the layout, ``xaxis`` and ``yaxis`` to the axes.
     """
-    axes: dict[str, Mapping[str, Any]] = {"xaxis": {"title": {"text": x}}}
-    axes["yaxis"] = {"title": {"text": y}}
-    for name in ("xaxis", "yaxis"):
-        axes[name] = {**axes[name], **more.pop(name, {})}
+    titles = {"xaxis": x, "yaxis": y}
+    axes = {name: {"title": {"text": t}, **more.pop(name, {})} for name, t in titles.items()}
     return {**axes, **more}
 
 
@@ -288,30 +261,19 @@ def phi_label(convention: object) -> str:
 
 def vertical(x: float, colour: str, *, dash: str = "dot") -> dict[str, Any]:
     """A vertical line across the whole plot."""
-    return {
-        "type": "line",
-        "x0": x,
-        "x1": x,
-        "y0": 0,
-        "y1": 1,
-        "yref": "paper",
-        "line": {"color": colour, "dash": dash, "width": 1.5},
-    }
+    line = {"color": colour, "dash": dash, "width": 1.5}
+    return {"type": "line", **_across(x, x), "line": line}
 
 
 def shade(low: float, high: float) -> dict[str, Any]:
     """A grey background between two values of x."""
-    return {
-        "type": "rect",
-        "x0": low,
-        "x1": high,
-        "y0": 0,
-        "y1": 1,
-        "yref": "paper",
-        "layer": "below",
-        "line": {"width": 0},
-        "fillcolor": "@grey/0.25",
-    }
+    look = {"layer": "below", "line": {"width": 0}, "fillcolor": "@grey/0.25"}
+    return {"type": "rect", **_across(low, high), **look}
+
+
+def _across(low: float, high: float) -> dict[str, Any]:
+    """From the bottom to the top of a plot."""
+    return {"x0": low, "x1": high, "y0": 0, "y1": 1, "yref": "paper"}
 
 
 DEGREES = {"tick0": 0, "dtick": 30, "range": [-90, 90]}

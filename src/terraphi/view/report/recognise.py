@@ -149,7 +149,9 @@ def sections(
     fields: dict[str, list[Path]] = {}
     for result in results:
         if result.kind == "fields":
-            fields.setdefault(_scenario_of(result.path), []).append(result.path)
+            from terraphi.view.report.simulation import scenario_of
+
+            fields.setdefault(scenario_of(result.path), []).append(result.path)
     histories = [r.path for r in results if r.kind == "simulation"]
     partner = {}
     for path in histories:
@@ -192,12 +194,6 @@ def _made(kind: Kind, path: Path, options: Mapping[str, Any]) -> Section:
         reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise InputError(f"{path}: not as terraphi writes it ({reason}); make it again") from error
     return section
-
-
-def _scenario_of(fields: Path) -> str:
-    from terraphi.view.report.simulation import scenario_of
-
-    return scenario_of(fields)
 
 
 def _scenario_hash(path: Path) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -17,7 +17,7 @@ from terraphi.robot.estimators import Estimator
 from terraphi.robot.joint_log import FEET
 from terraphi.robot.logs import read_log
 from terraphi.robot.model import Quadruped
-from terraphi.robot.results import KIND, SCHEMA, RobotForces, analyse
+from terraphi.robot.results import KIND, SCHEMA, analyse, dataset_of
 from terraphi.robot.stance import AXES
 from terraphi.view.report import parts as fig
 from terraphi.view.report.parts import Part, Plot, Section, Text, number
@@ -40,79 +40,6 @@ ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
 NAMES: dict[str, str] = {name: name.replace("_", " ") for name in ESTIMATORS}
 
 
-@dataclass(frozen=True)
-class Forces:
-    """The results of a log that a page shows.
-
-    Attributes
-    ----------
-    time
-        [s], shape [sample].
-    force
-        [N], shape [sample, foot, axis].
-    stances
-        Foot, touch-down and lift-off [s] of each.
-    part
-        Normalised time [-], shape [point].
-    feet
-        Mean stance of each foot [N], shape [foot, point, axis].
-    pooled, spread
-        Mean stance of all and its standard deviation [N], shape [point, axis].
-    summary, provenance
-        As the command line prints it, and where it comes from.
-    """
-
-    time: FloatArray
-    force: FloatArray
-    stances: Sequence[tuple[str, float, float]]
-    part: FloatArray
-    feet: FloatArray
-    pooled: FloatArray
-    spread: FloatArray
-    summary: Mapping[str, Any]
-    provenance: Mapping[str, Any]
-
-    @classmethod
-    def of(cls, found: RobotForces) -> Forces:
-        """From a finished analysis."""
-        return cls(
-            found.forces.time,
-            found.forces.force.astype(np.float64),
-            [(stance.foot, stance.begin, stance.end) for stance in found.stances],
-            found.pooled.part,
-            np.stack([found.feet[foot].mean for foot in FEET]),
-            found.pooled.mean,
-            found.pooled.spread,
-            found.summary(),
-            found.provenance(),
-        )
-
-    @classmethod
-    def read(cls, path: Path) -> Forces:
-        """Read a file of ``terraphi forces --out``; raises InputError if it is not whole."""
-        data = open_netcdf(path, kind=KIND, schema=SCHEMA)
-        try:
-            stances = zip(
-                map(str, data["stance_foot"].values),
-                data["stance_begin"].values.tolist(),
-                data["stance_end"].values.tolist(),
-                strict=True,
-            )
-            names = ("time", "force", "part", "stance_mean", "pooled_mean", "pooled_spread")
-            time, force, *rest = (data[name].values.astype(np.float64) for name in names)
-            summary = json.loads(data.attrs["summary"])
-            provenance = json.loads(data.attrs["provenance"])
-            _ = {foot: summary["feet"][foot]["stances"] for foot in FEET}, summary["pooled"]
-            if force.shape != (len(time), len(FEET), len(AXES)):
-                raise ValueError(f"force has shape {force.shape}")
-            part, feet, pooled, spread = rest
-            return cls(time, force, list(stances), part, feet, pooled, spread, summary, provenance)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                f"{path}: not as terraphi writes foot forces ({error}); make it again"
-            ) from error
-
-
 def section(path: Path, *, robot: str = "go2") -> Section:
     """Report of foot forces.
 
@@ -128,31 +55,49 @@ def section(path: Path, *, robot: str = "go2") -> Section:
     InputError
         If the file cannot be used.
     """
+    compared: dict[str, Any] = {}
     if path.suffix == ".nc":
-        shown = Forces.read(path)
-        compared: dict[str, Forces] = {}
+        shown = _checked(open_netcdf(path, kind=KIND, schema=SCHEMA))
         why_not = "'terraphi report LOG' compares them"
     else:
         compared, why_not = comparison(path, robot=Quadruped.load(robot))
         if not compared:
             raise InputError(why_not)
         shown = compared["momentum_observer" if "momentum_observer" in compared else "quasi_static"]
-    parts: list[Part] = [_feet_table(shown.summary), *_over_time(shown), *_ensemble(shown)]
+    summary, provenance = _summary(shown), json.loads(shown.attrs["provenance"])
+    parts: list[Part] = [_feet_table(summary), *_over_time(shown), *_ensemble(shown)]
     parts += _comparison(compared, why_not)
-    parts.append(_reading(shown.summary))
+    parts.append(_reading(summary))
     return Section(
         kind="robot log",
-        title=Path(str(shown.provenance.get("log", {}).get("source", path.name))).name,
-        headline=_headline(shown.summary),
-        reason=" ".join(
-            f"{note[:1].upper()}{note[1:]}." for note in shown.summary.get("notes", ())
-        ),
+        title=Path(str(provenance.get("log", {}).get("source", path.name))).name,
+        headline=_headline(summary),
+        reason=" ".join(f"{note[:1].upper()}{note[1:]}." for note in summary.get("notes", ())),
         parts=parts,
-        provenance={"result": path.name, **shown.provenance},
+        provenance={"result": path.name, **provenance},
     )
 
 
-def comparison(path: Path, *, robot: Quadruped) -> tuple[dict[str, Forces], str]:
+def _checked(data: Any) -> Any:
+    """What a file of forces holds; raises ValueError if its arrays do not fit."""
+    shape, wanted = data["force"].values.shape, (len(data["time"].values), len(FEET), len(AXES))
+    if shape != wanted:
+        raise ValueError(f"force has shape {shape}, expected {wanted}")
+    return data
+
+
+def _summary(data: Any) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(data.attrs["summary"])
+    return found
+
+
+def _stances(data: Any) -> list[tuple[str, float, float]]:
+    """Foot, touch-down and lift-off [s] of each stance."""
+    foot, begin, end = (data[f"stance_{name}"].values.tolist() for name in ("foot", "begin", "end"))
+    return list(zip(map(str, foot), begin, end, strict=True))
+
+
+def comparison(path: Path, *, robot: Quadruped) -> tuple[dict[str, Any], str]:
     """Run every estimator on a log; if one fails, the error of the last that did.
 
     In the frame of the world, or of the body if the log has no attitude.
@@ -160,13 +105,12 @@ def comparison(path: Path, *, robot: Quadruped) -> tuple[dict[str, Forces], str]
     log = read_log(path, motors=robot.joint_order, precision="single")
     log = replace(log, report={"source": str(path), **log.report})
     frame: Any = "body" if log.quaternion is None else "world"
-    found: dict[str, Forces] = {}
+    found: dict[str, Any] = {}
     why_not = ""
     for estimator in ESTIMATORS:
         try:
-            found[estimator] = Forces.of(
-                analyse(log, robot=robot, estimator=estimator, frame=frame)
-            )
+            forces = analyse(log, robot=robot, estimator=estimator, frame=frame)
+            found[estimator] = dataset_of(forces)
         except InputError as error:
             why_not = f"{path}: {error}"
     return found, why_not
@@ -211,24 +155,25 @@ def _reading(summary: Mapping[str, Any]) -> Table:
 # -- over time -----------------------------------------------------------------------------------
 
 
-def _over_time(shown: Forces) -> list[Part]:
+def _over_time(shown: Any) -> list[Part]:
     """F_z and F_x of each foot, its stances shaded."""
-    first = shown.stances[0][1] if shown.stances else float(shown.time[0])
-    start = max(min(first - 0.1, float(shown.time[-1]) - SHOWN_S), float(shown.time[0]))
-    inside = slice(*np.searchsorted(shown.time, [start, start + SHOWN_S]).tolist())
-    time = shown.time[inside] - start
+    whole, stances = shown["time"].values, _stances(shown)
+    first = stances[0][1] if stances else float(whole[0])
+    start = max(min(first - 0.1, float(whole[-1]) - SHOWN_S), float(whole[0]))
+    inside = slice(*np.searchsorted(whole, [start, start + SHOWN_S]).tolist())
+    time = whole[inside] - start
     length = float(time[-1]) if len(time) else 0.0
     note = f"Seconds after {start:.2f} s of the log's clock"
-    if shown.time[-1] - shown.time[0] > SHOWN_S:
-        note += f"; {SHOWN_S:g} of {shown.time[-1] - shown.time[0]:.0f} s are shown"
+    if whole[-1] - whole[0] > SHOWN_S:
+        note += f"; {SHOWN_S:g} of {whole[-1] - whole[0]:.0f} s are shown"
     plots: list[Part] = []
     for i, foot in enumerate(FEET):
-        force = shown.force[inside, i]
+        force = shown["force"].values[inside, i].astype(np.float64)
         lines = [
             _thinned(time, force[:, AXES.index(axis)], fig.FORCE[f"F{axis}"], colour, dash)
             for axis, colour, dash in (("z", "@blue", "solid"), ("x", "@orange", "solid"))
         ]
-        shade = _shading(shown.stances, foot, start, length, force)
+        shade = _shading(stances, foot, start, length, force)
         plots.append(
             Plot(
                 title=f"{FOOT_NAMES[foot].capitalize()} foot ({foot})",
@@ -285,23 +230,25 @@ def _shading(
 # -- mean stances --------------------------------------------------------------------------------
 
 
-def _ensemble(shown: Forces) -> list[Part]:
+def _ensemble(shown: Any) -> list[Part]:
     """Mean stance: all feet with the spread, and foot by foot."""
-    if not shown.stances:
+    stances = _stances(shown)
+    if not stances:
         return []
+    part, pooled, spreads = (shown[n].values for n in ("part", "pooled_mean", "pooled_spread"))
     plots: list[Part] = []
     for axis in ("z", "x"):
         column = AXES.index(axis)
-        mean, spread = shown.pooled[:, column], shown.spread[:, column]
+        mean, spread = pooled[:, column], spreads[:, column]
         around = (mean - spread, mean + spread, "± one standard deviation", "@grey/0.3")
         traces = [
-            fig.band(shown.part, *around),
-            fig.line(shown.part, mean, f"all, {len(shown.stances)} stances", "@ink"),
+            fig.band(part, *around),
+            fig.line(part, mean, f"all, {len(stances)} stances", "@ink"),
         ]
-        for foot, one in zip(FEET, shown.feet[:, :, column], strict=True):
+        for foot, one in zip(FEET, shown["stance_mean"].values[:, :, column], strict=True):
             if np.isfinite(one).any():
                 colour, dash = LOOKS[foot]
-                traces.append(fig.line(shown.part, one, foot, colour, dash=dash))
+                traces.append(fig.line(part, one, foot, colour, dash=dash))
         plots.append(_stance_plot("Mean stance", axis, traces))
     return plots
 
@@ -312,10 +259,10 @@ def _stance_plot(title: str, axis: str, traces: Sequence[Mapping[str, Any]]) -> 
     return Plot(title=f"{title}, F{axis}", traces=traces, layout=layout, height=340)
 
 
-def _comparison(compared: Mapping[str, Forces], why_not: str) -> list[Part]:
+def _comparison(compared: Mapping[str, Any], why_not: str) -> list[Part]:
     """The mean stance by every estimator."""
     title = "Estimators compared"
-    walked = {name: forces for name, forces in compared.items() if forces.stances}
+    walked = {name: forces for name, forces in compared.items() if _stances(forces)}
     if len(walked) < 2:
         reason = why_not or "only one of them found stances"
         return [Text(title, (f"Not compared: {reason}.",), wide=True)]
@@ -323,11 +270,15 @@ def _comparison(compared: Mapping[str, Forces], why_not: str) -> list[Part]:
     for axis in ("z", "x"):
         column = AXES.index(axis)
         traces = [
-            fig.line(forces.part, forces.pooled[:, column], NAMES[name], colour, dash=dash)
+            fig.line(
+                *(forces["part"].values, forces["pooled_mean"].values[:, column]),
+                *(NAMES[name], colour),
+                dash=dash,
+            )
             for (name, forces), (colour, dash) in zip(walked.items(), LOOKS.values(), strict=False)
         ]
         plots.append(_stance_plot(f"{title}: mean stance", axis, traces))
-    rows = [(NAMES[name], *_figures(f.summary["pooled"])) for name, f in compared.items()]
+    rows = [(NAMES[name], *_figures(_summary(f)["pooled"])) for name, f in compared.items()]
     header = ("estimator", "stances", "duration [s]", "peak Fz [N]", "peak Fx [N]")
     missing = f"Left out, as it could not be had: {why_not}." if why_not else ""
     plots.append(Table(title, header, rows, note=missing, wide=True))

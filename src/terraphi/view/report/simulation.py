@@ -20,6 +20,7 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm.fields import LEG, PARTICLES
 from terraphi.forward.vtk import Grid, read_points, read_series
+from terraphi.view.plots import leg_name, shown_position
 from terraphi.view.report import parts as fig
 from terraphi.view.report.parts import Part, Player, Plot, Section, number
 from terraphi.view.table import Table
@@ -89,10 +90,10 @@ def _title(scenario: Scenario | None) -> str:
     if scenario is None:
         return ""
     soil = scenario.soil
-    leg = {"c": "C", "reversed_c": "reversed C"}.get(scenario.leg.shape, scenario.leg.shape)
+    leg = leg_name(scenario.leg.shape)
     if scenario.convention == "none":
-        return f"{leg} leg, two-dimensional resistive force theory"
-    return f"{leg} leg, φ = {soil.friction_angle_deg:g}° ({scenario.convention})"
+        return f"{leg}, two-dimensional resistive force theory"
+    return f"{leg}, φ = {soil.friction_angle_deg:g}° ({scenario.convention})"
 
 
 def _headline(history: ForceHistory) -> str:
@@ -122,7 +123,7 @@ def _curves(history: ForceHistory) -> list[Plot]:
     place = np.linspace(start, stop, min(len(history.position), 500))
     half = (stop - start) / 360.0
     force = history.means(place, half)
-    x = _shown(place, history.coordinate)
+    x = shown_position(place, history.coordinate)
     looks = {"Fx": "@orange", "Fz": "@blue"}
     return [
         Plot(
@@ -144,10 +145,6 @@ def _curves(history: ForceHistory) -> list[Plot]:
         )
         for name, colour in looks.items()
     ]
-
-
-def _shown(position: FloatArray, coordinate: str) -> FloatArray:
-    return np.degrees(position) if coordinate == "theta" else 1e3 * position
 
 
 # -- particles -----------------------------------------------------------------------------------

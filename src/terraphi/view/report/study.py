@@ -80,7 +80,7 @@ def _data(path: Path) -> dict[str, Any]:
 
 
 def _own_table(data: Mapping[str, Any]) -> Table | None:
-    """The table that the study itself has made, if it has."""
+    """The study's own table; ``None`` if its data have none."""
     own = data.get("table")
     if not own:
         return None
@@ -100,7 +100,7 @@ def _shortened(value: Any) -> Any:
 
 
 def _page(path: Path) -> Text:
-    """A page in Markdown; HTML and links in it stay text, its pictures are left out: see above."""
+    """A page in Markdown as HTML. Tags and links in it stay text; its pictures are left out."""
     from markdown_it import MarkdownIt
 
     renderer = MarkdownIt("commonmark", {"html": False}).enable("table")
@@ -117,7 +117,7 @@ def _text(path: Path) -> str:
 
 
 def pictures(folder: Path, title: str) -> list[Part]:
-    """The figures of the folder, made smaller, as far as there is room."""
+    """The PNG files of a folder, made smaller, up to :data:`MOST_PICTURE_BYTES` in all."""
     found: list[tuple[str, str]] = []
     room = MOST_PICTURE_BYTES
     left_out = []
@@ -135,7 +135,7 @@ def pictures(folder: Path, title: str) -> list[Part]:
 
 
 def _embedded(path: Path) -> str | None:
-    """A picture as a data address; ``None`` for what is none."""
+    """A PNG, made smaller, as a ``data:`` URL; ``None`` if the file is not a picture."""
     from PIL import Image
 
     try:
