@@ -35,6 +35,7 @@ LIBRARIES = (
     "paper",
     "quick-paper",
     "rft3d",
+    "sand3d-quick",
 )
 """Libraries to invert with, as far as they are shipped."""
 COLUMNS = (

@@ -29,6 +29,7 @@ FAMILIES = (
     "conservation",
     "order",
     "kernels",
+    "space",
 )
 """Modules of problems, in the order of the document."""
 

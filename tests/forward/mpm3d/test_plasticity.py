@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from terraphi.experiment.soil import Soil
+from terraphi.forward.mpm import plasticity as plane_of_motion
 from terraphi.forward.mpm3d import lanes
 from terraphi.forward.mpm3d.plasticity import jaumann_predictor, material_of, return_mapping
 
@@ -115,6 +116,27 @@ def test_isochoric_paths_end_at_the_strength_of_mohr_and_coulomb(rate, ratio, ph
             assert 3.0 * (high - low) / -sum(stress[:3]) == pytest.approx(
                 ratio(sine), rel=tolerance
             )
+
+
+@pytest.mark.parametrize("psi", [0.0, 10.0, 35.0])
+def test_plane_strain_is_that_of_the_solver_in_the_plane(psi):
+    # Step by step, whatever the stress across: a return that does not turn the deviatoric stress
+    # would agree with it only once that stress had become the mean of the other two.
+    ground = soil(35.0, psi)
+    material, flat = material_of(ground), plane_of_motion.material_of(ground)
+    lame, shear = material.lame_lambda, material.shear_modulus
+    space, plane = (-1e3, -900.0, -700.0, 0.0, 0.0, 0.0), (-1e3, -700.0, 0.0, 0.0)
+    rng, yielded = np.random.default_rng(4), 0
+    for _ in range(300):
+        xx, xz, zx, zz = 2e-5 * rng.normal(size=4) + (-4e-5, 5e-5, 1e-5, 3.5e-5)
+        trial = plane_of_motion.jaumann_predictor(plane, (xx, xz, zx, zz), 1.0, lame, shear)
+        plane = plane_of_motion.return_mapping(trial, flat)
+        step = (xx, 0.0, xz, 0.0, 0.0, 0.0, zx, 0.0, zz)
+        trial = jaumann_predictor(space, step, xx + zz, lame, shear)
+        space, slip = return_mapping(trial, 0.0, material)
+        yielded += slip > 0.0
+        assert (space[0], space[2], space[4]) == pytest.approx(plane[:3], rel=1e-9)
+    assert yielded > 200
 
 
 @settings(max_examples=200, deadline=None)

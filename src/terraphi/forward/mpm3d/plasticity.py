@@ -14,6 +14,13 @@ or σ₂ = σ₃, on which two faces flow; beyond the tip, to the tip. In the me
 gaps between principal stresses a return is short, for on an edge one gap is zero, the other
 follows from m by f = 0, and m falls by 2 K sin ψ times the sum of both multipliers.
 
+Why the faces' own flow, and no radial return, which shrinks the deviatoric stress without turning
+it and has the same strength: so φ and ψ mean what they mean in limit analysis, and a point strained
+in a plane does step by step what it does in the solver of the plane, whatever the stress across.
+The radial return takes 10 to 14 % off a leg's force at ψ = 0, and 4 % at most in plane strain. Sand
+flows somewhere between the two, so that this is a doubt about the model: docs, *Three
+dimensions*.
+
 The new tensor has the old directions. With new principal values a quadratic polynomial of the
 old ones, that is a polynomial of the old tensor (Newton's divided differences), so that no
 directions need be found, and equal principal stresses do no harm.
