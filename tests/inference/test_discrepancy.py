@@ -100,6 +100,16 @@ def test_a_soil_that_it_was_learnt_from_is_said_to_be(library: Library) -> None:
     assert told == [["known_soil"], []]
 
 
+def test_an_angle_that_hardly_any_soil_has_is_asked_about(library: Library) -> None:
+    def codes(factor: float) -> list[str]:
+        sand = measurement("li2013:poppy_loose/straight")
+        found = inverted(library, sand.name, density=factor * (sand.density_kg_m3 or 0.0))
+        return [doubt.code for doubt in found.warnings]
+
+    assert "unusual" not in codes(1.0)
+    assert "unusual" in codes(0.5)
+
+
 def test_real_soils_are_consistent_and_other_records_are_not(library: Library) -> None:
     glass = "li2013:glass03_close/straight"
     right = measurement(glass).history

@@ -33,6 +33,9 @@ LIKELIHOODS = ("calibrated", "paper")
 SAMPLERS = ("quadrature", "emcee")
 DISCREPANCIES = ("none", "gp", "soils")
 
+USUAL_DEG = (18.0, 50.0)
+"""Friction angles of dry granular soils in plane strain [deg]: smooth glass beads, loose, have
+some 20 to 25, dense sand at a few kilopascals up to some 50."""
 _SOFTWARE = ("terraphi", "numpy", "scipy", "emcee")
 
 
@@ -143,7 +146,8 @@ def invert(
     if by_soils is not None:
         told = {"calibration": by_soils.model_dump(mode="json")}
         found = replace(found, provenance={**found.provenance, **told})
-    found = replace(found, warnings=(*found.warnings, *_known_soils(looked, found, library)))
+    doubts = (*_known_soils(looked, found, library), *_unusual(found))
+    found = replace(found, warnings=(*found.warnings, *doubts))
     beside = _compared(looked, found, library)
     found = replace(found, library_reason=why, compared=beside)
     return _signed(found, library, time.perf_counter() - began)
@@ -207,6 +211,15 @@ def _known_soils(looked: Looked, found: Inversion, library: Library) -> list[Dou
     shipped = (str(t.history.provenance.get("measurement", "")) for t in looked.trials)
     known = {medium_and_leg(name)[0] for name in shipped} & set(learnt.media)
     return [Doubt("known_soil", {"medium": medium}) for medium in sorted(known)]
+
+
+def _unusual(found: Inversion) -> list[Doubt]:
+    """A doubt if measured forces give an angle that hardly any dry soil has."""
+    plane = found.phi_plane_strain
+    low, high = USUAL_DEG
+    if plane is None or any(one.simulation for one in found.records) or low <= plane.median <= high:
+        return []
+    return [Doubt("unusual", {"median": plane.median, "low": low, "high": high})]
 
 
 def _trials(

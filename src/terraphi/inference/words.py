@@ -133,6 +133,10 @@ DOUBTS = {
         "These forces hardly tell φ: they add {bits:.2f} bits to a uniform prior over the library "
         "(limit {limit:g}), so that the median is not theirs."
     ),
+    "unusual": (
+        "Hardly any dry soil has a friction angle of {median:.0f}° in plane strain ({low:g} to "
+        "{high:g}° is usual): check the density, the unit of the forces and the leg."
+    ),
     "tries_others": "Library '{name}' is shipped to try others, not to invert with.",
     "read_twice": (
         "It is read at other angles than another history of leg {leg}, more than {spacing_deg:g}° "
