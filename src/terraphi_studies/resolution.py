@@ -241,8 +241,9 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         notes.append(
             f"The largest step in F_z is '{largest['step']}': {largest['change_N']['Fz']:+.1f} N."
         )
-    within = [name for name, change in halved.items() if change["within_5_percent"]]
-    beyond = [name for name in halved if name not in within]
+    alone = [name for name, change in halved.items() if change["from"] not in halved]
+    within = [name for name in alone if halved[name]["within_5_percent"]]
+    beyond = [name for name in alone if name not in within]
     bound = f"{TOLERANCE_PERCENT:g} %"
     if within:
         notes.append(f"Both peaks of resolved move by at most {bound} with: {', '.join(within)}.")
@@ -252,6 +253,7 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         means = {name: change["mean_change_percent"] for name, change in halved.items()}
         moved = ", ".join(
             f"{name} {both(mean, ' %', '+.1f')} ({degrees.worth(mean)})"
+            + ("" if name in alone else f" from '{halved[name]['from']}'")
             for name, mean in means.items()
         )
         apart = both(data["resolved"]["mean_scatter_percent"], " %")
@@ -274,8 +276,10 @@ def _method() -> str:
     )
     return (
         "Straight leg, φ = 35°, speed-up 10, peaks of 1° means. Each row of the first part adds a "
-        "change to all before it; each of the second changes preset `resolved` by itself. Plans: "
-        "`waterfall` and `resolution`. Run again: `terraphi study resolution`.\n\n"
+        "change to all before it; each of the second changes preset `resolved` by itself, but for "
+        "what is said to be from above: that changes the row above it. `tip drawn in` is preset "
+        "`resolved-2`. Plans: `waterfall` and `resolution`. Run again: `terraphi study "
+        "resolution`.\n\n"
         f"{degrees.said()}\n\n"
         "One run stands against the mean over the seeds, so that a change of a peak no larger "
         "than a few times the scatter is not told from it; the means over the path are the better "
