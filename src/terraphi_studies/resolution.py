@@ -3,8 +3,9 @@
 Two shipped plans. ``waterfall`` leads from preset ``paper-1`` to ``resolved``, one remedy after
 another. ``resolution`` takes ``resolved`` and halves the cells, the time step and the speed-up, and
 makes the soil four times as stiff: none of these is a property of the soil, so the peaks should
-stay. What a change is worth is seen beside what another seed does. Peaks are those of 1° means,
-over the part of the path that holds both.
+stay. What a change is worth is seen beside what another seed does. A step that follows another is
+measured from that one: so cells are halved with the tip drawn in, as preset ``resolved-2`` has it.
+Peaks are those of 1° means, over the part of the path that holds both.
 """
 
 from __future__ import annotations
@@ -82,9 +83,10 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
     Study
         ``data``: ``waterfall`` (list of ``step``, ``peaks_N``, ``change_N``), ``resolved``
         (``peaks_N``: mean over the seeds, ``seed_scatter_percent``), ``halved`` (by step:
-        ``peaks_N``, ``change_percent``, ``within_5_percent``, ``mean_change_percent``: that of the
-        mean over the path; both also as ``change_deg`` and ``mean_change_deg``, in degrees of the
-        friction angle), ``change_when_halved_percent`` (by force: ``mean_change_percent`` of
+        ``from``, the step that it follows or the base, ``peaks_N``, ``change_percent``,
+        ``within_5_percent``, ``mean_change_percent``: that of the mean over the path; both also
+        as ``change_deg`` and ``mean_change_deg``, in degrees of the friction angle),
+        ``change_when_halved_percent`` (by force: ``mean_change_percent`` of
         :data:`HALVED`; null while that is missing), ``percent_per_degree`` by force, and
         ``missing``.
 
@@ -100,10 +102,13 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
     seeds = {n: h for n, h in done.items() if n == halved.scenario.name or n.startswith(SEED)}
     levels = [_level(history) for history in seeds.values()]
     resolved = _seeds([peaks_of(history) for history in seeds.values()], levels)
+    base, follows = halved.scenario.name, followed(halved)
+    start = {base: (resolved["peaks_N"], _mean(levels))}
+    start |= {name: (peaks_of(h), _level(h)) for name, h in done.items() if name not in seeds}
     changes = {
-        name: _change(history, resolved["peaks_N"], _mean(levels))
-        for name, history in done.items()
-        if name not in seeds
+        name: {"from": before, **_change(done[name], *start[before])}
+        for name, before in follows.items()
+        if name in start and before in start
     }
     missing = {
         name: s
@@ -127,6 +132,15 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         documents=page(NAME, table, _method(), notes, PICTURE),
         notes=notes,
     )
+
+
+def followed(plan: Plan) -> dict[str, str]:
+    """Steps of a plan to what each one changes: the step before it, or the base by its name."""
+    names = [plan.scenario.name, *(step.name for step in plan.steps)]
+    return {
+        step.name: before if step.after == "previous" else names[0]
+        for before, step in zip(names, plan.steps, strict=False)
+    }
 
 
 def _waterfall(way: Plan, finished: Mapping[str, ForceHistory]) -> list[dict[str, Any]]:
@@ -212,7 +226,9 @@ def _rows(
     )
     for name, change in changes.items():
         percent, turned = change["change_percent"], change["change_deg"]
-        said = {f: f"{percent[f]:+.1f} %, {turned[f]:+.1f}°" for f in FORCES}
+        # What follows another step stands below it.
+        above = " from above" if change["from"] in changes else ""
+        said = {f: f"{percent[f]:+.1f} %, {turned[f]:+.1f}°{above}" for f in FORCES}
         rows.append({"step": f"resolved, {name}", "peaks_N": change["peaks_N"], "said": said})
     return rows
 
@@ -225,8 +241,9 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         notes.append(
             f"The largest step in F_z is '{largest['step']}': {largest['change_N']['Fz']:+.1f} N."
         )
-    within = [name for name, change in halved.items() if change["within_5_percent"]]
-    beyond = [name for name in halved if name not in within]
+    alone = [name for name, change in halved.items() if change["from"] not in halved]
+    within = [name for name in alone if halved[name]["within_5_percent"]]
+    beyond = [name for name in alone if name not in within]
     bound = f"{TOLERANCE_PERCENT:g} %"
     if within:
         notes.append(f"Both peaks of resolved move by at most {bound} with: {', '.join(within)}.")
@@ -236,6 +253,7 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         means = {name: change["mean_change_percent"] for name, change in halved.items()}
         moved = ", ".join(
             f"{name} {both(mean, ' %', '+.1f')} ({degrees.worth(mean)})"
+            + ("" if name in alone else f" from '{halved[name]['from']}'")
             for name, mean in means.items()
         )
         apart = both(data["resolved"]["mean_scatter_percent"], " %")
@@ -258,8 +276,10 @@ def _method() -> str:
     )
     return (
         "Straight leg, φ = 35°, speed-up 10, peaks of 1° means. Each row of the first part adds a "
-        "change to all before it; each of the second changes preset `resolved` by itself. Plans: "
-        "`waterfall` and `resolution`. Run again: `terraphi study resolution`.\n\n"
+        "change to all before it; each of the second changes preset `resolved` by itself, but for "
+        "what is said to be from above: that changes the row above it. `tip drawn in` is preset "
+        "`resolved-2`. Plans: `waterfall` and `resolution`. Run again: `terraphi study "
+        "resolution`.\n\n"
         f"{degrees.said()}\n\n"
         "One run stands against the mean over the seeds, so that a change of a peak no larger "
         "than a few times the scatter is not told from it; the means over the path are the better "

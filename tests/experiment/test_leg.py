@@ -90,6 +90,34 @@ def test_rectangle_distance(chord: float, slim: float, at: tuple[float, float]) 
     assert distance == pytest.approx(-expected if inside else expected, abs=5e-4 * chord)
 
 
+@settings(max_examples=60, deadline=None)
+@given(
+    shape=st.sampled_from(("straight", "c", "reversed_c")), share=st.floats(0.001, 0.9), at=places
+)
+def test_a_leg_whose_tip_is_drawn_in_keeps_its_centre_line(
+    shape: LegShape, share: float, at: tuple[float, float]
+) -> None:
+    leg = Leg(shape=shape)
+    if shape == "straight":
+        line = np.array([[s, 0.0] for s in np.linspace(0.0, (1.0 - share) * leg.chord, 20001)])
+    else:
+        # Round the middle of the chord, from the hip to where so much of the arc is left.
+        angle = np.linspace(math.pi, share * math.pi, 20001)
+        line = 0.5 * leg.chord * np.stack([1.0 + np.cos(angle), np.sin(angle)], axis=1)
+        line[:, 1] *= 1.0 if shape == "c" else -1.0
+    length = float(np.hypot(*np.diff(line, axis=0).T).sum())
+    assert leg.length * (1.0 - share) == pytest.approx(length, rel=1e-6)
+    point = np.array(at) * leg.chord
+    step = 1e-7
+    near = point + step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+    distance, normals = leg.signed_distance(near, inset=share * leg.length)
+    expected = nearest_distance((point[0], point[1]), line) - leg.half_thickness
+    assert distance[0] == pytest.approx(expected, abs=1e-4 * leg.chord)
+    if np.abs(normals[1:] - normals[0]).max() < 1e-3:  # not on a ridge
+        gradient = np.array([distance[1] - distance[2], distance[3] - distance[4]]) / (2.0 * step)
+        assert gradient == pytest.approx(normals[0], abs=1e-3)
+
+
 @settings(max_examples=100, deadline=None)
 @given(shape=st.sampled_from(LEG_SHAPES), at=places)
 def test_the_normal_is_the_gradient_of_the_distance(

@@ -285,7 +285,12 @@ def test_every_other_field_is_part_of_the_hash(moves: dict[str, Any]) -> None:
     base = Scenario.model_validate({"motion": moves, "numerics": {"remap_interval": 1.6e-4}})
     stepwise = base.replace(**{"numerics.remap_interval": 0.0})
     of_cells = base.replace(**{"numerics.distortion": "cell"})
-    starts = {"numerics.transfer": stepwise, "numerics.cell_damping": of_cells}
+    on_surface = base.replace(**{"numerics.contact": "surface"})
+    starts = {
+        "numerics.transfer": stepwise,
+        "numerics.cell_damping": of_cells,
+        "numerics.tip_inset_cells": on_surface,
+    }
     keys = leaves(base.model_dump(mode="json"))
     hashes = {base.hash}
     for key, value in keys.items():
@@ -301,6 +306,19 @@ def test_every_other_field_is_part_of_the_hash(moves: dict[str, Any]) -> None:
     assert len(hashes) == len(keys) - 1
     flat = base.replace(model="rft")
     assert flat.hash != flat.replace(dimensions=3).hash
+
+
+def test_tip_is_drawn_in_where_it_alone_lies_in_soil() -> None:
+    drawn_in = Scenario.load("resolved").replace(**{"numerics.tip_inset_cells": 1.7})
+    assert drawn_in.tip_inset == pytest.approx(1.7 * 0.3 / 192)
+    with pytest.raises(ValidationError, match=r"0\.00265625 m, no less than the leg's length of"):
+        drawn_in.replace(**{"leg.chord": 0.0026, "leg.shape": "plate"})
+    with pytest.raises(ValidationError, match=r"at the hip, comes as low as 0\.16 m, into soil"):
+        drawn_in.replace(**{"motion.hip.1": 0.16})
+    with pytest.raises(ValidationError, match=r"in three dimensions there is numerics\.tip_inset"):
+        Scenario.load("resolved").replace(
+            **{"dimensions": 3, "bed.breadth": 0.1, "numerics.tip_inset_cells": 1.7}
+        )
 
 
 def test_replace_checks_anew() -> None:
@@ -332,6 +350,7 @@ def test_rft_in_three_dimensions_needs_no_grid() -> None:
             "at most 3 are stable",
         ),
         ({"transfer": "pic", "remap_interval": 1.6e-4}, "set remap_interval = 0"),
+        ({"tip_inset_cells": 1.7}, "contact = 'nodes' does not know it; set tip_inset_cells = 0"),
     ],
 )
 def test_numerics_that_do_not_go_together(numerics: dict[str, Any], words: str) -> None:

@@ -11,7 +11,7 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
-from terraphi.library.plan import Plan
+from terraphi.library.plan import Plan, Step
 from terraphi_studies import resolution
 from terraphi_studies.planned import Simulations
 
@@ -90,6 +90,22 @@ def test_changes_are_measured_from_the_mean_over_the_seeds(
     # Bumps of the same shape: their means scatter as the peaks do, and the largest counts.
     assert study.data["resolved"]["mean_scatter_percent"]["Fz"] == pytest.approx(10.0, rel=1e-2)
     assert any("more than 5 % with: k doubled" in note for note in study.notes)
+
+
+def test_a_step_that_follows_another_is_measured_from_it(plans: tuple[Plan, Plan]) -> None:
+    way, halved = plans
+    steps = [*halved.steps, Step(name="both", changes={"numerics.seed": 3})]
+    halved = halved.model_copy(update={"steps": steps})
+    finished = finished_of(way, [(10.0, 5.0)])
+    finished |= finished_of(halved, [(10.0, 5.0), (10.0, 5.0), (9.0, 5.0), (8.0, 5.0), (8.4, 5.0)])
+    study = resolution.study_of(way, halved, finished)
+    changes = study.data["halved"]
+    assert [changes[name]["from"] for name in ("k doubled", "both")] == ["start", "k doubled"]
+    assert changes["k doubled"]["mean_change_percent"]["Fz"] == pytest.approx(-20.0, abs=0.1)
+    assert changes["both"]["mean_change_percent"]["Fz"] == pytest.approx(5.0, abs=0.1)
+    assert [row[3].endswith("from above") for row in study.table.rows[-2:]] == [False, True]
+    del finished[halved.variants()[-2].scenario.hash]
+    assert "both" not in resolution.study_of(way, halved, finished).data["halved"]
 
 
 def test_what_is_missing_is_said(plans: tuple[Plan, Plan]) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.scenario import Scenario
-from terraphi_studies.verification import plate
+from terraphi_studies.verification import driver, plate
+from terraphi_studies.verification.limit_scenarios import passive_pressure
 from terraphi_studies.verification.plate import DEPTH, TIP_SPEED, plate_scenario
 
 
@@ -42,6 +43,16 @@ def test_numerics_are_those_of_the_leg() -> None:
         assert getattr(wall.numerics, name) == getattr(leg.numerics, name), name
     assert wall.soil.model_copy(update={"flow": "dilation"}) == leg.soil
     assert wall.motion.velocity[0] == pytest.approx(TIP_SPEED)
+
+
+@pytest.mark.slow
+def test_drawn_in_by_1_7_cells_the_toe_is_where_the_exact_force_has_it() -> None:
+    drawn_in = plate_scenario(35.0, 0.35, 96, beneath=6, floor="rough").replace(
+        **{"numerics.tip_inset_cells": 1.7}
+    )
+    place, force = driver.push(drawn_in)
+    pressure = -force[place >= plate.WINDOW[0], 0].mean() / (0.5 * 1650.0 * 9.81 * DEPTH**2)
+    assert pressure == pytest.approx(passive_pressure(35.0, 0.35), rel=0.05)  # own toe: +20 %
 
 
 @pytest.mark.parametrize("beneath", [0, 12])

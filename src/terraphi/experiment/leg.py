@@ -174,13 +174,43 @@ class Leg(BaseModel):
         sign = {"c": 1.0, "reversed_c": -1.0}.get(self.shape, 0.0)
         return 2.0 * sign / self.chord
 
-    def signed_distance(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    @property
+    def length(self) -> float:
+        """Length of the centre line [m]."""
+        return 0.5 * math.pi * self.chord if self.curvature else self.chord
+
+    def chord_without(self, inset: float) -> tuple[float, float]:
+        """Chord of the leg whose centre line ends before the tip, on the same line.
+
+        Parameters
+        ----------
+        inset
+            How much of the centre line is left out at the tip [m], less than its length.
+
+        Returns
+        -------
+        chord
+            From hip to the new end [m].
+        lean
+            Angle of that chord from the leg's own towards +m [rad]; 0 of a straight line.
+        """
+        if not self.curvature:
+            return self.chord - inset, 0.0
+        # The chord of an arc of angle π - β is 2 R cos(β / 2), and turns by β / 2 about the hip.
+        lean = 0.5 * inset * self.curvature
+        return self.chord * math.cos(lean), lean
+
+    def signed_distance(
+        self, points: FloatArray, *, inset: float = 0.0
+    ) -> tuple[FloatArray, FloatArray]:
         """Signed distance and outward normal at points of the leg's frame.
 
         Parameters
         ----------
         points
             (s, m) [m], shape [point, 2].
+        inset
+            As for :meth:`chord_without`: the outline about what is left of the centre line.
 
         Returns
         -------
@@ -189,15 +219,18 @@ class Leg(BaseModel):
         normal
             Unit vectors (s, m) [-], shape [point, 2].
         """
-        size = (self.chord, self.half_thickness)
+        chord, lean = self.chord_without(inset)
+        size = (chord, self.half_thickness)
+        sine, cosine = math.sin(lean), math.cos(lean)
+        turn = np.array([[cosine, -sine], [sine, cosine]])
         rows = [
             arc_distance(s, m, *size, self.curvature)
             if self.curvature
             else (rectangle_distance if self.shape == "plate" else segment_distance)(s, m, *size)
-            for s, m in np.asarray(points, dtype=np.float64).tolist()
+            for s, m in (np.asarray(points, dtype=np.float64) @ turn).tolist()
         ]
         table = np.array(rows, dtype=np.float64).reshape(-1, 3)
-        return table[:, 0], table[:, 1:]
+        return table[:, 0], table[:, 1:] @ turn.T
 
     def centre_line(self, panels: int = 200) -> Panels:
         """Cut the centre line into equal elements along its true arc.

@@ -46,6 +46,7 @@ ADDED_LATER: dict[str, Any] = {
     "numerics.distortion": "particle",
     "numerics.cell_damping": 0.0,
     "numerics.stress_rate": "jaumann",
+    "numerics.tip_inset_cells": 0.0,
 }
 """Dotted key to the value that leaves a scenario as it was before the option existed."""
 DROPPED: dict[str, Any] = {"gradient": "mls"}
@@ -159,6 +160,10 @@ class Numerics(Strict):
     (``forward/mpm/contact.py``)."""
     contact_band_cells: float = Field(2.0, ge=0)
     """Nodes closer to the leg than this many cells are in contact [-]."""
+    tip_inset_cells: float = Field(0.0, ge=0, le=4)
+    """By how many cells ``surface`` contact ends before the leg's tip, along its centre line [-]:
+    the soil beneath a tip follows the nodes that contact drives, as if the tip were that much
+    farther out (``docs/convergence.md``). The faces stay where they are. In the plane only."""
     remap_interval: float = Field(0.0, ge=0)
     """For how long the grid keeps its velocities before it takes them from the particles anew
     [s], rounded to steps; 0: it does so at every step."""
@@ -208,6 +213,11 @@ class Numerics(Strict):
             raise ValueError(
                 f"cell_damping = {self.cell_damping:g} acts against motion that means over a cell "
                 "do not see; set dilatation or distortion = 'cell', or cell_damping = 0"
+            )
+        if self.tip_inset_cells > 0.0 and self.contact != "surface":
+            raise ValueError(
+                f"tip_inset_cells = {self.tip_inset_cells:g} says where contact = 'surface' ends, "
+                f"and contact = '{self.contact}' does not know it; set tip_inset_cells = 0"
             )
         if self.contact == "surface" and self.particles_per_cell_side > 3:
             raise ValueError(
@@ -277,6 +287,7 @@ COURANT_LIMIT_IN_SPACE = 0.75
 _ONLY_IN_SPACE = {
     "relief.enabled": False,
     "numerics.contact": "surface",
+    "numerics.tip_inset_cells": 0.0,
     "numerics.transfer": "apic",
     "numerics.damping_order": "after_contact",
     "numerics.distortion": "particle",
@@ -335,6 +346,7 @@ class Scenario(Strict):
             self._check_phases()
             self._check_every_bin_is_visited()
             self._check_leg_stays_inside()
+            self._check_tip()
         else:
             self._check_resistive_bed()
 
@@ -473,6 +485,31 @@ class Scenario(Strict):
                     f"{high[axis]:.4f} m, the room is {room_low[axis]:.4f} to "
                     f"{room_high[axis]:.4f} m; move motion.hip or shorten leg.chord"
                 )
+
+    def _check_tip(self) -> None:
+        if self.tip_inset == 0.0:
+            return
+        key = f"numerics.tip_inset_cells = {self.numerics.tip_inset_cells:g}"
+        if self.tip_inset >= self.leg.length:
+            raise ValueError(
+                f"{key} is {self.tip_inset:g} m, no less than the leg's length of "
+                f"{self.leg.length:g} m; lower it or refine the grid"
+            )
+        times = np.linspace(0.0, min(self.motion.duration, sys.float_info.max), 541)
+        x, z = self.motion.poses(times).hip.T
+        low, high = self.bed.soil_span
+        in_soil = (z < self.bed.surface) & (x > low) & (x < high)
+        if in_soil.any():
+            raise ValueError(
+                f"{key} draws in the tip alone, but the leg's other end, at the hip, comes as low "
+                f"as {z[in_soil].min():g} m, into soil that reaches up to {self.bed.surface:g} m; "
+                "raise motion.hip, or set tip_inset_cells = 0"
+            )
+
+    @property
+    def tip_inset(self) -> float:
+        """How much of the leg's centre line contact leaves out at the tip [m]."""
+        return self.numerics.tip_inset_cells * self.numerics.cell_size
 
     @property
     def time_step_limit(self) -> float:

@@ -98,7 +98,7 @@ def rig_of(scenario: Scenario) -> Rig:
     return Rig(
         empty_grid(scenario),
         material_of(scenario.soil),
-        intruder_of(scenario.leg),
+        intruder_of(scenario.leg, inset=scenario.tip_inset),
         fading_of(scenario),
         stepping_of(scenario),
         empty_audit(),

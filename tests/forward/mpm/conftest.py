@@ -88,7 +88,7 @@ def run_blocks(kernel, scenario, blocks, *, soil=None):
     grid, audit, impulse = empty_grid(scenario), empty_audit(), empty_reaction(3)
     constants = (
         material_of(scenario.soil),
-        intruder_of(scenario.leg),
+        intruder_of(scenario.leg, inset=scenario.tip_inset),
         fading_of(scenario),
         stepping_of(scenario),
     )

@@ -112,11 +112,12 @@ def test_corner_has_both_walls():
 
 
 @pytest.mark.parametrize("shape", LEG_SHAPES)
-def test_distance_is_that_of_the_leg(shape):
+@pytest.mark.parametrize("inset", [0.0, 0.004])
+def test_distance_is_that_of_the_leg(shape, inset):
     leg = Leg(shape=shape)
-    intruder = intruder_of(leg)
+    intruder = intruder_of(leg, inset=inset)
     points = np.random.default_rng(5).uniform(-0.06, 0.14, (500, 2))
-    distance, normal = leg.signed_distance(points)
+    distance, normal = leg.signed_distance(points, inset=inset)
     table = np.array([distance_to_leg(intruder, s, m) for s, m in points.tolist()])
     # Fused multiplications leave a rounding under the root that is zero for a semicircle: 0.2 nm.
     np.testing.assert_allclose(table[:, 0], distance, rtol=0, atol=1e-9)

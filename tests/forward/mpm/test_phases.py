@@ -17,6 +17,7 @@ from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.relief import fading_of
 from terraphi.forward.mpm.scalar import empty_audit, empty_reaction, stepping_of
+from terraphi.forward.mpm.solver import simulate
 
 DT = 5e-5
 SHAPES = ["straight", "c", "reversed_c", "plate"]
@@ -233,6 +234,7 @@ def test_kernels_agree_on_legs_and_yields(coarse, compare, shape, criterion):
         {**DAMPED, "numerics.particle_volume": "updated"},
         {**RESOLVED, "soil.dilation_angle_deg": 20.0, "soil.cohesion": 300.0},
         {**RESOLVED, "leg.friction": 0.0},
+        {**RESOLVED, "leg.shape": "c", "numerics.tip_inset_cells": 1.7},
         {**RESOLVED, "numerics.remap_interval": DT},
         {
             **RESOLVED,
@@ -245,6 +247,20 @@ def test_kernels_agree_on_legs_and_yields(coarse, compare, shape, criterion):
 )
 def test_kernels_agree_on_options(coarse, compare, options):
     compare.assert_agree(coarse(**options), [350, 49], kernels=BOTH)
+
+
+def test_straight_leg_whose_tip_is_drawn_in_is_the_shorter_one(coarse):
+    """Of the plate, which ends flat, and begins in the soil: the bed too."""
+    own = coarse(**RESOLVED, **{"motion.stop_deg": -59.0})
+    short = own.leg.chord - 1.7 * own.numerics.cell_size
+    for shape in ("straight", "plate"):
+        drawn_in = own.replace(**{"leg.shape": shape, "numerics.tip_inset_cells": 1.7})
+        forces = [
+            simulate(scenario).force
+            for scenario in (drawn_in, own.replace(**{"leg.shape": shape, "leg.chord": short}))
+        ]
+        assert np.abs(forces[0]).max() > 0.1
+        np.testing.assert_allclose(forces[0], forces[1], rtol=1e-9)
 
 
 def test_kernels_agree_on_relief(coarse, compare):

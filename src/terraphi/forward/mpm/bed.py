@@ -121,8 +121,10 @@ def geostatic_bed(scenario: Scenario) -> Particles:
 
 
 def _distance_to_leg(scenario: Scenario, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Signed distance [m] from the leg where it starts, shape [particle], and unit normal there."""
+    """Signed distance [m] from the leg that contact knows, at the start, and unit normal there."""
     pose = scenario.motion.poses(np.zeros(1))
     axes = np.array(frame_axes(pose.theta[0]))
-    distance, normal = scenario.leg.signed_distance((position - pose.hip[0]) @ axes.T)
+    distance, normal = scenario.leg.signed_distance(
+        (position - pose.hip[0]) @ axes.T, inset=scenario.tip_inset
+    )
     return distance, normal @ axes

@@ -50,18 +50,22 @@ _rectangle = kernel(outline.rectangle_distance)
 
 
 class Intruder(NamedTuple):
-    """A leg as the kernels take it."""
+    """A leg as the kernels take it: what contact knows of it."""
 
     plate: bool
     """Whether the outline is a rectangle rather than a centre line with round ends."""
     chord: float
-    """[m]."""
+    """[m]; shorter than the leg's own where its tip is drawn in."""
     half_thickness: float
     """[m]."""
     curvature: float
     """[1/m]."""
+    lean_sine: float
+    """Of the angle from the leg's own chord to this one: 0 unless an arc's tip is drawn in [-]."""
+    lean_cosine: float
+    """[-]."""
     reach: float
-    """Largest distance of the outline from the hip [m]."""
+    """No smaller than the largest distance of the outline from the hip [m]."""
     friction: float
     """Coulomb coefficient [-]."""
 
@@ -85,13 +89,24 @@ class Pose(NamedTuple):
     """dθ/dt [rad/s]."""
 
 
-def intruder_of(leg: Leg) -> Intruder:
-    """Constants of a leg."""
+def intruder_of(leg: Leg, *, inset: float = 0.0) -> Intruder:
+    """Constants of a leg.
+
+    Parameters
+    ----------
+    leg
+        The leg.
+    inset
+        How much of its centre line contact leaves out at the tip [m].
+    """
+    chord, lean = leg.chord_without(inset)
     return Intruder(
         leg.shape == "plate",
-        leg.chord,
+        chord,
         leg.half_thickness,
         leg.curvature,
+        math.sin(lean),
+        math.cos(lean),
         leg.reach(),
         leg.friction,
     )
@@ -104,7 +119,10 @@ def distance_to_leg(intruder: Intruder, s: float, m: float) -> tuple[float, floa
         return _rectangle(s, m, intruder.chord, intruder.half_thickness)
     if intruder.curvature == 0.0:
         return _segment(s, m, intruder.chord, intruder.half_thickness)
-    return _arc(s, m, intruder.chord, intruder.half_thickness, intruder.curvature)
+    sine, cosine = intruder.lean_sine, intruder.lean_cosine
+    size = (intruder.chord, intruder.half_thickness, intruder.curvature)
+    distance, ns, nm = _arc(cosine * s + sine * m, cosine * m - sine * s, *size)
+    return distance, cosine * ns - sine * nm, sine * ns + cosine * nm
 
 
 @kernel

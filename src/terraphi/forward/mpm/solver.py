@@ -173,7 +173,7 @@ class _Blocks:
         self._constants = (
             empty_grid(scenario),
             material_of(scenario.soil),
-            intruder_of(scenario.leg),
+            intruder_of(scenario.leg, inset=scenario.tip_inset),
             fading_of(scenario),
             stepping_of(scenario),
         )
