@@ -124,11 +124,12 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         "missing": list(missing),
     }
     table = Table.of(TITLE, COLUMNS, _rows(steps, resolved, changes))
+    alone = {name: change for name, change in changes.items() if change["from"] == base}
     notes = [*_notes(data), *not_yet(NAME, missing)]
     return Study(
         table=table,
         data=data,
-        figures={NAME: waterfall_figure(steps, changes, TOLERANCE_PERCENT)},
+        figures={NAME: waterfall_figure(steps, alone, TOLERANCE_PERCENT)},
         documents=page(NAME, table, _method(), notes, PICTURE),
         notes=notes,
     )
