@@ -25,7 +25,7 @@ from terraphi.robot.touchdowns import Touchdowns
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, panels_of
 from terraphi.view.table import Column, Table
 from terraphi_studies import Study
-from terraphi_studies.pressed import FIRST, PressedDiscs, pressed_discs
+from terraphi_studies.pressed import FIRST, pressed_discs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -194,7 +194,7 @@ def one_angle(tests: Sequence[Test], law: FootLaw) -> dict[str, float]:
     squares = np.array(
         [
             [np.square(_apart(test, law, (angle, 0.0, 0.0))).mean() for angle in angles]
-            for test in (_known(test, law) for test in tests)
+            for test in map(_known, tests)
         ]
     )
     rms = 100.0 * np.sqrt(squares.mean(axis=0))
@@ -207,7 +207,7 @@ def _nrmsd_percent(
     """NRMSD of each test at its own φ and first contact, and at the angle of repose [%]."""
     own: list[float] = []
     at_repose: list[float] = []
-    for i, test in enumerate(_known(test, law) for test in tests):
+    for i, test in enumerate(map(_known, tests)):
         for phi, into in ((found.phi[i], own), (REPOSE_DEG, at_repose)):
             left = _apart(test, law, (phi, found.level[i], found.drift[i]))
             into.append(100.0 * float(np.sqrt(np.square(left).mean())))
@@ -222,11 +222,9 @@ def _apart(test: Test, law: FootLaw, state: tuple[float, float, float]) -> Float
     return found
 
 
-def _known(test: Test, law: FootLaw) -> Test:
-    """The readings that a law is asked about: as deep as it was simulated."""
-    deepest = law.deepest if isinstance(law, PressedDiscs) else np.inf
-    first = FIRST if isinstance(law, PressedDiscs) else 0.0
-    return _part(test, 1e3 * first, 1e3 * deepest)
+def _known(test: Test) -> Test:
+    """The readings that all laws are asked about: as deep as plates were simulated."""
+    return _part(test, 1e3 * FIRST, 1e3 * pressed_discs().deepest)
 
 
 def law_spread(windows: Mapping[str, Sequence[FloatArray]]) -> float:
@@ -247,7 +245,7 @@ def _part(test: Test, low: float, high: float) -> Test:
 def _fits(tests: Sequence[Test], law: FootLaw) -> Fit:
     """Each test fitted for itself; φ is not a number where readings are too few."""
     parts = []
-    for test in (_known(test, law) for test in tests):
+    for test in map(_known, tests):
         found = fit(_as_touchdown(test), law, prior_of(test.diameter_mm))
         if len(test.sinkage) < 5:
             found = found._replace(phi=np.array([np.nan]))
@@ -304,8 +302,10 @@ def _notes(
     means = ", ".join(f"{law} {each.phi.mean():.1f}°" for law, each in by_law.items())
     widths = np.array([test.diameter_mm for test in tests])
     said = [
-        f"Mean over the tests: {means}; repeats scatter by {max(repeats.values()):.1f}° at most.",
-        f"Over laws and depths a test's φ scatters by {spread:.1f}°: a footfall's term of the law.",
+        f"Mean over the tests: {means}; standard deviation over repeats at most "
+        f"{max(repeats.values()):.1f}°.",
+        f"Over laws and depths a test's φ scatters by {spread:.1f}°: `footfalls` takes this for the "
+        "error of its law.",
     ]
     if len(set(widths)) > 1:
         low, high = widths == widths.min(), widths == widths.max()
@@ -339,8 +339,9 @@ def _figure(
     middles = [0.5 * (a + b) for a, b in WINDOWS]
     widths = sorted({test.diameter_mm for test in tests})
     styles = dict(zip(widths, ("-", "--", ":", "-."), strict=False))
-    for test in tests:
-        forces.plot(1e3 * test.sinkage, test.force, ".", ms=3, color=GREY)
+    for i, test in enumerate(tests):
+        label = None if i else "measured (lines: as right)"
+        forces.plot(1e3 * test.sinkage, test.force, ".", ms=3, color=GREY, label=label)
     for i, (law, found) in enumerate(by_law.items()):
         colour = (BLUE, ORANGE, GREEN, PURPLE, "black")[i]
         shift = np.array([t.diameter_mm for t in tests]) + 1.2 * (i - 2.0)
@@ -349,14 +350,18 @@ def _figure(
             chosen = [t.diameter_mm == width for t in tests]
             means = [np.mean(values[chosen]) for values in windows[law]]
             right.plot(middles, means, style, color=colour, label=f"{law}, {width:g} mm")
-            test = _known(next(t for t in tests if t.diameter_mm == width), laws[law])
+            test = _known(next(t for t in tests if t.diameter_mm == width))
             apart = _apart(test, laws[law], (one[law]["phi_deg"], 0.0, 0.0))
             foretold = test.force + np.ptp(test.force) * apart
             label = f"{law}, {one[law]['phi_deg']:.1f}°" if width == widths[0] else None
             forces.plot(1e3 * test.sinkage, foretold, style, color=colour, lw=1.0, label=label)
-    forces.set(xlabel="sinkage [mm]", ylabel="force [N]", title="One φ for all plates")
+    forces.set(
+        xlabel="sinkage [mm]", ylabel="force [N]", title="One φ for all; lines as on the right"
+    )
     left.set(xlabel="diameter of the plate [mm]", ylabel="φ [deg]", title="Whole tests")
-    right.set(xlabel="sinkage [mm], middle of a window", title="In windows of depth")
+    right.set(
+        xlabel="sinkage [mm], middle of a window", ylabel="φ [deg]", title="In windows of depth"
+    )
     for axes in (forces, left, right):
         axes.legend(fontsize="x-small", frameon=False)
     return figure

@@ -59,8 +59,8 @@ def test_simulated_records_are_whole(name: str, every: int, digits: int | None) 
         history = replace(case.history, position=case.history.position[::every], force=force)
         touches = touches_soil_deg(library, case.scenario.leg.shape)
         damaged += inspect_record(history, touches_deg=touches).defects
-    # Of up to 45 records; read every 4° the coarse library's own spikes stand alone.
-    assert sum(d.rows for d in damaged) <= (4 if every == 40 else 1)
+    # Of up to 54 records; read every 4° the coarse library's own spikes stand alone.
+    assert sum(d.rows for d in damaged) <= (4 if every == 40 else 2)
 
 
 @pytest.mark.parametrize("every", [1, 10])

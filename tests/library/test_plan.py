@@ -337,6 +337,16 @@ def test_a_denser_sweep_keeps_the_cases_that_were_there() -> None:
         ("c", 35.0, 5003),
     ]
     assert denser.count == len(cases)
+    assert denser.swept[PHI] == [20.0, 30.0, 40.0, 25.0, 35.0]
+    for wrong, said in (
+        ({"sweep": own, "seed": 5000}, "stands in an earlier sweep"),
+        ({**more, "seed": 3}, "seeds of a sweep of 'more' overlap"),
+    ):
+        refused = plan.model_validate({**plan.model_dump(mode="json"), "more": [wrong]})
+        with pytest.raises(InputError, match=said):
+            refused.cases()
+    with pytest.raises(ValidationError, match="seed of its own"):
+        plan.model_validate({**plan.model_dump(mode="json"), "more": [{"sweep": between}]})
     with pytest.raises(ValidationError, match="same keys"):
         plan.model_validate(
             {**plan.model_dump(mode="json"), "more": [{**more, "sweep": {PHI: [25]}}]}

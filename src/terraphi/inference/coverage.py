@@ -120,6 +120,8 @@ def calibrate(leg: PreparedLeg, *, replicates: int, seed: int, worlds: str = "pr
     worlds
         Their kind, one of :data:`WORLDS`.
     """
+    if worlds not in WORLDS:
+        raise ValueError(f"worlds is '{worlds}'; expected one of {', '.join(WORLDS)}")
     rng = np.random.default_rng(seed)
     surrogate, found = leg.surrogate, []
     with single_threaded():

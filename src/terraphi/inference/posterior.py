@@ -109,7 +109,14 @@ class Posterior:
         ----------
         probability
             Mass of the interval [-], in (0, 1).
+
+        Raises
+        ------
+        ValueError
+            If the probability is outside (0, 1).
         """
+        if not 0.0 < probability < 1.0:
+            raise ValueError(f"probability is {probability}; it must lie between 0 and 1")
         tail = (1.0 - probability) / 2.0
         return self.quantile(tail), self.quantile(1.0 - tail)
 
@@ -141,7 +148,15 @@ class Posterior:
         return float(self.phi_deg[i] + min(offset, width))
 
     def mass(self, low: float, high: float) -> float:
-        """Posterior probability [-] of friction angles between ``low`` and ``high`` [deg]."""
+        """Posterior probability [-] of friction angles between ``low`` and ``high`` [deg].
+
+        Raises
+        ------
+        ValueError
+            If ``low`` exceeds ``high`` or either is not a number.
+        """
+        if not low <= high:
+            raise ValueError(f"low = {low} deg exceeds high = {high} deg")
         if self.density is None:
             first = np.searchsorted(self.phi_deg, low, side="left")
             last = np.searchsorted(self.phi_deg, high, side="right")

@@ -98,8 +98,9 @@ class More(Strict):
 
     sweep: dict[str, list[JsonValue]] = Field(min_length=1)
     """Values of the same keys as those of the plan's own sweep."""
-    seed: int = Field(ge=0)
-    """Particle seed of the first of them, with ``vary_seed``; the next ones count from it."""
+    seed: int | None = Field(None, ge=0)
+    """Particle seed of the first of them; the next ones count from it. With ``vary_seed`` alone,
+    where it has to be given."""
 
 
 class Plan(Strict):
@@ -145,6 +146,10 @@ class Plan(Strict):
         if self.sample and (both := sorted(set(self.sweep) & set(self.sample.keys))):
             raise ValueError(f"'{both[0]}' is both swept and sampled; drop one of the two")
         for more in self.more:
+            if (more.seed is not None) != self.vary_seed:
+                raise ValueError(
+                    "'more' needs a seed of its own with vary_seed, and without it none"
+                )
             if list(more.sweep) != list(self.sweep):
                 raise ValueError(
                     f"'more' sweeps {list(more.sweep)} and 'sweep' {list(self.sweep)}; let both "
@@ -185,12 +190,33 @@ class Plan(Strict):
                 if self.vary_seed:
                     changes["numerics.seed"] = seed + i
                 found.append(self._changed(table, changes))
+        self._refuse_repeats(found)
         return found
 
     def _sweeps(self) -> list[tuple[dict[str, list[JsonValue]], int]]:
         """Every sweep and the particle seed that it begins with."""
         own = (self.sweep, self.scenario.numerics.seed)
-        return [own, *((more.sweep, more.seed) for more in self.more)]
+        return [own, *((more.sweep, more.seed or 0) for more in self.more)]
+
+    @property
+    def swept(self) -> dict[str, list[JsonValue]]:
+        """Keys of all sweeps, each with the values of one sweep after another."""
+        return {key: [v for sweep, _ in self._sweeps() for v in sweep[key]] for key in self.sweep}
+
+    def _refuse_repeats(self, found: list[Scenario]) -> None:
+        """Raise InputError if further sweeps have cases or particle seeds of those before them."""
+        if not self.more:
+            return
+        kinds = {case.replace(**{"numerics.seed": 0}).hash for case in found}
+        if len(kinds) < len(found):
+            raise InputError(
+                f"plan '{self.name}': a case of 'more' stands in an earlier sweep; drop it there"
+            )
+        if self.vary_seed and len({case.numerics.seed for case in found}) < len(found):
+            raise InputError(
+                f"plan '{self.name}': the seeds of a sweep of 'more' overlap with earlier ones; "
+                "give it one that is further away"
+            )
 
     @property
     def count(self) -> int:
@@ -220,7 +246,7 @@ class Plan(Strict):
     def _refuse_too_many(self) -> None:
         if self.count <= MOST_CASES:
             return
-        sizes = {key: len(values) for key, values in {**self.one_at_a_time, **self.sweep}.items()}
+        sizes = {key: len(values) for key, values in {**self.one_at_a_time, **self.swept}.items()}
         sizes |= {"steps": len(self.steps), "presets": len(self.presets)}
         if self.sample:
             sizes |= {"sample.count": self.sample.count, "sample.also": len(self.sample.also)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import inspect
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -114,7 +115,16 @@ class RobotForces:
 def opened(
     log: Path | str | JointLog, robot: Quadruped | Path | str, **reading: Any
 ) -> tuple[JointLog, Quadruped]:
-    """A log and the robot that it is of, each as it is or read; options of ``read_log``."""
+    """A log and the robot that it is of, each as it is or read; options of ``read_log``.
+
+    Raises
+    ------
+    TypeError
+        If an option is none of those.
+    """
+    unknown = sorted(reading.keys() - inspect.signature(read_log).parameters.keys())
+    if unknown:
+        raise TypeError(f"unknown option '{unknown[0]}'")
     body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
     if isinstance(log, JointLog):
         return regular(log), body

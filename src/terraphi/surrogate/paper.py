@@ -151,6 +151,7 @@ class LegSurrogate:
         Fz: ArrayLike,
         *,
         restarts: int = 3,
+        shortest_theta_length_deg: float = SHORTEST_THETA_LENGTH_DEG,
     ) -> Self:
         """Fit a process to each component.
 
@@ -160,10 +161,20 @@ class LegSurrogate:
             Friction and leg angles [deg], shapes [phi] and [theta].
         Fx, Fz
             Forward and upward force of the soil on the leg [N], shape [phi, theta].
-        restarts
+        restarts, shortest_theta_length_deg
             As in :func:`fit`, whose errors are raised.
         """
-        return cls(*(fit(phi_deg, theta_deg, force, restarts=restarts) for force in (Fx, Fz)))
+        both = (
+            fit(
+                phi_deg,
+                theta_deg,
+                force,
+                restarts=restarts,
+                shortest_theta_length_deg=shortest_theta_length_deg,
+            )
+            for force in (Fx, Fz)
+        )
+        return cls(*both)
 
     @property
     def phi_deg(self) -> FloatArray:

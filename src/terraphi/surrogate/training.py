@@ -80,7 +80,7 @@ def is_of_several(library: Library) -> bool:
 def _varied(library: Library) -> dict[str, tuple[float, float]]:
     """Keys and bounds of :func:`parameters`; empty if there are none."""
     plan, found = library.plan, {}
-    for key, values in plan.sweep.items():
+    for key, values in plan.swept.items():
         numbers = [v for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
         if key not in NOT_PARAMETERS and len(numbers) == len(values) > 1:
             low, high = _reached(library, key)

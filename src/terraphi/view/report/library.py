@@ -77,6 +77,7 @@ def _facts(library: Library, summary: dict[str, Any]) -> Table:
     rows = [
         ("model", first.model),
         ("swept", number(summary["sweep"], 4)),
+        *(("and then", number(more["sweep"], 4)) for more in summary.get("more", [])),
         ("leg's chord and width [mm]", f"{1e3 * first.leg.chord:g}, {1e3 * first.leg.width:g}"),
         ("hip above the surface [mm]", f"{1e3 * first.hip_height:g}"),
         ("cells", f"{first.numerics.cells}"),
