@@ -301,11 +301,10 @@ def _notes(
 ) -> list[str]:
     means = ", ".join(f"{law} {each.phi.mean():.1f}°" for law, each in by_law.items())
     widths = np.array([test.diameter_mm for test in tests])
+    scatter = max(repeats.values())
     said = [
-        f"Mean over the tests: {means}; standard deviation over repeats at most "
-        f"{max(repeats.values()):.1f}°.",
-        f"Over laws and depths a test's φ scatters by {spread:.1f}°: `footfalls` takes this for the "
-        "error of its law.",
+        f"Mean over the tests: {means}; standard deviation over repeats at most {scatter:.1f}°.",
+        f"Over laws and depths a test's φ scatters by {spread:.1f}°, `footfalls`' error of a law.",
     ]
     if len(set(widths)) > 1:
         low, high = widths == widths.min(), widths == widths.max()
