@@ -24,6 +24,7 @@ FEWEST_ANGLES = 3
 COMPANIONS = {
     "truths": "fresh simulations of known friction angle",
     "random": "the same, of angles drawn at random",
+    "seeds": "some of its cases under other particle seeds",
     "legs": "the legs that the library lacks, at the benchmark's friction angle",
     "jaky": "one of a pair: K0 = 1 - sin φ",
     "half": "the other: K0 = 0.5",
