@@ -39,6 +39,8 @@ REPOSE_DEG = 29.0
 """Its angle of repose; there is no shear test [deg]."""
 WINDOWS = ((2.0, 8.0), (8.0, 16.0), (16.0, 26.0))
 """Of sinkage [mm]."""
+FEWEST = 5
+"""Readings of a test that a law is fitted to at least."""
 CONTACT_SD = 5e-4
 """Of the first contact, which the measurement has found already [m]."""
 
@@ -83,16 +85,15 @@ def run(*, data: Path | None = None) -> Study:
     data
         Another table with the columns of :data:`COLUMNS`; by default the measured one.
     """
-    tests = read(data)
-    laws = laws_for(tests)
-    by_law = {law: _fits(tests, law) for law in laws.values()}
+    measured = read(data)
+    tests, laws = asked(measured)
+    fits = {name: _fits(tests, law) for name, law in laws.items()}
     windows = {
-        law.name: [_fits([_part(test, *window) for test in tests], law).phi for window in WINDOWS]
-        for law in laws.values()
+        name: [_fits([_part(test, *window) for test in tests], law).phi for window in WINDOWS]
+        for name, law in laws.items()
     }
-    fits = {law.name: each for law, each in by_law.items()}
     repeats = {law: _repeat_sd(tests, each.phi) for law, each in fits.items()}
-    apart = {law.name: _nrmsd_percent(tests, law, each) for law, each in by_law.items()}
+    apart = {law: _nrmsd_percent(tests, laws[law], each) for law, each in fits.items()}
     found = []
     for i, test in enumerate(tests):
         for law, each in fits.items():
@@ -115,7 +116,7 @@ def run(*, data: Path | None = None) -> Study:
                 }
             )
     spread = law_spread({law: windows[law] for law in LAWS})
-    one = {law.name: one_angle(tests, law) for law in laws.values()}
+    one = {name: one_angle(tests, law) for name, law in laws.items()}
     title = "Plates pressed into sand: φ by each law"
     return Study(
         table=Table.of(title, CELLS, found),
@@ -127,16 +128,23 @@ def run(*, data: Path | None = None) -> Study:
             "law_sd_deg": spread,
             "assumed": {"density_kg_m3": DENSITY, "surface_friction": 0.5},
         },
-        figures={"plates": _figure(tests, laws, fits, windows, one)},
+        figures={"plates": _figure(measured, tests, laws, fits, windows, one)},
         notes=_notes(tests, fits, repeats, spread, one, measured=data is None),
     )
 
 
-def laws_for(tests: Sequence[Test]) -> dict[str, FootLaw]:
-    """Laws by their names; the material point method's where it knows plates of these sizes."""
+def asked(tests: Sequence[Test]) -> tuple[Sequence[Test], dict[str, FootLaw]]:
+    """The readings that all laws are asked about, and the laws by their names.
+
+    The material point method's is one of them where it knows plates of these sizes and enough of
+    each test; then all laws are asked about sinkages that were simulated.
+    """
     pressed = pressed_discs()
-    knows = all(pressed.reaches(test.diameter_mm / 1e3) for test in tests)
-    return {**LAWS, **({pressed.name: pressed} if knows else {})}
+    known = [_part(test, 1e3 * FIRST, 1e3 * pressed.deepest) for test in tests]
+    enough = all(len(test.sinkage) >= FEWEST for test in known)
+    if enough and all(pressed.reaches(test.diameter_mm / 1e3) for test in tests):
+        return known, {**LAWS, pressed.name: pressed}
+    return tests, dict(LAWS)
 
 
 def read(path: Path | None = None) -> list[Test]:
@@ -169,10 +177,10 @@ def read(path: Path | None = None) -> list[Test]:
     tests = []
     for (box, test, diameter), pairs in readings.items():
         depth, force = np.array(sorted(pairs)).T
-        if len(depth) < 5 or depth[-1] > diameter:
+        if len(depth) < FEWEST or depth[-1] > diameter:
             raise InputError(
                 f"{name}: test {test} of box {box} has {len(depth)} readings down to "
-                f"{depth[-1]:g} mm; 5 or more are expected, no deeper than the plate is wide"
+                f"{depth[-1]:g} mm; {FEWEST} or more are expected, no deeper than the plate is wide"
             )
         tests.append(Test(box, test, diameter, depth / 1e3, force))
     if not tests:
@@ -194,7 +202,7 @@ def one_angle(tests: Sequence[Test], law: FootLaw) -> dict[str, float]:
     squares = np.array(
         [
             [np.square(_apart(test, law, (angle, 0.0, 0.0))).mean() for angle in angles]
-            for test in map(_known, tests)
+            for test in tests
         ]
     )
     rms = 100.0 * np.sqrt(squares.mean(axis=0))
@@ -207,7 +215,7 @@ def _nrmsd_percent(
     """NRMSD of each test at its own φ and first contact, and at the angle of repose [%]."""
     own: list[float] = []
     at_repose: list[float] = []
-    for i, test in enumerate(map(_known, tests)):
+    for i, test in enumerate(tests):
         for phi, into in ((found.phi[i], own), (REPOSE_DEG, at_repose)):
             left = _apart(test, law, (phi, found.level[i], found.drift[i]))
             into.append(100.0 * float(np.sqrt(np.square(left).mean())))
@@ -220,11 +228,6 @@ def _apart(test: Test, law: FootLaw, state: tuple[float, float, float]) -> Float
     foretold = predicted(law, prior_of(test.diameter_mm), seen, np.array([state]))[0]
     found: FloatArray = (foretold - test.force) / np.ptp(test.force)
     return found
-
-
-def _known(test: Test) -> Test:
-    """The readings that all laws are asked about: as deep as plates were simulated."""
-    return _part(test, 1e3 * FIRST, 1e3 * pressed_discs().deepest)
 
 
 def law_spread(windows: Mapping[str, Sequence[FloatArray]]) -> float:
@@ -245,9 +248,9 @@ def _part(test: Test, low: float, high: float) -> Test:
 def _fits(tests: Sequence[Test], law: FootLaw) -> Fit:
     """Each test fitted for itself; φ is not a number where readings are too few."""
     parts = []
-    for test in map(_known, tests):
+    for test in tests:
         found = fit(_as_touchdown(test), law, prior_of(test.diameter_mm))
-        if len(test.sinkage) < 5:
+        if len(test.sinkage) < FEWEST:
             found = found._replace(phi=np.array([np.nan]))
         parts.append(found)
     return Fit(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
@@ -327,6 +330,7 @@ def _notes(
 
 
 def _figure(
+    measured: Sequence[Test],
     tests: Sequence[Test],
     laws: Mapping[str, FootLaw],
     by_law: Mapping[str, Fit],
@@ -338,7 +342,7 @@ def _figure(
     middles = [0.5 * (a + b) for a, b in WINDOWS]
     widths = sorted({test.diameter_mm for test in tests})
     styles = dict(zip(widths, ("-", "--", ":", "-."), strict=False))
-    for i, test in enumerate(tests):
+    for i, test in enumerate(measured):
         label = None if i else "measured (lines: as right)"
         forces.plot(1e3 * test.sinkage, test.force, ".", ms=3, color=GREY, label=label)
     for i, (law, found) in enumerate(by_law.items()):
@@ -349,7 +353,7 @@ def _figure(
             chosen = [t.diameter_mm == width for t in tests]
             means = [np.mean(values[chosen]) for values in windows[law]]
             right.plot(middles, means, style, color=colour, label=f"{law}, {width:g} mm")
-            test = _known(next(t for t in tests if t.diameter_mm == width))
+            test = next(t for t in tests if t.diameter_mm == width)
             apart = _apart(test, laws[law], (one[law]["phi_deg"], 0.0, 0.0))
             foretold = test.force + np.ptp(test.force) * apart
             label = f"{law}, {one[law]['phi_deg']:.1f}°" if width == widths[0] else None

@@ -142,3 +142,8 @@ def test_file_has_labelled_axes_and_knows_where_it_comes_from(
     provenance = json.loads(data.attrs["provenance"])
     assert {"terraphi", "robot", "log"} <= set(provenance)
     assert json.loads(data.attrs["summary"]) == json.loads(json.dumps(found.summary()))
+
+
+def test_a_misspelt_option_is_no_silence() -> None:
+    with pytest.raises(TypeError, match="estimatr"):
+        analyse(made_log(pulses(STEP * np.arange(400))), estimatr="quasi_static")  # type: ignore[arg-type]

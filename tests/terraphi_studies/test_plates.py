@@ -104,3 +104,27 @@ def test_a_plate_between_the_simulated_ones_bears_a_force_between_theirs() -> No
         assert lift(0.04, phi) < lift(0.04, phi + 1.0)
     with pytest.raises(InputError, match="43 to 140 mm, not a disc of 200 mm"):
         lift(0.1, 30.0)
+
+
+def own_table(folder: Path, width: int, first: float) -> Path:
+    """A plate whose force is 3 N a millimetre, over 40 mm."""
+    rows = [f"small,a,{width},{depth},{3 * depth}" for depth in first + np.arange(0.0, 40.0, 0.5)]
+    table = folder / "own.csv"
+    table.write_text("\n".join([",".join(plates.COLUMNS), *rows]))
+    return table
+
+
+@pytest.mark.parametrize(("width", "first"), [(200, 0.5), (80, 30.0)])
+def test_what_was_not_simulated_is_asked_of_the_other_laws(
+    tmp_path: Path, width: int, first: float
+) -> None:
+    """Too wide, or deeper than any simulated plate from the start on: no reading is cut."""
+    (whole,) = plates.read(own_table(tmp_path, width, first))
+    tests, laws = plates.asked([whole])
+    assert "mpm3d" not in laws
+    assert tests == [whole]
+
+
+def test_a_plate_that_is_too_wide_to_have_been_simulated_has_its_other_laws(tmp_path: Path) -> None:
+    study = plates.run(data=own_table(tmp_path, 200, 0.5))
+    assert {test["law"] for test in study.data["tests"]} == set(plates.LAWS)

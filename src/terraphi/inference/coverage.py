@@ -27,7 +27,8 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.inference.calibrated import log_sum
 from terraphi.inference.prepared_leg import PreparedLeg, learn
-from terraphi.library.store import Library, hash_of, unseeded
+from terraphi.library.plan import unseeded
+from terraphi.library.store import Library, hash_of
 from terraphi.surrogate.joint import JointSurrogate
 from terraphi.surrogate.kronecker import single_threaded
 

@@ -26,8 +26,8 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import Checkpoint, model_version, simulate, software
 from terraphi.forward.watch import EVERY
-from terraphi.library.plan import Plan, describe
-from terraphi.library.store import Case, Library, unseeded
+from terraphi.library.plan import Plan, describe, unseeded
+from terraphi.library.store import Case, Library
 from terraphi.library.workers import as_they_end, heartbeat
 
 log = logging.getLogger(__name__)

@@ -207,7 +207,7 @@ class Plan(Strict):
         """Raise InputError if further sweeps have cases or particle seeds of those before them."""
         if not self.more:
             return
-        kinds = {case.replace(**{"numerics.seed": 0}).hash for case in found}
+        kinds = {unseeded(case) for case in found}
         if len(kinds) < len(found):
             raise InputError(
                 f"plan '{self.name}': a case of 'more' stands in an earlier sweep; drop it there"
@@ -344,6 +344,11 @@ def describe(plan: Plan, scenario: Scenario) -> str:
     if any(value in values[:i] for values in plan.sweep.values() for i, value in enumerate(values)):
         keys.append("numerics.seed")  # the same case more than once
     return ", ".join(f"{key} = {value_of(scenario, key)}" for key in keys)
+
+
+def unseeded(scenario: Scenario) -> str:
+    """Hash of a scenario but for its particle seed."""
+    return scenario.replace(**{"numerics.seed": 0}).hash
 
 
 def value_of(scenario: Scenario, key: str) -> Any:

@@ -23,7 +23,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import is_there, open_netcdf, positions, write_netcdf
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
-from terraphi.library.plan import Plan, describe, value_of
+from terraphi.library.plan import Plan, describe, unseeded, value_of
 
 SCHEMA = 1
 """Version of the layout of a library file."""
@@ -392,11 +392,6 @@ def differ_beyond(cases: Sequence[Case], keys: Iterable[str]) -> bool:
     """Whether the scenarios of some cases differ in more than these keys and the particle seed."""
     same = {key: value_of(cases[0].scenario, key) for key in keys}
     return len({unseeded(case.scenario.replace(**same)) for case in cases}) > 1
-
-
-def unseeded(scenario: Scenario) -> str:
-    """Hash of a scenario but for its particle seed."""
-    return scenario.replace(**{"numerics.seed": 0}).hash
 
 
 def replicates_in(data: Any) -> int:

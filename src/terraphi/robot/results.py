@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import inspect
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -24,6 +23,8 @@ from terraphi.robot.friction import HANGING_SHARE, JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.logs import read_log
 from terraphi.robot.logs.clock import describe, regular
+from terraphi.robot.logs.collect import Precision
+from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import AXES, Criteria, Ensemble, Stance, find_stances
 
@@ -113,22 +114,27 @@ class RobotForces:
 
 
 def opened(
-    log: Path | str | JointLog, robot: Quadruped | Path | str, **reading: Any
+    log: Path | str | JointLog,
+    robot: Quadruped | Path | str,
+    *,
+    topic: str | None = None,
+    joint_names: Sequence[str] | None = None,
+    columns: Columns | Path | str | None = None,
+    precision: Precision = "double",
 ) -> tuple[JointLog, Quadruped]:
-    """A log and the robot that it is of, each as it is or read; options of ``read_log``.
-
-    Raises
-    ------
-    TypeError
-        If an option is none of those.
-    """
-    unknown = sorted(reading.keys() - inspect.signature(read_log).parameters.keys())
-    if unknown:
-        raise TypeError(f"unknown option '{unknown[0]}'")
+    """A log and the robot that it is of, each as it is or read; options of ``read_log``."""
     body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
     if isinstance(log, JointLog):
         return regular(log), body
-    return read_log(log, motors=body.joint_order, **reading), body
+    read = read_log(
+        log,
+        topic=topic,
+        joint_names=joint_names,
+        motors=body.joint_order,
+        precision=precision,
+        columns=columns,
+    )
+    return read, body
 
 
 def analyse(
