@@ -340,6 +340,16 @@ def test_rft_in_three_dimensions_needs_no_grid() -> None:
     )
 
 
+def test_cells_strain_as_one_where_soil_dilates_if_left_to_the_program() -> None:
+    preset = Scenario.load("resolved-2")
+    dilating = preset.replace(**{"soil.dilation_angle_deg": 5.0})
+    associated = preset.replace(**{"soil.flow": "associated"})
+    found = [(s.mean_distortion, s.cell_damping) for s in (preset, dilating, associated)]
+    assert found == [(False, 0.0), (True, 0.2), (True, 0.2)]
+    by_hand = preset.replace(**{"numerics.distortion": "cell"})
+    assert (by_hand.mean_distortion, by_hand.cell_damping) == (True, 0.2)
+
+
 @pytest.mark.parametrize(
     ("numerics", "words"),
     [

@@ -49,7 +49,6 @@ def checks_of(found: studies.Study, family: str) -> list[Check]:
 
 KNOWN_MISSES = {
     ("Column collapse", "run-out (d − d0)/d0, farthest particle", ""): 1.215,
-    ("Strip footing", "N_γ, first geometry", "preset"): 7.408,
     ("Bed at rest under its own weight", "dσ_v/d(depth)/ρg, whole bed", ""): 1.018,
     ("Elastic soil loaded by its own weight", "settlement of the surface [µm]", ""): 7.778,
     ("Bed between walls", "order of the displacement", ""): 1.05,
@@ -57,8 +56,7 @@ KNOWN_MISSES = {
     ("Bed between walls", "order of the stress of nodes", ""): 0.91,
     ("Bed between walls", "order of the stress of particles", ""): 0.71,
 }
-"""What the one-sided walls cost, a footing with the settings of the preset, and a column on ten
-cells, and how much: no more, and if less, strike it out."""
+"""What the one-sided walls cost, and a column on ten cells, and how much: no more, and if less, strike it out."""
 
 
 @pytest.mark.parametrize("family", verification.FAMILIES)
@@ -366,8 +364,9 @@ def test_settings_of_the_preset_are_all_of_them(of: str) -> None:
         found = limit_scenarios.footing_scenario(
             35.0, "rough", 20, load="weight", settings="preset"
         )
-    preset = Scenario.load("resolved")
-    sizes = {"domain", "cells", "time_step", "remap_interval", "speed_up"}
+    preset = Scenario.load("resolved-2")
+    # In the first geometry particles that jitter would lie beyond the plate's whole way.
+    sizes = {"domain", "cells", "time_step", "remap_interval", "speed_up", "particle_jitter"}
     for name in type(preset.numerics).model_fields.keys() - sizes:
         assert getattr(found.numerics, name) == getattr(preset.numerics, name), name
     ours, theirs = (

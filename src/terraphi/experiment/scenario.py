@@ -173,11 +173,14 @@ class Numerics(Strict):
     which plastic flow at constant volume locks. Not for soil that dilates: what one particle of
     a cell dilates, its neighbours would have to give back, and the soil gets stiffer
     instead, unless ``distortion`` is that of the cell too."""
-    distortion: Literal["particle", "cell"] = "particle"
+    distortion: Literal["particle", "cell", "auto"] = "particle"
     """Distortion rate that the stress follows, as ``dilatation`` says it of the volumetric rate.
     With both ``cell`` all particles of a cell strain alike, and soil that dilates no longer meets
     more conditions than its nodes can fulfil (``docs/convergence.md``). Not without
-    ``cell_damping``: what then shakes within a cell weakens the soil."""
+    ``cell_damping``: what then shakes within a cell weakens the soil. ``auto``: ``cell``, with
+    ``cell_damping``, for soil that dilates; ``particle``, without, for soil that keeps its volume,
+    which ``dilatation`` alone keeps from locking, and which that damping would make stiffer the
+    faster it shears."""
     cell_damping: float = Field(0.0, ge=0, le=0.5)
     """Viscosity against what the particles of a cell strain apart from their mean, as a share of
     ρ c Δx [-], c that of compression waves; of those rates that are means over the cell. A mean
@@ -209,7 +212,7 @@ class Numerics(Strict):
                     f"{name} = '{value}' needs a grid that keeps its velocities for a while; "
                     "set remap_interval above 0, as to 20 time steps"
                 )
-        if self.cell_damping > 0.0 and "cell" not in (self.dilatation, self.distortion):
+        if self.cell_damping > 0.0 and {self.dilatation, self.distortion} == {"particle"}:
             raise ValueError(
                 f"cell_damping = {self.cell_damping:g} acts against motion that means over a cell "
                 "do not see; set dilatation or distortion = 'cell', or cell_damping = 0"
@@ -505,6 +508,18 @@ class Scenario(Strict):
                 f"as {z[in_soil].min():g} m, into soil that reaches up to {self.bed.surface:g} m; "
                 "raise motion.hip, or set tip_inset_cells = 0"
             )
+
+    @property
+    def mean_distortion(self) -> bool:
+        """Whether the stress follows the mean distortion rate of a cell."""
+        chosen = self.numerics.distortion
+        return chosen == "cell" or (chosen == "auto" and self.soil.potential_angle_deg > 0.0)
+
+    @property
+    def cell_damping(self) -> float:
+        """The damping of motion within cells that acts, as a share of ρ c Δx [-]."""
+        left_out = self.numerics.distortion == "auto" and not self.mean_distortion
+        return 0.0 if left_out else self.numerics.cell_damping
 
     @property
     def tip_inset(self) -> float:

@@ -38,15 +38,11 @@ PACE, PACE_OF_DEAD_WEIGHT = 0.05, 0.01
 """ρ c v of a plate over its limit pressure. Dead weight is heavy, and swings for long if pushed."""
 HEAVY = 20.0
 """Dead weight over γ B: N_γ then gives 1.5 to 2.6 % of the load."""
-PRESET = "preset"
-"""Name of the settings of preset ``resolved``: contact, phases, dilatation, particles."""
-SETTINGS: dict[str, dict[str, Any]] = {
-    "nodes": {"contact_band_cells": 0.5},
-    "nodes, phases": {"contact_band_cells": 0.5, "phase": 20},
-    "surface": {"contact": "surface", "phase": 20},
-}
-"""Other settings. Contact with the nodes within half a cell, or on the true surface; a transfer at
-every step, or every 20 steps."""
+PRESET, NODES = "preset", "nodes"
+"""Names of settings: those of preset ``resolved-2`` (contact on the surface that ends before the
+tip, phases, strains of whole cells where soil dilates), and contact with the nodes within half a
+cell, with a transfer at every step and the strains of each particle, to which the quick presets are
+nearest."""
 BENEATH = 3
 """Soil beneath the toe of a rough wall, if there is any, is the wall's height over this."""
 
@@ -107,38 +103,24 @@ def drive_at_first(pressure: float, length: float, pace: float = PACE) -> Drive:
 
 @cache
 def preset() -> Scenario:
-    """Preset ``resolved``."""
-    return Scenario.load("resolved")
+    """Preset ``resolved-2``."""
+    return Scenario.load("resolved-2")
 
 
 def _numerics(settings: str, cell: float, cells: int, drive: Drive) -> dict[str, Any]:
     wave = math.sqrt(drive.stiffness * MODULUS_RATIO / DENSITY)
-    if settings == PRESET:
-        return _numerics_of_preset(cell, cells, wave)
-    options = dict(SETTINGS[settings])
-    time_step = drive.courant * cell / wave
-    if "phase" in options:
-        options["remap_interval"] = options.pop("phase") * time_step
-    return {
-        "domain": cells * cell,
-        "cells": cells,
-        "time_step": time_step,
-        "damping_rate": 0.0,
-        "particle_jitter": drive.jitter,
-        **options,
-    }
-
-
-def _numerics_of_preset(cell: float, cells: int, wave: float) -> dict[str, Any]:
-    """All of preset ``resolved`` but the size of things: Courant number and steps a phase too."""
+    size = {"domain": cells * cell, "cells": cells, "particle_jitter": drive.jitter}
+    if settings == NODES:
+        time_step = drive.courant * cell / wave
+        return size | {"time_step": time_step, "damping_rate": 0.0, "contact_band_cells": 0.5}
+    # All of the preset but the size of things and where particles lie: its Courant number and its
+    # steps a phase too.
     soil, numerics = preset().soil, preset().numerics
-    courant = numerics.time_step * soil.p_wave_speed / numerics.cell_size
-    time_step = courant * cell / wave
+    time_step = numerics.time_step * soil.p_wave_speed / numerics.cell_size * cell / wave
     return numerics.model_dump() | {
-        "domain": cells * cell,
-        "cells": cells,
+        **size,
         "time_step": time_step,
-        "remap_interval": round(numerics.remap_interval / numerics.time_step) * time_step,
+        "remap_interval": numerics.steps_per_phase * time_step,
         "speed_up": 1.0,
     }
 
@@ -160,7 +142,7 @@ def wall_scenario(
     across: int,
     *,
     flow: str = "associated",
-    settings: str = "nodes",
+    settings: str = NODES,
     floor: str = "rough",
     beneath: bool = False,
     drive: Drive | None = None,
@@ -176,7 +158,7 @@ def wall_scenario(
     flow
         ``associated``, or ``dilation`` for ψ = 0.
     settings
-        :data:`PRESET` or one of :data:`SETTINGS`.
+        :data:`PRESET` or :data:`NODES`.
     floor
         ``rough`` or ``smooth``.
     beneath
@@ -248,7 +230,7 @@ def _bed_of_footing(phi_deg: float, load: str) -> tuple[float, float]:
 
 
 def footing_scenario(
-    phi_deg: float, base: str, across: int, *, load: str, settings: str = "nodes"
+    phi_deg: float, base: str, across: int, *, load: str, settings: str = NODES
 ) -> Scenario:
     """Half a strip footing that is pressed into a bed, as far as to its limit load.
 
@@ -278,6 +260,7 @@ def footing_scenario(
     return Scenario.model_validate(
         {
             "soil": _soil(phi_deg, "associated", drive, cohesion),
+            # From within the wall, the plane of symmetry, to the footing's edge: the plate's tip.
             "leg": {
                 "shape": "plate",
                 "chord": FOOTING_WIDTH / 2 + 3 * cell,
@@ -287,8 +270,8 @@ def footing_scenario(
             },
             "motion": {
                 "kind": "translation",
-                "start": [left + FOOTING_WIDTH / 2, bottom + height + thick],
-                "orientation_deg": 90.0,
+                "start": [left - 3 * cell, bottom + height + thick],
+                "orientation_deg": -90.0,
                 "velocity": [0.0, -drive.speed],
                 "distance": drive.path,
                 "bin_width": drive.path / 200,

@@ -2,8 +2,9 @@
 
 A plate has soil on its front only, from above the surface to 56 mm below it, and is pushed sideways
 at the speed of the leg's tip. Soil, contact, cell size, time step and remap interval are those of
-``resolved``; only the flow is associated, for which the limit load is exact, and the dilatation
-therefore that of each particle (mean dilatation is for flow at constant volume).
+``resolved-2``. The flow is that of the preset, which keeps the soil's volume, with the force of
+Davis's reduced angle beside it, which is an estimate; or associated, for which the limit load is
+exact.
 
 Under the toe lies the floor, or some cells of soil as under the leg, which in its deep bed never
 meets the floor. A smooth plate needs no soil there: Rankine's wedge rises from the toe. From that
@@ -29,6 +30,7 @@ from terraphi_studies.verification.check import Check, Family, Outcome, Task, nu
 from terraphi_studies.verification.driver import push
 from terraphi_studies.verification.limit_scenarios import (
     PRESET,
+    davis,
     passive_pressure,
     passive_source,
     per_degree,
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
 DEPTH = 0.056
 """h, from the surface to the toe [m]."""
 SIDE = 0.300
-"""Length that ``resolved`` divides into 192 cells [m]."""
+"""Length that ``resolved-2`` divides into 192 cells [m]."""
 CELLS = 192
 TIP_SPEED = 0.2 * 0.0762
 """Of the leg's tip at 0.2 rad/s, before any speed-up [m/s]."""
@@ -56,25 +58,25 @@ def plate_scenario(
     beneath: int = 0,
     floor: str = "smooth",
     speed_up: float = 1.0,
-    dilatation: str = "particle",
+    flow: str = "associated",
     path: float = 1.5e-3,
 ) -> Scenario:
-    """A plate that pushes the soil in front of it, with the numerics of ``resolved``.
+    """A plate that pushes the soil in front of it, with the numerics of ``resolved-2``.
 
     Parameters
     ----------
     phi_deg, friction
         φ [deg] and μ of the plate.
     cells
-        Cells on 0.30 m; the Courant number is that of ``resolved``.
+        Cells on 0.30 m; the Courant number is that of the preset.
     beneath
         Cells of soil between toe and floor.
     floor
         ``smooth`` or ``rough``.
     speed_up
         Speed of the plate over that of the tip.
-    dilatation
-        ``particle``, or ``cell`` as in ``resolved``.
+    flow
+        ``associated``, or ``dilation`` for ψ = 0.
     path
         How far the plate goes [m].
     """
@@ -95,7 +97,7 @@ def plate_scenario(
     }
     return Scenario.model_validate(
         {
-            "soil": base.soil.model_dump() | {"friction_angle_deg": phi_deg, "flow": "associated"},
+            "soil": base.soil.model_dump() | {"friction_angle_deg": phi_deg, "flow": flow},
             "leg": {
                 "shape": "plate",
                 # Through the floor, where no soil is beneath.
@@ -120,7 +122,6 @@ def plate_scenario(
                 "cells": count,
                 "time_step": base.numerics.time_step * CELLS / cells,
                 "speed_up": 1.0,
-                "dilatation": dilatation,
             },
         }
     )
@@ -132,11 +133,11 @@ start sends through the bed, and so early that the soil that the toe takes in ad
 FAR = (6e-3, 10e-3)
 """The same where a tenfold speed is compared with the single one: its start has died away there."""
 BENEATH = 12
-"""Cells of soil beneath the toe, of ``resolved``: a third of h, on a rough floor."""
+"""Cells of soil beneath the toe, of ``resolved-2``: a third of h, on a rough floor."""
 TOLERANCE = 0.05
 SWING = 0.25
 """Scatter of forces over 1 % of the path above which their mean says little [-]."""
-GRIDS = (128, 192, 256)
+GRIDS = (96, 192, 288)
 SLIDES = (
     "for a rough plate too: on a smooth floor at the toe the soil beside the plate may go with it "
     "and a wedge farther on be heaved, which takes Rankine's force; and his stresses, without "
@@ -151,25 +152,28 @@ def push_plate(
     cells: int = CELLS,
     beneath: int = 0,
     floor: str = "smooth",
-    dilatation: str = "particle",
+    flow: str = "associated",
     window: tuple[float, float] = WINDOW,
 ) -> Outcome:
-    """Passive force at tip speed over the exact one.
+    """Passive force at tip speed over the exact one, or that of Davis's reduced angle.
 
     Parameters
     ----------
-    phi_deg, friction, cells, beneath, floor, dilatation
+    phi_deg, friction, cells, beneath, floor, flow
         As in :func:`plate_scenario`.
     window
         Displacements over which the force is averaged [m].
     """
     scenario = plate_scenario(
         phi_deg, friction, cells,
-        beneath=beneath, floor=floor, dilatation=dilatation, path=window[1],
+        beneath=beneath, floor=floor, flow=flow, path=window[1],
     )  # fmt: skip
     slides = friction > 0.0 and floor == "smooth" and not beneath
     counted = 0.0 if slides else friction
-    exact, source = passive_pressure(phi_deg, counted), passive_source(counted)
+    strength = phi_deg if flow == "associated" else davis(phi_deg)
+    exact, source = passive_pressure(strength, counted), passive_source(counted)
+    if flow == "dilation":
+        source += f", at Davis's reduced angle, {strength:.1f}°, an estimate"
     if slides:
         source += ", " + SLIDES
     place, pressure = _pressure(scenario)
@@ -177,15 +181,17 @@ def push_plate(
     if beneath:
         under = f"soil beneath the toe, {floor} floor {beneath} cells down"
     case = f"φ = {phi_deg:g}°, μ = {friction:g}, {under}"
+    if flow == "dilation":
+        case += ", ψ = 0"
     over = pressure[(place >= window[0]) & (place <= window[1])]
     scatter = float(over.std() / over.mean())
-    note = f"associated flow, 15.2 mm/s; forces over 1 % of the path scatter by {scatter:.0%}"
+    note = f"15.2 mm/s; forces over 1 % of the path scatter by {scatter:.0%}"
     if scatter > SWING:
         note += ", so this mean is of swings and no plateau, whether it passes or not"
     check = Check(
         problem="Plate with the leg's contact",
         case=case,
-        settings=PRESET if dilatation == "cell" else "preset, dilatation by particle",
+        settings=PRESET,
         quantity=f"K_p, mean over {1e3 * window[0]:g} to {1e3 * window[1]:g} mm",
         expected=exact,
         obtained=_mean(place, pressure, window),
@@ -193,11 +199,10 @@ def push_plate(
         resolution=_resolution(scenario),
         source=source,
         note=note,
-        cause=_cause(beneath, floor, dilatation),
+        cause=_cause(beneath, floor),
         per_degree=per_degree(lambda phi: passive_pressure(phi, counted), phi_deg),
     )
-    drawn = case + (", mean dilatation" if dilatation == "cell" else "")
-    run = {"case": drawn, "cells": cells} | _curve(place, pressure / exact)
+    run = {"case": case, "cells": cells} | _curve(place, pressure / exact)
     return Outcome([check], {"runs": [run]})
 
 
@@ -219,7 +224,7 @@ def compare_speeds(phi_deg: float = 35.0, speed_up: float = 10.0) -> Outcome:
     check = Check(
         problem="Plate with the leg's contact",
         case=f"φ = {phi_deg:g}°, μ = 0, smooth floor at the toe, {speed_up:g} times as fast",
-        settings="preset, dilatation by particle",
+        settings=PRESET,
         quantity=f"K_p, mean over {1e3 * FAR[0]:g} to {1e3 * FAR[1]:g} mm",
         expected=found[0][0],
         obtained=found[1][0],
@@ -240,19 +245,24 @@ def compare_speeds(phi_deg: float = 35.0, speed_up: float = 10.0) -> Outcome:
 
 
 def refine_plate(
-    phi_deg: float, friction: float, beneath: int = 0, floor: str = "smooth"
+    phi_deg: float,
+    friction: float,
+    beneath: int = 0,
+    floor: str = "smooth",
+    flow: str = "associated",
 ) -> Outcome:
     """The same plate on three grids, and what a straight line through them says of Δx = 0.
 
     Parameters
     ----------
-    phi_deg, friction, floor
+    phi_deg, friction, floor, flow
         As in :func:`push_plate`.
     beneath
-        Cells of ``resolved`` between toe and floor; the floor is as deep on every grid.
+        Cells of ``resolved-2`` between toe and floor; the floor is as deep on every grid.
     """
     found = [
-        push_plate(phi_deg, friction, n, beneath=beneath * n // CELLS, floor=floor) for n in GRIDS
+        push_plate(phi_deg, friction, n, beneath=beneath * n // CELLS, floor=floor, flow=flow)
+        for n in GRIDS
     ]
     checks = [outcome.checks[0] for outcome in found]
     limit = np.polyfit([1.0 / n for n in GRIDS], [check.obtained for check in checks], 1)[1]
@@ -284,13 +294,11 @@ def _resolution(scenario: Scenario) -> str:
     return f"Δx = 0.30/{SIDE / cell:.0f} m, h/Δx = {DEPTH / cell:.1f}"
 
 
-def _cause(beneath: int, floor: str, dilatation: str) -> str:
-    if dilatation == "cell":
-        return "mean dilatation is for flow at constant volume; soil that dilates stiffens with it"
+def _cause(beneath: int, floor: str) -> str:
     if beneath:
         return (
-            "the force on the particles at the toe goes to nodes up to a cell and a half beneath "
-            "it, so that the plate reaches deeper than its toe: an excess of first order in Δx"
+            "the one length by which contact ends before the tip is right for soil that keeps its "
+            "volume; where soil dilates it is some tenths of a cell too much"
         )
     if floor == "rough":
         return (
@@ -303,19 +311,27 @@ def _cause(beneath: int, floor: str, dilatation: str) -> str:
 ANGLES = (25.0, 35.0)
 GRIDDED: list[dict[str, Any]] = [
     *({"phi_deg": phi, "friction": 0.0} for phi in ANGLES),
-    *({"phi_deg": phi, "friction": 0.35, "floor": "rough", "beneath": BENEATH} for phi in ANGLES),
+    *(
+        {"phi_deg": phi, "friction": 0.35, "floor": "rough", "beneath": BENEATH, "flow": flow}
+        for flow, phi in itertools.product(("associated", "dilation"), ANGLES)
+    ),
 ]
 """Smooth plates, and rough ones with soil beneath, on three grids."""
 SINGLE: list[dict[str, Any]] = [
-    *({"phi_deg": phi, "friction": 0.0, "beneath": BENEATH, "floor": "rough"} for phi in ANGLES),
+    *(
+        {"phi_deg": phi, "friction": mu, "beneath": BENEATH * 2 // 3, "floor": "rough",
+         "flow": flow, "cells": 128}
+        for flow, phi, mu in itertools.product(("associated", "dilation"), ANGLES, (0.0, 0.5))
+    ),
+    {"phi_deg": 45.0, "friction": 0.35, "beneath": BENEATH * 2 // 3, "floor": "rough",
+     "flow": "dilation", "cells": 128},
     *(
         {"phi_deg": phi, "friction": mu, "floor": "rough"}
         for phi, mu in itertools.product(ANGLES, (0.0, 0.35))
     ),
     *({"phi_deg": phi, "friction": 0.35} for phi in ANGLES),
-    {"phi_deg": 35.0, "friction": 0.0, "dilatation": "cell"},
-]
-"""Floors, and mean dilatation."""
+]  # fmt: skip
+"""Other frictions, at h = 24 Δx, and other floors."""
 
 
 def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
@@ -350,9 +366,10 @@ def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
 FAMILY = Family(
     title="The leg's contact against a passive wall",
     meaning="Soil in front of a plate, from above the surface to 56 mm depth, with contact, grid, "
-    "step and phases of preset `resolved` and the speed of the leg's tip. If these pass, the "
+    "step and phases of preset `resolved-2` and the speed of the leg's tip. If these pass, the "
     "contact and the grid of the leg's own simulations give the force that plasticity theory says. "
-    "Flow is associated, because the force is exact then; dilatation is that of each particle.",
+    "Flow is associated, because the force is exact then, or (ψ = 0) that of the preset: there the "
+    "force at Davis's reduced angle is an estimate.",
     full=[
         *numbered("grids", refine_plate, GRIDDED, 25.0),
         *numbered("plate", push_plate, SINGLE, 7.0),

@@ -95,10 +95,10 @@ def stepping_of(scenario: Scenario) -> Stepping:
         phase=numerics.steps_per_phase,
         surface=numerics.contact == "surface",
         mean_dilatation=numerics.dilatation == "cell",
-        mean_distortion=numerics.distortion == "cell",
+        mean_distortion=scenario.mean_distortion,
         unbalanced=numerics.contact == "unbalanced",
         turning=1.0 if numerics.stress_rate == "jaumann" else 0.0,
-        inner_viscosity=numerics.cell_damping * impedance * numerics.cell_size,
+        inner_viscosity=scenario.cell_damping * impedance * numerics.cell_size,
     )
 
 
