@@ -4,7 +4,7 @@ Two shipped plans. ``waterfall`` leads from preset ``paper-1`` to ``resolved``, 
 another. ``resolution`` takes ``resolved`` and halves the cells, the time step and the speed-up, and
 makes the soil four times as stiff: none of these is a property of the soil, so the peaks should
 stay. What a change is worth is seen beside what another seed does. A step that follows another is
-measured from that one: so cells are halved with the tip drawn in, as preset ``resolved-2`` has it.
+measured from that one: so the cells of preset ``resolved-2`` are halved.
 Peaks are those of 1° means, over the part of the path that holds both.
 """
 
@@ -38,7 +38,7 @@ TOLERANCE_PERCENT = 5.0
 SEED = "seed"
 """Steps whose names begin so are the base with other particle places."""
 PICTURE = "peaks along the way, and what is left of them when things are halved"
-HALVED = "Δx halved"
+HALVED = "resolved-2, Δx halved"
 """The step that says what is left of the grid in the forces."""
 
 ByForce = Mapping[str, float]
@@ -230,7 +230,8 @@ def _rows(
         # What follows another step stands below it.
         above = " from above" if change["from"] in changes else ""
         said = {f: f"{percent[f]:+.1f} %, {turned[f]:+.1f}°{above}" for f in FORCES}
-        rows.append({"step": f"resolved, {name}", "peaks_N": change["peaks_N"], "said": said})
+        step = name if name.startswith("resolved") else f"resolved, {name}"
+        rows.append({"step": step, "peaks_N": change["peaks_N"], "said": said})
     return rows
 
 
@@ -278,19 +279,17 @@ def _method() -> str:
     return (
         "Straight leg, φ = 35°, speed-up 10, peaks of 1° means. Each row of the first part adds a "
         "change to all before it; each of the second changes preset `resolved` by itself, but for "
-        "what is said to be from above: that changes the row above it. `tip drawn in` is preset "
-        "`resolved-2`. Plans: `waterfall` and `resolution`. Run again: `terraphi study "
-        "resolution`.\n\n"
+        "what is said to be from above: that changes the row above it. Preset `resolved-2` has the "
+        "tip drawn in and phases of 20 steps on each grid. Plans: `waterfall` and `resolution`. "
+        "Run again: `terraphi study resolution`.\n\n"
         f"{degrees.said()}\n\n"
         "One run stands against the mean over the seeds, so that a change of a peak no larger "
         "than a few times the scatter is not told from it; the means over the path are the better "
         "witness.\n\n"
-        "What the grid still holds of the force falls about in proportion to Δx: if halving it "
-        f"takes 7 to 9 %, some {low:g} to {high:g} % is the grid's. A friction angle inferred from "
-        f"forces without it is too low by as much as that is worth: {by_force}. The same contact "
-        "and cells push a rough plate that has soil of associated flow beneath its toe with a "
-        "tenth more than the exact passive force "
-        f"({degrees.in_degrees(10.0, 'Fx'):.1f}° by F_x), and lie on a line that leads to it "
-        "(`terraphi study verification --only plate`). Phases three times as long take a little of "
-        "it away."
+        "What the grid still holds of the force of `resolved` falls about in proportion to Δx: if "
+        f"halving it takes 7 to 9 %, some {low:g} to {high:g} % is the grid's. A friction angle "
+        f"inferred from forces without it is too low by as much as that is worth: {by_force}. Most "
+        "of it is where contact ends: `resolved-2` ends it 1.7 cells before the tip, and meets the known "
+        "force of a plate and a footing (`terraphi study verification --only plate`; "
+        "[convergence](convergence.md))."
     )
