@@ -56,7 +56,8 @@ KNOWN_MISSES = {
     ("Bed between walls", "order of the stress of nodes", ""): 0.91,
     ("Bed between walls", "order of the stress of particles", ""): 0.71,
 }
-"""What the one-sided walls cost, and a column on ten cells, and how much: no more, and if less, strike it out."""
+"""What the one-sided walls cost, and a column on ten cells, and how much: no more, and if less,
+strike it out."""
 
 
 @pytest.mark.parametrize("family", verification.FAMILIES)
