@@ -35,7 +35,7 @@ from terraphi.inference.coverage import (
 )
 from terraphi.inference.fit import fit_without_discrepancy
 from terraphi.inference.friction_angle import NODES
-from terraphi.inference.inversion import DISCREPANCIES, invert
+from terraphi.inference.inversion import invert
 from terraphi.inference.posterior import quadrature
 from terraphi.inference.prepared_leg import PreparedLeg, prepare
 from terraphi.library.store import Library
@@ -339,7 +339,7 @@ class Way(NamedTuple):
     spoil: Callable[[ForceHistory], ForceHistory]
     density: float = 1.0
     """Factor on the density that is told [-]."""
-    discrepancies: tuple[str, ...] = DISCREPANCIES
+    discrepancies: tuple[str, ...] = ("none", "gp")
     """Those that it is inverted with."""
 
 
