@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
@@ -41,13 +41,12 @@ from terraphi.inference.prepared_leg import PreparedLeg, prepare
 from terraphi.library.store import Library
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, panels_of
 from terraphi.view.table import Table
-from terraphi_studies import Study, steps
+from terraphi_studies import Progress, Study, steps
 from terraphi_studies.measures import Truth, recovered, straight_truths
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 REPLICATES = 5000
 BESIDE = 2000
@@ -108,7 +107,7 @@ def run(
     library: str = DEFAULT,
     replicates: int = REPLICATES,
     seed: int = 0,
-    progress: Callable[[float, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Study:
     """Check the intervals of the straight leg of a library.
 

@@ -10,22 +10,29 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import Snapshot, simulate
 from terraphi.view.plots import GREY, LEG_NAMES, panels_of
 from terraphi.view.table import Table
-from terraphi_studies import PAPER_LIBRARY, Study, benchmark, phi_sensitivity, recovery, surrogate
+from terraphi_studies import (
+    PAPER_LIBRARY,
+    Progress,
+    Study,
+    benchmark,
+    phi_sensitivity,
+    recovery,
+    surrogate,
+)
 from terraphi_studies.pictures import COLOURS, legs_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 LEGS = ("straight", "c", "reversed_c")
 SNAPSHOTS_DEG = (-60.0, -30.0, 0.0, 40.0)
@@ -62,9 +69,7 @@ FIGURES = {
 """Study and name of each figure, nothing for those that are drawn here; and what it shows."""
 
 
-def run(
-    *, library: str = PAPER_LIBRARY, progress: Callable[[float, float], None] | None = None
-) -> Study:
+def run(*, library: str = PAPER_LIBRARY, progress: Progress | None = None) -> Study:
     """Draw all figures.
 
     Parameters

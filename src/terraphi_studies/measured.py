@@ -9,7 +9,7 @@ from it is reported and not judged.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -23,7 +23,7 @@ from terraphi.inference.inversion import invert
 from terraphi.inference.verdict import uninformed
 from terraphi.library.store import Library
 from terraphi.view.table import Table
-from terraphi_studies import Study, page, steps
+from terraphi_studies import Progress, Study, page, steps
 from terraphi_studies.pictures import measured_figure
 
 NAME = "measured"
@@ -60,11 +60,7 @@ PICTURE = "friction angles by medium, leg and library, with their 95 % intervals
 Answers = Sequence[Mapping[str, Any]]
 
 
-def run(
-    *,
-    library: str | None = None,
-    progress: Callable[[float, float], None] | None = None,
-) -> Study:
+def run(*, library: str | None = None, progress: Progress | None = None) -> Study:
     """Invert all shipped measurements.
 
     Parameters

@@ -7,14 +7,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory, Peaks
 from terraphi.inference.answer import Inversion
 from terraphi.library.store import Library
 from terraphi_studies import Beside
-
-FloatArray = NDArray[np.float64]
 
 FORCES = ("Fz", "Fx")
 PHI = "soil.friction_angle_deg"

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
 from terraphi.inference.posterior import Posterior
 from terraphi.surrogate.paper import LegSurrogate
@@ -23,6 +23,7 @@ from terraphi.view.plots import (
     PURPLE,
     Curve,
     draw_history,
+    finish_force_axes,
     one_legend,
     panels_of,
 )
@@ -32,17 +33,33 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-FloatArray = NDArray[np.float64]
-
 COLOURS = "viridis"
 """Evenly stepped in lightness, told apart by colour-blind readers."""
 
 
-def _angle_axis(axes: Axes) -> None:
-    axes.axhline(0.0, color=GREY, lw=0.6)
-    axes.set_xlim(-WINDOW_DEG, WINDOW_DEG)
-    axes.set_xticks(np.arange(-80, 81, 40))
-    axes.set_xlabel("leg angle θ [deg]")
+def grid_of(
+    names: Collection[str], *, panel: tuple[float, float], least: float = 0.0, **options: Any
+) -> tuple[Figure, Any]:
+    """A figure with a panel for each name, three in a row, and all its panels, shape [row, column].
+
+    Parameters
+    ----------
+    names
+        What has a panel.
+    panel
+        Size of one [in].
+    least
+        Width of the figure at least [in].
+    **options
+        As of ``subplots``.
+    """
+    columns = min(3, len(names)) or 1
+    rows = -(-len(names) // columns) or 1
+    size = (max(panel[0] * columns + 0.5, least), panel[1] * rows + 0.6)
+    figure, panels = panels_of(rows, columns, size=size, **options)
+    for axes in panels.ravel()[len(names) :]:
+        axes.remove()
+    return figure, panels
 
 
 def histories_figure(histories: Mapping[float, ForceHistory], convention: str) -> Figure:
@@ -56,10 +73,9 @@ def histories_figure(histories: Mapping[float, ForceHistory], convention: str) -
     for axes, force in zip(row, ("Fx", "Fz"), strict=True):
         for phi, history in histories.items():
             seen = history.observation(angles=171)
-            values = seen.Fx if force == "Fx" else seen.Fz
-            axes.plot(seen.theta_deg, values, color=colormaps[COLOURS](scale(phi)), lw=1.1)
-        _angle_axis(axes)
-        axes.set_ylabel(AXIS_LABEL[force])
+            colour = colormaps[COLOURS](scale(phi))
+            axes.plot(seen.theta_deg, getattr(seen, force), color=colour, lw=1.1)
+        finish_force_axes(axes, force)
     bar = figure.colorbar(ScalarMappable(scale, COLOURS), ax=row, pad=0.02)
     bar.set_label(PHI_LABEL[convention])
     return figure
@@ -93,8 +109,7 @@ def peaks_figure(
             left.plot(list(printed), peaks, marker, label=f"{name}, Xu & Wang", **look)
             about = f"{name}, Xu & Wang, about"
             right.axhline(printed_at[force], color=colour, lw=1.0, ls=":", label=about)
-    left.set_ylim(bottom=0.0)
-    left.set_ylabel("peak force [N]")
+    left.set(ylim=(0.0, None), ylabel="peak force [N]")
     right.set_ylabel("leg angle of the peak [deg]")
     for axes in (left, right):
         axes.set_xlabel(PHI_LABEL[data["yield"]])
@@ -110,11 +125,11 @@ def legs_figure(legs: Mapping[str, Sequence[Curve]]) -> Figure:
         for axes, force in zip(panels[:, column], ("Fx", "Fz"), strict=True):
             for curve in curves:
                 draw_history(axes, curve, force)
-            _angle_axis(axes)
+            finish_force_axes(axes, force)
         panels[0, column].set_xlabel("")  # the forces' scales differ, the angles are the same
         panels[0, column].set_title(LEG_NAMES.get(leg, leg), fontsize=10)
-    for row, force in zip(panels, ("Fx", "Fz"), strict=True):
-        row[0].set_ylabel(AXIS_LABEL[force])
+    for axes in panels[:, 1:].flat:
+        axes.set_ylabel("")
     one_legend(figure, ncols=4 if len(next(iter(legs.values()))) <= 4 else 3)
     return figure
 
@@ -248,8 +263,7 @@ def autocorrelation_figure(
         kernel = np.exp(-0.5 * (fine / length) ** 2)
         axes.plot(fine, kernel, style, color=colour, label=f"{name} ℓ = {length:.1f}°")
     axes.plot(lags_deg, rho, "o:", color="black", ms=4, lw=0.8, label="held-out residuals")
-    axes.set_xlim(0.0, lags_deg[-1])
-    axes.set_xlabel("lag in leg angle [deg]")
+    axes.set(xlim=(0.0, lags_deg[-1]), xlabel="lag in leg angle [deg]")
     axes.set_ylabel("autocorrelation of the residuals")
     axes.legend(frameon=False, fontsize="small")
     return figure
@@ -336,12 +350,7 @@ def measured_figure(answers: Sequence[Mapping[str, Any]]) -> Figure:
     libraries = list(dict.fromkeys(answer["library"] for answer in answers))
     media = list(repose)
     looks = {"straight": ("o", BLUE), "c": ("s", ORANGE), "reversed_c": ("^", GREEN)}
-    columns = min(len(libraries), 3)
-    rows = -(-len(libraries) // columns)
-    size = (max(3.2 * columns + 0.6, 6.0), 3.6 * rows + 0.6)
-    figure, panels = panels_of(rows, columns, size=size, sharex=True, sharey=True)
-    for axes in panels.ravel()[len(libraries) :]:
-        axes.remove()
+    figure, panels = grid_of(libraries, panel=(3.2, 3.6), least=6.0, sharex=True, sharey=True)
     for axes, library in zip(panels.ravel(), libraries, strict=False):
         shown = [answer for answer in answers if answer["library"] == library]
         for place, medium in enumerate(media):
@@ -361,7 +370,7 @@ def measured_figure(answers: Sequence[Mapping[str, Any]]) -> Figure:
     first.plot([], [], "o", color=GREY, mfc="white", ms=5, label="misfit or out of range")
     first.plot([], [], "x", color=GREY, ms=5, label="median as it acts in plane strain")
     first.plot([], [], color=GREY, lw=1.5, label="angle of repose")
-    one_legend(figure, ncols=min(columns + 1, 3))
+    one_legend(figure, ncols=min(panels.shape[1] + 1, 3))
     return figure
 
 
@@ -395,17 +404,13 @@ def sensitivity_figure(
     tolerance
         Changes that count as none [%], likewise.
     """
-    columns = min(3, len(changes)) or 1
-    rows = -(-len(changes) // columns) or 1
-    figure, panels = panels_of(rows, columns, size=(3.6 * columns + 0.4, 2.5 * rows + 0.5))
+    figure, panels = grid_of(changes, panel=(3.6, 2.5))
     reach = {
         setting: max(abs(change[force]) for _, change in values for force in change)
         for setting, values in changes.items()
     }
     largest, second, *_ = sorted((*reach.values(), 0.0, 0.0), reverse=True)
     shared = second if largest > 2.0 * second > 0.0 else largest
-    for axes in panels.ravel()[len(changes) :]:
-        axes.remove()
     looks = {"Fz": (BLUE, "o-", "peak $F_z$"), "Fx": (ORANGE, "s--", "peak $F_x$")}
     for axes, (setting, values) in zip(panels.ravel(), changes.items(), strict=False):
         for force, (colour, style, name) in looks.items():

@@ -7,7 +7,7 @@ kept in the folder. It measures what is there and says what is not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from terraphi.forward.forecast import forecast
 from terraphi.library.build import failed_cases, finished_cases, simulate_cases
 from terraphi.library.cluster import pool
 from terraphi.library.plan import BASE, Plan, label
+from terraphi_studies import Progress
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Simulations:
     build: Path | None = None
     workers: int | None = None
     cluster: str | None = None
-    progress: Callable[[float, float], None] | None = None
+    progress: Progress | None = None
 
     def __post_init__(self) -> None:
         """Refuse workers or a cluster without a folder for what they simulate."""

@@ -7,7 +7,7 @@ same way: none of them should pass for a real soil.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ from terraphi.inference.trials import Trial
 from terraphi.library.store import Library
 from terraphi.view.console import as_text
 from terraphi.view.table import Table
-from terraphi_studies import Study, page, steps
+from terraphi_studies import Progress, Study, page, steps
 from terraphi_studies.pictures import measured_figure
 
 NAME = "real_soil"
@@ -73,9 +73,7 @@ class Wrong(NamedTuple):
     trial: Trial
 
 
-def run(
-    *, library: str | None = None, progress: Callable[[float, float], None] | None = None
-) -> Study:
+def run(*, library: str | None = None, progress: Progress | None = None) -> Study:
     """Learn from all media but one, and try the result on it; then on false records.
 
     Parameters

@@ -7,12 +7,9 @@ in place of one); the two medians must agree within Monte-Carlo error. One case 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.inference.answer import Inversion
 from terraphi.inference.inversion import invert
@@ -22,11 +19,9 @@ from terraphi.library.shipped import companion
 from terraphi.library.store import Case, Library
 from terraphi.surrogate.paper import LegSurrogate
 from terraphi.view.table import Table
-from terraphi_studies import PAPER_LIBRARY, Study, steps
+from terraphi_studies import PAPER_LIBRARY, Progress, Study, steps
 from terraphi_studies.measures import recovered
 from terraphi_studies.pictures import Walkers, recovery_figure, walkers_figure
-
-FloatArray = NDArray[np.float64]
 
 SHOWN_DEG = 33.97
 """The case whose walkers the paper shows; the nearest one is taken."""
@@ -52,7 +47,7 @@ COLUMNS = (
 def run(
     *,
     library: str = PAPER_LIBRARY,
-    progress: Callable[[float, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Study:
     """Invert every case of the library's truths, shipped as ``NAME-truths``.
 

@@ -12,13 +12,13 @@ errors that are as alike within a truth as those of the records (analysis of var
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
@@ -26,13 +26,12 @@ from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
 from terraphi.view.plots import BLUE, GREY, ORANGE, panels_of
 from terraphi.view.table import Table
-from terraphi_studies import Study, page, steps
+from terraphi_studies import Progress, Study, page, steps
 from terraphi_studies.measures import Truth, rms, straight_truths
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 NAME = "spacing"
 LIBRARIES = ("quick-plane-strain", "quick-paper")
@@ -97,9 +96,7 @@ class Answer(NamedTuple):
     consistent: bool
 
 
-def run(
-    *, library: str | None = None, progress: Callable[[float, float], None] | None = None
-) -> Study:
+def run(*, library: str | None = None, progress: Progress | None = None) -> Study:
     """Invert thinned truths of libraries.
 
     Parameters

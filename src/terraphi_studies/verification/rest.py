@@ -19,7 +19,6 @@ from terraphi_studies.verification.driver import ELASTIC, advance, benchmark, in
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 MARGIN = 3.0
 """Cells beside walls, floor and surface that do not count as the inside of a bed."""

@@ -25,8 +25,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward import simulate
 from terraphi.forward.mpm.scalar import empty_audit, empty_reaction
@@ -84,7 +84,7 @@ def bed_of_plan(phi_deg: float) -> dict[str, Any]:
 
 def pushed(
     content: dict[str, Any], leg: dict[str, Any], motion: dict[str, Any], *, slab: bool
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[FloatArray, FloatArray]:
     """Displacement [m] and force (x, z) [N/m] of a body per width; a slab's is plane strain."""
     content = content | {"leg": content["leg"] | leg, "motion": {"kind": "translation"} | motion}
     if slab:
