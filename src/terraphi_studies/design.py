@@ -233,8 +233,7 @@ def _figure(comparisons: Sequence[Mapping[str, Any]]) -> Any:
         for order, (colour, style) in looks.items():
             errors = [found[0] for found in comparison[order]]
             axes.plot(comparison["cases"], errors, style, color=colour, ms=4, label=order)
-        axes.set_yscale("log")
-        axes.set_xlabel("cases")
+        axes.set(xlabel="cases", yscale="log")
         axes.set_title(", ".join(label(key)[0] for key in comparison["keys"]), fontsize=10)
     panels[0].set_ylabel("RMS error of φ, 3-D RFT [deg]")
     panels[0].legend(frameon=False)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
-from terraphi.inference.posterior import Posterior
+from terraphi.inference.answer import Inversion
 from terraphi.surrogate.paper import LegSurrogate
 from terraphi.view.plots import (
     AXIS_LABEL,
@@ -109,10 +109,9 @@ def peaks_figure(
             left.plot(list(printed), peaks, marker, label=f"{name}, Xu & Wang", **look)
             about = f"{name}, Xu & Wang, about"
             right.axhline(printed_at[force], color=colour, lw=1.0, ls=":", label=about)
-    left.set(ylim=(0.0, None), ylabel="peak force [N]")
-    right.set_ylabel("leg angle of the peak [deg]")
-    for axes in (left, right):
-        axes.set_xlabel(PHI_LABEL[data["yield"]])
+    left.set_ylim(bottom=0.0)
+    for axes, name in ((left, "peak force [N]"), (right, "leg angle of the peak [deg]")):
+        axes.set(xlabel=PHI_LABEL[data["yield"]], ylabel=name)
         axes.grid(color=GREY, alpha=0.2, lw=0.6)
     one_legend(figure, ncols=4, fontsize="small")
     return figure
@@ -190,9 +189,8 @@ def surfaces_figure(surrogate: LegSurrogate, held_out_deg: FloatArray, conventio
         axes.hlines(held_out_deg, -WINDOW_DEG, WINDOW_DEG, **dashed)
         edge = np.full(seen.size, -WINDOW_DEG)
         axes.plot(edge, seen, ">", color="black", ms=4, clip_on=False, label="library")
+        axes.set(xlabel="leg angle θ [deg]", ylabel=PHI_LABEL[convention])
         axes.set_xticks(np.arange(-80, 81, 40))
-        axes.set_xlabel("leg angle θ [deg]")
-        axes.set_ylabel(PHI_LABEL[convention])
         ticks = MaxNLocator(8, steps=[1, 2, 5, 10])
         figure.colorbar(shown, ax=axes, format="%g", ticks=ticks).set_label(AXIS_LABEL[force])
     one_legend(figure, ncols=3, frameon=True, facecolor="0.75")
@@ -269,32 +267,33 @@ def autocorrelation_figure(
     return figure
 
 
-class Walkers(NamedTuple):
-    """An ensemble from its first step, and what it should find."""
+def walkers_figure(
+    steps_deg: FloatArray, truth_deg: float, answer: Inversion, burn_in: int, convention: str
+) -> Figure:
+    """Traces of an ensemble's walkers, and their posterior beside the exact one.
 
-    steps_deg: FloatArray
-    """Friction angle [deg], shape [walker, step]."""
-    burn_in: int
-    """Steps that are left out."""
-    exact: Posterior
-    """By quadrature."""
-    truth_deg: float
-    """[deg]"""
-
-
-def walkers_figure(found: Walkers, convention: str) -> Figure:
-    """Traces of an ensemble's walkers, and their posterior beside the exact one."""
+    Parameters
+    ----------
+    steps_deg
+        Friction angle [deg] from the first step, shape [walker, step].
+    truth_deg, answer
+        True friction angle [deg], and what quadrature finds.
+    burn_in
+        Steps that are left out.
+    convention
+        What the friction angle means.
+    """
     figure, ((left, right),) = panels_of(1, 2, size=(9.6, 3.6), width_ratios=(1.6, 1.0))
-    steps = found.steps_deg.shape[1]
-    left.plot(np.arange(steps), found.steps_deg.T, color=BLUE, lw=0.3, alpha=0.35)
-    left.axvspan(0, found.burn_in, color=GREY, alpha=0.25, lw=0)
-    left.axhline(found.truth_deg, color=ORANGE, lw=1.2, ls="--")
+    exact, steps = answer.posterior, steps_deg.shape[1]
+    left.plot(np.arange(steps), steps_deg.T, color=BLUE, lw=0.3, alpha=0.35)
+    left.axvspan(0, burn_in, color=GREY, alpha=0.25, lw=0)
+    left.axhline(truth_deg, color=ORANGE, lw=1.2, ls="--")
     left.set(xlim=(0, steps), xlabel="step (grey: burn-in)", ylabel=PHI_LABEL[convention])
-    kept, exact = found.steps_deg[:, found.burn_in :], found.exact
-    right.hist(kept.ravel(), 80, density=True, color=BLUE, alpha=0.4, label="emcee")
+    kept = steps_deg[:, burn_in:].ravel()
+    right.hist(kept, 80, density=True, color=BLUE, alpha=0.4, label="emcee")
     if exact.density is not None:
         right.plot(exact.phi_deg, exact.density, color="black", lw=1.2, label="quadrature")
-    right.axvline(found.truth_deg, color=ORANGE, lw=1.2, ls="--", label="truth")
+    right.axvline(truth_deg, color=ORANGE, lw=1.2, ls="--", label="truth")
     right.axvspan(*exact.interval(0.68), color=GREY, alpha=0.25, lw=0, label="68 % interval")
     middle, half = exact.median, 1.6 * (exact.quantile(0.975) - exact.quantile(0.025)) / 2.0
     right.set(xlim=(middle - half, middle + half), yticks=[], ylabel="posterior density")
@@ -508,8 +507,7 @@ def readings_figure(
     for (names, ends), (style, colour) in zip(shared, looks, strict=False):
         axes.plot(*ends.T, style, color=colour, lw=1.2, ms=6, label=",\n".join(names))
     low, high = (f"{phi:g}°" for phi in paper)
-    axes.set_xlabel("peak $F_z$ [N]")
-    axes.set_ylabel("peak $F_x$ [N]")
+    axes.set(xlabel="peak $F_z$ [N]", ylabel="peak $F_x$ [N]")
     axes.set_title(f"from φ = {low} (lower left) to {high}", fontsize=10)
     axes.grid(lw=0.4)
     axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))

@@ -21,7 +21,7 @@ from terraphi.surrogate.paper import LegSurrogate
 from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, Progress, Study, steps
 from terraphi_studies.measures import recovered
-from terraphi_studies.pictures import Walkers, recovery_figure, walkers_figure
+from terraphi_studies.pictures import recovery_figure, walkers_figure
 
 SHOWN_DEG = 33.97
 """The case whose walkers the paper shows; the nearest one is taken."""
@@ -100,7 +100,7 @@ def run(
         figures={
             "recovery": recovery_figure(cases, convention),
             "walkers": walkers_figure(
-                _walkers(trained, truths.cases[shown], answers[shown][1]), convention
+                _walkers(trained, truths.cases[shown]), *answers[shown], BURN_IN, convention
             ),
         },
         notes=[_about_emcee(cases)],
@@ -138,10 +138,10 @@ def _about_emcee(cases: list[dict[str, Any]]) -> str:
     )
 
 
-def _walkers(library: Library, truth: Case, exact: Inversion) -> Walkers:
-    """An ensemble's way from the prior to the posterior, the first of those that were inverted."""
+def _walkers(library: Library, truth: Case) -> FloatArray:
+    """The first of the inverted ensembles from its first step [deg], shape [walker, step]."""
     assert truth.history is not None
-    curves = library.curves(exact.record.leg)
+    curves = library.curves(truth.scenario.leg.shape)
     surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
     likelihood = PaperLikelihood(truth.history.observation().vector, curves.theta_deg)
 
@@ -151,4 +151,4 @@ def _walkers(library: Library, truth: Case, exact: Inversion) -> Walkers:
     table = tabulated(log_p, surrogate.phi_bounds_deg)
     draws = ensemble(table, surrogate.phi_bounds_deg, burn_in=0, seed=0).draws_deg
     assert draws is not None
-    return Walkers(draws[0], BURN_IN, exact.posterior, truth.scenario.soil.friction_angle_deg)
+    return draws[0]

@@ -306,14 +306,12 @@ def _figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
         half = [row["ci68_half_width_deg"] for row in mine]
         errors.plot(x, half, "--", mfc="white", label="68 % half-width", **look)
     shares.set_ylabel("inside the interval [%]")
-    errors.set_ylabel("[deg of φ]")
-    errors.set_yscale("log")
+    errors.set(ylabel="[deg of φ]", yscale="log")
     for axes in (shares, errors):
-        axes.set_xscale("log")
+        axes.set(xscale="log", xlabel="spacing of the readings [deg]")
         axes.set_xticks([row["spacing_deg"] for row in rows if row["truths"] == sets[0]][:-1])
         axes.set_xticks([], minor=True)
         axes.xaxis.set_major_formatter("{x:g}")
-        axes.set_xlabel("spacing of the readings [deg]")
     shares.set_title("solid: 68 % intervals, dashed: 95 %", fontsize=10)
     errors.legend(frameon=False, fontsize=8)
     return figure

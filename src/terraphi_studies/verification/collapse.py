@@ -286,8 +286,7 @@ def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
             axes.plot(run["x"], run["y"], line, lw=1.1, color=colour, label=label)
             mark: dict[str, Any] = {"ms": 12, "mew": 2, "color": colour, **free}
             axes.plot(run["farthest"], 0.0, "|", label=f"{FARTHEST}, {grid}", **mark)
-        axes.set_ylabel(f"a = {aspect:g}\nheight / d0")
-        axes.set_ylim(0.0, 1.05 * aspect)
+        axes.set(ylabel=f"a = {aspect:g}\nheight / d0", ylim=(0.0, 1.05 * aspect))
         axes.grid(lw=0.4)
     one_legend(figure, "outside upper center", fontsize=7, ncols=2)
     panels[-1, 0].set_xlabel("distance from the wall / d0")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from terraphi.experiment.leg import Leg
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.mpm.contact import intruder_of
 from terraphi.forward.mpm.solver import Kernel
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, panels_of
 from terraphi_studies.verification.check import Check, Family, Outcome, numbered
 from terraphi_studies.verification.driver import (
     ELASTIC,
@@ -22,9 +20,6 @@ from terraphi_studies.verification.driver import (
     in_words,
     rig_of,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 BLOCK = (0.080, 0.040)
 """Length along the incline and height [m]."""
@@ -112,18 +107,12 @@ def slide(
         resolution=in_words(scenario),
         source=SOURCE,
     )
-    curves = {"slope_deg": slope_deg, "friction": friction, "a": obtained, "cells": cells}
-    return Outcome([check], curves)
+    return Outcome([check])
 
 
 def _scenario(cells: int, on_surface: bool) -> Scenario:
     """Soil that never yields, and how it meets the plate."""
-    scenario = benchmark(
-        cells,
-        courant=0.4,
-        on_nodes=True,
-        **SETTLED,
-    )
+    scenario = benchmark(cells, courant=0.4, on_nodes=True, **SETTLED)
     if on_surface:
         interval = PHASE * scenario.numerics.time_step
         phases = {"numerics.contact": "surface", "numerics.remap_interval": interval}
@@ -151,31 +140,10 @@ FULL: list[dict[str, Any]] = [
 QUICK = [{"cells": 32, "slope_deg": b, "friction": 0.35} for b in (30.0, 15.0)]
 
 
-def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
-    """Acceleration over the slope, for each friction."""
-    figure, ((axes,),) = panels_of(size=(6.5, 4.0))
-    runs = [outcome.curves for outcome in outcomes.values()]
-    slope = np.linspace(0.0, 50.0, 201)
-    for friction, colour in zip(
-        sorted({run["friction"] for run in runs}), (GREEN, ORANGE, BLUE), strict=False
-    ):
-        angle = np.radians(slope)
-        exact = np.maximum(0.0, GRAVITY * (np.sin(angle) - friction * np.cos(angle)))
-        axes.plot(slope, exact, color=colour, lw=1.0, label=f"exact, μ = {friction:g}")
-        mine = [run for run in runs if run["friction"] == friction]
-        axes.plot([r["slope_deg"] for r in mine], [r["a"] for r in mine], "o", color=colour, ms=5)
-    axes.axhline(0.0, color=GREY, lw=0.6)
-    axes.set_xlabel("slope b [deg]")
-    axes.set_ylabel("acceleration [m/s²]; points computed")
-    axes.legend(frameon=False)
-    return {"verification-sliding": figure}
-
-
 FAMILY = Family(
     title="Friction of the contact",
     meaning="An elastic block of soil on a tilted plate, which to the program is a leg. If these "
     "pass, soil slips along the leg, and sticks to it, as Coulomb's law says.",
     full=numbered("slide", slide, FULL, 3.0),
     quick=numbered("slide", slide, QUICK),
-    figures=figures,
 )
