@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from terraphi.experiment.documents import shipped_folder
 from terraphi.experiment.errors import InputError
@@ -21,6 +22,8 @@ from terraphi.library.build import failed_cases, finished_cases, simulate_cases
 from terraphi.library.cluster import pool
 from terraphi.library.plan import BASE, Plan, label
 from terraphi_studies import Progress
+
+Name = TypeVar("Name")
 
 
 @dataclass(frozen=True)
@@ -133,8 +136,8 @@ def steps_of(plan: Plan) -> dict[str, Scenario]:
 
 
 def missing_from(
-    cases: Mapping[str, Scenario], finished: Mapping[str, ForceHistory]
-) -> dict[str, Scenario]:
+    cases: Mapping[Name, Scenario], finished: Mapping[str, ForceHistory]
+) -> dict[Name, Scenario]:
     """Those cases, by name, that are not finished."""
     return {name: scenario for name, scenario in cases.items() if scenario.hash not in finished}
 

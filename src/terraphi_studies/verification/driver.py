@@ -21,7 +21,7 @@ from terraphi.forward.mpm.contact import Intruder, intruder_of
 from terraphi.forward.mpm.plasticity import Material, material_of
 from terraphi.forward.mpm.relief import Fading, fading_of
 from terraphi.forward.mpm.scalar import Audit, Stepping, empty_audit, empty_reaction, stepping_of
-from terraphi.forward.mpm.solver import KERNELS, Kernel, path_of_steps, step_count
+from terraphi.forward.mpm.solver import KERNELS, path_of_steps, step_count
 from terraphi.library.workers import heartbeat
 
 BLOCK = 1000
@@ -103,14 +103,7 @@ def rig_of(scenario: Scenario) -> Rig:
     )
 
 
-def advance(
-    soil: Particles,
-    rig: Rig,
-    steps: int,
-    *,
-    pose: tuple[float, ...] = PARKED,
-    kernel: Kernel = "packets",
-) -> None:
+def advance(soil: Particles, rig: Rig, steps: int, *, pose: tuple[float, ...] = PARKED) -> None:
     """Take some steps with a leg that keeps its pose, changing soil, grid and books in place.
 
     Parameters
@@ -123,8 +116,6 @@ def advance(
         How many.
     pose
         Hip x, z [m], θ [rad], hip velocity x, z [m/s], angular rate [rad/s].
-    kernel
-        Which kernel.
 
     Raises
     ------
@@ -134,13 +125,12 @@ def advance(
     for done in range(0, steps, BLOCK):
         poses = np.tile(pose, (min(BLOCK, steps - done), 1))
         bins = np.zeros(len(poses), np.int64)
-        _take(soil, rig, kernel, poses, np.zeros(len(poses)), bins, empty_reaction(1))
+        _take(soil, rig, poses, np.zeros(len(poses)), bins, empty_reaction(1))
 
 
 def _take(
     soil: Particles,
     rig: Rig,
-    kernel: Kernel,
     poses: FloatArray,
     turned: FloatArray,
     bins: NDArray[np.int64],
@@ -148,7 +138,7 @@ def _take(
 ) -> None:
     """Take a step for each pose, adding up the leg's impulse by bins."""
     heartbeat(0.0)
-    take = KERNELS[kernel][rig.stepping.phase > 0]
+    take = KERNELS["packets"][rig.stepping.phase > 0]
     lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
     if lost >= 0:
         raise SimulationError(f"particle {lost} left the grid")
@@ -222,5 +212,5 @@ def push(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
         steps = np.arange(first, min(first + BLOCK, count))
         poses, turned, bins = path_of_steps(scenario, steps, len(places))
         held += np.bincount(bins, minlength=len(places))
-        _take(soil, rig, "packets", poses, turned, bins, impulse)
+        _take(soil, rig, poses, turned, bins, impulse)
     return places, impulse[:, :2] / (held * scenario.numerics.time_step)[:, None]

@@ -10,7 +10,6 @@ import numpy as np
 from terraphi.experiment.leg import Leg
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.mpm.contact import intruder_of
-from terraphi.forward.mpm.solver import Kernel
 from terraphi_studies.verification.check import Check, Family, Outcome, numbered
 from terraphi_studies.verification.driver import (
     ELASTIC,
@@ -46,7 +45,6 @@ def slide(
     cells: int,
     slope_deg: float,
     friction: float,
-    kernel: Kernel = "packets",
     contact: Literal["nodes", "surface"] = "nodes",
 ) -> Outcome:
     """Let an elastic block slide down a plate, the leg of that shape.
@@ -59,8 +57,6 @@ def slide(
         Slope b of the plate [deg].
     friction
         Coulomb coefficient μ [-].
-    kernel
-        Which kernel.
     contact
         With the nodes near the plate, or of the particles with its surface.
     """
@@ -82,12 +78,12 @@ def slide(
         (float(corner[0]), float(corner[1])), BLOCK, spacing, scenario.soil.density, tilt=-slope
     )
     rig = rig_of(scenario).open_box()._replace(intruder=intruder_of(plate))
-    advance(soil, rig, round(SETTLING / time_step), pose=pose, kernel=kernel)
+    advance(soil, rig, round(SETTLING / time_step), pose=pose)
     rig = rig.changed(damping_before=1.0, damping_after=1.0)
     between = round(SLIDING / LOOKS / time_step)
     speed = []
     for _ in range(LOOKS):
-        advance(soil, rig, between, pose=pose, kernel=kernel)
+        advance(soil, rig, between, pose=pose)
         speed.append(float(soil.mass @ (soil.velocity @ down) / soil.mass.sum()))
     times = between * time_step * np.arange(1, LOOKS + 1)
     obtained = float(np.polyfit(times, speed, 1)[0])
@@ -95,7 +91,7 @@ def slide(
     sticks = expected == 0.0
     check = Check(
         problem="Block on an incline",
-        case=f"b = {slope_deg:g}°, μ = {friction:g}, kernel `{kernel}`"
+        case=f"b = {slope_deg:g}°, μ = {friction:g}"
         + (", contact on the surface, in phases" if on_surface else "")
         + (", sticks" if sticks else ""),
         quantity="a [m/s²]",
@@ -129,14 +125,12 @@ FULL: list[dict[str, Any]] = [
     {"cells": 64, "slope_deg": 19.0, "friction": 0.35},
     {"cells": 32, "slope_deg": 30.0, "friction": 0.35},
     {"cells": 128, "slope_deg": 30.0, "friction": 0.35},
-    {"cells": 64, "slope_deg": 30.0, "friction": 0.35, "kernel": "scalar"},
-    {"cells": 64, "slope_deg": 15.0, "friction": 0.35, "kernel": "scalar"},
     *(
         {"cells": 64, "slope_deg": b, "friction": mu, "contact": "surface"}
         for b, mu in ((25.0, 0.0), (30.0, 0.35), (15.0, 0.35))
     ),
 ]
-"""Slopes on one grid, and one slope on others, by the other kernel and contact."""
+"""Slopes on one grid, and one slope on others and by the other contact."""
 QUICK = [{"cells": 32, "slope_deg": b, "friction": 0.35} for b in (30.0, 15.0)]
 
 
