@@ -130,7 +130,7 @@ def test_sources_of_numbers_and_no_others_are_watched() -> None:
         for file in running._PACKAGE.glob(pattern)
     }
     room = "terraphi_studies/verification"
-    known = {"terraphi/experiment/soil.py", "terraphi/forward/mpm/contact.py", f"{room}/rest.py"}
+    known = {"terraphi/experiment/soil.py", "terraphi/forward/mpm/contact.py", f"{room}/waves.py"}
     assert known <= watched
     assert all((running._PACKAGE / name).is_file() for name in watched)
     assert "terraphi/cli/main.py" not in watched
@@ -322,13 +322,13 @@ def test_command_writes_page_and_data(tmp_path: Path, monkeypatch) -> None:
     family = Family("Columns", "", [], list(tasks_of(2, 5).values()))
     monkeypatch.setattr(verification, "family_of", lambda name: family)
     out = tmp_path / "found"
-    ran = command("verification", "--only", "rest", "--quick", "--out", str(out))
+    ran = command("verification", "--only", "waves", "--quick", "--out", str(out))
     assert ran.exit_code == 0, ran.output
     assert "1 checks pass, 1 miss" in ran.output
     assert done == [2, 5]
     made = {file.name for file in out.iterdir()}
     assert made == {"data.json", "verification.md", "manifest.json"}
-    printed = command("verification", "--only", "rest", "--quick", "--json")
+    printed = command("verification", "--only", "waves", "--quick", "--json")
     assert json.loads(printed.output) == json.loads((out / "data.json").read_text())
 
 

@@ -21,10 +21,14 @@ from terraphi_studies.verification.running import forget, run_tasks
 FAMILIES = (
     "elements",
     "rest",
+    "waves",
     "sliding",
     "limit_loads",
     "plate",
     "collapse",
+    "conservation",
+    "order",
+    "kernels",
     "space",
 )
 """Modules of problems, in the order of the document."""

@@ -38,8 +38,6 @@ one family; `--quick` is a coarse version that takes seconds.
 **{passed} checks pass, {missed} miss.** A check passes if obtained less expected is within what was
 allowed beforehand, relative to what is expected where that is given in percent. A miss stays in the
 table, with what is known of its cause. All are in one list, `rows` of `data.json` and of `--json`.
-What must hold of any soil in motion (mass and both momenta, the speed of waves, both kernels alike)
-is tested with every change of the code, in `tests/forward/mpm`.
 Tier: {tier}. Computed with {software}."""
 
 _CLOSING = """\

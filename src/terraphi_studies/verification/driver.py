@@ -7,6 +7,7 @@ stresses and velocities, in other boxes, and often without a leg; the steps are 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from terraphi.forward.mpm.contact import Intruder, intruder_of
 from terraphi.forward.mpm.plasticity import Material, material_of
 from terraphi.forward.mpm.relief import Fading, fading_of
 from terraphi.forward.mpm.scalar import Audit, Stepping, empty_audit, empty_reaction, stepping_of
-from terraphi.forward.mpm.solver import KERNELS, path_of_steps, step_count
+from terraphi.forward.mpm.solver import KERNELS, Kernel, path_of_steps, step_count
 from terraphi.library.workers import heartbeat
 
 BLOCK = 1000
@@ -103,7 +104,15 @@ def rig_of(scenario: Scenario) -> Rig:
     )
 
 
-def advance(soil: Particles, rig: Rig, steps: int, *, pose: tuple[float, ...] = PARKED) -> None:
+def advance(
+    soil: Particles,
+    rig: Rig,
+    steps: int,
+    *,
+    pose: tuple[float, ...] = PARKED,
+    kernel: Kernel = "packets",
+    body_force: Callable[[float], FloatArray] | None = None,
+) -> None:
     """Take some steps with a leg that keeps its pose, changing soil, grid and books in place.
 
     Parameters
@@ -116,30 +125,44 @@ def advance(soil: Particles, rig: Rig, steps: int, *, pose: tuple[float, ...] = 
         How many.
     pose
         Hip x, z [m], θ [rad], hip velocity x, z [m/s], angular rate [rad/s].
+    kernel
+        Which kernel.
+    body_force
+        From the time of a step's start [s] to the acceleration of each particle [m/s²], shape
+        [particle, 2]: given to the particles before the step, which takes it to the grid with
+        their momentum. The kernels are then called step by step, which the packets do by half
+        steps of the reference kernel alone.
 
     Raises
     ------
     SimulationError
         If a particle leaves the grid.
     """
-    for done in range(0, steps, BLOCK):
-        poses = np.tile(pose, (min(BLOCK, steps - done), 1))
-        bins = np.zeros(len(poses), np.int64)
-        _take(soil, rig, poses, np.zeros(len(poses)), bins, empty_reaction(1))
+    block = BLOCK if body_force is None else 1
+    for done in range(0, steps, block):
+        count = min(block, steps - done)
+        if done % BLOCK == 0:
+            heartbeat(0.0)
+        if body_force is not None:
+            time_step = rig.stepping.time_step
+            soil.velocity[:] += time_step * body_force(done * time_step)
+        still = np.zeros(count)
+        _take(soil, rig, kernel, np.tile(pose, (count, 1)), still, still.astype(np.int64))
 
 
 def _take(
     soil: Particles,
     rig: Rig,
+    kernel: Kernel,
     poses: FloatArray,
     turned: FloatArray,
     bins: NDArray[np.int64],
-    impulse: FloatArray,
+    impulse: FloatArray | None = None,
 ) -> None:
-    """Take a step for each pose, adding up the leg's impulse by bins."""
-    heartbeat(0.0)
-    take = KERNELS["packets"][rig.stepping.phase > 0]
-    lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, impulse, rig.audit)
+    """Take a step for each pose; the leg's impulse is added up by bins if somebody asks for it."""
+    take = KERNELS[kernel][rig.stepping.phase > 0]
+    felt = empty_reaction(1) if impulse is None else impulse
+    lost = take(soil, rig.grid, *rig[1:5], poses, turned, bins, felt, rig.audit)
     if lost >= 0:
         raise SimulationError(f"particle {lost} left the grid")
 
@@ -189,6 +212,50 @@ def block_of(
     )
 
 
+def follow(
+    scenario: Scenario,
+    soil: Particles,
+    rig: Rig,
+    first: int,
+    count: int,
+    *,
+    kernel: Kernel = "packets",
+    impulse: FloatArray | None = None,
+) -> NDArray[np.int64]:
+    """Take some steps of a scenario's own motion, changing soil, grid and books in place.
+
+    Parameters
+    ----------
+    scenario
+        Its motion moves the leg.
+    soil, rig, kernel
+        As in :func:`advance`.
+    first, count
+        Number of the first step, and how many.
+    impulse
+        Of the soil on the leg per metre of width [kg/s], by bin of the motion: is added to.
+
+    Returns
+    -------
+    ndarray
+        How many steps fell into each bin.
+
+    Raises
+    ------
+    SimulationError
+        If a particle leaves the grid.
+    """
+    places = 1 if impulse is None else len(impulse)
+    held = np.zeros(places, np.int64)
+    for begin in range(first, first + count, BLOCK):
+        steps = np.arange(begin, min(begin + BLOCK, first + count))
+        poses, turned, bins = path_of_steps(scenario, steps, places)
+        held += np.bincount(bins, minlength=places)
+        heartbeat(0.0)
+        _take(soil, rig, kernel, poses, turned, bins, impulse)
+    return held
+
+
 def push(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
     """Move the plate, with a smooth wall in line with its front behind the soil beneath it.
 
@@ -206,11 +273,6 @@ def push(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
     # A scenario keeps its leg between the walls; the plate's own place is behind this one.
     rig = rig_of(scenario).changed(left=scenario.bed.soil_span[0])
     places = bin_centres(scenario.motion)
-    impulse, held = empty_reaction(len(places)), np.zeros(len(places), np.int64)
-    count = step_count(scenario)
-    for first in range(0, count, BLOCK):
-        steps = np.arange(first, min(first + BLOCK, count))
-        poses, turned, bins = path_of_steps(scenario, steps, len(places))
-        held += np.bincount(bins, minlength=len(places))
-        _take(soil, rig, poses, turned, bins, impulse)
+    impulse = empty_reaction(len(places))
+    held = follow(scenario, soil, rig, 0, step_count(scenario), impulse=impulse)
     return places, impulse[:, :2] / (held * scenario.numerics.time_step)[:, None]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.soil import Soil, YieldCriterion
+from terraphi.experiment.soil import Soil, YieldCriterion, friction_angle_from_plane_strain_deg
 from terraphi.forward.mpm.plasticity import (
     Four,
     cone_of,
@@ -36,6 +36,8 @@ CONFINEMENT = 1000.0
 ELASTIC_COHESION = 1e12
 """Cohesion with which soil never yields [Pa]."""
 TOLERANCE = 1e-3
+COHESION = 500.0
+"""[Pa]."""
 PHI_DEG: dict[YieldCriterion, float] = {"plane_strain": 35.0, "paper": 35.0, "triaxial": 30.0}
 """Friction angle of each criterion; a triaxial one of 35° with its dilation acts as 68°."""
 DILATIONS = ("0", "10°", "φ")
@@ -53,6 +55,10 @@ EQUIVALENT = (
 COMPRESSION = (
     "Cone through the compressive meridian of Mohr-Coulomb: q/p = 6 sin φ/(3 − sin φ), and the "
     "same of ψ for the plastic strain rates"
+)
+MATCHED = (
+    "Drucker & Prager (1952), *Quart. Appl. Math.* 10, 157; without dilation s_yy = 0. On √J2 "
+    "over p = −I1/3: associated 3 tan φ/√(9 + 12 tan² φ), ψ = 0 sin φ"
 )
 DIENES = "Dienes (1979), *Acta Mech.* 32, 217: simple shear with the Jaumann rate, τ = G sin γ"
 
@@ -77,6 +83,14 @@ class Failure(NamedTuple):
     def radius(self) -> float:
         """Radius of Mohr's circle in the plane, (σ1 - σ3)/2 [Pa]."""
         return math.hypot(0.5 * (self.stress[0] - self.stress[1]), self.stress[2])
+
+    @property
+    def root_j2(self) -> float:
+        """√J2 [Pa]."""
+        sxx, szz, sxz, syy = self.stress
+        third = (sxx + szz + syy) / 3.0
+        normal = (sxx - third) ** 2 + (szz - third) ** 2 + (syy - third) ** 2
+        return math.sqrt(0.5 * normal + sxz**2)
 
     @property
     def i1(self) -> float:
@@ -159,6 +173,15 @@ def compression(soil: Soil, mapping: str, across: float = 0.0) -> Failure:
     return Failure(np.array(stress), np.array([wide, step, 0.0, across * wide]))
 
 
+def extension(soil: Soil, mapping: str) -> Failure:
+    """Equal extension along x and z, far beyond what any soil bears."""
+    update, step = update_of(soil, mapping), _strain_step(soil)
+    stress = (0.0, 0.0, 0.0, 0.0)
+    for _ in range(STRAIN_STEPS):
+        stress = update(stress, (step, 0.0, 0.0, step), 0.0)
+    return Failure(np.array(stress), np.array([step, step, 0.0, 0.0]))
+
+
 def elastic_shear(soil: Soil, mapping: str) -> Failure:
     """Simple shear by γ = 1 from zero stress at constant volume, v_x = γ̇ z."""
     update, step = update_of(soil, mapping), 1.0 / LARGE_STRAIN_STEPS
@@ -170,7 +193,7 @@ def elastic_shear(soil: Soil, mapping: str) -> Failure:
 
 def _strain_step(soil: Soil) -> float:
     """Increment: some dozens reach failure, the other hundreds flow until all is steady [-]."""
-    return 0.05 * CONFINEMENT / soil.shear_modulus
+    return 0.05 * (CONFINEMENT + soil.cohesion) / soil.shear_modulus
 
 
 # -- the tests -------------------------------------------------------------------------------------
@@ -214,7 +237,11 @@ def element_tests(quick: bool) -> Outcome:
             found += _plane_strain(criterion, dilation)
     for phi in (35.0,) if quick else (25.0, 30.0, 35.0, 40.0, 45.0):
         found += _triaxial_compression(phi)
-    return Outcome(found + _objectivity())
+    for associated in (False, True):
+        found += _matched(35.0, associated=associated)
+    for criterion in PHI_DEG:
+        found += _cohesion(criterion)
+    return Outcome(found + _tip() + _objectivity())
 
 
 def _plane_strain(criterion: YieldCriterion, dilation: str) -> list[Check]:
@@ -265,6 +292,69 @@ def _triaxial_compression(phi: float) -> list[Check]:
         ("Triaxial compression", "ε̇_v/ε̇_q", expected, COMPRESSION, rates),
         case=f"`triaxial`, φ = ψ = {phi:g}°",
     )
+
+
+def _matched(phi: float, *, associated: bool) -> list[Check]:
+    """The cone that is matched to Mohr-Coulomb in plane strain, driven in plane strain."""
+    angle = friction_angle_from_plane_strain_deg(phi, "triaxial", associated=associated)
+    sine, tangent = math.sin(math.radians(phi)), math.tan(math.radians(phi))
+    slope = 3.0 * tangent / math.sqrt(9.0 + 12.0 * tangent**2) if associated else sine
+    name = "Drucker-Prager cone matched to plane strain"
+    return _compare(
+        compression,
+        Soil(
+            yield_criterion="triaxial",
+            friction_angle_deg=angle,
+            flow="associated" if associated else "dilation",
+        ),
+        (name, "√J2/p", slope, MATCHED, lambda end: end.root_j2 / (-end.i1 / 3.0)),
+        (name, "(σ1 − σ3)/(σ1 + σ3)", sine, MOHR, lambda end: end.radius / -end.mean),
+        case=f"φ = {phi:g}° in plane strain, {'associated' if associated else 'ψ = 0'}",
+    )
+
+
+def _cohesion(criterion: YieldCriterion) -> list[Check]:
+    """Biaxial compression of cohesive soil."""
+    phi = PHI_DEG[criterion]
+    soil = Soil(yield_criterion=criterion, friction_angle_deg=phi, cohesion=COHESION)
+    strength, _ = equivalent(soil)
+    sine, cosine = math.sin(math.radians(phi)), math.cos(math.radians(phi))
+    intercept, note = COHESION * cosine, ""
+    if criterion != "plane_strain":
+        intercept = 6.0 * COHESION * cosine / (math.sqrt(3.0) * (3.0 - sine))
+        note = EQUIVALENT + "; there k = 6 c cos φ/(√3 (3 − sin φ))"
+    # σ3 = -p - r is what is held, and r = k - p sin φ.
+    expected = (intercept + CONFINEMENT * strength) / (1.0 - strength)
+    name = "Cohesive soil in biaxial compression"
+    return _compare(
+        compression,
+        soil,
+        (name, "(σ1 − σ3)/2 [Pa]", expected, MOHR, lambda end: end.radius),
+        case=f"`{criterion}`, φ = {phi:g}°, c = {COHESION:g} Pa, σ3 = {CONFINEMENT:g} Pa",
+        note=note,
+    )
+
+
+def _tip() -> list[Check]:
+    """Tension: the tip of the cone, and the cut-off before it."""
+    found = []
+    source = "Tip of the cone c cot φ, or the tension cut-off if that is lower"
+    for cutoff in (None, 100.0):
+        soil = Soil(
+            yield_criterion="plane_strain",
+            friction_angle_deg=35.0,
+            cohesion=COHESION,
+            tension_cutoff=cutoff,
+        )
+        tip = COHESION / math.tan(math.radians(35.0)) if cutoff is None else cutoff
+        found += _compare(
+            extension,
+            soil,
+            ("Cohesive soil pulled apart", "p [Pa]", tip, source, lambda end: end.mean),
+            case=f"`plane_strain`, φ = 35°, c = {COHESION:g} Pa, "
+            + ("no cut-off" if cutoff is None else f"cut-off {cutoff:g} Pa"),
+        )
+    return found
 
 
 def _objectivity() -> list[Check]:
