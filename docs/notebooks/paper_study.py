@@ -119,6 +119,6 @@ print(f"{answer.verdict.verdict}: {answer.verdict.reason}")
 # Beside the paper's own numbers, in percent of the measured range:
 
 benchmark = studies.run("benchmark")
-legs = benchmark.figures["benchmark-straight"]
+legs = benchmark.figures["benchmark"]
 for what, ours, paper in benchmark.beside_paper:
     print(f"{what}: {ours} (paper: {paper})")

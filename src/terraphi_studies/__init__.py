@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 
 Found = TypeVar("Found")
+Progress = Callable[[float, float], None]
+"""Called with the work done and the work of all."""
 
 
 class Outline(NamedTuple):
@@ -78,7 +80,7 @@ STUDIES = {
         "plates pressed into real sand: φ by each force law, and what the law is worth", "seconds"
     ),
     "verification": Outline(
-        "problems with known answers, by the code that the leg uses", "45 to 60 minutes"
+        "problems with known answers, by the code that the leg uses", "35 to 45 minutes"
     ),
 }
 
@@ -196,7 +198,7 @@ def capitalised(words: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def steps(total: int, progress: Callable[[float, float], None] | None) -> Callable[[Found], Found]:
+def steps(total: int, progress: Progress | None) -> Callable[[Found], Found]:
     """A function that hands on what it is given, and reports one more of all steps as done."""
     done = itertools.count(1)
 
@@ -212,7 +214,7 @@ def run(
     name: str,
     *,
     out: Path | None = None,
-    progress: Callable[[float, float], None] | None = None,
+    progress: Progress | None = None,
     **options: Any,
 ) -> Study:
     """Run a study.

@@ -21,10 +21,11 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.library.shipped import companion, has_companion
 from terraphi.library.store import Library
-from terraphi.view.plots import BLUE, GREEN, ORANGE, PURPLE, Curve, comparison_figure
+from terraphi.view.plots import BLUE, GREEN, ORANGE, PURPLE, Curve
 from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, PROTOTYPE_LIBRARY, Beside, Study
 from terraphi_studies.measures import PEAK_CELLS, both, nrmsd_percent, peaks_and_angles
+from terraphi_studies.pictures import legs_figure
 
 LEGS = ("straight", "c", "reversed_c")
 PHI_DEG = 35.0
@@ -83,7 +84,7 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
         ``data``: ``nrmsd_percent`` by leg, model (``mpm``, ``rft2d``, ``rft3d``; ``paper_code`` and
         ``paper_code_applied``, the force that the contact of the paper's prototype counts and the
         one that it applies) and force; ``peaks`` likewise, with ``measured``; ``missing``, why the
-        prototype's are left out, by leg. A figure for each leg.
+        prototype's are left out, by leg. A figure with a column a leg.
 
     Raises
     ------
@@ -122,10 +123,7 @@ def run(*, library: str = PAPER_LIBRARY) -> Study:
             "missing": missing,
         },
         figures={
-            f"benchmark-{leg}": comparison_figure(
-                f"Leg {leg} in Yuma sand; MPM at {title}", curves_of(library, models)
-            )
-            for leg, models in found.items()
+            "benchmark": legs_figure({leg: curves_of(library, h) for leg, h in found.items()})
         },
         notes=[_about_rft3d(peaks), *_left_out(missing)],
         beside_paper=_beside_paper(deviations),

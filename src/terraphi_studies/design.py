@@ -9,15 +9,15 @@ noise: what they get wrong is their own.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.stats import qmc
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
@@ -29,10 +29,8 @@ from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.training import training
 from terraphi.view.plots import BLUE, GREY, ORANGE, panels_of
 from terraphi.view.table import Table
-from terraphi_studies import Study, steps
+from terraphi_studies import Progress, Study, steps
 from terraphi_studies.measures import PHI
-
-FloatArray = NDArray[np.float64]
 
 BASE: dict[str, Any] = {
     "model": "rft",
@@ -143,7 +141,7 @@ BOXES = (
 ORDERS = ("grid", "sobol", "suggested")
 
 
-def run(*, progress: Callable[[float, float], None] | None = None) -> Study:
+def run(*, progress: Progress | None = None) -> Study:
     """Build libraries in three orders, and compare what they get wrong.
 
     Parameters
@@ -235,8 +233,7 @@ def _figure(comparisons: Sequence[Mapping[str, Any]]) -> Any:
         for order, (colour, style) in looks.items():
             errors = [found[0] for found in comparison[order]]
             axes.plot(comparison["cases"], errors, style, color=colour, ms=4, label=order)
-        axes.set_yscale("log")
-        axes.set_xlabel("cases")
+        axes.set(xlabel="cases", yscale="log")
         axes.set_title(", ".join(label(key)[0] for key in comparison["keys"]), fontsize=10)
     panels[0].set_ylabel("RMS error of φ, 3-D RFT [deg]")
     panels[0].legend(frameon=False)

@@ -10,24 +10,31 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import Snapshot, simulate
 from terraphi.view.plots import GREY, LEG_NAMES, panels_of
 from terraphi.view.table import Table
-from terraphi_studies import PAPER_LIBRARY, Study, benchmark, phi_sensitivity, recovery, surrogate
-from terraphi_studies.pictures import COLOURS, legs_figure
+from terraphi_studies import (
+    PAPER_LIBRARY,
+    Progress,
+    Study,
+    benchmark,
+    phi_sensitivity,
+    recovery,
+    surrogate,
+)
+from terraphi_studies.benchmark import LEGS
+from terraphi_studies.pictures import COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
-LEGS = ("straight", "c", "reversed_c")
 SNAPSHOTS_DEG = (-60.0, -30.0, 0.0, 40.0)
 """Leg angles of the snapshots [deg]: going in, at the peaks, coming out."""
 SNAPSHOT_SPEED_UP = 10.0
@@ -40,31 +47,29 @@ PALEST = 0.25
 """Opacity of a particle that has lost all its weight [-]."""
 PANEL_INCHES = 3.0
 FIGURES = {
-    "forces-phi": (
-        "phi_sensitivity/forces",
-        "forces against the leg angle at every friction angle",
+    "forces-phi": ("forces", "forces against the leg angle at every friction angle"),
+    "peaks-phi": ("peaks", "peak forces against the friction angle"),
+    "legs": (
+        "benchmark",
+        "three legs at 35° beside the measured forces and resistive force theory",
     ),
-    "peaks-phi": ("phi_sensitivity/peaks", "peak forces against the friction angle"),
-    "legs": ("", "three legs at 35° beside the measured forces and resistive force theory"),
     "surrogate-surfaces": (
-        "surrogate/surfaces",
+        "surfaces",
         "mean forces of the surrogate, with what it has and has not seen",
     ),
-    "surrogate-slices": ("surrogate/slices", "surrogate and simulations at three leg angles"),
-    "residuals": ("surrogate/residuals", "correlation of the residuals"),
-    "walkers": ("recovery/walkers", "walkers and posterior at 33.97°"),
-    "recovery": ("recovery/recovery", "inferred against true friction angles"),
+    "surrogate-slices": ("slices", "surrogate and simulations at three leg angles"),
+    "residuals": ("residuals", "correlation of the residuals"),
+    "walkers": ("walkers", "walkers and posterior at 33.97°"),
+    "recovery": ("recovery", "inferred against true friction angles"),
     "snapshots": (
-        "",
+        "snapshots",
         f"the soil around the three legs, sped up {SNAPSHOT_SPEED_UP:g} times or more",
     ),
 }
-"""Study and name of each figure, nothing for those that are drawn here; and what it shows."""
+"""Name that each figure has in its study, and what it shows; the last is drawn here."""
 
 
-def run(
-    *, library: str = PAPER_LIBRARY, progress: Callable[[float, float], None] | None = None
-) -> Study:
+def run(*, library: str = PAPER_LIBRARY, progress: Progress | None = None) -> Study:
     """Draw all figures.
 
     Parameters
@@ -91,19 +96,12 @@ def run(
         if progress is not None:
             progress(done, 1.0)
 
-    parts = {
-        "phi_sensitivity": phi_sensitivity.run(library=library),
-        "benchmark": benchmark.run(library=library),
-        "surrogate": surrogate.run(library=library),
-        "recovery": recovery.run(
-            library=library,
-            progress=lambda done, total: tell((1.0 - SNAPSHOTS_SHARE) * done / total),
-        ),
-    }
-    legs = {}
-    for leg in LEGS:
-        histories, _ = benchmark.histories_of(library, leg)
-        legs[leg] = benchmark.curves_of(library, histories)
+    quick = (phi_sensitivity, benchmark, surrogate)
+    parts = {study.__name__.rpartition(".")[2]: study.run(library=library) for study in quick}
+    parts["recovery"] = recovery.run(
+        library=library,
+        progress=lambda done, total: tell((1.0 - SNAPSHOTS_SHARE) * done / total),
+    )
     seen = {}
     for number, leg in enumerate(LEGS):
         scenario = sped_up(benchmark.case_at(library, leg).scenario)
@@ -112,12 +110,8 @@ def run(
             tell(1.0 - SNAPSHOTS_SHARE * (1.0 - (number + fraction) / len(LEGS)))
 
         seen[leg] = scenario, moments(scenario, SNAPSHOTS_DEG, progress=along)
-    drawn = {
-        f"{study}/{name}": figure
-        for study, part in parts.items()
-        for name, figure in part.figures.items()
-    }
-    here = {"legs": legs_figure(legs), "snapshots": snapshots_figure(seen)}
+    drawn = {name: drawing for part in parts.values() for name, drawing in part.figures.items()}
+    drawn["snapshots"] = snapshots_figure(seen)
     return Study(
         table=Table(
             f"Figures from library '{library}'",
@@ -125,7 +119,7 @@ def run(
             [(f"{name}.png", what) for name, (_, what) in FIGURES.items()],
         ),
         data={"library": library, **{name: part.everything() for name, part in parts.items()}},
-        figures={name: drawn[of] if of else here[name] for name, (of, _) in FIGURES.items()},
+        figures={name: drawn[of] for name, (of, _) in FIGURES.items()},
         notes=[note for part in parts.values() for note in part.notes],
         beside_paper=[line for part in parts.values() for line in part.beside_paper],
         dpi=DOTS_PER_INCH,

@@ -9,7 +9,7 @@ from it is reported and not judged.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -17,13 +17,13 @@ import numpy as np
 
 from terraphi.experiment.documents import shipped_names
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.measurements import Measurement, measurement, medium_and_leg, names
-from terraphi.inference.answer import Inversion
+from terraphi.experiment.measurements import measurement, names
 from terraphi.inference.inversion import invert
 from terraphi.inference.verdict import uninformed
 from terraphi.library.store import Library
 from terraphi.view.table import Table
-from terraphi_studies import Study, page, steps
+from terraphi_studies import Progress, Study, page, steps
+from terraphi_studies.measures import answer_of
 from terraphi_studies.pictures import measured_figure
 
 NAME = "measured"
@@ -60,11 +60,7 @@ PICTURE = "friction angles by medium, leg and library, with their 95 % intervals
 Answers = Sequence[Mapping[str, Any]]
 
 
-def run(
-    *,
-    library: str | None = None,
-    progress: Callable[[float, float], None] | None = None,
-) -> Study:
+def run(*, library: str | None = None, progress: Progress | None = None) -> Study:
     """Invert all shipped measurements.
 
     Parameters
@@ -106,28 +102,18 @@ def run(
                 density_assumed=one.density_assumed,
                 source=one.name,
             )
-            answers.append(_answer(name, one, found))
+            answers.append(
+                {
+                    **answer_of(one, found),
+                    "library": name,
+                    "told_by_forces": not uninformed(found.posterior),
+                    "nrmsd_percent": {f: 100.0 * v for f, v in found.record.nrmsd.items()},
+                    "reason": found.reason,
+                }
+            )
     if not answers:
         raise InputError(f"library '{library}' has none of the measured legs")
     return _study(answers)
-
-
-def _answer(library: str, one: Measurement, found: Inversion) -> dict[str, Any]:
-    plane = found.phi_plane_strain
-    return {
-        "library": library,
-        "yield": found.convention,
-        "medium": medium_and_leg(one.name)[0],
-        "leg": one.leg,
-        "phi_median_deg": found.phi.median,
-        "told_by_forces": not uninformed(found.posterior),
-        "ci95_deg": list(found.phi.ci95),
-        "phi_plane_strain_deg": plane.median if plane else None,
-        "nrmsd_percent": {force: 100.0 * value for force, value in found.record.nrmsd.items()},
-        "verdict": found.verdict.verdict,
-        "reason": found.reason,
-        "angle_of_repose_deg": one.angle_of_repose_deg,
-    }
 
 
 def _study(answers: Answers) -> Study:

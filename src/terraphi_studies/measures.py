@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory, Peaks
+from terraphi.experiment.measurements import Measurement, medium_and_leg
 from terraphi.inference.answer import Inversion
 from terraphi.library.store import Library
 from terraphi_studies import Beside
-
-FloatArray = NDArray[np.float64]
 
 FORCES = ("Fz", "Fx")
 PHI = "soil.friction_angle_deg"
@@ -122,6 +122,22 @@ def engagement_beside_paper(angles_deg: Sequence[float]) -> Beside:
         f"{np.median(angles_deg):.0f}°",
         f"about {PAPER_ENGAGEMENT_DEG:.0f}°",
     )
+
+
+def answer_of(one: Measurement, found: Inversion) -> dict[str, Any]:
+    """What an inversion makes of a measured record, beside its angle of repose, JSON-able."""
+    plane = found.phi_plane_strain
+    return {
+        "library": found.library,
+        "yield": found.convention,
+        "medium": medium_and_leg(one.name)[0],
+        "leg": one.leg,
+        "phi_median_deg": found.phi.median,
+        "ci95_deg": list(found.phi.ci95),
+        "phi_plane_strain_deg": plane.median if plane else None,
+        "verdict": found.verdict.verdict,
+        "angle_of_repose_deg": one.angle_of_repose_deg,
+    }
 
 
 def recovered(found: Sequence[tuple[float, Inversion]]) -> dict[str, Any]:

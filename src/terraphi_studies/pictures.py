@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
-from terraphi.inference.posterior import Posterior
+from terraphi.inference.answer import Inversion
 from terraphi.surrogate.paper import LegSurrogate
 from terraphi.view.plots import (
     AXIS_LABEL,
@@ -23,6 +23,7 @@ from terraphi.view.plots import (
     PURPLE,
     Curve,
     draw_history,
+    finish_force_axes,
     one_legend,
     panels_of,
 )
@@ -32,17 +33,33 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-FloatArray = NDArray[np.float64]
-
 COLOURS = "viridis"
 """Evenly stepped in lightness, told apart by colour-blind readers."""
 
 
-def _angle_axis(axes: Axes) -> None:
-    axes.axhline(0.0, color=GREY, lw=0.6)
-    axes.set_xlim(-WINDOW_DEG, WINDOW_DEG)
-    axes.set_xticks(np.arange(-80, 81, 40))
-    axes.set_xlabel("leg angle θ [deg]")
+def grid_of(
+    names: Collection[str], *, panel: tuple[float, float], least: float = 0.0, **options: Any
+) -> tuple[Figure, Any]:
+    """A figure with a panel for each name, three in a row, and all its panels, shape [row, column].
+
+    Parameters
+    ----------
+    names
+        What has a panel.
+    panel
+        Size of one [in].
+    least
+        Width of the figure at least [in].
+    **options
+        As of ``subplots``.
+    """
+    columns = min(3, len(names)) or 1
+    rows = -(-len(names) // columns) or 1
+    size = (max(panel[0] * columns + 0.5, least), panel[1] * rows + 0.6)
+    figure, panels = panels_of(rows, columns, size=size, **options)
+    for axes in panels.ravel()[len(names) :]:
+        axes.remove()
+    return figure, panels
 
 
 def histories_figure(histories: Mapping[float, ForceHistory], convention: str) -> Figure:
@@ -56,10 +73,9 @@ def histories_figure(histories: Mapping[float, ForceHistory], convention: str) -
     for axes, force in zip(row, ("Fx", "Fz"), strict=True):
         for phi, history in histories.items():
             seen = history.observation(angles=171)
-            values = seen.Fx if force == "Fx" else seen.Fz
-            axes.plot(seen.theta_deg, values, color=colormaps[COLOURS](scale(phi)), lw=1.1)
-        _angle_axis(axes)
-        axes.set_ylabel(AXIS_LABEL[force])
+            colour = colormaps[COLOURS](scale(phi))
+            axes.plot(seen.theta_deg, getattr(seen, force), color=colour, lw=1.1)
+        finish_force_axes(axes, force)
     bar = figure.colorbar(ScalarMappable(scale, COLOURS), ax=row, pad=0.02)
     bar.set_label(PHI_LABEL[convention])
     return figure
@@ -94,10 +110,8 @@ def peaks_figure(
             about = f"{name}, Xu & Wang, about"
             right.axhline(printed_at[force], color=colour, lw=1.0, ls=":", label=about)
     left.set_ylim(bottom=0.0)
-    left.set_ylabel("peak force [N]")
-    right.set_ylabel("leg angle of the peak [deg]")
-    for axes in (left, right):
-        axes.set_xlabel(PHI_LABEL[data["yield"]])
+    for axes, name in ((left, "peak force [N]"), (right, "leg angle of the peak [deg]")):
+        axes.set(xlabel=PHI_LABEL[data["yield"]], ylabel=name)
         axes.grid(color=GREY, alpha=0.2, lw=0.6)
     one_legend(figure, ncols=4, fontsize="small")
     return figure
@@ -110,11 +124,11 @@ def legs_figure(legs: Mapping[str, Sequence[Curve]]) -> Figure:
         for axes, force in zip(panels[:, column], ("Fx", "Fz"), strict=True):
             for curve in curves:
                 draw_history(axes, curve, force)
-            _angle_axis(axes)
+            finish_force_axes(axes, force)
         panels[0, column].set_xlabel("")  # the forces' scales differ, the angles are the same
         panels[0, column].set_title(LEG_NAMES.get(leg, leg), fontsize=10)
-    for row, force in zip(panels, ("Fx", "Fz"), strict=True):
-        row[0].set_ylabel(AXIS_LABEL[force])
+    for axes in panels[:, 1:].flat:
+        axes.set_ylabel("")
     one_legend(figure, ncols=4 if len(next(iter(legs.values()))) <= 4 else 3)
     return figure
 
@@ -175,9 +189,8 @@ def surfaces_figure(surrogate: LegSurrogate, held_out_deg: FloatArray, conventio
         axes.hlines(held_out_deg, -WINDOW_DEG, WINDOW_DEG, **dashed)
         edge = np.full(seen.size, -WINDOW_DEG)
         axes.plot(edge, seen, ">", color="black", ms=4, clip_on=False, label="library")
+        axes.set(xlabel="leg angle θ [deg]", ylabel=PHI_LABEL[convention])
         axes.set_xticks(np.arange(-80, 81, 40))
-        axes.set_xlabel("leg angle θ [deg]")
-        axes.set_ylabel(PHI_LABEL[convention])
         ticks = MaxNLocator(8, steps=[1, 2, 5, 10])
         figure.colorbar(shown, ax=axes, format="%g", ticks=ticks).set_label(AXIS_LABEL[force])
     one_legend(figure, ncols=3, frameon=True, facecolor="0.75")
@@ -248,39 +261,39 @@ def autocorrelation_figure(
         kernel = np.exp(-0.5 * (fine / length) ** 2)
         axes.plot(fine, kernel, style, color=colour, label=f"{name} ℓ = {length:.1f}°")
     axes.plot(lags_deg, rho, "o:", color="black", ms=4, lw=0.8, label="held-out residuals")
-    axes.set_xlim(0.0, lags_deg[-1])
-    axes.set_xlabel("lag in leg angle [deg]")
+    axes.set(xlim=(0.0, lags_deg[-1]), xlabel="lag in leg angle [deg]")
     axes.set_ylabel("autocorrelation of the residuals")
     axes.legend(frameon=False, fontsize="small")
     return figure
 
 
-class Walkers(NamedTuple):
-    """An ensemble from its first step, and what it should find."""
+def walkers_figure(
+    steps_deg: FloatArray, truth_deg: float, answer: Inversion, burn_in: int, convention: str
+) -> Figure:
+    """Traces of an ensemble's walkers, and their posterior beside the exact one.
 
-    steps_deg: FloatArray
-    """Friction angle [deg], shape [walker, step]."""
-    burn_in: int
-    """Steps that are left out."""
-    exact: Posterior
-    """By quadrature."""
-    truth_deg: float
-    """[deg]"""
-
-
-def walkers_figure(found: Walkers, convention: str) -> Figure:
-    """Traces of an ensemble's walkers, and their posterior beside the exact one."""
+    Parameters
+    ----------
+    steps_deg
+        Friction angle [deg] from the first step, shape [walker, step].
+    truth_deg, answer
+        True friction angle [deg], and what quadrature finds.
+    burn_in
+        Steps that are left out.
+    convention
+        What the friction angle means.
+    """
     figure, ((left, right),) = panels_of(1, 2, size=(9.6, 3.6), width_ratios=(1.6, 1.0))
-    steps = found.steps_deg.shape[1]
-    left.plot(np.arange(steps), found.steps_deg.T, color=BLUE, lw=0.3, alpha=0.35)
-    left.axvspan(0, found.burn_in, color=GREY, alpha=0.25, lw=0)
-    left.axhline(found.truth_deg, color=ORANGE, lw=1.2, ls="--")
+    exact, steps = answer.posterior, steps_deg.shape[1]
+    left.plot(np.arange(steps), steps_deg.T, color=BLUE, lw=0.3, alpha=0.35)
+    left.axvspan(0, burn_in, color=GREY, alpha=0.25, lw=0)
+    left.axhline(truth_deg, color=ORANGE, lw=1.2, ls="--")
     left.set(xlim=(0, steps), xlabel="step (grey: burn-in)", ylabel=PHI_LABEL[convention])
-    kept, exact = found.steps_deg[:, found.burn_in :], found.exact
-    right.hist(kept.ravel(), 80, density=True, color=BLUE, alpha=0.4, label="emcee")
+    kept = steps_deg[:, burn_in:].ravel()
+    right.hist(kept, 80, density=True, color=BLUE, alpha=0.4, label="emcee")
     if exact.density is not None:
         right.plot(exact.phi_deg, exact.density, color="black", lw=1.2, label="quadrature")
-    right.axvline(found.truth_deg, color=ORANGE, lw=1.2, ls="--", label="truth")
+    right.axvline(truth_deg, color=ORANGE, lw=1.2, ls="--", label="truth")
     right.axvspan(*exact.interval(0.68), color=GREY, alpha=0.25, lw=0, label="68 % interval")
     middle, half = exact.median, 1.6 * (exact.quantile(0.975) - exact.quantile(0.025)) / 2.0
     right.set(xlim=(middle - half, middle + half), yticks=[], ylabel="posterior density")
@@ -336,12 +349,7 @@ def measured_figure(answers: Sequence[Mapping[str, Any]]) -> Figure:
     libraries = list(dict.fromkeys(answer["library"] for answer in answers))
     media = list(repose)
     looks = {"straight": ("o", BLUE), "c": ("s", ORANGE), "reversed_c": ("^", GREEN)}
-    columns = min(len(libraries), 3)
-    rows = -(-len(libraries) // columns)
-    size = (max(3.2 * columns + 0.6, 6.0), 3.6 * rows + 0.6)
-    figure, panels = panels_of(rows, columns, size=size, sharex=True, sharey=True)
-    for axes in panels.ravel()[len(libraries) :]:
-        axes.remove()
+    figure, panels = grid_of(libraries, panel=(3.2, 3.6), least=6.0, sharex=True, sharey=True)
     for axes, library in zip(panels.ravel(), libraries, strict=False):
         shown = [answer for answer in answers if answer["library"] == library]
         for place, medium in enumerate(media):
@@ -361,7 +369,7 @@ def measured_figure(answers: Sequence[Mapping[str, Any]]) -> Figure:
     first.plot([], [], "o", color=GREY, mfc="white", ms=5, label="misfit or out of range")
     first.plot([], [], "x", color=GREY, ms=5, label="median as it acts in plane strain")
     first.plot([], [], color=GREY, lw=1.5, label="angle of repose")
-    one_legend(figure, ncols=min(columns + 1, 3))
+    one_legend(figure, ncols=min(panels.shape[1] + 1, 3))
     return figure
 
 
@@ -395,17 +403,13 @@ def sensitivity_figure(
     tolerance
         Changes that count as none [%], likewise.
     """
-    columns = min(3, len(changes)) or 1
-    rows = -(-len(changes) // columns) or 1
-    figure, panels = panels_of(rows, columns, size=(3.6 * columns + 0.4, 2.5 * rows + 0.5))
+    figure, panels = grid_of(changes, panel=(3.6, 2.5))
     reach = {
         setting: max(abs(change[force]) for _, change in values for force in change)
         for setting, values in changes.items()
     }
     largest, second, *_ = sorted((*reach.values(), 0.0, 0.0), reverse=True)
     shared = second if largest > 2.0 * second > 0.0 else largest
-    for axes in panels.ravel()[len(changes) :]:
-        axes.remove()
     looks = {"Fz": (BLUE, "o-", "peak $F_z$"), "Fx": (ORANGE, "s--", "peak $F_x$")}
     for axes, (setting, values) in zip(panels.ravel(), changes.items(), strict=False):
         for force, (colour, style, name) in looks.items():
@@ -503,8 +507,7 @@ def readings_figure(
     for (names, ends), (style, colour) in zip(shared, looks, strict=False):
         axes.plot(*ends.T, style, color=colour, lw=1.2, ms=6, label=",\n".join(names))
     low, high = (f"{phi:g}°" for phi in paper)
-    axes.set_xlabel("peak $F_z$ [N]")
-    axes.set_ylabel("peak $F_x$ [N]")
+    axes.set(xlabel="peak $F_z$ [N]", ylabel="peak $F_x$ [N]")
     axes.set_title(f"from φ = {low} (lower left) to {high}", fontsize=10)
     axes.grid(lw=0.4)
     axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))

@@ -7,9 +7,10 @@ kept in the folder. It measures what is there and says what is not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from terraphi.experiment.documents import shipped_folder
 from terraphi.experiment.errors import InputError
@@ -20,6 +21,9 @@ from terraphi.forward.forecast import forecast
 from terraphi.library.build import failed_cases, finished_cases, simulate_cases
 from terraphi.library.cluster import pool
 from terraphi.library.plan import BASE, Plan, label
+from terraphi_studies import Progress
+
+Name = TypeVar("Name")
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ class Simulations:
     build: Path | None = None
     workers: int | None = None
     cluster: str | None = None
-    progress: Callable[[float, float], None] | None = None
+    progress: Progress | None = None
 
     def __post_init__(self) -> None:
         """Refuse workers or a cluster without a folder for what they simulate."""
@@ -132,8 +136,8 @@ def steps_of(plan: Plan) -> dict[str, Scenario]:
 
 
 def missing_from(
-    cases: Mapping[str, Scenario], finished: Mapping[str, ForceHistory]
-) -> dict[str, Scenario]:
+    cases: Mapping[Name, Scenario], finished: Mapping[str, ForceHistory]
+) -> dict[Name, Scenario]:
     """Those cases, by name, that are not finished."""
     return {name: scenario for name, scenario in cases.items() if scenario.hash not in finished}
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import check_is_file, plain_number
 from terraphi.forward.foot_laws import LAWS, FootLaw
@@ -30,7 +30,6 @@ from terraphi_studies.pressed import FIRST, pressed_discs
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 COLUMNS = ("box", "test", "diameter_mm", "sinkage_mm", "force_N")
 DENSITY, DENSITY_SD = 1330.0, 65.0

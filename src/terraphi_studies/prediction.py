@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import Measurement, measurement, medium_and_leg, names
@@ -28,8 +28,6 @@ from terraphi_studies.benchmark import LEGS, FinishedCase, in_the_sand
 from terraphi_studies.measures import FORCES, PHI, means_of, nrmsd_percent
 from terraphi_studies.pictures import legs_figure
 from terraphi_studies.planned import Simulations, missing_from, not_yet
-
-FloatArray = NDArray[np.float64]
 
 NAME = "prediction"
 TITLE = "Calibrated on the straight leg, and what that foretells of the C and the reversed C"

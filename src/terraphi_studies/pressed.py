@@ -11,14 +11,13 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.forward.foot_laws import Foot
 from terraphi.library.plan import Plan
 from terraphi_studies.planned import Simulations
-
-FloatArray = NDArray[np.float64]
 
 PLAN = "plates"
 FIRST = 1e-3

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan
 from terraphi.view.table import Table
 from terraphi_studies import Study, page
@@ -136,22 +137,18 @@ def study_of(
     for plan in plans.values():
         need_base(plan, finished)
     steps = {phi: steps_of(plan) for phi, plan in plans.items()}
-    hashes = {
-        name: {phi: named[name].hash for phi, named in steps.items()} for name in steps[ENDS_DEG[0]]
-    }
+    ends = {name: {phi: steps[phi][name] for phi in steps} for name in steps[ENDS_DEG[0]]}
     pairs = {
-        name: {phi: finished[at] for phi, at in ends.items()}
-        for name, ends in hashes.items()
-        if all(at in finished for at in ends.values())
+        name: {phi: finished[s.hash] for phi, s in pair.items()}
+        for name, pair in ends.items()
+        if not missing_from(pair, finished)
     }
     base = plans[ENDS_DEG[0]].scenario.name
     pairs[NORMAL_ONLY] = {phi: normal_part(history) for phi, history in pairs[base].items()}
     readings = [_measured(name, pair) for name, pair in pairs.items()]
     readings.sort(key=lambda reading: reading["off_by_percent"])
-    waiting: dict[str, Any] = {}
-    for phi, named in steps.items():
-        lacking = missing_from(named, finished)
-        waiting |= {f"{name} at {phi:g}°": scenario for name, scenario in lacking.items()}
+    planned = {f"{name} at {phi:g}°": s for phi in steps for name, s in steps[phi].items()}
+    waiting = missing_from(planned, finished)
     broken = {name: failed[s.hash] for name, s in waiting.items() if s.hash in failed}
     missing = {name: s for name, s in waiting.items() if name not in broken}
     paper = {
@@ -167,7 +164,7 @@ def study_of(
         "missing": list(missing),
     }
     first = {**paper, "reading": "the paper", "angles_deg": {ENDS_DEG[-1]: PAPER_ANGLES_DEG}}
-    table = Table.of(TITLE, COLUMNS, [first, *readings, *_broken(hashes, finished, failed)])
+    table = Table.of(TITLE, COLUMNS, [first, *readings, *_broken(ends, finished, failed)])
     notes = [*_notes(data), *not_yet(NAME, missing)]
     return Study(
         table=table,
@@ -201,7 +198,7 @@ def _measured(name: str, pair: Mapping[float, ForceHistory]) -> dict[str, Any]:
 
 
 def _broken(
-    hashes: Mapping[str, Mapping[float, str]],
+    ends: Mapping[str, Mapping[float, Scenario]],
     finished: Mapping[str, ForceHistory],
     failed: Mapping[str, str],
 ) -> list[dict[str, Any]]:
@@ -210,14 +207,14 @@ def _broken(
         {
             "reading": name,
             "peaks_N": {
-                phi: peaks_of(finished[at])
-                if at in finished
-                else ("breaks down" if at in failed else "not yet")
-                for phi, at in ends.items()
+                phi: peaks_of(finished[s.hash])
+                if s.hash in finished
+                else ("breaks down" if s.hash in failed else "not yet")
+                for phi, s in pair.items()
             },
         }
-        for name, ends in hashes.items()
-        if any(at in failed for at in ends.values())
+        for name, pair in ends.items()
+        if any(s.hash in failed for s in pair.values())
     ]
 
 

@@ -7,7 +7,7 @@ same way: none of them should pass for a real soil.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -24,7 +24,8 @@ from terraphi.inference.trials import Trial
 from terraphi.library.store import Library
 from terraphi.view.console import as_text
 from terraphi.view.table import Table
-from terraphi_studies import Study, page, steps
+from terraphi_studies import Progress, Study, page, steps
+from terraphi_studies.measures import answer_of
 from terraphi_studies.pictures import measured_figure
 
 NAME = "real_soil"
@@ -73,9 +74,7 @@ class Wrong(NamedTuple):
     trial: Trial
 
 
-def run(
-    *, library: str | None = None, progress: Callable[[float, float], None] | None = None
-) -> Study:
+def run(*, library: str | None = None, progress: Progress | None = None) -> Study:
     """Learn from all media but one, and try the result on it; then on false records.
 
     Parameters
@@ -104,14 +103,17 @@ def run(
     def inverted(trials: Trial | Sequence[Trial], by: Learnt) -> Inversion:
         return step(invert(trials, library=through, discrepancy=by))
 
+    def answer(one: Measurement, found: Inversion) -> dict[str, Any]:
+        return {**answer_of(one, found), **_outcome(found)}
+
     answers = [
-        _answer(one, inverted(Trial.of(one), learnt[medium_and_leg(one.name)[0]])) for one in sands
+        answer(one, inverted(Trial.of(one), learnt[medium_and_leg(one.name)[0]])) for one in sands
     ]
     joint = []
     for medium in media:
         own = [one for one in sands if medium_and_leg(one.name)[0] == medium]
         found = inverted([Trial.of(one) for one in own], learnt[medium])
-        joint.append({**_answer(own[0], found), "leg": "all"})
+        joint.append({**answer(own[0], found), "leg": "all"})
     false = [
         {
             "kind": one.kind,
@@ -186,19 +188,6 @@ def _outcome(found: Inversion) -> dict[str, Any]:
         "ci95_deg": list(found.phi.ci95),
         "verdict": found.verdict.verdict,
         "deviation": max(m.value for m in found.verdict.measures if m.code == "soil_deviation"),
-    }
-
-
-def _answer(one: Measurement, found: Inversion) -> dict[str, Any]:
-    plane = found.phi_plane_strain
-    return {
-        "library": found.library,
-        "yield": found.convention,
-        "medium": medium_and_leg(one.name)[0],
-        "leg": one.leg,
-        "phi_plane_strain_deg": plane.median if plane else None,
-        "angle_of_repose_deg": one.angle_of_repose_deg,
-        **_outcome(found),
     }
 
 

@@ -7,12 +7,9 @@ in place of one); the two medians must agree within Monte-Carlo error. One case 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.inference.answer import Inversion
 from terraphi.inference.inversion import invert
@@ -22,11 +19,9 @@ from terraphi.library.shipped import companion
 from terraphi.library.store import Case, Library
 from terraphi.surrogate.paper import LegSurrogate
 from terraphi.view.table import Table
-from terraphi_studies import PAPER_LIBRARY, Study, steps
+from terraphi_studies import PAPER_LIBRARY, Progress, Study, steps
 from terraphi_studies.measures import recovered
-from terraphi_studies.pictures import Walkers, recovery_figure, walkers_figure
-
-FloatArray = NDArray[np.float64]
+from terraphi_studies.pictures import recovery_figure, walkers_figure
 
 SHOWN_DEG = 33.97
 """The case whose walkers the paper shows; the nearest one is taken."""
@@ -52,7 +47,7 @@ COLUMNS = (
 def run(
     *,
     library: str = PAPER_LIBRARY,
-    progress: Callable[[float, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Study:
     """Invert every case of the library's truths, shipped as ``NAME-truths``.
 
@@ -105,7 +100,7 @@ def run(
         figures={
             "recovery": recovery_figure(cases, convention),
             "walkers": walkers_figure(
-                _walkers(trained, truths.cases[shown], answers[shown][1]), convention
+                _walkers(trained, truths.cases[shown]), *answers[shown], BURN_IN, convention
             ),
         },
         notes=[_about_emcee(cases)],
@@ -143,10 +138,10 @@ def _about_emcee(cases: list[dict[str, Any]]) -> str:
     )
 
 
-def _walkers(library: Library, truth: Case, exact: Inversion) -> Walkers:
-    """An ensemble's way from the prior to the posterior, the first of those that were inverted."""
+def _walkers(library: Library, truth: Case) -> FloatArray:
+    """The first of the inverted ensembles from its first step [deg], shape [walker, step]."""
     assert truth.history is not None
-    curves = library.curves(exact.record.leg)
+    curves = library.curves(truth.scenario.leg.shape)
     surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
     likelihood = PaperLikelihood(truth.history.observation().vector, curves.theta_deg)
 
@@ -156,4 +151,4 @@ def _walkers(library: Library, truth: Case, exact: Inversion) -> Walkers:
     table = tabulated(log_p, surrogate.phi_bounds_deg)
     draws = ensemble(table, surrogate.phi_bounds_deg, burn_in=0, seed=0).draws_deg
     assert draws is not None
-    return Walkers(draws[0], BURN_IN, exact.posterior, truth.scenario.soil.friction_angle_deg)
+    return draws[0]

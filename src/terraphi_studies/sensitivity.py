@@ -147,8 +147,6 @@ class Group:
         The base among them.
     reference
         The case that the others are compared with, among those finished.
-    awaited
-        What the reference would be if everything were finished, where it is another one.
     """
 
     key: str
@@ -156,7 +154,6 @@ class Group:
     cases: tuple[Simulated, ...]
     base: Simulated
     reference: Simulated
-    awaited: str | None
 
     def deviation(self, case: Simulated) -> Percent:
         """NRMSD of a case from the reference [%]."""
@@ -203,12 +200,8 @@ def groups_of(plan: Plan, finished: Mapping[str, ForceHistory]) -> list[Group]:
         if len(done) < 2:
             continue
         base, cases = done[plan.scenario.hash], tuple(done.values())
-        reference, wanted = base, plan.scenario
-        if setting.reference != "base":
-            place = 0 if setting.reference == "least" else -1
-            reference, wanted = cases[place], planned[place].scenario
-        awaited = None if wanted.hash in done else setting.write(wanted)
-        found.append(Group(key, setting, cases, base, reference, awaited))
+        reference = {"base": base, "least": cases[0], "most": cases[-1]}[setting.reference]
+        found.append(Group(key, setting, cases, base, reference))
     return found
 
 
@@ -425,13 +418,8 @@ def _notes(groups: Sequence[Group], scatter: Scatter) -> list[str]:
     ]
     if ends:
         notes.append(f"Straight lines through the peaks end, at size zero, at: {'; '.join(ends)}.")
-    named = [(capitalised(g.setting.name), g) for g in groups]
-    notes += [f"{name}: {g.setting.remark}." for name, g in named if g.setting.remark]
-    return notes + [
-        f"{name}: the reference is to be {g.awaited}, not simulated yet."
-        for name, g in named
-        if g.awaited is not None
-    ]
+    remarks = [(capitalised(g.setting.name), g.setting.remark) for g in groups]
+    return notes + [f"{name}: {remark}." for name, remark in remarks if remark]
 
 
 HEADER = (

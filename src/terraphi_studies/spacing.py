@@ -12,13 +12,13 @@ errors that are as alike within a truth as those of the records (analysis of var
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
@@ -26,13 +26,12 @@ from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
 from terraphi.view.plots import BLUE, GREY, ORANGE, panels_of
 from terraphi.view.table import Table
-from terraphi_studies import Study, page, steps
+from terraphi_studies import Progress, Study, page, steps
 from terraphi_studies.measures import Truth, rms, straight_truths
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 NAME = "spacing"
 LIBRARIES = ("quick-plane-strain", "quick-paper")
@@ -97,9 +96,7 @@ class Answer(NamedTuple):
     consistent: bool
 
 
-def run(
-    *, library: str | None = None, progress: Callable[[float, float], None] | None = None
-) -> Study:
+def run(*, library: str | None = None, progress: Progress | None = None) -> Study:
     """Invert thinned truths of libraries.
 
     Parameters
@@ -309,14 +306,12 @@ def _figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
         half = [row["ci68_half_width_deg"] for row in mine]
         errors.plot(x, half, "--", mfc="white", label="68 % half-width", **look)
     shares.set_ylabel("inside the interval [%]")
-    errors.set_ylabel("[deg of φ]")
-    errors.set_yscale("log")
+    errors.set(ylabel="[deg of φ]", yscale="log")
     for axes in (shares, errors):
-        axes.set_xscale("log")
+        axes.set(xscale="log", xlabel="spacing of the readings [deg]")
         axes.set_xticks([row["spacing_deg"] for row in rows if row["truths"] == sets[0]][:-1])
         axes.set_xticks([], minor=True)
         axes.xaxis.set_major_formatter("{x:g}")
-        axes.set_xlabel("spacing of the readings [deg]")
     shares.set_title("solid: 68 % intervals, dashed: 95 %", fontsize=10)
     errors.legend(frameon=False, fontsize=8)
     return figure

@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.inference.paper_likelihood import (
     residual_autocorrelation,
@@ -25,8 +25,6 @@ from terraphi_studies import PAPER_LIBRARY, Study
 from terraphi_studies.degrees import LEG
 from terraphi_studies.measures import straight_truths
 from terraphi_studies.pictures import autocorrelation_figure, slices_figure, surfaces_figure
-
-FloatArray = NDArray[np.float64]
 
 ANGLES_DEG = (-50.0, -25.0, 0.0)
 """Leg angles at which held-out errors are told [deg]: from the peak of F_z to that of F_x."""

@@ -22,7 +22,7 @@ from terraphi.inference.inversion import invert
 from terraphi.inference.prepared_leg import PreparedLeg, prepare
 from terraphi.library.store import Library
 from terraphi.surrogate.joint import JointSurrogate
-from terraphi_studies.calibration import HEADER, certificates, run, truths_of
+from terraphi_studies.calibration import HEADER, Way, certificates, inverted, run, truths_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "calibration.md"
 NAMES = ("quick-plane-strain", "quick-paper", "k4-plane-strain", "paper", "resolved")
@@ -200,6 +200,12 @@ def test_numbers_that_other_pages_quote_are_those_of_the_page() -> None:
     assert row["truths, offset 2%, none"]["in 95 %"] == "0"
     told = [row[key]["not believed"] == row[key]["cases"] for key in row if "hip" in key]
     assert all(told)
+
+
+def test_truths_are_inverted_with_discrepancies_that_every_library_has() -> None:
+    way = Way("clean", truths_of(NAMES[0])[:1], lambda history: history)
+    found = inverted(Library.load(NAMES[0]), way)
+    assert [found[name]["cases"] for name in ("none", "gp")] == [1, 1]
 
 
 def test_truths_of_one_angle_are_held_together(leg: PreparedLeg) -> None:

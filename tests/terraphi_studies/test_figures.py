@@ -15,7 +15,7 @@ from terraphi_studies import Study, figures
 def test_every_figure_has_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
     names = {
         "phi_sensitivity": ("forces", "peaks"),
-        "benchmark": (),
+        "benchmark": ("benchmark",),
         "surrogate": ("surfaces", "slices", "residuals"),
         "recovery": ("recovery", "walkers"),
     }

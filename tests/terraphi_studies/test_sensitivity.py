@@ -100,7 +100,6 @@ def test_values_are_in_order_and_named(
     assert [case.label for case in group.cases] == labels
     assert group.reference.label == (reference or group.base.label)
     assert group.base.scenario == plan.scenario
-    assert group.awaited is None
 
 
 def test_presets_are_a_group_of_their_own() -> None:
@@ -141,10 +140,10 @@ def test_one_force_is_enough_to_move() -> None:
     assert [tolerance.allows(groups[0], case) for case in groups[0].cases] == [True, True, False]
 
 
-def test_a_reference_that_is_not_there_yet_is_named() -> None:
+def test_the_reference_is_the_least_that_is_finished() -> None:
     plan = plan_of({K: [1.0, 2.0, 10.0]})
     (group,) = groups_of(plan, finished(plan, {(K, 2.0): history(), (K, 10.0): shifted(1.0)}))
-    assert (group.reference.label, group.awaited) == ("2", "1")
+    assert group.reference.label == "2"
 
 
 def test_peaks_on_a_line_over_the_cell_size_have_a_limit() -> None:

@@ -8,9 +8,9 @@ that :func:`run_out` and :func:`final_height` repeat.
 The fit is that of Nguyen, Nguyen, Bui, Nguyen & Fukagawa (2017, Landslides 14, 69;
 arXiv:1512.05180), with φ = 21.9°, ψ = 0, E = 5.84 MPa, ν = 0.3 and a unit weight of 20.4 kN/m³. Its
 d is the maximum run-out, so that the farthest particle stands against it; how far 99.9 % of the
-mass lie, and where the connected deposit ends, is reported beside that and can only be less. These
-material numbers, and whether that d0 is the width of a column at a wall, have not been checked
-against the print. Their fit does not know φ, the computed run-out does.
+mass lie is reported beside that and can only be less. These material numbers, and whether that d0
+is the width of a column at a wall, have not been checked against the print. Their fit does not know
+φ, the computed run-out does.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.mpm.bed import Particles, geostatic_bed
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, one_legend, panels_of
@@ -144,9 +144,7 @@ def column_scenario(aspect: float, across: int, *, transfer: str = "phases") -> 
     )
 
 
-def surface_of(
-    scenario: Scenario, soil: Particles
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def surface_of(scenario: Scenario, soil: Particles) -> tuple[FloatArray, FloatArray]:
     """Thickness of the deposit: volume of the particles above each piece of floor a cell long.
 
     Parameters
@@ -165,31 +163,6 @@ def surface_of(
     piece = np.floor((soil.position[:, 0] - scenario.bed.left) / cell).astype(np.int64)
     volume = np.bincount(np.clip(piece, 0, None), soil.volume, minlength=scenario.numerics.cells)
     return np.arange(0.5, len(volume)) * cell, np.asarray(volume / cell, np.float64)
-
-
-def front_of(distance: NDArray[np.float64], thickness: NDArray[np.float64], least: float) -> float:
-    """How far the deposit reaches that hangs together: no stray particle counts.
-
-    Parameters
-    ----------
-    distance, thickness
-        As from :func:`surface_of` [m].
-    least
-        Thickness below which it ends [m].
-
-    Returns
-    -------
-    float
-        Where the thickness first falls to ``least``, between pieces by a straight line [m].
-    """
-    thin = np.flatnonzero(thickness < least)
-    if len(thin) == 0:
-        return float(distance[-1])
-    n = int(thin[0])
-    if n == 0:
-        return 0.0
-    share = (thickness[n - 1] - least) / (thickness[n - 1] - thickness[n])
-    return float(distance[n - 1] + share * (distance[n] - distance[n - 1]))
 
 
 def reach_of(soil: Particles, share: float) -> float:
@@ -213,7 +186,7 @@ def let_go(aspect: float, across: int, transfer: str = "phases", times: float = 
     """
     scenario = column_scenario(aspect, across, transfer=transfer)
     soil, rig = geostatic_bed(scenario), rig_of(scenario)
-    height, cell = scenario.bed.height, scenario.numerics.cell_size
+    height = scenario.bed.height
     steps = math.ceil(times * math.sqrt(height / GRAVITY) / scenario.numerics.time_step)
     steps -= steps % PHASE
     advance(soil, rig, steps)
@@ -222,7 +195,6 @@ def let_go(aspect: float, across: int, transfer: str = "phases", times: float = 
     reached = {
         FARTHEST: reach_of(soil, 1.0) - scenario.bed.left,
         "99.9 % of the mass": reach_of(soil, SHARE) - scenario.bed.left,
-        "connected deposit half a cell thick": front_of(distance, thickness, 0.5 * cell),
     }
     case = f"a = {aspect:g}, φ = {FRICTION_ANGLE:g}°, ψ = 0, {_WORDS[transfer]}"
     check = partial(Check, problem="Column collapse", case=case, resolution=f"d0/Δx = {across}")
@@ -314,8 +286,7 @@ def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
             axes.plot(run["x"], run["y"], line, lw=1.1, color=colour, label=label)
             mark: dict[str, Any] = {"ms": 12, "mew": 2, "color": colour, **free}
             axes.plot(run["farthest"], 0.0, "|", label=f"{FARTHEST}, {grid}", **mark)
-        axes.set_ylabel(f"a = {aspect:g}\nheight / d0")
-        axes.set_ylim(0.0, 1.05 * aspect)
+        axes.set(ylabel=f"a = {aspect:g}\nheight / d0", ylim=(0.0, 1.05 * aspect))
         axes.grid(lw=0.4)
     one_legend(figure, "outside upper center", fontsize=7, ncols=2)
     panels[-1, 0].set_xlabel("distance from the wall / d0")
@@ -326,7 +297,7 @@ FAMILY = Family(
     title="Collapse of a column",
     meaning="A column of soil is let go beside a smooth wall and comes to rest on a rough floor; "
     "run-out and height are measured ones, the run-out the maximum one: that of the farthest "
-    "particle here. What 99.9 % of the mass and the connected deposit reach can only be less. If "
+    "particle here. What 99.9 % of the mass reach can only be less. If "
     "these pass, soil that flows far and stops is as in the laboratory.",
     full=FULL,
     quick=[Task("column", let_go, {"aspect": 0.7, "across": 10})],

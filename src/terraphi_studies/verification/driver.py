@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import SimulationError
 from terraphi.experiment.motion import bin_centres
 from terraphi.experiment.scenario import Scenario
@@ -23,8 +24,6 @@ from terraphi.forward.mpm.relief import Fading, fading_of
 from terraphi.forward.mpm.scalar import Audit, Stepping, empty_audit, empty_reaction, stepping_of
 from terraphi.forward.mpm.solver import KERNELS, Kernel, path_of_steps, step_count
 from terraphi.library.workers import heartbeat
-
-FloatArray = NDArray[np.float64]
 
 BLOCK = 1000
 """Steps between two heartbeats."""

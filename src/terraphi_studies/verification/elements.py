@@ -11,8 +11,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.soil import Soil, YieldCriterion, friction_angle_from_plane_strain_deg
 from terraphi.forward.mpm.plasticity import (
     Four,
@@ -23,8 +23,6 @@ from terraphi.forward.mpm.plasticity import (
     return_to_cone,
 )
 from terraphi_studies.verification.check import Check, Family, Outcome, Task
-
-FloatArray = NDArray[np.float64]
 
 Update = Callable[[Four, Four, float], Four]
 """From stress [Pa], gradient of the displacement in the plane [-] and strain across it [-]."""

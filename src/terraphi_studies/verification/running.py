@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Executor
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ import numpy as np
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import made_folder, replacing
 from terraphi.library.workers import as_they_end
+from terraphi_studies import Progress
 from terraphi_studies.verification.check import Check, Outcome, Task
 
 log = logging.getLogger(__name__)
@@ -39,7 +40,7 @@ def run_tasks(
     *,
     keep: Path | None = None,
     executor: Executor | None = None,
-    progress: Callable[[float, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> dict[Key, Outcome]:
     """Do what has not been done yet.
 
