@@ -35,8 +35,9 @@ COLUMNS = (
 )
 TOLERANCE_PERCENT = 5.0
 """What halving anything may do to a peak [%]."""
-SEED = "seed"
-"""Steps whose names begin so are the base with other particle places."""
+SEED = "seed "
+"""Steps that are called so and a number are the base with other particle places; with the name of a
+step and a comma before it, that step."""
 PICTURE = "peaks along the way, and what is left of them when things are halved"
 HALVED = "resolved-2, Δx halved"
 """The step that says what is left of the grid in the forces."""
@@ -83,7 +84,7 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
     Study
         ``data``: ``waterfall`` (list of ``step``, ``peaks_N``, ``change_N``), ``resolved``
         (``peaks_N``: mean over the seeds, ``seed_scatter_percent``), ``halved`` (by step:
-        ``from``, the step that it follows or the base, ``peaks_N``, ``change_percent``,
+        ``from``, the step that it follows or the base, ``seeds``, ``peaks_N``, ``change_percent``,
         ``within_5_percent``, ``mean_change_percent``: that of the mean over the path; both also
         as ``change_deg`` and ``mean_change_deg``, in degrees of the friction angle),
         ``change_when_halved_percent`` (by force: ``mean_change_percent`` of
@@ -98,16 +99,16 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
     for plan in (way, halved):
         need_base(plan, finished)
     steps = _waterfall(way, finished)
-    done = {name: finished[s.hash] for name, s in steps_of(halved).items() if s.hash in finished}
-    seeds = {n: h for n, h in done.items() if n == halved.scenario.name or n.startswith(SEED)}
-    levels = [_level(history) for history in seeds.values()]
-    resolved = _seeds([peaks_of(history) for history in seeds.values()], levels)
-    base, follows = halved.scenario.name, followed(halved)
-    start = {base: (resolved["peaks_N"], _mean(levels))}
-    start |= {name: (peaks_of(h), _level(h)) for name, h in done.items() if name not in seeds}
+    base = halved.scenario.name
+    runs = _runs(halved, finished)
+    resolved = _seeds([peaks_of(h) for h in runs[base]], [_level(h) for h in runs[base]])
+    start = {
+        name: (_mean([peaks_of(h) for h in same]), _mean([_level(h) for h in same]))
+        for name, same in runs.items()
+    }
     changes = {
-        name: {"from": before, **_change(done[name], *start[before])}
-        for name, before in follows.items()
+        name: {"from": before, "seeds": len(runs[name]), **_change(*start[name], *start[before])}
+        for name, before in followed(halved).items()
         if name in start and before in start
     }
     missing = {
@@ -142,6 +143,17 @@ def followed(plan: Plan) -> dict[str, str]:
         step.name: before if step.after == "previous" else names[0]
         for before, step in zip(names, plan.steps, strict=False)
     }
+
+
+def _runs(plan: Plan, finished: Mapping[str, ForceHistory]) -> dict[str, list[ForceHistory]]:
+    """Finished histories by step, or the base by its name: one, or those that differ by a seed."""
+    found: dict[str, list[ForceHistory]] = {}
+    for name, scenario in steps_of(plan).items():
+        if scenario.hash in finished:
+            step, _, seed = name.rpartition(SEED)
+            same = (step.removesuffix(", ") or plan.scenario.name) if seed.isdigit() else name
+            found.setdefault(same, []).append(finished[scenario.hash])
+    return found
 
 
 def _waterfall(way: Plan, finished: Mapping[str, ForceHistory]) -> list[dict[str, Any]]:
@@ -191,11 +203,13 @@ def _seeds(peaks: Sequence[ByForce], levels: Sequence[ByForce]) -> dict[str, Any
     }
 
 
-def _change(history: ForceHistory, peaks: ByForce, level: ByForce) -> dict[str, Any]:
-    """How far a run's peaks, and means over the path, are from those of the seeds."""
-    percent, of_mean = _percent(peaks_of(history), peaks), _percent(_level(history), level)
+def _change(
+    peaks: ByForce, level: ByForce, peaks_before: ByForce, level_before: ByForce
+) -> dict[str, Any]:
+    """How far peaks, and means over the path, are from those of what is changed."""
+    percent, of_mean = _percent(peaks, peaks_before), _percent(level, level_before)
     return {
-        "peaks_N": peaks_of(history),
+        "peaks_N": peaks,
         "change_percent": percent,
         "change_deg": _degrees(percent),
         "within_5_percent": all(abs(v) <= TOLERANCE_PERCENT for v in percent.values()),
@@ -283,9 +297,9 @@ def _method() -> str:
         "tip drawn in and phases of 20 steps on each grid. Plans: `waterfall` and `resolution`. "
         "Run again: `terraphi study resolution`.\n\n"
         f"{degrees.said()}\n\n"
-        "One run stands against the mean over the seeds, so that a change of a peak no larger "
-        "than a few times the scatter is not told from it; the means over the path are the better "
-        "witness.\n\n"
+        "`resolved` and `resolved-2` are means over three seeds, all else is one run, so that a "
+        "change of a peak no larger than a few times the scatter is not told from it; the means "
+        "over the path are the better witness.\n\n"
         "What the grid still holds of the force of `resolved` falls about in proportion to Δx: if "
         f"halving it takes 7 to 9 %, some {low:g} to {high:g} % is the grid's. A friction angle "
         f"inferred from forces without it is too low by as much as that is worth: {by_force}. Most "

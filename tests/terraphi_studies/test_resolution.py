@@ -108,6 +108,22 @@ def test_a_step_that_follows_another_is_measured_from_it(plans: tuple[Plan, Plan
     assert "both" not in resolution.study_of(way, halved, finished).data["halved"]
 
 
+def test_seeds_of_a_step_are_its_mean(plans: tuple[Plan, Plan]) -> None:
+    way, halved = plans
+    more = [
+        Step(name="finer", changes={"numerics.seed": 3}),
+        Step(name="k doubled, seed 1", after="base", changes={"numerics.seed": 4}),
+    ]
+    halved = halved.model_copy(update={"steps": [*halved.steps, *more]})
+    peaks = [(10.0, 5.0), (10.0, 5.0), (9.0, 5.0), (8.0, 5.0), (9.0, 5.0), (12.0, 5.0)]
+    finished = finished_of(way, [(10.0, 5.0)]) | finished_of(halved, peaks)
+    changes = resolution.study_of(way, halved, finished).data["halved"]
+    assert set(changes) == {"Δt halved", "k doubled", "finer"}
+    assert (changes["k doubled"]["seeds"], changes["finer"]["seeds"]) == (2, 1)
+    assert changes["k doubled"]["mean_change_percent"]["Fz"] == pytest.approx(0.0, abs=0.1)
+    assert changes["finer"]["mean_change_percent"]["Fz"] == pytest.approx(-10.0, abs=0.1)
+
+
 def test_what_is_missing_is_said(plans: tuple[Plan, Plan]) -> None:
     finished = finished_of(plans[0], [(10.0, 5.0), (7.0, 4.0)])
     finished |= finished_of(plans[1], [(10.0, 5.0)])
