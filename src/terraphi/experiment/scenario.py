@@ -372,8 +372,8 @@ class Scenario(Strict):
             value = getattr(getattr(self, section), option)
             if value != known:
                 raise ValueError(
-                    f"{key} = {json.dumps(value)}: in three dimensions there is "
-                    f"{key} = {json.dumps(known)} alone"
+                    f"{key} = {json.dumps(value)} is for two dimensions only; in three set it to "
+                    f"{json.dumps(known)}"
                 )
         criterion = self.soil.yield_criterion
         softens = self.soil.critical_friction_angle_deg is not None

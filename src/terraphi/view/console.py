@@ -321,9 +321,9 @@ def progress_bar(
     if quiet() or not sys.stderr.isatty():
         yield lambda _done, _total: None
         return
-    from terraphi.view.doctor import kernels_are_compiled
+    from terraphi.forward import forecast
 
-    compiling = compiles and not kernels_are_compiled()
+    compiling = compiles and not forecast.is_compiled()
     columns = (
         TextColumn("{task.description}:"),
         TimeRemainingColumn(),
