@@ -203,7 +203,7 @@ def library_show(name: str, check: bool, number: int, as_json: bool) -> None:
         print_json({**found.summary(), "bits": {**bits, **checked}})
         return
     print_library(found)
-    print_pairs({"bits rest on": bits["rests_on"], "digest": bits["digest"]})
-    click.echo(f"Bits: {bits['sentence']}.")
+    print_pairs({"computed with": bits["rests_on"], "SHA-256 of all forces": bits["digest"]})
+    click.echo(f"Simulated again: {bits['sentence']}.")
     if again is not None:
         click.echo(again.sentence)

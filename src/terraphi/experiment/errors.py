@@ -39,7 +39,7 @@ def nearest(word: str, choices: Iterable[str]) -> str:
     """
     known = sorted(choices)
     folded = {choice.lower(): choice for choice in known}
-    match = difflib.get_close_matches(word.lower(), folded, n=1, cutoff=0.5)
+    match = difflib.get_close_matches(word.lower(), folded, n=1)
     if match:
         return f"did you mean '{folded[match[0]]}'?"
     return "known: " + (", ".join(known) or "none")
@@ -72,6 +72,8 @@ def sentence_from_validation(error: ValidationError, source: str, model: type[Ba
         key = ".".join(part for part in path if part not in {"rotation", "translation"})
         return f"{source}: unknown key '{key}'; {nearest(path[-1], names)}"
     key = ".".join(part for part in path if part not in {"rotation", "translation"})
+    if first["type"] == "list_type" and isinstance(first["input"], dict):
+        return f"{source}: [{key}] is one table and there may be several: write [[{key}]]"
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ").rstrip(".")
     message = message.replace("an object", "a table")  # TOML has tables
     if first["type"] == "missing":

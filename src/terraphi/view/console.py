@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from terraphi.library.store import Library
 
 
-LEAST_DEG = 0.1
-"""Least standard deviation of φ that is named [deg]."""
+LEAST_DEG, LEAST_SHARE = 0.1, 0.05
+"""Least standard deviation of φ that is named: [deg], or where all are small of the largest [-]."""
 
 
 def as_text(data: Any) -> str:
@@ -111,16 +111,15 @@ def _remarks(found: Inversion, several: bool) -> list[str]:
 
 def _where_from(budget: Budget) -> str:
     """What the width of the interval comes from, the largest first."""
-    if budget.discrepancy != "soils":
-        shares = budget.shares.items()
-        parts = ", ".join(f"{name.replace('_', ' ')} {share:.0%}" for name, share in shares)
-        return f"Variance of φ: {parts}."
     terms = sorted(budget.degrees.items(), key=lambda one: -one[1])
-    parts = ", ".join(f"{n.replace('_', ' ')} {sd:.1f}°" for n, sd in terms if sd >= LEAST_DEG)
-    return (
-        f"Standard deviation of φ: {parts}. It is an operational angle in plane strain, near the "
-        "angle of repose of a loose soil."
-    )
+    least, form = (LEAST_DEG, ".1f") if terms[0][1] > 1.0 else (LEAST_SHARE * terms[0][1], ".2g")
+    parts = ", ".join(f"{n.replace('_', ' ')} {sd:{form}}°" for n, sd in terms if sd >= least)
+    what = ""
+    if budget.discrepancy == "soils":
+        what = (
+            " It is an operational angle in plane strain, near the angle of repose of a loose soil."
+        )
+    return f"Standard deviation of φ: {parts}.{what}"
 
 
 def _print_expected(found: Inversion) -> None:
@@ -150,7 +149,14 @@ def print_verdict(verdict: Verdict, warnings: Sequence[Doubt]) -> None:
 def print_library(found: Library) -> None:
     """Summary of a library."""
     summary = found.summary()
-    print_pairs(summary | {"phi_deg": " to ".join(map(words, summary["phi_deg"]))})
+    by_leg = {leg: _between(ends) for leg, ends in summary.pop("phi_deg_by_leg").items()}
+    alike = len(set(by_leg.values())) == 1
+    summary["phi_deg"] = _between(summary["phi_deg"]) if alike else by_leg
+    print_pairs({key: value for key, value in summary.items() if value or key != "caveat"})
+
+
+def _between(ends: Sequence[float]) -> str:
+    return " to ".join(map(words, ends))
 
 
 def print_forces(summary: dict[str, Any]) -> None:

@@ -55,7 +55,7 @@ def test_a_joint_inversion_is_told_and_shown(folder: Path) -> None:
         assert (found.status, found.badge) == ("doubtful", UNCHECKED_TOGETHER)
         assert [part.title for part in found.parts] == [
             "Parameters",
-            "What the forces fix",
+            "What the forces tell of each parameter",
             "Expected standard deviations",
             "Histories, and deviation of the best curve",
         ]

@@ -147,7 +147,7 @@ def _of_several(path: Path, answer: Mapping[str, Any]) -> Section:
         parts=[
             _parameters(answer, named),
             *measures(answer),
-            Text("What the forces fix", fixed),
+            Text("What the forces tell of each parameter", fixed),
             *_expected(answer, named),
             _histories(answer),
             *pictures(path if path.is_dir() else path.parent, PICTURES),
@@ -501,18 +501,20 @@ def _shaded(saved: Saved) -> list[dict[str, Any]]:
 
 
 def _budget(answer: Mapping[str, Any]) -> list[Part]:
-    """Shares in the variance of φ, where the likelihood tells its parts apart."""
-    budget = answer.get("error_budget")
-    if not isinstance(budget, Mapping) or not isinstance(budget.get("shares"), Mapping):
+    """Parts of the uncertainty of φ, where the likelihood tells them apart."""
+    budget = answer.get("error_budget") or {}
+    degrees, shares = budget.get("degrees"), budget.get("shares")
+    if not degrees or not shares:
         return []
     rows = [
-        (str(name).replace("_", " "), f"{100.0 * share:.0f} %" if _is_number(share) else "–")
-        for name, share in budget["shares"].items()
+        (name.replace("_", " "), number(sd, 2), f"{shares[name]:.0%}")
+        for name, sd in sorted(degrees.items(), key=lambda one: -one[1])
     ]
     size, told = budget.get("noise_N"), budget.get("noise")
     note = f"Noise of a window mean: {number(size, 2)} N, {told}." if _is_number(size) else ""
     title = "What the width of the interval comes from"
-    return [Table(title, ("", "share"), rows, note=note, wide=True)]
+    header = ("", "standard deviation of φ [deg]", "share of the variance")
+    return [Table(title, header, rows, note=note, wide=True)]
 
 
 def _is_number(value: Any) -> TypeGuard[float]:

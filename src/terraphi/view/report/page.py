@@ -54,7 +54,9 @@ DARK = {
     "quiet": "#a9b2bc",
 }
 """The same on a dark page: Okabe & Ito's bright ones in place of their dark ones."""
-WORDS = {"good": "believe it", "doubtful": "look closer", "bad": "do not build on it", "none": ""}
+WORDS = {
+    "good": "no objection", "doubtful": "look closer", "bad": "do not use it", "none": "",
+}  # fmt: skip
 SIGNS = {"good": "✓", "doubtful": "!", "bad": "✗", "none": ""}
 
 

@@ -79,7 +79,7 @@ def section(path: Path, *, robot: str = "go2") -> Section:
 
 
 def _checked(data: Any) -> Any:
-    """What a file of forces holds; raises ValueError if its arrays do not fit."""
+    """The data of a file of forces; ValueError if there is not a force for each time and foot."""
     shape, wanted = data["force"].values.shape, (len(data["time"].values), len(FEET), len(AXES))
     if shape != wanted:
         raise ValueError(f"force has shape {shape}, expected {wanted}")
