@@ -8,6 +8,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -37,14 +38,17 @@ def print_json(data: Any) -> None:
 
 def print_inversion(found: Inversion) -> None:
     """A table of what was inferred, what it rests on, then the verdict in words."""
-    several = found.together is not None and found.together.draws is not None
-    header = ("", "median", "68 %", "95 %", *(("68 %, others known", "R-hat") if several else ()))
-    print_table(Table(_title(found), header, _parameter_rows(found, several)))
-    remarks = _remarks(found, several)
+    from terraphi.view import answers
+
+    answer = found.as_dict()
+    table = answers.parameters(answer, _title(found))
+    print_table(replace(table, header=table.header[:6], rows=[row[:6] for row in table.rows]))
+    remarks = _remarks(found, answers.was_drawn(answer))
     for remark in remarks:
         click.echo(remark)
-    if len(found.by_leg) > 1 and found.together is not None:
-        _print_expected(found)
+    if len(found.by_leg) > 1:
+        click.echo()
+        print_table(answers.expected(answer))
     elif remarks:
         click.echo()
     print_verdict(found.verdict, found.warnings)
@@ -61,25 +65,6 @@ def _title(found: Inversion) -> str:
         what = f"{found.source}: leg {found.legs[0]}"
     calibrated = ", calibrated" if "calibration" in found.provenance else ""
     return f"{what}, library {found.library}{calibrated}{density}"
-
-
-def _parameter_rows(found: Inversion, several: bool) -> list[tuple[str, ...]]:
-    """A row each parameter, and one for the equivalent in plane strain."""
-    rows: list[tuple[str, ...]] = []
-    for key, one in found.marginal.items():
-        spans = [found.span(key, one.ci68), found.span(key, one.ci95)]
-        row: tuple[str, ...] = (found.axis_name(key), f"{one.median:{found.digits(key)}}", *spans)
-        if several and found.together is not None:
-            known = found.span(key, found.together.conditional[key].ci68)
-            row = (*row, known, f"{found.convergence_of(key)['split_rhat']:.3f}")
-        rows.append(row)
-    angle = found.phi_plane_strain
-    if angle is not None and found.convention != "plane_strain":
-        form = found.digits("soil.friction_angle_deg")
-        spans = [f"{low:{form}} to {high:{form}}" for low, high in (angle.ci68, angle.ci95)]
-        row = ("φ, equivalent in plane strain [deg]", f"{angle.median:{form}}", *spans)
-        rows.append((*row, "-", "-") if several else row)
-    return rows
 
 
 def _remarks(found: Inversion, several: bool) -> list[str]:
@@ -120,18 +105,6 @@ def _where_from(budget: Budget) -> str:
             " It is an operational angle in plane strain, near the angle of repose of a loose soil."
         )
     return f"Standard deviation of φ: {parts}.{what}"
-
-
-def _print_expected(found: Inversion) -> None:
-    """What each leg alone would leave of each parameter."""
-    assert found.together is not None
-    legs = {name: f"leg {name} alone" for name in found.together.expected_sd} | {"all": "all"}
-    rows = [
-        (named, *(f"{sd:.3g}" for sd in found.together.expected_sd[name]))
-        for name, named in legs.items()
-    ]
-    click.echo()
-    print_table(Table("", ("expected standard deviation", *map(found.axis_name, found.keys)), rows))
 
 
 def print_verdict(verdict: Verdict, warnings: Sequence[Doubt]) -> None:
