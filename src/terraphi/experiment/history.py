@@ -232,17 +232,13 @@ class ForceHistory:
             )
         return np.stack(columns, axis=1)
 
-    def observation(
-        self, *, angles: int = OBSERVATION_ANGLES, window_deg: float = WINDOW_DEG
-    ) -> Observation:
+    def observation(self, *, angles: int = OBSERVATION_ANGLES) -> Observation:
         """Observation vector of the paper: M means over |θ| ≤ window.
 
         Parameters
         ----------
         angles
             M; the angles are ``linspace(-window, window, M)``.
-        window_deg
-            Half width of the engaged window [deg].
 
         Returns
         -------
@@ -254,21 +250,21 @@ class ForceHistory:
             If the record does not cover the window, has a wide gap in it, fewer angles than
             there are windows, or no force at all.
         """
-        theta_deg = np.linspace(-window_deg, window_deg, angles)
-        half_deg = window_deg / (angles - 1)
-        self._check_window(window_deg, half_deg, angles)
+        theta_deg = np.linspace(-WINDOW_DEG, WINDOW_DEG, angles)
+        half_deg = WINDOW_DEG / (angles - 1)
+        self._check_window(half_deg, angles)
         force = self.means(np.radians(theta_deg), math.radians(half_deg))
         fx, fz = force[:, self.axes.index("x")], force[:, self.axes.index("z")]
         return Observation(theta_deg, fx, fz)
 
-    def _check_window(self, window_deg: float, slack_deg: float, fewest: int) -> None:
+    def _check_window(self, slack_deg: float, fewest: int) -> None:
         """Refuse too few readings, or too far apart, for window means, and no force.
 
         From fewer readings than means these are of lines between readings, and tell less than they
         seem to. A record may stop ``slack_deg`` short of the window's ends.
         """
         file = f"{self.provenance['file']}: " if "file" in self.provenance else ""
-        theta_deg = self.theta_deg
+        theta_deg, window_deg = self.theta_deg, WINDOW_DEG
         # Angles a record's step short of the window's end still leave half a mean to take.
         if max(theta_deg[0] + window_deg, window_deg - theta_deg[-1]) > 0.999 * slack_deg:
             raise InputError(
@@ -296,7 +292,7 @@ class ForceHistory:
                     "is the sensor connected?"
                 )
 
-    def peaks(self, *, window_deg: float = WINDOW_DEG) -> Peaks:
+    def peaks(self) -> Peaks:
         """Peak thrust and lift on 1° means at whole degrees within |θ| ≤ window [deg].
 
         Raises
@@ -304,10 +300,10 @@ class ForceHistory:
         ValueError
             If the history has no whole degree within the window.
         """
-        theta = np.arange(-window_deg, window_deg + 0.5)
+        theta = np.arange(-WINDOW_DEG, WINDOW_DEG + 0.5)
         theta = theta[(theta >= self.theta_deg[0]) & (theta <= self.theta_deg[-1])]
         if theta.size == 0:
-            raise ValueError(f"the history has no whole degree within ±{window_deg:g} deg")
+            raise ValueError(f"the history has no whole degree within ±{WINDOW_DEG:g} deg")
         force = self.means(np.radians(theta), math.radians(0.5))
         x, z = self.axes.index("x"), self.axes.index("z")
         at_x, at_z = int(force[:, x].argmax()), int(force[:, z].argmax())

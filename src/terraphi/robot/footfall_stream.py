@@ -19,12 +19,7 @@ from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.estimators import GAP_STEPS, Settings, contact_torque, signals
 from terraphi.robot.footfall_fit import LAW_SETS, Prior, fit, shared_sd
 from terraphi.robot.footfalls import USABLE, average, check_known, verdicts
-from terraphi.robot.forces import (
-    ACCELERATION_CUTOFF_HZ,
-    DEFAULT_ESTIMATOR,
-    OBSERVER_GAIN,
-    SATURATED,
-)
+from terraphi.robot.forces import DEFAULT_ESTIMATOR, SATURATED
 from terraphi.robot.friction import JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.kinematics import forces_of_torques
@@ -133,9 +128,7 @@ class Footfalls:
     def _forces(self, log: JointLog, known: FloatArray) -> FloatArray:
         """Forces in the world; those of the last samples again, whose future was not known."""
         step = float(np.median(np.diff(log.time))) if len(log.time) > 1 else 1.0
-        settings = Settings(
-            DEFAULT_ESTIMATOR, OBSERVER_GAIN, ACCELERATION_CUTOFF_HZ, False, GAP_STEPS * step
-        )
+        settings = Settings(DEFAULT_ESTIMATOR, GAP_STEPS * step)
         again = int(np.ceil(settings.margin / step))
         first = max(len(known) - again, 0)
         part = slice(max(first - again, 0), None)

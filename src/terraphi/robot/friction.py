@@ -25,6 +25,9 @@ LEAST_SWING = 50
 """Samples in swing that a foot needs for its friction to be found."""
 LEAST_RATE = 0.1
 """Root mean square velocity that a joint needs [rad/s]."""
+GUARD_S, SHORTEST_S = 0.025, 0.04
+"""Time cut off at both ends of a swing, where the detection may err; swings that are shorter after
+that are dropped [s]."""
 REVERSAL_RATE, REVERSAL_S = 2.0 * STANDSTILL, 0.02
 """A joint slower than this [rad/s] is about to turn round, or has; for this long [s] before and
 after, friction changes its sense in a way of its own, and a regression would take the change for
@@ -105,8 +108,6 @@ def in_swing(
     *,
     touch: float,
     leave: float,
-    guard: float = 0.025,
-    shortest: float = 0.04,
 ) -> BoolArray:
     """When feet are in the air, from the forces on them.
 
@@ -118,10 +119,6 @@ def in_swing(
         Upward force of the ground on the feet [N], shape [sample, foot].
     touch, leave
         A foot stands once it is above ``touch`` and swings once it is below ``leave`` [N].
-    guard
-        Time cut off at both ends of a swing, where the detection may err [s].
-    shortest
-        Swings that are shorter after that are dropped [s].
 
     Returns
     -------
@@ -137,9 +134,9 @@ def in_swing(
     for foot in range(air.shape[1]):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], air[:, foot].astype(np.int8), [0]])))
         for start, stop in edges.reshape(-1, 2):
-            low = time[start] + (guard if start > 0 else 0.0)
-            high = time[stop - 1] - (guard if stop < len(time) else 0.0)
-            if high - low >= shortest:
+            low = time[start] + (GUARD_S if start > 0 else 0.0)
+            high = time[stop - 1] - (GUARD_S if stop < len(time) else 0.0)
+            if high - low >= SHORTEST_S:
                 first, last = np.searchsorted(time, [low, high])
                 swing[first : last + 1, foot] = True
     return swing

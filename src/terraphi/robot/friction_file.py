@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
-from terraphi.experiment.documents import parse_toml
+from terraphi.experiment.documents import Strict, parse_toml
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import replacing
 from terraphi.experiment.outputs import SIGNATURE
@@ -28,13 +28,7 @@ LEAST_AIR = 0.5
 """Part of the log that each foot has to be in the air [-]; the ends of movements are left out."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
-    )
-
-
-class JointNumbers(_Strict):
+class JointNumbers(Strict):
     """What one joint loses."""
 
     coulomb_Nm: float = Field(ge=0.0)
@@ -45,7 +39,7 @@ class JointNumbers(_Strict):
     """Inertia of the rotor, seen from the joint [kg m²]."""
 
 
-class FrictionFile(_Strict):
+class FrictionFile(Strict):
     """The friction of a robot's joints."""
 
     robot: str = ""

@@ -114,9 +114,7 @@ def survey(
     -------
     Survey
     """
-    moving = replace(settings, causal=False)
-    if robot.has_masses:
-        moving = replace(moving, estimator="momentum_observer")
+    moving = replace(settings, estimator="momentum_observer") if robot.has_masses else settings
     wanted = max(settings.margin, moving.margin)
     every = list(chunks(log.time, wanted, size=_WINDOW))
     picked = np.unique(np.linspace(0, len(every) - 1, min(len(every), SURVEY // _WINDOW + 1)))

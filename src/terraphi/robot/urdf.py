@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
-from terraphi.robot.model import rotation_of
+from terraphi.robot.model import inertia_matrix, rotation_of
 
 FloatArray = NDArray[np.float64]
 
@@ -315,9 +315,6 @@ def _inertial(element: ET.Element) -> tuple[float, FloatArray, FloatArray]:
     moments = inertial.find("inertia")
     if mass is None or moments is None:
         raise KeyError(f"mass or inertia (link '{element.get('name')}')")
-    xx, yy, zz, xy, xz, yz = (
-        float(moments.get(key, "0")) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    )
-    turn = rotation_of(_numbers(origin, "rpy", "0 0 0"))
-    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    six = [float(moments.get(key, "0")) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")]
+    turn, matrix = rotation_of(_numbers(origin, "rpy", "0 0 0")), inertia_matrix(six)
     return float(mass.attrib["value"]), _numbers(origin, "xyz", "0 0 0"), turn @ matrix @ turn.T

@@ -132,15 +132,7 @@ def as_dict(document: str) -> dict[str, Any]:
     """Tables of a kind of document, JSON-able."""
     return {
         "document": document,
-        "tables": [
-            {
-                "names": list(table.names),
-                "kind": table.kind or None,
-                "about": table.about,
-                "keys": [asdict(key) for key in table.keys],
-            }
-            for table in tables(document)
-        ],
+        "tables": [asdict(table) | {"kind": table.kind or None} for table in tables(document)],
     }
 
 
