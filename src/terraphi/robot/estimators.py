@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.robot.dynamics import (
     GRAVITY,
     BodyMotion,
@@ -28,8 +28,6 @@ from terraphi.robot.friction import JointFriction, smooth_sign
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.kinematics import rotation
 from terraphi.robot.model import Quadruped
-
-FloatArray = NDArray[np.float64]
 
 Estimator = Literal["quasi_static", "gravity", "inverse_dynamics", "momentum_observer"]
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)

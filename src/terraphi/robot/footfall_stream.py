@@ -12,8 +12,8 @@ from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.estimators import GAP_STEPS, Settings, contact_torque, signals
@@ -28,8 +28,6 @@ from terraphi.robot.odometry import track
 from terraphi.robot.results import RISE_SHARE
 from terraphi.robot.stance import Stance
 from terraphi.robot.touchdowns import WINDOW_S, sensitivity, touchdowns
-
-FloatArray = NDArray[np.float64]
 
 MEMORY_S = 0.7
 """How much of the log is kept [s]: a touch-down, and the odometry before it."""

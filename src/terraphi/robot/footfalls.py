@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import plain_number, with_sd
 from terraphi.robot.footfall_fit import (
@@ -34,9 +34,6 @@ from terraphi.robot.odometry import Motion, track
 from terraphi.robot.results import RobotForces, analyse, opened
 from terraphi.robot.touchdowns import Touchdowns, sensitivity, touchdowns
 from terraphi.robot.weighing import Weighing, weigh
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 USABLE = "usable"
 SHALLOW, TRODDEN, MISFIT = "too little sinkage", "not virgin ground", "the law does not fit"

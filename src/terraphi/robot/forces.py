@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.estimators import (
@@ -37,9 +38,7 @@ from terraphi.robot.survey import Survey, survey
 
 logger = logging.getLogger(__name__)
 
-FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
 Frame = Literal["world", "heading", "body"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 

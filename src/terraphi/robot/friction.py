@@ -12,12 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.robot.joint_log import FEET, JOINTS
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 STANDSTILL = 0.05
 """Velocity below which the sense of Coulomb friction fades [rad/s]."""

@@ -7,8 +7,8 @@ p_1 + R_1 (p_2 + R_2 (p_3 + R_3 p_4)) in the body's frame.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.robot.model import Quadruped
 from terraphi.robot.triples import (
     Matrix,
@@ -24,8 +24,6 @@ from terraphi.robot.triples import (
     triple_of,
     turned,
 )
-
-FloatArray = NDArray[np.float64]
 
 
 def foot_position(robot: Quadruped, angle: FloatArray) -> FloatArray:

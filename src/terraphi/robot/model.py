@@ -15,15 +15,14 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.documents import Strict, shipped_folder, shipped_names, toml_content
 from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
 from terraphi.experiment.files import is_there, read_bytes
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS
 
-FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Inertia = tuple[float, float, float, float, float, float]
 Sign = Literal[-1, 1]
@@ -201,7 +200,7 @@ class Quadruped(Strict):
         return bool(np.all((self.chain.mass > 0.0) | ~self.there))
 
     @property
-    def there(self) -> NDArray[np.bool_]:
+    def there(self) -> BoolArray:
         """Which joints the legs have, shape [foot, joint]; a leg of two has no hip."""
         return np.asarray(self.chain.axis.any(axis=-1))
 

@@ -11,13 +11,11 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
 from terraphi.robot.model import inertia_matrix, rotation_of
-
-FloatArray = NDArray[np.float64]
 
 _AXES = {"hip": "x", "thigh": "y", "calf": "y"}
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import (
     check_is_file,
@@ -22,8 +22,6 @@ from terraphi.experiment.files import (
 )
 from terraphi.terrain.raster import Elevation
 from terraphi.terrain.simulators import LEAST_DEG
-
-FloatArray = NDArray[np.float64]
 
 NEEDED = ("x_m", "y_m", "phi_deg", "sd_deg")
 SHARED = "shared_sd_deg"

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import check_is_file
 
-FloatArray = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")

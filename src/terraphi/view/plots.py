@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.files import replacing
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
 from terraphi.inference.answer import Inversion
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
-FloatArray = NDArray[np.float64]
 
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
 AXIS_LABEL = {"Fx": "$F_x$ [N], forward", "Fz": "$F_z$ [N], up"}

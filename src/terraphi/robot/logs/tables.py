@@ -30,8 +30,9 @@ from typing import IO
 
 import numpy as np
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, FloatArray
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS
 from terraphi.robot.logs.collect import REQUIRED, SHAPES, Array, Block
 from terraphi.robot.logs.columns import Columns, places
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import damage_told
 from terraphi.inference.answer import PHI, decimals
@@ -39,8 +39,6 @@ from terraphi.view.report.parts import (
 )
 from terraphi.view.report.study import pictures
 from terraphi.view.table import Table
-
-FloatArray = NDArray[np.float64]
 
 CONVENTION = {
     "paper": "the paper's yield criterion",

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.view.plots import PHI_LABEL
 from terraphi.view.table import Table
 
@@ -278,9 +279,6 @@ def _across(low: float, high: float) -> dict[str, Any]:
 
 DEGREES = {"tick0": 0, "dtick": 30, "range": [-90, 90]}
 """Axis of the leg angle over the engaged window."""
-
-
-FloatArray = NDArray[np.float64]
 
 
 PLACES = 241

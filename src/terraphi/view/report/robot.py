@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf
 from terraphi.robot.estimators import Estimator
@@ -23,8 +23,6 @@ from terraphi.view.report import parts as fig
 from terraphi.view.report.parts import Part, Plot, Section, Text, number
 from terraphi.view.robot_plots import FOOT_NAMES
 from terraphi.view.table import Table
-
-FloatArray = NDArray[np.float64]
 
 SHOWN_S = 30.0
 """Longest part of a log that is shown over time [s]."""

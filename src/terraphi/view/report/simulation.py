@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
@@ -24,8 +25,6 @@ from terraphi.view.plots import leg_name, shown_position
 from terraphi.view.report import parts as fig
 from terraphi.view.report.parts import Part, Player, Plot, Section, number
 from terraphi.view.table import Table
-
-FloatArray = NDArray[np.float64]
 
 MOST_PLACES = 220_000
 """Particles times frames in a page, five bytes each before they are written in base64."""
