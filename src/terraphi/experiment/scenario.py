@@ -23,7 +23,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from terraphi.experiment.documents import WRITTEN, Strict, parse_toml, shipped_file, strictly
 from terraphi.experiment.files import is_there
-from terraphi.experiment.leg import LEG_SHAPES, SOLID_SHAPES, Leg, frame_axes
+from terraphi.experiment.leg import LEG_SHAPES, SOLID_SHAPES, Leg
 from terraphi.experiment.motion import Motion, Rotation, bin_count
 from terraphi.experiment.soil import Soil
 
@@ -628,14 +628,8 @@ def _numbers(content: dict[str, Any], above: str = "") -> Iterator[tuple[str, fl
 def _extent_of_path(motion: Motion, leg: Leg) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Least and largest x and z [m] that a leg covers; the cases of a library mostly share it."""
     times = np.linspace(0.0, min(motion.duration, sys.float_info.max), 541)
-    poses = motion.poses(times)
-    along, ahead = frame_axes(poses.theta)
     line, margin = leg.extremities()
-    points = (
-        poses.hip[:, None, :]
-        + line[None, :, :1] * along[:, None, :]
-        + line[None, :, 1:] * ahead[:, None, :]
-    )
+    points = motion.poses(times).placed(line)
     low, high = points.min(axis=(0, 1)) - margin, points.max(axis=(0, 1)) + margin
     return tuple(low.tolist()), tuple(high.tolist())
 

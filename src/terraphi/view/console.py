@@ -134,23 +134,10 @@ def _between(ends: Sequence[float]) -> str:
 
 def print_forces(summary: dict[str, Any]) -> None:
     """Foot forces of a log: a row a foot, then what else there is to know."""
-    header = ("", "stances", "mean duration [s]", "peak of mean Fz [N]", "peak of mean Fx [N]")
-    figures = {
-        "stances": "d",
-        "mean_duration_s": ".3f",
-        "mean_peak_Fz_N": ".1f",
-        "mean_peak_Fx_N": ".1f",
-    }
-    rows = {**summary["feet"], "all feet": summary["pooled"]}
-    cells = [
-        (
-            name,
-            *("-" if one[key] is None else f"{one[key]:{form}}" for key, form in figures.items()),
-        )
-        for name, one in rows.items()
-    ]
+    from terraphi.view.robot_plots import feet_table
+
     title = f"Ground's forces on the feet, {summary['estimator']}, {summary['frame']} frame"
-    print_table(Table(title, header, cells))
+    print_table(feet_table(summary, title))
     shown_above = {"feet", "pooled", "estimator", "frame"}
     print_pairs({name: value for name, value in summary.items() if name not in shown_above})
 

@@ -15,6 +15,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.files import replacing
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
+from terraphi.experiment.scenario import Scenario
 from terraphi.inference.answer import Inversion
 from terraphi.inference.identifiability import label
 
@@ -39,6 +40,14 @@ LEG_NAMES = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C
 def leg_name(shape: str) -> str:
     """A leg's shape for people."""
     return LEG_NAMES.get(shape, f"{shape} leg")
+
+
+def scenario_name(scenario: Scenario) -> str:
+    """What was simulated, in a line."""
+    leg = leg_name(scenario.leg.shape)
+    if scenario.convention == "none":
+        return f"{leg}, two-dimensional resistive force theory"
+    return f"{leg}, φ = {scenario.soil.friction_angle_deg:g}° ({scenario.convention})"
 
 
 def shown_position(position: FloatArray, coordinate: str) -> FloatArray:
