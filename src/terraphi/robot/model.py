@@ -16,6 +16,7 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
+from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.documents import Strict, shipped_folder, shipped_names, toml_content
@@ -120,11 +121,7 @@ _PARALLEL = ((0.0, 0.0, 0.0),) * 3
 
 def rotation_of(rpy: Vector | FloatArray) -> FloatArray:
     """Rotation by roll, pitch and yaw about fixed axes [rad], as in a URDF."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
-    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    return np.asarray(yaw @ pitch @ roll, dtype=np.float64)
+    return np.asarray(Rotation.from_euler("xyz", rpy).as_matrix())
 
 
 class Legs(Strict):
