@@ -473,6 +473,9 @@ def _convergence(answer: Mapping[str, Any]) -> Table:
     return Table(title=title, header=("", ""), rows=rows, wide=True)
 
 
+NOTHING = np.empty(0)
+
+
 @dataclass(frozen=True)
 class Saved:
     """What a folder of an inversion holds.
@@ -495,10 +498,10 @@ class Saved:
     """
 
     answer: Mapping[str, Any]
-    draws_deg: FloatArray
-    theta_deg: FloatArray
-    data: FloatArray
-    best: FloatArray
+    draws_deg: FloatArray = NOTHING
+    theta_deg: FloatArray = NOTHING
+    data: FloatArray = NOTHING
+    best: FloatArray = NOTHING
     share: FloatArray | None = None
     band: FloatArray | None = None
 
@@ -508,10 +511,9 @@ def load(path: Path) -> Saved:
     folder = path if path.is_dir() else path.parent
     answer_file = path if path.suffix == ".json" else folder / "answer.json"
     posterior = path if path.suffix == ".nc" else folder / "posterior.nc"
-    if path.suffix != ".nc" and answer_file.is_file() and is_several(_answer(answer_file)):
-        return Saved(_answer(answer_file), *(np.empty(0),) * 4)
-    if not posterior.is_file():
-        return Saved(_answer(answer_file), *(np.empty(0),) * 4)
+    several = path.suffix != ".nc" and answer_file.is_file() and is_several(_answer(answer_file))
+    if several or not posterior.is_file():
+        return Saved(_answer(answer_file))
     import xarray as xr
 
     why = f"{posterior}: not a whole posterior as 'terraphi invert --out' writes it; make it again"
@@ -520,7 +522,7 @@ def load(path: Path) -> Saved:
             tree = opened.load()
         answer = _parsed(tree.attrs["answer"])
         if is_several(answer):
-            return Saved(answer, *(np.empty(0),) * 4)
+            return Saved(answer)
         data, best = (
             np.concatenate([_array(tree, f"{group}/{name}") for name in ("Fx", "Fz")])
             for group in ("observed_data", "posterior_predictive_mean")
