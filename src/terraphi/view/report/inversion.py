@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -473,9 +473,6 @@ def _convergence(answer: Mapping[str, Any]) -> Table:
     return Table(title=title, header=("", ""), rows=rows, wide=True)
 
 
-NOTHING = np.empty(0)
-
-
 @dataclass(frozen=True)
 class Saved:
     """What a folder of an inversion holds.
@@ -498,10 +495,10 @@ class Saved:
     """
 
     answer: Mapping[str, Any]
-    draws_deg: FloatArray = NOTHING
-    theta_deg: FloatArray = NOTHING
-    data: FloatArray = NOTHING
-    best: FloatArray = NOTHING
+    draws_deg: FloatArray = field(default_factory=lambda: np.empty(0))
+    theta_deg: FloatArray = field(default_factory=lambda: np.empty(0))
+    data: FloatArray = field(default_factory=lambda: np.empty(0))
+    best: FloatArray = field(default_factory=lambda: np.empty(0))
     share: FloatArray | None = None
     band: FloatArray | None = None
 
