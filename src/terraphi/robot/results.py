@@ -22,6 +22,8 @@ from terraphi.robot.friction import HANGING_SHARE, JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.logs import read_log
 from terraphi.robot.logs.clock import describe, regular
+from terraphi.robot.logs.collect import Precision
+from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import AXES, Criteria, Ensemble, Stance, find_stances
 
@@ -109,13 +111,27 @@ class RobotForces:
 
 
 def opened(
-    log: Path | str | JointLog, robot: Quadruped | Path | str, **reading: Any
+    log: Path | str | JointLog,
+    robot: Quadruped | Path | str,
+    *,
+    topic: str | None = None,
+    joint_names: Sequence[str] | None = None,
+    columns: Columns | Path | str | None = None,
+    precision: Precision = "double",
 ) -> tuple[JointLog, Quadruped]:
     """A log and the robot that it is of, each as it is or read; options of ``read_log``."""
     body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
     if isinstance(log, JointLog):
         return regular(log), body
-    return read_log(log, motors=body.joint_order, **reading), body
+    read = read_log(
+        log,
+        topic=topic,
+        joint_names=joint_names,
+        motors=body.joint_order,
+        precision=precision,
+        columns=columns,
+    )
+    return read, body
 
 
 def analyse(
