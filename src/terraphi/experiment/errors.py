@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, get_args
 
 if TYPE_CHECKING:
@@ -20,6 +21,21 @@ class InputError(ValueError):
 
 class SimulationError(RuntimeError):
     """A simulation broke down: a particle left the grid or a force is not a number."""
+
+
+@contextmanager
+def needing(what: str, packages: str, *, extra: str) -> Iterator[None]:
+    """Say, where an import in the block fails, which extra installs the packages of what is done.
+
+    Raises
+    ------
+    InputError
+        Such as ``"walk.mcap: reading MCAP needs mcap: pip install 'terraphi[robot]'"``.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(f"{what} needs {packages}: pip install 'terraphi[{extra}]'") from error
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:

@@ -7,6 +7,7 @@ says of friction is worth more than what can be found in the swings of a slow wa
 from __future__ import annotations
 
 import importlib.metadata
+import json
 from pathlib import Path
 from typing import Any
 
@@ -98,8 +99,8 @@ def write_friction(friction: JointFriction, path: Path | str, *, robot: str, sou
     version = importlib.metadata.version("terraphi")
     lines = [
         f"# Friction of a robot's joints, {SIGNATURE} {version} (terraphi friction).",
-        f"robot = {_quoted(robot)}",
-        f"source = {_quoted(source)}",
+        f"robot = {json.dumps(robot, ensure_ascii=False)}",
+        f"source = {json.dumps(source, ensure_ascii=False)}",
     ]
     for foot, joints in friction.summary().items():
         for joint, numbers in joints.items():
@@ -157,8 +158,3 @@ def friction_of_hanging(
             f"{name}: joints that hardly move: {', '.join(still)}; move all of them to and fro"
         )
     return found.friction, body.name
-
-
-def _quoted(text: str) -> str:
-    """A TOML string."""
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ") + '"'

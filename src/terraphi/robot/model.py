@@ -19,7 +19,7 @@ from pydantic import Field, ValidationError, model_validator
 from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.experiment.documents import Strict, shipped_folder, shipped_names, toml_content
+from terraphi.experiment.documents import Strict, shipped_file, toml_content
 from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
 from terraphi.experiment.files import is_there, read_bytes
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS
@@ -249,11 +249,7 @@ class Quadruped(Strict):
         """
         path = Path(source)
         if not path.suffix and not is_there(path):
-            names = shipped_names("robots", ".toml")
-            if path.name not in names:
-                hint = nearest(path.name, names)
-                raise InputError(f"'{source}' is neither a file nor a shipped robot; {hint}")
-            path = shipped_folder("robots", f"{path.name}.toml")
+            path = shipped_file("robots", str(source), ".toml")
         text = _text(path)
         if path.suffix.lower() in {".urdf", ".xml"}:
             from terraphi.robot.urdf import document_from_urdf
