@@ -39,8 +39,8 @@ LABELS = {
 """Names for people, and units, of dotted keys."""
 
 VERBS = {
-    "fixed": "is well known now",
-    "narrowed": "is better known than before",
+    "fixed": "is narrowed down",
+    "narrowed": "is narrowed a little",
     "open": "is not learnt from these forces",
 }
 
