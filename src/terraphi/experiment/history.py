@@ -217,20 +217,15 @@ class ForceHistory:
         ValueError
             If a window lies wholly outside the record.
         """
+        from scipy.interpolate import make_interp_spline
+
         x = self.position
         low = np.maximum(centre - half_width, x[0])
         high = np.minimum(centre + half_width, x[-1])
         if np.any(high <= low):
             raise ValueError("a window lies outside the recorded range")
-        columns = []
-        for values in self.force.T:
-            panels = 0.5 * (values[1:] + values[:-1]) * np.diff(x)
-            integral = np.concatenate([[0.0], np.cumsum(panels)])
-            columns.append(
-                (_primitive(high, x, values, integral) - _primitive(low, x, values, integral))
-                / (high - low)
-            )
-        return np.stack(columns, axis=1)
+        integral = make_interp_spline(x, self.force, k=1).antiderivative()
+        return np.asarray((integral(high) - integral(low)) / (high - low)[:, None])
 
     def observation(self, *, angles: int = OBSERVATION_ANGLES) -> Observation:
         """Observation vector of the paper: M means over |θ| ≤ window.
@@ -421,16 +416,6 @@ class ForceHistory:
             raise InputError(
                 f"{path}: not as terraphi writes a force history ({error}); make it again"
             ) from error
-
-
-def _primitive(
-    at: FloatArray, x: FloatArray, values: FloatArray, integral: FloatArray
-) -> FloatArray:
-    """Integral of a piecewise linear function from x[0] to given places."""
-    i = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
-    dx = at - x[i]
-    slope = (values[i + 1] - values[i]) / (x[i + 1] - x[i])
-    return np.asarray(integral[i] + dx * (values[i] + 0.5 * slope * dx), dtype=np.float64)
 
 
 WIDEST_GAP_DEG = 20.0
