@@ -352,7 +352,7 @@ def _figure(
         forces.plot(1e3 * test.sinkage, test.force, ".", ms=3, color=GREY, label=label)
     for i, (law, found) in enumerate(by_law.items()):
         colour = (BLUE, ORANGE, GREEN, PURPLE, "black")[i]
-        shift = np.array([t.diameter_mm for t in tests]) + 1.2 * (i - 2.0)
+        shift = [widths.index(t.diameter_mm) + 0.12 * (i - 2.0) for t in tests]
         left.plot(shift, found.phi, "o", ms=4, color=colour, label=law)
         for width, style in styles.items():
             chosen = [t.diameter_mm == width for t in tests]
@@ -367,10 +367,8 @@ def _figure(
         xlabel="sinkage [mm]", ylabel="force [N]", title="One φ for all; lines as on the right"
     )
     left.set(xlabel="diameter of the plate [mm]", ylabel="φ [deg]", title="Whole tests")
-    left.set_xticks(widths)  # laws stand side by side at each
-    right.set(
-        xlabel="sinkage [mm], middle of a window", ylabel="φ [deg]", title="In windows of depth"
-    )
+    left.set_xticks(range(len(widths)), [f"{width:g}" for width in widths])
+    right.set(xlabel="sinkage [mm], middle of a window", title="In windows of depth")
     for axes in (forces, left, right):
         axes.legend(fontsize="x-small", frameon=False)
     return figure
