@@ -124,7 +124,7 @@ def run(*, data: Path | None = None) -> Study:
             "repeat_sd_deg": repeats,
             "mean_deg": {law: float(each.phi.mean()) for law, each in fits.items()},
             "one_angle": one,
-            "law_sd_deg": spread,
+            "law_sd_deg": _or_none(spread),
             "assumed": {"density_kg_m3": DENSITY, "surface_friction": 0.5},
         },
         figures={"plates": _figure(measured, tests, laws, fits, windows, one)},
@@ -233,10 +233,11 @@ def law_spread(windows: Mapping[str, Sequence[FloatArray]]) -> float:
     """Standard deviation of φ among laws and depths, the mean of the tests' [deg].
 
     It is what :class:`~terraphi.robot.footfall_fit.Prior` takes for ``law_sd_deg``: the same soil
-    by another law, at another depth.
+    by another law, at another depth. Not a number if no test has readings in the windows.
     """
     every = np.array([values for law in windows.values() for values in law])
-    return float(np.sqrt(np.nanmean(np.nanvar(every, axis=0, ddof=1))))
+    read = every[:, np.isfinite(every).sum(axis=0) > 1]
+    return float(np.sqrt(np.nanvar(read, axis=0, ddof=1).mean())) if read.size else np.nan
 
 
 def _part(test: Test, low: float, high: float) -> Test:
@@ -306,8 +307,12 @@ def _notes(
     scatter = max(repeats.values())
     said = [
         f"Mean over the tests: {means}; standard deviation over repeats at most {scatter:.1f}°.",
-        f"Over laws and depths a test's φ scatters by {spread:.1f}°, `footfalls`' error of a law.",
     ]
+    if np.isfinite(spread):
+        said.append(
+            f"Over laws and depths a test's φ scatters by {spread:.1f}°, `footfalls`' error of a "
+            "law."
+        )
     if len(set(widths)) > 1:
         low, high = widths == widths.min(), widths == widths.max()
         drift = ", ".join(
@@ -346,7 +351,7 @@ def _figure(
         forces.plot(1e3 * test.sinkage, test.force, ".", ms=3, color=GREY, label=label)
     for i, (law, found) in enumerate(by_law.items()):
         colour = (BLUE, ORANGE, GREEN, PURPLE, "black")[i]
-        shift = np.array([t.diameter_mm for t in tests]) + 1.2 * (i - 2.0)
+        shift = [widths.index(t.diameter_mm) + 0.12 * (i - 2.0) for t in tests]
         left.plot(shift, found.phi, "o", ms=4, color=colour, label=law)
         for width, style in styles.items():
             chosen = [t.diameter_mm == width for t in tests]
@@ -361,9 +366,8 @@ def _figure(
         xlabel="sinkage [mm]", ylabel="force [N]", title="One φ for all; lines as on the right"
     )
     left.set(xlabel="diameter of the plate [mm]", ylabel="φ [deg]", title="Whole tests")
-    right.set(
-        xlabel="sinkage [mm], middle of a window", ylabel="φ [deg]", title="In windows of depth"
-    )
+    left.set_xticks(range(len(widths)), [f"{width:g}" for width in widths])
+    right.set(xlabel="sinkage [mm], middle of a window", title="In windows of depth")
     for axes in (forces, left, right):
         axes.legend(fontsize="x-small", frameon=False)
     return figure

@@ -35,6 +35,7 @@ def sentence(content: object) -> str:
     [
         ("yumma", ["mojave", "yuma"], "did you mean 'yuma'?"),
         ("YUMA", ["mojave", "yuma"], "did you mean 'yuma'?"),
+        ("curved", ["straight", "c", "reversed_c"], "known: c, reversed_c, straight"),
         ("fz_n", ["theta_deg", "Fx_N", "Fz_N"], "did you mean 'Fz_N'?"),
         ("FX", ["theta_deg", "Fx_N", "Fz_N"], "did you mean 'Fx_N'?"),
         ("qqq", ["mojave", "yuma"], "known: mojave, yuma"),

@@ -80,9 +80,12 @@ remap_interval = 1e-4
         ("[motion]\nkind = 'rotate'", ["motion.kind = 'rotate'", "did you mean 'rotation'?"]),
         ("[motion]\nkind = 'translation'", ["'motion.start' is missing"]),
         ("[motion]\nstart_deg = 20\nstop_deg = 10", ["start_deg = 20 must be below stop_deg = 10"]),
-        ("dimensions = 3", ["relief.enabled = true", "relief.enabled = false alone"]),
+        ("dimensions = 3", ["relief.enabled = true", "in three set it to false"]),
         (SPACE + "[bed]\nheight = 0.16", ["needs bed.breadth"]),
-        (SPACE + 'distortion = "cell"', ['numerics.distortion = "cell"', '"particle" alone']),
+        (
+            SPACE + 'distortion = "cell"',
+            ['numerics.distortion = "cell"', 'two dimensions only; in three set it to "particle"'],
+        ),
         (SPACE + "[bed]\nbreadth = 0.01", ["leg.width = 0.0254 m does not fit"]),
         (
             SPACE.replace("plane_strain", "paper") + "[bed]\nbreadth = 0.1",
@@ -315,7 +318,7 @@ def test_tip_is_drawn_in_where_it_alone_lies_in_soil() -> None:
         drawn_in.replace(**{"leg.chord": 0.0026, "leg.shape": "plate"})
     with pytest.raises(ValidationError, match=r"at the hip, comes as low as 0\.16 m, into soil"):
         drawn_in.replace(**{"motion.hip.1": 0.16})
-    with pytest.raises(ValidationError, match=r"in three dimensions there is numerics\.tip_inset"):
+    with pytest.raises(ValidationError, match=r"tip_inset_cells = 1\.7 is for two dimensions only"):
         Scenario.load("resolved").replace(
             **{"dimensions": 3, "bed.breadth": 0.1, "numerics.tip_inset_cells": 1.7}
         )

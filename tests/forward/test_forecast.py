@@ -18,6 +18,7 @@ from terraphi.forward.forecast import (
     YEAR,
     Forecast,
     forecast,
+    foreseen,
     lasting,
     particle_count,
     refuse_too_many,
@@ -202,7 +203,7 @@ def test_the_forecast_of_a_library(terraphi, tmp_path) -> None:
     assert err.count("forecast: 2 simulations") == 1
     assert json.loads(out)["forecast"] | {"seconds": 0, "memory_bytes": 0} == {
         "simulations": 2, "particles": 0, "particle_steps": 0.0, "seconds": 0, "memory_bytes": 0,
-        "cores": 1,
+        "cores": 1, "compiling_seconds": 0.0,
     }  # fmt: skip
 
 
@@ -216,3 +217,13 @@ def test_nothing_is_written_of_what_cannot_fit(command: str, terraphi, tmp_path)
     assert err.count("\n") == 1
     assert "motion.stop_deg = 1e+09" in err
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.toml"]
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_compiling_at_first_use_is_told(dimensions: int, monkeypatch) -> None:
+    scenario = Plan.load("sand3d-quick").cases()[0] if dimensions == 3 else Scenario()
+    monkeypatch.setattr(room, "is_compiled", lambda each: each != dimensions)
+    assert "of compiling at first use" in foreseen([scenario]).sentence()
+    monkeypatch.setattr(room, "is_compiled", lambda each: each == dimensions)
+    assert "compiling" not in foreseen([scenario]).sentence()
+    assert foreseen([Scenario(model="rft")]).compiling_seconds == 0.0

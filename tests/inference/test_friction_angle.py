@@ -159,6 +159,8 @@ def test_histories_of_two_soils_are_a_misfit(library: Library) -> None:
     assert found.verdict.verdict == "misfit"
     assert found.verdict.code in ("disagreement", "calibrated_misfit")
     assert any(m.code == "agreement" and m.exceeded for m in found.verdict.measures)
+    worst = max(found.records, key=lambda record: max(record.nrmsd.values())).source
+    assert [d.numbers["worst"] for d in found.warnings if d.code == "two_soils"] == [worst]
 
 
 def test_two_flawed_trials_are_a_misfit_and_asked_about_by_name(
@@ -172,6 +174,7 @@ def test_two_flawed_trials_are_a_misfit_and_asked_about_by_name(
     assert (found.verdict.verdict, found.verdict.edge) == ("misfit", None)
     asked = [(d.code, d.source) for d in found.warnings if d.code == "turned_Fz"]
     assert asked == [("turned_Fz", "0.csv"), ("turned_Fz", "1.csv")]
+    assert "two_soils" not in {doubt.code for doubt in found.warnings}
 
 
 def test_what_is_refused_names_the_history(library: Library, truth: ForceHistory) -> None:

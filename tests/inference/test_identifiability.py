@@ -47,5 +47,5 @@ def test_independent_parameters_are_not_bound_up() -> None:
 def test_a_parameter_alone_has_no_others() -> None:
     found = Identifiability.of((PHI,), np.array([[0.04]]), [1.0])
     assert found.sentences() == [
-        "φ is fixed: 20% of its prior standard deviation is left (0.2 deg)."
+        "φ is narrowed down: its standard deviation is 0.2 deg, 20% of the prior's."
     ]

@@ -367,3 +367,12 @@ def test_a_coarse_record_is_compared_with_curves_read_as_coarsely(theta_deg) -> 
     assert verdicts.count("consistent") >= 7
     assert np.abs(scores).max() < 4.0
     assert np.sqrt(np.mean(np.square(scores))) < 1.7
+
+
+def test_a_library_s_own_caveat_is_told_with_every_answer(library: Library) -> None:
+    case = library.cases[3]
+    plan = library.plan.model_copy(update={"caveat": "it reads low."})
+    for used, codes in ((library, []), (replace(library, plan=plan), ["caveat"])):
+        found = invert(case.history, library=used)
+        assert [doubt.code for doubt in found.warnings if doubt.code == "caveat"] == codes
+    assert f"Library {library.name}: it reads low." in found.reason

@@ -34,6 +34,8 @@ EXAMPLES = {
         "measured at a density of 638 kg/m³ and is inverted with 1650 kg/m³",
     ),
     "uninformed": ({"bits": 0.04, "limit": 0.1}, "they add 0.04 bits"),
+    "caveat": ({"name": "coarse", "caveat": "it reads low."}, "Library coarse: it reads low."),
+    "two_soils": ({"worst": "b.csv"}, "these histories b.csv fits worst"),
     "tries_others": ({"name": "quick-paper-truths"}, "'quick-paper-truths' is shipped to try"),
     "read_twice": ({"leg": "c", "spacing_deg": 0.5}, "another history of leg c, more than 0.5°"),
     "dropout": ({**DEFECT, "force": "both"}, "3 readings left out: readings of zero under load be"),

@@ -66,7 +66,7 @@ def test_shipped_libraries_record_what_their_bits_rest_on(name: str) -> None:
     assert [s.hash for s in Plan.load(name).cases()] == [c.scenario.hash for c in library.cases]
     if found["expected"]:
         assert (
-            f"'terraphi library build {name} --out FILE.nc' gives the same bits"
+            f"'terraphi library build {name} --out FILE.nc' gives the same forces"
             in (found["sentence"])
         )
 
@@ -90,7 +90,7 @@ def test_what_is_the_same_here_is_expected_again() -> None:
     library = small()
     found = account(library)
     assert found["expected"]
-    assert found["sentence"].startswith("its plan gives the same bits here")
+    assert found["sentence"].startswith("its plan gives the same forces to the last bit here")
     again = rebuild(library, 2)
     assert (again.same_bits, again.largest_change, again.differences) == (True, 0.0, ())
     assert again.case == "case 2 (soil.friction_angle_deg = 30.0)"
@@ -105,7 +105,10 @@ def test_what_is_different_here_is_named() -> None:
     assert differences(old.cases[0])[1].startswith("numpy: 1.0 there, ")
     found = account(old)
     assert not found["expected"]
-    assert "other bits may come out here (model: rft-0 there" in found["sentence"]
+    assert (
+        "forces may come out otherwise in their last digits here (model: rft-0 there"
+        in found["sentence"]
+    )
 
 
 def test_a_library_without_a_record_says_so() -> None:
@@ -164,8 +167,8 @@ def test_show_says_it(tmp_path: Path, terraphi: Callable[..., Any]) -> None:
         return str(out)
 
     printed = show("--check", "--case", "2")
-    assert "bits rest on" in printed
-    assert "Bits: its plan gives the same bits here; 'terraphi library show FILE.nc" in printed
+    assert "computed with" in printed
+    assert "Simulated again: its plan gives the same forces to the last bit here; 'ter" in printed
     assert printed.endswith("30.0): simulated again, the same to the last bit.\n")
     told = json.loads(show("--check", "--json"))["bits"]
     assert told["checked"]["same_bits"] is True

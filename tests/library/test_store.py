@@ -84,6 +84,8 @@ def refusal(tmp_path: Path, text: str) -> str:
         ("name = 'x'\n[sweep]\n'soil.k0' = []", ["'soil.k0' has no values"]),
         ("name = 'x'\n[sweep]\n'soil.k0' = 0.5", ["plan.toml", "sweep.soil.k0"]),
         ("name = 'x'\n[sweep]\n'soil.phi' = [30]", ["sweep", "'soil.phi'"]),
+        ("name = 'x'\n[more]\nseed = 3", ["[more] is one table", "write [[more]]"]),
+        ("name = 'x'\ncaveat = '" + 26 * "a " + "'", ["has 26 words; at most 25"]),
         ("name = 'x'\n[sweep]\n'sol.k0' = [0.5]", ["'sol'", "did you mean 'soil'?"]),
         ("name = 'x'\n[sweep]\n'leg.shape' = ['c', 'b']", ["leg.shape = 'b'"]),
         ("name = 'x'\n[sweep]\n'soil.k0.x' = [1]", ["sweep", "soil.k0"]),
@@ -309,3 +311,14 @@ def test_truths_differ_from_their_library_in_angle_and_seed_alone(name: str) -> 
     assert not seeds[0] & seeds[1]
     grid = {case.soil.friction_angle_deg for case in library.cases()}
     assert not grid & {case.soil.friction_angle_deg for case in truths.cases()}
+
+
+def test_what_legs_cover_is_shown_leg_by_leg_where_it_differs(terraphi, library, tmp_path) -> None:
+    first = Case(library.cases[0].scenario, None, "ValueError: too dry")
+    shorter = Library(library.plan, (first, *library.cases[1:]))
+    for found, said in ((library, "25 to 40"), (shorter, "c: 25 to 40, straight: 35 to 40")):
+        found.save(tmp_path / "own.nc")
+        _, out, _ = terraphi("library", "show", "own.nc")
+        assert (
+            next(line for line in out.splitlines() if "phi_deg" in line).split(None, 1)[1] == said
+        )

@@ -70,17 +70,6 @@ def test_observer_converges_as_its_gain_grows(truth: Any) -> None:
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
 
 
-def test_causal_observer_lags_by_one_over_the_gain(truth: Any) -> None:
-    time, errors = truth.log.time, []
-    for gain in (200.0, 400.0):
-        late = estimate(truth.log, robot=GO2, gain=gain, causal=True, friction=False).force
-        now = np.stack([np.interp(time - 1 / gain, time, f) for f in truth.force[:, 0].T], axis=1)
-        errors.append(rms((late - truth.force)[50:]))
-        # What is left is of second order, and more than in the forces as J turns meanwhile.
-        assert rms((late[:, 0] - now)[50:]) < 0.4 * rms((late[:, 0] - truth.force[:, 0])[50:])
-    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.05)
-
-
 def test_standing_legs_have_weight_that_the_quasi_static_estimate_leaves_out() -> None:
     still = standing()
     weight = gravity_torque(GO2, still.angle, GRAVITY * np.array([0.0, 0.0, 1.0]))
@@ -284,8 +273,6 @@ def with_value(name: str, at: tuple[int, ...], value: float) -> JointLog:
         (standing(), {"estimator": "momentum"}, "did you mean 'momentum_observer'"),
         (standing(), {"frame": "wrold"}, "did you mean 'world'"),
         (standing(), {"gain": 0.0}, "gain = 0 should be a number above 0"),
-        (standing(), {"cutoff_hz": float("nan")}, "cutoff_hz = nan"),
-        (standing(), {"estimator": "gravity", "causal": True}, "no causal form"),
         (standing(0), {}, "no samples; at least 1"),
         (broken(velocity=np.zeros((200, 12))), {}, r"velocity has shape \(200, 12\), expected"),
         (broken(quaternion=None), {}, "no attitude, which frame 'world' needs"),

@@ -174,7 +174,7 @@ def test_csv_keeps_its_sound_lines(tmp_path: Path) -> None:
         ({"angel": log.angle}, ("unknown array 'angel'", "did you mean 'angle'?")),
         ({"angle": log.angle[:, :, :2]}, ("[200, 4, 2]", "[sample, 4, 3]")),
         ({"torque": log.torque[:150]}, ("150 rows in 'torque' and 200 in 'time'",)),
-        ({"angle": np.array([{}] * 200)}, ("'angle' is of type object",)),
+        ({"angle": np.array([{}] * 200)}, ("Object arrays cannot be loaded",)),
         ({"angle": log.angle.astype(complex)}, ("complex",)),
         ({"time": np.float64(1.0)}, ("expected [sample]",)),
         ({name: getattr(log, name)[:0] for name in ("time", *helpers.COLUMNS)}, ("no samples",)),

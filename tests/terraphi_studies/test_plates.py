@@ -59,6 +59,16 @@ def test_a_table_of_ones_own(tmp_path: Path) -> None:
     assert test["box"] == "small"
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_table_without_readings_in_a_window_has_no_spread(tmp_path: Path) -> None:
+    lines = [f"deep,a,80,{depth},{5.0 * depth}" for depth in range(30, 50)]
+    table = tmp_path / "deep.csv"
+    table.write_text("\n".join([",".join(plates.COLUMNS), *lines]))
+    study = plates.run(data=table)
+    assert study.data["law_sd_deg"] is None
+    assert not any("scatters" in note for note in study.notes)
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

@@ -11,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 
 from terraphi.cli.options import tells_as_much_as_asked
-from terraphi.view import doctor
 from terraphi.view.console import listen, note, progress_bar
 
 
@@ -30,7 +29,7 @@ def test_compilation_is_told_only_where_there_is_one(
     seen = Terminal()
     monkeypatch.setattr("sys.stderr", seen)
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(doctor, "kernels_are_compiled", lambda: compiled)
+    monkeypatch.setattr("terraphi.forward.forecast.is_compiled", lambda: compiled)
     with progress_bar("simulating", compiles=compiles) as report:
         report(0.0, 1.0)
     assert word in seen.getvalue()

@@ -117,7 +117,6 @@ def test_a_missing_package_is_a_problem_and_a_missing_extra_is_none(monkeypatch)
 
 
 def test_a_compiler_that_fails_is_a_problem(monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "terraphi.forward.mpm.packets", None)
-    monkeypatch.delattr("terraphi.forward.mpm.packets", raising=False)
+    monkeypatch.setitem(sys.modules, "terraphi.forward.mpm.checkpoint", None)
     check = found()["kernels"]
     assert check.state == "problem"

@@ -6,7 +6,6 @@ import click
 
 from terraphi.cli.options import DOCUMENTS, Choice, json_option
 from terraphi.view.console import print_json, print_table
-from terraphi.view.table import Table
 
 
 @click.command()
@@ -24,7 +23,5 @@ def keys(document: str, as_json: bool) -> None:
     if as_json:
         print_json(as_dict(document))
         return
-    header = ("key", "unit", "default", "allowed", "meaning")
     for table in tables(document):
-        rows = [(key.name, key.unit, key.default, key.allowed, key.meaning) for key in table.keys]
-        print_table(Table(f"{table.title}: {table.about}", header, rows))
+        print_table(table.shown())

@@ -81,7 +81,7 @@ def library_build(
     makeable(out.parent)
     cases = chosen.cases()
     compiles = cluster is None and any(case.model == "mpm" for case in cases)
-    expected = foreseen(chosen, 1 if cluster is not None else workers or available_cores())
+    expected = forecast_of(chosen, 1 if cluster is not None else workers or available_cores())
     asked = dict.fromkeys(doubt for case in cases for doubt in doubts(case))
     try:
         with (
@@ -119,14 +119,12 @@ def library_build(
     print_library(made)
 
 
-def foreseen(plan: Plan, cores: int) -> Forecast:
+def forecast_of(plan: Plan, cores: int) -> Forecast:
     """Forecast the time and memory of a build; raises InputError if it cannot fit."""
-    from terraphi.forward import register_bits
-    from terraphi.forward.forecast import forecast, refuse_too_many
+    from terraphi.forward.forecast import foreseen, refuse_too_many
 
     plan.refuse_what_cannot_fit()
-    cases = plan.cases()
-    expected = forecast(cases, register_bits=register_bits(cases))
+    expected = foreseen(plan.cases())
     refuse_too_many(expected, cores, f"plan '{plan.name}'")
     return expected
 
@@ -205,7 +203,7 @@ def library_show(name: str, check: bool, number: int, as_json: bool) -> None:
         print_json({**found.summary(), "bits": {**bits, **checked}})
         return
     print_library(found)
-    print_pairs({"bits rest on": bits["rests_on"], "digest": bits["digest"]})
-    click.echo(f"Bits: {bits['sentence']}.")
+    print_pairs({"computed with": bits["rests_on"], "SHA-256 of all forces": bits["digest"]})
+    click.echo(f"Simulated again: {bits['sentence']}.")
     if again is not None:
         click.echo(again.sentence)

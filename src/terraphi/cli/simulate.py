@@ -66,7 +66,7 @@ def simulate(
     from terraphi.experiment.scenario import Scenario
 
     chosen = Scenario.load(scenario)
-    expected = foreseen(chosen, scenario)
+    expected = forecast_of(chosen, scenario)
     if out is not None and out.suffix != ".nc":
         raise InputError(f"{out}: a history is written as NetCDF; name it {out.stem}.nc")
     for file, kind in ((out, "force history"), (animate, "")):
@@ -103,16 +103,15 @@ def simulate(
     print_pairs(summary)
 
 
-def foreseen(scenario: Scenario, source: str) -> Forecast:
+def forecast_of(scenario: Scenario, source: str) -> Forecast:
     """Forecast time and memory; raises InputError with the file's name if it cannot fit."""
-    from terraphi.forward import register_bits
-    from terraphi.forward.forecast import forecast, refuse_what_cannot_fit
+    from terraphi.forward.forecast import foreseen, refuse_what_cannot_fit
 
     try:
         refuse_what_cannot_fit(scenario)
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
-    return forecast([scenario], register_bits=register_bits([scenario]))
+    return foreseen([scenario])
 
 
 def kept_state(

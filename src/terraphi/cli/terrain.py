@@ -116,13 +116,11 @@ def export(
 
 def pressed(found: Export, told: Told) -> Export:
     """The export with Bekker's parameters, after a forecast and with progress."""
-    from terraphi.forward import register_bits
-    from terraphi.forward.forecast import forecast
+    from terraphi.forward.forecast import foreseen
     from terraphi.terrain.bevameter import scenarios
     from terraphi.terrain.export import in_plane_strain, with_bevameter
 
-    planned = scenarios(in_plane_strain(told))
-    note(forecast(planned, register_bits=register_bits(planned)).sentence())
+    note(foreseen(scenarios(in_plane_strain(told))).sentence())
     with progress_bar("pressing plates", compiles=True) as report:
         return with_bevameter(found, told, report)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, get_args
 
 if TYPE_CHECKING:
@@ -20,6 +21,21 @@ class InputError(ValueError):
 
 class SimulationError(RuntimeError):
     """A simulation broke down: a particle left the grid or a force is not a number."""
+
+
+@contextmanager
+def needing(what: str, packages: str, *, extra: str) -> Iterator[None]:
+    """Say, where an import in the block fails, which extra installs the packages of what is done.
+
+    Raises
+    ------
+    InputError
+        Such as ``"walk.mcap: reading MCAP needs mcap: pip install 'terraphi[robot]'"``.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(f"{what} needs {packages}: pip install 'terraphi[{extra}]'") from error
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:
@@ -39,7 +55,7 @@ def nearest(word: str, choices: Iterable[str]) -> str:
     """
     known = sorted(choices)
     folded = {choice.lower(): choice for choice in known}
-    match = difflib.get_close_matches(word.lower(), folded, n=1, cutoff=0.5)
+    match = difflib.get_close_matches(word.lower(), folded, n=1)
     if match:
         return f"did you mean '{folded[match[0]]}'?"
     return "known: " + (", ".join(known) or "none")
@@ -72,6 +88,8 @@ def sentence_from_validation(error: ValidationError, source: str, model: type[Ba
         key = ".".join(part for part in path if part not in {"rotation", "translation"})
         return f"{source}: unknown key '{key}'; {nearest(path[-1], names)}"
     key = ".".join(part for part in path if part not in {"rotation", "translation"})
+    if first["type"] == "list_type" and isinstance(first["input"], dict):
+        return f"{source}: [{key}] is one table and there may be several: write [[{key}]]"
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ").rstrip(".")
     message = message.replace("an object", "a table")  # TOML has tables
     if first["type"] == "missing":

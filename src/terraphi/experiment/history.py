@@ -217,32 +217,23 @@ class ForceHistory:
         ValueError
             If a window lies wholly outside the record.
         """
+        from scipy.interpolate import make_interp_spline
+
         x = self.position
         low = np.maximum(centre - half_width, x[0])
         high = np.minimum(centre + half_width, x[-1])
         if np.any(high <= low):
             raise ValueError("a window lies outside the recorded range")
-        columns = []
-        for values in self.force.T:
-            panels = 0.5 * (values[1:] + values[:-1]) * np.diff(x)
-            integral = np.concatenate([[0.0], np.cumsum(panels)])
-            columns.append(
-                (_primitive(high, x, values, integral) - _primitive(low, x, values, integral))
-                / (high - low)
-            )
-        return np.stack(columns, axis=1)
+        integral = make_interp_spline(x, self.force, k=1).antiderivative()
+        return np.asarray((integral(high) - integral(low)) / (high - low)[:, None])
 
-    def observation(
-        self, *, angles: int = OBSERVATION_ANGLES, window_deg: float = WINDOW_DEG
-    ) -> Observation:
+    def observation(self, *, angles: int = OBSERVATION_ANGLES) -> Observation:
         """Observation vector of the paper: M means over |θ| ≤ window.
 
         Parameters
         ----------
         angles
             M; the angles are ``linspace(-window, window, M)``.
-        window_deg
-            Half width of the engaged window [deg].
 
         Returns
         -------
@@ -254,21 +245,21 @@ class ForceHistory:
             If the record does not cover the window, has a wide gap in it, fewer angles than
             there are windows, or no force at all.
         """
-        theta_deg = np.linspace(-window_deg, window_deg, angles)
-        half_deg = window_deg / (angles - 1)
-        self._check_window(window_deg, half_deg, angles)
+        theta_deg = np.linspace(-WINDOW_DEG, WINDOW_DEG, angles)
+        half_deg = WINDOW_DEG / (angles - 1)
+        self._check_window(half_deg, angles)
         force = self.means(np.radians(theta_deg), math.radians(half_deg))
         fx, fz = force[:, self.axes.index("x")], force[:, self.axes.index("z")]
         return Observation(theta_deg, fx, fz)
 
-    def _check_window(self, window_deg: float, slack_deg: float, fewest: int) -> None:
+    def _check_window(self, slack_deg: float, fewest: int) -> None:
         """Refuse too few readings, or too far apart, for window means, and no force.
 
         From fewer readings than means these are of lines between readings, and tell less than they
         seem to. A record may stop ``slack_deg`` short of the window's ends.
         """
         file = f"{self.provenance['file']}: " if "file" in self.provenance else ""
-        theta_deg = self.theta_deg
+        theta_deg, window_deg = self.theta_deg, WINDOW_DEG
         # Angles a record's step short of the window's end still leave half a mean to take.
         if max(theta_deg[0] + window_deg, window_deg - theta_deg[-1]) > 0.999 * slack_deg:
             raise InputError(
@@ -296,7 +287,7 @@ class ForceHistory:
                     "is the sensor connected?"
                 )
 
-    def peaks(self, *, window_deg: float = WINDOW_DEG) -> Peaks:
+    def peaks(self) -> Peaks:
         """Peak thrust and lift on 1° means at whole degrees within |θ| ≤ window [deg].
 
         Raises
@@ -304,10 +295,10 @@ class ForceHistory:
         ValueError
             If the history has no whole degree within the window.
         """
-        theta = np.arange(-window_deg, window_deg + 0.5)
+        theta = np.arange(-WINDOW_DEG, WINDOW_DEG + 0.5)
         theta = theta[(theta >= self.theta_deg[0]) & (theta <= self.theta_deg[-1])]
         if theta.size == 0:
-            raise ValueError(f"the history has no whole degree within ±{window_deg:g} deg")
+            raise ValueError(f"the history has no whole degree within ±{WINDOW_DEG:g} deg")
         force = self.means(np.radians(theta), math.radians(0.5))
         x, z = self.axes.index("x"), self.axes.index("z")
         at_x, at_z = int(force[:, x].argmax()), int(force[:, z].argmax())
@@ -425,16 +416,6 @@ class ForceHistory:
             raise InputError(
                 f"{path}: not as terraphi writes a force history ({error}); make it again"
             ) from error
-
-
-def _primitive(
-    at: FloatArray, x: FloatArray, values: FloatArray, integral: FloatArray
-) -> FloatArray:
-    """Integral of a piecewise linear function from x[0] to given places."""
-    i = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
-    dx = at - x[i]
-    slope = (values[i + 1] - values[i]) / (x[i + 1] - x[i])
-    return np.asarray(integral[i] + dx * (values[i] + 0.5 * slope * dx), dtype=np.float64)
 
 
 WIDEST_GAP_DEG = 20.0

@@ -15,6 +15,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict
+from terraphi.experiment.leg import frame_axes
 
 
 class Poses(NamedTuple):
@@ -28,6 +29,14 @@ class Poses(NamedTuple):
     """Velocity of the hip (x, z) [m/s], shape [time, 2]."""
     rate: FloatArray
     """Angular rate dθ/dt [rad/s], shape [time]."""
+
+    def placed(self, points: FloatArray) -> FloatArray:
+        """Points of the leg's frame (along, ahead) where they are then, (x, z) [m].
+
+        Shapes [point, 2] -> [time, point, 2].
+        """
+        along, ahead = (axis[:, None, :] for axis in frame_axes(self.theta))
+        return self.hip[:, None, :] + points[:, :1] * along + points[:, 1:] * ahead
 
 
 class Rotation(Strict):

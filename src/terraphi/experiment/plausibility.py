@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.scenario import Scenario
 
 POSES = 361
@@ -66,9 +65,7 @@ def _of_place(scenario: Scenario) -> Iterator[str]:
     """Whether the leg begins above the soil and gets into it."""
     motion, surface = scenario.motion, scenario.bed.surface
     poses = motion.poses(np.linspace(0.0, motion.duration, POSES))
-    along, ahead = frame_axes(poses.theta)
-    s, m = scenario.leg.outline().T
-    height = poses.hip[:, None, 1] + s * along[:, 1:] + m * ahead[:, 1:]
+    height = poses.placed(scenario.leg.outline())[..., 1]
     if height.min() > surface:
         gap = 1e3 * (height.min() - surface)
         yield f"the leg never reaches the soil: it stays {gap:.3g} mm above; lower motion.hip"

@@ -23,7 +23,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from terraphi.experiment.documents import WRITTEN, Strict, parse_toml, shipped_file, strictly
 from terraphi.experiment.files import is_there
-from terraphi.experiment.leg import LEG_SHAPES, SOLID_SHAPES, Leg, frame_axes
+from terraphi.experiment.leg import LEG_SHAPES, SOLID_SHAPES, Leg
 from terraphi.experiment.motion import Motion, Rotation, bin_count
 from terraphi.experiment.soil import Soil
 
@@ -375,8 +375,8 @@ class Scenario(Strict):
             value = getattr(getattr(self, section), option)
             if value != known:
                 raise ValueError(
-                    f"{key} = {json.dumps(value)}: in three dimensions there is "
-                    f"{key} = {json.dumps(known)} alone"
+                    f"{key} = {json.dumps(value)} is for two dimensions only; in three set it to "
+                    f"{json.dumps(known)}"
                 )
         criterion = self.soil.yield_criterion
         softens = self.soil.critical_friction_angle_deg is not None
@@ -643,14 +643,8 @@ def _numbers(content: dict[str, Any], above: str = "") -> Iterator[tuple[str, fl
 def _extent_of_path(motion: Motion, leg: Leg) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Least and largest x and z [m] that a leg covers; the cases of a library mostly share it."""
     times = np.linspace(0.0, min(motion.duration, sys.float_info.max), 541)
-    poses = motion.poses(times)
-    along, ahead = frame_axes(poses.theta)
     line, margin = leg.extremities()
-    points = (
-        poses.hip[:, None, :]
-        + line[None, :, :1] * along[:, None, :]
-        + line[None, :, 1:] * ahead[:, None, :]
-    )
+    points = motion.poses(times).placed(line)
     low, high = points.min(axis=(0, 1)) - margin, points.max(axis=(0, 1)) + margin
     return tuple(low.tolist()), tuple(high.tolist())
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol
@@ -29,7 +29,6 @@ __all__ = [
     "Snapshot",
     "model_version",
     "package_version",
-    "register_bits",
     "rests_on",
     "simulate",
     "software",
@@ -174,21 +173,6 @@ def rests_on(scenario: Scenario) -> dict[str, Any]:
         "processor": platform.machine(),
         "numpy_instructions": " ".join(_vector_instructions()),
     }
-
-
-def register_bits(scenarios: Iterable[Scenario]) -> int:
-    """Width of the vectors that simulations use here [bit]; 512 where none of them needs any.
-
-    Parameters
-    ----------
-    scenarios
-        What would be simulated.
-    """
-    if all(scenario.model != "mpm" for scenario in scenarios):
-        return 512
-    from terraphi.forward.mpm import packing
-
-    return packing.register_bits()
 
 
 def _vector_instructions() -> list[str]:

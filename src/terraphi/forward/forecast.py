@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,8 @@ BYTES = {"particle": 600.0, "node": 200.0, "bin": 200.0}
 copies that are made of them and with a checkpoint being written, and rounded up."""
 BYTES_IN_SPACE = {"particle": 190.0, "node": 100.0, "bin": 200.0}
 """The same in three dimensions, in single precision."""
+COMPILING_SECONDS = 20.0
+"""Time that the first simulation in the plane, or in space, takes to compile its kernels [s]."""
 YEAR = 365.25 * 86400.0
 """A year [s]: simulations that would take longer are refused."""
 _UNITS = ((YEAR, "years"), (86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"), (0.0, "s"))
@@ -61,6 +63,8 @@ class Forecast:
         Time for the longest one [s].
     bytes
         Memory for the largest one [byte].
+    compiling_seconds
+        Time that compiling takes before [s]; 0 where the kernels are there.
     """
 
     simulations: int
@@ -69,9 +73,10 @@ class Forecast:
     core_seconds: float
     longest_seconds: float
     bytes: float
+    compiling_seconds: float = 0.0
 
     def seconds(self, workers: int = 1) -> float:
-        """Time for all of them on ``workers`` cores [s]."""
+        """Time for all of them on ``workers`` cores, without compiling [s]."""
         return max(self.core_seconds / workers, self.longest_seconds)
 
     def memory(self, workers: int = 1) -> float:
@@ -83,9 +88,11 @@ class Forecast:
         some = "1 simulation" if self.simulations == 1 else f"{self.simulations:,} simulations"
         size = f" of {self.particles:,.0f} particles" if self.particles else ""
         steps = f", {self.particle_steps:.2g} particle-steps" if self.particles else ""
+        once = self.compiling_seconds
+        compiling = f", and {lasting(once)} of compiling at first use" if once else ""
         return (
             f"forecast: {some}{size}{steps}: {lasting(self.seconds(workers))} on "
-            f"{_cores(workers)}, {_size(self.memory(workers))} of memory"
+            f"{_cores(workers)}, {_size(self.memory(workers))} of memory{compiling}"
         )
 
     def as_dict(self, workers: int = 1) -> dict[str, Any]:
@@ -95,12 +102,15 @@ class Forecast:
             "particles": round(self.particles),
             "particle_steps": self.particle_steps,
             "seconds": self.seconds(workers),
+            "compiling_seconds": self.compiling_seconds,
             "memory_bytes": self.memory(workers),
             "cores": workers,
         }
 
 
-def forecast(scenarios: Iterable[Scenario], *, register_bits: int = 512) -> Forecast:
+def forecast(
+    scenarios: Iterable[Scenario], *, register_bits: int = 512, compiling_seconds: float = 0.0
+) -> Forecast:
     """Time and memory that some simulations will need.
 
     Parameters
@@ -109,6 +119,8 @@ def forecast(scenarios: Iterable[Scenario], *, register_bits: int = 512) -> Fore
         At least one.
     register_bits
         Width of the vectors of the machine that simulates [bit].
+    compiling_seconds
+        Time that it takes to compile its kernels [s].
     """
     each = [_of_one(scenario, register_bits) for scenario in scenarios]
     return Forecast(
@@ -118,7 +130,42 @@ def forecast(scenarios: Iterable[Scenario], *, register_bits: int = 512) -> Fore
         sum(one.core_seconds for one in each),
         max(one.longest_seconds for one in each),
         max(one.bytes for one in each),
+        compiling_seconds,
     )
+
+
+def foreseen(scenarios: Sequence[Scenario]) -> Forecast:
+    """Time and memory that some simulations will need here, compiling included.
+
+    Parameters
+    ----------
+    scenarios
+        At least one.
+    """
+    dimensions = {scenario.dimensions for scenario in scenarios if scenario.model == "mpm"}
+    if not dimensions:
+        return forecast(scenarios)
+    from terraphi.forward.mpm import packing
+
+    compiling = COMPILING_SECONDS * sum(not is_compiled(each) for each in dimensions)
+    return forecast(scenarios, register_bits=packing.register_bits(), compiling_seconds=compiling)
+
+
+def place_of_code(dimensions: int = 2) -> tuple[Path, str]:
+    """Where the machine code of the kernels in the plane or in space is kept: folder, name."""
+    from terraphi.forward.mpm import packets
+    from terraphi.forward.mpm3d import phase
+
+    # Numba's types do not tell that a function has statistics.
+    outermost: Any = packets.march if dimensions == 2 else phase.step
+    file = outermost.__module__.rpartition(".")[2]
+    return Path(outermost.stats.cache_path), f"{file}.{outermost.__name__}-*.nbi"
+
+
+def is_compiled(dimensions: int = 2) -> bool:
+    """Whether the kernels in the plane, or in space, lie in the cache, compiled."""
+    place, name = place_of_code(dimensions)
+    return any(place.glob(name))
 
 
 def refuse_what_cannot_fit(scenario: Scenario) -> None:

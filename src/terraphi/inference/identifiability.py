@@ -39,8 +39,8 @@ LABELS = {
 """Names for people, and units, of dotted keys."""
 
 VERBS = {
-    "fixed": "is fixed",
-    "narrowed": "is narrowed",
+    "fixed": "is narrowed down",
+    "narrowed": "is narrowed a little",
     "open": "is not learnt from these forces",
 }
 
@@ -151,8 +151,8 @@ class Identifiability:
             if kind != "open" and any(key in keys for keys in self.confounded):
                 verb = "is known only as well as what it is bound up with"
             found.append(
-                f"{name} {verb}: {left:.{0 if left >= 0.1 else 1}%} of its prior standard "
-                f"deviation is left ({self.sd[i]:.2g}{' ' + unit if unit else ''}{known})."
+                f"{name} {verb}: its standard deviation is {f'{self.sd[i]:.2g} {unit}'.rstrip()}, "
+                f"{left:.{0 if left >= 0.1 else 1}%} of the prior's{known}."
             )
         for keys in self.confounded:
             names = " and ".join(label(k)[0] for k in keys)

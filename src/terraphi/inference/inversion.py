@@ -20,6 +20,7 @@ from terraphi.experiment.measurements import medium_and_leg
 from terraphi.inference import friction_angle, several_parameters
 from terraphi.inference.answer import PHI, Inversion
 from terraphi.inference.discrepancy import Learnt, default_library, learnt_for
+from terraphi.inference.explanation import OFFSETS, SLIPS
 from terraphi.inference.findings import Doubt
 from terraphi.inference.known_soils import Calibration, Compared, compared
 from terraphi.inference.noise import Noise
@@ -36,6 +37,8 @@ DISCREPANCIES = ("none", "gp", "soils")
 USUAL_DEG = (18.0, 50.0)
 """Friction angles of dry granular soils in plane strain [deg]: smooth glass beads, loose, have
 some 20 to 25, dense sand at a few kilopascals up to some 50."""
+ALL_ONE = ("damaged", "against_prior")
+"""Misfits of which no history more than another is the reason."""
 _SOFTWARE = ("terraphi", "numpy", "scipy", "emcee")
 
 
@@ -146,7 +149,7 @@ def invert(
     if by_soils is not None:
         told = {"calibration": by_soils.model_dump(mode="json")}
         found = replace(found, provenance={**found.provenance, **told})
-    doubts = (*_known_soils(looked, found, library), *_unusual(found))
+    doubts = (*_two_soils(found), *_known_soils(looked, found, library), *_unusual(found))
     found = replace(found, warnings=(*found.warnings, *doubts))
     beside = _compared(looked, found, library)
     found = replace(found, library_reason=why, compared=beside)
@@ -211,6 +214,20 @@ def _known_soils(looked: Looked, found: Inversion, library: Library) -> list[Dou
     shipped = (str(t.history.provenance.get("measurement", "")) for t in looked.trials)
     known = {medium_and_leg(name)[0] for name in shipped} & set(learnt.media)
     return [Doubt("known_soil", {"medium": medium}) for medium in sorted(known)]
+
+
+def _two_soils(found: Inversion) -> list[Doubt]:
+    """A doubt if histories together are a misfit, and no slip is asked about that explains it."""
+    asked = {*SLIPS, *OFFSETS} & {doubt.code for doubt in found.warnings}
+    if found.verdict.verdict != "misfit" or asked or found.verdict.code in ALL_ONE:
+        return []
+    every = [one for one in found.verdict.measures if one.source]
+    of_each = [one for one in every if one.code == "soil_deviation"]
+    of_each = of_each or [one for one in every if one.code == "nrmsd"]
+    if not of_each:
+        return []
+    worst = max(of_each, key=lambda one: one.value)
+    return [Doubt("two_soils", {"worst": worst.source})]
 
 
 def _unusual(found: Inversion) -> list[Doubt]:
@@ -313,6 +330,8 @@ def _signed(found: Inversion, library: Library, seconds: float) -> Inversion:
     warnings = list(found.warnings)
     if is_there_to_try_others(library.name):
         warnings.append(Doubt("tries_others", {"name": library.name}))
+    if library.plan.caveat:
+        warnings.append(Doubt("caveat", {"name": library.name, "caveat": library.plan.caveat}))
     about: dict[str, Any] = {
         **_versions(),
         "library": dict(library.provenance),

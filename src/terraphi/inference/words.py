@@ -138,6 +138,7 @@ DOUBTS = {
         "{high:g}° is usual): check the density, the unit of the forces and the leg."
     ),
     "tries_others": "Library '{name}' is shipped to try others, not to invert with.",
+    "caveat": "Library {name}: {caveat}",
     "read_twice": (
         "It is read at other angles than another history of leg {leg}, more than {spacing_deg:g}° "
         "apart: the angle found may be off by some tenths of a degree."
@@ -149,6 +150,9 @@ DOUBTS = {
     **dict.fromkeys(("step",), "{force} shows {what}: {size_N:.2g} N {where}. Mend the record."),
     "offset": (
         "{force} shows {what}: {size_N:.2g} N {where}. Mend the record; or is the leg another?"
+    ),
+    "two_soils": (
+        "Of these histories {worst} fits worst: are they of two soils? Invert each by itself."
     ),
     "known_soil": (
         "How real soils deviate was learnt from {medium} too, which flatters this verdict: "

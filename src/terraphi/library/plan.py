@@ -23,6 +23,8 @@ from terraphi.forward.forecast import refuse_what_cannot_fit
 
 MOST_CASES = 100_000
 """Cases that a plan may have: of more, the scenarios alone would fill the memory."""
+LONGEST_CAVEAT = 25
+"""Words of a caveat."""
 BASE = "base"
 PRESET = "preset"
 
@@ -110,6 +112,8 @@ class Plan(Strict):
     """Name of the plan, for people."""
     description: str = ""
     """What it is for, for people."""
+    caveat: str = ""
+    """What every answer through the library has to say of it, in at most 25 words."""
     scenario: Scenario = Field(default_factory=Scenario)
     """What all cases share."""
     sweep: dict[str, list[JsonValue]] = Field(default_factory=dict)
@@ -134,6 +138,8 @@ class Plan(Strict):
 
     @model_validator(mode="after")
     def _is_one_of_two_kinds(self) -> Self:
+        if (count := len(self.caveat.split())) > LONGEST_CAVEAT:
+            raise ValueError(f"'caveat' has {count} words; at most {LONGEST_CAVEAT} are expected")
         apart = self.one_at_a_time or self.steps or self.presets
         combines = self.sweep or self.sample
         if not combines and not apart:

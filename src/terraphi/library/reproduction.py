@@ -160,15 +160,14 @@ def _sentence(library: Library, different: tuple[str, ...]) -> str:
         "compares"
     )
     if different:
-        return f"other bits may come out here ({'; '.join(different)}); {check}"
+        why = "; ".join(different)
+        return f"forces may come out otherwise in their last digits here ({why}); {check}"
     if library.name in shipped_names("plans", ".toml"):
         plan = Plan.load(library.name)
         if [s.hash for s in plan.cases()] == [c.scenario.hash for c in library.cases]:
-            return (
-                f"'terraphi library build {library.name} --out FILE.nc' gives the same bits here; "
-                f"{check}"
-            )
-    return f"its plan gives the same bits here; {check}"
+            file = f"'terraphi library build {library.name} --out FILE.nc'"
+            return f"{file} gives the same forces to the last bit here; {check}"
+    return f"its plan gives the same forces to the last bit here; {check}"
 
 
 def _lasting(library: Library) -> str:

@@ -115,15 +115,26 @@ class Library:
         """Shapes of the legs that it has, sorted."""
         return sorted({case.scenario.leg.shape for case in self.cases if case.history})
 
+    @property
+    def phi_deg_by_leg(self) -> dict[str, list[float]]:
+        """Least and largest friction angle that it has of each leg [deg]."""
+        found: dict[str, list[float]] = {leg: [] for leg in self.legs}
+        for case in self.cases:
+            if case.history:
+                found[case.scenario.leg.shape].append(case.scenario.soil.friction_angle_deg)
+        return {leg: [min(angles), max(angles)] for leg, angles in found.items()}
+
     def summary(self) -> dict[str, Any]:
         """What it holds and where it comes from, JSON-able."""
-        first = self.cases[0].scenario
-        phi = [case.scenario.soil.friction_angle_deg for case in self.cases if case.history]
+        first, ranges = self.cases[0].scenario, self.phi_deg_by_leg
+        ends = [end for both in ranges.values() for end in both]
         return {
             "name": self.name,
             "description": self.plan.description,
+            "caveat": self.plan.caveat,
             "convention": first.convention,
-            "phi_deg": [min(phi), max(phi)],
+            "phi_deg": [min(ends), max(ends)],
+            "phi_deg_by_leg": ranges,
             "legs": self.legs,
             "cases": len(self.cases),
             "failures": self.failures,

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.forces import FootForces
@@ -22,8 +22,6 @@ from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, JointLog
 from terraphi.robot.kinematics import foot_position, jacobian, rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import Stance
-
-FloatArray = NDArray[np.float64]
 
 WEIGHT_AGREEMENT = 0.15
 """Part of the weight by which what the feet bear may differ from it [-]."""

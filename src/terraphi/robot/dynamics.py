@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.robot.kinematics import origins, rotations
 from terraphi.robot.model import Quadruped
 from terraphi.robot.triples import (
@@ -35,8 +35,6 @@ from terraphi.robot.triples import (
     triple_of,
     turned,
 )
-
-FloatArray = NDArray[np.float64]
 
 GRAVITY = 9.81
 """Acceleration of gravity g [m/s²]."""

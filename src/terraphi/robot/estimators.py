@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.robot.dynamics import (
     GRAVITY,
     BodyMotion,
@@ -29,8 +29,6 @@ from terraphi.robot.joint_log import JointLog
 from terraphi.robot.kinematics import rotation
 from terraphi.robot.model import Quadruped
 
-FloatArray = NDArray[np.float64]
-
 Estimator = Literal["quasi_static", "gravity", "inverse_dynamics", "momentum_observer"]
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
 
@@ -38,10 +36,16 @@ CHUNK = 4096
 """Samples that are worked on at a time: few enough for a processor's cache."""
 GAP_STEPS = 3.5
 """Steps longer than this many median steps are gaps, over which no filter remembers."""
+OBSERVER_GAIN = 900.0
+"""K of the momentum observer [1/s]."""
+ACCELERATION_CUTOFF_HZ = 60.0
+"""−3 dB frequency of the accelerations in ``inverse_dynamics`` [Hz]."""
 _MEMORY = 30.0
 """A filter of gain K has forgotten, to e⁻³⁰, what is this many 1/K away."""
 _TWICE = math.sqrt(2.0**0.25 - 1.0)
 """ω/K at which the filter, applied twice, has lost 3 dB."""
+ACCELERATION_GAIN = 2.0 * math.pi * ACCELERATION_CUTOFF_HZ / _TWICE
+"""K of the filter that, applied twice to accelerations, has that cut-off [1/s]."""
 
 
 @dataclass(frozen=True)
@@ -52,26 +56,15 @@ class Settings:
     ----------
     estimator
         One of :data:`ESTIMATORS`.
-    gain
-        K of the momentum observer [1/s].
-    cutoff
-        −3 dB frequency of the accelerations in ``inverse_dynamics`` [Hz].
-    causal
-        Whether the observer runs forwards only, as on board.
     gap
         Steps longer than this [s] are gaps.
+    gain
+        K of the momentum observer [1/s].
     """
 
     estimator: Estimator
-    gain: float
-    cutoff: float
-    causal: bool
     gap: float
-
-    @property
-    def acceleration_gain(self) -> float:
-        """K of the filter that, applied twice to accelerations, has the cut-off [1/s]."""
-        return 2.0 * math.pi * self.cutoff / _TWICE
+    gain: float = OBSERVER_GAIN
 
     @property
     def margin(self) -> float:
@@ -79,7 +72,7 @@ class Settings:
         if self.estimator == "momentum_observer":
             return _MEMORY / self.gain
         if self.estimator == "inverse_dynamics":
-            return 2.0 * _MEMORY / self.acceleration_gain
+            return 2.0 * _MEMORY / ACCELERATION_GAIN
         return 0.0
 
 
@@ -183,7 +176,7 @@ def contact_torque(
 
 def filtered_accelerations(seen: Signals, settings: Settings) -> tuple[FloatArray, BodyMotion]:
     """Accelerations of the joints [rad/s²] and the trunk, smoothed without delay."""
-    gain, gap = settings.acceleration_gain, settings.gap
+    gain, gap = ACCELERATION_GAIN, settings.gap
     if len(seen.time) < 2:
         return np.zeros_like(seen.velocity), seen.body
 
@@ -219,14 +212,7 @@ def observed(
     seen: Signals, settings: Settings, rate: FloatArray | None, values: FloatArray | None
 ) -> FloatArray:
     """Residual of a momentum observer with gain K: the filtered balance of momentum."""
-    return low_pass(
-        seen.time,
-        settings.gain,
-        values=values,
-        slopes=rate,
-        gap=settings.gap,
-        causal=settings.causal,
-    )
+    return low_pass(seen.time, settings.gain, values=values, slopes=rate, gap=settings.gap)
 
 
 def friction_terms(seen: Signals, settings: Settings) -> FloatArray:
@@ -253,7 +239,6 @@ def low_pass(
     values: FloatArray | None = None,
     slopes: FloatArray | None = None,
     gap: float = math.inf,
-    causal: bool = False,
 ) -> FloatArray:
     """Filter values that are linear between samples, rates that are constant, or their sum.
 
@@ -269,8 +254,6 @@ def low_pass(
         Between the samples, shape [sample − 1, ...].
     gap
         Steps longer than this [s] separate records that do not know of each other.
-    causal
-        Filter forwards only, as on board; that delays by 1/K.
 
     Returns
     -------
@@ -278,18 +261,13 @@ def low_pass(
         Filtered sum, shape [sample, ...].
     """
     step = np.diff(time)
-    decay = np.exp(-gain * step)
-    # Weights of the value at the step's near and far end, from the integral over the step.
-    near = 1.0 - (1.0 - decay) / (gain * step)
-    decay[step > gap] = 0.0
-    forward = _one_way(decay, near, values, slopes)
-    if causal:
-        return forward
-    back = _one_way(
-        decay[::-1],
-        near[::-1],
+    forward = lagged(step, gain, values, slopes, gap)
+    back = lagged(
+        step[::-1],
+        gain,
         None if values is None else values[::-1],
         None if slopes is None else slopes[::-1],
+        gap,
     )[::-1]
     # Beside a gap, and at the record's ends, only the side with a past is of use.
     alone = np.concatenate([[True], step > gap, [True]])
@@ -298,10 +276,21 @@ def low_pass(
     return share * forward + (1.0 - share) * back
 
 
-def _one_way(
-    decay: FloatArray, near: FloatArray, values: FloatArray | None, slopes: FloatArray | None
+def lagged(
+    step: FloatArray,
+    gain: float,
+    values: FloatArray | None,
+    slopes: FloatArray | None,
+    gap: float = math.inf,
 ) -> FloatArray:
-    """Solve y[k] = decay[k] y[k−1] + added[k] for all samples."""
+    """The same forwards only, over steps [s], which delays by 1/K; shape [sample, ...].
+
+    It solves y[k] = decay[k] y[k−1] + added[k] for all samples.
+    """
+    decay = np.exp(-gain * step)
+    # Weights of the value at the step's near and far end, from the integral over the step.
+    near = 1.0 - (1.0 - decay) / (gain * step)
+    decay[step > gap] = 0.0
     like = slopes if values is None else values
     assert like is not None, "values or slopes"
     trailing = (1,) * (like.ndim - 1)

@@ -9,14 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, replacing, write_netcdf
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.robot.footfalls import VERDICTS, FootfallMap
-
-FloatArray = NDArray[np.float64]
 
 KIND = "footfalls"
 SCHEMA = 1

@@ -21,12 +21,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.forward.foot_laws import LAWS, Foot, FootLaw
 from terraphi.robot.touchdowns import Touchdowns
-
-FloatArray = NDArray[np.float64]
 
 LAW_SETS: Mapping[str, tuple[str, ...]] = {
     "rft": ("rft",),

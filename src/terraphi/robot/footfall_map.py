@@ -24,11 +24,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.robot.footfall_fit import SENSORS, TORQUES
-
-FloatArray = NDArray[np.float64]
 
 FIELD_MEAN_SD = 8.0
 """Of the process's mean about the prior's [deg]."""

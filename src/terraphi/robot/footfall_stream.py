@@ -12,19 +12,14 @@ from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.estimators import GAP_STEPS, Settings, contact_torque, signals
 from terraphi.robot.footfall_fit import LAW_SETS, Prior, fit, shared_sd
 from terraphi.robot.footfalls import USABLE, average, check_known, verdicts
-from terraphi.robot.forces import (
-    ACCELERATION_CUTOFF_HZ,
-    DEFAULT_ESTIMATOR,
-    OBSERVER_GAIN,
-    SATURATED,
-)
+from terraphi.robot.forces import DEFAULT_ESTIMATOR, SATURATED
 from terraphi.robot.friction import JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.kinematics import forces_of_torques
@@ -33,8 +28,6 @@ from terraphi.robot.odometry import track
 from terraphi.robot.results import RISE_SHARE
 from terraphi.robot.stance import Stance
 from terraphi.robot.touchdowns import WINDOW_S, sensitivity, touchdowns
-
-FloatArray = NDArray[np.float64]
 
 MEMORY_S = 0.7
 """How much of the log is kept [s]: a touch-down, and the odometry before it."""
@@ -133,9 +126,7 @@ class Footfalls:
     def _forces(self, log: JointLog, known: FloatArray) -> FloatArray:
         """Forces in the world; those of the last samples again, whose future was not known."""
         step = float(np.median(np.diff(log.time))) if len(log.time) > 1 else 1.0
-        settings = Settings(
-            DEFAULT_ESTIMATOR, OBSERVER_GAIN, ACCELERATION_CUTOFF_HZ, False, GAP_STEPS * step
-        )
+        settings = Settings(DEFAULT_ESTIMATOR, GAP_STEPS * step)
         again = int(np.ceil(settings.margin / step))
         first = max(len(known) - again, 0)
         part = slice(max(first - again, 0), None)

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import plain_number
+from terraphi.experiment.files import plain_number, with_sd
 from terraphi.robot.footfall_fit import (
     LAW_SETS,
     PHI_RANGE,
@@ -34,9 +34,6 @@ from terraphi.robot.odometry import Motion, track
 from terraphi.robot.results import RobotForces, analyse, opened
 from terraphi.robot.touchdowns import Touchdowns, sensitivity, touchdowns
 from terraphi.robot.weighing import Weighing, weigh
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 USABLE = "usable"
 SHALLOW, TRODDEN, MISFIT = "too little sinkage", "not virgin ground", "the law does not fit"
@@ -413,10 +410,7 @@ DENSITY_PART = 0.05
 """Standard deviation of a density that comes without one, as a part of it [-]."""
 DENSITIES = (500.0, 3000.0)
 """Bulk densities of soils [kg/m³]."""
-_ANCHOR = re.compile(
-    r"(?P<axis>[xys])\s*=\s*(?P<a>[-+.\deE]+)\s*:\s*(?P<b>[-+.\deE]+)\s*,\s*phi\s*=\s*"
-    r"(?P<phi>[.\deE]+)\s*(?:±|\+/?-)\s*(?P<sd>[.\deE]+)"
-)
+_ANCHOR = re.compile(r"\s*([xys])\s*=([-+.\deE\s]+):([-+.\deE\s]+),\s*phi\s*=(.+(?:±|\+/?-).+)")
 
 
 def anchor_from(text: str) -> Anchor:
@@ -424,20 +418,20 @@ def anchor_from(text: str) -> Anchor:
 
     Raises InputError if it is written otherwise, or says what cannot be.
     """
-    match = _ANCHOR.fullmatch(text.strip())
+    match = _ANCHOR.fullmatch(text)
     if match is None:
         raise InputError(f"anchor '{text}': expected one such as x=0:0.5,phi=34±1 (or phi=34+-1)")
     try:
-        a, b, phi, sd = (plain_number(match[name]) for name in ("a", "b", "phi", "sd"))
+        a, b, (phi, sd) = plain_number(match[2]), plain_number(match[3]), with_sd(match[4])
     except ValueError:
         raise InputError(f"anchor '{text}': holds what is not a number") from None
     low, high = PHI_RANGE
-    if not low <= phi <= high or not 0.0 < sd <= 15.0:
+    if sd is None or not (low <= phi <= high and 0.0 < sd <= 15.0):
         raise InputError(
             f"anchor '{text}': phi should be {low:g} to {high:g} degrees, and its uncertainty "
             "above 0 and at most 15"
         )
-    return Anchor(min(a, b), max(a, b), phi, sd, match["axis"])
+    return Anchor(min(a, b), max(a, b), phi, sd, match[1])
 
 
 def prior_for(density: str) -> Prior:
@@ -446,12 +440,11 @@ def prior_for(density: str) -> Prior:
     Without a standard deviation it is :data:`DENSITY_PART` of the density.
     Raises InputError if it is no such number, or no soil's.
     """
-    value, sign, spread = re.sub(r"\+/?-", "±", density.strip()).partition("±")
     try:
-        mean = plain_number(value)
-        sd = plain_number(spread) if sign else DENSITY_PART * mean
+        mean, given = with_sd(density)
     except ValueError:
         raise InputError(f"density '{density}': expected kg/m³ such as 1550 or 1550±80") from None
+    sd = DENSITY_PART * mean if given is None else given
     low, high = DENSITIES
     if not (low <= mean <= high and 0.0 < sd <= 0.3 * mean):
         raise InputError(

@@ -13,12 +13,15 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.estimators import (
+    ACCELERATION_CUTOFF_HZ,
     CHUNK,
     ESTIMATORS,
     GAP_STEPS,
+    OBSERVER_GAIN,
     Chunk,
     Estimator,
     Settings,
@@ -35,17 +38,11 @@ from terraphi.robot.survey import Survey, survey
 
 logger = logging.getLogger(__name__)
 
-FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
 Frame = Literal["world", "heading", "body"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 DEFAULT_ESTIMATOR: Estimator = "momentum_observer"
-OBSERVER_GAIN = 900.0
-"""K of the momentum observer [1/s]."""
-ACCELERATION_CUTOFF_HZ = 60.0
-"""−3 dB frequency of the accelerations in ``inverse_dynamics`` [Hz]."""
 LEAST_LEVER = 0.05
 """A knee is near-singular below this lever of J over the leg's length [-]; about 11° of bend."""
 SATURATED = 0.99
@@ -138,8 +135,6 @@ def estimate(
     frame: Frame = "world",
     friction: bool | JointFriction = True,
     gain: float = OBSERVER_GAIN,
-    cutoff_hz: float = ACCELERATION_CUTOFF_HZ,
-    causal: bool = False,
     priors: Priors | None = None,
 ) -> FootForces:
     """Forces of the ground on the feet.
@@ -164,10 +159,6 @@ def estimate(
         ``quasi_static`` does neither.
     gain
         K of the momentum observer [1/s]; its bandwidth is K/2π.
-    cutoff_hz
-        −3 dB frequency of the accelerations in ``inverse_dynamics`` [Hz].
-    causal
-        Run the observer forwards only, as on board: forces lag by 1/K.
     priors
         Errors of torques and attitude that sigma allows for; by default those of :class:`Priors`.
 
@@ -187,12 +178,12 @@ def estimate(
     The residual of the observer (De Luca et al., IROS 2006) obeys ṙ = K (Jᵀ f − r). It is solved
     exactly between samples, forwards and backwards in time, and the mean of the two has no delay.
     """
-    _check_options(robot, estimator, frame, gain, cutoff_hz, causal)
+    _check_options(robot, estimator, frame, gain)
     _check_log(log, frame)
     log, doubts = _without_broken_accelerometer(log)
     # A frame or two are read as well: of a robot at rest, for they say nothing of accelerations.
     gap = GAP_STEPS * float(np.median(np.diff(log.time))) if len(log.time) > 1 else math.inf
-    settings = Settings(estimator, gain, cutoff_hz, causal, gap)
+    settings = Settings(estimator, gap, gain)
     overview = survey(log, robot, settings, friction=estimator != "quasi_static" and friction)
     noise, limit = _torque_sigma(overview), _torque_limit(robot, overview)
     force = np.empty((len(log.time), 4, 3), dtype=np.float32)
@@ -350,18 +341,13 @@ def _at_limit(torque: FloatArray, limit: FloatArray) -> BoolArray:
     return np.asarray((np.abs(torque) >= limit).any(axis=-1))
 
 
-def _check_options(
-    robot: Quadruped, estimator: str, frame: str, gain: float, cutoff_hz: float, causal: bool
-) -> None:
+def _check_options(robot: Quadruped, estimator: str, frame: str, gain: float) -> None:
     if estimator not in ESTIMATORS:
         raise InputError(f"estimator '{estimator}' is unknown; {nearest(estimator, ESTIMATORS)}")
     if frame not in FRAMES:
         raise InputError(f"frame '{frame}' is unknown; {nearest(frame, FRAMES)}")
-    for name, value in (("gain", gain), ("cutoff_hz", cutoff_hz)):
-        if not (math.isfinite(value) and value > 0.0):
-            raise InputError(f"{name} = {value:g} should be a number above 0")
-    if causal and estimator != "momentum_observer":
-        raise InputError(f"estimator '{estimator}' has no causal form; momentum_observer has")
+    if not (math.isfinite(gain) and gain > 0.0):
+        raise InputError(f"gain = {gain:g} should be a number above 0")
     if estimator != "quasi_static" and not robot.has_masses:
         raise InputError(
             f"robot '{robot.name}' lacks the masses of some links, which estimator '{estimator}' "
@@ -463,8 +449,8 @@ def _provenance(
         "frame": frame,
         "headings_deg": _headings(log),
         "gain_per_s": settings.gain if settings.estimator == "momentum_observer" else None,
-        "causal": settings.causal,
-        "cutoff_hz": settings.cutoff if settings.estimator == "inverse_dynamics" else None,
+        "causal": False,
+        "cutoff_hz": ACCELERATION_CUTOFF_HZ if settings.estimator == "inverse_dynamics" else None,
         "contact_point": "ball centre" if settings.estimator == "quasi_static" else "ball bottom",
         "priors": asdict(shared),
         "friction": None if lost is None else lost.summary(),

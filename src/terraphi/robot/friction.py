@@ -12,12 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.robot.joint_log import FEET, JOINTS
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 STANDSTILL = 0.05
 """Velocity below which the sense of Coulomb friction fades [rad/s]."""
@@ -25,6 +22,9 @@ LEAST_SWING = 50
 """Samples in swing that a foot needs for its friction to be found."""
 LEAST_RATE = 0.1
 """Root mean square velocity that a joint needs [rad/s]."""
+GUARD_S, SHORTEST_S = 0.025, 0.04
+"""Time cut off at both ends of a swing, where the detection may err; swings that are shorter after
+that are dropped [s]."""
 REVERSAL_RATE, REVERSAL_S = 2.0 * STANDSTILL, 0.02
 """A joint slower than this [rad/s] is about to turn round, or has; for this long [s] before and
 after, friction changes its sense in a way of its own, and a regression would take the change for
@@ -105,8 +105,6 @@ def in_swing(
     *,
     touch: float,
     leave: float,
-    guard: float = 0.025,
-    shortest: float = 0.04,
 ) -> BoolArray:
     """When feet are in the air, from the forces on them.
 
@@ -118,10 +116,6 @@ def in_swing(
         Upward force of the ground on the feet [N], shape [sample, foot].
     touch, leave
         A foot stands once it is above ``touch`` and swings once it is below ``leave`` [N].
-    guard
-        Time cut off at both ends of a swing, where the detection may err [s].
-    shortest
-        Swings that are shorter after that are dropped [s].
 
     Returns
     -------
@@ -137,9 +131,9 @@ def in_swing(
     for foot in range(air.shape[1]):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], air[:, foot].astype(np.int8), [0]])))
         for start, stop in edges.reshape(-1, 2):
-            low = time[start] + (guard if start > 0 else 0.0)
-            high = time[stop - 1] - (guard if stop < len(time) else 0.0)
-            if high - low >= shortest:
+            low = time[start] + (GUARD_S if start > 0 else 0.0)
+            high = time[stop - 1] - (GUARD_S if stop < len(time) else 0.0)
+            if high - low >= SHORTEST_S:
                 first, last = np.searchsorted(time, [low, high])
                 swing[first : last + 1, foot] = True
     return swing

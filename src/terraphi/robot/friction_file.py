@@ -7,13 +7,14 @@ says of friction is worth more than what can be found in the swings of a slow wa
 from __future__ import annotations
 
 import importlib.metadata
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
-from terraphi.experiment.documents import parse_toml
+from terraphi.experiment.documents import Strict, parse_toml
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import replacing
 from terraphi.experiment.outputs import SIGNATURE
@@ -28,13 +29,7 @@ LEAST_AIR = 0.5
 """Part of the log that each foot has to be in the air [-]; the ends of movements are left out."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
-    )
-
-
-class JointNumbers(_Strict):
+class JointNumbers(Strict):
     """What one joint loses."""
 
     coulomb_Nm: float = Field(ge=0.0)
@@ -45,7 +40,7 @@ class JointNumbers(_Strict):
     """Inertia of the rotor, seen from the joint [kg m²]."""
 
 
-class FrictionFile(_Strict):
+class FrictionFile(Strict):
     """The friction of a robot's joints."""
 
     robot: str = ""
@@ -104,8 +99,8 @@ def write_friction(friction: JointFriction, path: Path | str, *, robot: str, sou
     version = importlib.metadata.version("terraphi")
     lines = [
         f"# Friction of a robot's joints, {SIGNATURE} {version} (terraphi friction).",
-        f"robot = {_quoted(robot)}",
-        f"source = {_quoted(source)}",
+        f"robot = {json.dumps(robot, ensure_ascii=False)}",
+        f"source = {json.dumps(source, ensure_ascii=False)}",
     ]
     for foot, joints in friction.summary().items():
         for joint, numbers in joints.items():
@@ -163,8 +158,3 @@ def friction_of_hanging(
             f"{name}: joints that hardly move: {', '.join(still)}; move all of them to and fro"
         )
     return found.friction, body.name
-
-
-def _quoted(text: str) -> str:
-    """A TOML string."""
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ") + '"'

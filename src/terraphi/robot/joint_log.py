@@ -7,10 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
 
 FEET = ("FR", "FL", "RR", "RL")
 """Feet in the order of the Go2's motors: front right, front left, rear right, rear left."""

@@ -7,8 +7,9 @@ p_1 + R_1 (p_2 + R_2 (p_3 + R_3 p_4)) in the body's frame.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.robot.model import Quadruped
 from terraphi.robot.triples import (
     Matrix,
@@ -24,8 +25,6 @@ from terraphi.robot.triples import (
     triple_of,
     turned,
 )
-
-FloatArray = NDArray[np.float64]
 
 
 def foot_position(robot: Quadruped, angle: FloatArray) -> FloatArray:
@@ -221,16 +220,6 @@ def rotation(quaternion: FloatArray) -> FloatArray:
     ndarray
         Shape [..., 3, 3]; its columns are the body's axes in the world.
     """
-    q = np.asarray(quaternion, dtype=np.float64)
-    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
-    matrix = np.empty((*w.shape, 3, 3))
-    matrix[..., 0, 0] = 1.0 - 2.0 * (y * y + z * z)
-    matrix[..., 0, 1] = 2.0 * (x * y - w * z)
-    matrix[..., 0, 2] = 2.0 * (x * z + w * y)
-    matrix[..., 1, 0] = 2.0 * (x * y + w * z)
-    matrix[..., 1, 1] = 1.0 - 2.0 * (x * x + z * z)
-    matrix[..., 1, 2] = 2.0 * (y * z - w * x)
-    matrix[..., 2, 0] = 2.0 * (x * z - w * y)
-    matrix[..., 2, 1] = 2.0 * (y * z + w * x)
-    matrix[..., 2, 2] = 1.0 - 2.0 * (x * x + y * y)
-    return matrix
+    # SciPy has the real part last.
+    last = np.roll(np.asarray(quaternion, dtype=np.float64), -1, axis=-1)
+    return np.asarray(Rotation.from_quat(last).as_matrix())

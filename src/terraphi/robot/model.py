@@ -8,22 +8,22 @@ frames are turned; a leg may lack the hip.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
+from scipy.spatial.transform import Rotation
 
-from terraphi.experiment.documents import shipped_folder, shipped_names, toml_content
+from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.documents import Strict, shipped_file, toml_content
 from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
 from terraphi.experiment.files import is_there, read_bytes
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS
 
-FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Inertia = tuple[float, float, float, float, float, float]
 Sign = Literal[-1, 1]
@@ -34,13 +34,13 @@ NO_INERTIA = 5e-6
 """Moments of inertia that need not be those of matter, being of a ball of 50 g [kg m²]."""
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
-    )
+def inertia_matrix(moments: Sequence[float]) -> FloatArray:
+    """Matrix of moments of inertia xx, yy, zz, xy, xz, yz [kg m²]."""
+    xx, yy, zz, xy, xz, yz = moments
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-class Body(_Part):
+class Body(Strict):
     """A rigid body fixed to one of a leg's links."""
 
     link: Literal["hip", "thigh", "calf"]
@@ -55,9 +55,7 @@ class Body(_Part):
 
     @model_validator(mode="after")
     def _can_be_matter(self) -> Self:
-        xx, yy, zz, xy, xz, yz = self.inertia
-        matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        moments = np.linalg.eigvalsh(matrix)
+        moments = np.linalg.eigvalsh(inertia_matrix(self.inertia))
         slack = max(1e-3 * abs(moments[-1]), NO_INERTIA)  # published inertias are rounded
         if moments[0] < -slack or moments[0] + moments[1] < moments[2] - slack:
             raise ValueError(
@@ -68,7 +66,7 @@ class Body(_Part):
         return self
 
 
-class QuadrupedLeg(_Part):
+class QuadrupedLeg(Strict):
     """Geometry and masses of one leg, in axes x forward, y left, z up."""
 
     hip: Vector
@@ -123,14 +121,10 @@ _PARALLEL = ((0.0, 0.0, 0.0),) * 3
 
 def rotation_of(rpy: Vector | FloatArray) -> FloatArray:
     """Rotation by roll, pitch and yaw about fixed axes [rad], as in a URDF."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
-    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    return np.asarray(yaw @ pitch @ roll, dtype=np.float64)
+    return np.asarray(Rotation.from_euler("xyz", rpy).as_matrix())
 
 
-class Legs(_Part):
+class Legs(Strict):
     """The four legs."""
 
     FR: QuadrupedLeg
@@ -161,7 +155,7 @@ class Chain:
     """Second moments ∫ r rᵀ dm about the link's origin [kg m²]; shape [foot, link, 3, 3]."""
 
 
-class Quadruped(_Part):
+class Quadruped(Strict):
     """A quadruped with three joints a leg."""
 
     name: str = ""
@@ -203,7 +197,7 @@ class Quadruped(_Part):
         return bool(np.all((self.chain.mass > 0.0) | ~self.there))
 
     @property
-    def there(self) -> NDArray[np.bool_]:
+    def there(self) -> BoolArray:
         """Which joints the legs have, shape [foot, joint]; a leg of two has no hip."""
         return np.asarray(self.chain.axis.any(axis=-1))
 
@@ -217,8 +211,7 @@ class Quadruped(_Part):
         for i, leg in enumerate(legs):
             for body in leg.bodies:
                 at = i, JOINTS.index(body.link)
-                xx, yy, zz, xy, xz, yz = body.inertia
-                matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+                matrix = inertia_matrix(body.inertia)
                 centre = np.array(body.centre)
                 mass[at] += body.mass
                 first[at] += body.mass * centre
@@ -256,11 +249,7 @@ class Quadruped(_Part):
         """
         path = Path(source)
         if not path.suffix and not is_there(path):
-            names = shipped_names("robots", ".toml")
-            if path.name not in names:
-                hint = nearest(path.name, names)
-                raise InputError(f"'{source}' is neither a file nor a shipped robot; {hint}")
-            path = shipped_folder("robots", f"{path.name}.toml")
+            path = shipped_file("robots", str(source), ".toml")
         text = _text(path)
         if path.suffix.lower() in {".urdf", ".xml"}:
             from terraphi.robot.urdf import document_from_urdf

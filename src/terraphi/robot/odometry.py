@@ -19,16 +19,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.estimators import signals
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.kinematics import foot_position
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import running_mean
-
-FloatArray = NDArray[np.float64]
 
 ACCELERATION_SD = 0.3
 """Of the accelerometer's readings, with what the trunk shakes between samples [m/s²]."""

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import write_netcdf
@@ -27,8 +26,6 @@ from terraphi.robot.logs.collect import Precision
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import AXES, Criteria, Ensemble, Stance, find_stances
-
-FloatArray = NDArray[np.float64]
 
 RISE_SHARE = 0.1
 """Part of the robot's weight that a foot carries at least at the height of a stance [-]."""

@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.history import ForceHistory
 from terraphi.robot.joint_log import FEET
 
-FloatArray = NDArray[np.float64]
-Forces = NDArray[np.float64] | NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
+Forces = FloatArray | NDArray[np.float32]
 IntArray = NDArray[np.int64]
 
 AXES = ("x", "y", "z")

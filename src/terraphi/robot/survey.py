@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.estimators import (
     Settings,
@@ -28,9 +28,6 @@ from terraphi.robot.friction import (
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.kinematics import foot_position, forces_of_torques
 from terraphi.robot.model import Quadruped
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SURVEY = 60_000
 """Samples, from all over the log, that are looked at."""
@@ -114,9 +111,7 @@ def survey(
     -------
     Survey
     """
-    moving = replace(settings, causal=False)
-    if robot.has_masses:
-        moving = replace(moving, estimator="momentum_observer")
+    moving = replace(settings, estimator="momentum_observer") if robot.has_masses else settings
     wanted = max(settings.margin, moving.margin)
     every = list(chunks(log.time, wanted, size=_WINDOW))
     picked = np.unique(np.linspace(0, len(every) - 1, min(len(every), SURVEY // _WINDOW + 1)))

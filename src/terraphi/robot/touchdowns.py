@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.robot.friction import smooth_sign
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.kinematics import forces_of_torques, rotation
@@ -22,8 +23,6 @@ from terraphi.robot.model import Quadruped
 from terraphi.robot.odometry import Motion
 from terraphi.robot.stance import Stance
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 WINDOW_S = 0.12

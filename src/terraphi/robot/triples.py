@@ -8,9 +8,9 @@ whose frames are parallel to the axes, what formulas worked out for it by hand w
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from terraphi.experiment.arrays import FloatArray
+
 Part = FloatArray | float
 Triple = tuple[Part, Part, Part]
 Matrix = tuple[Triple, Triple, Triple]

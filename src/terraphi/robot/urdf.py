@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -11,13 +12,12 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
-from terraphi.robot.model import rotation_of
-
-FloatArray = NDArray[np.float64]
+from terraphi.robot.model import inertia_matrix, rotation_of
 
 _AXES = {"hip": "x", "thigh": "y", "calf": "y"}
 
@@ -178,10 +178,10 @@ def _frames(chain: list[_Joint]) -> dict[str, Any]:
 
 def _rpy(turn: FloatArray) -> tuple[float, float, float]:
     """Roll, pitch and yaw of a rotation [rad]."""
-    pitch = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
-    if math.hypot(turn[0, 0], turn[1, 0]) < 1e-9:  # roll and yaw turn about the same axis
-        return math.atan2(-turn[1, 2], turn[1, 1]), pitch, 0.0
-    return math.atan2(turn[2, 1], turn[2, 2]), pitch, math.atan2(turn[1, 0], turn[0, 0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # where roll and yaw turn about the same axis, yaw is 0
+        roll, pitch, yaw = Rotation.from_matrix(turn).as_euler("xyz").tolist()
+    return roll, pitch, yaw
 
 
 def _leg(
@@ -315,9 +315,6 @@ def _inertial(element: ET.Element) -> tuple[float, FloatArray, FloatArray]:
     moments = inertial.find("inertia")
     if mass is None or moments is None:
         raise KeyError(f"mass or inertia (link '{element.get('name')}')")
-    xx, yy, zz, xy, xz, yz = (
-        float(moments.get(key, "0")) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    )
-    turn = rotation_of(_numbers(origin, "rpy", "0 0 0"))
-    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    six = [float(moments.get(key, "0")) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")]
+    turn, matrix = rotation_of(_numbers(origin, "rpy", "0 0 0")), inertia_matrix(six)
     return float(mass.attrib["value"]), _numbers(origin, "xyz", "0 0 0"), turn @ matrix @ turn.T

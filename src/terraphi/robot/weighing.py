@@ -10,12 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.touchdowns import Sensitivity
-
-FloatArray = NDArray[np.float64]
 
 AVERAGED_S = 0.05
 """Forces are averaged over this time, which counts as one weighing [s]."""

@@ -17,12 +17,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
-
-FloatArray = NDArray[np.float64]
 
 WIDTHS = (0.05, 0.10)
 """Of the strips [m], about a robot's foot and a small wheel."""

@@ -10,15 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.inference.answer_file import Told
 from terraphi.terrain.simulators import Match, Simulator
-
-FloatArray = NDArray[np.float64]
 
 FORMATS = {".py": "python", ".json": "json", ".usda": "usda"}
 """Suffix of a file to what is written into it."""

@@ -22,12 +22,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit, logit
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.terrain.points import STEEPEST_DEG, Points
-
-FloatArray = NDArray[np.float64]
 
 STEEPEST = np.tan(np.radians(STEEPEST_DEG))
 CENTRE_DEG = 30.0

@@ -11,15 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.terrain import slopes
 from terraphi.terrain.field import STEEPEST, Field, fit, tangent
 from terraphi.terrain.points import Points, Start, read_points
 from terraphi.terrain.raster import Elevation, read_elevation, read_layer, write_layer
-
-FloatArray = NDArray[np.float64]
 
 KIND, SUMMARY = "slope map", "map.json"
 LAYERS = {

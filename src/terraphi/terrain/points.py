@@ -7,11 +7,11 @@ import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import (
     check_is_file,
@@ -23,7 +23,8 @@ from terraphi.experiment.files import (
 from terraphi.terrain.raster import Elevation
 from terraphi.terrain.simulators import LEAST_DEG
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    import pandas as pd
 
 NEEDED = ("x_m", "y_m", "phi_deg", "sd_deg")
 SHARED = "shared_sd_deg"
@@ -217,35 +218,33 @@ def _from_csv(path: Path) -> tuple[dict[str, Any], str, list[str]]:
         what = "is missing" if name in NEEDED else f"is unknown; {nearest(str(name), known)}"
         raise InputError(f"{path}: column '{name}' {what}; expected x_m,y_m,phi_deg,sd_deg and, if "
                          "known, shared_sd_deg")  # fmt: skip
+    return _columns(table), "".join(named[:1]), [f"line {line}" for line in rows[1:]]
+
+
+def _columns(table: pd.DataFrame) -> dict[str, Any]:
+    """Numbers of each column, which rows are usable, and whether they are of a walk."""
+    import pandas as pd
+
+    walk, zero = "verdict" in table, pd.Series(0.0, table.index)
     found: dict[str, Any] = {
-        name: pd.to_numeric(table[name], errors="coerce").to_numpy(float)
-        for name in known
-        if name in table
+        name: pd.to_numeric(table.get(name, zero), errors="coerce").to_numpy(float)
+        for name in (*NEEDED, SHARED)
     }
-    found.setdefault(SHARED, np.zeros(len(table)))
-    found["usable"] = np.ones(len(table), bool)
-    found["walk"] = "verdict" in table
-    if found["walk"]:
-        found["usable"] = (table["verdict"] == USABLE).to_numpy(bool)
-    return found, "".join(named[:1]), [f"line {line}" for line in rows[1:]]
+    usable = table["verdict"].astype(str) == USABLE if walk else pd.Series(True, table.index)
+    return found | {"walk": walk, "usable": usable.to_numpy(bool)}
 
 
 def _from_netcdf(path: Path) -> tuple[dict[str, Any], str, list[str]]:
     """The same from the file of a walk's footfalls."""
+    import pandas as pd
+
     check_is_file(path)
     with damage_told(f"{path}: not a whole NetCDF file (truncated, or of another format)"):
         file = read_whole(path)
     for name in NEEDED:
         if name not in file:
             raise InputError(f"{path}: has no variable {name}; expected footfalls, or points")
-    count = np.asarray(file["x_m"].values).size
-    found: dict[str, Any] = {
-        name: np.asarray(file[name].values, dtype=float) if name in file else np.zeros(count)
-        for name in (*NEEDED, SHARED)
-    }
-    found["usable"] = np.ones(count, bool)
-    found["walk"] = "verdict" in file
-    if found["walk"]:
-        found["usable"] = np.asarray(file["verdict"].values).astype(str) == USABLE
+    there = [name for name in (*NEEDED, SHARED, "verdict") if name in file]
+    table = pd.DataFrame({name: np.asarray(file[name].values) for name in there})
     crs = str(file.attrs.get("crs", ""))
-    return found, crs, [f"footfall {i}" for i in range(count)]
+    return _columns(table), crs, [f"footfall {i}" for i in table.index]

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import check_is_file
 
-FloatArray = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
@@ -133,13 +133,8 @@ def read_layer(path: Path, on: Elevation) -> Float32:
 
 def _read(path: Path) -> tuple[Float32, dict[str, Any]]:
     """First band with nodata as not a number, and where it lies."""
-    try:
+    with needing("a map", "rasterio and scikit-learn", extra="terrain"):
         import rasterio
-    except ImportError as error:
-        raise InputError(
-            "maps need rasterio and scikit-learn, which are not installed; pip install "
-            "'terraphi[terrain]'"
-        ) from error
     check_is_file(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)

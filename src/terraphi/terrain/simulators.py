@@ -196,21 +196,24 @@ _CONE = "√J2 ≤ μ p, stress returned along the deviator"
 
 
 def _geotaichi(dp_type: str) -> Simulator:
-    value, ratio, formula = {
+    value, ratio, formula, meaning = {
         "Circumscribed": (
             _compression,
             lambda angle: ratio_of_angle(angle, "triaxial"),
             "sin θ = 3 sin φ / (2√3 + sin φ)",
+            "√J2 ≤ 6 sin θ/(√3(3 - sin θ)) p: the cone of triaxial compression",
         ),
         "MiddleCircumscribed": (
             _extension,
             _ratio_of_extension,
             "sin θ = 3 sin φ / (2√3 - sin φ)",
+            "√J2 ≤ 6 sin θ/(√3(3 + sin θ)) p: that of triaxial extension",
         ),
         "Inscribed": (
             _inscribed,
             _ratio_of_inscribed,
             "tan θ = sin φ / √(1 - 4 sin² φ / 3)",
+            "√J2 ≤ 3 tan θ/√(9 + 12 tan² θ) p: plane strain with associated flow",
         ),
     }[dp_type]
     return Simulator(
@@ -218,11 +221,7 @@ def _geotaichi(dp_type: str) -> Simulator:
         title=f"GeoTaichi, Drucker-Prager with dpType {dp_type}",
         parameter="Friction",
         unit="deg",
-        meaning={
-            "Circumscribed": "√J2 ≤ 6 sin θ/(√3(3 - sin θ)) p: the cone of triaxial compression",
-            "MiddleCircumscribed": "√J2 ≤ 6 sin θ/(√3(3 + sin θ)) p: that of triaxial extension",
-            "Inscribed": "√J2 ≤ 3 tan θ/√(9 + 12 tan² θ) p: plane strain with associated flow",
-        }[dp_type],
+        meaning=meaning,
         formula=formula,
         source="consititutive_model/infinitesimal_strain/DruckerPrager.py (2025)",
         value=value,

@@ -19,15 +19,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.prior import Marginal, parsed
 from terraphi.terrain.field import STEEPEST, tangent
-
-FloatArray = NDArray[np.float64]
 
 WATER = 1000.0
 """Density of water [kg/m³]."""

@@ -15,22 +15,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import replacing
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.motion import Poses
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.vtk import Grid, read_points, read_series
-from terraphi.view.plots import AXIS_LABEL, BLUE, GREY, ORANGE, leg_name, shown_position
+from terraphi.view.plots import AXIS_LABEL, BLUE, GREY, ORANGE, scenario_name, shown_position
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
-FloatArray = NDArray[np.float64]
 
 SOIL_INCHES = 5.0
 """Width of the soil in the picture [in]."""
@@ -142,7 +140,7 @@ class Scene:
         self.figure = Figure(
             figsize=(12.0, 5.4), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08)
         )
-        self._title = self.figure.suptitle(_name(scenario), fontsize=12)
+        self._title = self.figure.suptitle(scenario_name(scenario), fontsize=12)
         parts: Any = self.figure.subfigures(1, 2, width_ratios=(1.35, 1.0))
         left, right = parts
         self._soil_axes = left.subplots()
@@ -179,14 +177,14 @@ class Scene:
         # Slow as the leg itself: what it did to the soil in a fast simulation, it does slowly.
         self._particles.set_array(1e3 * soil.point_data["speed"] / scenario.numerics.speed_up)
         self._particles.set_alpha(np.maximum(soil.point_data["weight"], PALEST))
-        self._leg.set_xy(1e3 * _in_room(pose, scenario.leg.outline()))
+        self._leg.set_xy(1e3 * pose.placed(scenario.leg.outline())[0])
         past = self._place <= now + 1e-9
         for i, (curve, dot) in enumerate(self._curves):
             curve.set_data(self._place[past], self._force[past, i])
             dot.set_data(self._place[past][-1:], self._force[past, i][-1:])
         self._draw_arrow(pose, self._force[past][-1] if past.any() else np.zeros(2))
         where = f"θ = {now:+.0f}°" if scenario.motion.coordinate == "theta" else f"{now:.1f} mm"
-        self._title.set_text(f"{_name(scenario)}, {where}")
+        self._title.set_text(f"{scenario_name(scenario)}, {where}")
 
     def _draw_room(self, part: Any) -> None:
         """Draw the fixed parts of the left panel, and empty artists for the moving ones."""
@@ -253,7 +251,7 @@ class Scene:
             self._arrow = None
         if self._per_newton * np.hypot(*force) < 4.0:  # shorter than its head [mm]
             return
-        line = _in_room(pose, self._scenario.leg.centre_line().centre)
+        line = pose.placed(self._scenario.leg.centre_line().centre)[0]
         below = line[line[:, 1] < self._scenario.bed.surface]
         tail = below[len(below) // 2] if len(below) else line[-1]
         self._arrow = self._add_arrow(1e3 * tail, force)
@@ -282,12 +280,6 @@ def _smoothed(history: ForceHistory) -> tuple[FloatArray, FloatArray]:
     return shown_position(centre, history.coordinate), history.means(centre, half)
 
 
-def _in_room(pose: Poses, points: FloatArray) -> FloatArray:
-    """Points of the leg's frame in the frame of the bed [m], shape [point, 2]."""
-    along, motion = frame_axes(pose.theta[0])
-    return np.asarray(pose.hip[0] + points[:, :1] * along + points[:, 1:] * motion)
-
-
 def _marker_area(scenario: Scenario) -> float:
     """Area of a marker [pt²], large enough that the markers of neighbouring particles touch."""
     numerics = scenario.numerics
@@ -299,10 +291,8 @@ def _marker_area(scenario: Scenario) -> float:
 def _ceiling(scenario: Scenario) -> float:
     """Upper end of the picture [m]: above the leg in all its positions, and above thrown soil."""
     poses = scenario.motion.poses(np.linspace(0.0, scenario.motion.duration, 181))
-    along, motion = frame_axes(poses.theta)
-    s, m = scenario.leg.outline().T
-    height = poses.hip[:, None, 1] + s * along[:, 1:] + m * motion[:, 1:]
-    return min(float(height.max()) + SPLASH, scenario.numerics.domain)
+    highest = float(poses.placed(scenario.leg.outline())[..., 1].max())
+    return min(highest + SPLASH, scenario.numerics.domain)
 
 
 def _round_down(value: float) -> float:
@@ -315,13 +305,6 @@ def _tick(span: FloatArray) -> float:
     """Distance between ticks on an axis of angles [deg], a fraction of 90°."""
     steps = (1.0, 5.0, 15.0, 45.0, 90.0, 180.0)
     return next((step for step in steps if np.ptp(span) <= 7.0 * step), 360.0)
-
-
-def _name(scenario: Scenario) -> str:
-    soil = scenario.soil
-    return (
-        f"{leg_name(scenario.leg.shape)}, φ = {soil.friction_angle_deg:g}° ({soil.yield_criterion})"
-    )
 
 
 FRAMES_PER_SECOND = 12

@@ -8,6 +8,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
     from terraphi.library.store import Library
 
 
-LEAST_DEG = 0.1
-"""Least standard deviation of φ that is named [deg]."""
+LEAST_DEG, LEAST_SHARE = 0.1, 0.05
+"""Least standard deviation of φ that is named: [deg], or where all are small of the largest [-]."""
 
 
 def as_text(data: Any) -> str:
@@ -37,14 +38,17 @@ def print_json(data: Any) -> None:
 
 def print_inversion(found: Inversion) -> None:
     """A table of what was inferred, what it rests on, then the verdict in words."""
-    several = found.together is not None and found.together.draws is not None
-    header = ("", "median", "68 %", "95 %", *(("68 %, others known", "R-hat") if several else ()))
-    print_table(Table(_title(found), header, _parameter_rows(found, several)))
-    remarks = _remarks(found, several)
+    from terraphi.view import answers
+
+    answer = found.as_dict()
+    table = answers.parameters(answer, _title(found))
+    print_table(replace(table, header=table.header[:6], rows=[row[:6] for row in table.rows]))
+    remarks = _remarks(found, answers.was_drawn(answer))
     for remark in remarks:
         click.echo(remark)
-    if len(found.by_leg) > 1 and found.together is not None:
-        _print_expected(found)
+    if len(found.by_leg) > 1:
+        click.echo()
+        print_table(answers.expected(answer))
     elif remarks:
         click.echo()
     print_verdict(found.verdict, found.warnings)
@@ -61,25 +65,6 @@ def _title(found: Inversion) -> str:
         what = f"{found.source}: leg {found.legs[0]}"
     calibrated = ", calibrated" if "calibration" in found.provenance else ""
     return f"{what}, library {found.library}{calibrated}{density}"
-
-
-def _parameter_rows(found: Inversion, several: bool) -> list[tuple[str, ...]]:
-    """A row each parameter, and one for the equivalent in plane strain."""
-    rows: list[tuple[str, ...]] = []
-    for key, one in found.marginal.items():
-        spans = [found.span(key, one.ci68), found.span(key, one.ci95)]
-        row: tuple[str, ...] = (found.axis_name(key), f"{one.median:{found.digits(key)}}", *spans)
-        if several and found.together is not None:
-            known = found.span(key, found.together.conditional[key].ci68)
-            row = (*row, known, f"{found.convergence_of(key)['split_rhat']:.3f}")
-        rows.append(row)
-    angle = found.phi_plane_strain
-    if angle is not None and found.convention != "plane_strain":
-        form = found.digits("soil.friction_angle_deg")
-        spans = [f"{low:{form}} to {high:{form}}" for low, high in (angle.ci68, angle.ci95)]
-        row = ("φ, equivalent in plane strain [deg]", f"{angle.median:{form}}", *spans)
-        rows.append((*row, "-", "-") if several else row)
-    return rows
 
 
 def _remarks(found: Inversion, several: bool) -> list[str]:
@@ -111,28 +96,15 @@ def _remarks(found: Inversion, several: bool) -> list[str]:
 
 def _where_from(budget: Budget) -> str:
     """What the width of the interval comes from, the largest first."""
-    if budget.discrepancy != "soils":
-        shares = budget.shares.items()
-        parts = ", ".join(f"{name.replace('_', ' ')} {share:.0%}" for name, share in shares)
-        return f"Variance of φ: {parts}."
     terms = sorted(budget.degrees.items(), key=lambda one: -one[1])
-    parts = ", ".join(f"{n.replace('_', ' ')} {sd:.1f}°" for n, sd in terms if sd >= LEAST_DEG)
-    return (
-        f"Standard deviation of φ: {parts}. It is an operational angle in plane strain, near the "
-        "angle of repose of a loose soil."
-    )
-
-
-def _print_expected(found: Inversion) -> None:
-    """What each leg alone would leave of each parameter."""
-    assert found.together is not None
-    legs = {name: f"leg {name} alone" for name in found.together.expected_sd} | {"all": "all"}
-    rows = [
-        (named, *(f"{sd:.3g}" for sd in found.together.expected_sd[name]))
-        for name, named in legs.items()
-    ]
-    click.echo()
-    print_table(Table("", ("expected standard deviation", *map(found.axis_name, found.keys)), rows))
+    least, form = (LEAST_DEG, ".1f") if terms[0][1] > 1.0 else (LEAST_SHARE * terms[0][1], ".2g")
+    parts = ", ".join(f"{n.replace('_', ' ')} {sd:{form}}°" for n, sd in terms if sd >= least)
+    what = ""
+    if budget.discrepancy == "soils":
+        what = (
+            " It is an operational angle in plane strain, near the angle of repose of a loose soil."
+        )
+    return f"Standard deviation of φ: {parts}.{what}"
 
 
 def print_verdict(verdict: Verdict, warnings: Sequence[Doubt]) -> None:
@@ -150,28 +122,22 @@ def print_verdict(verdict: Verdict, warnings: Sequence[Doubt]) -> None:
 def print_library(found: Library) -> None:
     """Summary of a library."""
     summary = found.summary()
-    print_pairs(summary | {"phi_deg": " to ".join(map(words, summary["phi_deg"]))})
+    by_leg = {leg: _between(ends) for leg, ends in summary.pop("phi_deg_by_leg").items()}
+    alike = len(set(by_leg.values())) == 1
+    summary["phi_deg"] = _between(summary["phi_deg"]) if alike else by_leg
+    print_pairs({key: value for key, value in summary.items() if value or key != "caveat"})
+
+
+def _between(ends: Sequence[float]) -> str:
+    return " to ".join(map(words, ends))
 
 
 def print_forces(summary: dict[str, Any]) -> None:
     """Foot forces of a log: a row a foot, then what else there is to know."""
-    header = ("", "stances", "mean duration [s]", "peak of mean Fz [N]", "peak of mean Fx [N]")
-    figures = {
-        "stances": "d",
-        "mean_duration_s": ".3f",
-        "mean_peak_Fz_N": ".1f",
-        "mean_peak_Fx_N": ".1f",
-    }
-    rows = {**summary["feet"], "all feet": summary["pooled"]}
-    cells = [
-        (
-            name,
-            *("-" if one[key] is None else f"{one[key]:{form}}" for key, form in figures.items()),
-        )
-        for name, one in rows.items()
-    ]
+    from terraphi.view.robot_plots import feet_table
+
     title = f"Ground's forces on the feet, {summary['estimator']}, {summary['frame']} frame"
-    print_table(Table(title, header, cells))
+    print_table(feet_table(summary, title))
     shown_above = {"feet", "pooled", "estimator", "frame"}
     print_pairs({name: value for name, value in summary.items() if name not in shown_above})
 
@@ -321,9 +287,9 @@ def progress_bar(
     if quiet() or not sys.stderr.isatty():
         yield lambda _done, _total: None
         return
-    from terraphi.view.doctor import kernels_are_compiled
+    from terraphi.forward import forecast
 
-    compiling = compiles and not kernels_are_compiled()
+    compiling = compiles and not forecast.is_compiled()
     columns = (
         TextColumn("{task.description}:"),
         TimeRemainingColumn(),

@@ -54,8 +54,8 @@ def told(found: Sequence[Inversion]) -> list[str]:
     ]
     for one in measured:
         words = {
-            "consistent": "It deviates from the model as real soils do.",
-            "misfit": "It deviates more than known soils: check the record.",
+            "consistent": "The model fits it as well as it fits other sands.",
+            "misfit": "The model fits it worse than other sands: check the record.",
         }
         said = words.get(one.verdict.verdict, "It lies at the library's edge.")
         sentences.append(f"{one.source}: {_angle(one)}. {said}")

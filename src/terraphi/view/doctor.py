@@ -8,7 +8,6 @@ import platform
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 from packaging.requirements import Requirement
@@ -17,7 +16,7 @@ from terraphi.experiment import measurements
 from terraphi.experiment.documents import shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.forecast import SLOWER
+from terraphi.forward.forecast import SLOWER, is_compiled, place_of_code
 from terraphi.library.plan import Plan
 from terraphi.library.store import Library
 
@@ -119,7 +118,6 @@ def _machine() -> Iterator[Check]:
 def _kernels() -> Iterator[Check]:
     """Whether the kernels load, how wide their vectors are, and whether they are compiled."""
     try:
-        from terraphi.forward.mpm import packets
         from terraphi.forward.mpm.checkpoint import rests_on
         from terraphi.forward.mpm.packing import register_bits
     except Exception as error:  # whatever the compiler says, and it says it in many ways
@@ -128,13 +126,13 @@ def _kernels() -> Iterator[Check]:
     known = rests_on("packets")
     yield Check("processor", "ok", f"{known['processor']} ({platform.machine()})")
     yield _vectors(register_bits())
-    place = _cache_of(packets.march)
+    place, _ = place_of_code()
     if not os.access(place if place.exists() else place.parent, os.W_OK):
         found = (
             f"{place} cannot be written: kernels are compiled at every start; set NUMBA_CACHE_DIR"
         )
         yield Check("cache", "note", found)
-    elif kernels_are_compiled():
+    elif is_compiled():
         yield Check("cache", "ok", f"kernels are compiled, in {place}")
     else:
         found = f"empty, in {place}: the first simulation compiles its kernels, once"
@@ -149,18 +147,6 @@ def _vectors(bits: int) -> Check:
     lacks = "AVX-512" if bits == 256 else "AVX2"
     found += f": without {lacks} simulations take about {SLOWER[bits]:.1f} times as long"
     return Check("vectors", "note", found)
-
-
-def kernels_are_compiled() -> bool:
-    """Whether the fast kernel lies in the cache, so that a simulation starts at once."""
-    from terraphi.forward.mpm import packets
-
-    return any(_cache_of(packets.march).glob("packets.march*.nbi"))
-
-
-def _cache_of(kernel: Any) -> Path:
-    """Folder of a kernel's machine code (Numba's types do not tell that a function has one)."""
-    return Path(kernel.stats.cache_path)
 
 
 def _shipped() -> Iterator[Check]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass, replace
 from typing import Any
 
 from pydantic import BaseModel
@@ -96,6 +96,12 @@ class Table:
         """Names as they stand in a document."""
         return " with ".join(filter(None, [", ".join(map(_heading, self.names)), self.kind]))
 
+    def shown(self) -> view.Table:
+        """Its keys, a row each."""
+        header = ("key", "unit", "default", "allowed", "meaning")
+        rows = [astuple(key) for key in self.keys]
+        return view.Table(f"{self.title}: {self.about}", header, rows)
+
 
 def tables(document: str) -> list[Table]:
     """Tables of a kind of document, from the top down.
@@ -132,15 +138,7 @@ def as_dict(document: str) -> dict[str, Any]:
     """Tables of a kind of document, JSON-able."""
     return {
         "document": document,
-        "tables": [
-            {
-                "names": list(table.names),
-                "kind": table.kind or None,
-                "about": table.about,
-                "keys": [asdict(key) for key in table.keys],
-            }
-            for table in tables(document)
-        ],
+        "tables": [asdict(table) | {"kind": table.kind or None} for table in tables(document)],
     }
 
 
@@ -161,17 +159,10 @@ def markdown(document: str) -> str:
     for table in tables(document):
         parts += [f"## {_cell(table.title)}", table.about]
         rows = [
-            (
-                f"`{key.name}`",
-                key.unit,
-                _code(key.default),
-                _cell(key.allowed),
-                _cell(key.meaning),
-            )
-            for key in table.keys
+            (f"`{name}`", unit, _code(default), _cell(allowed), _cell(meaning))
+            for name, unit, default, allowed, meaning in table.shown().rows
         ]
-        header = ("key", "unit", "default", "allowed", "meaning")
-        parts.append(view.Table("", header, rows).markdown())
+        parts.append(replace(table.shown(), rows=rows).markdown())
     return "\n\n".join(parts) + "\n"
 
 

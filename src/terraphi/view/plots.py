@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.files import replacing
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
+from terraphi.experiment.scenario import Scenario
 from terraphi.inference.answer import Inversion
 from terraphi.inference.identifiability import label
 
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
-FloatArray = NDArray[np.float64]
 
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
 AXIS_LABEL = {"Fx": "$F_x$ [N], forward", "Fz": "$F_z$ [N], up"}
@@ -41,6 +40,14 @@ LEG_NAMES = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C
 def leg_name(shape: str) -> str:
     """A leg's shape for people."""
     return LEG_NAMES.get(shape, f"{shape} leg")
+
+
+def scenario_name(scenario: Scenario) -> str:
+    """What was simulated, in a line."""
+    leg = leg_name(scenario.leg.shape)
+    if scenario.convention == "none":
+        return f"{leg}, two-dimensional resistive force theory"
+    return f"{leg}, φ = {scenario.soil.friction_angle_deg:g}° ({scenario.convention})"
 
 
 def shown_position(position: FloatArray, coordinate: str) -> FloatArray:

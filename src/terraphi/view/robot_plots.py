@@ -6,14 +6,17 @@ readers.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.robot.joint_log import FEET
 from terraphi.robot.results import RobotForces
 from terraphi.robot.stance import AXES, Ensemble
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, panels_of
+from terraphi.view.table import Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,29 +25,48 @@ if TYPE_CHECKING:
 COLOURS = {"FR": BLUE, "FL": ORANGE, "RR": GREEN, "RL": PURPLE}
 STYLES = {"FR": "-", "FL": "--", "RR": "-.", "RL": ":"}
 FOOT_NAMES = {"FR": "front right", "FL": "front left", "RR": "rear right", "RL": "rear left"}
+SECONDS = 7.0
+"""Part of a log that a picture shows [s]."""
 SHOWN = ("x", "z")
 """Components of the paper's figures, forward and up."""
 AXIS_LABEL = {"x": "$F_x$ [N]", "z": "$F_z$ [N], up"}
 
 
-def forces_figure(
-    result: RobotForces, *, seconds: float = 7.0, start: float | None = None
-) -> Figure:
+def first_shown(time: FloatArray, begins: Sequence[float], seconds: float) -> float:
+    """Time a little before the first stance, with as many seconds after it as there are [s]."""
+    first = begins[0] if begins else time[0]
+    return float(max(min(first - 0.1, time[-1] - seconds), time[0]))
+
+
+def feet_table(summary: Mapping[str, Any], title: str) -> Table:
+    """Stances of each foot and of all, with the duration and signed peaks of the mean one."""
+    rows = {f"{FOOT_NAMES[f]} ({f})": summary["feet"][f] for f in FEET}
+    return figures_table("foot", rows | {"all feet": summary["pooled"]}, title)
+
+
+def figures_table(what: str, rows: Mapping[str, Mapping[str, Any]], title: str) -> Table:
+    """Mean stances beside each other, a row each."""
+    digits = {"mean_duration_s": ".3f", "mean_peak_Fz_N": ".1f", "mean_peak_Fx_N": ".1f"}
+    cells = [
+        (name, str(one["stances"]),
+         *("–" if one[key] is None else f"{one[key]:{form}}" for key, form in digits.items()))
+        for name, one in rows.items()
+    ]  # fmt: skip
+    header = (what, "stances", "duration [s]", "peak Fz [N]", "peak Fx [N]")
+    note = "Duration and signed peaks of the mean stance."
+    return Table(title, header, cells, note, wide=True)
+
+
+def forces_figure(result: RobotForces) -> Figure:
     """F_x and F_z of each foot over time, with its stances shaded.
 
     Parameters
     ----------
     result
         What :func:`~terraphi.robot.results.analyse` found.
-    seconds
-        Length of the part of the log that is shown [s].
-    start
-        Its beginning on the log's clock [s]; by default a little before the first stance.
     """
-    time = result.forces.time
-    if start is None:
-        first = result.stances[0].begin if result.stances else time[0]
-        start = float(max(min(first - 0.1, time[-1] - seconds), time[0]))
+    time, seconds = result.forces.time, SECONDS
+    start = first_shown(time, [stance.begin for stance in result.stances], seconds)
     shown = slice(*np.searchsorted(time, [start, start + seconds]).tolist())
     size = (len(FEET), len(SHOWN))
     figure, grid = panels_of(*size, size=(12.0, 9.0), sharex=True, sharey="col")

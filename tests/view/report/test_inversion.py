@@ -59,7 +59,8 @@ def test_headline_names_the_equivalent_in_plane_strain(inversion: Inversion) -> 
 def test_a_narrow_interval_has_two_ends(inversion_folder: Path, tmp_path: Path) -> None:
     answer = json.loads((inversion_folder / "answer.json").read_text())
     narrow = {"median": 31.003, "ci68": [31.0001, 31.0061], "ci95": [30.997, 31.009]}
-    answer["phi_deg"] |= narrow
+    for told in (answer["phi_deg"], answer["parameters"]["soil.friction_angle_deg"]):
+        told |= narrow
     (tmp_path / "answer.json").write_text(json.dumps(answer))
     found = section(tmp_path)
     assert "φ = 31.003°" in found.headline
@@ -210,7 +211,7 @@ def test_nobody_is_told_to_believe_a_library_that_nobody_checked(
     assert _belief({**sound, "verdict": "misfit"}, again) == ("bad", "")
     (tmp_path / "answer.json").write_text(json.dumps(sound))
     html = render([section(tmp_path)])
-    assert "believe it" not in html
+    assert "no objection" not in html
     assert "nobody has checked" in html
 
 
@@ -249,11 +250,14 @@ def test_the_budget_of_an_answer_that_has_one_is_told(
     inversion_folder: Path, tmp_path: Path
 ) -> None:
     answer = json.loads((inversion_folder / "answer.json").read_text())
-    answer["error_budget"] = {"shares": {"noise": 0.25, "particle_scatter": 0.75, "x": None}}
+    answer["error_budget"] = {
+        "shares": {"noise": 0.2, "particle_scatter": 0.8},
+        "degrees": {"noise": 0.05, "particle_scatter": 0.1},
+    }
     (tmp_path / "answer.json").write_text(json.dumps(answer))
     table = next(p for p in section(tmp_path).parts if "width of the interval" in p.title)
     assert isinstance(table, Table)
-    assert table.rows == [("noise", "25 %"), ("particle scatter", "75 %"), ("x", "–")]
+    assert table.rows == [("particle scatter", "0.1", "80%"), ("noise", "0.05", "20%")]
 
 
 def test_a_calibrated_answer_that_fits_has_its_certificate(tmp_path: Path) -> None:

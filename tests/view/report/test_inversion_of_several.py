@@ -19,6 +19,7 @@ def folder(tmp_path: Path) -> Path:
     one = {**summary, "conditional": summary, "convergence": convergence}
     answer = {
         "phi_deg": {**summary, "yield": "rft3d"},
+        "phi_plane_strain_deg": None,
         "verdict": "consistent",
         "reason": "All is well.",
         "likelihood": "joint",
@@ -55,8 +56,8 @@ def test_a_joint_inversion_is_told_and_shown(folder: Path) -> None:
         assert (found.status, found.badge) == ("doubtful", UNCHECKED_TOGETHER)
         assert [part.title for part in found.parts] == [
             "Parameters",
-            "What the forces fix",
-            "Expected standard deviations",
+            "What the forces tell of each parameter",
+            "What each leg alone would leave",
             "Histories, and deviation of the best curve",
         ]
 

@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, needing
 from terraphi.robot.logs.collect import Messages
 
 
@@ -116,15 +116,11 @@ _PACKAGES = {"lz4": "lz4", "zstd": "zstandard"}
 
 def _mcap(shown: Path) -> ModuleType:
     """Import the package mcap; raises InputError that says how to install it."""
-    try:
+    with needing(f"{shown}: reading MCAP", "the package mcap", extra="robot"):
         import mcap.exceptions
         import mcap.reader
         import mcap.records
         import mcap.stream_reader
-    except ImportError as error:
-        raise InputError(
-            f"{shown}: reading MCAP needs the package mcap: pip install 'terraphi[robot]'"
-        ) from error
     return mcap
 
 
@@ -328,13 +324,8 @@ class SqliteFile(Storage):
 
 def _zstandard(shown: Path) -> ModuleType:
     """Import the package zstandard; raises InputError that says how to install it."""
-    try:
+    with needing(f"{shown}: compressed with zstd, which", "the package zstandard", extra="robot"):
         import zstandard
-    except ImportError as error:
-        raise InputError(
-            f"{shown}: compressed with zstd, which needs the package zstandard: "
-            "pip install 'terraphi[robot]'"
-        ) from error
     return zstandard
 
 

@@ -9,7 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.robot.joint_log import FloatArray, JointLog
+from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.robot.joint_log import JointLog
 
 Clock = Literal["time_s", "time", "tick", "header stamp"]
 """Column of a CSV or npz [s], tick of a LowState [ms], header of a JointState [ns]."""
@@ -176,7 +177,7 @@ def _fits_better(
     return second < first
 
 
-def increasing(time: FloatArray) -> tuple[NDArray[np.bool_], Counter[str]]:
+def increasing(time: FloatArray) -> tuple[BoolArray, Counter[str]]:
     """Choose samples whose time increases strictly.
 
     Repeated stamps are dropped, single stamps that jump away and back, and a few samples out of

@@ -11,8 +11,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.robot.joint_log import FEET, JOINTS, FloatArray, JointLog
+from terraphi.robot.joint_log import FEET, JOINTS, JointLog
 from terraphi.robot.logs import clock as clocks
 
 Precision = Literal["double", "single"]
@@ -83,7 +84,7 @@ class Collector:
             part["recorded"] = block.recorded[mask]
         self._parts.append(part)
 
-    def _sound(self, block: Block) -> NDArray[np.bool_]:
+    def _sound(self, block: Block) -> BoolArray:
         values = block.values
         finite = np.isfinite(block.stamp)
         for column in values.values():
@@ -232,7 +233,7 @@ class Collector:
             )
 
 
-def _keep(values: dict[str, Array], mask: NDArray[np.bool_]) -> None:
+def _keep(values: dict[str, Array], mask: BoolArray) -> None:
     """Keep some samples of each column, one column after the other."""
     for name in values:
         values[name] = values[name][mask]

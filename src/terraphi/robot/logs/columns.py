@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import pi
+from math import pi, prod
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
-
-from terraphi.experiment.documents import parse_toml
+from terraphi.experiment.documents import Strict, parse_toml
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS
 from terraphi.robot.logs.collect import REQUIRED, SHAPES
@@ -19,15 +17,13 @@ _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _RADIANS = {"rad": 1.0, "deg": pi / 180.0}
 
 
-class Columns(BaseModel):
+class Columns(Strict):
     """Names of a CSV's columns, and their units.
 
     A name with ``{motor}`` stands for the twelve motors, numbered from 0 in the robot's order, one
     with ``{foot}`` and ``{joint}`` for FR, FL, RR, RL and hip, thigh, calf. An array has one name
     for each: joints foot by foot in that order, quaternions w, x, y, z, vectors x, y, z.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     time: str
     """Column of the time."""
@@ -77,7 +73,7 @@ class Columns(BaseModel):
             if names is None:
                 continue
             listed = [names] if isinstance(names, str) else list(names)
-            count = shape[0] * (shape[1] if len(shape) > 1 else 1)
+            count = prod(shape)
             if isinstance(names, str):
                 filled = [_filled(names, name, motors) for name in JOINT_NAMES]
                 listed = list(dict.fromkeys(filled))

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.robot.joint_log import FloatArray, JointLog
+from terraphi.experiment.arrays import FloatArray
+from terraphi.robot.joint_log import JointLog
 from terraphi.robot.logs.messages import decoded
 
 TYPE = "sensor_msgs/msg/Imu"

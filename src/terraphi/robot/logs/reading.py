@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file
 from terraphi.robot.joint_log import JOINT_NAMES, JointLog
 from terraphi.robot.logs import imu, jointstate, lowstate
@@ -149,12 +149,8 @@ def _read_bag(
         raise InputError(f"{path}: cut off or damaged before its first message; copy it again")
     chosen = _choose(path, [t for _, topics in present for t in topics], topic)
     low = chosen.plain_type in _LOW_STATES
-    try:
+    with needing(f"{path}: reading bags", "the package rosbags", extra="robot"):
         typestore()
-    except ImportError as error:
-        raise InputError(
-            f"{path}: reading bags needs the package rosbags: pip install 'terraphi[robot]'"
-        ) from error
     if low and joint_names is not None:
         raise InputError(
             f"{path}, topic '{chosen.name}': {lowstate.TYPE} numbers its motors and has no names; "

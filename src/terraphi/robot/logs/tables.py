@@ -18,20 +18,16 @@ npz: numpy's archive, one array for each column of a JointLog.
 from __future__ import annotations
 
 import math
-import struct
-import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack
 from io import BytesIO
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, FloatArray
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS
 from terraphi.robot.logs.collect import REQUIRED, SHAPES, Array, Block
 from terraphi.robot.logs.columns import Columns, places
 
@@ -224,21 +220,9 @@ def _numbers(lines: bytes, width: int) -> FloatArray:
 MAGIC = b"PK\x03\x04"
 ROWS = 16_384
 
-# What damage to an archive makes zipfile raise; an encrypted member is a RuntimeError.
-_DAMAGE = (
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    EOFError,
-    KeyError,
-    ValueError,
-    OverflowError,
-    RuntimeError,
-)
-
 
 def read_npz(path: Path) -> Iterator[Block]:
-    """Read an npz, compressed or not, piece by piece.
+    """Read an npz, compressed or not, and hand it on piece by piece.
 
     Parameters
     ----------
@@ -255,78 +239,36 @@ def read_npz(path: Path) -> Iterator[Block]:
     InputError
         If the file is damaged or its arrays are not as documented.
     """
-    try:
-        with ExitStack() as stack:
-            archive = stack.enter_context(zipfile.ZipFile(path))
-            names = [name.removesuffix(".npy") for name in archive.namelist()]
-            columns = check_arrays(str(path), names)
-            arrays = {
-                name: _Reader(path, name, stack.enter_context(archive.open(f"{name}.npy")))
-                for name in [TIME_ARRAY, *columns]
-            }
-            samples = arrays[TIME_ARRAY].rows
-            for name, array in arrays.items():
-                if array.rows != samples:
-                    raise InputError(
-                        f"{path}: {array.rows} rows in '{name}' and {samples} in 'time'; expected "
-                        "as many"
-                    )
-            for start in range(0, samples, ROWS):
-                rows = min(ROWS, samples - start)
-                block = {name: array.read(rows) for name, array in arrays.items()}
-                yield Block(block.pop(TIME_ARRAY).astype(np.float64), block)
-    except InputError:
-        raise
-    except _DAMAGE as error:
-        raise InputError(
-            f"{path}: not a whole npz file ({error}); write or copy it again"
-        ) from error
-
-
-class _Reader:
-    """Rows of one array of an archive, one after the other."""
-
-    def __init__(self, path: Path, name: str, stream: IO[bytes]) -> None:
-        self.path, self.name, self.stream = path, name, stream
+    with path.open("rb") as stream:
         try:
-            version = np.lib.format.read_magic(stream)
-            read = (
-                np.lib.format.read_array_header_1_0
-                if version == (1, 0)
-                else np.lib.format.read_array_header_2_0
+            with np.load(stream) as archive:
+                names = [TIME_ARRAY, *check_arrays(str(path), archive.files)]
+                arrays = {name: _checked(path, name, archive[name]) for name in names}
+        except (InputError, OSError):
+            raise
+        except Exception as error:  # what zipfile, zlib and NumPy's parser of headers raise
+            raise InputError(
+                f"{path}: cannot be read as an npz of numbers ({error}); write or copy it again"
+            ) from error
+    samples = len(arrays[TIME_ARRAY])
+    for name, array in arrays.items():
+        if len(array) != samples:
+            raise InputError(
+                f"{path}: {len(array)} rows in '{name}' and {samples} in 'time'; expected as many"
             )
-            shape, fortran, dtype = read(stream)
-        except Exception as error:  # numpy parses the header as Python: ValueError, TokenError...
-            raise InputError(f"{path}: array '{name}' is damaged; write it again") from error
-        if dtype.kind not in "fiu":
-            raise InputError(f"{path}: array '{name}' is of type {dtype}; numbers are expected")
-        self.dtype = dtype
-        self.shape = self._checked(shape)
-        self.rows = shape[0]
-        # In columns, an array lies across the file: such a one is read whole.
-        self.whole = self._take(math.prod(shape)).reshape(shape, order="F") if fortran else None
-        self.at = 0
+    for start in range(0, samples, ROWS):
+        block = {name: array[start : start + ROWS] for name, array in arrays.items()}
+        yield Block(block.pop(TIME_ARRAY).astype(np.float64), block)
 
-    def _checked(self, shape: tuple[int, ...]) -> tuple[int, ...]:
-        wanted = () if self.name == TIME_ARRAY else SHAPES[self.name]
-        if shape and (shape[1:] == wanted or (shape[1:] == (math.prod(wanted),) and wanted)):
-            return wanted
+
+def _checked(path: Path, name: str, array: Array) -> Array:
+    """An array of numbers in the shape of its column; refused if it is none."""
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{path}: array '{name}' is of type {array.dtype}; numbers are expected")
+    wanted = () if name == TIME_ARRAY else SHAPES[name]
+    if not array.ndim or array.shape[1:] not in (wanted, (math.prod(wanted),) if wanted else ()):
         inner = ", ".join(["sample", *map(str, wanted)])
         raise InputError(
-            f"{self.path}: array '{self.name}' has shape {list(shape)}; expected [{inner}]"
+            f"{path}: array '{name}' has shape {list(array.shape)}; expected [{inner}]"
         )
-
-    def read(self, rows: int) -> Array:
-        """The next rows."""
-        if self.whole is not None:
-            values = self.whole[self.at : self.at + rows]
-        else:
-            values = self._take(rows * math.prod(self.shape))
-        self.at += rows
-        return values.reshape(rows, *self.shape)
-
-    def _take(self, count: int) -> Array:
-        data = self.stream.read(count * self.dtype.itemsize)
-        if len(data) < count * self.dtype.itemsize:
-            raise EOFError(f"'{self.name}' ends early")
-        return np.frombuffer(data, dtype=self.dtype)
+    return array.reshape(len(array), *wanted)

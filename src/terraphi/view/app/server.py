@@ -22,7 +22,7 @@ from collections.abc import Callable
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import plain_number
 from terraphi.library.shipped import offered, offered_legs
 from terraphi.view.app.work import JOB, PAGE, REFUSED
@@ -80,10 +80,8 @@ def serve(port: int = PORT, *, ready: Callable[[str], None] = lambda _: None) ->
     InputError
         If a package is missing, or the port cannot be had.
     """
-    try:
+    with needing("the app", "Starlette and uvicorn", extra="app"):
         import uvicorn
-    except ImportError as error:
-        raise _missing() from error
     served = application()
     with _bound(port) as ours:
         ready(f"http://{HOST}:{ours.getsockname()[1]}")
@@ -110,23 +108,15 @@ def _bound(port: int) -> socket.socket:
     return ours
 
 
-def _missing() -> InputError:
-    return InputError(
-        "the app needs Starlette and uvicorn: install them with pip install 'terraphi[app]'"
-    )
-
-
 def application(limits: Limits | None = None) -> Starlette:
     """Make the Starlette application; raises InputError if a package is missing."""
     limits = limits or Limits()
-    try:
+    with needing("the app", "Starlette and uvicorn", extra="app"):
         from starlette.applications import Starlette
         from starlette.middleware import Middleware
         from starlette.middleware.trustedhost import TrustedHostMiddleware
         from starlette.responses import HTMLResponse, JSONResponse
         from starlette.routing import Route
-    except ImportError as error:
-        raise _missing() from error
     front, policy = front_page(limits.bytes)
     pages: OrderedDict[str, str] = OrderedDict()
     one_at_a_time = asyncio.Lock()

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import damage_told
-from terraphi.inference.answer import PHI, decimals, decimals_of_sd
+from terraphi.inference.answer import PHI, decimals
 from terraphi.inference.budget import (
     MOST_WITHOUT_FORCE,
     ZERO_FORCE,
@@ -25,6 +25,7 @@ from terraphi.inference.findings import Measure
 from terraphi.inference.paper_likelihood import peak_to_peak
 from terraphi.inference.words import rows_of
 from terraphi.library.store import Library
+from terraphi.view import answers
 from terraphi.view.report import parts as fig
 from terraphi.view.report.certificate import certificate_of, certificate_parts
 from terraphi.view.report.parts import (
@@ -38,8 +39,6 @@ from terraphi.view.report.parts import (
 )
 from terraphi.view.report.study import pictures
 from terraphi.view.table import Table
-
-FloatArray = NDArray[np.float64]
 
 CONVENTION = {
     "paper": "the paper's yield criterion",
@@ -132,10 +131,11 @@ def _of_several(path: Path, answer: Mapping[str, Any]) -> Section:
     status = STATUS.get(str(answer["verdict"]), "none")
     sound = status == "good"
     about = {key: answer[key] for key in ("library", "likelihood", "sampler", "seed", "fixed")}
-    named = _names(answer)
-    found = [
-        f"{name} = {median} (68 %: {ci68})" for name, median, ci68, *_ in _spans(answer, named)
-    ]
+    table = replace(answers.parameters(answer, "Parameters"), wide=True)
+    if not answer["converged"]:
+        table = replace(table, note="The draws have not converged: do not use them.")
+    found = [f"{name} = {median} (68 %: {ci68})" for name, median, ci68, *_ in table.rows]
+    by_leg = replace(answers.expected(answer), title="What each leg alone would leave", wide=True)
     fixed = tuple(map(str, answer["identifiability"]["sentences"]))
     return Section(
         kind="inversion",
@@ -145,62 +145,15 @@ def _of_several(path: Path, answer: Mapping[str, Any]) -> Section:
         status="doubtful" if sound else status,
         badge=UNCHECKED_TOGETHER if sound else "",
         parts=[
-            _parameters(answer, named),
+            table,
             *measures(answer),
-            Text("What the forces fix", fixed),
-            *_expected(answer, named),
+            Text("What the forces tell of each parameter", fixed),
+            *([by_leg] if len(by_leg.rows) > 2 else []),
             _histories(answer),
             *pictures(path if path.is_dir() else path.parent, PICTURES),
         ],
         provenance={"result": path.name, **about, **answer.get("provenance", {})},
     )
-
-
-def _names(answer: Mapping[str, Any]) -> list[str]:
-    """Parameters with their units, φ with its convention."""
-    convention = (answer["phi_deg"] or {}).get("yield", "")
-    found = []
-    for one in answer["parameters"].values():
-        name = f"φ, {convention}" if one["name"] == "φ" else str(one["name"])
-        found.append(f"{name} [{one['unit'] or '-'}]")
-    return found
-
-
-def _spans(answer: Mapping[str, Any], names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Name, median and intervals of each parameter, the last with all others known."""
-    rows = []
-    for name, one in zip(names, answer["parameters"].values(), strict=True):
-        digits = decimals_of_sd(min(one["sd"], one["conditional"]["sd"]))
-        if "acceptance_fraction" not in answer:  # φ alone, by quadrature
-            digits = decimals(one["ci68"])
-        ends = (one["ci68"], one["ci95"], one["conditional"]["ci68"])
-        spans = (f"{low:.{digits}f} to {high:.{digits}f}" for low, high in ends)
-        rows.append((name, f"{one['median']:.{digits}f}", *spans))
-    return rows
-
-
-def _parameters(answer: Mapping[str, Any], names: Sequence[str]) -> Table:
-    rows = []
-    for spans, one in zip(_spans(answer, names), answer["parameters"].values(), strict=True):
-        rhat = one["convergence"].get("split_rhat")
-        draws = one["convergence"].get("effective_sample_size")
-        told = "–" if rhat is None else f"{rhat:.3f}", "–" if draws is None else f"{draws:.0f}"
-        rows.append((*spans, *told))
-    header = ("", "median", "68 %", "95 %", "68 %, others known", "R-hat", "effective draws")
-    note = "" if answer["converged"] else "The draws have not converged: do not use them."
-    return Table("Parameters", header, rows, note, wide=True)
-
-
-def _expected(answer: Mapping[str, Any], names: Sequence[str]) -> list[Part]:
-    """What each leg alone would leave of every parameter, if there are several."""
-    expected = answer["expected_sd"]
-    if len(expected) < 3:
-        return []
-    rows = [
-        ("all" if leg == "all" else f"leg {leg} alone", *(number(sd, 3) for sd in by.values()))
-        for leg, by in expected.items()
-    ]
-    return [Table("Expected standard deviations", ("", *names), rows, wide=True)]
 
 
 def _histories(answer: Mapping[str, Any]) -> Table:
@@ -319,10 +272,9 @@ def _median(angle: Mapping[str, Any]) -> str:
     return f"{angle['median']:.{decimals(angle['ci68'])}f}"
 
 
-def _range(angle: Mapping[str, Any], level: str, unit: str = "°") -> str:
+def _range(angle: Mapping[str, Any], level: str) -> str:
     """An interval, both levels with the digits that the narrower one deserves."""
-    low, high = (f"{end:.{decimals(angle['ci68'])}f}" for end in angle[level])
-    return f"{low} to {high}{unit}"
+    return f"{answers.between(angle[level], decimals(angle['ci68']))}°"
 
 
 def _plain_verdict(answer: Mapping[str, Any]) -> str:
@@ -332,18 +284,12 @@ def _plain_verdict(answer: Mapping[str, Any]) -> str:
 
 
 def _numbers(answer: Mapping[str, Any]) -> Table:
-    angles = [(f"φ, {answer['phi_deg'].get('yield')} [deg]", answer["phi_deg"])]
-    if answer["phi_plane_strain_deg"] and answer["phi_deg"].get("yield") != "plane_strain":
-        angles.append(("φ, equivalent in plane strain [deg]", answer["phi_plane_strain_deg"]))
-    rows = [(n, _median(a), _range(a, "ci68", ""), _range(a, "ci95", "")) for n, a in angles]
     misfit = " and ".join(f"{100.0 * answer['nrmsd'][f]:.1f} % ({f})" for f in ("Fx", "Fz"))
     density, leg = (
         ", assumed" if answer.get(f"{what}_assumed") else "" for what in ("density", "leg")
     )
-    return Table(
-        title="In numbers",
-        header=("", "median", "68 %", "95 %"),
-        rows=rows,
+    return replace(
+        answers.parameters(answer, "In numbers"),
         note=(
             f"Leg {answer['leg']}{leg}, library {answer['library']}, density "
             f"{answer['density_kg_m3']:g} kg/m³{density}. The curve at the median deviates from "
@@ -501,18 +447,20 @@ def _shaded(saved: Saved) -> list[dict[str, Any]]:
 
 
 def _budget(answer: Mapping[str, Any]) -> list[Part]:
-    """Shares in the variance of φ, where the likelihood tells its parts apart."""
-    budget = answer.get("error_budget")
-    if not isinstance(budget, Mapping) or not isinstance(budget.get("shares"), Mapping):
+    """Parts of the uncertainty of φ, where the likelihood tells them apart."""
+    budget = answer.get("error_budget") or {}
+    degrees, shares = budget.get("degrees"), budget.get("shares")
+    if not degrees or not shares:
         return []
     rows = [
-        (str(name).replace("_", " "), f"{100.0 * share:.0f} %" if _is_number(share) else "–")
-        for name, share in budget["shares"].items()
+        (name.replace("_", " "), number(sd, 2), f"{shares[name]:.0%}")
+        for name, sd in sorted(degrees.items(), key=lambda one: -one[1])
     ]
     size, told = budget.get("noise_N"), budget.get("noise")
     note = f"Noise of a window mean: {number(size, 2)} N, {told}." if _is_number(size) else ""
     title = "What the width of the interval comes from"
-    return [Table(title, ("", "share"), rows, note=note, wide=True)]
+    header = ("", "standard deviation of φ [deg]", "share of the variance")
+    return [Table(title, header, rows, note=note, wide=True)]
 
 
 def _is_number(value: Any) -> TypeGuard[float]:
@@ -547,10 +495,10 @@ class Saved:
     """
 
     answer: Mapping[str, Any]
-    draws_deg: FloatArray
-    theta_deg: FloatArray
-    data: FloatArray
-    best: FloatArray
+    draws_deg: FloatArray = field(default_factory=lambda: np.empty(0))
+    theta_deg: FloatArray = field(default_factory=lambda: np.empty(0))
+    data: FloatArray = field(default_factory=lambda: np.empty(0))
+    best: FloatArray = field(default_factory=lambda: np.empty(0))
     share: FloatArray | None = None
     band: FloatArray | None = None
 
@@ -560,10 +508,9 @@ def load(path: Path) -> Saved:
     folder = path if path.is_dir() else path.parent
     answer_file = path if path.suffix == ".json" else folder / "answer.json"
     posterior = path if path.suffix == ".nc" else folder / "posterior.nc"
-    if path.suffix != ".nc" and answer_file.is_file() and is_several(_answer(answer_file)):
-        return Saved(_answer(answer_file), *(np.empty(0),) * 4)
-    if not posterior.is_file():
-        return Saved(_answer(answer_file), *(np.empty(0),) * 4)
+    several = path.suffix != ".nc" and answer_file.is_file() and is_several(_answer(answer_file))
+    if several or not posterior.is_file():
+        return Saved(_answer(answer_file))
     import xarray as xr
 
     why = f"{posterior}: not a whole posterior as 'terraphi invert --out' writes it; make it again"
@@ -572,7 +519,7 @@ def load(path: Path) -> Saved:
             tree = opened.load()
         answer = _parsed(tree.attrs["answer"])
         if is_several(answer):
-            return Saved(answer, *(np.empty(0),) * 4)
+            return Saved(answer)
         data, best = (
             np.concatenate([_array(tree, f"{group}/{name}") for name in ("Fx", "Fz")])
             for group in ("observed_data", "posterior_predictive_mean")

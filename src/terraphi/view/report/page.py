@@ -19,7 +19,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import replacing
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 from terraphi.view.report.parts import Part, Player, Plot, Section, pairs
@@ -54,7 +54,9 @@ DARK = {
     "quiet": "#a9b2bc",
 }
 """The same on a dark page: Okabe & Ito's bright ones in place of their dark ones."""
-WORDS = {"good": "believe it", "doubtful": "look closer", "bad": "do not build on it", "none": ""}
+WORDS = {
+    "good": "no objection", "doubtful": "look closer", "bad": "do not use it", "none": "",
+}  # fmt: skip
 SIGNS = {"good": "✓", "doubtful": "!", "bad": "✗", "none": ""}
 
 
@@ -111,10 +113,8 @@ def render(sections: Sequence[Section]) -> str:
 @cache
 def _plotly() -> tuple[str, str]:
     """The script of plotly, and the same compressed, in base64; kept, for it takes a second."""
-    try:
+    with needing("a report", "plotly and Jinja2", extra="report"):
         from plotly.offline import get_plotlyjs
-    except ImportError as error:
-        raise _missing() from error
     library: str = get_plotlyjs()
     packed = gzip.compress(library.encode(), 9, mtime=0)
     return library, base64.b64encode(packed).decode("ascii")
@@ -146,10 +146,8 @@ def template(name: str, *, package: str = "terraphi.view.report") -> Any:
     InputError
         If Jinja2 is missing.
     """
-    try:
+    with needing("a report", "plotly and Jinja2", extra="report"):
         from jinja2 import Environment, PackageLoader, StrictUndefined
-    except ImportError as error:
-        raise _missing() from error
     environment = Environment(
         loader=PackageLoader(package, "assets"),
         autoescape=True,
@@ -159,12 +157,6 @@ def template(name: str, *, package: str = "terraphi.view.report") -> Any:
     )
     environment.globals["style"] = _palette() + asset("report.css")
     return environment.get_template(name)
-
-
-def _missing() -> InputError:
-    return InputError(
-        "a report needs plotly and Jinja2: install them with pip install 'terraphi[report]'"
-    )
 
 
 def asset(name: str, *, package: str = "terraphi.view.report") -> str:

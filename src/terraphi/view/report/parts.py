@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.view.plots import PHI_LABEL
 from terraphi.view.table import Table
 
@@ -280,11 +281,12 @@ DEGREES = {"tick0": 0, "dtick": 30, "range": [-90, 90]}
 """Axis of the leg angle over the engaged window."""
 
 
-FloatArray = NDArray[np.float64]
+PLACES = 241
+"""Places of a smoothed density."""
 
 
 def smooth_density(
-    draws: ArrayLike, *, bounds: tuple[float, float] | None = None, places: int = 241
+    draws: ArrayLike, *, bounds: tuple[float, float] | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Kernel density estimate with Gaussian kernels, mirrored at the ends of a bounded range.
 
@@ -296,8 +298,6 @@ def smooth_density(
         Shape [draw], any order.
     bounds
         Ends of the range that draws can have; those of the draws if not given.
-    places
-        Number of places.
 
     Returns
     -------
@@ -316,7 +316,7 @@ def smooth_density(
     quarters = np.quantile(values, [0.25, 0.75])
     spread = min(float(values.std()), float(np.diff(quarters)[0]) / 1.34) or float(values.std())
     width = 0.9 * spread * values.size**-0.2
-    x = np.linspace(max(low, values[0] - 3.0 * width), min(high, values[-1] + 3.0 * width), places)
+    x = np.linspace(max(low, values[0] - 3.0 * width), min(high, values[-1] + 3.0 * width), PLACES)
     # Counts on a fine grid in place of every draw: the same to a part in a thousand, and quick.
     edges = np.linspace(values[0], values[-1], 2001)
     count, _ = np.histogram(values, edges)

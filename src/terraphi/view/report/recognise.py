@@ -86,8 +86,6 @@ def _has_leg_forces(path: Path) -> bool:
 
 
 def _kind_of_folder(path: Path) -> Kind:
-    if (path / "answer.json").is_file():
-        return "inversion"
     for kind, name in FOLDERS:
         if (path / name).is_file():
             return kind

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf
 from terraphi.robot.estimators import Estimator
@@ -21,10 +21,8 @@ from terraphi.robot.results import KIND, SCHEMA, analyse, dataset_of
 from terraphi.robot.stance import AXES
 from terraphi.view.report import parts as fig
 from terraphi.view.report.parts import Part, Plot, Section, Text, number
-from terraphi.view.robot_plots import FOOT_NAMES
+from terraphi.view.robot_plots import FOOT_NAMES, feet_table, figures_table, first_shown
 from terraphi.view.table import Table
-
-FloatArray = NDArray[np.float64]
 
 SHOWN_S = 30.0
 """Longest part of a log that is shown over time [s]."""
@@ -65,7 +63,7 @@ def section(path: Path, *, robot: str = "go2") -> Section:
             raise InputError(why_not)
         shown = compared["momentum_observer" if "momentum_observer" in compared else "quasi_static"]
     summary, provenance = _summary(shown), json.loads(shown.attrs["provenance"])
-    parts: list[Part] = [_feet_table(summary), *_over_time(shown), *_ensemble(shown)]
+    parts: list[Part] = [feet_table(summary, "In numbers"), *_over_time(shown), *_ensemble(shown)]
     parts += _comparison(compared, why_not)
     parts.append(_reading(summary))
     return Section(
@@ -79,7 +77,7 @@ def section(path: Path, *, robot: str = "go2") -> Section:
 
 
 def _checked(data: Any) -> Any:
-    """What a file of forces holds; raises ValueError if its arrays do not fit."""
+    """The data of a file of forces; ValueError if there is not a force for each time and foot."""
     shape, wanted = data["force"].values.shape, (len(data["time"].values), len(FEET), len(AXES))
     if shape != wanted:
         raise ValueError(f"force has shape {shape}, expected {wanted}")
@@ -128,24 +126,6 @@ def _headline(summary: Mapping[str, Any]) -> str:
     )
 
 
-def _feet_table(summary: Mapping[str, Any]) -> Table:
-    rows = {**{FOOT_NAMES[f]: summary["feet"][f] for f in FEET}, "all": summary["pooled"]}
-    return Table(
-        "In numbers",
-        ("foot", "stances", "duration [s]", "peak Fz [N]", "peak Fx [N]"),
-        [(name, *_figures(found)) for name, found in rows.items()],
-        note="Duration and signed peaks of the mean stance.",
-        wide=True,
-    )
-
-
-def _figures(found: Mapping[str, Any]) -> tuple[str, ...]:
-    """Number of stances, duration and peaks, formatted for a table."""
-    digits = {"mean_duration_s": ".3f", "mean_peak_Fz_N": ".1f", "mean_peak_Fx_N": ".1f"}
-    values = (format(found[key], d) if found[key] is not None else "–" for key, d in digits.items())
-    return (str(found["stances"]), *values)
-
-
 def _reading(summary: Mapping[str, Any]) -> Table:
     hidden = {"feet", "pooled", "estimator", "frame", "notes"}
     rows = [(name, number(v) or "–") for name, v in summary.items() if name not in hidden]
@@ -158,8 +138,7 @@ def _reading(summary: Mapping[str, Any]) -> Table:
 def _over_time(shown: Any) -> list[Part]:
     """F_z and F_x of each foot, its stances shaded."""
     whole, stances = shown["time"].values, _stances(shown)
-    first = stances[0][1] if stances else float(whole[0])
-    start = max(min(first - 0.1, float(whole[-1]) - SHOWN_S), float(whole[0]))
+    start = first_shown(whole, [begin for _, begin, _ in stances], SHOWN_S)
     inside = slice(*np.searchsorted(whole, [start, start + SHOWN_S]).tolist())
     time = whole[inside] - start
     length = float(time[-1]) if len(time) else 0.0
@@ -278,8 +257,8 @@ def _comparison(compared: Mapping[str, Any], why_not: str) -> list[Part]:
             for (name, forces), (colour, dash) in zip(walked.items(), LOOKS.values(), strict=False)
         ]
         plots.append(_stance_plot(f"{title}: mean stance", axis, traces))
-    rows = [(NAMES[name], *_figures(_summary(f)["pooled"])) for name, f in compared.items()]
-    header = ("estimator", "stances", "duration [s]", "peak Fz [N]", "peak Fx [N]")
-    missing = f"Left out, as it could not be had: {why_not}." if why_not else ""
-    plots.append(Table(title, header, rows, note=missing, wide=True))
+    rows = {NAMES[name]: _summary(f)["pooled"] for name, f in compared.items()}
+    table = figures_table("estimator", rows, title)
+    missing = f" Left out, as it could not be had: {why_not}." if why_not else ""
+    plots.append(replace(table, note=table.note + missing))
     return plots

@@ -15,17 +15,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.mpm.fields import LEG, PARTICLES
 from terraphi.forward.vtk import Grid, read_points, read_series
-from terraphi.view.plots import leg_name, shown_position
+from terraphi.view.plots import scenario_name, shown_position
 from terraphi.view.report import parts as fig
 from terraphi.view.report.parts import Part, Player, Plot, Section, number
 from terraphi.view.table import Table
-
-FloatArray = NDArray[np.float64]
 
 MOST_PLACES = 220_000
 """Particles times frames in a page, five bytes each before they are written in base64."""
@@ -77,23 +76,13 @@ def section(history_file: Path, *, fields: Path | None, share: float = 1.0) -> S
     about = {key: value for key, value in known.items() if key != "scenario"}
     return Section(
         kind="simulation",
-        title=_title(scenario) or str(known.get("file", history_file.name)),
+        title=scenario_name(scenario) if scenario else str(known.get("file", history_file.name)),
         headline=_headline(history),
         parts=parts,
         provenance={
             "result": history_file.name, **about, "scenario": known.get("scenario", {}),
         },
     )  # fmt: skip
-
-
-def _title(scenario: Scenario | None) -> str:
-    if scenario is None:
-        return ""
-    soil = scenario.soil
-    leg = leg_name(scenario.leg.shape)
-    if scenario.convention == "none":
-        return f"{leg}, two-dimensional resistive force theory"
-    return f"{leg}, φ = {soil.friction_angle_deg:g}° ({scenario.convention})"
 
 
 def _headline(history: ForceHistory) -> str:
