@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
-from terraphi.inference.answer import Inversion
+from terraphi.inference.answer import PHI, Inversion
 from terraphi.inference.inversion import invert
 from terraphi.inference.paper_likelihood import PaperLikelihood
-from terraphi.inference.posterior import ensemble, tabulated
 from terraphi.library.shipped import companion
 from terraphi.library.store import Case, Library
 from terraphi.surrogate.paper import LegSurrogate
@@ -117,7 +116,7 @@ def run(
 
 def _case(phi_true_deg: float, exact: Inversion, sampled: Inversion) -> dict[str, Any]:
     """What both samplers make of one truth."""
-    convergence = sampled.posterior.convergence
+    convergence = sampled.convergence_of(PHI)
     error = convergence["median_standard_error"]
     return {
         "phi_true_deg": phi_true_deg,
@@ -145,15 +144,23 @@ def _about_emcee(cases: list[dict[str, Any]]) -> str:
 
 def _walkers(library: Library, truth: Case, exact: Inversion) -> Walkers:
     """An ensemble's way from the prior to the posterior, the first of those that were inverted."""
+    import emcee
+
     assert truth.history is not None
     curves = library.curves(exact.record.leg)
     surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
     likelihood = PaperLikelihood(truth.history.observation().vector, curves.theta_deg)
 
-    def log_p(phi_deg: FloatArray) -> FloatArray:
-        return likelihood(surrogate.predict(phi_deg))
+    low, high = surrogate.phi_bounds_deg
 
-    table = tabulated(log_p, surrogate.phi_bounds_deg)
-    draws = ensemble(table, surrogate.phi_bounds_deg, burn_in=0, seed=0).draws_deg
-    assert draws is not None
-    return Walkers(draws[0], BURN_IN, exact.posterior, truth.scenario.soil.friction_angle_deg)
+    def log_p(points: FloatArray) -> FloatArray:
+        phi = points[:, 0]
+        inside = (phi >= low) & (phi <= high)
+        return np.where(inside, likelihood(surrogate.predict(phi.clip(low, high))), -np.inf)
+
+    random = np.random.RandomState(0)  # emcee knows no other
+    start = emcee.State(random.uniform(low, high, (32, 1)), random_state=random.get_state())
+    sampler = emcee.EnsembleSampler(32, 1, log_p, vectorize=True)
+    sampler.run_mcmc(start, 4 * BURN_IN)
+    drawn = sampler.get_chain()[:, :, 0].T
+    return Walkers(drawn, BURN_IN, exact.posterior, truth.scenario.soil.friction_angle_deg)

@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from terraphi.inference.findings import Verdict
 from terraphi.inference.fit import Fit
-from terraphi.inference.posterior import Posterior, ensemble, quadrature, tabulated
+from terraphi.inference.posterior import Posterior, quadrature
 from terraphi.inference.verdict import (
     AT_EDGE,
     EDGE_DENSITY,
@@ -106,13 +106,3 @@ def test_two_standard_deviations_are_the_limit() -> None:
     low, high = edge_densities(normal(19.0, 2.0))
     assert low == pytest.approx(EDGE_DENSITY, rel=1e-6)
     assert high == pytest.approx(0.0, abs=1e-9)
-
-
-def test_draws_tell_the_edge_as_quadrature_does() -> None:
-    def log_p(phi: np.ndarray) -> np.ndarray:
-        return norm.logpdf(phi, 16.0, 2.0)
-
-    drawn = ensemble(tabulated(log_p, BOUNDS, nodes=401), BOUNDS, seed=1)
-    exact = edge_densities(quadrature(log_p, BOUNDS, nodes=401))
-    assert edge_densities(drawn) == pytest.approx(exact, abs=0.15)
-    assert judged(drawn, GOOD).edge == "low"

@@ -140,20 +140,16 @@ def short(key: str) -> str:
 
 def _posterior(found: Inversion) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Draws of each parameter, and of the errors that were inferred with them, [chain, draw]."""
-    draws = found.together.draws if found.together else None
-    if draws is None or found.together is None:
-        (key,), posterior = found.keys, found.posterior
-        if posterior.draws_deg is not None:
-            return {key: posterior.chains()}, {}
+    draws, errors = found.draws, {}
+    if draws is None:
         mixed = np.random.default_rng(0).permutation(found.drawn[:, 0])
-        return {key: mixed.reshape(CHAINS, -1)}, {}
+        return {found.keys[0]: mixed.reshape(CHAINS, -1)}, {}
     values = chains(draws.values, draws.stride)
-    shape = draws.values.shape[:3]
-    errors = {"noise_N": found.together.noise_N, "discrepancy_of_peak": found.together.amplitude}
-    return (
-        {key: values[:, :, i] for i, key in enumerate(found.keys)},
-        {name: chains(one.reshape(shape), draws.stride) for name, one in errors.items()},
-    )
+    if found.together is not None and found.of_phi is None:
+        both = found.together.noise_N, found.together.amplitude
+        shaped = (chains(one.reshape(draws.values.shape[:3]), draws.stride) for one in both)
+        errors = dict(zip(("noise_N", "discrepancy_of_peak"), shaped, strict=True))
+    return {key: values[:, :, i] for i, key in enumerate(found.keys)}, errors
 
 
 def _data(found: Inversion) -> dict[str, Any]:

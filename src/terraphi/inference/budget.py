@@ -190,8 +190,6 @@ def budget_of(
     )
 
 
-BINS = 20
-"""In which draws are counted."""
 ZERO_FORCE = 0.01
 """Measured force that counts as none, of the largest [-]."""
 MOST_WITHOUT_FORCE = 0.1
@@ -202,17 +200,8 @@ def information_gain_bits(posterior: Posterior) -> float:
     """What the forces add to the uniform prior: the relative entropy of the posterior [bit].
 
     Halving the range of what may be is one bit.
-
-    Parameters
-    ----------
-    posterior
-        By quadrature, or by draws, which are counted in :data:`BINS` bins.
     """
     low, high = posterior.bounds_deg
-    if posterior.density is None:
-        counts, _ = np.histogram(posterior.phi_deg, bins=BINS, range=(low, high))
-        share = counts[counts > 0] / counts.sum()
-        return float(np.sum(share * np.log2(share * BINS)))
     ratio = posterior.density * (high - low)
     gain = ratio * np.log2(np.where(ratio > 0.0, ratio, 1.0))
     return float(np.trapezoid(gain, posterior.phi_deg)) / (high - low)

@@ -44,27 +44,25 @@ from terraphi.inference.discrepancy import (
     SoilLikelihood,
     learnt_for,
 )
-from terraphi.inference.explanation import explain
 from terraphi.inference.findings import Doubt, Measure, Verdict
 from terraphi.inference.fit import SMALLEST_PROBABILITY, fit_without_discrepancy
 from terraphi.inference.identifiability import Identifiability
 from terraphi.inference.known_soils import Calibration
 from terraphi.inference.noise import Noise, shape_of
 from terraphi.inference.paper_likelihood import PaperLikelihood
-from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature, tabulated
+from terraphi.inference.posterior import LogLikelihood, Posterior, quadrature
 from terraphi.inference.prepared_leg import PreparedLeg, prepare
 from terraphi.inference.prior import Marginal
-from terraphi.inference.trials import Looked, Repeats, Tried, beyond, check_trials
+from terraphi.inference.sampler import Draws, sample
+from terraphi.inference.trials import Looked, Repeats, Seen, beyond, check_trials
 from terraphi.inference.verdict import (
     NRMSD_LIMIT,
     Edge,
     damaged,
-    deviations,
     edge_by_density,
     edge_by_mass,
     fit_measures,
     judge,
-    nrmsd,
     uninformed,
 )
 from terraphi.library.store import Library
@@ -160,6 +158,8 @@ class _Found:
     ----------
     posterior
         Of the soil's angle.
+    draws
+        Of that by emcee, if it was asked for.
     flat
         The same under a uniform prior.
     core
@@ -171,6 +171,7 @@ class _Found:
     """
 
     posterior: Posterior
+    draws: Draws | None
     flat: Posterior
     core: Posterior
     level: Level | None
@@ -228,10 +229,11 @@ def infer(
         began = time.perf_counter()
         found = _posterior(legs, prior, ways, assumed=density is None or density_assumed)
         seconds = time.perf_counter() - began
-        verdict, warnings, budget = _judged(looked, legs, found, ways)
+        records, verdict, warnings, budget = _judged(looked, legs, found, ways)
     warnings += uninformed(found.flat)
     scenario, posterior = legs[0].scenario, found.posterior
-    summary = Summary.of_posterior(posterior)
+    draws = found.draws
+    summary = Summary.of_posterior(posterior) if draws is None else Summary.of(draws.flat)
     # A calibrated angle is one of plane strain, as those of the known soils are.
     calibrated = ways.calibration is not None
     equivalent, why_not = (
@@ -242,12 +244,12 @@ def infer(
     if density is not None:
         priors[DENSITY] = Marginal(density, density)
     return Inversion(
-        records=tuple(r for leg in legs for r in _records(looked, leg, found)),
+        records=tuple(records),
         library=library.name,
         convention="plane_strain" if calibrated else scenario.convention,
         likelihood=ways.likelihood,
-        sampler=posterior.sampler,
-        seed=posterior.seed,
+        sampler=ways.sampler,
+        seed=None if draws is None else ways.seed,
         marginal={PHI: summary},
         priors=priors,
         of_phi=posterior,
@@ -259,6 +261,7 @@ def infer(
         warnings=tuple(warnings),
         budget=budget,
         together=_together(legs, found, used, ways) if looked.several else None,
+        draws=draws,
         provenance={"core_seconds": seconds, "library_angle_deg": found.library_angle},
     )
 
@@ -390,15 +393,32 @@ def _posterior(
     known = Marginal(low, high, None if prior is None else prior.normal)
     log.info("sampling φ over %g to %g deg by %s", low, high, ways.sampler)
     log_p = likelihood if known.normal is None else _times(likelihood, known)
-    if ways.sampler == "emcee":
-        table = tabulated(log_p, (low, high), nodes=nodes)
-        posterior = ensemble(table, (low, high), seed=ways.seed)
-    else:
-        posterior = quadrature(log_p, (low, high), nodes=nodes)
+    posterior = quadrature(log_p, (low, high), nodes=nodes)
+    draws = drawn(log_p, posterior, seed=ways.seed) if ways.sampler == "emcee" else None
     flat = posterior
     if known.normal is not None:
         flat = quadrature(likelihood, every, nodes=nodes)
-    return _Found(posterior, flat, core or posterior, level, known)
+    return _Found(posterior, draws, flat, core or posterior, level, known)
+
+
+def drawn(log_p: LogLikelihood, exact: Posterior, *, seed: int) -> Draws:
+    """Draws of a posterior by emcee, with as many walkers and steps as in the paper at least.
+
+    They ask tens of thousands of times, so between the nodes of the quadrature, which resolve the
+    log density, it is interpolated.
+    """
+    low, high = exact.bounds_deg
+    at_nodes = log_p(exact.phi_deg)
+
+    def log_posterior(points: FloatArray) -> FloatArray:
+        phi = points[:, 0]
+        inside = (phi >= low) & (phi <= high)
+        return np.where(inside, np.interp(phi, exact.phi_deg, at_nodes), -np.inf)
+
+    def draw_prior(count: int, rng: np.random.Generator) -> FloatArray:
+        return rng.uniform(low, high, (count, 1))
+
+    return sample(log_posterior, draw_prior, seed=seed)
 
 
 def _about(level: Level, core: Posterior) -> LogLikelihood:
@@ -406,25 +426,25 @@ def _about(level: Level, core: Posterior) -> LogLikelihood:
     return lambda phi_deg: level.log_density(core, phi_deg)
 
 
-def _best(leg: _Leg, found: _Found) -> FloatArray:
-    """The library's curve at the median, or at its end if that lies beyond [N], [2 theta]."""
-    return leg.predict(found.in_library([found.posterior.median], leg))[0]
+def _seen(looked: Looked, leg: _Leg, found: _Found, ways: Ways) -> tuple[list[Seen], Budget | None]:
+    """The histories of a leg beside the best curve, and the budget of the last were it alone.
 
-
-def _records(looked: Looked, leg: _Leg, found: _Found) -> list[Record]:
-    """The histories of a leg, with the curve at the median and the band of the 95 %."""
-    best = _best(leg, found)
+    That curve is the one at the median, or at the library's end if that lies beyond.
+    """
+    best = leg.predict(found.in_library([found.posterior.median], leg))[0]
     angles = np.linspace(*found.posterior.interval(0.95), 101)
     inside = leg.predict(found.in_library(angles, leg))
     band = np.stack([inside.min(axis=0), inside.max(axis=0)])
-    records = []
-    trials = zip(leg.group.trials, leg.group.observations, leg.each, strict=True)
-    for trial, observation, one in trials:
-        learnt = one.learnt if isinstance(one, SoilLikelihood) else None
-        expected = learnt.expected(leg.group.leg, best) if learnt else None
-        record = looked.record(trial, observation, best)
-        records.append(replace(record, band=band, expected=expected))
-    return records
+    limit = NRMSD_LIMIT if ways.likelihood == "paper" else None
+    seen, budget = [], None
+    every = looked.beside(leg.group, best, leg.nodes, most=limit)
+    for one, likelihood in zip(every, leg.each, strict=True):
+        own, budget = _fit_of(likelihood, found, leg, source=looked.name_of(one.trial))
+        record = replace(one.record, band=band)
+        if isinstance(likelihood, SoilLikelihood):
+            record = replace(record, expected=likelihood.learnt.expected(leg.group.leg, best))
+        seen.append(one._replace(record=record, measures=[*own, *one.measures]))
+    return seen, budget
 
 
 def _judged(
@@ -432,23 +452,15 @@ def _judged(
     legs: Sequence[_Leg],
     found: _Found,
     ways: Ways,
-) -> tuple[Verdict, list[Doubt], Budget | None]:
-    """Verdict, doubts, and the budget, which knows of no normal prior: then there is none."""
-    normal = found.prior.normal
-    measures: list[Measure] = []
-    warnings, budget = looked.damage, None
-    tried: list[Tried] = []
+) -> tuple[list[Record], Verdict, list[Doubt], Budget | None]:
+    """Records, verdict, doubts, and the budget, which knows of no normal prior: then it is none."""
+    normal, budget = found.prior.normal, None
+    by_leg: list[list[Seen]] = []
     for leg in legs:
-        best = _best(leg, found)
-        trials = zip(leg.group.trials, leg.group.observations, leg.each, strict=True)
-        for trial, observation, likelihood in trials:
-            source = trial.source if looked.several else ""
-            why = explain(observation.vector, leg.nodes[1], leg.nodes[0])
-            own, budget = _fit_of(likelihood, found, leg, source=source)
-            limit = NRMSD_LIMIT if ways.likelihood == "paper" else None
-            own += deviations(nrmsd(observation.vector, best), most=limit, source=source)
-            measures += own
-            tried.append(Tried(trial, why, fits=not any(measure.exceeded for measure in own)))
+        seen, budget = _seen(looked, leg, found, ways)
+        by_leg.append(seen)
+    every = [one for seen in by_leg for one in seen]
+    measures = [measure for one in every for measure in one.measures]
     if looked.several:
         measures += [*_together_as_soils(legs), _agreement(legs, found)]
     if normal is not None:
@@ -458,19 +470,20 @@ def _judged(
         measures,
         _edge(legs, found, ways),
         kind="soil" if worst else ways.likelihood,
-        beyond=beyond(tried),
+        beyond=beyond(every),
         numbers=worst,
     )
     budget = None if looked.several or normal is not None else budget
+    warnings = looked.damage
     if verdict.verdict == "consistent" and budget is not None:
-        warnings = [*warnings, *_zero(looked, found.posterior, budget)]
+        warnings += _zero(looked, found.posterior, budget)
     misfit = verdict.verdict == "misfit"
-    for leg in legs:
+    for leg, seen in zip(legs, by_leg, strict=True):
         density = leg.scale * leg.scenario.soil.density
-        warnings = warnings + looked.doubts_on(
-            leg.group, leg.scenario, leg.curves, density, tried=tried, misfit=misfit
+        warnings += looked.doubts_on(
+            leg.group, seen, leg.scenario, leg.curves, density, misfit=misfit
         )
-    return verdict, warnings, budget
+    return [one.record for one in every], verdict, warnings, budget
 
 
 def _fit_of(

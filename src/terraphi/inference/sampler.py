@@ -68,13 +68,18 @@ class Draws:
     seed: int
 
     @property
+    def flat(self) -> FloatArray:
+        """All of them, shape [draw, d]."""
+        return self.values.reshape(-1, self.values.shape[-1])
+
+    @property
     def central(self) -> FloatArray:
         """The most probable of the draws nearest to the median, shape [d].
 
         The most probable of all may lie at the far end of a ridge along which the density hardly
         changes. Distances are those of Mahalanobis.
         """
-        flat = self.values.reshape(-1, self.values.shape[-1])
+        flat = self.flat
         apart = flat - np.median(flat, axis=0)
         precision = np.linalg.inv(np.cov(apart.T).reshape(apart.shape[1], apart.shape[1]))
         distance = np.einsum("ki,ij,kj->k", apart, precision, apart)

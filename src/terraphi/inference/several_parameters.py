@@ -37,26 +37,23 @@ from terraphi.inference.answer import (
     PHI,
     AngleSummary,
     Inversion,
-    Record,
     Summary,
     Together,
     plane_strain_summary,
 )
-from terraphi.inference.explanation import explain
 from terraphi.inference.findings import Doubt, Side, Verdict
 from terraphi.inference.identifiability import Identifiability, label
 from terraphi.inference.noise import Noise
-from terraphi.inference.posterior import Posterior, quadrature
+from terraphi.inference.posterior import quadrature
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws, sample
-from terraphi.inference.trials import Looked, Repeats, Tried, beyond, check_trials
+from terraphi.inference.trials import Looked, Repeats, Seen, beyond, check_trials
 from terraphi.inference.verdict import (
     AT_EDGE,
     EDGE_DENSITY,
     NRMSD_LIMIT,
     Edge,
     damaged,
-    deviations,
     judge,
 )
 from terraphi.library.store import Library
@@ -408,7 +405,7 @@ def _answer(
 ) -> Inversion:
     groups = looked.groups
     d, scenario = len(target.keys), library.cases[0].scenario
-    flat = draws.values.reshape(-1, draws.values.shape[-1])
+    flat = draws.flat
     noise, amplitude = target.errors(flat)
     best = draws.central
     point = {k: float(v[0]) for k, v in target.named(best[None]).items()}
@@ -427,16 +424,15 @@ def _answer(
         noise_N=noise,
         amplitude=amplitude,
         discrepancy="gp" if target.discrepancy else "none",
-        draws=draws,
     )
-    records = _records(looked, target, point)
-    tried = _tried(records, groups, target, point)
-    verdict = _judge(target, flat, identifiability, records, beyond=beyond(tried))
-    warnings = [*looked.damage, *_doubts(looked, data, target, tried, verdict)]
+    by_leg = _seen(looked, target, point)
+    every = [one for seen in by_leg for one in seen]
+    verdict = _judge(target, flat, identifiability, every)
+    warnings = [*looked.damage, *_doubts(looked, data, target, by_leg, verdict)]
     if not draws.converged:
         warnings.append(Doubt("not_converged"))
     return Inversion(
-        records=records,
+        records=tuple(one.record for one in every),
         library=library.name,
         convention=scenario.convention,
         likelihood="joint",
@@ -444,7 +440,8 @@ def _answer(
         seed=draws.seed,
         marginal=marginal,
         priors=target.priors,
-        of_phi=_of_phi(draws, target),
+        of_phi=None,
+        draws=draws,
         phi_plane_strain=equivalent,
         plane_strain_reason=why_not,
         density=known,
@@ -455,68 +452,40 @@ def _answer(
     )
 
 
-def _of_phi(draws: Draws, target: Target) -> Posterior | None:
-    """Posterior of φ by the draws, if it was inferred."""
-    if PHI not in target.keys:
-        return None
-    i, prior = target.keys.index(PHI), target.priors[PHI]
-    drawn = np.ascontiguousarray(draws.values[..., i])
-    told = draws.diagnostics[i].as_dict()
-    return Posterior.of_draws(drawn, (prior.low, prior.high), seed=draws.seed, convergence=told)
+def _seen(looked: Looked, target: Target, point: Mapping[str, float]) -> list[list[Seen]]:
+    """The histories of each leg beside the curve at the best point.
 
-
-def _records(looked: Looked, target: Target, point: Mapping[str, float]) -> tuple[Record, ...]:
-    """The histories leg by leg, with the curve at the best point."""
+    What would explain a misfit is looked for on the curves over φ through that point.
+    """
     at = {k: np.array([v]) for k, v in point.items()}
+    prior = target.priors.get(PHI)
     found = []
     for group, leg in zip(looked.groups, target.legs, strict=True):
+        nodes = None
+        if prior is not None and PHI in target.keys:
+            phi = np.linspace(prior.low, prior.high, CURVES)
+            along = {k: np.full(CURVES, v) for k, v in point.items()} | {PHI: phi}
+            nodes = phi, leg.surrogate.predict(along)[0]
         best = leg.surrogate.predict(at)[0][0]
-        for trial, seen in zip(group.trials, group.observations, strict=True):
-            found.append(looked.record(trial, seen, best))
-    return tuple(found)
-
-
-def _tried(
-    records: Sequence[Record],
-    groups: Sequence[Repeats],
-    target: Target,
-    point: Mapping[str, float],
-) -> list[Tried]:
-    """What would explain each history, on the curves over φ through the best point."""
-    if PHI not in target.keys:
-        return []
-    phi = np.linspace(target.priors[PHI].low, target.priors[PHI].high, CURVES)
-    along = {k: np.full(CURVES, v) for k, v in point.items()} | {PHI: phi}
-    curves = {
-        group.leg: leg.surrogate.predict(along)[0]
-        for group, leg in zip(groups, target.legs, strict=True)
-    }
-    trials = (trial for group in groups for trial in group.trials)
-    return [
-        Tried(
-            trial,
-            explain(r.observation.vector, curves[r.leg], phi),
-            fits=max(r.nrmsd.values()) <= NRMSD_LIMIT,
-        )
-        for trial, r in zip(trials, records, strict=True)
-    ]
+        found.append(looked.beside(group, best, nodes, most=NRMSD_LIMIT))
+    return found
 
 
 def _doubts(
     looked: Looked,
     data: Sequence[Training],
     target: Target,
-    tried: Sequence[Tried],
+    seen: Sequence[Sequence[Seen]],
     verdict: Verdict,
 ) -> list[Doubt]:
     """Questions and doubts about each history."""
     found: list[Doubt] = []
-    for group, one in zip(looked.groups, data, strict=True):
+    for group, own, one in zip(looked.groups, seen, data, strict=True):
         density, curves = _density_of(target.priors, one), one.forces
         if density is not None:
             curves = curves * (density / one.density)[:, None]
         found += looked.doubts_on(
-            group, one.scenario, curves, density, tried=tried,
+            group, own, one.scenario, curves, density,
             misfit=verdict.verdict == "misfit", varied=one.bounds,
         )  # fmt: skip
     return found
@@ -545,7 +514,7 @@ def _conditional(target: Target, best: FloatArray, i: int) -> Summary:
         return target(points)
 
     prior = target.marginals[i]
-    found: Posterior = quadrature(along, (prior.low, prior.high), nodes=401)
+    found = quadrature(along, (prior.low, prior.high), nodes=401)
     ends = found.interval(0.68)
     sd = 0.5 * (ends[1] - ends[0])
     return Summary(found.median, sd, ends, found.interval(0.95))
@@ -581,33 +550,23 @@ def _judge(
     target: Target,
     flat: FloatArray,
     identifiability: Identifiability,
-    records: Sequence[Record],
-    *,
-    beyond: Side | None = None,
+    seen: Sequence[Seen],
 ) -> Verdict:
     """A misfit if forces deviate; out of range if an edge cuts off a parameter that was learnt."""
-    several = len(records) > 1
-    fit = [
-        measure
-        for record in records
-        for measure in deviations(
-            record.nrmsd, most=NRMSD_LIMIT, source=record.source if several else ""
-        )
-    ]
     edges = {
         key: _edge(key, target.priors[key], flat[:, i])
         for i, key in enumerate(target.keys)
         if identifiability.kinds[key] != "open"
     }
-    worst = max(records, key=lambda record: max(record.nrmsd.values()))
+    worst = max((one.record for one in seen), key=lambda record: max(record.nrmsd.values()))
     at = max(edges, key=lambda key: edges[key].size, default="")
     name = worst.source or "the history"
     # It is beyond an end of φ that the forces would fit.
     return judge(
-        fit,
+        [measure for one in seen for measure in one.measures],
         edges.get(at),
         kind="parameters",
-        beyond=beyond if at == PHI else None,
+        beyond=beyond(seen) if at == PHI else None,
         numbers={"worst": name},
     )
 

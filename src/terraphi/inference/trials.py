@@ -24,11 +24,11 @@ from terraphi.experiment.measurements import Measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.answer import Record
 from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
-from terraphi.inference.explanation import OFFSETS, Explanation
-from terraphi.inference.findings import Doubt, Side
+from terraphi.inference.explanation import OFFSETS, Explanation, explain
+from terraphi.inference.findings import Doubt, Measure, Side
 from terraphi.inference.noise import Noise, window_covariance
 from terraphi.inference.prior import DENSITIES
-from terraphi.inference.verdict import nrmsd
+from terraphi.inference.verdict import deviations, nrmsd
 from terraphi.inference.words import of_doubt
 from terraphi.library.store import Library
 
@@ -158,12 +158,20 @@ class Repeats:
         return np.stack([o.vector for o in self.observations])
 
 
-class Tried(NamedTuple):
-    """A history, what would explain its misfit, and whether it fits without that."""
+class Seen(NamedTuple):
+    """A history beside the curve that fits best."""
 
     trial: Trial
+    record: Record
+    measures: list[Measure]
+    """How well that fits."""
     why: Explanation
-    fits: bool
+    """What would explain a misfit."""
+
+    @property
+    def fits(self) -> bool:
+        """Whether no measure is exceeded."""
+        return not any(measure.exceeded for measure in self.measures)
 
     def question(self, *, misfit: bool) -> Doubt | None:
         """What is asked about it, if the verdict is a misfit or is none."""
@@ -174,9 +182,9 @@ class Tried(NamedTuple):
         return None
 
 
-def beyond(tried: Sequence[Tried]) -> Side | None:
+def beyond(seen: Sequence[Seen]) -> Side | None:
     """End of the library beyond which an angle would explain all histories that do not fit."""
-    ends = {one.why.beyond for one in tried if not one.fits}
+    ends = {one.why.beyond for one in seen if not one.fits}
     return ends.pop() if len(ends) == 1 else None
 
 
@@ -212,75 +220,102 @@ class Looked:
     def damage(self) -> list[Doubt]:
         """What was left out of each."""
         return [
-            replace(doubt, source=trial.source if self.several else "")
+            defect.doubt(self.name_of(trial))
             for trial, inspection in zip(self.trials, self.inspections, strict=True)
-            for doubt in inspection.doubts
+            for defect in inspection.defects
         ]
+
+    def name_of(self, trial: Trial) -> str:
+        """Its source, where it has to be named."""
+        return trial.source if self.several else ""
+
+    def beside(
+        self,
+        repeats: Repeats,
+        best: FloatArray,
+        nodes: tuple[FloatArray, FloatArray] | None,
+        *,
+        most: float | None = None,
+    ) -> list[Seen]:
+        """The trials of a leg beside the curve that fits best.
+
+        Parameters
+        ----------
+        repeats
+            Trials of one leg.
+        best
+            The curve [N], shape [2 theta].
+        nodes
+            Closely spaced friction angles, and curves there, as :func:`explain` has them; ``None``:
+            misfits are not explained.
+        most
+            Largest deviation that is accepted, of peak-to-peak [-].
+        """
+        found = []
+        for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
+            at = next(i for i, one in enumerate(self.trials) if one is trial)
+            record = Record(
+                source=trial.source,
+                leg=trial.leg,
+                observation=observation,
+                readings=trial.history.position,
+                best=best,
+                nrmsd=nrmsd(observation.vector, best),
+                data=self.inspections[at].as_dict(),
+                simulation=trial.simulation,
+                leg_assumed=trial.leg_assumed,
+            )
+            why = explain(observation.vector, *nodes) if nodes else Explanation()
+            measures = deviations(record.nrmsd, most=most, source=self.name_of(trial))
+            found.append(Seen(trial, record, measures, why))
+        return found
 
     def doubts_on(
         self,
         repeats: Repeats,
+        seen: Sequence[Seen],
         scenario: Scenario,
         curves: FloatArray,
         density: float | None,
         *,
-        tried: Sequence[Tried] = (),
-        misfit: bool = False,
+        misfit: bool,
         varied: Iterable[str] = (),
     ) -> list[Doubt]:
         """Questions on the trials of a leg, and why they may not be what they were taken for.
 
         Parameters
         ----------
-        repeats
-            Trials of one leg.
+        repeats, seen
+            Trials of one leg, and the same beside the best curve.
         scenario
             Any of the library's for it.
         curves
             The library's, at that density [N], shape [case, 2 theta].
         density
             Density that the trials are inverted with [kg/m3]; ``None`` if it is inferred.
-        tried
-            What would explain histories, these among them.
         misfit
             Whether that is the verdict.
         varied
             Keys in which they may differ from the library.
         """
         found: list[Doubt] = []
-        asked = {id(one.trial): one.question(misfit=misfit) for one in tried}
-        for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
-            question = asked.get(id(trial))
+        for one in seen:
+            question, history = one.question(misfit=misfit), one.trial.history
             # A zero that is seen to be off is told as such.
             if self.spoilt and question is not None and question.code in OFFSETS:
                 question = None
-            said = [question, unlike(trial.history, scenario, repeats.leg, varied=varied)]
-            is_asked = question is not None
-            said += doubts(trial.history, observation, curves, density, asked=is_asked)
-            source = trial.source if self.several else ""
-            found += [replace(one, source=source) for one in said if one is not None]
+            said = [question, unlike(history, scenario, repeats.leg, varied=varied)]
+            said += [] if question else slips(one.record.observation, curves)
+            said.append(other_density(history, density))
+            source = self.name_of(one.trial)
+            found += [replace(doubt, source=source) for doubt in said if doubt is not None]
         numbers = {"leg": repeats.leg, "spacing_deg": DENSE_DEG}
         return found + [Doubt("read_twice", numbers, t.source) for t in repeats.read_twice]
 
     def check_noise(self, noise: Noise) -> None:
         """Refuse noise that a history cannot have."""
         for trial in self.trials:
-            noise.check_against(trial.history, source=trial.source if self.several else "")
-
-    def record(self, trial: Trial, observation: Observation, best: FloatArray) -> Record:
-        """A history as an answer has it, with the curve that fits best [N], shape [2 theta]."""
-        at = next(i for i, one in enumerate(self.trials) if one is trial)
-        return Record(
-            source=trial.source,
-            leg=trial.leg,
-            observation=observation,
-            readings=trial.history.position,
-            best=best,
-            nrmsd=nrmsd(observation.vector, best),
-            data=self.inspections[at].as_dict(),
-            simulation=trial.simulation,
-            leg_assumed=trial.leg_assumed,
-        )
+            noise.check_against(trial.history, source=self.name_of(trial))
 
 
 @contextmanager
@@ -318,7 +353,7 @@ def look(trials: Sequence[Trial], library: Library) -> Looked:
             try:
                 seen.history.observation()
             except InputError as error:
-                said = [f"{error}.", *map(of_doubt, seen.doubts)]
+                said = [f"{error}.", *(of_doubt(one.doubt()) for one in seen.defects)]
                 raise InputError(" ".join(said).rstrip(".")) from error
     return Looked(tuple(left), tuple(found), tuple(grouped(left)))
 
@@ -489,40 +524,26 @@ def unlike(
     return Doubt("unlike", {"differences": differences}) if differences else None
 
 
-def doubts(
-    history: ForceHistory,
-    observation: Observation,
-    curves: FloatArray,
-    density: float | None,
-    *,
-    asked: bool = False,
-) -> list[Doubt]:
-    """What is likely to be a slip: of units, of signs, or of the density.
-
-    Parameters
-    ----------
-    history
-        Forces; it carries its scenario if we simulated it.
-    observation
-        Its window means.
-    curves
-        The library's, at that density [N], shape [case, 2 theta].
-    density
-        With which the history is inverted [kg/m³]; ``None`` if it is inferred.
-    asked
-        Whether a slip of units or signs that explains the history is asked about already.
-    """
-    found = [] if asked else _slips(observation, curves)
+def other_density(history: ForceHistory, density: float | None) -> Doubt | None:
+    """A doubt if a history is of another density [kg/m³] than it is inverted with."""
     made_by = scenario_of(history)
     how = "simulated with" if made_by else "measured at"
     own = made_by.soil.density if made_by else history.provenance.get("density_kg_m3")
     if density and own and abs(own - density) > 1e-6 * density:
-        found.append(Doubt("other_density", {"made": how, "own": own, "used": density}))
-    return found
+        return Doubt("other_density", {"made": how, "own": own, "used": density})
+    return None
 
 
-def _slips(observation: Observation, curves: FloatArray) -> list[Doubt]:
-    """Questions on units and signs."""
+def slips(observation: Observation, curves: FloatArray) -> list[Doubt]:
+    """Questions on units and signs.
+
+    Parameters
+    ----------
+    observation
+        Window means of a history.
+    curves
+        The library's, at the density of the soil [N], shape [case, 2 theta].
+    """
     found = []
     names, measured = ("Fx", "Fz"), observation.vector.reshape(2, -1)
     library = curves.reshape(len(curves), 2, -1)

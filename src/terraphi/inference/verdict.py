@@ -33,8 +33,6 @@ EDGE_DENSITY = float(np.exp(-2.0))
 distribution two standard deviations from its mean [-]."""
 AT_EDGE = 0.9
 """The same, above which the posterior counts as being at the edge, and a misfit as its sign [-]."""
-EDGE_WIDTH = 1e-3
-"""Width over which it is taken, of the library's span [-]."""
 UNINFORMED_BITS = 0.1
 """Information below which a posterior is hardly the forces' doing: a range smaller by 7 % has that
 much."""
@@ -203,17 +201,8 @@ def edge_by_density(posterior: Posterior, *, convention: str = "") -> Edge:
 
 def edge_densities(posterior: Posterior) -> tuple[float, float]:
     """Density next to the lower and the upper edge, over the largest [-]."""
-    low, high = posterior.bounds_deg
-    if posterior.density is not None:
-        top = float(posterior.density.max())
-        return float(posterior.density[0]) / top, float(posterior.density[-1]) / top
-    # Of draws, in bins a fifth of the 68 % interval wide.
-    first, last = posterior.interval(0.68)
-    width = max((last - first) / 5.0, EDGE_WIDTH * (high - low))
-    counts, _ = np.histogram(posterior.phi_deg, bins=np.arange(low, high + width, width))
-    below, above = posterior.mass(low, low + width), posterior.mass(high - width, high)
-    top = float(counts.max()) / posterior.phi_deg.size
-    return min(below / top, 1.0), min(above / top, 1.0)
+    top = float(posterior.density.max())
+    return float(posterior.density[0]) / top, float(posterior.density[-1]) / top
 
 
 def uninformed(posterior: Posterior) -> list[Doubt]:

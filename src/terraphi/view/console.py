@@ -37,7 +37,7 @@ def print_json(data: Any) -> None:
 
 def print_inversion(found: Inversion) -> None:
     """A table of what was inferred, what it rests on, then the verdict in words."""
-    several = found.together is not None and found.together.draws is not None
+    several = found.of_phi is None
     header = ("", "median", "68 %", "95 %", *(("68 %, others known", "R-hat") if several else ()))
     print_table(Table(_title(found), header, _parameter_rows(found, several)))
     remarks = _remarks(found, several)
