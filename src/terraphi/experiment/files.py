@@ -6,6 +6,7 @@ import fcntl
 import io
 import logging
 import os
+import re
 import sys
 import tempfile
 import traceback
@@ -201,6 +202,18 @@ def plain_number(text: str) -> float:
     if "_" in text or not text.isascii():
         raise ValueError(f"'{text}' is not a number")
     return float(text)
+
+
+def number_with_sd(text: str) -> tuple[float, float | None]:
+    """Parse ``35``, ``35±2``, ``35+-2`` or ``35+/-2``: a number, its standard deviation or None.
+
+    Raises
+    ------
+    ValueError
+        As :func:`plain_number`.
+    """
+    mean, sign, sd = re.sub(r"\+/?-", "±", text.strip()).partition("±")
+    return plain_number(mean), plain_number(sd) if sign else None
 
 
 def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:

@@ -66,34 +66,22 @@ class AngleSummary:
 
 
 @dataclass(frozen=True)
-class Summary:
-    """Median, standard deviation and equal-tailed intervals of a parameter, in its unit."""
+class Summary(AngleSummary):
+    """The same of any parameter, in its unit, with its standard deviation."""
 
-    median: float
     sd: float
-    ci68: tuple[float, float]
-    ci95: tuple[float, float]
 
     @classmethod
     def of(cls, draws: FloatArray) -> Summary:
         """From draws of any shape."""
         q = np.quantile(draws, [0.5, 0.16, 0.84, 0.025, 0.975]).tolist()
-        return cls(q[0], float(draws.std()), (q[1], q[2]), (q[3], q[4]))
+        return cls(q[0], (q[1], q[2]), (q[3], q[4]), float(draws.std()))
 
     @classmethod
     def of_posterior(cls, posterior: Posterior) -> Summary:
         """From a posterior of the friction angle [deg]."""
         ends = posterior.interval(0.68), posterior.interval(0.95)
-        return cls(posterior.median, posterior.sd, *ends)
-
-    @property
-    def angle(self) -> AngleSummary:
-        """The same of a friction angle [deg]."""
-        return AngleSummary(self.median, self.ci68, self.ci95)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists."""
-        return asdict(self)
+        return cls(posterior.median, *ends, posterior.sd)
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,11 +257,11 @@ class Inversion:
         return tuple(self.marginal)
 
     @property
-    def phi(self) -> AngleSummary:
+    def phi(self) -> Summary:
         """Summary of φ [deg]; ValueError if it was not inferred."""
         if PHI not in self.marginal:
             raise ValueError("the friction angle was not inferred")
-        return self.marginal[PHI].angle
+        return self.marginal[PHI]
 
     @property
     def posterior(self) -> Posterior:
@@ -475,10 +463,7 @@ def plane_strain_summary(phi: AngleSummary, scenario: Scenario) -> tuple[AngleSu
         )
 
     try:
-        return AngleSummary(
-            convert(phi.median),
-            (convert(phi.ci68[0]), convert(phi.ci68[1])),
-            (convert(phi.ci95[0]), convert(phi.ci95[1])),
-        ), ""
+        low68, high68, low95, high95 = map(convert, (*phi.ci68, *phi.ci95))
+        return AngleSummary(convert(phi.median), (low68, high68), (low95, high95)), ""
     except InputError as error:
         return None, str(error)

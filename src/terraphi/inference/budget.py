@@ -125,6 +125,43 @@ class Budget:
     discrepancy: str
     degrees: Mapping[str, float]
 
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        terms: Mapping[str, FloatArray],
+        information: FloatArray,
+        *,
+        noise: float,
+        scale: float,
+        **rest: Any,
+    ) -> Budget:
+        """From the covariance of each term, in the library's force unit.
+
+        Parameters
+        ----------
+        problem
+            The data.
+        terms
+            As from :func:`covariance_terms`.
+        information
+            As from :func:`information_share`.
+        noise
+            Of a window mean [N].
+        scale
+            Factor from the library's force unit to the data's [-].
+        rest
+            All else, as above.
+        """
+        return cls(
+            information=information,
+            information_without_force=share_without_force(information, problem.data),
+            sigma_N={name: scale * np.sqrt(np.diag(term)) for name, term in terms.items()},
+            noise_N=scale * noise,
+            noise="inferred" if problem.noise_sigma is None else "given",
+            **rest,
+        )
+
     @property
     def shares(self) -> dict[str, float]:
         """Share of each term in the variance of the friction angle [-]; they add up to 1."""
@@ -172,19 +209,18 @@ def budget_of(
     total = sum(terms.values(), np.zeros_like(discrepancy))
     direction = np.linalg.solve(total, slope)
     parts = {name: float(direction @ term @ direction) for name, term in terms.items()}
-    told = information_share(total, slope)
     offsets = np.kron(np.eye(2), np.ones(len(slope) // 2)) / scale
     along, information = offsets @ direction, float(direction @ slope)
     chi2 = np.einsum("ij,ji->i", offsets, np.linalg.solve(total, offsets.T))
-    return Budget(
-        information=told,
-        information_without_force=share_without_force(told, problem.data),
-        sigma_N={name: scale * np.sqrt(np.diag(term)) for name, term in terms.items()},
-        noise_N=scale * float(np.sqrt(noise_variance)),
+    return Budget.of(
+        problem,
+        terms,
+        information_share(total, slope),
+        noise=float(np.sqrt(noise_variance)),
+        scale=scale,
         discrepancy_of_peak=float(np.sqrt(weights @ np.square(used.amplitude))),
         fit=fit,
         offset=Offset(along / information, chi2 - np.square(along) / information),
-        noise="inferred" if problem.noise_sigma is None else "given",
         discrepancy="gp" if problem.discrepancy else "none",
         degrees={n: float(np.sqrt(part)) / information for n, part in parts.items()},
     )

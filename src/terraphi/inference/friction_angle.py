@@ -18,7 +18,6 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +27,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.answer import (
     PHI,
+    AngleSummary,
     Inversion,
     Record,
     Summary,
@@ -236,9 +236,9 @@ def infer(
     summary = Summary.of_posterior(posterior) if draws is None else Summary.of(draws.flat)
     # A calibrated angle is one of plane strain, as those of the known soils are.
     calibrated = ways.calibration is not None
-    equivalent, why_not = (
-        (summary.angle, "") if calibrated else plane_strain_summary(summary.angle, scenario)
-    )
+    equivalent, why_not = plane_strain_summary(summary, scenario)
+    if calibrated:
+        equivalent, why_not = AngleSummary(summary.median, summary.ci68, summary.ci95), ""
     used = scenario.soil.density if density is None else density
     priors = {PHI: found.prior}
     if density is not None:
@@ -270,34 +270,25 @@ def _leg(
     group: Repeats, looked: Looked, library: Library, density: float | None, ways: Ways
 ) -> _Leg:
     """Make a leg of the library ready."""
-    prepared = None
-    if ways.likelihood == "paper":
-        curves = library.curves(group.leg, readings=group.readings)
-    else:
-        prepared = prepare(library, group.leg, readings=group.readings)
-        curves = prepared.curves
+    readings, prepared = group.readings, None
+    if ways.likelihood != "paper":
+        prepared = prepare(library, group.leg, readings=readings)
+    curves = prepared.curves if prepared else library.curves(group.leg, readings=readings)
     check_trials(group, curves.scenario, density=density, several=looked.several)
     scale = 1.0 if density is None else density / curves.scenario.soil.density
-    surrogate: LegSurrogate | JointSurrogate
-    if prepared is None:
-        surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
-        angles = np.linspace(*surrogate.phi_bounds_deg, CURVES)
-        nodes = angles, surrogate.predict(angles, scale=scale)
-        of = _by_paper(surrogate, scale)
-    else:
-        surrogate, nodes = prepared.surrogate, (prepared.phi_deg, scale * prepared.mean)
+    shared = group, curves.scenario, scale, scale * curves.vectors
+    if prepared:
+        nodes = prepared.phi_deg, scale * prepared.mean
         of = _calibrated(group, looked, library, prepared, scale, ways)
-    return _Leg(group, curves.scenario, scale, scale * curves.vectors, surrogate, nodes, of)
+        return _Leg(*shared, prepared.surrogate, nodes, of)
+    surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
+    angles = np.linspace(*surrogate.phi_bounds_deg, CURVES)
 
-
-def _by_paper(surrogate: LegSurrogate, scale: float) -> Callable[[FloatArray, int], LogLikelihood]:
-    """As printed by Xu & Wang."""
-
-    def of(vector: FloatArray, _trials: int) -> LogLikelihood:
+    def by_paper(vector: FloatArray, _trials: int) -> LogLikelihood:
         likelihood = PaperLikelihood(vector, surrogate.theta_deg)
         return lambda phi_deg: likelihood(surrogate.predict(phi_deg, scale=scale))
 
-    return of
+    return _Leg(*shared, surrogate, (angles, surrogate.predict(angles, scale=scale)), by_paper)
 
 
 def _calibrated(
@@ -461,17 +452,23 @@ def _judged(
         by_leg.append(seen)
     every = [one for seen in by_leg for one in seen]
     measures = [measure for one in every for measure in one.measures]
+    soils = _soils(legs)
     if looked.several:
-        measures += [*_together_as_soils(legs), _agreement(legs, found)]
+        if soils:
+            # The deviation of all measured histories: the geometric mean of those of each.
+            mean = float(np.exp(np.mean([np.log(one.deviation) for one in soils])))
+            most = soils[0].learnt.most()
+            measures.append(Measure("soil_deviation", mean, most=most, about="all"))
+        measures.append(_agreement(legs, found))
     if normal is not None:
         measures.append(_against(found.flat, normal))
-    worst = _worst(legs)
+    worst = max(soils, key=lambda one: one.deviation, default=None)
     verdict = judge(
         measures,
         _edge(legs, found, ways),
         kind="soil" if worst else ways.likelihood,
         beyond=beyond(every),
-        numbers=worst,
+        numbers=worst.learnt.where(worst.leg, worst.fitted) if worst else None,
     )
     budget = None if looked.several or normal is not None else budget
     warnings = looked.damage
@@ -508,29 +505,11 @@ def _soils(legs: Sequence[_Leg]) -> list[SoilLikelihood]:
     return [one for leg in legs for one in leg.each if isinstance(one, SoilLikelihood)]
 
 
-def _together_as_soils(legs: Sequence[_Leg]) -> list[Measure]:
-    """The deviation of all measured histories: the geometric mean of those of each."""
-    soils = _soils(legs)
-    if not soils:
-        return []
-    mean = float(np.exp(np.mean([np.log(one.deviation) for one in soils])))
-    return [Measure("soil_deviation", mean, most=soils[0].learnt.most(), about="all")]
-
-
-def _worst(legs: Sequence[_Leg]) -> dict[str, Any] | None:
-    """Where the measured history deviates that real soils are least like; ``None`` if none is."""
-    soils = _soils(legs)
-    if not soils:
-        return None
-    worst = max(soils, key=lambda one: one.deviation)
-    return worst.learnt.where(worst.leg, worst.fitted)
-
-
 def _edge(legs: Sequence[_Leg], found: _Found, ways: Ways) -> Edge:
     """Where the posterior, or that of the library's angle, is cut off."""
     convention = legs[0].scenario.convention
     if ways.likelihood == "paper":
-        step = legs[0].surrogate.phi_step_deg
+        step = float(np.diff(legs[0].surrogate.phi_deg).max())
         edge = edge_by_mass(found.posterior, step_deg=step, convention=convention)
     else:
         both = (
@@ -605,34 +584,32 @@ def _together(legs: Sequence[_Leg], found: _Found, density: float, ways: Ways) -
         density_of = _times(alone, found.prior)
         sd[leg.group.leg] = quadrature(density_of, bounds, nodes=NODES[ways.likelihood]).sd
     sd["all"] = posterior.sd
-    noise, amplitude = [np.zeros(1)], [np.zeros(1)]
     rng = np.random.default_rng(ways.seed)
-    for leg in legs:
-        root = np.sqrt(len(leg.group.trials))
-        if isinstance(leg.whole, SoilLikelihood):
-            noise.append(np.full(2, root * leg.scale * leg.whole.noise_N))
-            amplitude.append(np.full(2, leg.whole.learnt.amplitude))
-        elif isinstance(leg.whole, CalibratedLikelihood):
-            used = leg.whole.used
-            weights = leg.whole.weights(float(found.in_library(posterior.median, leg)))
-            drawn = rng.choice(len(weights), DRAWS // len(legs), p=weights / weights.sum())
-            noise.append(root * leg.scale * used.noise[drawn])
-            amplitude.append(used.amplitude[drawn])
-    some = slice(1, None) if len(noise) > 1 else slice(None)
+    errors = [_errors(leg, found, DRAWS // len(legs), rng) for leg in legs]
+    noise, amplitude = map(np.concatenate, zip(*errors, strict=True))
+    parts = (leg.whole for leg in legs)
+    wrong = any(isinstance(p, CalibratedLikelihood) and p.problem.discrepancy for p in parts)
     summary = Summary.of_posterior(posterior)
     return Together(
         conditional={PHI: summary},
         point={PHI: summary.median, DENSITY: density},
         identifiability=Identifiability.of((PHI,), np.array([[posterior.sd**2]]), [found.prior.sd]),
         expected_sd={name: np.array([one]) for name, one in sd.items()},
-        noise_N=np.concatenate(noise[some]),
-        amplitude=np.concatenate(amplitude[some]),
-        discrepancy="soils"
-        if _soils(legs)
-        else "gp"
-        if any(
-            isinstance(leg.whole, CalibratedLikelihood) and leg.whole.problem.discrepancy
-            for leg in legs
-        )
-        else "none",
+        noise_N=noise,
+        amplitude=amplitude,
+        discrepancy="soils" if _soils(legs) else "gp" if wrong else "none",
     )
+
+
+def _errors(
+    leg: _Leg, found: _Found, count: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Draws of the noise [N] and of the relative discrepancy [-] of a leg's histories."""
+    whole, size = leg.whole, np.sqrt(len(leg.group.trials)) * leg.scale
+    if isinstance(whole, SoilLikelihood):
+        return np.full(2, size * whole.noise_N), np.full(2, whole.learnt.amplitude)
+    if isinstance(whole, CalibratedLikelihood):
+        weights = whole.weights(float(found.in_library(found.posterior.median, leg)))
+        chosen = rng.choice(len(weights), count, p=weights / weights.sum())
+        return size * whole.used.noise[chosen], whole.used.amplitude[chosen]
+    return np.zeros(1), np.zeros(1)

@@ -122,7 +122,19 @@ def invert(
     looked = look(trials, library)
     known = _known(looked, library, prior, density, density_assumed)
     if known.phi_alone:
-        ways = _ways(likelihood, noise, discrepancy, sampler, seed, by_soils)
+        if likelihood == "joint":
+            raise InputError(
+                "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or "
+                "'paper'"
+            )
+        ways = friction_angle.Ways(
+            likelihood or "calibrated",
+            Noise.parse(noise),
+            discrepancy,
+            sampler or "quadrature",
+            seed,
+            by_soils,
+        )
         found = friction_angle.infer(
             looked,
             library=library,
@@ -143,31 +155,23 @@ def invert(
             seed=seed,
             steps=steps,
         )
+    about: dict[str, Any] = {
+        **_versions(),
+        "library": dict(library.provenance),
+        "library_hash": library.hash,
+    }
+    if len(found.records) == 1 and found.records[0].simulation:
+        about["simulation"] = dict(found.records[0].simulation)
+    about |= {"seconds": time.perf_counter() - began, **found.provenance}
     if by_soils is not None:
-        told = {"calibration": by_soils.model_dump(mode="json")}
-        found = replace(found, provenance={**found.provenance, **told})
-    doubts = (*_known_soils(looked, found, library), *_unusual(found))
-    found = replace(found, warnings=(*found.warnings, *doubts))
-    beside = _compared(looked, found, library)
-    found = replace(found, library_reason=why, compared=beside)
-    return _signed(found, library, time.perf_counter() - began)
-
-
-def _ways(
-    likelihood: str | None,
-    noise: float | str | Path | None,
-    discrepancy: str | Learnt | None,
-    sampler: str | None,
-    seed: int,
-    by_soils: Calibration | None,
-) -> friction_angle.Ways:
-    """How φ alone is inferred, with its defaults."""
-    if likelihood == "joint":
-        raise InputError(
-            "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or 'paper'"
-        )
-    how, drawn = likelihood or "calibrated", sampler or "quadrature"
-    return friction_angle.Ways(how, Noise.parse(noise), discrepancy, drawn, seed, by_soils)
+        about["calibration"] = by_soils.model_dump(mode="json")
+    return replace(
+        found,
+        warnings=(*found.warnings, *_doubts(looked, found, library)),
+        library_reason=why,
+        compared=_compared(looked, found, library),
+        provenance=about,
+    )
 
 
 def _by_soils(
@@ -194,7 +198,7 @@ def _by_soils(
 
 def _compared(looked: Looked, found: Inversion, library: Library) -> Compared | None:
     """Measured forces beside those of known soils in the same apparatus."""
-    if any(one.simulation for one in found.records) or found.density is None:
+    if found.origin == "simulated" or found.density is None:
         return None
     forces = [
         (r.leg, r.observation.vector, str(t.history.provenance.get("measurement", "")))
@@ -203,23 +207,20 @@ def _compared(looked: Looked, found: Inversion, library: Library) -> Compared | 
     return compared(forces, found.density, library.cases[0].scenario)
 
 
-def _known_soils(looked: Looked, found: Inversion, library: Library) -> list[Doubt]:
-    """A doubt where a discrepancy was learnt from the very medium that is judged by it."""
-    learnt = learnt_for(library)
-    if learnt is None or all(one.code != "soil_deviation" for one in found.verdict.measures):
-        return []
-    shipped = (str(t.history.provenance.get("measurement", "")) for t in looked.trials)
-    known = {medium_and_leg(name)[0] for name in shipped} & set(learnt.media)
-    return [Doubt("known_soil", {"medium": medium}) for medium in sorted(known)]
-
-
-def _unusual(found: Inversion) -> list[Doubt]:
-    """A doubt if measured forces give an angle that hardly any dry soil has."""
-    plane = found.phi_plane_strain
+def _doubts(looked: Looked, found: Inversion, library: Library) -> list[Doubt]:
+    """Doubts about the library that was taken, and about an angle that hardly any dry soil has."""
+    doubts, learnt, plane = [], learnt_for(library), found.phi_plane_strain
+    if learnt is not None and any(one.code == "soil_deviation" for one in found.verdict.measures):
+        shipped = (str(t.history.provenance.get("measurement", "")) for t in looked.trials)
+        # It was learnt from the very medium that is judged by it.
+        known = {medium_and_leg(name)[0] for name in shipped} & set(learnt.media)
+        doubts += [Doubt("known_soil", {"medium": medium}) for medium in sorted(known)]
     low, high = USUAL_DEG
-    if plane is None or any(one.simulation for one in found.records) or low <= plane.median <= high:
-        return []
-    return [Doubt("unusual", {"median": plane.median, "low": low, "high": high})]
+    if plane is not None and found.origin == "measured" and not low <= plane.median <= high:
+        doubts.append(Doubt("unusual", {"median": plane.median, "low": low, "high": high}))
+    if is_there_to_try_others(library.name):
+        doubts.append(Doubt("tries_others", {"name": library.name}))
+    return doubts
 
 
 def _trials(
@@ -306,22 +307,6 @@ def _check_several(
         raise InputError("discrepancy 'soils' is for the friction angle alone; take 'gp'")
     if calibration is not None:
         raise InputError("a calibration is for the friction angle alone; drop it")
-
-
-def _signed(found: Inversion, library: Library, seconds: float) -> Inversion:
-    """The answer with where it comes from."""
-    warnings = list(found.warnings)
-    if is_there_to_try_others(library.name):
-        warnings.append(Doubt("tries_others", {"name": library.name}))
-    about: dict[str, Any] = {
-        **_versions(),
-        "library": dict(library.provenance),
-        "library_hash": library.hash,
-    }
-    if len(found.records) == 1 and found.records[0].simulation:
-        about["simulation"] = dict(found.records[0].simulation)
-    about |= {"seconds": seconds, **found.provenance}
-    return replace(found, warnings=tuple(warnings), provenance=about)
 
 
 @functools.cache

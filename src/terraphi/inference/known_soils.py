@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -36,7 +35,7 @@ from pydantic import Field, ValidationError
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError, sentence_from_validation
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import number_with_sd, replacing
 from terraphi.experiment.measurements import measurement, medium_and_leg, names
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.discrepancy import FREEDOM, SPREAD_DEG, Learnt, Level
@@ -203,13 +202,15 @@ MOST_SD_DEG = 15.0
 
 def angle_with_sd(text: str) -> tuple[float, float]:
     """``35±2`` or ``35+-2`` as numbers [deg]; InputError if it is neither."""
-    found = re.fullmatch(r"\s*(\d+\.?\d*)\s*(?:±|\+-|\+/-)\s*(\d+\.?\d*)\s*", text)
-    if not found or not 0.0 < float(found[1]) < 90.0 or not float(found[2]) > 0.0:
+    try:
+        mean, sd = number_with_sd(text)
+    except ValueError:
+        mean, sd = 0.0, None
+    if not 0.0 < mean < 90.0 or sd is None or not sd > 0.0:
         raise InputError(
             f"--phi {text}: expected the friction angle and its standard deviation in degrees, "
             "as 35±2 or 35+-2"
         )
-    mean, sd = float(found[1]), float(found[2])
     if sd > MOST_SD_DEG:
         raise InputError(
             f"--phi {text}: an uncertainty of {sd:g} degrees says nothing of the angle; above 0 "

@@ -236,13 +236,11 @@ def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -
 
 @functools.lru_cache(maxsize=REMEMBERED)
 def _prepared(library: Library, leg: str, readings_as_bytes: bytes | None) -> PreparedLeg:
-    if readings_as_bytes is None:
-        curves = library.curves(leg)
-        return PreparedLeg.of(surrogate_of(library, leg, curves), curves)
-    readings = np.frombuffer(readings_as_bytes)
+    readings = None if readings_as_bytes is None else np.frombuffer(readings_as_bytes)
     curves = library.curves(leg, readings=readings)
     surrogate = surrogate_of(library, leg, curves, readings=readings)
-    return PreparedLeg.of(surrogate, curves, learn_reading(library, leg, readings, surrogate))
+    reading = None if readings is None else learn_reading(library, leg, readings, surrogate)
+    return PreparedLeg.of(surrogate, curves, reading)
 
 
 def surrogate_of(

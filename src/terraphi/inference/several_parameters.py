@@ -502,7 +502,7 @@ def _plane_strain(
     dilation = _fixed(target.priors, DILATION)
     if dilation is not None:
         scenario = scenario.replace(**{DILATION: dilation})
-    return plane_strain_summary(marginal[PHI].angle, scenario)
+    return plane_strain_summary(marginal[PHI], scenario)
 
 
 def _conditional(target: Target, best: FloatArray, i: int) -> Summary:
@@ -516,8 +516,7 @@ def _conditional(target: Target, best: FloatArray, i: int) -> Summary:
     prior = target.marginals[i]
     found = quadrature(along, (prior.low, prior.high), nodes=401)
     ends = found.interval(0.68)
-    sd = 0.5 * (ends[1] - ends[0])
-    return Summary(found.median, sd, ends, found.interval(0.95))
+    return Summary(found.median, ends, found.interval(0.95), 0.5 * (ends[1] - ends[0]))
 
 
 def _expected(

@@ -291,7 +291,7 @@ class _Search:
             scale = surrogate.scale(named)
             both = surrogate.slopes(named, keys, (SLOPE_STEP * self.spans).tolist())
             per_span = self.spans[:, None] / scale[:, None, None]
-            processes = (*surrogate.processes, surrogate.size.process)
+            processes = (*surrogate.processes, surrogate.log_size)
             self.legs.append(
                 _Leg(
                     tuple(slopes * per_span for slopes in both),

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import plain_number
+from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.robot.footfall_fit import (
     LAW_SETS,
     PHI_RANGE,
@@ -446,10 +446,9 @@ def prior_for(density: str) -> Prior:
     Without a standard deviation it is :data:`DENSITY_PART` of the density.
     Raises InputError if it is no such number, or no soil's.
     """
-    value, sign, spread = re.sub(r"\+/?-", "±", density.strip()).partition("±")
     try:
-        mean = plain_number(value)
-        sd = plain_number(spread) if sign else DENSITY_PART * mean
+        mean, told = number_with_sd(density)
+        sd = DENSITY_PART * mean if told is None else told
     except ValueError:
         raise InputError(f"density '{density}': expected kg/m³ such as 1550 or 1550±80") from None
     low, high = DENSITIES
