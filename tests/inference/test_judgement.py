@@ -13,8 +13,8 @@ from terraphi.inference.verdict import (
     AT_EDGE,
     EDGE_DENSITY,
     deviations,
-    edge_by_density,
     edge_densities,
+    edge_of,
     fit_measures,
     judge,
     uninformed,
@@ -32,7 +32,9 @@ def normal(mean: float, sigma: float) -> Posterior:
 def judged(posterior: Posterior, fit: Fit, beyond: str | None = None) -> Verdict:
     return judge(
         [*fit_measures(fit), *deviations({"Fx": 0.2, "Fz": 0.1})],
-        edge_by_density(posterior, convention="plane_strain"),
+        edge_of(
+            edge_densities(posterior), posterior.bounds_deg, "edge_density", name="plane_strain"
+        ),
         kind="calibrated",
         beyond=beyond,
     )

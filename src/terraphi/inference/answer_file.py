@@ -26,8 +26,8 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import check_is_file, damage_told, read_bytes, write_netcdf
-from terraphi.inference.convergence import chains
 from terraphi.inference.identifiability import label
+from terraphi.inference.sampler import chains
 
 if TYPE_CHECKING:
     from terraphi.inference.answer import Inversion

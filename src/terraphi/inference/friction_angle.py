@@ -51,7 +51,7 @@ from terraphi.inference.known_soils import Calibration
 from terraphi.inference.noise import Noise, shape_of
 from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import LogLikelihood, Posterior, quadrature
-from terraphi.inference.prepared_leg import PreparedLeg, prepare
+from terraphi.inference.prepared_leg import prepare
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws, sample
 from terraphi.inference.trials import Looked, Repeats, Seen, beyond, check_trials
@@ -59,8 +59,9 @@ from terraphi.inference.verdict import (
     NRMSD_LIMIT,
     Edge,
     damaged,
-    edge_by_density,
-    edge_by_mass,
+    edge_densities,
+    edge_masses,
+    edge_of,
     fit_measures,
     judge,
     uninformed,
@@ -269,7 +270,7 @@ def infer(
 def _leg(
     group: Repeats, looked: Looked, library: Library, density: float | None, ways: Ways
 ) -> _Leg:
-    """Make a leg of the library ready."""
+    """Make a leg of the library ready, and the likelihood of its histories."""
     readings, prepared = group.readings, None
     if ways.likelihood != "paper":
         prepared = prepare(library, group.leg, readings=readings)
@@ -277,45 +278,32 @@ def _leg(
     check_trials(group, curves.scenario, density=density, several=looked.several)
     scale = 1.0 if density is None else density / curves.scenario.soil.density
     shared = group, curves.scenario, scale, scale * curves.vectors
-    if prepared:
-        nodes = prepared.phi_deg, scale * prepared.mean
-        of = _calibrated(group, looked, library, prepared, scale, ways)
-        return _Leg(*shared, prepared.surrogate, nodes, of)
-    surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
-    angles = np.linspace(*surrogate.phi_bounds_deg, CURVES)
+    if prepared is None:
+        surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
+        angles = np.linspace(*surrogate.phi_bounds_deg, CURVES)
 
-    def by_paper(vector: FloatArray, _trials: int) -> LogLikelihood:
-        likelihood = PaperLikelihood(vector, surrogate.theta_deg)
-        return lambda phi_deg: likelihood(surrogate.predict(phi_deg, scale=scale))
+        def by_paper(vector: FloatArray, _trials: int) -> LogLikelihood:
+            likelihood = PaperLikelihood(vector, surrogate.theta_deg)
+            return lambda phi_deg: likelihood(surrogate.predict(phi_deg, scale=scale))
 
-    return _Leg(*shared, surrogate, (angles, surrogate.predict(angles, scale=scale)), by_paper)
-
-
-def _calibrated(
-    group: Repeats,
-    looked: Looked,
-    library: Library,
-    prepared: PreparedLeg,
-    scale: float,
-    ways: Ways,
-) -> Callable[[FloatArray, int], LogLikelihood]:
-    """Every part of the residual with its own covariance."""
+        return _Leg(*shared, surrogate, (angles, surrogate.predict(angles, scale=scale)), by_paper)
     looked.check_noise(ways.noise)
     learnt = _learnt(looked, library, ways.discrepancy, group.leg)
     ours = all(trial.made_as(library.cases[0].scenario) for trial in looked.trials)
-    gp = ways.discrepancy == "gp" or (ways.discrepancy is None and not ours)
+    wrong = learnt is not None or ways.discrepancy == "gp" or not (ours or ways.discrepancy)
     each = group.window_covariances
     shape, sigma = shape_of(ways.noise, each[0] if len(each) == 1 else np.mean(each, axis=0))
 
-    def of(vector: FloatArray, trials: int) -> LogLikelihood:
+    def calibrated(vector: FloatArray, trials: int) -> LogLikelihood:
         data = vector / scale
         size = None if sigma is None else sigma / scale / np.sqrt(trials)
-        leg = prepared.averaged(trials).read_for(data)
+        problem = Problem(prepared.averaged(trials).read_for(data), data, shape, size, wrong)
         if learnt is not None:
-            return SoilLikelihood(Problem(leg, data, shape, size, True), learnt, group.leg)
-        return CalibratedLikelihood(Problem(leg, data, shape, size, gp))
+            return SoilLikelihood(problem, learnt, group.leg)
+        return CalibratedLikelihood(problem)
 
-    return of
+    nodes = prepared.phi_deg, scale * prepared.mean
+    return _Leg(*shared, prepared.surrogate, nodes, calibrated)
 
 
 def _learnt(
@@ -507,15 +495,18 @@ def _soils(legs: Sequence[_Leg]) -> list[SoilLikelihood]:
 
 def _edge(legs: Sequence[_Leg], found: _Found, ways: Ways) -> Edge:
     """Where the posterior, or that of the library's angle, is cut off."""
-    convention = legs[0].scenario.convention
+    name, bounds = legs[0].scenario.convention, found.posterior.bounds_deg
     if ways.likelihood == "paper":
         step = float(np.diff(legs[0].surrogate.phi_deg).max())
-        edge = edge_by_mass(found.posterior, step_deg=step, convention=convention)
+        edge = edge_of(edge_masses(found.posterior, step), bounds, "edge_mass", name=name)
     else:
-        both = (
-            edge_by_density(one, convention=convention) for one in (found.core, found.posterior)
+        edge = max(
+            (
+                edge_of(edge_densities(one), one.bounds_deg, "edge_density", name=name)
+                for one in (found.core, found.posterior)
+            ),
+            key=lambda one: one.size,
         )
-        edge = max(both, key=lambda one: one.size)
     whose = "library" if edge.numbers["at"] in _common(legs) else "prior"
     return replace(edge, numbers={**edge.numbers, "of": whose})
 

@@ -41,21 +41,14 @@ from terraphi.inference.answer import (
     Together,
     plane_strain_summary,
 )
-from terraphi.inference.findings import Doubt, Side, Verdict
-from terraphi.inference.identifiability import Identifiability, label
+from terraphi.inference.findings import Doubt, Verdict
+from terraphi.inference.identifiability import Identifiability, fisher, label
 from terraphi.inference.noise import Noise
 from terraphi.inference.posterior import quadrature
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws, sample
 from terraphi.inference.trials import Looked, Repeats, Seen, beyond, check_trials
-from terraphi.inference.verdict import (
-    AT_EDGE,
-    EDGE_DENSITY,
-    NRMSD_LIMIT,
-    Edge,
-    damaged,
-    judge,
-)
+from terraphi.inference.verdict import NRMSD_LIMIT, Edge, damaged, edge_of, judge
 from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.kronecker import single_threaded
@@ -272,22 +265,15 @@ class LegLikelihood:
             G^T C^-1 G, G the slopes of the forces; shape [key, key].
         """
         at = {key: np.array([value]) for key, value in named.items()}
-        points, (scale,), (factor2,) = self.surrogate.located(at)
-        total = np.zeros((len(keys), len(keys)))
-        along, norm = np.zeros(len(keys)), 0.0
-        both = self.surrogate.slopes(at, keys, steps)
-        for (process, _, _, shape), slopes, ratio in zip(
-            self.parts, both, self.noise_ratio, strict=True
-        ):
+        points, scale, factor2 = self.surrogate.located(at)
+        curves, variances = [], []
+        for (process, _, _, shape), ratio in zip(self.parts, self.noise_ratio, strict=True):
             forces, surrogate_variance = process.rotated(points)
-            curve, shared = scale * forces[0], scale**2 * surrogate_variance[0]
+            curves.append(scale * forces)
             own = (ratio * noise) ** 2 + scale**2 * process.noise_variance
-            variance = shared + amplitude**2 * shape + own / self.trials
-            total += (slopes[0] / variance) @ slopes[0].T
-            along += slopes[0] @ (curve / variance)
-            norm += float(np.sum(np.square(curve) / variance))
-        lost: FloatArray = factor2 * np.outer(along, along) / (1.0 + factor2 * norm)
-        return total - lost
+            shared = scale**2 * surrogate_variance + amplitude**2 * shape
+            variances.append(shared + own / self.trials)
+        return fisher(self.surrogate.slopes(at, keys, steps), curves, variances, factor2)[0]
 
 
 def infer(
@@ -576,6 +562,4 @@ def _edge(key: str, prior: Marginal, values: FloatArray) -> Edge:
     cuts = zip(prior.cut_off, (counts[0], counts[-1]), strict=True)
     low, high = (float(count / counts.max()) if cut else 0.0 for cut, count in cuts)
     name, unit = label(key)
-    numbers = {"at": prior.low if low >= high else prior.high, "unit": unit, "name": name}
-    side: Side = "low" if low >= high else "high"
-    return Edge(side, max(low, high), EDGE_DENSITY, AT_EDGE, "edge_density", numbers)
+    return edge_of((low, high), (prior.low, prior.high), "edge_density", name=name, unit=unit)

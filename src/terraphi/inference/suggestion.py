@@ -23,7 +23,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.inference.identifiability import axis_label, label
+from terraphi.inference.identifiability import axis_label, fisher, label
 from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignKernel, DesignSurrogate, from_unit
 from terraphi.surrogate.kronecker import single_threaded
@@ -258,18 +258,11 @@ class _Leg:
     def information(self, variances: Sequence[FloatArray]) -> FloatArray:
         """Of the parameters over their spans, shape [truth, key, key]."""
         *forces, size = variances
-        total, along, norm = 0.0, 0.0, 0.0
-        for slopes, curve, variance, known in zip(
-            self.slopes, self.curves, forces, self.known[:-1], strict=True
-        ):
-            whole = variance + np.square(self.noise)[:, None] + known.process.noise_variance
-            weighted = slopes / whole[:, None]
-            total = total + np.einsum("xkt,xlt->xkl", weighted, slopes)
-            along = along + np.einsum("xkt,xt->xk", weighted, curve)
-            norm = norm + np.sum(np.square(curve) / whole, axis=1)
-        lost = size / (1.0 + size * np.asarray(norm)[:, None])
-        outer = np.einsum("xk,xl->xkl", along, along)
-        return total - lost[:, :, None] * outer
+        whole = [
+            variance + np.square(self.noise)[:, None] + known.process.noise_variance
+            for variance, known in zip(forces, self.known[:-1], strict=True)
+        ]
+        return fisher(self.slopes, self.curves, whole, size[:, 0])
 
 
 class _Search:

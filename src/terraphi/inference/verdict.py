@@ -161,46 +161,41 @@ def fit_measures(fit: Fit, *, source: str = "") -> list[Measure]:
     ]
 
 
-def edge_by_mass(posterior: Posterior, *, step_deg: float, convention: str = "") -> Edge:
-    """Where more of the mass lies within half a step of an edge: the rule for the paper.
+def edge_of(
+    sizes: tuple[float, float],
+    bounds: tuple[float, float],
+    code: str,
+    *,
+    name: str,
+    unit: str = "°",
+) -> Edge:
+    """The edge where more of a posterior lies.
 
     Parameters
     ----------
-    posterior
-        Posterior of the friction angle.
-    step_deg
-        Spacing of the library's friction angles [deg].
-    convention
-        What the friction angle means.
+    sizes
+        What there is of it at the lower and the upper one [-].
+    bounds
+        Where these are, in the parameter's unit.
+    code
+        What ``sizes`` are: ``edge_mass``, by the rule for the paper, or ``edge_density``.
+    name, unit
+        Of the parameter, or what the friction angle means.
     """
+    limits = (EDGE_MASS, EDGE_MASS) if code == "edge_mass" else (EDGE_DENSITY, AT_EDGE)
+    side: Side = "low" if sizes[0] >= sizes[1] else "high"
+    numbers = {"at": bounds[0 if side == "low" else 1], "unit": unit, "name": name}
+    return Edge(side, max(sizes), *limits, code, numbers)
+
+
+def edge_masses(posterior: Posterior, step_deg: float) -> tuple[float, float]:
+    """Mass within half a step of the library [deg] of the lower and the upper edge [-]."""
     (low, high), margin = posterior.bounds_deg, step_deg / 2.0
-    masses = posterior.mass(low, low + margin), posterior.mass(high - margin, high)
-    at_low = masses[0] >= masses[1]
-    numbers = {"at": low if at_low else high, "unit": "°", "name": convention}
-    return Edge(
-        "low" if at_low else "high", max(masses), EDGE_MASS, EDGE_MASS, "edge_mass", numbers
-    )
-
-
-def edge_by_density(posterior: Posterior, *, convention: str = "") -> Edge:
-    """Where the density at an edge is larger: the rule for the calibrated likelihood.
-
-    Parameters
-    ----------
-    posterior
-        Posterior of the friction angle.
-    convention
-        What the friction angle means.
-    """
-    low, high = edge_densities(posterior)
-    side: Side = "low" if low >= high else "high"
-    at = posterior.bounds_deg[0 if side == "low" else 1]
-    numbers = {"at": at, "unit": "°", "name": convention}
-    return Edge(side, max(low, high), EDGE_DENSITY, AT_EDGE, "edge_density", numbers)
+    return posterior.mass(low, low + margin), posterior.mass(high - margin, high)
 
 
 def edge_densities(posterior: Posterior) -> tuple[float, float]:
-    """Density next to the lower and the upper edge, over the largest [-]."""
+    """Density at the lower and the upper edge, over the largest [-]."""
     top = float(posterior.density.max())
     return float(posterior.density[0]) / top, float(posterior.density[-1]) / top
 
