@@ -49,7 +49,30 @@ def write(found: Inversion, path: Path) -> None:
     InputError
         If the place cannot be written.
     """
-    write_netcdf(tree_of(found), path)
+    import xarray as xr
+
+    root = {
+        "terraphi_file": KIND,
+        "terraphi_schema": SCHEMA,
+        "answer": json.dumps(found.as_dict()),
+    }
+    about = {
+        "created_at": dt.datetime.now(tz=dt.UTC).isoformat(timespec="seconds"),
+        "inference_library": found.sampler,
+        "sampler": found.sampler,
+        "yield": found.convention,
+    }
+    rng = np.random.default_rng(found.seed or 0)
+    prior = {key: found.priors[key].draw(PRIOR_DRAWS, rng)[None] for key in found.keys}
+    tree = xr.DataTree.from_dict(
+        {
+            "/": xr.Dataset(attrs=root),
+            "/posterior": _drawn(*_posterior(found), about),
+            "/prior": _drawn(prior, {}, about),
+            **_data(found),
+        }
+    )
+    write_netcdf(tree, path)
 
 
 class Told(NamedTuple):
@@ -101,33 +124,6 @@ def read(path: Path) -> Told:
     if not isinstance(answer, dict) or not wanted <= set(answer) or not np.isfinite(draws).all():
         raise InputError(wrong)
     return Told(str(path), answer, draws)
-
-
-def tree_of(found: Inversion) -> Any:
-    """The answer as an ``xarray.DataTree``."""
-    import xarray as xr
-
-    root = {
-        "terraphi_file": KIND,
-        "terraphi_schema": SCHEMA,
-        "answer": json.dumps(found.as_dict()),
-    }
-    about = {
-        "created_at": dt.datetime.now(tz=dt.UTC).isoformat(timespec="seconds"),
-        "inference_library": found.sampler,
-        "sampler": found.sampler,
-        "yield": found.convention,
-    }
-    rng = np.random.default_rng(found.seed or 0)
-    prior = {key: found.priors[key].draw(PRIOR_DRAWS, rng)[None] for key in found.keys}
-    return xr.DataTree.from_dict(
-        {
-            "/": xr.Dataset(attrs=root),
-            "/posterior": _drawn(*_posterior(found), about),
-            "/prior": _drawn(prior, {}, about),
-            **_data(found),
-        }
-    )
 
 
 def short(key: str) -> str:

@@ -47,14 +47,13 @@ from terraphi.inference.discrepancy import (
 from terraphi.inference.findings import Doubt, Measure, Verdict
 from terraphi.inference.fit import SMALLEST_PROBABILITY, fit_without_discrepancy
 from terraphi.inference.identifiability import Identifiability
-from terraphi.inference.known_soils import Calibration
-from terraphi.inference.noise import Noise, shape_of
+from terraphi.inference.noise import shape_of
 from terraphi.inference.paper_likelihood import PaperLikelihood
 from terraphi.inference.posterior import LogLikelihood, Posterior, quadrature
 from terraphi.inference.prepared_leg import prepare
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws, sample
-from terraphi.inference.trials import Looked, Repeats, Seen, beyond, check_trials
+from terraphi.inference.trials import Looked, Repeats, Seen, Ways, beyond, check_trials
 from terraphi.inference.verdict import (
     NRMSD_LIMIT,
     Edge,
@@ -74,7 +73,7 @@ from terraphi.surrogate.training import DENSITY
 
 log = logging.getLogger(__name__)
 
-NODES = {"calibrated": 401, "paper": 4001}
+NODES = {None: 401, "calibrated": 401, "paper": 4001}
 """Nodes of the quadrature to begin with."""
 CURVES = 401
 """Angles at which the paper's surrogate is asked for what would explain a record."""
@@ -85,18 +84,6 @@ UNSEEN = 0.01
 the shipped measurements in air."""
 FOUND_OUT = 16.0
 """Chi-square that an offset adds to a record that shows it to be a misfit."""
-
-
-@dataclass(frozen=True)
-class Ways:
-    """How to infer: as in :func:`terraphi.inference.inversion.invert`."""
-
-    likelihood: str
-    noise: Noise
-    discrepancy: str | Learnt | None
-    sampler: str
-    seed: int
-    calibration: Calibration | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,15 +178,7 @@ class _Found:
         return np.clip(np.asarray(phi_deg) - offset, *leg.bounds_deg)
 
 
-def infer(
-    looked: Looked,
-    *,
-    library: Library,
-    prior: Marginal | None,
-    density: float | None,
-    density_assumed: bool,
-    ways: Ways,
-) -> Inversion:
+def infer(looked: Looked, library: Library, ways: Ways) -> Inversion:
     """Infer the friction angle.
 
     Parameters
@@ -208,27 +187,25 @@ def infer(
         The histories, without what is not to be believed of them.
     library
         Simulations over φ.
-    prior
-        Of φ; ``None``: uniform over the library.
-    density
-        Bulk density of the soil [kg/m³]; ``None`` assumes the library's.
-    density_assumed
-        Whether a density given is itself a guess.
     ways
         How to.
 
     Raises
     ------
     InputError
-        If a history, a leg or the density cannot be used.
+        If a history, a leg, the density or an option cannot be used.
     """
+    if ways.likelihood == "joint":
+        raise InputError(
+            "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or 'paper'"
+        )
+    by_paper, density = ways.likelihood == "paper", ways.density
     # What the paper's surrogate learns depends in its last digits on how sums are split.
-    threads = nullcontext() if ways.likelihood == "paper" else single_threaded()
-    with threads:
-        legs = [_leg(group, looked, library, density, ways) for group in looked.groups]
+    with nullcontext() if by_paper else single_threaded():
+        legs = [_leg(group, looked, library, ways) for group in looked.groups]
         # After the library is ready: the time that one more history takes.
         began = time.perf_counter()
-        found = _posterior(legs, prior, ways, assumed=density is None or density_assumed)
+        found = _posterior(legs, ways)
         seconds = time.perf_counter() - began
         records, verdict, warnings, budget = _judged(looked, legs, found, ways)
     warnings += uninformed(found.flat)
@@ -248,8 +225,8 @@ def infer(
         records=tuple(records),
         library=library.name,
         convention="plane_strain" if calibrated else scenario.convention,
-        likelihood=ways.likelihood,
-        sampler=ways.sampler,
+        likelihood="paper" if by_paper else "calibrated",
+        sampler="quadrature" if draws is None else "emcee",
         seed=None if draws is None else ways.seed,
         marginal={PHI: summary},
         priors=priors,
@@ -257,7 +234,7 @@ def infer(
         phi_plane_strain=equivalent,
         plane_strain_reason=why_not,
         density=used,
-        density_assumed=density is None or density_assumed,
+        density_assumed=ways.density_assumed,
         verdict=damaged(verdict) if looked.spoilt else verdict,
         warnings=tuple(warnings),
         budget=budget,
@@ -267,16 +244,14 @@ def infer(
     )
 
 
-def _leg(
-    group: Repeats, looked: Looked, library: Library, density: float | None, ways: Ways
-) -> _Leg:
+def _leg(group: Repeats, looked: Looked, library: Library, ways: Ways) -> _Leg:
     """Make a leg of the library ready, and the likelihood of its histories."""
     readings, prepared = group.readings, None
     if ways.likelihood != "paper":
         prepared = prepare(library, group.leg, readings=readings)
     curves = prepared.curves if prepared else library.curves(group.leg, readings=readings)
-    check_trials(group, curves.scenario, density=density, several=looked.several)
-    scale = 1.0 if density is None else density / curves.scenario.soil.density
+    check_trials(group, curves.scenario, ways.density, several=looked.several)
+    scale = 1.0 if ways.density is None else ways.density / curves.scenario.soil.density
     shared = group, curves.scenario, scale, scale * curves.vectors
     if prepared is None:
         surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
@@ -322,7 +297,7 @@ def _learnt(
     return learnt if there and (asked or not looked.trials[0].simulation) else None
 
 
-def _level(legs: Sequence[_Leg], ways: Ways, core: Posterior, *, assumed: bool) -> Level | None:
+def _level(legs: Sequence[_Leg], ways: Ways, core: Posterior) -> Level | None:
     """How the angle of a soil lies about that of the library; ``None``: it is the same."""
     soils = [leg.whole for leg in legs if isinstance(leg.whole, SoilLikelihood)]
     learnt = soils[0].learnt if soils else None
@@ -331,7 +306,7 @@ def _level(legs: Sequence[_Leg], ways: Ways, core: Posterior, *, assumed: bool) 
         if learnt is None:
             ways.calibration.check_legs(leg.group.leg for leg in legs)
         level = ways.calibration.level(core.median, learnt)
-    if level is None or not soils or not assumed:
+    if level is None or not soils or not ways.density_assumed:
         return level
     return level.wider("density", float(np.mean([one.by_density_deg for one in soils])))
 
@@ -350,17 +325,15 @@ def _added(likelihoods: Iterable[LogLikelihood]) -> LogLikelihood:
     return lambda phi_deg: sum((one(phi_deg) for one in every), np.zeros_like(phi_deg))
 
 
-def _posterior(
-    legs: Sequence[_Leg], prior: Marginal | None, ways: Ways, *, assumed: bool
-) -> _Found:
-    """Posterior of φ by all legs; ``assumed``: whether the density is."""
+def _posterior(legs: Sequence[_Leg], ways: Ways) -> _Found:
+    """Posterior of φ by all legs."""
     low, high = _common(legs)
     likelihood = _added(leg.whole for leg in legs)
-    nodes = NODES[ways.likelihood]
+    nodes, prior = NODES[ways.likelihood], ways.priors.get(PHI)
     core = level = None
     if ways.calibration or _soils(legs):
         core = quadrature(likelihood, (low, high), nodes=nodes)
-        level = _level(legs, ways, core, assumed=assumed)
+        level = _level(legs, ways, core)
     if core and level:
         low, high = level.bounds(low, high)
         likelihood = _about(level, core)
@@ -370,7 +343,7 @@ def _posterior(
     if not low < high:
         raise InputError("the prior leaves no friction angle that all legs of the library have")
     known = Marginal(low, high, None if prior is None else prior.normal)
-    log.info("sampling φ over %g to %g deg by %s", low, high, ways.sampler)
+    log.info("sampling φ over %g to %g deg by %s", low, high, ways.sampler or "quadrature")
     log_p = likelihood if known.normal is None else _times(likelihood, known)
     posterior = quadrature(log_p, (low, high), nodes=nodes)
     draws = drawn(log_p, posterior, seed=ways.seed) if ways.sampler == "emcee" else None
@@ -454,7 +427,7 @@ def _judged(
     verdict = judge(
         measures,
         _edge(legs, found, ways),
-        kind="soil" if worst else ways.likelihood,
+        kind="soil" if worst else ways.likelihood or "calibrated",
         beyond=beyond(every),
         numbers=worst.learnt.where(worst.leg, worst.fitted) if worst else None,
     )

@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.history import ForceHistory
@@ -24,7 +24,7 @@ from terraphi.inference.findings import Doubt
 from terraphi.inference.known_soils import Calibration, Compared, compared
 from terraphi.inference.noise import Noise
 from terraphi.inference.prior import Marginal, is_on, priors
-from terraphi.inference.trials import Looked, Trial, check_origin, common_density, look
+from terraphi.inference.trials import Looked, Trial, Ways, check_origin, common_density, look
 from terraphi.library.shipped import is_there_to_try_others
 from terraphi.library.store import Library
 from terraphi.surrogate.training import DENSITY, is_of_several, parameters
@@ -120,41 +120,36 @@ def invert(
         library = _shipped(name)
     by_soils = _by_soils(calibration, library, trials, likelihood, discrepancy)
     looked = look(trials, library)
-    known = _known(looked, library, prior, density, density_assumed)
-    if known.phi_alone:
-        if likelihood == "joint":
-            raise InputError(
-                "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or "
-                "'paper'"
-            )
-        ways = friction_angle.Ways(
-            likelihood or "calibrated",
-            Noise.parse(noise),
-            discrepancy,
-            sampler or "quadrature",
-            seed,
-            by_soils,
-        )
-        found = friction_angle.infer(
-            looked,
-            library=library,
-            prior=known.priors.get(PHI),
-            density=known.density,
-            density_assumed=known.assumed,
-            ways=ways,
-        )
-    else:
-        _check_several(likelihood, sampler, discrepancy, by_soils)
-        found = several_parameters.infer(
-            looked,
-            library=library,
-            priors=known.priors,
-            density_assumed=known.assumed,
-            noise=Noise.parse(noise),
-            discrepancy=None if isinstance(discrepancy, Learnt) else discrepancy,
-            seed=seed,
-            steps=steps,
-        )
+    phi_alone, marginals, density, assumed = _known(
+        looked, library, prior, density, density_assumed
+    )
+    ways = Ways(
+        likelihood=likelihood,
+        noise=Noise.parse(noise),
+        discrepancy=discrepancy,
+        sampler=sampler,
+        seed=seed,
+        steps=steps,
+        calibration=by_soils,
+        priors=marginals,
+        density=density,
+        density_assumed=assumed,
+    )
+    infer = friction_angle.infer if phi_alone else several_parameters.infer
+    found = infer(looked, library, ways)
+    return replace(
+        found,
+        warnings=(*found.warnings, *_doubts(looked, found, library)),
+        library_reason=why,
+        compared=_compared(looked, found, library),
+        provenance=_provenance(found, library, by_soils, time.perf_counter() - began),
+    )
+
+
+def _provenance(
+    found: Inversion, library: Library, by_soils: Calibration | None, seconds: float
+) -> dict[str, Any]:
+    """Where an answer comes from."""
     about: dict[str, Any] = {
         **_versions(),
         "library": dict(library.provenance),
@@ -162,16 +157,10 @@ def invert(
     }
     if len(found.records) == 1 and found.records[0].simulation:
         about["simulation"] = dict(found.records[0].simulation)
-    about |= {"seconds": time.perf_counter() - began, **found.provenance}
+    about |= {"seconds": seconds, **found.provenance}
     if by_soils is not None:
         about["calibration"] = by_soils.model_dump(mode="json")
-    return replace(
-        found,
-        warnings=(*found.warnings, *_doubts(looked, found, library)),
-        library_reason=why,
-        compared=_compared(looked, found, library),
-        provenance=about,
-    )
+    return about
 
 
 def _by_soils(
@@ -236,19 +225,10 @@ def _trials(
     ]
 
 
-class _Known(NamedTuple):
-    """What is known before the forces are seen."""
-
-    phi_alone: bool
-    priors: dict[str, Marginal]
-    density: float | None
-    assumed: bool
-
-
 def _known(
     looked: Looked, library: Library, prior: Sequence[str], density: float | None, guessed: bool
-) -> _Known:
-    """Priors with what is known of the density, and whether φ alone is to be inferred."""
+) -> tuple[bool, dict[str, Marginal], float | None, bool]:
+    """Whether φ alone is to be inferred, priors, and the density, and whether that is a guess."""
     varied = parameters(library) if prior or is_of_several(library) else {}
     said = any(is_on(text, DENSITY) for text in prior)
     if said and density is not None:
@@ -256,7 +236,7 @@ def _known(
     if density is None and not said and DENSITY not in varied:
         density, guessed = common_density(looked.trials)
     if not varied:
-        return _Known(True, {}, density, guessed)
+        return True, {}, density, guessed
     given = [] if density is None else [f"{DENSITY}={density!r}"]
     marginals = priors(varied, [*prior, *given])
     free = [key for key, marginal in marginals.items() if not marginal.fixed]
@@ -266,7 +246,7 @@ def _known(
     if fixed is not None and fixed.fixed:
         density = fixed.low
     # Where other parameters are held, only the surrogate over all of them knows the curves.
-    return _Known(free == [PHI] and set(varied) == {PHI}, marginals, density, guessed)
+    return free == [PHI] and set(varied) == {PHI}, marginals, density, guessed
 
 
 def _check_options(
@@ -288,25 +268,6 @@ def _check_options(
             "the paper's likelihood has neither noise nor discrepancy; take 'calibrated', or drop "
             "them"
         )
-
-
-def _check_several(
-    likelihood: str | None,
-    sampler: str | None,
-    discrepancy: str | Learnt | None,
-    calibration: Calibration | None,
-) -> None:
-    """Refuse what is for φ alone."""
-    for name, given, only in (("likelihood", likelihood, "joint"), ("sampler", sampler, "emcee")):
-        if given not in (None, only):
-            raise InputError(
-                f"--{name} {given} is for the friction angle alone; several parameters know {only} "
-                "only: leave it out"
-            )
-    if discrepancy == "soils" or isinstance(discrepancy, Learnt):
-        raise InputError("discrepancy 'soils' is for the friction angle alone; take 'gp'")
-    if calibration is not None:
-        raise InputError("a calibration is for the friction angle alone; drop it")
 
 
 @functools.cache

@@ -423,7 +423,8 @@ def learn_reading(
     """
     cases = _simulations(library.cases, leg)
     phi, histories = list(cases), [found[0] for found in cases.values()]
-    if not _is_coarser(readings, histories[0].position):
+    # Readings that lie no further apart than the samples of a curve leave nothing open.
+    if np.diff(readings).max() <= 1.5 * np.median(np.diff(histories[0].position)):
         return Reading()
     repeated = _simulations(library.replicates, leg)
     around = [_relative_errors(history, readings)[1] for history in histories]
@@ -540,9 +541,3 @@ def reading_errors(history: ForceHistory, readings: FloatArray) -> tuple[FloatAr
         about.append(points.observation().vector - means)
         around.append(means - moved.between(seen[0], seen[-1]).observation().vector)
     return np.stack(about), np.stack(around)
-
-
-def _is_coarser(readings: FloatArray, position: FloatArray) -> bool:
-    """Whether readings lie further apart than the samples of a curve."""
-    own = float(np.median(np.diff(position)))
-    return bool(np.diff(readings).max() > 1.5 * own)

@@ -47,7 +47,7 @@ from terraphi.inference.noise import Noise
 from terraphi.inference.posterior import quadrature
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws, sample
-from terraphi.inference.trials import Looked, Repeats, Seen, beyond, check_trials
+from terraphi.inference.trials import Looked, Repeats, Seen, Ways, beyond, check_trials
 from terraphi.inference.verdict import NRMSD_LIMIT, Edge, damaged, edge_of, judge
 from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignSurrogate
@@ -276,17 +276,7 @@ class LegLikelihood:
         return fisher(self.surrogate.slopes(at, keys, steps), curves, variances, factor2)[0]
 
 
-def infer(
-    looked: Looked,
-    *,
-    library: Library,
-    priors: Mapping[str, Marginal],
-    density_assumed: bool,
-    noise: Noise,
-    discrepancy: str | None,
-    seed: int,
-    steps: int,
-) -> Inversion:
+def infer(looked: Looked, library: Library, ways: Ways) -> Inversion:
     """Infer the parameters that a library varies.
 
     Parameters
@@ -295,18 +285,16 @@ def infer(
         The histories, without what is not to be believed of them.
     library
         Simulations over the parameters.
-    priors
-        Of each parameter.
-    density_assumed
-        Whether a density that is known is a guess.
-    noise, discrepancy, seed, steps
-        As in :func:`terraphi.inference.inversion.invert`.
+    ways
+        How to.
 
     Raises
     ------
     InputError
-        If a history, a leg or a prior cannot be used.
+        If a history, a leg, a prior or an option cannot be used.
     """
+    _refuse_what_is_for_phi(ways)
+    priors = ways.priors
     groups = looked.groups
     keys = tuple(k for k, p in priors.items() if not p.fixed)
     with single_threaded():
@@ -316,9 +304,9 @@ def infer(
             for g, d in zip(groups, data, strict=True)
             for t in g.trials
         )
-        gp = discrepancy == "gp" or (discrepancy is None and not ours)
-        looked.check_noise(noise)
-        size, ratio = _window_noise(noise, groups)
+        gp = ways.discrepancy == "gp" or (ways.discrepancy is None and not ours)
+        looked.check_noise(ways.noise)
+        size, ratio = _window_noise(ways.noise, groups)
         legs = tuple(
             LegLikelihood(DesignSurrogate.fit(d), g.vectors, ratio)
             for g, d in zip(groups, data, strict=True)
@@ -328,11 +316,28 @@ def infer(
             target.at,
             target.draw_prior,
             parameters=target.parameters,
-            seed=seed,
-            steps=steps,
+            seed=ways.seed,
+            steps=ways.steps,
             walkers=max(32, 4 * len(keys)),
         )
-        return _answer(looked, data, library, target, draws, density_assumed)
+        return _answer(looked, data, library, target, draws, ways.density_assumed)
+
+
+def _refuse_what_is_for_phi(ways: Ways) -> None:
+    """Refuse options that are for φ alone."""
+    for name, given, only in (
+        ("likelihood", ways.likelihood, "joint"),
+        ("sampler", ways.sampler, "emcee"),
+    ):
+        if given not in (None, only):
+            raise InputError(
+                f"--{name} {given} is for the friction angle alone; several parameters know {only} "
+                "only: leave it out"
+            )
+    if ways.discrepancy not in (None, "none", "gp"):
+        raise InputError("discrepancy 'soils' is for the friction angle alone; take 'gp'")
+    if ways.calibration is not None:
+        raise InputError("a calibration is for the friction angle alone; drop it")
 
 
 def _checked(looked: Looked, library: Library, marginals: Mapping[str, Marginal]) -> list[Training]:
@@ -340,8 +345,8 @@ def _checked(looked: Looked, library: Library, marginals: Mapping[str, Marginal]
     found = []
     for group in looked.groups:
         data = training(library, group.leg, readings=group.readings)
-        density = _fixed(marginals, DENSITY)
-        check_trials(group, data.scenario, data.bounds, density, several=looked.several)
+        density, several = _fixed(marginals, DENSITY), looked.several
+        check_trials(group, data.scenario, density, several=several, varied=data.bounds)
         cohesive = data.scenario.soil.cohesion > 0.0
         if DENSITY in marginals and DENSITY not in data.bounds and cohesive:
             raise InputError(

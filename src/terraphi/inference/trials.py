@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -27,10 +27,14 @@ from terraphi.inference.defects import Inspection, inspect_record, touches_soil_
 from terraphi.inference.explanation import OFFSETS, Explanation, explain
 from terraphi.inference.findings import Doubt, Measure, Side
 from terraphi.inference.noise import Noise, window_covariance
-from terraphi.inference.prior import DENSITIES
+from terraphi.inference.prior import DENSITIES, Marginal
 from terraphi.inference.verdict import deviations, nrmsd
 from terraphi.inference.words import of_doubt
 from terraphi.library.store import Library
+
+if TYPE_CHECKING:
+    from terraphi.inference.discrepancy import Learnt
+    from terraphi.inference.known_soils import Calibration
 
 FORCES = (1e-4, 1e5)
 """Peak forces that are accepted [N]."""
@@ -318,6 +322,35 @@ class Looked:
             noise.check_against(trial.history, source=self.name_of(trial))
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Ways:
+    """How to infer, as in :func:`~terraphi.inference.inversion.invert`, and what is known already.
+
+    Attributes
+    ----------
+    likelihood, sampler, noise, discrepancy, seed, steps, calibration
+        As there; ``None`` where nobody said.
+    priors
+        Of every parameter that the library varies, and of the density if it has one; empty: φ alone
+        is uniform over the library.
+    density
+        Bulk density of the soil [kg/m³]; ``None`` if it is inferred, or the library's is assumed.
+    density_assumed
+        Whether it is a guess.
+    """
+
+    likelihood: str | None
+    sampler: str | None
+    noise: Noise
+    discrepancy: str | Learnt | None
+    seed: int
+    steps: int
+    calibration: Calibration | None
+    priors: Mapping[str, Marginal]
+    density: float | None
+    density_assumed: bool
+
+
 @contextmanager
 def named(trial: Trial, several: bool) -> Iterator[None]:
     """Name the history in what is refused, where there are several."""
@@ -428,10 +461,10 @@ def common_density(trials: Sequence[Trial]) -> tuple[float | None, bool]:
 def check_trials(
     repeats: Repeats,
     scenario: Scenario,
-    varied: Iterable[str] = (),
-    density: float | None = None,
+    density: float | None,
     *,
-    several: bool = True,
+    several: bool,
+    varied: Iterable[str] = (),
 ) -> None:
     """Refuse what cannot be inverted with a library: odd magnitudes, or another leg or hip.
 
@@ -441,12 +474,12 @@ def check_trials(
         Trials of one leg.
     scenario
         Of the library.
-    varied
-        Keys that it varies, and that histories may differ in.
     density
         Density that is taken as known [kg/m3]; ``None`` if it is inferred.
     several
         Whether there are other histories, so that this one has to be named.
+    varied
+        Keys that it varies, and that histories may differ in.
 
     Raises
     ------
@@ -456,7 +489,7 @@ def check_trials(
     for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
         with named(trial, several):
             check_magnitudes(density, observation, scenario)
-            check_same_setup(trial.history, scenario, varied=varied)
+            _check_same_setup(trial.history, scenario, varied)
 
 
 def check_magnitudes(density: float | None, observation: Observation, scenario: Scenario) -> None:
@@ -586,18 +619,8 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield f"{prefix}{key}", value
 
 
-def check_same_setup(
-    history: ForceHistory, scenario: Scenario, *, varied: Iterable[str] = ()
-) -> None:
-    """Refuse a simulated history of a leg or hip unlike the library's.
-
-    Parameters
-    ----------
-    history, scenario
-        As in :func:`unlike`.
-    varied
-        Keys that the library varies, in which histories may differ.
-    """
+def _check_same_setup(history: ForceHistory, scenario: Scenario, varied: Iterable[str]) -> None:
+    """Refuse a simulated history of a leg or hip unlike the library's."""
     made_by, free = scenario_of(history), set(varied)
     if made_by is None:
         return
