@@ -27,7 +27,6 @@ from terraphi.inference.several_parameters import (
     DILATION,
     LegLikelihood,
     Target,
-    _density_of,
     _judge,
     _plane_strain,
     _window_noise,
@@ -284,11 +283,9 @@ def test_a_density_that_is_assumed_is_compared_with_the_simulated_one(two_parame
     data = training(two_parameters, "straight")
     light = two_parameters.cases[0].scenario.replace(**{**TRUTH, DENSITY: 1500.0})
     (group,) = grouped([Trial(simulate(light), "straight", "light")])
-    assert _density_of({}, data) == 1650.0
-    (said,) = warnings_on(group, data, _density_of({}, data))
+    (said,) = warnings_on(group, data, data.scenario.soil.density)
     assert said.numbers == {"made": "simulated with", "own": 1500.0, "used": 1650.0}
-    free = {DENSITY: Marginal(1400.0, 1700.0)}
-    assert warnings_on(group, data, _density_of(free, data)) == []
+    assert warnings_on(group, data, None) == []
 
 
 def test_noise_that_is_told_is_of_each_force(trial) -> None:

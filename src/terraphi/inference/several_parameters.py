@@ -298,7 +298,7 @@ def infer(looked: Looked, library: Library, ways: Ways) -> Inversion:
     groups = looked.groups
     keys = tuple(k for k, p in priors.items() if not p.fixed)
     with single_threaded():
-        data = _checked(looked, library, priors)
+        data = _checked(looked, library, ways)
         ours = all(
             t.made_as(d.scenario, d.bounds)
             for g, d in zip(groups, data, strict=True)
@@ -320,7 +320,7 @@ def infer(looked: Looked, library: Library, ways: Ways) -> Inversion:
             steps=ways.steps,
             walkers=max(32, 4 * len(keys)),
         )
-        return _answer(looked, data, library, target, draws, ways.density_assumed)
+        return _answer(looked, data, library, target, draws, ways)
 
 
 def _refuse_what_is_for_phi(ways: Ways) -> None:
@@ -340,34 +340,21 @@ def _refuse_what_is_for_phi(ways: Ways) -> None:
         raise InputError("a calibration is for the friction angle alone; drop it")
 
 
-def _checked(looked: Looked, library: Library, marginals: Mapping[str, Marginal]) -> list[Training]:
+def _checked(looked: Looked, library: Library, ways: Ways) -> list[Training]:
     """What the library holds of each leg; refuses trials that it cannot be compared with."""
     found = []
     for group in looked.groups:
         data = training(library, group.leg, readings=group.readings)
-        density, several = _fixed(marginals, DENSITY), looked.several
-        check_trials(group, data.scenario, density, several=several, varied=data.bounds)
+        several = looked.several
+        check_trials(group, data.scenario, ways.density, several=several, varied=data.bounds)
         cohesive = data.scenario.soil.cohesion > 0.0
-        if DENSITY in marginals and DENSITY not in data.bounds and cohesive:
+        if DENSITY in ways.priors and DENSITY not in data.bounds and cohesive:
             raise InputError(
                 "the library's soil has cohesion, and its forces are not proportional to the "
                 "density; vary soil.density in the library"
             )
         found.append(data)
     return found
-
-
-def _density_of(marginals: Mapping[str, Marginal], data: Training) -> float | None:
-    """Density that a leg is inverted with [kg/m3], known or assumed; ``None`` if it is inferred."""
-    if DENSITY in marginals:
-        return _fixed(marginals, DENSITY)
-    return data.scenario.soil.density
-
-
-def _fixed(marginals: Mapping[str, Marginal], key: str) -> float | None:
-    """Value of a parameter that is known; ``None`` if it is not one, or inferred."""
-    known = marginals.get(key)
-    return known.low if known is not None and known.fixed else None
 
 
 def _window_noise(
@@ -392,7 +379,7 @@ def _answer(
     library: Library,
     target: Target,
     draws: Draws,
-    density_assumed: bool,
+    ways: Ways,
 ) -> Inversion:
     groups = looked.groups
     d, scenario = len(target.keys), library.cases[0].scenario
@@ -419,7 +406,7 @@ def _answer(
     by_leg = _seen(looked, target, point)
     every = [one for seen in by_leg for one in seen]
     verdict = _judge(target, flat, identifiability, every)
-    warnings = [*looked.damage, *_doubts(looked, data, target, by_leg, verdict)]
+    warnings = [*looked.damage, *_doubts(looked, data, by_leg, verdict, ways)]
     if not draws.converged:
         warnings.append(Doubt("not_converged"))
     return Inversion(
@@ -436,7 +423,7 @@ def _answer(
         phi_plane_strain=equivalent,
         plane_strain_reason=why_not,
         density=known,
-        density_assumed=known is not None and (density_assumed or DENSITY not in point),
+        density_assumed=known is not None and (ways.density_assumed or DENSITY not in point),
         verdict=damaged(verdict) if looked.spoilt else verdict,
         warnings=tuple(warnings),
         together=together,
@@ -465,14 +452,16 @@ def _seen(looked: Looked, target: Target, point: Mapping[str, float]) -> list[li
 def _doubts(
     looked: Looked,
     data: Sequence[Training],
-    target: Target,
     seen: Sequence[Sequence[Seen]],
     verdict: Verdict,
+    ways: Ways,
 ) -> list[Doubt]:
     """Questions and doubts about each history."""
     found: list[Doubt] = []
     for group, own, one in zip(looked.groups, seen, data, strict=True):
-        density, curves = _density_of(target.priors, one), one.forces
+        density, curves = ways.density, one.forces
+        if DENSITY not in ways.priors:
+            density = one.scenario.soil.density
         if density is not None:
             curves = curves * (density / one.density)[:, None]
         found += looked.doubts_on(
@@ -490,9 +479,9 @@ def _plane_strain(
         return None, "the friction angle was not inferred"
     if DILATION in target.keys and scenario.soil.yield_criterion == "triaxial":
         return None, "it depends on the dilation angle, which was inferred as well"
-    dilation = _fixed(target.priors, DILATION)
-    if dilation is not None:
-        scenario = scenario.replace(**{DILATION: dilation})
+    dilation = target.priors.get(DILATION)
+    if dilation is not None and dilation.fixed:
+        scenario = scenario.replace(**{DILATION: dilation.low})
     return plane_strain_summary(marginal[PHI], scenario)
 
 
