@@ -1,8 +1,8 @@
 """Recovery: invert fresh simulations of known friction angle, off the library's grid.
 
-The truths have other particle seeds than the library. Each is inverted by quadrature and by emcee
-at the paper's settings (32 walkers, 4000 steps, 1000 of them left out; four independent ensembles
-in place of one); the two medians must agree within Monte-Carlo error. One case shows its walkers.
+The truths have other particle seeds than the library. Each is inverted by quadrature and by emcee,
+four independent ensembles of 32 walkers; the two medians must agree within Monte-Carlo error. One
+case shows the walkers of an ensemble at the paper's settings: 4000 steps, 1000 of them left out.
 """
 
 from __future__ import annotations

@@ -27,6 +27,7 @@ from terraphi.inference.several_parameters import (
     DILATION,
     LegLikelihood,
     Target,
+    _edge,
     _judge,
     _plane_strain,
     _window_noise,
@@ -305,17 +306,13 @@ def test_noise_that_is_told_is_of_each_force(trial) -> None:
     assert _window_noise(Noise((0.0, 0.0)), groups) == (0.0, (1.0, 1.0))
 
 
-def test_an_edge_of_the_library_cuts_a_normal_prior_too(two_parameters, trial) -> None:
-    scenario = two_parameters.cases[0].scenario
-    beyond = Trial(simulate(scenario.replace(**{PHI: 47.5, FRICTION: 0.4})), "straight", "beyond")
-    options = {"library": two_parameters, "noise": 0.3, "steps": FEW}
-    found = invert([beyond], prior=["friction_angle_deg=38+-10", "leg.friction=0.4"], **options)
-    assert found.verdict.verdict == "out_of_range"
-    assert found.verdict.edge == "high"
-    inside = invert(
-        [trial("straight")], prior=["friction_angle_deg=32+-2", "leg.friction=0.37"], **options
-    )
-    assert inside.verdict.verdict == "consistent"
+def test_an_edge_of_the_library_cuts_a_normal_prior_too() -> None:
+    draws = norm(47.5, 3.0).ppf(np.linspace(0.0001, 0.9999, 40001))
+    edge = _edge(PHI, Marginal(20.0, 45.0, (38.0, 10.0)), draws[draws < 45.0])
+    assert (edge.side, edge.numbers["at"]) == ("high", 45.0)
+    assert edge.size > edge.limit
+    # A prior of six standard deviations ends by itself, before the library does.
+    assert _edge(PHI, Marginal(20.0, 44.0, (32.0, 2.0)), draws[draws < 44.0]).size == 0.0
 
 
 def test_the_equivalent_in_plane_strain_knows_the_dilation(two_parameters) -> None:

@@ -354,10 +354,10 @@ def _posterior(legs: Sequence[_Leg], ways: Ways) -> _Found:
 
 
 def drawn(log_p: LogLikelihood, exact: Posterior, *, seed: int) -> Draws:
-    """Draws of a posterior by emcee, with as many walkers and steps as in the paper at least.
+    """Draws of a posterior by emcee, as in the paper (Xu & Wang), to compare with the exact one.
 
-    They ask tens of thousands of times, so between the nodes of the quadrature, which resolve the
-    log density, it is interpolated.
+    A sampler asks tens of thousands of times, so the log density is interpolated between the nodes
+    of the quadrature, which resolve it.
     """
     low, high = exact.bounds_deg
     at_nodes = log_p(exact.phi_deg)

@@ -93,7 +93,7 @@ def invert(
         simulated as the library was, ``soils`` for measured ones if it was learnt, and ``gp`` for
         any other. Likewise.
     sampler
-        Of φ alone: ``quadrature`` (exact, the default) or ``emcee`` (the paper's settings).
+        Of φ alone: ``quadrature`` (exact, the default) or ``emcee`` (for comparison).
     seed
         Of all draws.
     steps
