@@ -32,7 +32,7 @@ from terraphi.inference.several_parameters import (
     _plane_strain,
     _window_noise,
 )
-from terraphi.inference.trials import Looked, Repeats, Seen, Trial, grouped
+from terraphi.inference.trials import Looked, Repeats, Seen, Through, Trial, grouped
 from terraphi.inference.verdict import EDGE_DENSITY, NRMSD_LIMIT, deviations
 from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.training import Training, training
@@ -187,7 +187,7 @@ def test_an_edge_that_a_misfit_only_reaches_is_a_misfit(
     target = SimpleNamespace(keys=(PHI,), priors=priors)
     record = SimpleNamespace(source="sand.csv", nrmsd={"Fx": off, "Fz": 0.0})
     measures = deviations(record.nrmsd, most=NRMSD_LIMIT)
-    seen = [Seen(None, record, measures, Explanation())]
+    seen = [Seen(None, None, record, measures, Explanation())]
     found = _judge(target, draws, SimpleNamespace(kinds={PHI: "fixed"}), seen)
     assert found.verdict == verdict
     assert found.numbers["worst"] == "sand.csv"
@@ -207,11 +207,8 @@ def looked_at(group: Repeats) -> Looked:
 
 def warnings_on(group: Repeats, data: Training, density: float | None) -> list[Doubt]:
     curves = data.forces * (1.0 if density is None else (density / data.density)[:, None])
-    looked = looked_at(group)
-    seen = looked.beside(group, data.forces[0], None)
-    return looked.doubts_on(
-        group, seen, data.scenario, curves, density, misfit=False, varied=data.bounds
-    )
+    looked, through = looked_at(group), Through(data.scenario, curves, density, data.bounds)
+    return looked.doubts(looked.beside(group, through, data.forces[0], None), misfit=False)
 
 
 def test_a_slip_that_explains_a_history_is_asked_about_once(two_parameters, trial) -> None:
@@ -220,7 +217,8 @@ def test_a_slip_that_explains_a_history_is_asked_about_once(two_parameters, tria
     (group,) = grouped([turned])
     asked = Explanation(question=Doubt("turned_Fz"))
     looked = looked_at(group)
-    (bare,) = looked.beside(group, data.forces[0], None)
+    through = Through(data.scenario, data.forces, 1650.0)
+    (bare,) = looked.beside(group, through, data.forces[0], None)
     for fits, misfit, said in (
         (False, True, ["turned_Fz"]),
         (True, True, ["runs_against"]),
@@ -228,7 +226,7 @@ def test_a_slip_that_explains_a_history_is_asked_about_once(two_parameters, tria
     ):
         measures = [Measure("nrmsd", 0.0 if fits else 1.0, most=0.1)]
         seen = [bare._replace(measures=measures, why=asked)]
-        found = looked.doubts_on(group, seen, data.scenario, data.forces, 1650.0, misfit=misfit)
+        found = looked.doubts(seen, misfit=misfit)
         assert [doubt.code for doubt in found] == said
 
 

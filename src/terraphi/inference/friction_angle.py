@@ -53,7 +53,7 @@ from terraphi.inference.posterior import LogLikelihood, Posterior, quadrature
 from terraphi.inference.prepared_leg import prepare
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws, sample
-from terraphi.inference.trials import Looked, Repeats, Seen, Ways, beyond, check_trials
+from terraphi.inference.trials import Looked, Repeats, Seen, Through, Ways, beyond, check_trials
 from terraphi.inference.verdict import (
     NRMSD_LIMIT,
     Edge,
@@ -389,7 +389,8 @@ def _seen(looked: Looked, leg: _Leg, found: _Found, ways: Ways) -> tuple[list[Se
     band = np.stack([inside.min(axis=0), inside.max(axis=0)])
     limit = NRMSD_LIMIT if ways.likelihood == "paper" else None
     seen, budget = [], None
-    every = looked.beside(leg.group, best, leg.nodes, most=limit)
+    through = Through(leg.scenario, leg.curves, leg.scale * leg.scenario.soil.density)
+    every = looked.beside(leg.group, through, best, leg.nodes, most=limit)
     for one, likelihood in zip(every, leg.each, strict=True):
         own, budget = _fit_of(likelihood, found, leg, source=looked.name_of(one.trial))
         record = replace(one.record, band=band)
@@ -407,11 +408,10 @@ def _judged(
 ) -> tuple[list[Record], Verdict, list[Doubt], Budget | None]:
     """Records, verdict, doubts, and the budget, which knows of no normal prior: then it is none."""
     normal, budget = found.prior.normal, None
-    by_leg: list[list[Seen]] = []
+    every: list[Seen] = []
     for leg in legs:
         seen, budget = _seen(looked, leg, found, ways)
-        by_leg.append(seen)
-    every = [one for seen in by_leg for one in seen]
+        every += seen
     measures = [measure for one in every for measure in one.measures]
     soils = _soils(legs)
     if looked.several:
@@ -435,12 +435,7 @@ def _judged(
     warnings = looked.damage
     if verdict.verdict == "consistent" and budget is not None:
         warnings += _zero(looked, found.posterior, budget)
-    misfit = verdict.verdict == "misfit"
-    for leg, seen in zip(legs, by_leg, strict=True):
-        density = leg.scale * leg.scenario.soil.density
-        warnings += looked.doubts_on(
-            leg.group, seen, leg.scenario, leg.curves, density, misfit=misfit
-        )
+    warnings += looked.doubts(every, misfit=verdict.verdict == "misfit")
     return [one.record for one in every], verdict, warnings, budget
 
 

@@ -47,7 +47,7 @@ from terraphi.inference.noise import Noise
 from terraphi.inference.posterior import quadrature
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws, sample
-from terraphi.inference.trials import Looked, Repeats, Seen, Ways, beyond, check_trials
+from terraphi.inference.trials import Looked, Repeats, Seen, Through, Ways, beyond, check_trials
 from terraphi.inference.verdict import NRMSD_LIMIT, Edge, damaged, edge_of, judge
 from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignSurrogate
@@ -403,10 +403,10 @@ def _answer(
         amplitude=amplitude,
         discrepancy="gp" if target.discrepancy else "none",
     )
-    by_leg = _seen(looked, target, point)
-    every = [one for seen in by_leg for one in seen]
+    every = _seen(looked, data, target, point, ways)
     verdict = _judge(target, flat, identifiability, every)
-    warnings = [*looked.damage, *_doubts(looked, data, by_leg, verdict, ways)]
+    misfit = verdict.verdict == "misfit"
+    warnings = [*looked.damage, *looked.doubts(every, misfit=misfit)]
     if not draws.converged:
         warnings.append(Doubt("not_converged"))
     return Inversion(
@@ -430,44 +430,33 @@ def _answer(
     )
 
 
-def _seen(looked: Looked, target: Target, point: Mapping[str, float]) -> list[list[Seen]]:
-    """The histories of each leg beside the curve at the best point.
+def _seen(
+    looked: Looked,
+    data: Sequence[Training],
+    target: Target,
+    point: Mapping[str, float],
+    ways: Ways,
+) -> list[Seen]:
+    """The histories leg by leg beside the curve at the best point.
 
     What would explain a misfit is looked for on the curves over φ through that point.
     """
     at = {k: np.array([v]) for k, v in point.items()}
     prior = target.priors.get(PHI)
-    found = []
-    for group, leg in zip(looked.groups, target.legs, strict=True):
-        nodes = None
+    found: list[Seen] = []
+    for group, one, leg in zip(looked.groups, data, target.legs, strict=True):
+        density, curves, nodes = ways.density, one.forces, None
+        if DENSITY not in ways.priors:
+            density = one.scenario.soil.density
+        if density is not None:
+            curves = curves * (density / one.density)[:, None]
+        through = Through(one.scenario, curves, density, one.bounds)
         if prior is not None and PHI in target.keys:
             phi = np.linspace(prior.low, prior.high, CURVES)
             along = {k: np.full(CURVES, v) for k, v in point.items()} | {PHI: phi}
             nodes = phi, leg.surrogate.predict(along)[0]
         best = leg.surrogate.predict(at)[0][0]
-        found.append(looked.beside(group, best, nodes, most=NRMSD_LIMIT))
-    return found
-
-
-def _doubts(
-    looked: Looked,
-    data: Sequence[Training],
-    seen: Sequence[Sequence[Seen]],
-    verdict: Verdict,
-    ways: Ways,
-) -> list[Doubt]:
-    """Questions and doubts about each history."""
-    found: list[Doubt] = []
-    for group, own, one in zip(looked.groups, seen, data, strict=True):
-        density, curves = ways.density, one.forces
-        if DENSITY not in ways.priors:
-            density = one.scenario.soil.density
-        if density is not None:
-            curves = curves * (density / one.density)[:, None]
-        found += looked.doubts_on(
-            group, own, one.scenario, curves, density,
-            misfit=verdict.verdict == "misfit", varied=one.bounds,
-        )  # fmt: skip
+        found += looked.beside(group, through, best, nodes, most=NRMSD_LIMIT)
     return found
 
 

@@ -162,10 +162,24 @@ class Repeats:
         return np.stack([o.vector for o in self.observations])
 
 
+class Through(NamedTuple):
+    """The library's curves that the histories of a leg are compared with."""
+
+    scenario: Scenario
+    """Any of its scenarios for that leg."""
+    curves: FloatArray
+    """At the density of the soil [N], shape [case, 2 theta]."""
+    density: float | None
+    """That density [kg/m3]; ``None`` if it is inferred."""
+    varied: Iterable[str] = ()
+    """Keys in which histories may differ from the library."""
+
+
 class Seen(NamedTuple):
     """A history beside the curve that fits best."""
 
     trial: Trial
+    through: Through
     record: Record
     measures: list[Measure]
     """How well that fits."""
@@ -236,6 +250,7 @@ class Looked:
     def beside(
         self,
         repeats: Repeats,
+        through: Through,
         best: FloatArray,
         nodes: tuple[FloatArray, FloatArray] | None,
         *,
@@ -245,8 +260,8 @@ class Looked:
 
         Parameters
         ----------
-        repeats
-            Trials of one leg.
+        repeats, through
+            Trials of one leg, and what they are compared with.
         best
             The curve [N], shape [2 theta].
         nodes
@@ -271,50 +286,35 @@ class Looked:
             )
             why = explain(observation.vector, *nodes) if nodes else Explanation()
             measures = deviations(record.nrmsd, most=most, source=self.name_of(trial))
-            found.append(Seen(trial, record, measures, why))
+            found.append(Seen(trial, through, record, measures, why))
         return found
 
-    def doubts_on(
-        self,
-        repeats: Repeats,
-        seen: Sequence[Seen],
-        scenario: Scenario,
-        curves: FloatArray,
-        density: float | None,
-        *,
-        misfit: bool,
-        varied: Iterable[str] = (),
-    ) -> list[Doubt]:
-        """Questions on the trials of a leg, and why they may not be what they were taken for.
+    def doubts(self, seen: Sequence[Seen], *, misfit: bool) -> list[Doubt]:
+        """Questions on all histories, and why they may not be what they were taken for.
 
         Parameters
         ----------
-        repeats, seen
-            Trials of one leg, and the same beside the best curve.
-        scenario
-            Any of the library's for it.
-        curves
-            The library's, at that density [N], shape [case, 2 theta].
-        density
-            Density that the trials are inverted with [kg/m3]; ``None`` if it is inferred.
+        seen
+            The histories beside their best curves.
         misfit
             Whether that is the verdict.
-        varied
-            Keys in which they may differ from the library.
         """
         found: list[Doubt] = []
-        for one in seen:
-            question, history = one.question(misfit=misfit), one.trial.history
-            # A zero that is seen to be off is told as such.
-            if self.spoilt and question is not None and question.code in OFFSETS:
-                question = None
-            said = [question, unlike(history, scenario, repeats.leg, varied=varied)]
-            said += [] if question else slips(one.record.observation, curves)
-            said.append(other_density(history, density))
-            source = self.name_of(one.trial)
-            found += [replace(doubt, source=source) for doubt in said if doubt is not None]
-        numbers = {"leg": repeats.leg, "spacing_deg": DENSE_DEG}
-        return found + [Doubt("read_twice", numbers, t.source) for t in repeats.read_twice]
+        for repeats in self.groups:
+            for one in (one for one in seen if one.trial.leg == repeats.leg):
+                history, (scenario, curves, density, varied) = one.trial.history, one.through
+                question = one.question(misfit=misfit)
+                # A zero that is seen to be off is told as such.
+                if self.spoilt and question is not None and question.code in OFFSETS:
+                    question = None
+                said = [question, unlike(history, scenario, repeats.leg, varied=varied)]
+                said += [] if question else slips(one.record.observation, curves)
+                said.append(other_density(history, density))
+                source = self.name_of(one.trial)
+                found += [replace(doubt, source=source) for doubt in said if doubt is not None]
+            numbers = {"leg": repeats.leg, "spacing_deg": DENSE_DEG}
+            found += [Doubt("read_twice", numbers, t.source) for t in repeats.read_twice]
+        return found
 
     def check_noise(self, noise: Noise) -> None:
         """Refuse noise that a history cannot have."""
