@@ -32,7 +32,7 @@ from terraphi.inference.several_parameters import (
     _plane_strain,
     _window_noise,
 )
-from terraphi.inference.trials import Looked, Repeats, Seen, Through, Trial, grouped
+from terraphi.inference.trials import Looked, Repeats, Matched, Through, Trial, grouped
 from terraphi.inference.verdict import EDGE_DENSITY, NRMSD_LIMIT, deviations
 from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.training import Training, training
@@ -187,7 +187,7 @@ def test_an_edge_that_a_misfit_only_reaches_is_a_misfit(
     target = SimpleNamespace(keys=(PHI,), priors=priors)
     record = SimpleNamespace(source="sand.csv", nrmsd={"Fx": off, "Fz": 0.0})
     measures = deviations(record.nrmsd, most=NRMSD_LIMIT)
-    seen = [Seen(None, None, record, measures, Explanation())]
+    seen = [Matched(None, None, record, measures, Explanation())]
     found = _judge(target, draws, SimpleNamespace(kinds={PHI: "fixed"}), seen)
     assert found.verdict == verdict
     assert found.numbers["worst"] == "sand.csv"

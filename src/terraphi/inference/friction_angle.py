@@ -53,7 +53,7 @@ from terraphi.inference.posterior import LogLikelihood, Posterior, quadrature
 from terraphi.inference.prepared_leg import prepare
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws, sample
-from terraphi.inference.trials import Looked, Repeats, Seen, Through, Ways, beyond, check_trials
+from terraphi.inference.trials import Looked, Repeats, Matched, Through, Ways, beyond, check_trials
 from terraphi.inference.verdict import (
     NRMSD_LIMIT,
     Edge,
@@ -378,7 +378,9 @@ def _about(level: Level, core: Posterior) -> LogLikelihood:
     return lambda phi_deg: level.log_density(core, phi_deg)
 
 
-def _seen(looked: Looked, leg: _Leg, found: _Found, ways: Ways) -> tuple[list[Seen], Budget | None]:
+def _matched(
+    looked: Looked, leg: _Leg, found: _Found, ways: Ways
+) -> tuple[list[Matched], Budget | None]:
     """The histories of a leg beside the best curve, and the budget of the last were it alone.
 
     That curve is the one at the median, or at the library's end if that lies beyond.
@@ -408,9 +410,9 @@ def _judged(
 ) -> tuple[list[Record], Verdict, list[Doubt], Budget | None]:
     """Records, verdict, doubts, and the budget, which knows of no normal prior: then it is none."""
     normal, budget = found.prior.normal, None
-    every: list[Seen] = []
+    every: list[Matched] = []
     for leg in legs:
-        seen, budget = _seen(looked, leg, found, ways)
+        seen, budget = _matched(looked, leg, found, ways)
         every += seen
     measures = [measure for one in every for measure in one.measures]
     soils = _soils(legs)

@@ -47,7 +47,7 @@ from terraphi.inference.noise import Noise
 from terraphi.inference.posterior import quadrature
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws, sample
-from terraphi.inference.trials import Looked, Repeats, Seen, Through, Ways, beyond, check_trials
+from terraphi.inference.trials import Looked, Repeats, Matched, Through, Ways, beyond, check_trials
 from terraphi.inference.verdict import NRMSD_LIMIT, Edge, damaged, edge_of, judge
 from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignSurrogate
@@ -403,7 +403,7 @@ def _answer(
         amplitude=amplitude,
         discrepancy="gp" if target.discrepancy else "none",
     )
-    every = _seen(looked, data, target, point, ways)
+    every = _matched(looked, data, target, point, ways)
     verdict = _judge(target, flat, identifiability, every)
     misfit = verdict.verdict == "misfit"
     warnings = [*looked.damage, *looked.doubts(every, misfit=misfit)]
@@ -430,20 +430,20 @@ def _answer(
     )
 
 
-def _seen(
+def _matched(
     looked: Looked,
     data: Sequence[Training],
     target: Target,
     point: Mapping[str, float],
     ways: Ways,
-) -> list[Seen]:
+) -> list[Matched]:
     """The histories leg by leg beside the curve at the best point.
 
     What would explain a misfit is looked for on the curves over φ through that point.
     """
     at = {k: np.array([v]) for k, v in point.items()}
     prior = target.priors.get(PHI)
-    found: list[Seen] = []
+    found: list[Matched] = []
     for group, one, leg in zip(looked.groups, data, target.legs, strict=True):
         density, curves, nodes = ways.density, one.forces, None
         if DENSITY not in ways.priors:
@@ -518,7 +518,7 @@ def _judge(
     target: Target,
     flat: FloatArray,
     identifiability: Identifiability,
-    seen: Sequence[Seen],
+    seen: Sequence[Matched],
 ) -> Verdict:
     """A misfit if forces deviate; out of range if an edge cuts off a parameter that was learnt."""
     edges = {

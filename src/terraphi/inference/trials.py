@@ -175,8 +175,8 @@ class Through(NamedTuple):
     """Keys in which histories may differ from the library."""
 
 
-class Seen(NamedTuple):
-    """A history beside the curve that fits best."""
+class Matched(NamedTuple):
+    """A history matched with the curve that fits best."""
 
     trial: Trial
     through: Through
@@ -200,7 +200,7 @@ class Seen(NamedTuple):
         return None
 
 
-def beyond(seen: Sequence[Seen]) -> Side | None:
+def beyond(seen: Sequence[Matched]) -> Side | None:
     """End of the library beyond which an angle would explain all histories that do not fit."""
     ends = {one.why.beyond for one in seen if not one.fits}
     return ends.pop() if len(ends) == 1 else None
@@ -255,7 +255,7 @@ class Looked:
         nodes: tuple[FloatArray, FloatArray] | None,
         *,
         most: float | None = None,
-    ) -> list[Seen]:
+    ) -> list[Matched]:
         """The trials of a leg beside the curve that fits best.
 
         Parameters
@@ -286,10 +286,10 @@ class Looked:
             )
             why = explain(observation.vector, *nodes) if nodes else Explanation()
             measures = deviations(record.nrmsd, most=most, source=self.name_of(trial))
-            found.append(Seen(trial, through, record, measures, why))
+            found.append(Matched(trial, through, record, measures, why))
         return found
 
-    def doubts(self, seen: Sequence[Seen], *, misfit: bool) -> list[Doubt]:
+    def doubts(self, seen: Sequence[Matched], *, misfit: bool) -> list[Doubt]:
         """Questions on all histories, and why they may not be what they were taken for.
 
         Parameters
