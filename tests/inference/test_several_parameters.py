@@ -32,7 +32,7 @@ from terraphi.inference.several_parameters import (
     _plane_strain,
     _window_noise,
 )
-from terraphi.inference.trials import Looked, Repeats, Matched, Through, Trial, grouped
+from terraphi.inference.trials import Looked, Matched, Repeats, Through, Trial, grouped
 from terraphi.inference.verdict import EDGE_DENSITY, NRMSD_LIMIT, deviations
 from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.training import Training, training

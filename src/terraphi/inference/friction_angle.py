@@ -53,7 +53,7 @@ from terraphi.inference.posterior import LogLikelihood, Posterior, quadrature
 from terraphi.inference.prepared_leg import prepare
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws, sample
-from terraphi.inference.trials import Looked, Repeats, Matched, Through, Ways, beyond, check_trials
+from terraphi.inference.trials import Looked, Matched, Repeats, Through, Ways, beyond, check_trials
 from terraphi.inference.verdict import (
     NRMSD_LIMIT,
     Edge,

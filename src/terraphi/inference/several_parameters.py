@@ -47,7 +47,7 @@ from terraphi.inference.noise import Noise
 from terraphi.inference.posterior import quadrature
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws, sample
-from terraphi.inference.trials import Looked, Repeats, Matched, Through, Ways, beyond, check_trials
+from terraphi.inference.trials import Looked, Matched, Repeats, Through, Ways, beyond, check_trials
 from terraphi.inference.verdict import NRMSD_LIMIT, Edge, damaged, edge_of, judge
 from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignSurrogate
