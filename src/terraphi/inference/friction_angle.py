@@ -24,7 +24,6 @@ from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.scenario import Scenario
 from terraphi.inference.answer import (
     PHI,
     AngleSummary,
@@ -94,12 +93,10 @@ class _Leg:
     ----------
     group
         The histories.
-    scenario
-        Any of the library's for this leg.
+    through
+        What they are compared with.
     scale
         Density of the soil over that of the library [-].
-    curves
-        The library's, at the density of the soil [N], shape [case, 2 theta].
     surrogate
         Of the library's curves, at the library's density.
     nodes
@@ -109,9 +106,8 @@ class _Leg:
     """
 
     group: Repeats
-    scenario: Scenario
+    through: Through
     scale: float
-    curves: FloatArray
     surrogate: LegSurrogate | JointSurrogate
     nodes: tuple[FloatArray, FloatArray]
     of: Callable[[FloatArray, int], LogLikelihood]
@@ -209,7 +205,7 @@ def infer(looked: Looked, library: Library, ways: Ways) -> Inversion:
         seconds = time.perf_counter() - began
         records, verdict, warnings, budget = _judged(looked, legs, found, ways)
     warnings += uninformed(found.flat)
-    scenario, posterior = legs[0].scenario, found.posterior
+    scenario, posterior = legs[0].through.scenario, found.posterior
     draws = found.draws
     summary = Summary.of_posterior(posterior) if draws is None else Summary.of(draws.flat)
     # A calibrated angle is one of plane strain, as those of the known soils are.
@@ -252,7 +248,8 @@ def _leg(group: Repeats, looked: Looked, library: Library, ways: Ways) -> _Leg:
     curves = prepared.curves if prepared else library.curves(group.leg, readings=readings)
     check_trials(group, curves.scenario, ways.density, several=looked.several)
     scale = 1.0 if ways.density is None else ways.density / curves.scenario.soil.density
-    shared = group, curves.scenario, scale, scale * curves.vectors
+    density = scale * curves.scenario.soil.density
+    shared = group, Through(curves.scenario, scale * curves.vectors, density), scale
     if prepared is None:
         surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
         angles = np.linspace(*surrogate.phi_bounds_deg, CURVES)
@@ -391,8 +388,7 @@ def _matched(
     band = np.stack([inside.min(axis=0), inside.max(axis=0)])
     limit = NRMSD_LIMIT if ways.likelihood == "paper" else None
     seen, budget = [], None
-    through = Through(leg.scenario, leg.curves, leg.scale * leg.scenario.soil.density)
-    every = looked.beside(leg.group, through, best, leg.nodes, most=limit)
+    every = looked.beside(leg.group, leg.through, best, leg.nodes, most=limit)
     for one, likelihood in zip(every, leg.each, strict=True):
         own, budget = _fit_of(likelihood, found, leg, source=looked.name_of(one.trial))
         record = replace(one.record, band=band)
@@ -465,7 +461,7 @@ def _soils(legs: Sequence[_Leg]) -> list[SoilLikelihood]:
 
 def _edge(legs: Sequence[_Leg], found: _Found, ways: Ways) -> Edge:
     """Where the posterior, or that of the library's angle, is cut off."""
-    name, bounds = legs[0].scenario.convention, found.posterior.bounds_deg
+    name, bounds = legs[0].through.scenario.convention, found.posterior.bounds_deg
     if ways.likelihood == "paper":
         step = float(np.diff(legs[0].surrogate.phi_deg).max())
         edge = edge_of(edge_masses(found.posterior, step), bounds, "edge_mass", name=name)
