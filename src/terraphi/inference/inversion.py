@@ -119,10 +119,10 @@ def invert(
         name, why = default_library([trial.history for trial in trials])
         library = _shipped(name)
     by_soils = _by_soils(calibration, library, trials, likelihood, discrepancy)
-    looked = look(trials, library)
     phi_alone, marginals, density, assumed = _known(
-        looked, library, prior, density, density_assumed
+        trials, library, prior, density, density_assumed
     )
+    looked = look(trials, library)
     ways = Ways(
         likelihood=likelihood,
         noise=Noise.parse(noise),
@@ -226,7 +226,11 @@ def _trials(
 
 
 def _known(
-    looked: Looked, library: Library, prior: Sequence[str], density: float | None, guessed: bool
+    trials: Sequence[Trial],
+    library: Library,
+    prior: Sequence[str],
+    density: float | None,
+    guessed: bool,
 ) -> tuple[bool, dict[str, Marginal], float | None, bool]:
     """Whether φ alone is to be inferred, priors, and the density, and whether that is a guess."""
     varied = parameters(library) if prior or is_of_several(library) else {}
@@ -234,7 +238,7 @@ def _known(
     if said and density is not None:
         raise InputError(f"the density is given twice, as {density:g} kg/m³ and as a prior")
     if density is None and not said and DENSITY not in varied:
-        density, guessed = common_density(looked.trials)
+        density, guessed = common_density(trials)
     if not varied:
         return True, {}, density, guessed
     given = [] if density is None else [f"{DENSITY}={density!r}"]
