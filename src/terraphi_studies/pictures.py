@@ -291,8 +291,7 @@ def walkers_figure(
     left.set(xlim=(0, steps), xlabel="step (grey: burn-in)", ylabel=PHI_LABEL[convention])
     kept = steps_deg[:, burn_in:].ravel()
     right.hist(kept, 80, density=True, color=BLUE, alpha=0.4, label="emcee")
-    if exact.density is not None:
-        right.plot(exact.phi_deg, exact.density, color="black", lw=1.2, label="quadrature")
+    right.plot(exact.phi_deg, exact.density, color="black", lw=1.2, label="quadrature")
     right.axvline(truth_deg, color=ORANGE, lw=1.2, ls="--", label="truth")
     right.axvspan(*exact.interval(0.68), color=GREY, alpha=0.25, lw=0, label="68 % interval")
     middle, half = exact.median, 1.6 * (exact.quantile(0.975) - exact.quantile(0.025)) / 2.0

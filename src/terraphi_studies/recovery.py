@@ -1,20 +1,21 @@
 """Recovery: invert fresh simulations of known friction angle, off the library's grid.
 
-The truths have other particle seeds than the library. Each is inverted by quadrature and by emcee
-at the paper's settings (32 walkers, 4000 steps, 1000 of them left out; four independent ensembles
-in place of one); the two medians must agree within Monte-Carlo error. One case shows its walkers.
+The truths have other particle seeds than the library. Each is inverted by quadrature and by emcee,
+four independent ensembles of 32 walkers; the two medians must agree within Monte-Carlo error. One
+case shows the walkers of an ensemble at the paper's settings: 4000 steps, 1000 of them left out.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.inference.answer import Inversion
+from terraphi.inference.answer import PHI, Inversion
 from terraphi.inference.inversion import invert
 from terraphi.inference.paper_likelihood import PaperLikelihood
-from terraphi.inference.posterior import ensemble, tabulated
 from terraphi.library.shipped import companion
 from terraphi.library.store import Case, Library
 from terraphi.surrogate.paper import LegSurrogate
@@ -112,7 +113,7 @@ def run(
 
 def _case(phi_true_deg: float, exact: Inversion, sampled: Inversion) -> dict[str, Any]:
     """What both samplers make of one truth."""
-    convergence = sampled.posterior.convergence
+    convergence = sampled.convergence_of(PHI)
     error = convergence["median_standard_error"]
     return {
         "phi_true_deg": phi_true_deg,
@@ -140,15 +141,23 @@ def _about_emcee(cases: list[dict[str, Any]]) -> str:
 
 def _walkers(library: Library, truth: Case) -> FloatArray:
     """The first of the inverted ensembles from its first step [deg], shape [walker, step]."""
+    import emcee
+
     assert truth.history is not None
     curves = library.curves(truth.scenario.leg.shape)
     surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
     likelihood = PaperLikelihood(truth.history.observation().vector, curves.theta_deg)
 
-    def log_p(phi_deg: FloatArray) -> FloatArray:
-        return likelihood(surrogate.predict(phi_deg))
+    low, high = surrogate.phi_bounds_deg
 
-    table = tabulated(log_p, surrogate.phi_bounds_deg)
-    draws = ensemble(table, surrogate.phi_bounds_deg, burn_in=0, seed=0).draws_deg
-    assert draws is not None
-    return draws[0]
+    def log_p(points: FloatArray) -> FloatArray:
+        phi = points[:, 0]
+        inside = (phi >= low) & (phi <= high)
+        return np.where(inside, likelihood(surrogate.predict(phi.clip(low, high))), -np.inf)
+
+    random = np.random.RandomState(0)  # emcee knows no other
+    start = emcee.State(random.uniform(low, high, (32, 1)), random_state=random.get_state())
+    sampler = emcee.EnsembleSampler(32, 1, log_p, vectorize=True)
+    sampler.run_mcmc(start, 4 * BURN_IN)
+    drawn = sampler.get_chain()[:, :, 0].T
+    return np.asarray(drawn)

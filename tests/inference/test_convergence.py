@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from terraphi.inference.convergence import (
+from terraphi.inference.sampler import (
     EnsembleDiagnostics,
     autocorrelation_time,
     diagnose,

@@ -38,12 +38,12 @@ def slip(code: str, forces: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("code", SLIPS)
 def test_each_slip_is_asked_about(code: str) -> None:
     record = slip(code, curves(np.array([31.0])).reshape(2, -1)).ravel()
-    assert explain(record, curves(PHI), PHI) == Explanation(question=Doubt(code))
+    assert explain(record, PHI, curves(PHI)) == Explanation(question=Doubt(code))
 
 
 @pytest.mark.parametrize(("phi", "end"), [(14.0, "low"), (17.0, "low"), (43.0, "high")])
 def test_an_angle_beyond_the_library(phi: float, end: str) -> None:
-    assert explain(curves(np.array([phi]))[0], curves(PHI), PHI) == Explanation(beyond=end)
+    assert explain(curves(np.array([phi]))[0], PHI, curves(PHI)) == Explanation(beyond=end)
 
 
 @pytest.mark.parametrize(("name", "size_N"), [("Fx", 0.8), ("Fx", -2.0), ("Fz", 1.5), ("Fz", -3.0)])
@@ -51,7 +51,7 @@ def test_an_offset_of_one_force_is_asked_about_with_its_size(name: str, size_N: 
     rng = np.random.default_rng(0)
     record = curves(np.array([31.0]))[0] + 0.05 * rng.normal(size=80)
     record[slice(0, 40) if name == "Fx" else slice(40, 80)] += size_N
-    asked = explain(record, curves(PHI), PHI).question
+    asked = explain(record, PHI, curves(PHI)).question
     assert (asked.code, asked.numbers["force"]) == ("tared", name)
     assert asked.numbers["size_N"] == pytest.approx(size_N, rel=0.05, abs=0.05)
 
@@ -61,7 +61,7 @@ def test_a_step_through_noise_is_asked_about(name: str, at: int) -> None:
     rng = np.random.default_rng(0)
     record = curves(np.array([31.0]))[0] + 0.1 * rng.normal(size=80)
     record[(0 if name == "Fx" else 40) + at : 40 if name == "Fx" else 80] -= 1.5
-    asked = explain(record, curves(PHI), PHI).question
+    asked = explain(record, PHI, curves(PHI)).question
     assert (asked.code, asked.numbers["force"]) == ("moved", name)
     middle = 0.5 * (THETA[at - 1] + THETA[at])
     assert asked.numbers["theta_deg"] == pytest.approx(middle, abs=0.01)
@@ -71,14 +71,14 @@ def test_a_step_through_noise_is_asked_about(name: str, at: int) -> None:
 def test_a_small_offset_is_no_question() -> None:
     record = curves(np.array([31.0]))[0]
     record[:40] += 0.1
-    assert explain(record, curves(PHI), PHI) == Explanation()
+    assert explain(record, PHI, curves(PHI)) == Explanation()
 
 
 def test_what_nothing_explains() -> None:
     rng = np.random.default_rng(0)
-    assert explain(curves(np.array([31.0]))[0], curves(PHI), PHI) == Explanation()
-    assert explain(rng.normal(size=80), curves(PHI), PHI) == Explanation()
-    assert explain(rng.normal(size=80).cumsum(), curves(PHI), PHI) == Explanation()
+    assert explain(curves(np.array([31.0]))[0], PHI, curves(PHI)) == Explanation()
+    assert explain(rng.normal(size=80), PHI, curves(PHI)) == Explanation()
+    assert explain(rng.normal(size=80).cumsum(), PHI, curves(PHI)) == Explanation()
 
 
 @pytest.fixture(scope="module", name="library")

@@ -12,7 +12,7 @@ from terraphi.inference.budget import (
     share_without_force,
     without_force,
 )
-from terraphi.inference.posterior import ensemble, quadrature, tabulated
+from terraphi.inference.posterior import quadrature
 
 THETA = np.linspace(-85.0, 85.0, 12)
 DATA = np.r_[9.0 * np.exp(-((THETA / 40.0) ** 2)), 7.0 * np.exp(-(((THETA + 40.0) / 30.0) ** 2))]
@@ -42,13 +42,6 @@ def test_gain_is_the_entropy_that_is_lost(mean: float, sigma: float) -> None:
     expected = (np.log(high - low) - exact) / np.log(2.0)
     posterior = quadrature(lambda phi: norm.logpdf(phi, mean, sigma), (low, high))
     assert information_gain_bits(posterior) == pytest.approx(expected, abs=2e-3)
-
-
-def test_gain_of_draws_is_that_of_their_density() -> None:
-    table = tabulated(lambda phi: norm.logpdf(phi, 30.0, 6.0), (15.0, 50.0))
-    draws = ensemble(table, (15.0, 50.0), seed=1)
-    exact = quadrature(lambda phi: norm.logpdf(phi, 30.0, 6.0), (15.0, 50.0))
-    assert information_gain_bits(draws) == pytest.approx(information_gain_bits(exact), abs=0.05)
 
 
 def test_each_angle_adds_what_the_dense_matrices_say() -> None:

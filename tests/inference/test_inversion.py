@@ -15,7 +15,7 @@ from terraphi.experiment.measurements import measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward import simulate
-from terraphi.inference.answer import AngleSummary, Inversion, plane_strain_summary
+from terraphi.inference.answer import PHI, AngleSummary, Inversion, plane_strain_summary
 from terraphi.inference.inversion import invert
 from terraphi.inference.words import of_doubt
 from terraphi.library.store import Library
@@ -82,9 +82,9 @@ def test_emcee_agrees_with_quadrature(
     history: ForceHistory, library: Library, found: Inversion
 ) -> None:
     sampled = invert(history, library=library, sampler="emcee", seed=3)
-    error = sampled.posterior.convergence["median_standard_error"]
+    error = sampled.convergence_of(PHI)["median_standard_error"]
     assert abs(sampled.phi.median - found.phi.median) < 3.0 * error
-    assert sampled.posterior.seed == 3
+    assert (sampled.sampler, sampled.seed) == ("emcee", 3)
 
 
 def test_another_leg_is_not_believed(library: Library) -> None:

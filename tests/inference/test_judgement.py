@@ -8,13 +8,13 @@ from scipy.stats import norm
 
 from terraphi.inference.findings import Verdict
 from terraphi.inference.fit import Fit
-from terraphi.inference.posterior import Posterior, ensemble, quadrature, tabulated
+from terraphi.inference.posterior import Posterior, quadrature
 from terraphi.inference.verdict import (
     AT_EDGE,
     EDGE_DENSITY,
     deviations,
-    edge_by_density,
     edge_densities,
+    edge_of,
     fit_measures,
     judge,
     uninformed,
@@ -32,7 +32,9 @@ def normal(mean: float, sigma: float) -> Posterior:
 def judged(posterior: Posterior, fit: Fit, beyond: str | None = None) -> Verdict:
     return judge(
         [*fit_measures(fit), *deviations({"Fx": 0.2, "Fz": 0.1})],
-        edge_by_density(posterior, convention="plane_strain"),
+        edge_of(
+            edge_densities(posterior), posterior.bounds_deg, "edge_density", name="plane_strain"
+        ),
         kind="calibrated",
         beyond=beyond,
     )
@@ -106,13 +108,3 @@ def test_two_standard_deviations_are_the_limit() -> None:
     low, high = edge_densities(normal(19.0, 2.0))
     assert low == pytest.approx(EDGE_DENSITY, rel=1e-6)
     assert high == pytest.approx(0.0, abs=1e-9)
-
-
-def test_draws_tell_the_edge_as_quadrature_does() -> None:
-    def log_p(phi: np.ndarray) -> np.ndarray:
-        return norm.logpdf(phi, 16.0, 2.0)
-
-    drawn = ensemble(tabulated(log_p, BOUNDS, nodes=401), BOUNDS, seed=1)
-    exact = edge_densities(quadrature(log_p, BOUNDS, nodes=401))
-    assert edge_densities(drawn) == pytest.approx(exact, abs=0.15)
-    assert judged(drawn, GOOD).edge == "low"

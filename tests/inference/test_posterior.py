@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
+from terraphi.inference.friction_angle import drawn
 from terraphi.inference.paper_likelihood import PaperLikelihood
-from terraphi.inference.posterior import LogLikelihood, ensemble, quadrature
+from terraphi.inference.posterior import LogLikelihood, quadrature
 
 FloatArray = NDArray[np.float64]
 
 BOUNDS = (25.0, 45.0)
 PROBABILITIES = (0.001, 0.025, 0.16, 0.5, 0.84, 0.975, 0.999)
-SHORT = {"steps": 300, "burn_in": 100}
 
 
 def gaussian(mean: float, std: float) -> LogLikelihood:
@@ -53,7 +53,6 @@ def test_quadrature_gives_exact_quantiles(distribution: Any) -> None:
         assert truncated_cdf(distribution, posterior.quantile(p)) == pytest.approx(p, abs=1e-6)
         assert posterior.mass(BOUNDS[0], posterior.quantile(p)) == pytest.approx(p, abs=1e-6)
     assert posterior.convergence["relative_change_on_halving"] < 1e-3
-    assert posterior.density is not None
     assert np.trapezoid(posterior.density, posterior.phi_deg) == pytest.approx(1.0, abs=1e-12)
 
 
@@ -141,77 +140,22 @@ def test_quadrature_follows_shift_and_stretch_of_the_angle(
     [stats.norm(33.0, 1e-3), stats.norm(45.0, 0.8)],
     ids=["narrow", "at an edge"],
 )
-def test_ensemble_agrees_with_quadrature(distribution: Any) -> None:
+def test_emcees_draws_agree_with_quadrature(distribution: Any) -> None:
     exact = quadrature(distribution.logpdf, BOUNDS)
-    sampled = ensemble(distribution.logpdf, BOUNDS, steps=900, burn_in=300, seed=7)
-    error = sampled.convergence["median_standard_error"]
-    assert abs(sampled.median - exact.median) < 3.0 * error
-    # The median's error is 1.25 standard errors of the mean: far below the posterior's width.
-    assert error < 0.03 * np.diff(exact.interval(0.68))[0]
-    assert sampled.convergence["split_rhat"] < 1.01
-    assert sampled.interval(0.68) == pytest.approx(exact.interval(0.68), abs=8.0 * error)
-    assert sampled.mass(*exact.interval(0.95)) == pytest.approx(0.95, abs=0.02)
+    found = drawn(distribution.logpdf, exact, seed=7)
+    error = found.diagnostics[0].median_standard_error
+    width = np.diff(exact.interval(0.68))[0]
+    assert found.converged
+    assert abs(np.median(found.flat) - exact.median) < 3.0 * error
+    assert error < 0.03 * width
+    assert np.quantile(found.flat, [0.16, 0.84]) == pytest.approx(
+        exact.interval(0.68), abs=8.0 * error
+    )
+    low, high = exact.interval(0.95)
+    assert np.mean((found.flat > low) & (found.flat < high)) == pytest.approx(0.95, abs=0.02)
+    assert BOUNDS[0] <= found.flat.min() < found.flat.max() <= BOUNDS[1]
 
 
-def test_ensemble_depends_on_its_seed_alone() -> None:
-    options = {"steps": 50, "burn_in": 10}
-    before = np.random.get_state()[1].copy()  # noqa: NPY002 - the global state is the point
-    first = ensemble(gaussian(35.0, 1.0), BOUNDS, seed=3, **options)
-    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
-    np.random.seed(99)  # noqa: NPY002
-    second = ensemble(gaussian(35.0, 1.0), BOUNDS, seed=3, **options)
-    other = ensemble(gaussian(35.0, 1.0), BOUNDS, seed=4, **options)
-    assert first.draws_deg is not None
-    np.testing.assert_array_equal(first.draws_deg, second.draws_deg)
-    assert first.median != other.median
-    assert (first.seed, first.sampler) == (3, "emcee")
-
-
-def test_ensembles_are_independent_of_each_other() -> None:
-    posterior = ensemble(gaussian(35.0, 1.0), BOUNDS, seed=3, **SHORT)
-    assert posterior.draws_deg is not None
-    means = posterior.draws_deg.mean(axis=1)
-    correlation = np.corrcoef(means) - np.eye(4)
-    assert np.abs(correlation).max() < 0.7
-
-
-def test_ensemble_keeps_draws_as_said() -> None:
-    posterior = ensemble(gaussian(35.0, 1.0), BOUNDS, walkers=8, ensembles=5, seed=0, **SHORT)
-    draws = posterior.draws_deg
-    assert draws is not None
-    assert draws.shape == (5, 8, 200)
-    assert draws.dtype == np.float64
-    assert draws.min() >= BOUNDS[0]
-    assert draws.max() <= BOUNDS[1]
-    assert posterior.mass(*BOUNDS) == 1.0
-    chains = posterior.chains()
-    assert chains.shape[0] == 5
-    assert chains.shape[1] % 8 == 0
-    # A chain is one ensemble's, in time order: all walkers of its first step come first.
-    np.testing.assert_array_equal(chains[:, :8], draws[:, :, 0])
-    # Thinned to one step in every autocorrelation time, neighbours in time are nearly uncorrelated.
-    steps = chains.reshape(5, -1, 8)
-    now, later = steps[:, :-1].ravel(), steps[:, 1:].ravel()
-    assert abs(np.corrcoef(now, later)[0, 1]) < 0.4
-
-
-def test_ensemble_copes_with_zero_likelihood() -> None:
-    def log_likelihood(phi: FloatArray) -> FloatArray:
-        return np.where(phi < 35.0, -np.inf, 0.0)
-
-    posterior = ensemble(log_likelihood, BOUNDS, seed=1, **SHORT)
-    assert posterior.quantile(0.0) >= 35.0
-    assert posterior.median == pytest.approx(40.0, abs=0.5)
-
-
-def test_quadrature_has_no_draws() -> None:
-    posterior = quadrature(np.zeros_like, BOUNDS)
-    assert posterior.draws_deg is None
-    with pytest.raises(ValueError, match="no draws"):
-        posterior.chains()
-
-
-@pytest.mark.parametrize("method", [quadrature, lambda f, b: ensemble(f, b, seed=0)])
 @pytest.mark.parametrize(
     ("log_likelihood", "message"),
     [
@@ -221,11 +165,9 @@ def test_quadrature_has_no_draws() -> None:
         (lambda phi: phi[:, None], "expected"),
     ],
 )
-def test_an_unusable_log_likelihood_is_refused(
-    method: Any, log_likelihood: LogLikelihood, message: str
-) -> None:
+def test_an_unusable_log_likelihood_is_refused(log_likelihood: LogLikelihood, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        method(log_likelihood, BOUNDS)
+        quadrature(log_likelihood, BOUNDS)
 
 
 def test_unusable_probabilities_are_refused() -> None:

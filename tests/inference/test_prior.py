@@ -43,7 +43,7 @@ def test_draws_follow_a_normal_prior_that_is_cut_off() -> None:
 
 def test_a_prior_is_cut_off_where_the_library_ends_and_not_where_it_runs_out() -> None:
     key = "soil.friction_angle_deg"
-    said = {"22+-1": (True, False), "30+-1": (False, False), "40+-2": (False, True)}
+    said = {"22+-1": (True, False), "30+-1": (False, False), "40±2": (False, True)}
     for text, cut in said.items():
         assert priors(BOUNDS, [f"{key}={text}"])[key].cut_off == cut
     assert Marginal(1.0, 2.0).cut_off == (True, True)

@@ -17,8 +17,9 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward import simulate
 from terraphi.inference.answer import Inversion, Summary
+from terraphi.inference.defects import Inspection
 from terraphi.inference.explanation import Explanation
-from terraphi.inference.findings import Doubt
+from terraphi.inference.findings import Doubt, Measure
 from terraphi.inference.inversion import invert
 from terraphi.inference.noise import Noise
 from terraphi.inference.prior import Marginal
@@ -26,13 +27,13 @@ from terraphi.inference.several_parameters import (
     DILATION,
     LegLikelihood,
     Target,
-    _density_of,
+    _edge,
     _judge,
     _plane_strain,
     _window_noise,
 )
-from terraphi.inference.trials import Looked, Repeats, Trial, Tried, grouped
-from terraphi.inference.verdict import EDGE_DENSITY
+from terraphi.inference.trials import Looked, Matched, Repeats, Through, Trial, grouped
+from terraphi.inference.verdict import EDGE_DENSITY, NRMSD_LIMIT, deviations
 from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.training import Training, training
 from terraphi.view.plots import corner_figure, fits_figure
@@ -76,7 +77,7 @@ def test_an_answer_at_a_prompt_fits_in_ten_lines(both) -> None:
 
 def test_truths_are_within_three_standard_deviations(straight, both, loose) -> None:
     for found in (straight, both, loose):
-        assert found.together.draws.converged
+        assert found.draws.converged
         for key in found.keys:
             one = found.marginal[key]
             assert abs(one.median - TRUTH[key]) < 3.0 * one.sd, key
@@ -117,7 +118,7 @@ def test_friction_angle_and_density_trade_places(loose, straight) -> None:
     # The forces of this theory are a function of the angle times the density, and of no more.
     assert (PHI, DENSITY) in loose.together.identifiability.confounded
     assert loose.together.identifiability.kinds[DENSITY] == "open"
-    flat = loose.together.draws.values.reshape(-1, loose.together.draws.values.shape[-1])
+    flat = loose.draws.flat
     assert np.corrcoef(flat[:, 0], flat[:, loose.keys.index(DENSITY)])[0, 1] < -0.97
     assert loose.marginal[PHI].sd > 3.0 * straight.marginal[PHI].sd
     # With the density known, what is left is the one-parameter interval.
@@ -184,8 +185,10 @@ def test_an_edge_that_a_misfit_only_reaches_is_a_misfit(
     draws = draws[draws > 15.0][:, None]
     priors = {PHI: Marginal(15.0, 50.0)}
     target = SimpleNamespace(keys=(PHI,), priors=priors)
-    records = [SimpleNamespace(source="sand.csv", nrmsd={"Fx": off, "Fz": 0.0})]
-    found = _judge(target, draws, SimpleNamespace(kinds={PHI: "fixed"}), records)
+    record = SimpleNamespace(source="sand.csv", nrmsd={"Fx": off, "Fz": 0.0})
+    measures = deviations(record.nrmsd, most=NRMSD_LIMIT)
+    seen = [Matched(None, None, record, measures, Explanation())]
+    found = _judge(target, draws, SimpleNamespace(kinds={PHI: "fixed"}), seen)
     assert found.verdict == verdict
     assert found.numbers["worst"] == "sand.csv"
     (edge,) = (m for m in found.measures if m.code == "edge_density")
@@ -197,10 +200,15 @@ def test_an_edge_that_a_misfit_only_reaches_is_a_misfit(
         assert edge.value == pytest.approx(density, abs=0.03)
 
 
+def looked_at(group: Repeats) -> Looked:
+    nothing = tuple(Inspection(trial.history, 0) for trial in group.trials)
+    return Looked(group.trials, nothing, (group,))
+
+
 def warnings_on(group: Repeats, data: Training, density: float | None) -> list[Doubt]:
     curves = data.forces * (1.0 if density is None else (density / data.density)[:, None])
-    looked = Looked(group.trials, (), (group,))
-    return looked.doubts_on(group, data.scenario, curves, density, varied=data.bounds)
+    looked, through = looked_at(group), Through(data.scenario, curves, density, data.bounds)
+    return looked.doubts(looked.beside(group, through, data.forces[0], None), misfit=False)
 
 
 def test_a_slip_that_explains_a_history_is_asked_about_once(two_parameters, trial) -> None:
@@ -208,16 +216,17 @@ def test_a_slip_that_explains_a_history_is_asked_about_once(two_parameters, tria
     turned = Trial(ForceHistory(right.position, right.force * [1.0, -1.0]), "straight")
     (group,) = grouped([turned])
     asked = Explanation(question=Doubt("turned_Fz"))
-    looked = Looked((turned,), (), (group,))
+    looked = looked_at(group)
+    through = Through(data.scenario, data.forces, 1650.0)
+    (bare,) = looked.beside(group, through, data.forces[0], None)
     for fits, misfit, said in (
         (False, True, ["turned_Fz"]),
         (True, True, ["runs_against"]),
         (False, False, ["runs_against"]),
     ):
-        tried = [Tried(turned, asked, fits)]
-        found = looked.doubts_on(
-            group, data.scenario, data.forces, 1650.0, tried=tried, misfit=misfit
-        )
+        measures = [Measure("nrmsd", 0.0 if fits else 1.0, most=0.1)]
+        seen = [bare._replace(measures=measures, why=asked)]
+        found = looked.doubts(seen, misfit=misfit)
         assert [doubt.code for doubt in found] == said
 
 
@@ -273,11 +282,9 @@ def test_a_density_that_is_assumed_is_compared_with_the_simulated_one(two_parame
     data = training(two_parameters, "straight")
     light = two_parameters.cases[0].scenario.replace(**{**TRUTH, DENSITY: 1500.0})
     (group,) = grouped([Trial(simulate(light), "straight", "light")])
-    assert _density_of({}, data) == 1650.0
-    (said,) = warnings_on(group, data, _density_of({}, data))
+    (said,) = warnings_on(group, data, data.scenario.soil.density)
     assert said.numbers == {"made": "simulated with", "own": 1500.0, "used": 1650.0}
-    free = {DENSITY: Marginal(1400.0, 1700.0)}
-    assert warnings_on(group, data, _density_of(free, data)) == []
+    assert warnings_on(group, data, None) == []
 
 
 def test_noise_that_is_told_is_of_each_force(trial) -> None:
@@ -297,17 +304,13 @@ def test_noise_that_is_told_is_of_each_force(trial) -> None:
     assert _window_noise(Noise((0.0, 0.0)), groups) == (0.0, (1.0, 1.0))
 
 
-def test_an_edge_of_the_library_cuts_a_normal_prior_too(two_parameters, trial) -> None:
-    scenario = two_parameters.cases[0].scenario
-    beyond = Trial(simulate(scenario.replace(**{PHI: 47.5, FRICTION: 0.4})), "straight", "beyond")
-    options = {"library": two_parameters, "noise": 0.3, "steps": FEW}
-    found = invert([beyond], prior=["friction_angle_deg=38+-10", "leg.friction=0.4"], **options)
-    assert found.verdict.verdict == "out_of_range"
-    assert found.verdict.edge == "high"
-    inside = invert(
-        [trial("straight")], prior=["friction_angle_deg=32+-2", "leg.friction=0.37"], **options
-    )
-    assert inside.verdict.verdict == "consistent"
+def test_an_edge_of_the_library_cuts_a_normal_prior_too() -> None:
+    draws = norm(47.5, 3.0).ppf(np.linspace(0.0001, 0.9999, 40001))
+    edge = _edge(PHI, Marginal(20.0, 45.0, (38.0, 10.0)), draws[draws < 45.0])
+    assert (edge.side, edge.numbers["at"]) == ("high", 45.0)
+    assert edge.size > edge.limit
+    # A prior of six standard deviations ends by itself, before the library does.
+    assert _edge(PHI, Marginal(20.0, 44.0, (32.0, 2.0)), draws[draws < 44.0]).size == 0.0
 
 
 def test_the_equivalent_in_plane_strain_knows_the_dilation(two_parameters) -> None:

@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from terraphi.inference.prior import Marginal
 from terraphi.inference.several_parameters import LegLikelihood, Target
-from terraphi.surrogate.design import DesignKernel, DesignSurrogate, Size
+from terraphi.surrogate.design import DesignKernel, DesignSurrogate
 from terraphi.surrogate.process import Process
 
 THETA_DEG = np.linspace(-85.0, 85.0, 6)
@@ -28,7 +28,7 @@ def process(shift: float) -> Process:
 def leg(shift: float) -> DesignSurrogate:
     points = np.linspace(-1.0, 1.0, 5)[:, None]
     rough = DesignKernel((0.3,), 90.0, 1.0, 1e-2)
-    size = Size(Process.condition(points, [0.0], 0.2 + 0.3 * points**2, rough))
+    size = Process.condition(points, [0.0], 0.2 + 0.3 * points**2, rough)
     both = process(shift), process(shift + 1.0)
     return DesignSurrogate({KEY: (20.0, 40.0)}, 1650.0, size, *both)
 

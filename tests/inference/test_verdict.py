@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from terraphi.inference.findings import Measure, Verdict
 from terraphi.inference.posterior import Posterior, quadrature
-from terraphi.inference.verdict import NRMSD_LIMIT, deviations, edge_by_mass, judge, nrmsd
+from terraphi.inference.verdict import NRMSD_LIMIT, deviations, edge_masses, edge_of, judge, nrmsd
 
 FloatArray = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ def judged(
 ) -> Verdict:
     return judge(
         deviations(residual_nrmsd or GOOD, most=NRMSD_LIMIT),
-        edge_by_mass(posterior, step_deg=step_deg),
+        edge_of(edge_masses(posterior, step_deg), posterior.bounds_deg, "edge_mass", name="paper"),
         kind="paper",
         beyond=beyond,
     )

@@ -74,7 +74,8 @@ def test_prediction_is_that_of_a_dense_matrix() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-8)
     np.testing.assert_allclose(variance.ravel(), np.diag(posterior), atol=1e-8)
     # The covariance between points, back from the basis to leg angles.
-    rotated = process.rotated_covariance(where, where)
+    towards = KERNEL.over_points(where, POINTS)
+    rotated = process.posterior.covariance(towards, towards, KERNEL.over_points(where, where))
     whole = np.einsum("at,klt,bt->kalb", process.basis, rotated, process.basis)
     np.testing.assert_allclose(whole.reshape(45, 45), posterior, atol=1e-8)
 

@@ -11,7 +11,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.forward import simulate
 from terraphi.library.plan import Plan
 from terraphi.library.store import Case, Library
-from terraphi.surrogate.design import DesignSurrogate, Size, from_unit, to_unit
+from terraphi.surrogate.design import DesignSurrogate, fit_size, from_unit, to_unit
 from terraphi.surrogate.training import parameters, training
 
 PHI, DENSITY, FRICTION = "soil.friction_angle_deg", "soil.density", "leg.friction"
@@ -89,13 +89,14 @@ def test_size_between_the_points_and_what_is_not_known_of_it() -> None:
         return np.exp(1.0 + 0.5 * x[:, 0] - 0.2 * x[:, 1] ** 2 + 0.3 * x[:, 0] * x[:, 1])
 
     shape = np.array([1.0, -1.0, 1.0, 1.0])  # of root mean square 1
-    found = Size.fit(points, size(points)[:, None] * shape)
+    found = fit_size(points, size(points)[:, None] * shape)
     where = 1.8 * rng.random((50, 2)) - 0.9
-    errors = np.log(found(where) / size(where))
+    logarithm, variance = found.predict(where)
+    errors = logarithm[:, 0] - np.log(size(where))
     assert np.abs(errors).max() < 0.01
     # The process knows how large its errors are.
-    assert 0.1 < np.sqrt(np.mean(errors**2 / found.both(where)[1])) < 2.0
-    assert found.both(points)[1].max() < 0.1 * found.both(where)[1].max()
+    assert 0.1 < np.sqrt(np.mean(errors**2 / variance[:, 0])) < 2.0
+    assert found.predict(points)[1].max() < 0.1 * variance.max()
 
 
 def test_both_forces_may_be_wrong_by_a_common_factor(surrogate) -> None:

@@ -65,12 +65,6 @@ def test_leg_surrogate_orders_forces_as_the_observation_vector(forces: Forces) -
     assert leg.phi_bounds_deg == (25.0, 45.0)
 
 
-def test_leg_surrogate_reports_its_widest_step(forces: Forces) -> None:
-    kept = [0, 1, 2, 4, 5, 10]
-    leg = LegSurrogate.fit(PHI[kept], THETA, forces.Fx[kept], forces.Fz[kept], restarts=0)
-    assert leg.phi_step_deg == pytest.approx(10.0)
-
-
 def recover(surrogate: LegSurrogate, truth_deg: FloatArray, seed: int) -> FloatArray:
     """Error of the median and the 95 % interval less the truth [deg], shape [truth, 3]."""
     seen = np.hstack(scattered(smooth_forces(truth_deg), seed, fraction=0.004))

@@ -204,15 +204,15 @@ def plain_number(text: str) -> float:
     return float(text)
 
 
-def with_sd(text: str) -> tuple[float, float | None]:
-    """A number and its standard deviation as people write them: ``35±2``, ``35+-2`` or ``35``.
+def number_with_sd(text: str) -> tuple[float, float | None]:
+    """Parse ``35``, ``35±2``, ``35+-2`` or ``35+/-2``: a number, its standard deviation or None.
 
     Raises
     ------
     ValueError
-        If it is neither.
+        As :func:`plain_number`.
     """
-    mean, sign, sd = re.sub(r"\+/?-", "±", text).partition("±")
+    mean, sign, sd = re.sub(r"\+/?-", "±", text.strip()).partition("±")
     return plain_number(mean), plain_number(sd) if sign else None
 
 

@@ -66,34 +66,22 @@ class AngleSummary:
 
 
 @dataclass(frozen=True)
-class Summary:
-    """Median, standard deviation and equal-tailed intervals of a parameter, in its unit."""
+class Summary(AngleSummary):
+    """The same of any parameter, in its unit, with its standard deviation."""
 
-    median: float
     sd: float
-    ci68: tuple[float, float]
-    ci95: tuple[float, float]
 
     @classmethod
     def of(cls, draws: FloatArray) -> Summary:
         """From draws of any shape."""
         q = np.quantile(draws, [0.5, 0.16, 0.84, 0.025, 0.975]).tolist()
-        return cls(q[0], float(draws.std()), (q[1], q[2]), (q[3], q[4]))
+        return cls(q[0], (q[1], q[2]), (q[3], q[4]), float(draws.std()))
 
     @classmethod
     def of_posterior(cls, posterior: Posterior) -> Summary:
         """From a posterior of the friction angle [deg]."""
         ends = posterior.interval(0.68), posterior.interval(0.95)
-        return cls(posterior.median, posterior.sd, *ends)
-
-    @property
-    def angle(self) -> AngleSummary:
-        """The same of a friction angle [deg]."""
-        return AngleSummary(self.median, self.ci68, self.ci95)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists."""
-        return asdict(self)
+        return cls(posterior.median, *ends, posterior.sd)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,9 +157,6 @@ class Together:
         the discrepancy [-], shape [draw] or that of the draws.
     discrepancy
         ``none`` or ``gp``.
-    draws
-        Of the parameters, and then of noise and discrepancy as far as they were inferred; ``None``
-        where φ alone was inferred.
     """
 
     conditional: Mapping[str, Summary]
@@ -181,11 +166,10 @@ class Together:
     noise_N: FloatArray
     amplitude: FloatArray
     discrepancy: str
-    draws: Draws | None = None
 
     def as_dict(self, keys: tuple[str, ...]) -> dict[str, Any]:
         """Plain numbers, lists and words."""
-        told: dict[str, Any] = {
+        return {
             "best": dict(self.point),
             "identifiability": self.identifiability.as_dict(),
             "expected_sd": {
@@ -195,11 +179,7 @@ class Together:
             "noise_N": Summary.of(self.noise_N).as_dict(),
             "discrepancy": self.discrepancy,
             "discrepancy_of_peak": Summary.of(self.amplitude).as_dict(),
-            "converged": self.draws is None or self.draws.converged,
         }
-        if self.draws is not None:
-            told["acceptance_fraction"] = self.draws.acceptance_fraction
-        return told
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +199,9 @@ class Inversion:
     priors
         Of every parameter, fixed ones too.
     of_phi
-        Posterior of φ, if it was inferred.
+        Posterior of φ by quadrature, if it alone was inferred.
+    draws
+        By emcee: of the parameters, and then of noise and discrepancy as far as they were inferred.
     phi_plane_strain
         The friction angle as one of plane strain [deg]; ``None`` where there is no equivalent or
         the angle was not inferred.
@@ -266,6 +248,7 @@ class Inversion:
     together: Together | None = None
     library_reason: str = ""
     compared: Compared | None = None
+    draws: Draws | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -274,17 +257,17 @@ class Inversion:
         return tuple(self.marginal)
 
     @property
-    def phi(self) -> AngleSummary:
+    def phi(self) -> Summary:
         """Summary of φ [deg]; ValueError if it was not inferred."""
         if PHI not in self.marginal:
             raise ValueError("the friction angle was not inferred")
-        return self.marginal[PHI].angle
+        return self.marginal[PHI]
 
     @property
     def posterior(self) -> Posterior:
-        """Posterior of φ; ValueError if it was not inferred."""
+        """Posterior of φ by quadrature; ValueError if it was not inferred alone."""
         if self.of_phi is None:
-            raise ValueError("the friction angle was not inferred")
+            raise ValueError("the friction angle was not inferred alone")
         return self.of_phi
 
     @property
@@ -312,15 +295,10 @@ class Inversion:
     @property
     def drawn(self) -> FloatArray:
         """Draws of all parameters, or quantiles of equal probability of one, [draw, parameter]."""
-        draws = self.together.draws if self.together else None
-        if draws is not None:
-            flat = draws.values.reshape(-1, draws.values.shape[-1])
-            return flat[:, : len(self.keys)]
-        posterior = self.posterior
-        if posterior.draws_deg is not None:
-            return posterior.draws_deg.reshape(-1, 1)
+        if self.draws is not None:
+            return self.draws.flat[:, : len(self.keys)]
         shares = (np.arange(QUANTILES) + 0.5) / QUANTILES
-        return np.array([posterior.quantile(share) for share in shares])[:, None]
+        return np.array([self.posterior.quantile(share) for share in shares])[:, None]
 
     @property
     def legs(self) -> list[str]:
@@ -369,7 +347,7 @@ class Inversion:
     def digits(self, key: str) -> str:
         """Format that gives the numbers of a parameter the digits they deserve."""
         one = self.marginal[key]
-        if self.together is None or self.together.draws is None:
+        if self.together is None or self.of_phi is not None:
             return f".{decimals(one.ci68)}f"
         return f".{decimals_of_sd(min(one.sd, self.together.conditional[key].sd))}f"
 
@@ -380,10 +358,12 @@ class Inversion:
 
     def convergence_of(self, key: str) -> dict[str, float]:
         """Diagnostics of a parameter."""
-        draws = self.together.draws if self.together else None
-        if draws is None:
+        if self.draws is None:
             return self.posterior.convergence
-        return draws.diagnostics[self.keys.index(key)].as_dict()
+        told = self.draws.diagnostics[self.keys.index(key)].as_dict()
+        if self.of_phi is None:
+            return told
+        return {**told, "acceptance_fraction": self.draws.acceptance_fraction}
 
     def as_dict(self) -> dict[str, Any]:
         """Answer as the command line prints it with ``--json``."""
@@ -413,10 +393,13 @@ class Inversion:
         }
         if len(self.records) == 1:
             told |= told["histories"][0]
-        if self.together is None or self.together.draws is None:
-            told["convergence"] = self.posterior.convergence
         if self.together is not None:
             told |= self.together.as_dict(self.keys)
+            told["converged"] = self.draws is None or self.draws.converged
+        if self.of_phi is not None:
+            told["convergence"] = self.convergence_of(PHI)
+        elif self.draws is not None:
+            told["acceptance_fraction"] = self.draws.acceptance_fraction
         return {**told, "provenance": dict(self.provenance)}
 
     def _parameter(self, key: str) -> dict[str, Any]:
@@ -480,10 +463,7 @@ def plane_strain_summary(phi: AngleSummary, scenario: Scenario) -> tuple[AngleSu
         )
 
     try:
-        return AngleSummary(
-            convert(phi.median),
-            (convert(phi.ci68[0]), convert(phi.ci68[1])),
-            (convert(phi.ci95[0]), convert(phi.ci95[1])),
-        ), ""
+        low68, high68, low95, high95 = map(convert, (*phi.ci68, *phi.ci95))
+        return AngleSummary(convert(phi.median), (low68, high68), (low95, high95)), ""
     except InputError as error:
         return None, str(error)

@@ -26,8 +26,8 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import check_is_file, damage_told, read_bytes, write_netcdf
-from terraphi.inference.convergence import chains
 from terraphi.inference.identifiability import label
+from terraphi.inference.sampler import chains
 
 if TYPE_CHECKING:
     from terraphi.inference.answer import Inversion
@@ -49,7 +49,30 @@ def write(found: Inversion, path: Path) -> None:
     InputError
         If the place cannot be written.
     """
-    write_netcdf(tree_of(found), path)
+    import xarray as xr
+
+    root = {
+        "terraphi_file": KIND,
+        "terraphi_schema": SCHEMA,
+        "answer": json.dumps(found.as_dict()),
+    }
+    about = {
+        "created_at": dt.datetime.now(tz=dt.UTC).isoformat(timespec="seconds"),
+        "inference_library": found.sampler,
+        "sampler": found.sampler,
+        "yield": found.convention,
+    }
+    rng = np.random.default_rng(found.seed or 0)
+    prior = {key: found.priors[key].draw(PRIOR_DRAWS, rng)[None] for key in found.keys}
+    tree = xr.DataTree.from_dict(
+        {
+            "/": xr.Dataset(attrs=root),
+            "/posterior": _drawn(*_posterior(found), about),
+            "/prior": _drawn(prior, {}, about),
+            **_data(found),
+        }
+    )
+    write_netcdf(tree, path)
 
 
 class Told(NamedTuple):
@@ -103,33 +126,6 @@ def read(path: Path) -> Told:
     return Told(str(path), answer, draws)
 
 
-def tree_of(found: Inversion) -> Any:
-    """The answer as an ``xarray.DataTree``."""
-    import xarray as xr
-
-    root = {
-        "terraphi_file": KIND,
-        "terraphi_schema": SCHEMA,
-        "answer": json.dumps(found.as_dict()),
-    }
-    about = {
-        "created_at": dt.datetime.now(tz=dt.UTC).isoformat(timespec="seconds"),
-        "inference_library": found.sampler,
-        "sampler": found.sampler,
-        "yield": found.convention,
-    }
-    rng = np.random.default_rng(found.seed or 0)
-    prior = {key: found.priors[key].draw(PRIOR_DRAWS, rng)[None] for key in found.keys}
-    return xr.DataTree.from_dict(
-        {
-            "/": xr.Dataset(attrs=root),
-            "/posterior": _drawn(*_posterior(found), about),
-            "/prior": _drawn(prior, {}, about),
-            **_data(found),
-        }
-    )
-
-
 def short(key: str) -> str:
     """Name of a parameter in a file: the last part of its key, or the last two of a list's."""
     parts = key.split(".")
@@ -140,20 +136,16 @@ def short(key: str) -> str:
 
 def _posterior(found: Inversion) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Draws of each parameter, and of the errors that were inferred with them, [chain, draw]."""
-    draws = found.together.draws if found.together else None
-    if draws is None or found.together is None:
-        (key,), posterior = found.keys, found.posterior
-        if posterior.draws_deg is not None:
-            return {key: posterior.chains()}, {}
+    draws, errors = found.draws, {}
+    if draws is None:
         mixed = np.random.default_rng(0).permutation(found.drawn[:, 0])
-        return {key: mixed.reshape(CHAINS, -1)}, {}
+        return {found.keys[0]: mixed.reshape(CHAINS, -1)}, {}
     values = chains(draws.values, draws.stride)
-    shape = draws.values.shape[:3]
-    errors = {"noise_N": found.together.noise_N, "discrepancy_of_peak": found.together.amplitude}
-    return (
-        {key: values[:, :, i] for i, key in enumerate(found.keys)},
-        {name: chains(one.reshape(shape), draws.stride) for name, one in errors.items()},
-    )
+    if found.together is not None and found.of_phi is None:
+        both = found.together.noise_N, found.together.amplitude
+        shaped = (chains(one.reshape(draws.values.shape[:3]), draws.stride) for one in both)
+        errors = dict(zip(("noise_N", "discrepancy_of_peak"), shaped, strict=True))
+    return {key: values[:, :, i] for i, key in enumerate(found.keys)}, errors
 
 
 def _data(found: Inversion) -> dict[str, Any]:

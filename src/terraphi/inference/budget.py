@@ -125,6 +125,43 @@ class Budget:
     discrepancy: str
     degrees: Mapping[str, float]
 
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        terms: Mapping[str, FloatArray],
+        information: FloatArray,
+        *,
+        noise: float,
+        scale: float,
+        **rest: Any,
+    ) -> Budget:
+        """From the covariance of each term, in the library's force unit.
+
+        Parameters
+        ----------
+        problem
+            The data.
+        terms
+            As from :func:`covariance_terms`.
+        information
+            As from :func:`information_share`.
+        noise
+            Of a window mean [N].
+        scale
+            Factor from the library's force unit to the data's [-].
+        rest
+            All else, as above.
+        """
+        return cls(
+            information=information,
+            information_without_force=share_without_force(information, problem.data),
+            sigma_N={name: scale * np.sqrt(np.diag(term)) for name, term in terms.items()},
+            noise_N=scale * noise,
+            noise="inferred" if problem.noise_sigma is None else "given",
+            **rest,
+        )
+
     @property
     def shares(self) -> dict[str, float]:
         """Share of each term in the variance of the friction angle [-]; they add up to 1."""
@@ -172,26 +209,23 @@ def budget_of(
     total = sum(terms.values(), np.zeros_like(discrepancy))
     direction = np.linalg.solve(total, slope)
     parts = {name: float(direction @ term @ direction) for name, term in terms.items()}
-    told = information_share(total, slope)
     offsets = np.kron(np.eye(2), np.ones(len(slope) // 2)) / scale
     along, information = offsets @ direction, float(direction @ slope)
     chi2 = np.einsum("ij,ji->i", offsets, np.linalg.solve(total, offsets.T))
-    return Budget(
-        information=told,
-        information_without_force=share_without_force(told, problem.data),
-        sigma_N={name: scale * np.sqrt(np.diag(term)) for name, term in terms.items()},
-        noise_N=scale * float(np.sqrt(noise_variance)),
+    return Budget.of(
+        problem,
+        terms,
+        information_share(total, slope),
+        noise=float(np.sqrt(noise_variance)),
+        scale=scale,
         discrepancy_of_peak=float(np.sqrt(weights @ np.square(used.amplitude))),
         fit=fit,
         offset=Offset(along / information, chi2 - np.square(along) / information),
-        noise="inferred" if problem.noise_sigma is None else "given",
         discrepancy="gp" if problem.discrepancy else "none",
         degrees={n: float(np.sqrt(part)) / information for n, part in parts.items()},
     )
 
 
-BINS = 20
-"""In which draws are counted."""
 ZERO_FORCE = 0.01
 """Measured force that counts as none, of the largest [-]."""
 MOST_WITHOUT_FORCE = 0.1
@@ -202,17 +236,8 @@ def information_gain_bits(posterior: Posterior) -> float:
     """What the forces add to the uniform prior: the relative entropy of the posterior [bit].
 
     Halving the range of what may be is one bit.
-
-    Parameters
-    ----------
-    posterior
-        By quadrature, or by draws, which are counted in :data:`BINS` bins.
     """
     low, high = posterior.bounds_deg
-    if posterior.density is None:
-        counts, _ = np.histogram(posterior.phi_deg, bins=BINS, range=(low, high))
-        share = counts[counts > 0] / counts.sum()
-        return float(np.sum(share * np.log2(share * BINS)))
     ratio = posterior.density * (high - low)
     gain = ratio * np.log2(np.where(ratio > 0.0, ratio, 1.0))
     return float(np.trapezoid(gain, posterior.phi_deg)) / (high - low)

@@ -126,8 +126,7 @@ class CalibratedLikelihood:
 
 def _without_discrepancy(problem: Problem) -> Hypotheses:
     leg = problem.leg
-    middle = np.array([len(leg.surrogate.scatter.sizes[0]) // 2])
-    every = combinations(problem, middle, NOISE_LEVELS, discrepancy=False)
+    every = combinations(problem, NOISE_LEVELS, discrepancy=False)
     coarse = _diagonal(problem, every, scanned(len(leg.phi_deg), SCANNED["without"]))
     near = coarse.window(len(leg.phi_deg), int(np.diff(coarse.nodes).max()))
     found = _diagonal(problem, coarse, near)
@@ -155,19 +154,10 @@ def _with_discrepancy(problem: Problem, without: Hypotheses) -> tuple[Hypotheses
     """The combinations that matter, without and with a discrepancy, half and half."""
     leg = problem.leg
     count, log_size = len(leg.phi_deg), leg.surrogate.scatter.sizes[1]
-    middle = np.array([len(log_size) // 2])
-    none, some = (
-        combinations(problem, middle, levels, discrepancy=wrong)
-        for wrong, levels in ((False, NOISE_LEVELS), (True, COARSE_NOISE))
-    )
-    joined = replace(
-        none,
-        **{
-            name: np.concatenate([part, vars(some)[name]])
-            for name, part in vars(none).items()
-            if name != "nodes"
-        },
-    )
+    none = combinations(problem, NOISE_LEVELS, discrepancy=False)
+    some = combinations(problem, COARSE_NOISE, discrepancy=True)
+    both = {k: np.concatenate([part, vars(some)[k]]) for k, part in vars(none).items()}
+    joined = replace(none, **{**both, "nodes": none.nodes})
     frame, found = _settled(joined, _Frame(problem, round(without.best[1])))
     whole = found.within().of_all_sizes(log_size)
     near = found.window(count, int(np.diff(found.nodes).max()))
@@ -477,34 +467,31 @@ def log_sum(values: FloatArray) -> FloatArray:
     return np.log(np.exp(values - top).sum(axis=0)) + top
 
 
-def combinations(
-    problem: Problem, sizes: NDArray[np.intp], levels: FloatArray, *, discrepancy: bool
-) -> Hypotheses:
-    """All combinations, not evaluated yet; with discrepancies of all kinds, or without.
+def combinations(problem: Problem, levels: FloatArray, *, discrepancy: bool) -> Hypotheses:
+    """All combinations with the scatter's middle size, not evaluated yet.
 
     Parameters
     ----------
     problem
         The data.
-    sizes
-        Indices of the sizes of the scatter.
     levels
         Sizes of noise that may be inferred, of the larger peak-to-peak [-].
     discrepancy
-        Whether all have one.
+        Whether all have one, of any kind, or none.
     """
     noise, log_noise = problem.noise_levels(levels)
     amplitudes = AMPLITUDES if discrepancy else np.zeros(1)
     lengths = LENGTHS_DEG if discrepancy else np.zeros(1)
-    q, s, a, length = (
+    s, a, length = (
         part.ravel()
-        for part in np.meshgrid(sizes, np.arange(len(noise)), amplitudes, lengths, indexing="ij")
+        for part in np.meshgrid(np.arange(len(noise)), amplitudes, lengths, indexing="ij")
     )
-    share = np.log(len(amplitudes) * len(lengths))
-    log_prior = log_noise[s] - share + problem.leg.surrogate.scatter.sizes[1][q]
-    nothing = np.zeros((len(q), 0))
-    nowhere = np.zeros(0, dtype=np.intp)
-    return Hypotheses(nowhere, q.astype(int), noise[s], a, length, log_prior, nothing, nothing)
+    log_size = problem.leg.surrogate.scatter.sizes[1]
+    middle = len(log_size) // 2
+    log_prior = log_noise[s] - np.log(len(amplitudes) * len(lengths)) + log_size[middle]
+    nowhere, nothing = np.zeros(0, dtype=np.intp), np.zeros((len(s), 0))
+    sizes = np.full(len(s), middle)
+    return Hypotheses(nowhere, sizes, noise[s], a, length, log_prior, nothing, nothing)
 
 
 def scanned(count: int, most: int) -> NDArray[np.intp]:

@@ -105,10 +105,9 @@ class Defect:
         treatment = "left out" if self.left_out else "kept"
         return {**vars(self), "theta_deg": list(self.theta_deg), "treatment": treatment}
 
-    @property
-    def doubt(self) -> Doubt:
-        """Why an answer from the rest may not be what was asked for."""
-        return Doubt(self.code, {k: v for k, v in vars(self).items() if k != "code"})
+    def doubt(self, source: str = "") -> Doubt:
+        """Why an answer from the rest may not be what was asked for, of a history by its name."""
+        return Doubt(self.code, {k: v for k, v in vars(self).items() if k != "code"}, source)
 
 
 @dataclass(frozen=True)
@@ -140,11 +139,6 @@ class Inspection:
             "left_out": sum(d.rows for d in self.defects if d.left_out),
             "defects": [d.as_dict() for d in self.defects],
         }
-
-    @property
-    def doubts(self) -> list[Doubt]:
-        """One each defect."""
-        return [d.doubt for d in self.defects]
 
     @property
     def spoilt(self) -> bool:

@@ -58,12 +58,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_file, shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.inference.budget import (
-    Budget,
-    covariance_terms,
-    information_share,
-    share_without_force,
-)
+from terraphi.inference.budget import Budget, covariance_terms, information_share
 from terraphi.inference.calibrated import Problem, matern32, shift_of
 from terraphi.inference.findings import Measure
 from terraphi.inference.posterior import Posterior
@@ -526,20 +521,18 @@ class SoilLikelihood:
         scale
             Factor from the library's force unit to the data's [-].
         """
-        told = information_share(self._noise_alone(), self.fitted.slope)
-        return Budget(
-            information=told,
-            information_without_force=share_without_force(told, self.problem.data),
-            sigma_N={n: scale * np.sqrt(np.diag(term)) for n, term in self.terms.items()},
-            noise_N=scale * self.noise_N,
+        problem = self.problem
+        # The metric of least squares, as a covariance.
+        metric = np.diag(np.repeat(np.square(problem.spans), problem.data.size // 2))
+        return Budget.of(
+            problem,
+            self.terms,
+            information_share(metric, self.fitted.slope),
+            noise=self.noise_N,
+            scale=scale,
             discrepancy_of_peak=self.learnt.amplitude,
             fit=None,
             offset=None,
-            noise="inferred" if self.problem.noise_sigma is None else "given",
             discrepancy="soils",
             degrees={**self.sd_deg, **level.parts_deg},
         )
-
-    def _noise_alone(self) -> FloatArray:
-        """The metric of least squares, as a covariance, shape [2 theta, 2 theta]."""
-        return np.diag(np.repeat(np.square(self.problem.spans), self.problem.data.size // 2))

@@ -75,17 +75,17 @@ class Explanation:
     beyond: Side | None = None
 
 
-def explain(data: FloatArray, curves: FloatArray, phi_deg: FloatArray) -> Explanation:
+def explain(data: FloatArray, phi_deg: FloatArray, curves: FloatArray) -> Explanation:
     """Try slips and angles beyond the library on a record.
 
     Parameters
     ----------
     data
         Observation vector [N], shape [2 theta].
-    curves
-        The library's at closely spaced angles, at the density of the soil [N], [k, 2 theta].
     phi_deg
-        These friction angles, increasing [deg], shape [k].
+        Closely spaced friction angles, increasing [deg], shape [k].
+    curves
+        The library's there, at the density of the soil [N], [k, 2 theta].
     """
     as_is = float(_deviation(data, curves).min())
     beyond, end = min((_beyond(data, curves, phi_deg, end), end) for end in ("low", "high"))

@@ -18,16 +18,15 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.scenario import Scenario
 from terraphi.inference.answer import (
     PHI,
+    AngleSummary,
     Inversion,
     Record,
     Summary,
@@ -44,27 +43,25 @@ from terraphi.inference.discrepancy import (
     SoilLikelihood,
     learnt_for,
 )
-from terraphi.inference.explanation import explain
 from terraphi.inference.findings import Doubt, Measure, Verdict
 from terraphi.inference.fit import SMALLEST_PROBABILITY, fit_without_discrepancy
 from terraphi.inference.identifiability import Identifiability
-from terraphi.inference.known_soils import Calibration
-from terraphi.inference.noise import Noise, shape_of
+from terraphi.inference.noise import shape_of
 from terraphi.inference.paper_likelihood import PaperLikelihood
-from terraphi.inference.posterior import LogLikelihood, Posterior, ensemble, quadrature, tabulated
-from terraphi.inference.prepared_leg import PreparedLeg, prepare
+from terraphi.inference.posterior import LogLikelihood, Posterior, quadrature
+from terraphi.inference.prepared_leg import prepare
 from terraphi.inference.prior import Marginal
-from terraphi.inference.trials import Looked, Repeats, Tried, beyond, check_trials
+from terraphi.inference.sampler import Draws, sample
+from terraphi.inference.trials import Looked, Matched, Repeats, Through, Ways, beyond, check_trials
 from terraphi.inference.verdict import (
     NRMSD_LIMIT,
     Edge,
     damaged,
-    deviations,
-    edge_by_density,
-    edge_by_mass,
+    edge_densities,
+    edge_masses,
+    edge_of,
     fit_measures,
     judge,
-    nrmsd,
     uninformed,
 )
 from terraphi.library.store import Library
@@ -75,7 +72,7 @@ from terraphi.surrogate.training import DENSITY
 
 log = logging.getLogger(__name__)
 
-NODES = {"calibrated": 401, "paper": 4001}
+NODES = {None: 401, "calibrated": 401, "paper": 4001}
 """Nodes of the quadrature to begin with."""
 CURVES = 401
 """Angles at which the paper's surrogate is asked for what would explain a record."""
@@ -88,18 +85,6 @@ FOUND_OUT = 16.0
 """Chi-square that an offset adds to a record that shows it to be a misfit."""
 
 
-@dataclass(frozen=True)
-class Ways:
-    """How to infer: as in :func:`terraphi.inference.inversion.invert`."""
-
-    likelihood: str
-    noise: Noise
-    discrepancy: str | Learnt | None
-    sampler: str
-    seed: int
-    calibration: Calibration | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class _Leg:
     """All histories of one leg, with their likelihood.
@@ -108,12 +93,10 @@ class _Leg:
     ----------
     group
         The histories.
-    scenario
-        Any of the library's for this leg.
+    through
+        What they are compared with.
     scale
         Density of the soil over that of the library [-].
-    curves
-        The library's, at the density of the soil [N], shape [case, 2 theta].
     surrogate
         Of the library's curves, at the library's density.
     nodes
@@ -123,9 +106,8 @@ class _Leg:
     """
 
     group: Repeats
-    scenario: Scenario
+    through: Through
     scale: float
-    curves: FloatArray
     surrogate: LegSurrogate | JointSurrogate
     nodes: tuple[FloatArray, FloatArray]
     of: Callable[[FloatArray, int], LogLikelihood]
@@ -160,6 +142,8 @@ class _Found:
     ----------
     posterior
         Of the soil's angle.
+    draws
+        Of that by emcee, if it was asked for.
     flat
         The same under a uniform prior.
     core
@@ -171,6 +155,7 @@ class _Found:
     """
 
     posterior: Posterior
+    draws: Draws | None
     flat: Posterior
     core: Posterior
     level: Level | None
@@ -189,15 +174,7 @@ class _Found:
         return np.clip(np.asarray(phi_deg) - offset, *leg.bounds_deg)
 
 
-def infer(
-    looked: Looked,
-    *,
-    library: Library,
-    prior: Marginal | None,
-    density: float | None,
-    density_assumed: bool,
-    ways: Ways,
-) -> Inversion:
+def infer(looked: Looked, library: Library, ways: Ways) -> Inversion:
     """Infer the friction angle.
 
     Parameters
@@ -206,122 +183,99 @@ def infer(
         The histories, without what is not to be believed of them.
     library
         Simulations over φ.
-    prior
-        Of φ; ``None``: uniform over the library.
-    density
-        Bulk density of the soil [kg/m³]; ``None`` assumes the library's.
-    density_assumed
-        Whether a density given is itself a guess.
     ways
         How to.
 
     Raises
     ------
     InputError
-        If a history, a leg or the density cannot be used.
+        If a history, a leg, the density or an option cannot be used.
     """
+    if ways.likelihood == "joint":
+        raise InputError(
+            "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or 'paper'"
+        )
+    by_paper, density = ways.likelihood == "paper", ways.density
     # What the paper's surrogate learns depends in its last digits on how sums are split.
-    threads = nullcontext() if ways.likelihood == "paper" else single_threaded()
-    with threads:
-        legs = [_leg(group, looked, library, density, ways) for group in looked.groups]
+    with nullcontext() if by_paper else single_threaded():
+        legs = [_leg(group, looked, library, ways) for group in looked.groups]
         # After the library is ready: the time that one more history takes.
         began = time.perf_counter()
-        found = _posterior(legs, prior, ways, assumed=density is None or density_assumed)
+        found = _posterior(legs, ways)
         seconds = time.perf_counter() - began
-        verdict, warnings, budget = _judged(looked, legs, found, ways)
+        records, verdict, warnings, budget = _judged(looked, legs, found, ways)
     warnings += uninformed(found.flat)
-    scenario, posterior = legs[0].scenario, found.posterior
-    summary = Summary.of_posterior(posterior)
+    scenario, posterior = legs[0].through.scenario, found.posterior
+    draws = found.draws
+    summary = Summary.of_posterior(posterior) if draws is None else Summary.of(draws.flat)
     # A calibrated angle is one of plane strain, as those of the known soils are.
     calibrated = ways.calibration is not None
-    equivalent, why_not = (
-        (summary.angle, "") if calibrated else plane_strain_summary(summary.angle, scenario)
-    )
+    equivalent, why_not = plane_strain_summary(summary, scenario)
+    if calibrated:
+        equivalent, why_not = AngleSummary(summary.median, summary.ci68, summary.ci95), ""
     used = scenario.soil.density if density is None else density
     priors = {PHI: found.prior}
     if density is not None:
         priors[DENSITY] = Marginal(density, density)
     return Inversion(
-        records=tuple(r for leg in legs for r in _records(looked, leg, found)),
+        records=tuple(records),
         library=library.name,
         convention="plane_strain" if calibrated else scenario.convention,
-        likelihood=ways.likelihood,
-        sampler=posterior.sampler,
-        seed=posterior.seed,
+        likelihood="paper" if by_paper else "calibrated",
+        sampler="quadrature" if draws is None else "emcee",
+        seed=None if draws is None else ways.seed,
         marginal={PHI: summary},
         priors=priors,
         of_phi=posterior,
         phi_plane_strain=equivalent,
         plane_strain_reason=why_not,
         density=used,
-        density_assumed=density is None or density_assumed,
+        density_assumed=ways.density_assumed,
         verdict=damaged(verdict) if looked.spoilt else verdict,
         warnings=tuple(warnings),
         budget=budget,
         together=_together(legs, found, used, ways) if looked.several else None,
+        draws=draws,
         provenance={"core_seconds": seconds, "library_angle_deg": found.library_angle},
     )
 
 
-def _leg(
-    group: Repeats, looked: Looked, library: Library, density: float | None, ways: Ways
-) -> _Leg:
-    """Make a leg of the library ready."""
-    prepared = None
-    if ways.likelihood == "paper":
-        curves = library.curves(group.leg, readings=group.readings)
-    else:
-        prepared = prepare(library, group.leg, readings=group.readings)
-        curves = prepared.curves
-    check_trials(group, curves.scenario, density=density, several=looked.several)
-    scale = 1.0 if density is None else density / curves.scenario.soil.density
-    surrogate: LegSurrogate | JointSurrogate
+def _leg(group: Repeats, looked: Looked, library: Library, ways: Ways) -> _Leg:
+    """Make a leg of the library ready, and the likelihood of its histories."""
+    readings, prepared = group.readings, None
+    if ways.likelihood != "paper":
+        prepared = prepare(library, group.leg, readings=readings)
+    curves = prepared.curves if prepared else library.curves(group.leg, readings=readings)
+    check_trials(group, curves.scenario, ways.density, several=looked.several)
+    scale = 1.0 if ways.density is None else ways.density / curves.scenario.soil.density
+    density = scale * curves.scenario.soil.density
+    shared = group, Through(curves.scenario, scale * curves.vectors, density), scale
     if prepared is None:
         surrogate = LegSurrogate.fit(curves.phi_deg, curves.theta_deg, curves.Fx, curves.Fz)
         angles = np.linspace(*surrogate.phi_bounds_deg, CURVES)
-        nodes = angles, surrogate.predict(angles, scale=scale)
-        of = _by_paper(surrogate, scale)
-    else:
-        surrogate, nodes = prepared.surrogate, (prepared.phi_deg, scale * prepared.mean)
-        of = _calibrated(group, looked, library, prepared, scale, ways)
-    return _Leg(group, curves.scenario, scale, scale * curves.vectors, surrogate, nodes, of)
 
+        def by_paper(vector: FloatArray, _trials: int) -> LogLikelihood:
+            likelihood = PaperLikelihood(vector, surrogate.theta_deg)
+            return lambda phi_deg: likelihood(surrogate.predict(phi_deg, scale=scale))
 
-def _by_paper(surrogate: LegSurrogate, scale: float) -> Callable[[FloatArray, int], LogLikelihood]:
-    """As printed by Xu & Wang."""
-
-    def of(vector: FloatArray, _trials: int) -> LogLikelihood:
-        likelihood = PaperLikelihood(vector, surrogate.theta_deg)
-        return lambda phi_deg: likelihood(surrogate.predict(phi_deg, scale=scale))
-
-    return of
-
-
-def _calibrated(
-    group: Repeats,
-    looked: Looked,
-    library: Library,
-    prepared: PreparedLeg,
-    scale: float,
-    ways: Ways,
-) -> Callable[[FloatArray, int], LogLikelihood]:
-    """Every part of the residual with its own covariance."""
+        return _Leg(*shared, surrogate, (angles, surrogate.predict(angles, scale=scale)), by_paper)
     looked.check_noise(ways.noise)
     learnt = _learnt(looked, library, ways.discrepancy, group.leg)
     ours = all(trial.made_as(library.cases[0].scenario) for trial in looked.trials)
-    gp = ways.discrepancy == "gp" or (ways.discrepancy is None and not ours)
+    wrong = learnt is not None or ways.discrepancy == "gp" or not (ours or ways.discrepancy)
     each = group.window_covariances
     shape, sigma = shape_of(ways.noise, each[0] if len(each) == 1 else np.mean(each, axis=0))
 
-    def of(vector: FloatArray, trials: int) -> LogLikelihood:
+    def calibrated(vector: FloatArray, trials: int) -> LogLikelihood:
         data = vector / scale
         size = None if sigma is None else sigma / scale / np.sqrt(trials)
-        leg = prepared.averaged(trials).read_for(data)
+        problem = Problem(prepared.averaged(trials).read_for(data), data, shape, size, wrong)
         if learnt is not None:
-            return SoilLikelihood(Problem(leg, data, shape, size, True), learnt, group.leg)
-        return CalibratedLikelihood(Problem(leg, data, shape, size, gp))
+            return SoilLikelihood(problem, learnt, group.leg)
+        return CalibratedLikelihood(problem)
 
-    return of
+    nodes = prepared.phi_deg, scale * prepared.mean
+    return _Leg(*shared, prepared.surrogate, nodes, calibrated)
 
 
 def _learnt(
@@ -340,7 +294,7 @@ def _learnt(
     return learnt if there and (asked or not looked.trials[0].simulation) else None
 
 
-def _level(legs: Sequence[_Leg], ways: Ways, core: Posterior, *, assumed: bool) -> Level | None:
+def _level(legs: Sequence[_Leg], ways: Ways, core: Posterior) -> Level | None:
     """How the angle of a soil lies about that of the library; ``None``: it is the same."""
     soils = [leg.whole for leg in legs if isinstance(leg.whole, SoilLikelihood)]
     learnt = soils[0].learnt if soils else None
@@ -349,7 +303,7 @@ def _level(legs: Sequence[_Leg], ways: Ways, core: Posterior, *, assumed: bool) 
         if learnt is None:
             ways.calibration.check_legs(leg.group.leg for leg in legs)
         level = ways.calibration.level(core.median, learnt)
-    if level is None or not soils or not assumed:
+    if level is None or not soils or not ways.density_assumed:
         return level
     return level.wider("density", float(np.mean([one.by_density_deg for one in soils])))
 
@@ -368,17 +322,15 @@ def _added(likelihoods: Iterable[LogLikelihood]) -> LogLikelihood:
     return lambda phi_deg: sum((one(phi_deg) for one in every), np.zeros_like(phi_deg))
 
 
-def _posterior(
-    legs: Sequence[_Leg], prior: Marginal | None, ways: Ways, *, assumed: bool
-) -> _Found:
-    """Posterior of φ by all legs; ``assumed``: whether the density is."""
+def _posterior(legs: Sequence[_Leg], ways: Ways) -> _Found:
+    """Posterior of φ by all legs."""
     low, high = _common(legs)
     likelihood = _added(leg.whole for leg in legs)
-    nodes = NODES[ways.likelihood]
+    nodes, prior = NODES[ways.likelihood], ways.priors.get(PHI)
     core = level = None
     if ways.calibration or _soils(legs):
         core = quadrature(likelihood, (low, high), nodes=nodes)
-        level = _level(legs, ways, core, assumed=assumed)
+        level = _level(legs, ways, core)
     if core and level:
         low, high = level.bounds(low, high)
         likelihood = _about(level, core)
@@ -388,17 +340,34 @@ def _posterior(
     if not low < high:
         raise InputError("the prior leaves no friction angle that all legs of the library have")
     known = Marginal(low, high, None if prior is None else prior.normal)
-    log.info("sampling φ over %g to %g deg by %s", low, high, ways.sampler)
+    log.info("sampling φ over %g to %g deg by %s", low, high, ways.sampler or "quadrature")
     log_p = likelihood if known.normal is None else _times(likelihood, known)
-    if ways.sampler == "emcee":
-        table = tabulated(log_p, (low, high), nodes=nodes)
-        posterior = ensemble(table, (low, high), seed=ways.seed)
-    else:
-        posterior = quadrature(log_p, (low, high), nodes=nodes)
+    posterior = quadrature(log_p, (low, high), nodes=nodes)
+    draws = drawn(log_p, posterior, seed=ways.seed) if ways.sampler == "emcee" else None
     flat = posterior
     if known.normal is not None:
         flat = quadrature(likelihood, every, nodes=nodes)
-    return _Found(posterior, flat, core or posterior, level, known)
+    return _Found(posterior, draws, flat, core or posterior, level, known)
+
+
+def drawn(log_p: LogLikelihood, exact: Posterior, *, seed: int) -> Draws:
+    """Draws of a posterior by emcee, as in the paper (Xu & Wang), to compare with the exact one.
+
+    A sampler asks tens of thousands of times, so the log density is interpolated between the nodes
+    of the quadrature, which resolve it.
+    """
+    low, high = exact.bounds_deg
+    at_nodes = log_p(exact.phi_deg)
+
+    def log_posterior(points: FloatArray) -> FloatArray:
+        phi = points[:, 0]
+        inside = (phi >= low) & (phi <= high)
+        return np.where(inside, np.interp(phi, exact.phi_deg, at_nodes), -np.inf)
+
+    def draw_prior(count: int, rng: np.random.Generator) -> FloatArray:
+        return rng.uniform(low, high, (count, 1))
+
+    return sample(log_posterior, draw_prior, seed=seed)
 
 
 def _about(level: Level, core: Posterior) -> LogLikelihood:
@@ -406,25 +375,27 @@ def _about(level: Level, core: Posterior) -> LogLikelihood:
     return lambda phi_deg: level.log_density(core, phi_deg)
 
 
-def _best(leg: _Leg, found: _Found) -> FloatArray:
-    """The library's curve at the median, or at its end if that lies beyond [N], [2 theta]."""
-    return leg.predict(found.in_library([found.posterior.median], leg))[0]
+def _matched(
+    looked: Looked, leg: _Leg, found: _Found, ways: Ways
+) -> tuple[list[Matched], Budget | None]:
+    """The histories of a leg beside the best curve, and the budget of the last were it alone.
 
-
-def _records(looked: Looked, leg: _Leg, found: _Found) -> list[Record]:
-    """The histories of a leg, with the curve at the median and the band of the 95 %."""
-    best = _best(leg, found)
+    That curve is the one at the median, or at the library's end if that lies beyond.
+    """
+    best = leg.predict(found.in_library([found.posterior.median], leg))[0]
     angles = np.linspace(*found.posterior.interval(0.95), 101)
     inside = leg.predict(found.in_library(angles, leg))
     band = np.stack([inside.min(axis=0), inside.max(axis=0)])
-    records = []
-    trials = zip(leg.group.trials, leg.group.observations, leg.each, strict=True)
-    for trial, observation, one in trials:
-        learnt = one.learnt if isinstance(one, SoilLikelihood) else None
-        expected = learnt.expected(leg.group.leg, best) if learnt else None
-        record = looked.record(trial, observation, best)
-        records.append(replace(record, band=band, expected=expected))
-    return records
+    limit = NRMSD_LIMIT if ways.likelihood == "paper" else None
+    seen, budget = [], None
+    every = looked.beside(leg.group, leg.through, best, leg.nodes, most=limit)
+    for one, likelihood in zip(every, leg.each, strict=True):
+        own, budget = _fit_of(likelihood, found, leg, source=looked.name_of(one.trial))
+        record = replace(one.record, band=band)
+        if isinstance(likelihood, SoilLikelihood):
+            record = replace(record, expected=likelihood.learnt.expected(leg.group.leg, best))
+        seen.append(one._replace(record=record, measures=[*own, *one.measures]))
+    return seen, budget
 
 
 def _judged(
@@ -432,45 +403,38 @@ def _judged(
     legs: Sequence[_Leg],
     found: _Found,
     ways: Ways,
-) -> tuple[Verdict, list[Doubt], Budget | None]:
-    """Verdict, doubts, and the budget, which knows of no normal prior: then there is none."""
-    normal = found.prior.normal
-    measures: list[Measure] = []
-    warnings, budget = looked.damage, None
-    tried: list[Tried] = []
+) -> tuple[list[Record], Verdict, list[Doubt], Budget | None]:
+    """Records, verdict, doubts, and the budget, which knows of no normal prior: then it is none."""
+    normal, budget = found.prior.normal, None
+    every: list[Matched] = []
     for leg in legs:
-        best = _best(leg, found)
-        trials = zip(leg.group.trials, leg.group.observations, leg.each, strict=True)
-        for trial, observation, likelihood in trials:
-            source = trial.source if looked.several else ""
-            why = explain(observation.vector, leg.nodes[1], leg.nodes[0])
-            own, budget = _fit_of(likelihood, found, leg, source=source)
-            limit = NRMSD_LIMIT if ways.likelihood == "paper" else None
-            own += deviations(nrmsd(observation.vector, best), most=limit, source=source)
-            measures += own
-            tried.append(Tried(trial, why, fits=not any(measure.exceeded for measure in own)))
+        seen, budget = _matched(looked, leg, found, ways)
+        every += seen
+    measures = [measure for one in every for measure in one.measures]
+    soils = _soils(legs)
     if looked.several:
-        measures += [*_together_as_soils(legs), _agreement(legs, found)]
+        if soils:
+            # The deviation of all measured histories: the geometric mean of those of each.
+            mean = float(np.exp(np.mean([np.log(one.deviation) for one in soils])))
+            most = soils[0].learnt.most()
+            measures.append(Measure("soil_deviation", mean, most=most, about="all"))
+        measures.append(_agreement(legs, found))
     if normal is not None:
         measures.append(_against(found.flat, normal))
-    worst = _worst(legs)
+    worst = max(soils, key=lambda one: one.deviation, default=None)
     verdict = judge(
         measures,
         _edge(legs, found, ways),
-        kind="soil" if worst else ways.likelihood,
-        beyond=beyond(tried),
-        numbers=worst,
+        kind="soil" if worst else ways.likelihood or "calibrated",
+        beyond=beyond(every),
+        numbers=worst.learnt.where(worst.leg, worst.fitted) if worst else None,
     )
     budget = None if looked.several or normal is not None else budget
+    warnings = looked.damage
     if verdict.verdict == "consistent" and budget is not None:
-        warnings = [*warnings, *_zero(looked, found.posterior, budget)]
-    misfit = verdict.verdict == "misfit"
-    for leg in legs:
-        density = leg.scale * leg.scenario.soil.density
-        warnings = warnings + looked.doubts_on(
-            leg.group, leg.scenario, leg.curves, density, tried=tried, misfit=misfit
-        )
-    return verdict, warnings, budget
+        warnings += _zero(looked, found.posterior, budget)
+    warnings += looked.doubts(every, misfit=verdict.verdict == "misfit")
+    return [one.record for one in every], verdict, warnings, budget
 
 
 def _fit_of(
@@ -495,35 +459,20 @@ def _soils(legs: Sequence[_Leg]) -> list[SoilLikelihood]:
     return [one for leg in legs for one in leg.each if isinstance(one, SoilLikelihood)]
 
 
-def _together_as_soils(legs: Sequence[_Leg]) -> list[Measure]:
-    """The deviation of all measured histories: the geometric mean of those of each."""
-    soils = _soils(legs)
-    if not soils:
-        return []
-    mean = float(np.exp(np.mean([np.log(one.deviation) for one in soils])))
-    return [Measure("soil_deviation", mean, most=soils[0].learnt.most(), about="all")]
-
-
-def _worst(legs: Sequence[_Leg]) -> dict[str, Any] | None:
-    """Where the measured history deviates that real soils are least like; ``None`` if none is."""
-    soils = _soils(legs)
-    if not soils:
-        return None
-    worst = max(soils, key=lambda one: one.deviation)
-    return worst.learnt.where(worst.leg, worst.fitted)
-
-
 def _edge(legs: Sequence[_Leg], found: _Found, ways: Ways) -> Edge:
     """Where the posterior, or that of the library's angle, is cut off."""
-    convention = legs[0].scenario.convention
+    name, bounds = legs[0].through.scenario.convention, found.posterior.bounds_deg
     if ways.likelihood == "paper":
-        step = legs[0].surrogate.phi_step_deg
-        edge = edge_by_mass(found.posterior, step_deg=step, convention=convention)
+        step = float(np.diff(legs[0].surrogate.phi_deg).max())
+        edge = edge_of(edge_masses(found.posterior, step), bounds, "edge_mass", name=name)
     else:
-        both = (
-            edge_by_density(one, convention=convention) for one in (found.core, found.posterior)
+        edge = max(
+            (
+                edge_of(edge_densities(one), one.bounds_deg, "edge_density", name=name)
+                for one in (found.core, found.posterior)
+            ),
+            key=lambda one: one.size,
         )
-        edge = max(both, key=lambda one: one.size)
     whose = "library" if edge.numbers["at"] in _common(legs) else "prior"
     return replace(edge, numbers={**edge.numbers, "of": whose})
 
@@ -592,34 +541,32 @@ def _together(legs: Sequence[_Leg], found: _Found, density: float, ways: Ways) -
         density_of = _times(alone, found.prior)
         sd[leg.group.leg] = quadrature(density_of, bounds, nodes=NODES[ways.likelihood]).sd
     sd["all"] = posterior.sd
-    noise, amplitude = [np.zeros(1)], [np.zeros(1)]
     rng = np.random.default_rng(ways.seed)
-    for leg in legs:
-        root = np.sqrt(len(leg.group.trials))
-        if isinstance(leg.whole, SoilLikelihood):
-            noise.append(np.full(2, root * leg.scale * leg.whole.noise_N))
-            amplitude.append(np.full(2, leg.whole.learnt.amplitude))
-        elif isinstance(leg.whole, CalibratedLikelihood):
-            used = leg.whole.used
-            weights = leg.whole.weights(float(found.in_library(posterior.median, leg)))
-            drawn = rng.choice(len(weights), DRAWS // len(legs), p=weights / weights.sum())
-            noise.append(root * leg.scale * used.noise[drawn])
-            amplitude.append(used.amplitude[drawn])
-    some = slice(1, None) if len(noise) > 1 else slice(None)
+    errors = [_errors(leg, found, DRAWS // len(legs), rng) for leg in legs]
+    noise, amplitude = map(np.concatenate, zip(*errors, strict=True))
+    parts = (leg.whole for leg in legs)
+    wrong = any(isinstance(p, CalibratedLikelihood) and p.problem.discrepancy for p in parts)
     summary = Summary.of_posterior(posterior)
     return Together(
         conditional={PHI: summary},
         point={PHI: summary.median, DENSITY: density},
         identifiability=Identifiability.of((PHI,), np.array([[posterior.sd**2]]), [found.prior.sd]),
         expected_sd={name: np.array([one]) for name, one in sd.items()},
-        noise_N=np.concatenate(noise[some]),
-        amplitude=np.concatenate(amplitude[some]),
-        discrepancy="soils"
-        if _soils(legs)
-        else "gp"
-        if any(
-            isinstance(leg.whole, CalibratedLikelihood) and leg.whole.problem.discrepancy
-            for leg in legs
-        )
-        else "none",
+        noise_N=noise,
+        amplitude=amplitude,
+        discrepancy="soils" if _soils(legs) else "gp" if wrong else "none",
     )
+
+
+def _errors(
+    leg: _Leg, found: _Found, count: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Draws of the noise [N] and of the relative discrepancy [-] of a leg's histories."""
+    whole, size = leg.whole, np.sqrt(len(leg.group.trials)) * leg.scale
+    if isinstance(whole, SoilLikelihood):
+        return np.full(2, size * whole.noise_N), np.full(2, whole.learnt.amplitude)
+    if isinstance(whole, CalibratedLikelihood):
+        weights = whole.weights(float(found.in_library(found.posterior.median, leg)))
+        chosen = rng.choice(len(weights), count, p=weights / weights.sum())
+        return size * whole.used.noise[chosen], whole.used.amplitude[chosen]
+    return np.zeros(1), np.zeros(1)

@@ -56,6 +56,33 @@ def axis_label(key: str) -> str:
     return f"{name} [{unit or '-'}]"
 
 
+def fisher(
+    slopes: Sequence[FloatArray],
+    curves: Sequence[FloatArray],
+    variances: Sequence[FloatArray],
+    factor2: FloatArray,
+) -> FloatArray:
+    """Fisher information G^T C^-1 G of parameters at some points, shape [x, key, key].
+
+    Parameters
+    ----------
+    slopes, curves, variances
+        Of each force, in a basis where its errors are independent: slopes G over the parameters
+        [N per unit], shape [x, key, theta], forces [N] and variances of their errors [N^2], shape
+        [x, theta].
+    factor2
+        Variance of a factor on both forces that is not known either [-], shape [x].
+    """
+    total, along, norm = 0.0, 0.0, 0.0
+    for slope, curve, variance in zip(slopes, curves, variances, strict=True):
+        weighted = slope / variance[:, None]
+        total = total + np.einsum("xkt,xlt->xkl", weighted, slope)
+        along = along + np.einsum("xkt,xt->xk", weighted, curve)
+        norm = norm + np.sum(np.square(curve) / variance, axis=1)
+    lost = factor2 / (1.0 + factor2 * norm)
+    return total - lost[:, None, None] * np.einsum("xk,xl->xkl", along, along)
+
+
 @dataclass(frozen=True, eq=False)
 class Identifiability:
     """What a posterior fixes of several parameters.

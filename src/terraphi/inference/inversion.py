@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.history import ForceHistory
@@ -25,7 +25,7 @@ from terraphi.inference.findings import Doubt
 from terraphi.inference.known_soils import Calibration, Compared, compared
 from terraphi.inference.noise import Noise
 from terraphi.inference.prior import Marginal, is_on, priors
-from terraphi.inference.trials import Looked, Trial, check_origin, common_density, look
+from terraphi.inference.trials import Looked, Trial, Ways, check_origin, common_density, look
 from terraphi.library.shipped import is_there_to_try_others
 from terraphi.library.store import Library
 from terraphi.surrogate.training import DENSITY, is_of_several, parameters
@@ -96,7 +96,7 @@ def invert(
         simulated as the library was, ``soils`` for measured ones if it was learnt, and ``gp`` for
         any other. Likewise.
     sampler
-        Of φ alone: ``quadrature`` (exact, the default) or ``emcee`` (the paper's settings).
+        Of φ alone: ``quadrature`` (exact, the default) or ``emcee`` (for comparison).
     seed
         Of all draws.
     steps
@@ -122,55 +122,48 @@ def invert(
         name, why = default_library([trial.history for trial in trials])
         library = _shipped(name)
     by_soils = _by_soils(calibration, library, trials, likelihood, discrepancy)
+    phi_alone, marginals, density, assumed = _known(
+        trials, library, prior, density, density_assumed
+    )
     looked = look(trials, library)
-    known = _known(looked, library, prior, density, density_assumed)
-    if known.phi_alone:
-        ways = _ways(likelihood, noise, discrepancy, sampler, seed, by_soils)
-        found = friction_angle.infer(
-            looked,
-            library=library,
-            prior=known.priors.get(PHI),
-            density=known.density,
-            density_assumed=known.assumed,
-            ways=ways,
-        )
-    else:
-        _check_several(likelihood, sampler, discrepancy, by_soils)
-        found = several_parameters.infer(
-            looked,
-            library=library,
-            priors=known.priors,
-            density_assumed=known.assumed,
-            noise=Noise.parse(noise),
-            discrepancy=None if isinstance(discrepancy, Learnt) else discrepancy,
-            seed=seed,
-            steps=steps,
-        )
+    ways = Ways(
+        likelihood=likelihood,
+        noise=Noise.parse(noise),
+        discrepancy=discrepancy,
+        sampler=sampler,
+        seed=seed,
+        steps=steps,
+        calibration=by_soils,
+        priors=marginals,
+        density=density,
+        density_assumed=assumed,
+    )
+    infer = friction_angle.infer if phi_alone else several_parameters.infer
+    found = infer(looked, library, ways)
+    return replace(
+        found,
+        warnings=(*found.warnings, *_doubts(looked, found, library)),
+        library_reason=why,
+        compared=_compared(looked, found, library),
+        provenance=_provenance(found, library, by_soils, time.perf_counter() - began),
+    )
+
+
+def _provenance(
+    found: Inversion, library: Library, by_soils: Calibration | None, seconds: float
+) -> dict[str, Any]:
+    """Where an answer comes from."""
+    about: dict[str, Any] = {
+        **_versions(),
+        "library": dict(library.provenance),
+        "library_hash": library.hash,
+    }
+    if len(found.records) == 1 and found.records[0].simulation:
+        about["simulation"] = dict(found.records[0].simulation)
+    about |= {"seconds": seconds, **found.provenance}
     if by_soils is not None:
-        told = {"calibration": by_soils.model_dump(mode="json")}
-        found = replace(found, provenance={**found.provenance, **told})
-    doubts = (*_two_soils(found), *_known_soils(looked, found, library), *_unusual(found))
-    found = replace(found, warnings=(*found.warnings, *doubts))
-    beside = _compared(looked, found, library)
-    found = replace(found, library_reason=why, compared=beside)
-    return _signed(found, library, time.perf_counter() - began)
-
-
-def _ways(
-    likelihood: str | None,
-    noise: float | str | Path | None,
-    discrepancy: str | Learnt | None,
-    sampler: str | None,
-    seed: int,
-    by_soils: Calibration | None,
-) -> friction_angle.Ways:
-    """How φ alone is inferred, with its defaults."""
-    if likelihood == "joint":
-        raise InputError(
-            "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or 'paper'"
-        )
-    how, drawn = likelihood or "calibrated", sampler or "quadrature"
-    return friction_angle.Ways(how, Noise.parse(noise), discrepancy, drawn, seed, by_soils)
+        about["calibration"] = by_soils.model_dump(mode="json")
+    return about
 
 
 def _by_soils(
@@ -197,23 +190,13 @@ def _by_soils(
 
 def _compared(looked: Looked, found: Inversion, library: Library) -> Compared | None:
     """Measured forces beside those of known soils in the same apparatus."""
-    if any(one.simulation for one in found.records) or found.density is None:
+    if found.origin == "simulated" or found.density is None:
         return None
     forces = [
         (r.leg, r.observation.vector, str(t.history.provenance.get("measurement", "")))
         for r, t in zip(found.records, looked.trials, strict=True)
     ]
     return compared(forces, found.density, library.cases[0].scenario)
-
-
-def _known_soils(looked: Looked, found: Inversion, library: Library) -> list[Doubt]:
-    """A doubt where a discrepancy was learnt from the very medium that is judged by it."""
-    learnt = learnt_for(library)
-    if learnt is None or all(one.code != "soil_deviation" for one in found.verdict.measures):
-        return []
-    shipped = (str(t.history.provenance.get("measurement", "")) for t in looked.trials)
-    known = {medium_and_leg(name)[0] for name in shipped} & set(learnt.media)
-    return [Doubt("known_soil", {"medium": medium}) for medium in sorted(known)]
 
 
 def _two_soils(found: Inversion) -> list[Doubt]:
@@ -230,13 +213,23 @@ def _two_soils(found: Inversion) -> list[Doubt]:
     return [Doubt("two_soils", {"worst": worst.source})]
 
 
-def _unusual(found: Inversion) -> list[Doubt]:
-    """A doubt if measured forces give an angle that hardly any dry soil has."""
-    plane = found.phi_plane_strain
+def _doubts(looked: Looked, found: Inversion, library: Library) -> list[Doubt]:
+    """Doubts about records, library, and an angle that hardly any dry soil has."""
+    doubts = _two_soils(found)
+    learnt, plane = learnt_for(library), found.phi_plane_strain
+    if learnt is not None and any(one.code == "soil_deviation" for one in found.verdict.measures):
+        shipped = (str(t.history.provenance.get("measurement", "")) for t in looked.trials)
+        # It was learnt from the very medium that is judged by it.
+        known = {medium_and_leg(name)[0] for name in shipped} & set(learnt.media)
+        doubts += [Doubt("known_soil", {"medium": medium}) for medium in sorted(known)]
     low, high = USUAL_DEG
-    if plane is None or any(one.simulation for one in found.records) or low <= plane.median <= high:
-        return []
-    return [Doubt("unusual", {"median": plane.median, "low": low, "high": high})]
+    if plane is not None and found.origin == "measured" and not low <= plane.median <= high:
+        doubts.append(Doubt("unusual", {"median": plane.median, "low": low, "high": high}))
+    if is_there_to_try_others(library.name):
+        doubts.append(Doubt("tries_others", {"name": library.name}))
+    if library.plan.caveat:
+        doubts.append(Doubt("caveat", {"name": library.name, "caveat": library.plan.caveat}))
+    return doubts
 
 
 def _trials(
@@ -252,27 +245,22 @@ def _trials(
     ]
 
 
-class _Known(NamedTuple):
-    """What is known before the forces are seen."""
-
-    phi_alone: bool
-    priors: dict[str, Marginal]
-    density: float | None
-    assumed: bool
-
-
 def _known(
-    looked: Looked, library: Library, prior: Sequence[str], density: float | None, guessed: bool
-) -> _Known:
-    """Priors with what is known of the density, and whether φ alone is to be inferred."""
+    trials: Sequence[Trial],
+    library: Library,
+    prior: Sequence[str],
+    density: float | None,
+    guessed: bool,
+) -> tuple[bool, dict[str, Marginal], float | None, bool]:
+    """Whether φ alone is to be inferred, priors, and the density, and whether that is a guess."""
     varied = parameters(library) if prior or is_of_several(library) else {}
     said = any(is_on(text, DENSITY) for text in prior)
     if said and density is not None:
         raise InputError(f"the density is given twice, as {density:g} kg/m³ and as a prior")
     if density is None and not said and DENSITY not in varied:
-        density, guessed = common_density(looked.trials)
+        density, guessed = common_density(trials)
     if not varied:
-        return _Known(True, {}, density, guessed)
+        return True, {}, density, guessed
     given = [] if density is None else [f"{DENSITY}={density!r}"]
     marginals = priors(varied, [*prior, *given])
     free = [key for key, marginal in marginals.items() if not marginal.fixed]
@@ -282,7 +270,7 @@ def _known(
     if fixed is not None and fixed.fixed:
         density = fixed.low
     # Where other parameters are held, only the surrogate over all of them knows the curves.
-    return _Known(free == [PHI] and set(varied) == {PHI}, marginals, density, guessed)
+    return free == [PHI] and set(varied) == {PHI}, marginals, density, guessed
 
 
 def _check_options(
@@ -304,43 +292,6 @@ def _check_options(
             "the paper's likelihood has neither noise nor discrepancy; take 'calibrated', or drop "
             "them"
         )
-
-
-def _check_several(
-    likelihood: str | None,
-    sampler: str | None,
-    discrepancy: str | Learnt | None,
-    calibration: Calibration | None,
-) -> None:
-    """Refuse what is for φ alone."""
-    for name, given, only in (("likelihood", likelihood, "joint"), ("sampler", sampler, "emcee")):
-        if given not in (None, only):
-            raise InputError(
-                f"--{name} {given} is for the friction angle alone; several parameters know {only} "
-                "only: leave it out"
-            )
-    if discrepancy == "soils" or isinstance(discrepancy, Learnt):
-        raise InputError("discrepancy 'soils' is for the friction angle alone; take 'gp'")
-    if calibration is not None:
-        raise InputError("a calibration is for the friction angle alone; drop it")
-
-
-def _signed(found: Inversion, library: Library, seconds: float) -> Inversion:
-    """The answer with where it comes from."""
-    warnings = list(found.warnings)
-    if is_there_to_try_others(library.name):
-        warnings.append(Doubt("tries_others", {"name": library.name}))
-    if library.plan.caveat:
-        warnings.append(Doubt("caveat", {"name": library.name, "caveat": library.plan.caveat}))
-    about: dict[str, Any] = {
-        **_versions(),
-        "library": dict(library.provenance),
-        "library_hash": library.hash,
-    }
-    if len(found.records) == 1 and found.records[0].simulation:
-        about["simulation"] = dict(found.records[0].simulation)
-    about |= {"seconds": seconds, **found.provenance}
-    return replace(found, warnings=tuple(warnings), provenance=about)
 
 
 @functools.cache

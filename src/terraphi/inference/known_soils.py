@@ -35,7 +35,7 @@ from pydantic import Field, ValidationError
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError, sentence_from_validation
-from terraphi.experiment.files import replacing, with_sd
+from terraphi.experiment.files import number_with_sd, replacing
 from terraphi.experiment.measurements import measurement, medium_and_leg, names
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.discrepancy import FREEDOM, SPREAD_DEG, Learnt, Level
@@ -203,10 +203,10 @@ MOST_SD_DEG = 15.0
 def angle_with_sd(text: str) -> tuple[float, float]:
     """``35±2`` or ``35+-2`` as numbers [deg]; InputError if it is neither."""
     try:
-        mean, sd = with_sd(text)
+        mean, sd = number_with_sd(text)
     except ValueError:
         mean, sd = 0.0, None
-    if sd is None or not (0.0 < mean < 90.0 and sd > 0.0):
+    if not 0.0 < mean < 90.0 or sd is None or not sd > 0.0:
         raise InputError(
             f"--phi {text}: expected the friction angle and its standard deviation in degrees, "
             "as 35±2 or 35+-2"

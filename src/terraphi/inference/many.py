@@ -134,13 +134,14 @@ def records_in(places: Sequence[str]) -> list[str]:
     """
     found: list[str] = []
     for place in places:
-        inside = [place]
         if Path(place).is_dir():
             files = [str(f) for f in Path(place).iterdir() if f.suffix in RECORDS]
-            inside = sorted(f for f in files if not _is_table(f))
         elif glob.has_magic(place) and not Path(place).exists():
             files = glob.glob(place)  # noqa: PTH207 - absolute patterns too
-            inside = sorted(f for f in files if not _is_table(f))
+        else:
+            found.append(place)
+            continue
+        inside = sorted(file for file in files if not _is_table(file))
         if not inside:
             raise InputError(f"{place}: no records (.csv or .nc) there")
         found += inside

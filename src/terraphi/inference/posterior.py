@@ -1,21 +1,19 @@
-"""The posterior of the friction angle, by quadrature or by an ensemble sampler.
+"""The posterior of the friction angle by quadrature, or of another single parameter.
 
-The friction angle is the only unknown, so quadrature is the exact answer and the default; the
-affine-invariant ensemble sampler of the paper (Xu & Wang) stays for comparison. Both take a
-log-likelihood of the friction angle alone, known up to a constant, and a uniform prior on bounds.
+A single unknown needs no sampler: quadrature is exact. emcee, as in the paper (Xu & Wang), stays
+for comparison (`friction_angle.drawn`). It takes a log-likelihood, known up to a constant, and a
+uniform prior on bounds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.inference.convergence import autocorrelation_time, chains, diagnose
 
 LogLikelihood = Callable[[FloatArray], FloatArray]
 """Log-likelihood [-] of friction angles [deg], shape [k] -> [k]."""
@@ -28,32 +26,22 @@ CELL_ERROR = 1e-9
 PEAK_DROP = 0.05
 SPLIT = np.array([0.25, 0.5, 0.75])
 MAX_ROUNDS = 60
-HUGE = 1e300
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Posterior:
-    """The posterior distribution of the friction angle.
-
-    By quadrature the density is linear between nodes. By sampling there is no density: the nodes
-    are the sorted draws of all ensembles and the distribution is the empirical one.
+    """The posterior distribution of the friction angle; its density is linear between nodes.
 
     Attributes
     ----------
     bounds_deg
         Ends of the uniform prior [deg].
     phi_deg
-        Nodes, or sorted draws [deg], shape [node].
+        Nodes [deg], shape [node].
     cdf
         Cumulative distribution at the nodes [-], shape [node].
     density
-        Normalised density at the nodes [1/deg], shape [node]; None if sampled.
-    draws_deg
-        Draws after burn-in [deg], shape [ensemble, walker, step]; None if by quadrature.
-    sampler
-        ``"quadrature"`` or ``"emcee"``.
-    seed
-        Seed of the draws; None if by quadrature.
+        Normalised density at the nodes [1/deg], shape [node].
     convergence
         Diagnostics by name, plain numbers.
     """
@@ -61,32 +49,8 @@ class Posterior:
     bounds_deg: tuple[float, float]
     phi_deg: FloatArray = field(repr=False)
     cdf: FloatArray = field(repr=False)
-    density: FloatArray | None = field(default=None, repr=False)
-    draws_deg: FloatArray | None = field(default=None, repr=False)
-    sampler: Literal["quadrature", "emcee"]
-    seed: int | None = None
+    density: FloatArray = field(repr=False)
     convergence: dict[str, float]
-
-    @classmethod
-    def of_draws(
-        cls,
-        draws_deg: FloatArray,
-        bounds_deg: tuple[float, float],
-        *,
-        seed: int,
-        convergence: dict[str, float],
-    ) -> Posterior:
-        """The empirical distribution of draws [deg], shape [ensemble, walker, step]."""
-        ordered = np.sort(draws_deg, axis=None)
-        return cls(
-            bounds_deg=bounds_deg,
-            phi_deg=ordered,
-            cdf=(np.arange(ordered.size) + 0.5) / ordered.size,
-            draws_deg=draws_deg,
-            sampler="emcee",
-            seed=seed,
-            convergence=convergence,
-        )
 
     @property
     def median(self) -> float:
@@ -96,8 +60,6 @@ class Posterior:
     @property
     def sd(self) -> float:
         """Standard deviation [deg]."""
-        if self.density is None:
-            return float(self.phi_deg.std())
         mean = float(np.trapezoid(self.density * self.phi_deg, self.phi_deg))
         apart = np.square(self.phi_deg - mean)
         return float(np.sqrt(np.trapezoid(self.density * apart, self.phi_deg)))
@@ -135,8 +97,6 @@ class Posterior:
         """
         if not 0.0 <= probability <= 1.0:
             raise ValueError(f"probability is {probability}; it must lie in [0, 1]")
-        if self.density is None:
-            return float(np.interp(probability, self.cdf, self.phi_deg))
         # The cell whose two ends enclose the probability, and the root of a quadratic within it,
         # in the form that does not cancel.
         i = int(np.searchsorted(self.cdf, probability, side="right")) - 1
@@ -157,29 +117,10 @@ class Posterior:
         """
         if not low <= high:
             raise ValueError(f"low = {low} deg exceeds high = {high} deg")
-        if self.density is None:
-            first = np.searchsorted(self.phi_deg, low, side="left")
-            last = np.searchsorted(self.phi_deg, high, side="right")
-            return float(last - first) / self.phi_deg.size
         return self._mass_below(high) - self._mass_below(low)
-
-    def chains(self) -> FloatArray:
-        """Draws [deg] as independent chains, shape [chain, draw], as ArviZ wants them.
-
-        One step in every autocorrelation time is kept; see `convergence.chains`.
-
-        Raises
-        ------
-        ValueError
-            If the posterior comes from quadrature and has no draws.
-        """
-        if self.draws_deg is None:
-            raise ValueError("a posterior by quadrature has no draws")
-        return chains(self.draws_deg, int(np.ceil(autocorrelation_time(self.draws_deg).max())))
 
     def _cell(self, i: int) -> tuple[float, float, float]:
         """Width [deg], density at the left end [1/deg] and its slope [1/deg^2] in cell i."""
-        assert self.density is not None
         width = float(self.phi_deg[i + 1] - self.phi_deg[i])
         start = float(self.density[i])
         return width, start, (float(self.density[i + 1]) - start) / width
@@ -236,81 +177,6 @@ def quadrature(
     half_width = 0.5 * (posterior.quantile(0.84) - posterior.quantile(0.16))
     convergence = {"nodes": phi.size, "relative_change_on_halving": change / half_width}
     return replace(posterior, convergence=convergence)
-
-
-def tabulated(
-    log_likelihood: LogLikelihood, bounds_deg: tuple[float, float], *, nodes: int = 4001
-) -> LogLikelihood:
-    """The log-likelihood, interpolated between the nodes of `quadrature`, which resolve it.
-
-    For samplers, which ask tens of thousands of times. Parameters and errors as there.
-    """
-    phi, log_p = _resolved(log_likelihood, bounds_deg, nodes)
-    finite = np.maximum(log_p, -HUGE)
-
-    def interpolated(phi_deg: FloatArray) -> FloatArray:
-        found = np.interp(phi_deg, phi, finite)
-        found[found < -0.1 * HUGE] = -np.inf
-        return found
-
-    return interpolated
-
-
-def ensemble(
-    log_likelihood: LogLikelihood,
-    bounds_deg: tuple[float, float],
-    *,
-    walkers: int = 32,
-    steps: int = 4000,
-    burn_in: int = 1000,
-    ensembles: int = 4,
-    seed: int,
-) -> Posterior:
-    """Posterior by emcee's affine-invariant ensemble sampler, as in the paper (Xu & Wang).
-
-    Several ensembles run side by side from uniform draws of the prior and never mix; NumPy's global
-    random state is neither used nor changed.
-
-    Parameters
-    ----------
-    log_likelihood
-        As in `quadrature`; called with half the walkers of all ensembles at once.
-    bounds_deg
-        Ends of the uniform prior [deg].
-    walkers, steps, burn_in
-        Number of walkers of an ensemble, even; number of steps of each; how many of these are
-        discarded from the start.
-    ensembles
-        Number of independent ensembles, at least 4, or R-hat between them means little.
-    seed
-        Seed of all draws.
-
-    Returns
-    -------
-    Posterior
-        Its ``convergence`` holds the `EnsembleDiagnostics` of the draws and the
-        ``acceptance_fraction``.
-
-    Raises
-    ------
-    ValueError
-        If the log-likelihood is NaN or plus infinity anywhere or minus infinity nearly everywhere.
-    """
-    from terraphi.inference.ensembles import run, starts
-
-    low, high = bounds_deg
-
-    def log_posterior(positions: FloatArray) -> FloatArray:
-        phi = positions[:, 0]
-        log_p = _checked(log_likelihood, phi.clip(low, high))
-        return np.where((phi >= low) & (phi <= high), log_p, -np.inf)
-
-    random = np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed)))
-    start = starts(log_posterior, (low, high), (ensembles, walkers), random)
-    chains, accepted = run(log_posterior, start, steps=steps, burn_in=burn_in, random=random)
-    draws = np.ascontiguousarray(chains[..., 0])
-    told = {**diagnose(draws).as_dict(), "acceptance_fraction": accepted}
-    return Posterior.of_draws(draws, (low, high), seed=seed, convergence=told)
 
 
 def _resolved(
@@ -370,7 +236,6 @@ def _from_nodes(phi: FloatArray, log_p: FloatArray, bounds_deg: tuple[float, flo
         phi_deg=phi,
         cdf=mass / mass[-1],
         density=p / mass[-1],
-        sampler="quadrature",
         convergence={},
     )
 

@@ -236,13 +236,11 @@ def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -
 
 @functools.lru_cache(maxsize=REMEMBERED)
 def _prepared(library: Library, leg: str, readings_as_bytes: bytes | None) -> PreparedLeg:
-    if readings_as_bytes is None:
-        curves = library.curves(leg)
-        return PreparedLeg.of(surrogate_of(library, leg, curves), curves)
-    readings = np.frombuffer(readings_as_bytes)
+    readings = None if readings_as_bytes is None else np.frombuffer(readings_as_bytes)
     curves = library.curves(leg, readings=readings)
     surrogate = surrogate_of(library, leg, curves, readings=readings)
-    return PreparedLeg.of(surrogate, curves, learn_reading(library, leg, readings, surrogate))
+    reading = None if readings is None else learn_reading(library, leg, readings, surrogate)
+    return PreparedLeg.of(surrogate, curves, reading)
 
 
 def surrogate_of(
@@ -425,7 +423,8 @@ def learn_reading(
     """
     cases = _simulations(library.cases, leg)
     phi, histories = list(cases), [found[0] for found in cases.values()]
-    if not _is_coarser(readings, histories[0].position):
+    # Readings that lie no further apart than the samples of a curve leave nothing open.
+    if np.diff(readings).max() <= 1.5 * np.median(np.diff(histories[0].position)):
         return Reading()
     repeated = _simulations(library.replicates, leg)
     around = [_relative_errors(history, readings)[1] for history in histories]
@@ -542,9 +541,3 @@ def reading_errors(history: ForceHistory, readings: FloatArray) -> tuple[FloatAr
         about.append(points.observation().vector - means)
         around.append(means - moved.between(seen[0], seen[-1]).observation().vector)
     return np.stack(about), np.stack(around)
-
-
-def _is_coarser(readings: FloatArray, position: FloatArray) -> bool:
-    """Whether readings lie further apart than the samples of a curve."""
-    own = float(np.median(np.diff(position)))
-    return bool(np.diff(readings).max() > 1.5 * own)

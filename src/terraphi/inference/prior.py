@@ -9,7 +9,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import plain_number, with_sd
+from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.surrogate.training import DENSITY
 
 DENSITIES = (100.0, 10000.0)
@@ -139,16 +139,15 @@ def parsed(text: str, value: str, within: Marginal | None) -> Marginal:
             low, high = (plain_number(part) for part in value.split(":"))
             if low < high:
                 return Marginal(low, high)
-        else:
-            mean, sd = with_sd(value)
-            if sd is None:
-                return Marginal(mean, mean)
-            if sd > 0.0:
-                low, high = mean - FAR * sd, mean + FAR * sd
-                if within is not None:
-                    low, high = max(low, within.low), min(high, within.high)
-                if low < high:
-                    return Marginal(low, high, (mean, sd))
+        mean, sd = number_with_sd(value)
+        if sd is None:
+            return Marginal(mean, mean)
+        if sd > 0.0:
+            low, high = mean - FAR * sd, mean + FAR * sd
+            if within is not None:
+                low, high = max(low, within.low), min(high, within.high)
+            if low < high:
+                return Marginal(low, high, (mean, sd))
     except ValueError:
         pass
     raise InputError(

@@ -37,28 +37,18 @@ from terraphi.inference.answer import (
     PHI,
     AngleSummary,
     Inversion,
-    Record,
     Summary,
     Together,
     plane_strain_summary,
 )
-from terraphi.inference.explanation import explain
-from terraphi.inference.findings import Doubt, Side, Verdict
-from terraphi.inference.identifiability import Identifiability, label
+from terraphi.inference.findings import Doubt, Verdict
+from terraphi.inference.identifiability import Identifiability, fisher, label
 from terraphi.inference.noise import Noise
-from terraphi.inference.posterior import Posterior, quadrature
+from terraphi.inference.posterior import quadrature
 from terraphi.inference.prior import Marginal
 from terraphi.inference.sampler import Draws, sample
-from terraphi.inference.trials import Looked, Repeats, Tried, beyond, check_trials
-from terraphi.inference.verdict import (
-    AT_EDGE,
-    EDGE_DENSITY,
-    NRMSD_LIMIT,
-    Edge,
-    damaged,
-    deviations,
-    judge,
-)
+from terraphi.inference.trials import Looked, Matched, Repeats, Through, Ways, beyond, check_trials
+from terraphi.inference.verdict import NRMSD_LIMIT, Edge, damaged, edge_of, judge
 from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignSurrogate
 from terraphi.surrogate.kronecker import single_threaded
@@ -275,35 +265,18 @@ class LegLikelihood:
             G^T C^-1 G, G the slopes of the forces; shape [key, key].
         """
         at = {key: np.array([value]) for key, value in named.items()}
-        points, (scale,), (factor2,) = self.surrogate.located(at)
-        total = np.zeros((len(keys), len(keys)))
-        along, norm = np.zeros(len(keys)), 0.0
-        both = self.surrogate.slopes(at, keys, steps)
-        for (process, _, _, shape), slopes, ratio in zip(
-            self.parts, both, self.noise_ratio, strict=True
-        ):
+        points, scale, factor2 = self.surrogate.located(at)
+        curves, variances = [], []
+        for (process, _, _, shape), ratio in zip(self.parts, self.noise_ratio, strict=True):
             forces, surrogate_variance = process.rotated(points)
-            curve, shared = scale * forces[0], scale**2 * surrogate_variance[0]
+            curves.append(scale * forces)
             own = (ratio * noise) ** 2 + scale**2 * process.noise_variance
-            variance = shared + amplitude**2 * shape + own / self.trials
-            total += (slopes[0] / variance) @ slopes[0].T
-            along += slopes[0] @ (curve / variance)
-            norm += float(np.sum(np.square(curve) / variance))
-        lost: FloatArray = factor2 * np.outer(along, along) / (1.0 + factor2 * norm)
-        return total - lost
+            shared = scale**2 * surrogate_variance + amplitude**2 * shape
+            variances.append(shared + own / self.trials)
+        return fisher(self.surrogate.slopes(at, keys, steps), curves, variances, factor2)[0]
 
 
-def infer(
-    looked: Looked,
-    *,
-    library: Library,
-    priors: Mapping[str, Marginal],
-    density_assumed: bool,
-    noise: Noise,
-    discrepancy: str | None,
-    seed: int,
-    steps: int,
-) -> Inversion:
+def infer(looked: Looked, library: Library, ways: Ways) -> Inversion:
     """Infer the parameters that a library varies.
 
     Parameters
@@ -312,30 +285,28 @@ def infer(
         The histories, without what is not to be believed of them.
     library
         Simulations over the parameters.
-    priors
-        Of each parameter.
-    density_assumed
-        Whether a density that is known is a guess.
-    noise, discrepancy, seed, steps
-        As in :func:`terraphi.inference.inversion.invert`.
+    ways
+        How to.
 
     Raises
     ------
     InputError
-        If a history, a leg or a prior cannot be used.
+        If a history, a leg, a prior or an option cannot be used.
     """
+    _refuse_what_is_for_phi(ways)
+    priors = ways.priors
     groups = looked.groups
     keys = tuple(k for k, p in priors.items() if not p.fixed)
     with single_threaded():
-        data = _checked(looked, library, priors)
+        data = _checked(looked, library, ways)
         ours = all(
             t.made_as(d.scenario, d.bounds)
             for g, d in zip(groups, data, strict=True)
             for t in g.trials
         )
-        gp = discrepancy == "gp" or (discrepancy is None and not ours)
-        looked.check_noise(noise)
-        size, ratio = _window_noise(noise, groups)
+        gp = ways.discrepancy == "gp" or (ways.discrepancy is None and not ours)
+        looked.check_noise(ways.noise)
+        size, ratio = _window_noise(ways.noise, groups)
         legs = tuple(
             LegLikelihood(DesignSurrogate.fit(d), g.vectors, ratio)
             for g, d in zip(groups, data, strict=True)
@@ -345,41 +316,45 @@ def infer(
             target.at,
             target.draw_prior,
             parameters=target.parameters,
-            seed=seed,
-            steps=steps,
+            seed=ways.seed,
+            steps=ways.steps,
             walkers=max(32, 4 * len(keys)),
         )
-        return _answer(looked, data, library, target, draws, density_assumed)
+        return _answer(looked, data, library, target, draws, ways)
 
 
-def _checked(looked: Looked, library: Library, marginals: Mapping[str, Marginal]) -> list[Training]:
+def _refuse_what_is_for_phi(ways: Ways) -> None:
+    """Refuse options that are for φ alone."""
+    for name, given, only in (
+        ("likelihood", ways.likelihood, "joint"),
+        ("sampler", ways.sampler, "emcee"),
+    ):
+        if given not in (None, only):
+            raise InputError(
+                f"--{name} {given} is for the friction angle alone; several parameters know {only} "
+                "only: leave it out"
+            )
+    if ways.discrepancy not in (None, "none", "gp"):
+        raise InputError("discrepancy 'soils' is for the friction angle alone; take 'gp'")
+    if ways.calibration is not None:
+        raise InputError("a calibration is for the friction angle alone; drop it")
+
+
+def _checked(looked: Looked, library: Library, ways: Ways) -> list[Training]:
     """What the library holds of each leg; refuses trials that it cannot be compared with."""
     found = []
     for group in looked.groups:
         data = training(library, group.leg, readings=group.readings)
-        density = _fixed(marginals, DENSITY)
-        check_trials(group, data.scenario, data.bounds, density, several=looked.several)
+        several = looked.several
+        check_trials(group, data.scenario, ways.density, several=several, varied=data.bounds)
         cohesive = data.scenario.soil.cohesion > 0.0
-        if DENSITY in marginals and DENSITY not in data.bounds and cohesive:
+        if DENSITY in ways.priors and DENSITY not in data.bounds and cohesive:
             raise InputError(
                 "the library's soil has cohesion, and its forces are not proportional to the "
                 "density; vary soil.density in the library"
             )
         found.append(data)
     return found
-
-
-def _density_of(marginals: Mapping[str, Marginal], data: Training) -> float | None:
-    """Density that a leg is inverted with [kg/m3], known or assumed; ``None`` if it is inferred."""
-    if DENSITY in marginals:
-        return _fixed(marginals, DENSITY)
-    return data.scenario.soil.density
-
-
-def _fixed(marginals: Mapping[str, Marginal], key: str) -> float | None:
-    """Value of a parameter that is known; ``None`` if it is not one, or inferred."""
-    known = marginals.get(key)
-    return known.low if known is not None and known.fixed else None
 
 
 def _window_noise(
@@ -404,11 +379,11 @@ def _answer(
     library: Library,
     target: Target,
     draws: Draws,
-    density_assumed: bool,
+    ways: Ways,
 ) -> Inversion:
     groups = looked.groups
     d, scenario = len(target.keys), library.cases[0].scenario
-    flat = draws.values.reshape(-1, draws.values.shape[-1])
+    flat = draws.flat
     noise, amplitude = target.errors(flat)
     best = draws.central
     point = {k: float(v[0]) for k, v in target.named(best[None]).items()}
@@ -427,16 +402,15 @@ def _answer(
         noise_N=noise,
         amplitude=amplitude,
         discrepancy="gp" if target.discrepancy else "none",
-        draws=draws,
     )
-    records = _records(looked, target, point)
-    tried = _tried(records, groups, target, point)
-    verdict = _judge(target, flat, identifiability, records, beyond=beyond(tried))
-    warnings = [*looked.damage, *_doubts(looked, data, target, tried, verdict)]
+    every = _matched(looked, data, target, point, ways)
+    verdict = _judge(target, flat, identifiability, every)
+    misfit = verdict.verdict == "misfit"
+    warnings = [*looked.damage, *looked.doubts(every, misfit=misfit)]
     if not draws.converged:
         warnings.append(Doubt("not_converged"))
     return Inversion(
-        records=records,
+        records=tuple(one.record for one in every),
         library=library.name,
         convention=scenario.convention,
         likelihood="joint",
@@ -444,81 +418,45 @@ def _answer(
         seed=draws.seed,
         marginal=marginal,
         priors=target.priors,
-        of_phi=_of_phi(draws, target),
+        of_phi=None,
+        draws=draws,
         phi_plane_strain=equivalent,
         plane_strain_reason=why_not,
         density=known,
-        density_assumed=known is not None and (density_assumed or DENSITY not in point),
+        density_assumed=known is not None and (ways.density_assumed or DENSITY not in point),
         verdict=damaged(verdict) if looked.spoilt else verdict,
         warnings=tuple(warnings),
         together=together,
     )
 
 
-def _of_phi(draws: Draws, target: Target) -> Posterior | None:
-    """Posterior of φ by the draws, if it was inferred."""
-    if PHI not in target.keys:
-        return None
-    i, prior = target.keys.index(PHI), target.priors[PHI]
-    drawn = np.ascontiguousarray(draws.values[..., i])
-    told = draws.diagnostics[i].as_dict()
-    return Posterior.of_draws(drawn, (prior.low, prior.high), seed=draws.seed, convergence=told)
-
-
-def _records(looked: Looked, target: Target, point: Mapping[str, float]) -> tuple[Record, ...]:
-    """The histories leg by leg, with the curve at the best point."""
-    at = {k: np.array([v]) for k, v in point.items()}
-    found = []
-    for group, leg in zip(looked.groups, target.legs, strict=True):
-        best = leg.surrogate.predict(at)[0][0]
-        for trial, seen in zip(group.trials, group.observations, strict=True):
-            found.append(looked.record(trial, seen, best))
-    return tuple(found)
-
-
-def _tried(
-    records: Sequence[Record],
-    groups: Sequence[Repeats],
-    target: Target,
-    point: Mapping[str, float],
-) -> list[Tried]:
-    """What would explain each history, on the curves over φ through the best point."""
-    if PHI not in target.keys:
-        return []
-    phi = np.linspace(target.priors[PHI].low, target.priors[PHI].high, CURVES)
-    along = {k: np.full(CURVES, v) for k, v in point.items()} | {PHI: phi}
-    curves = {
-        group.leg: leg.surrogate.predict(along)[0]
-        for group, leg in zip(groups, target.legs, strict=True)
-    }
-    trials = (trial for group in groups for trial in group.trials)
-    return [
-        Tried(
-            trial,
-            explain(r.observation.vector, curves[r.leg], phi),
-            fits=max(r.nrmsd.values()) <= NRMSD_LIMIT,
-        )
-        for trial, r in zip(trials, records, strict=True)
-    ]
-
-
-def _doubts(
+def _matched(
     looked: Looked,
     data: Sequence[Training],
     target: Target,
-    tried: Sequence[Tried],
-    verdict: Verdict,
-) -> list[Doubt]:
-    """Questions and doubts about each history."""
-    found: list[Doubt] = []
-    for group, one in zip(looked.groups, data, strict=True):
-        density, curves = _density_of(target.priors, one), one.forces
+    point: Mapping[str, float],
+    ways: Ways,
+) -> list[Matched]:
+    """The histories leg by leg beside the curve at the best point.
+
+    What would explain a misfit is looked for on the curves over φ through that point.
+    """
+    at = {k: np.array([v]) for k, v in point.items()}
+    prior = target.priors.get(PHI)
+    found: list[Matched] = []
+    for group, one, leg in zip(looked.groups, data, target.legs, strict=True):
+        density, curves, nodes = ways.density, one.forces, None
+        if DENSITY not in ways.priors:
+            density = one.scenario.soil.density
         if density is not None:
             curves = curves * (density / one.density)[:, None]
-        found += looked.doubts_on(
-            group, one.scenario, curves, density, tried=tried,
-            misfit=verdict.verdict == "misfit", varied=one.bounds,
-        )  # fmt: skip
+        through = Through(one.scenario, curves, density, one.bounds)
+        if prior is not None and PHI in target.keys:
+            phi = np.linspace(prior.low, prior.high, CURVES)
+            along = {k: np.full(CURVES, v) for k, v in point.items()} | {PHI: phi}
+            nodes = phi, leg.surrogate.predict(along)[0]
+        best = leg.surrogate.predict(at)[0][0]
+        found += looked.beside(group, through, best, nodes, most=NRMSD_LIMIT)
     return found
 
 
@@ -530,10 +468,10 @@ def _plane_strain(
         return None, "the friction angle was not inferred"
     if DILATION in target.keys and scenario.soil.yield_criterion == "triaxial":
         return None, "it depends on the dilation angle, which was inferred as well"
-    dilation = _fixed(target.priors, DILATION)
-    if dilation is not None:
-        scenario = scenario.replace(**{DILATION: dilation})
-    return plane_strain_summary(marginal[PHI].angle, scenario)
+    dilation = target.priors.get(DILATION)
+    if dilation is not None and dilation.fixed:
+        scenario = scenario.replace(**{DILATION: dilation.low})
+    return plane_strain_summary(marginal[PHI], scenario)
 
 
 def _conditional(target: Target, best: FloatArray, i: int) -> Summary:
@@ -545,10 +483,9 @@ def _conditional(target: Target, best: FloatArray, i: int) -> Summary:
         return target(points)
 
     prior = target.marginals[i]
-    found: Posterior = quadrature(along, (prior.low, prior.high), nodes=401)
+    found = quadrature(along, (prior.low, prior.high), nodes=401)
     ends = found.interval(0.68)
-    sd = 0.5 * (ends[1] - ends[0])
-    return Summary(found.median, sd, ends, found.interval(0.95))
+    return Summary(found.median, ends, found.interval(0.95), 0.5 * (ends[1] - ends[0]))
 
 
 def _expected(
@@ -581,33 +518,23 @@ def _judge(
     target: Target,
     flat: FloatArray,
     identifiability: Identifiability,
-    records: Sequence[Record],
-    *,
-    beyond: Side | None = None,
+    seen: Sequence[Matched],
 ) -> Verdict:
     """A misfit if forces deviate; out of range if an edge cuts off a parameter that was learnt."""
-    several = len(records) > 1
-    fit = [
-        measure
-        for record in records
-        for measure in deviations(
-            record.nrmsd, most=NRMSD_LIMIT, source=record.source if several else ""
-        )
-    ]
     edges = {
         key: _edge(key, target.priors[key], flat[:, i])
         for i, key in enumerate(target.keys)
         if identifiability.kinds[key] != "open"
     }
-    worst = max(records, key=lambda record: max(record.nrmsd.values()))
+    worst = max((one.record for one in seen), key=lambda record: max(record.nrmsd.values()))
     at = max(edges, key=lambda key: edges[key].size, default="")
     name = worst.source or "the history"
     # It is beyond an end of φ that the forces would fit.
     return judge(
-        fit,
+        [measure for one in seen for measure in one.measures],
         edges.get(at),
         kind="parameters",
-        beyond=beyond if at == PHI else None,
+        beyond=beyond(seen) if at == PHI else None,
         numbers={"worst": name},
     )
 
@@ -618,6 +545,4 @@ def _edge(key: str, prior: Marginal, values: FloatArray) -> Edge:
     cuts = zip(prior.cut_off, (counts[0], counts[-1]), strict=True)
     low, high = (float(count / counts.max()) if cut else 0.0 for cut, count in cuts)
     name, unit = label(key)
-    numbers = {"at": prior.low if low >= high else prior.high, "unit": unit, "name": name}
-    side: Side = "low" if low >= high else "high"
-    return Edge(side, max(low, high), EDGE_DENSITY, AT_EDGE, "edge_density", numbers)
+    return edge_of((low, high), (prior.low, prior.high), "edge_density", name=name, unit=unit)

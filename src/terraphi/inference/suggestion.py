@@ -23,10 +23,10 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.inference.identifiability import axis_label, label
+from terraphi.inference.identifiability import axis_label, fisher, label
 from terraphi.library.store import Library
 from terraphi.surrogate.design import DesignKernel, DesignSurrogate, from_unit
-from terraphi.surrogate.kronecker import single_threaded
+from terraphi.surrogate.kronecker import Kronecker, single_threaded
 from terraphi.surrogate.process import Process
 from terraphi.surrogate.training import training
 
@@ -185,60 +185,56 @@ def _counted(parameter: str | None, keys: Sequence[str]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """What a process knows at truths and candidates.
+    """What a process knows at truths and candidates, whatever the forces at its points are.
 
     ``truth`` [truth, theta] and ``candidate`` [candidate, theta] are variances, ``across`` [truth,
-    candidate, theta] covariances; ``towards`` are those of the candidates with each that was added,
-    over the root of its variance [candidate, theta].
+    candidate, theta] covariances.
     """
 
     process: Process[DesignKernel]
+    points: FloatArray
+    truths: FloatArray
     candidates: FloatArray
     truth: FloatArray
     candidate: FloatArray
     across: FloatArray
-    towards: tuple[FloatArray, ...] = ()
 
     @classmethod
     def of(
-        cls, process: Process[DesignKernel], truths: FloatArray, candidates: FloatArray
+        cls,
+        process: Process[DesignKernel],
+        points: FloatArray,
+        truths: FloatArray,
+        candidates: FloatArray,
     ) -> _Known:
+        """With simulations at some points, shape [case, d]."""
+        kernel, theta_deg = process.kernel, process.theta_deg
+        known = Kronecker(
+            kernel.over_points(points, points),
+            kernel.over_angles(theta_deg),
+            np.zeros((len(points), theta_deg.size)),
+            signal=kernel.signal_variance,
+            noise=kernel.noise_variance,
+        ).posterior(process.std)
+        one, other = (kernel.over_points(x, points) for x in (truths, candidates))
         return cls(
-            process,
-            candidates,
-            process.rotated(truths)[1],
-            process.rotated(candidates)[1],
-            process.rotated_covariance(truths, candidates),
-        )
-
-    def _whole(self, candidate: int) -> FloatArray:
-        """Variance of a simulation at a candidate, shape [theta]."""
-        # A candidate that is known already has next to no variance, and no covariance either.
-        floor = np.finfo(float).eps * self.process.roots.max() * self.process.std**2
-        return self.candidate[candidate] + self.process.noise_variance + floor
+            process, points, truths, candidates,
+            known.variance(one, kernel.variance(truths)),
+            known.variance(other, kernel.variance(candidates)),
+            known.covariance(one, other, kernel.over_points(truths, candidates)),
+        )  # fmt: skip
 
     def after(self, candidate: int) -> FloatArray:
         """Variance at the truths after a simulation at a candidate, shape [truth, theta]."""
-        explained = np.square(self.across[:, candidate]) / self._whole(candidate)
-        return (self.truth - explained).clip(min=0.0)
+        # A candidate that is known already has next to no variance, and no covariance either.
+        floor = np.finfo(float).eps * self.process.roots.max() * self.process.std**2
+        whole = self.candidate[candidate] + self.process.noise_variance + floor
+        return (self.truth - np.square(self.across[:, candidate]) / whole).clip(min=0.0)
 
     def added(self, candidate: int) -> _Known:
         """The same after a simulation at a candidate."""
-        root = np.sqrt(self._whole(candidate))
-        point = self.candidates[candidate][None]
-        towards = self.process.rotated_covariance(self.candidates, point)[:, 0]
-        for earlier in self.towards:
-            towards = towards - earlier * earlier[candidate]
-        towards = towards / root
-        to_truths = self.across[:, candidate] / root
-        return _Known(
-            self.process,
-            self.candidates,
-            self.after(candidate),
-            (self.candidate - np.square(towards)).clip(min=0.0),
-            self.across - to_truths[:, None] * towards[None],
-            (*self.towards, towards),
-        )
+        points = np.vstack([self.points, self.candidates[candidate]])
+        return _Known.of(self.process, points, self.truths, self.candidates)
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,18 +254,11 @@ class _Leg:
     def information(self, variances: Sequence[FloatArray]) -> FloatArray:
         """Of the parameters over their spans, shape [truth, key, key]."""
         *forces, size = variances
-        total, along, norm = 0.0, 0.0, 0.0
-        for slopes, curve, variance, known in zip(
-            self.slopes, self.curves, forces, self.known[:-1], strict=True
-        ):
-            whole = variance + np.square(self.noise)[:, None] + known.process.noise_variance
-            weighted = slopes / whole[:, None]
-            total = total + np.einsum("xkt,xlt->xkl", weighted, slopes)
-            along = along + np.einsum("xkt,xt->xk", weighted, curve)
-            norm = norm + np.sum(np.square(curve) / whole, axis=1)
-        lost = size / (1.0 + size * np.asarray(norm)[:, None])
-        outer = np.einsum("xk,xl->xkl", along, along)
-        return total - lost[:, :, None] * outer
+        whole = [
+            variance + np.square(self.noise)[:, None] + known.process.noise_variance
+            for variance, known in zip(forces, self.known[:-1], strict=True)
+        ]
+        return fisher(self.slopes, self.curves, whole, size[:, 0])
 
 
 class _Search:
@@ -291,13 +280,13 @@ class _Search:
             scale = surrogate.scale(named)
             both = surrogate.slopes(named, keys, (SLOPE_STEP * self.spans).tolist())
             per_span = self.spans[:, None] / scale[:, None, None]
-            processes = (*surrogate.processes, surrogate.size.process)
+            processes = (*surrogate.processes, surrogate.log_size)
             self.legs.append(
                 _Leg(
                     tuple(slopes * per_span for slopes in both),
                     tuple(p.rotated_mean(self.truths) for p in surrogate.processes),
                     noise[leg] / scale,
-                    tuple(_Known.of(p, self.truths, self.candidates) for p in processes),
+                    tuple(_Known.of(p, p.points, self.truths, self.candidates) for p in processes),
                 )
             )
 

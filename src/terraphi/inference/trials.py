@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -24,13 +24,17 @@ from terraphi.experiment.measurements import Measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.answer import Record
 from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
-from terraphi.inference.explanation import OFFSETS, Explanation
-from terraphi.inference.findings import Doubt, Side
+from terraphi.inference.explanation import OFFSETS, Explanation, explain
+from terraphi.inference.findings import Doubt, Measure, Side
 from terraphi.inference.noise import Noise, window_covariance
-from terraphi.inference.prior import DENSITIES
-from terraphi.inference.verdict import nrmsd
+from terraphi.inference.prior import DENSITIES, Marginal
+from terraphi.inference.verdict import deviations, nrmsd
 from terraphi.inference.words import of_doubt
 from terraphi.library.store import Library
+
+if TYPE_CHECKING:
+    from terraphi.inference.discrepancy import Learnt
+    from terraphi.inference.known_soils import Calibration
 
 FORCES = (1e-4, 1e5)
 """Peak forces that are accepted [N]."""
@@ -158,12 +162,34 @@ class Repeats:
         return np.stack([o.vector for o in self.observations])
 
 
-class Tried(NamedTuple):
-    """A history, what would explain its misfit, and whether it fits without that."""
+class Through(NamedTuple):
+    """The library's curves that the histories of a leg are compared with."""
+
+    scenario: Scenario
+    """Any of its scenarios for that leg."""
+    curves: FloatArray
+    """At the density of the soil [N], shape [case, 2 theta]."""
+    density: float | None
+    """That density [kg/m3]; ``None`` if it is inferred."""
+    varied: Iterable[str] = ()
+    """Keys in which histories may differ from the library."""
+
+
+class Matched(NamedTuple):
+    """A history matched with the curve that fits best."""
 
     trial: Trial
+    through: Through
+    record: Record
+    measures: list[Measure]
+    """How well that fits."""
     why: Explanation
-    fits: bool
+    """What would explain a misfit."""
+
+    @property
+    def fits(self) -> bool:
+        """Whether no measure is exceeded."""
+        return not any(measure.exceeded for measure in self.measures)
 
     def question(self, *, misfit: bool) -> Doubt | None:
         """What is asked about it, if the verdict is a misfit or is none."""
@@ -174,9 +200,9 @@ class Tried(NamedTuple):
         return None
 
 
-def beyond(tried: Sequence[Tried]) -> Side | None:
+def beyond(seen: Sequence[Matched]) -> Side | None:
     """End of the library beyond which an angle would explain all histories that do not fit."""
-    ends = {one.why.beyond for one in tried if not one.fits}
+    ends = {one.why.beyond for one in seen if not one.fits}
     return ends.pop() if len(ends) == 1 else None
 
 
@@ -212,75 +238,117 @@ class Looked:
     def damage(self) -> list[Doubt]:
         """What was left out of each."""
         return [
-            replace(doubt, source=trial.source if self.several else "")
+            defect.doubt(self.name_of(trial))
             for trial, inspection in zip(self.trials, self.inspections, strict=True)
-            for doubt in inspection.doubts
+            for defect in inspection.defects
         ]
 
-    def doubts_on(
+    def name_of(self, trial: Trial) -> str:
+        """Its source, where it has to be named."""
+        return trial.source if self.several else ""
+
+    def beside(
         self,
         repeats: Repeats,
-        scenario: Scenario,
-        curves: FloatArray,
-        density: float | None,
+        through: Through,
+        best: FloatArray,
+        nodes: tuple[FloatArray, FloatArray] | None,
         *,
-        tried: Sequence[Tried] = (),
-        misfit: bool = False,
-        varied: Iterable[str] = (),
-    ) -> list[Doubt]:
-        """Questions on the trials of a leg, and why they may not be what they were taken for.
+        most: float | None = None,
+    ) -> list[Matched]:
+        """The trials of a leg beside the curve that fits best.
 
         Parameters
         ----------
-        repeats
-            Trials of one leg.
-        scenario
-            Any of the library's for it.
-        curves
-            The library's, at that density [N], shape [case, 2 theta].
-        density
-            Density that the trials are inverted with [kg/m3]; ``None`` if it is inferred.
-        tried
-            What would explain histories, these among them.
+        repeats, through
+            Trials of one leg, and what they are compared with.
+        best
+            The curve [N], shape [2 theta].
+        nodes
+            Closely spaced friction angles, and curves there, as :func:`explain` has them; ``None``:
+            misfits are not explained.
+        most
+            Largest deviation that is accepted, of peak-to-peak [-].
+        """
+        found = []
+        for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
+            at = next(i for i, one in enumerate(self.trials) if one is trial)
+            record = Record(
+                source=trial.source,
+                leg=trial.leg,
+                observation=observation,
+                readings=trial.history.position,
+                best=best,
+                nrmsd=nrmsd(observation.vector, best),
+                data=self.inspections[at].as_dict(),
+                simulation=trial.simulation,
+                leg_assumed=trial.leg_assumed,
+            )
+            why = explain(observation.vector, *nodes) if nodes else Explanation()
+            measures = deviations(record.nrmsd, most=most, source=self.name_of(trial))
+            found.append(Matched(trial, through, record, measures, why))
+        return found
+
+    def doubts(self, seen: Sequence[Matched], *, misfit: bool) -> list[Doubt]:
+        """Questions on all histories, and why they may not be what they were taken for.
+
+        Parameters
+        ----------
+        seen
+            The histories beside their best curves.
         misfit
             Whether that is the verdict.
-        varied
-            Keys in which they may differ from the library.
         """
         found: list[Doubt] = []
-        asked = {id(one.trial): one.question(misfit=misfit) for one in tried}
-        for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
-            question = asked.get(id(trial))
-            # A zero that is seen to be off is told as such.
-            if self.spoilt and question is not None and question.code in OFFSETS:
-                question = None
-            said = [question, unlike(trial.history, scenario, repeats.leg, varied=varied)]
-            is_asked = question is not None
-            said += doubts(trial.history, observation, curves, density, asked=is_asked)
-            source = trial.source if self.several else ""
-            found += [replace(one, source=source) for one in said if one is not None]
-        numbers = {"leg": repeats.leg, "spacing_deg": DENSE_DEG}
-        return found + [Doubt("read_twice", numbers, t.source) for t in repeats.read_twice]
+        for repeats in self.groups:
+            for one in (one for one in seen if one.trial.leg == repeats.leg):
+                history, (scenario, curves, density, varied) = one.trial.history, one.through
+                question = one.question(misfit=misfit)
+                # A zero that is seen to be off is told as such.
+                if self.spoilt and question is not None and question.code in OFFSETS:
+                    question = None
+                said = [question, unlike(history, scenario, repeats.leg, varied=varied)]
+                said += [] if question else slips(one.record.observation, curves)
+                said.append(other_density(history, density))
+                source = self.name_of(one.trial)
+                found += [replace(doubt, source=source) for doubt in said if doubt is not None]
+            numbers = {"leg": repeats.leg, "spacing_deg": DENSE_DEG}
+            found += [Doubt("read_twice", numbers, t.source) for t in repeats.read_twice]
+        return found
 
     def check_noise(self, noise: Noise) -> None:
         """Refuse noise that a history cannot have."""
         for trial in self.trials:
-            noise.check_against(trial.history, source=trial.source if self.several else "")
+            noise.check_against(trial.history, source=self.name_of(trial))
 
-    def record(self, trial: Trial, observation: Observation, best: FloatArray) -> Record:
-        """A history as an answer has it, with the curve that fits best [N], shape [2 theta]."""
-        at = next(i for i, one in enumerate(self.trials) if one is trial)
-        return Record(
-            source=trial.source,
-            leg=trial.leg,
-            observation=observation,
-            readings=trial.history.position,
-            best=best,
-            nrmsd=nrmsd(observation.vector, best),
-            data=self.inspections[at].as_dict(),
-            simulation=trial.simulation,
-            leg_assumed=trial.leg_assumed,
-        )
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Ways:
+    """How to infer, as in :func:`~terraphi.inference.inversion.invert`, and what is known already.
+
+    Attributes
+    ----------
+    likelihood, sampler, noise, discrepancy, seed, steps, calibration
+        As there; ``None`` where nobody said.
+    priors
+        Of every parameter that the library varies, and of the density if it has one; empty: φ alone
+        is uniform over the library.
+    density
+        Bulk density of the soil [kg/m³]; ``None`` if it is inferred, or the library's is assumed.
+    density_assumed
+        Whether it is a guess.
+    """
+
+    likelihood: str | None
+    sampler: str | None
+    noise: Noise
+    discrepancy: str | Learnt | None
+    seed: int
+    steps: int
+    calibration: Calibration | None
+    priors: Mapping[str, Marginal]
+    density: float | None
+    density_assumed: bool
 
 
 @contextmanager
@@ -318,7 +386,7 @@ def look(trials: Sequence[Trial], library: Library) -> Looked:
             try:
                 seen.history.observation()
             except InputError as error:
-                said = [f"{error}.", *map(of_doubt, seen.doubts)]
+                said = [f"{error}.", *(of_doubt(one.doubt()) for one in seen.defects)]
                 raise InputError(" ".join(said).rstrip(".")) from error
     return Looked(tuple(left), tuple(found), tuple(grouped(left)))
 
@@ -393,10 +461,10 @@ def common_density(trials: Sequence[Trial]) -> tuple[float | None, bool]:
 def check_trials(
     repeats: Repeats,
     scenario: Scenario,
-    varied: Iterable[str] = (),
-    density: float | None = None,
+    density: float | None,
     *,
-    several: bool = True,
+    several: bool,
+    varied: Iterable[str] = (),
 ) -> None:
     """Refuse what cannot be inverted with a library: odd magnitudes, or another leg or hip.
 
@@ -406,12 +474,12 @@ def check_trials(
         Trials of one leg.
     scenario
         Of the library.
-    varied
-        Keys that it varies, and that histories may differ in.
     density
         Density that is taken as known [kg/m3]; ``None`` if it is inferred.
     several
         Whether there are other histories, so that this one has to be named.
+    varied
+        Keys that it varies, and that histories may differ in.
 
     Raises
     ------
@@ -421,7 +489,7 @@ def check_trials(
     for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
         with named(trial, several):
             check_magnitudes(density, observation, scenario)
-            check_same_setup(trial.history, scenario, varied=varied)
+            _check_same_setup(trial.history, scenario, varied)
 
 
 def check_magnitudes(density: float | None, observation: Observation, scenario: Scenario) -> None:
@@ -489,40 +557,26 @@ def unlike(
     return Doubt("unlike", {"differences": differences}) if differences else None
 
 
-def doubts(
-    history: ForceHistory,
-    observation: Observation,
-    curves: FloatArray,
-    density: float | None,
-    *,
-    asked: bool = False,
-) -> list[Doubt]:
-    """What is likely to be a slip: of units, of signs, or of the density.
-
-    Parameters
-    ----------
-    history
-        Forces; it carries its scenario if we simulated it.
-    observation
-        Its window means.
-    curves
-        The library's, at that density [N], shape [case, 2 theta].
-    density
-        With which the history is inverted [kg/m³]; ``None`` if it is inferred.
-    asked
-        Whether a slip of units or signs that explains the history is asked about already.
-    """
-    found = [] if asked else _slips(observation, curves)
+def other_density(history: ForceHistory, density: float | None) -> Doubt | None:
+    """A doubt if a history is of another density [kg/m³] than it is inverted with."""
     made_by = scenario_of(history)
     how = "simulated with" if made_by else "measured at"
     own = made_by.soil.density if made_by else history.provenance.get("density_kg_m3")
     if density and own and abs(own - density) > 1e-6 * density:
-        found.append(Doubt("other_density", {"made": how, "own": own, "used": density}))
-    return found
+        return Doubt("other_density", {"made": how, "own": own, "used": density})
+    return None
 
 
-def _slips(observation: Observation, curves: FloatArray) -> list[Doubt]:
-    """Questions on units and signs."""
+def slips(observation: Observation, curves: FloatArray) -> list[Doubt]:
+    """Questions on units and signs.
+
+    Parameters
+    ----------
+    observation
+        Window means of a history.
+    curves
+        The library's, at the density of the soil [N], shape [case, 2 theta].
+    """
     found = []
     names, measured = ("Fx", "Fz"), observation.vector.reshape(2, -1)
     library = curves.reshape(len(curves), 2, -1)
@@ -565,18 +619,8 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield f"{prefix}{key}", value
 
 
-def check_same_setup(
-    history: ForceHistory, scenario: Scenario, *, varied: Iterable[str] = ()
-) -> None:
-    """Refuse a simulated history of a leg or hip unlike the library's.
-
-    Parameters
-    ----------
-    history, scenario
-        As in :func:`unlike`.
-    varied
-        Keys that the library varies, in which histories may differ.
-    """
+def _check_same_setup(history: ForceHistory, scenario: Scenario, varied: Iterable[str]) -> None:
+    """Refuse a simulated history of a leg or hip unlike the library's."""
     made_by, free = scenario_of(history), set(varied)
     if made_by is None:
         return

@@ -33,8 +33,6 @@ EDGE_DENSITY = float(np.exp(-2.0))
 distribution two standard deviations from its mean [-]."""
 AT_EDGE = 0.9
 """The same, above which the posterior counts as being at the edge, and a misfit as its sign [-]."""
-EDGE_WIDTH = 1e-3
-"""Width over which it is taken, of the library's span [-]."""
 UNINFORMED_BITS = 0.1
 """Information below which a posterior is hardly the forces' doing: a range smaller by 7 % has that
 much."""
@@ -163,57 +161,43 @@ def fit_measures(fit: Fit, *, source: str = "") -> list[Measure]:
     ]
 
 
-def edge_by_mass(posterior: Posterior, *, step_deg: float, convention: str = "") -> Edge:
-    """Where more of the mass lies within half a step of an edge: the rule for the paper.
+def edge_of(
+    sizes: tuple[float, float],
+    bounds: tuple[float, float],
+    code: str,
+    *,
+    name: str,
+    unit: str = "°",
+) -> Edge:
+    """The edge where more of a posterior lies.
 
     Parameters
     ----------
-    posterior
-        Posterior of the friction angle.
-    step_deg
-        Spacing of the library's friction angles [deg].
-    convention
-        What the friction angle means.
+    sizes
+        What there is of it at the lower and the upper one [-].
+    bounds
+        Where these are, in the parameter's unit.
+    code
+        What ``sizes`` are: ``edge_mass``, by the rule for the paper, or ``edge_density``.
+    name, unit
+        Of the parameter, or what the friction angle means.
     """
+    limits = (EDGE_MASS, EDGE_MASS) if code == "edge_mass" else (EDGE_DENSITY, AT_EDGE)
+    side: Side = "low" if sizes[0] >= sizes[1] else "high"
+    numbers = {"at": bounds[0 if side == "low" else 1], "unit": unit, "name": name}
+    return Edge(side, max(sizes), *limits, code, numbers)
+
+
+def edge_masses(posterior: Posterior, step_deg: float) -> tuple[float, float]:
+    """Mass within half a step of the library [deg] of the lower and the upper edge [-]."""
     (low, high), margin = posterior.bounds_deg, step_deg / 2.0
-    masses = posterior.mass(low, low + margin), posterior.mass(high - margin, high)
-    at_low = masses[0] >= masses[1]
-    numbers = {"at": low if at_low else high, "unit": "°", "name": convention}
-    return Edge(
-        "low" if at_low else "high", max(masses), EDGE_MASS, EDGE_MASS, "edge_mass", numbers
-    )
-
-
-def edge_by_density(posterior: Posterior, *, convention: str = "") -> Edge:
-    """Where the density at an edge is larger: the rule for the calibrated likelihood.
-
-    Parameters
-    ----------
-    posterior
-        Posterior of the friction angle.
-    convention
-        What the friction angle means.
-    """
-    low, high = edge_densities(posterior)
-    side: Side = "low" if low >= high else "high"
-    at = posterior.bounds_deg[0 if side == "low" else 1]
-    numbers = {"at": at, "unit": "°", "name": convention}
-    return Edge(side, max(low, high), EDGE_DENSITY, AT_EDGE, "edge_density", numbers)
+    return posterior.mass(low, low + margin), posterior.mass(high - margin, high)
 
 
 def edge_densities(posterior: Posterior) -> tuple[float, float]:
-    """Density next to the lower and the upper edge, over the largest [-]."""
-    low, high = posterior.bounds_deg
-    if posterior.density is not None:
-        top = float(posterior.density.max())
-        return float(posterior.density[0]) / top, float(posterior.density[-1]) / top
-    # Of draws, in bins a fifth of the 68 % interval wide.
-    first, last = posterior.interval(0.68)
-    width = max((last - first) / 5.0, EDGE_WIDTH * (high - low))
-    counts, _ = np.histogram(posterior.phi_deg, bins=np.arange(low, high + width, width))
-    below, above = posterior.mass(low, low + width), posterior.mass(high - width, high)
-    top = float(counts.max()) / posterior.phi_deg.size
-    return min(below / top, 1.0), min(above / top, 1.0)
+    """Density at the lower and the upper edge, over the largest [-]."""
+    top = float(posterior.density.max())
+    return float(posterior.density[0]) / top, float(posterior.density[-1]) / top
 
 
 def uninformed(posterior: Posterior) -> list[Doubt]:

@@ -282,7 +282,12 @@ def _run_on(
         for scenario in scenarios
     }
     for scenario, future in as_they_end(running, look):
-        error = _trouble(future)
+        if future.cancelled():
+            raise InputError(
+                "the executor dropped a case; finished cases are kept, and the same command goes "
+                "on from there"
+            )
+        error = future.exception()
         if isinstance(error, BrokenProcessPool):
             raise InputError(
                 "a worker was killed, for want of memory perhaps; finished cases are kept, and "
@@ -291,16 +296,6 @@ def _run_on(
         if isinstance(error, BrokenExecutor):
             raise InputError(str(error)) from error
         keep(scenario, f"{type(error).__name__}: {error}" if error else future.result())
-
-
-def _trouble(future: Future[ForceHistory | str]) -> BaseException | None:
-    """Return why a finished task failed, or ``None``; a task that others cancelled has failed."""
-    if future.cancelled():
-        return BrokenExecutor(
-            "the executor dropped a case; finished cases are kept, and the same command goes on "
-            "from there"
-        )
-    return future.exception()
 
 
 def finished_cases(folder: Path) -> dict[str, ForceHistory]:

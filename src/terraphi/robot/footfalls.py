@@ -14,7 +14,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import plain_number, with_sd
+from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.robot.footfall_fit import (
     LAW_SETS,
     PHI_RANGE,
@@ -422,7 +422,7 @@ def anchor_from(text: str) -> Anchor:
     if match is None:
         raise InputError(f"anchor '{text}': expected one such as x=0:0.5,phi=34±1 (or phi=34+-1)")
     try:
-        a, b, (phi, sd) = plain_number(match[2]), plain_number(match[3]), with_sd(match[4])
+        a, b, (phi, sd) = plain_number(match[2]), plain_number(match[3]), number_with_sd(match[4])
     except ValueError:
         raise InputError(f"anchor '{text}': holds what is not a number") from None
     low, high = PHI_RANGE
@@ -441,10 +441,10 @@ def prior_for(density: str) -> Prior:
     Raises InputError if it is no such number, or no soil's.
     """
     try:
-        mean, given = with_sd(density)
+        mean, told = number_with_sd(density)
+        sd = DENSITY_PART * mean if told is None else told
     except ValueError:
         raise InputError(f"density '{density}': expected kg/m³ such as 1550 or 1550±80") from None
-    sd = DENSITY_PART * mean if given is None else given
     low, high = DENSITIES
     if not (low <= mean <= high and 0.0 < sd <= 0.3 * mean):
         raise InputError(

@@ -182,47 +182,30 @@ def _maximise_evidence(data: Values, seed: int) -> DesignKernel:
     return DesignKernel.unpack(best)
 
 
-@dataclass(frozen=True, eq=False)
-class Size:
-    """The root mean square force on a leg over the parameters.
+def fit_size(points: FloatArray, forces: FloatArray, *, seed: int = 0) -> Process[DesignKernel]:
+    """Logarithm of the root mean square force; it has no leg angles, or rather one.
 
-    Attributes
+    Parameters
     ----------
-    process
-        Of the logarithm of the force in newtons; it has no leg angles, or rather one.
+    points
+        Parameters scaled to [-1, 1], shape [case, d].
+    forces
+        [N], shape [case, force].
+    seed
+        Of the optimiser's random start.
+
+    Raises
+    ------
+    ValueError
+        If all cases have forces of one size.
     """
+    sizes = np.log(np.sqrt(np.mean(np.square(forces), axis=1)))
+    return fit(points, [0.0], sizes[:, None], seed=seed)
 
-    process: Process[DesignKernel]
 
-    @classmethod
-    def fit(cls, points: FloatArray, forces: FloatArray, *, seed: int = 0) -> Self:
-        """Fit it.
-
-        Parameters
-        ----------
-        points
-            Parameters scaled to [-1, 1], shape [case, d].
-        forces
-            [N], shape [case, force].
-        seed
-            Of the optimiser's random start.
-
-        Raises
-        ------
-        ValueError
-            If all cases have forces of one size.
-        """
-        sizes = np.log(np.sqrt(np.mean(np.square(forces), axis=1)))
-        return cls(fit(points, [0.0], sizes[:, None], seed=seed))
-
-    def __call__(self, points: FloatArray) -> FloatArray:
-        """Size of the forces [N], shape [k, d] -> [k]."""
-        return np.exp(self.process.rotated_mean(points)[:, 0] * self.process.basis[0, 0])
-
-    def both(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Size [N] and its relative variance [-] at once, shape [k, d] -> [k] each."""
-        logarithm, variance = self.process.predict(points)
-        return np.exp(logarithm[:, 0]), variance[:, 0]
+def _size_at(log_size: Process[DesignKernel], points: FloatArray) -> FloatArray:
+    """Size of the forces [N], shape [k, d] -> [k]."""
+    return np.exp(log_size.rotated_mean(points)[:, 0] * log_size.basis[0, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,15 +222,15 @@ class DesignSurrogate:
         Dotted key of each parameter that the library varies to its bounds.
     reference_density
         Density that stands for itself where none is given [kg/m3].
-    size
-        Size of the forces at the reference density [N].
+    log_size
+        Process of the logarithm of the forces' size in newtons, at the reference density.
     Fx, Fz
         Processes of the forces over their size [-].
     """
 
     bounds: Mapping[str, tuple[float, float]]
     reference_density: float
-    size: Size
+    log_size: Process[DesignKernel]
     Fx: Process[DesignKernel]
     Fz: Process[DesignKernel]
 
@@ -265,12 +248,12 @@ class DesignSurrogate:
         reference = data.scenario.soil.density
         scaled = data.forces * (reference / data.density)[:, None]
         points = to_unit(data.values, data.bounds)
-        size = Size.fit(points, scaled, seed=seed)
-        scaled /= size(points)[:, None]
+        log_size = fit_size(points, scaled, seed=seed)
+        scaled /= _size_at(log_size, points)[:, None]
         half = data.theta_deg.size
         parts = (scaled[:, :half], scaled[:, half:])
         fx, fz = (fit(points, data.theta_deg, part, seed=seed) for part in parts)
-        return cls(data.bounds, reference, size, fx, fz)
+        return cls(data.bounds, reference, log_size, fx, fz)
 
     @property
     def theta_deg(self) -> FloatArray:
@@ -294,13 +277,14 @@ class DesignSurrogate:
 
     def scale(self, named: Mapping[str, FloatArray]) -> FloatArray:
         """Factor of density and size on what the processes predict [N], shape [k]."""
-        return self._relative_density(named) * self.size(self.points(named))
+        return self._relative_density(named) * _size_at(self.log_size, self.points(named))
 
     def located(self, named: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Points, scale, and variance of the factor by which both forces may be wrong alike [-]."""
         points = self.points(named)
-        size, variance = self.size.both(points)
-        return points, self._relative_density(named) * size, variance
+        logarithm, variance = self.log_size.predict(points)
+        scale = self._relative_density(named) * np.exp(logarithm[:, 0])
+        return points, scale, variance[:, 0]
 
     def _relative_density(self, named: Mapping[str, FloatArray]) -> FloatArray | float:
         density = named.get(DENSITY)

@@ -393,11 +393,6 @@ class JointSurrogate:
         """Smallest and largest training friction angle [deg]."""
         return float(self.phi_deg[0]), float(self.phi_deg[-1])
 
-    @property
-    def phi_step_deg(self) -> float:
-        """Largest spacing of the training friction angles [deg]."""
-        return float(np.diff(self.phi_deg).max())
-
     def predict(self, phi_deg: ArrayLike, *, scale: float = 1.0) -> FloatArray:
         """Mean observation vectors [N], shape [k] -> [k, 2 theta].
 
@@ -550,17 +545,11 @@ def _learn(
     squares = Evidence(data, kernel, noise).left_out()
     scatter = with_tail(scatter.scaled(noise), squares)
     vague = JointSurrogate.fit(phi_deg, theta_deg, curves, scatter, kernel=kernel, repeats=repeats)
-    return scatter, _with_cubic(vague)
-
-
-def _with_cubic(vague: JointSurrogate) -> JointKernel:
-    """The hyperparameters with a prior of the cubic."""
-    phi = vague.phi_deg
-    growth = vague.root_repeats * vague.scatter.growth(phi)
+    growth = vague.root_repeats * scatter.growth(vague.phi_deg)
     amplitudes, power = fit_cubic(
-        growth[:, None] * powers_of(phi, vague.phi_bounds_deg),
-        np.outer(growth, growth) * matern(phi, phi, vague.kernel.phi_length_deg),
+        growth[:, None] * powers_of(vague.phi_deg, vague.phi_bounds_deg),
+        np.outer(growth, growth) * matern(vague.phi_deg, vague.phi_deg, kernel.phi_length_deg),
         vague.prior_variance,
         vague.standard_curves,
     )
-    return replace(vague.kernel, cubic=amplitudes, cubic_power=power)
+    return scatter, replace(kernel, cubic=amplitudes, cubic_power=power)

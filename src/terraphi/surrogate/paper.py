@@ -20,7 +20,7 @@ twice the residual's length; results are the same from 10° to 15°.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -149,9 +149,7 @@ class LegSurrogate:
         theta_deg: ArrayLike,
         Fx: ArrayLike,
         Fz: ArrayLike,
-        *,
-        restarts: int = 3,
-        shortest_theta_length_deg: float = SHORTEST_THETA_LENGTH_DEG,
+        **options: Any,
     ) -> Self:
         """Fit a process to each component.
 
@@ -161,20 +159,10 @@ class LegSurrogate:
             Friction and leg angles [deg], shapes [phi] and [theta].
         Fx, Fz
             Forward and upward force of the soil on the leg [N], shape [phi, theta].
-        restarts, shortest_theta_length_deg
+        options
             As in :func:`fit`, whose errors are raised.
         """
-        both = (
-            fit(
-                phi_deg,
-                theta_deg,
-                force,
-                restarts=restarts,
-                shortest_theta_length_deg=shortest_theta_length_deg,
-            )
-            for force in (Fx, Fz)
-        )
-        return cls(*both)
+        return cls(*(fit(phi_deg, theta_deg, force, **options) for force in (Fx, Fz)))
 
     @property
     def phi_deg(self) -> FloatArray:
@@ -190,11 +178,6 @@ class LegSurrogate:
     def phi_bounds_deg(self) -> tuple[float, float]:
         """Smallest and largest training friction angle [deg]."""
         return float(self.phi_deg[0]), float(self.phi_deg[-1])
-
-    @property
-    def phi_step_deg(self) -> float:
-        """Largest spacing of the training friction angles [deg]."""
-        return float(np.diff(self.phi_deg).max())
 
     def predict(self, phi_deg: ArrayLike, *, scale: float = 1.0) -> FloatArray:
         """Mean observation vectors [N], shape [k] -> [k, 2 theta].

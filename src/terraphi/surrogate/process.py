@@ -176,11 +176,6 @@ class Process(Generic[K]):
         variance = self.posterior.variance(across, self.kernel.variance(points))
         return self._mean(across), variance
 
-    def rotated_covariance(self, one: FloatArray, other: FloatArray) -> FloatArray:
-        """Posterior covariance between points in the basis [N^2], shape [k, l, theta]."""
-        left, right = (self.kernel.over_points(x, self.points) for x in (one, other))
-        return self.posterior.covariance(left, right, self.kernel.over_points(one, other))
-
     def predict(self, points: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Mean [N] and variance [N^2] of the force without noise, [k, d] -> [k, theta] each."""
         mean, variance = self.rotated(np.atleast_2d(np.asarray(points, dtype=np.float64)))

@@ -171,13 +171,13 @@ def finish_force_axes(axes: Axes, component: str) -> None:
 
 def _draw_posterior(axes: Axes, inversion: Inversion) -> None:
     posterior, phi = inversion.posterior, inversion.phi
-    if posterior.density is not None:
+    if inversion.draws is None:
         axes.plot(posterior.phi_deg, posterior.density, color=BLUE)
         inside = (posterior.phi_deg >= phi.ci68[0]) & (posterior.phi_deg <= phi.ci68[1])
         within = posterior.phi_deg[inside], posterior.density[inside]
         axes.fill_between(*within, color=GREEN, alpha=0.25, lw=0, label="68 % interval")
     else:
-        axes.hist(posterior.phi_deg, bins=80, density=True, color=BLUE, alpha=0.5)
+        axes.hist(inversion.drawn[:, 0], bins=80, density=True, color=BLUE, alpha=0.5)
         axes.axvspan(*phi.ci68, color=GREEN, alpha=0.15, lw=0, label="68 % interval")
     axes.axvline(phi.median, color=BLUE, lw=1.0, ls="--", label="median")
     low, high = posterior.bounds_deg

@@ -43,8 +43,8 @@ Tier: {tier}. Computed with {software}."""
 _CLOSING = """\
 Numbers in brackets refer to the list below a table: where the expected value comes from, what else
 should be known, why something misses. Where a problem is solved with several settings of the
-numerics, each has a column of deviations; `preset` are those of preset `resolved-2`. Degrees beside a
-deviation say which other φ has the force that was obtained, by the exact solution."""
+numerics, each has a column of deviations; `preset` are those of preset `resolved-2`. Degrees beside
+a deviation say which other φ has the force that was obtained, by the exact solution."""
 
 
 def data_of(found: Mapping[str, Mapping[str, Outcome]], *, quick: bool) -> dict[str, Any]:
