@@ -69,7 +69,13 @@ def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
     """Loads over the exact ones against φ, a panel a problem; and the preset's along its path."""
     checks = [check for outcome in outcomes.values() for check in outcome.checks]
     drawn = {"verification-limit-loads": _against_angle(checks)} if checks else {}
-    runs = [o.curves for o in outcomes.values() if o.curves.get("settings") == PRESET]
+    runs = [
+        o.curves
+        for o in outcomes.values()
+        if o.curves.get("settings") == PRESET
+        and o.curves["kind"] != "moved"
+        and "ψ = 0" not in o.curves["case"]
+    ]
     if runs:
         drawn["verification-limit-paths"] = _along_path(runs)
     return drawn
@@ -94,6 +100,7 @@ def _against_angle(checks: Sequence[Check]) -> Figure:
         within = next(check.tolerance for check in checks if _problem(check) == name)
         axes.axhspan(1.0 - within, 1.0 + within, color=GREY, alpha=0.25, lw=0)
         _dress(axes, name, "φ [deg]")
+        axes.tick_params(labelbottom=True)
         axes.xaxis.set_major_locator(MultipleLocator(5.0))
     for axes in panels.flat[len(names) :]:
         axes.remove()
@@ -124,7 +131,7 @@ def _along_path(runs: Sequence[Mapping[str, Any]]) -> Figure:
     """Force over the exact one along the path, with the preset's settings, on the finest grid."""
     kinds = dict.fromkeys(run["kind"] for run in runs)
     most = {kind: max(r["across"] for r in runs if r["kind"] == kind) for kind in kinds}
-    size = (0.6 + 4.6 * len(most), 5.0)
+    size = (0.6 + 4.6 * len(most), 6.4)
     figure, (panels,) = panels_of(1, len(most), size=size, sharey=True)
     for axes, (kind, cells) in zip(panels, most.items(), strict=True):
         shown = [run for run in runs if run["kind"] == kind and run["across"] == cells]
@@ -140,7 +147,7 @@ def _along_path(runs: Sequence[Mapping[str, Any]]) -> Figure:
             axes.plot(place, ratio, line, color=colour, lw=1.2, label=label)
         title = "passive wall" if kind == "wall" else f"strip footing, {kind}"
         _dress(axes, f"{title}, {cells} cells", "displacement / (size q_u/E)")
-        axes.legend(fontsize=6, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.14))
+        axes.legend(fontsize=6, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.2))
     panels[0].set_ylabel("force / exact limit load")
     return figure
 
@@ -241,7 +248,8 @@ def _wall_cause(settings: str, floor: str) -> str:
     if settings == PRESET:
         return (
             "one length by which contact ends before the toe serves all soils and plates: it is "
-            "right for soil that keeps its volume, and some tenths of a cell too much here"
+            "right for soil that keeps its volume, and a cell too much for a plate that hardly "
+            "moves"
         )
     if floor == "rough":
         return (

@@ -334,24 +334,38 @@ SINGLE: list[dict[str, Any]] = [
 """Other frictions, at h = 24 Δx, and other floors."""
 
 
+OTHERS = "other frictions and floors"
+
+
+def _panel(case: str, titles: tuple[str, str, str, str]) -> str:
+    """Title of the panel that a case is drawn in."""
+    smooth, beneath, of_volume, others = titles
+    if case.endswith("μ = 0, smooth floor at the toe"):
+        return smooth
+    if "μ = 0.35, soil beneath" in case and "45°" not in case:
+        return of_volume if case.endswith("ψ = 0") else beneath
+    return others
+
+
 def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
-    """Force over the exact one against displacement: smooth, rough with soil beneath, floors."""
+    """Force over the expected one against displacement: smooth, rough with soil beneath, others."""
     curves = [run for outcome in outcomes.values() for run in outcome.curves["runs"]]
-    beneath = [run for run in curves if "beneath" in run["case"] and "μ = 0.35" in run["case"]]
-    smooth = [run for run in curves if run["case"].endswith("μ = 0, smooth floor at the toe")]
-    rest = [run for run in curves if run not in beneath + smooth and "far" not in run]
-    looks = list(itertools.product(("-", "--", ":"), (BLUE, ORANGE, GREEN, PURPLE)))
-    titles = ("μ = 0, smooth floor at the toe", "μ = 0.35, soil beneath the toe", "other floors")
-    shown = [(t, runs) for t, runs in zip(titles, (smooth, beneath, rest), strict=True) if runs]
+    titles = ("μ = 0, smooth floor at the toe", "μ = 0.35, soil beneath", "the same, ψ = 0", OTHERS)
+    panels: dict[str, list[dict[str, Any]]] = {title: [] for title in titles}
+    for run in curves:
+        if "far" not in run:
+            panels[_panel(run["case"], titles)].append(run)
+    looks = list(itertools.product(("-", "--", ":", "-."), (BLUE, ORANGE, GREEN, PURPLE)))
+    shown = [(title, runs) for title, runs in panels.items() if runs]
     if not shown:
         return {}
-    figure, (panels,) = panels_of(1, len(shown), size=(3.0 + 2.7 * len(shown), 5.6), sharey=True)
-    for axes, (title, runs) in zip(panels, shown, strict=True):
+    figure, (places,) = panels_of(1, len(shown), size=(3.0 + 2.5 * len(shown), 5.6), sharey=True)
+    for axes, (title, runs) in zip(places, shown, strict=True):
         axes.axhspan(1.0 - TOLERANCE, 1.0 + TOLERANCE, color=GREY, alpha=0.25, lw=0)
         for run, (style, colour) in zip(runs, looks, strict=False):
             # Means of five bins: contact and waves are noisy.
             x, y = (np.array(run[key]).reshape(-1, 5).mean(axis=1) for key in ("x", "y"))
-            case = run["case"] if runs is rest else run["case"].split(",")[0]
+            case = run["case"] if title == OTHERS else run["case"].split(",")[0]
             label = f"{case}, 0.30/{run['cells']} m"
             axes.plot(x, y, style, color=colour, lw=1.2, label=label)
         axes.set_title(title, fontsize=10)
@@ -359,7 +373,7 @@ def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Figure]:
         axes.set_ylim(0.0, 2.0)
         axes.grid(lw=0.4)
         axes.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.15))
-    panels[0].set_ylabel("force / exact passive force")
+    places[0].set_ylabel("force / expected passive force")
     return {"verification-plate": figure}
 
 
