@@ -380,6 +380,15 @@ def test_the_largest_force_of_a_path_keeps_its_sign() -> None:
     assert moved.summary()["peak_Fz_N"] == 80.0
 
 
+@given(st.floats(0.1, 3.0), st.integers(-60, 60))
+def test_a_peak_is_the_first_of_a_plateau(height: float, first: int) -> None:
+    """Whatever round-off does to the means over equal readings."""
+    found = history_of(
+        lambda theta: height * ((theta > first - 0.9) & (theta < first + 12.0)), bumps
+    ).peaks()
+    assert (found.Fx, found.theta_Fx_deg) == (pytest.approx(height), first + 0.0)
+
+
 def test_a_history_outside_the_window_has_no_peaks_and_says_so() -> None:
     theta = np.radians(np.linspace(-135.0, -120.0, 20))
     early = ForceHistory(theta, np.ones((20, 2)))

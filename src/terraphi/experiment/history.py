@@ -290,6 +290,8 @@ class ForceHistory:
     def peaks(self) -> Peaks:
         """Peak thrust and lift on 1° means at whole degrees within |θ| ≤ window [deg].
 
+        On a plateau, its first angle.
+
         Raises
         ------
         ValueError
@@ -301,7 +303,10 @@ class ForceHistory:
             raise ValueError(f"the history has no whole degree within ±{WINDOW_DEG:g} deg")
         force = self.means(np.radians(theta), math.radians(0.5))
         x, z = self.axes.index("x"), self.axes.index("z")
-        at_x, at_z = int(force[:, x].argmax()), int(force[:, z].argmax())
+        # The first of those that differ by round-off alone, on a plateau of rounded readings.
+        slack = 1e-9 * np.abs(force).max(axis=0)
+        at = (force >= force.max(axis=0) - slack).argmax(axis=0)
+        at_x, at_z = int(at[x]), int(at[z])
         return Peaks(
             float(force[at_x, x]), float(force[at_z, z]), float(theta[at_x]), float(theta[at_z])
         )
