@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import arviz
 import numpy as np
@@ -15,6 +16,7 @@ from terraphi.experiment.measurements import measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward import simulate
+from terraphi.inference import friction_angle
 from terraphi.inference.answer import PHI, AngleSummary, Inversion, plane_strain_summary
 from terraphi.inference.inversion import invert
 from terraphi.inference.words import of_doubt
@@ -85,6 +87,16 @@ def test_emcee_agrees_with_quadrature(
     error = sampled.convergence_of(PHI)["median_standard_error"]
     assert abs(sampled.phi.median - found.phi.median) < 3.0 * error
     assert (sampled.sampler, sampled.seed) == ("emcee", 3)
+    assert "not_converged" not in {doubt.code for doubt in sampled.warnings}
+
+
+def test_draws_of_the_angle_that_have_not_converged_are_doubted(
+    history: ForceHistory, library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hasty = partial(friction_angle.sample, steps=20, doublings=0)
+    monkeypatch.setattr(friction_angle, "sample", hasty)
+    found = invert(history, library=library, sampler="emcee")
+    assert "not_converged" in {doubt.code for doubt in found.warnings}
 
 
 def test_another_leg_is_not_believed(library: Library) -> None:

@@ -122,6 +122,17 @@ def test_a_log_without_attitude_is_refused() -> None:
         find_footfalls(log)
 
 
+def test_a_sample_without_attitude_is_refused_on_board_and_the_next_are_taken() -> None:
+    log = Walk(duration=0.2).log()[0]
+    assert log.quaternion is not None
+    lost = log.quaternion.copy()
+    lost[3] = 0.0
+    live = Footfalls(GO2)
+    with pytest.raises(InputError, match="has no attitude"):
+        live.update(replace(log, quaternion=lost))
+    assert str(live.update(log)) == str(Footfalls(GO2).update(log))
+
+
 @pytest.mark.parametrize(
     ("robot", "law", "words"),
     [

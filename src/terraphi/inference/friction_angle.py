@@ -207,6 +207,8 @@ def infer(looked: Looked, library: Library, ways: Ways) -> Inversion:
     warnings += uninformed(found.flat)
     scenario, posterior = legs[0].through.scenario, found.posterior
     draws = found.draws
+    if draws is not None and not draws.converged:
+        warnings.append(Doubt("not_converged"))
     summary = Summary.of_posterior(posterior) if draws is None else Summary.of(draws.flat)
     # A calibrated angle is one of plane strain, as those of the known soils are.
     calibrated = ways.calibration is not None

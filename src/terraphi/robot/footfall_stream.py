@@ -101,11 +101,12 @@ class Footfalls:
         Raises
         ------
         InputError
-            If the block has no attitude, or does not follow the one before.
+            If the block or one of its samples (a zero quaternion) has no attitude, or it does not
+            follow the one before; nothing is taken of it then.
         """
         if not len(block.time):
             return []
-        if block.quaternion is None:
+        if block.quaternion is None or not block.quaternion.any(axis=1).all():
             raise InputError("the block has no attitude, without which nobody knows where down is")
         last = self._log
         if last is not None and block.time[0] <= last.time[-1]:
