@@ -303,7 +303,7 @@ def _method() -> str:
         "What the grid still holds of the force of `resolved` falls about in proportion to Δx: if "
         f"halving it takes 7 to 9 %, some {low:g} to {high:g} % is the grid's. A friction angle "
         f"inferred from forces without it is too low by as much as that is worth: {by_force}. Most "
-        "of it is where contact ends: `resolved-2` ends it 1.7 cells before the tip, and meets "
-        "the known force of a plate and a footing (`terraphi study verification --only plate`; "
-        "[convergence](convergence.md))."
+        "of it is where contact ends: `resolved-2` ends it 1.7 cells before the tip, and plates in "
+        "soil that keeps its volume meet the force at Davis's reduced angle within 5 % "
+        "(`terraphi study verification --only plate`; [convergence](convergence.md))."
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from terraphi.experiment.documents import shipped_names
-from terraphi.experiment.plausibility import doubts
+from terraphi.experiment.plausibility import doubts, doubts_between
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan
 
@@ -67,6 +67,32 @@ def test_a_translation_is_not_asked_for_its_rate() -> None:
     motion = {"kind": "translation", "start": [0.15, 0.3], "velocity": [0.0, -0.1], "distance": 0.1}
     scenario = Scenario(model="rft").replace(motion=motion)
     assert not any("rate" in doubt for doubt in doubts(scenario))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"numerics.dilatation": "particle"}, "set dilatation = 'cell'"),
+        ({"numerics.cell_damping": 0.0}, "set cell_damping = 0.2"),
+        ({"numerics.distortion": "particle"}, "set distortion = 'auto'"),
+    ],
+)
+def test_strains_that_make_dilating_soil_too_strong_or_too_weak(
+    changes: dict[str, object], words: str
+) -> None:
+    dilating = {"soil.dilation_angle_deg": 10.0}
+    preset = Scenario.load("resolved-2")
+    assert doubts(preset.replace(**dilating)) == doubts(preset.replace(**changes)) == []
+    (found,) = doubts(preset.replace(**changes, **dilating))
+    assert words in found
+
+
+def test_one_library_is_not_computed_in_two_ways() -> None:
+    preset = Scenario.load("resolved-2")
+    soils = [preset.replace(**{"soil.dilation_angle_deg": psi}) for psi in (0.0, 5.0, 10.0)]
+    assert doubts_between(soils[1:]) == doubts_between(soils[:1]) == []
+    (found,) = doubts_between(soils)
+    assert "set 'cell' or 'particle' for all" in found
 
 
 def test_a_leg_that_never_touches() -> None:

@@ -388,3 +388,14 @@ def test_a_library_s_own_caveat_is_told_with_every_answer(library: Library) -> N
         found = invert(case.history, library=used)
         assert [doubt.code for doubt in found.warnings if doubt.code == "caveat"] == codes
     assert f"Library {library.name}: it reads low." in found.reason
+
+
+def test_real_soils_beside_other_parameters_are_pointed_to_what_knows_them() -> None:
+    """Beside a density that is inferred nothing is known of how real soils deviate."""
+    record = measurement("li2013:poppy_loose/straight")
+    alone = invert(record.history, leg=record.leg, density=638.0)
+    both = invert(record.history, leg=record.leg, prior=["density=638"])
+    several = invert(record.history, leg=record.leg, prior=["density=637:639"], steps=100)
+    for found, asked in ((alone, False), (both, False), (several, True)):
+        assert ("with_others" in [doubt.code for doubt in found.warnings]) is asked
+        assert bool(found.library_reason) is not asked

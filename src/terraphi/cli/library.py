@@ -69,7 +69,7 @@ def library_build(
     """
     from terraphi.experiment.files import makeable
     from terraphi.experiment.outputs import check_file
-    from terraphi.experiment.plausibility import doubts
+    from terraphi.experiment.plausibility import doubts, doubts_between
     from terraphi.library.build import build, kept_cases
     from terraphi.library.cluster import pool
     from terraphi.library.plan import Plan
@@ -82,7 +82,8 @@ def library_build(
     cases = chosen.cases()
     compiles = cluster is None and any(case.model == "mpm" for case in cases)
     expected = forecast_of(chosen, 1 if cluster is not None else workers or available_cores())
-    asked = dict.fromkeys(doubt for case in cases for doubt in doubts(case))
+    of_each = (doubt for case in cases for doubt in doubts(case))
+    asked = dict.fromkeys([*of_each, *doubts_between(cases)])
     try:
         with (
             pool(workers, cluster) as running,

@@ -237,6 +237,11 @@ class Soil(Strict):
         return self.friction_angle_deg if self.flow == "associated" else self.dilation_angle_deg
 
     @property
+    def dilates(self) -> bool:
+        """Whether its volume grows as it flows."""
+        return self.potential_angle_deg > 0.0
+
+    @property
     def cone_intercept(self) -> float:
         """Strength k at zero mean stress [Pa]."""
         phi = math.radians(self.friction_angle_deg)

@@ -143,7 +143,7 @@ def invert(
     return replace(
         found,
         warnings=(*found.warnings, *_doubts(looked, found, library)),
-        library_reason=why,
+        library_reason=why if phi_alone else "",
         compared=_compared(looked, found, library),
         provenance=_provenance(found, library, by_soils, time.perf_counter() - began),
     )
@@ -222,6 +222,8 @@ def _doubts(looked: Looked, found: Inversion, library: Library) -> list[Doubt]:
         # It was learnt from the very medium that is judged by it.
         known = {medium_and_leg(name)[0] for name in shipped} & set(learnt.media)
         doubts += [Doubt("known_soil", {"medium": medium}) for medium in sorted(known)]
+    if learnt is not None and found.of_phi is None and found.origin == "measured":
+        doubts.append(Doubt("with_others", {}))
     low, high = USUAL_DEG
     if plane is not None and found.origin == "measured" and not low <= plane.median <= high:
         doubts.append(Doubt("unusual", {"median": plane.median, "low": low, "high": high}))

@@ -130,12 +130,16 @@ DOUBTS = {
         "The history was {made} a density of {own:g} kg/m³ and is inverted with {used:g} kg/m³."
     ),
     "uninformed": (
-        "These forces hardly tell φ: they add {bits:.2f} bits to a uniform prior over the library "
-        "(limit {limit:g}), so that the median is not theirs."
+        "These forces hardly tell φ: they add {bits:.2f} bits to a uniform prior "
+        "over the angles looked at (limit {limit:g}), so that the median is not theirs."
     ),
     "unusual": (
         "Hardly any dry soil has a friction angle of {median:.0f}° in plane strain ({low:g} to "
         "{high:g}° is usual): check the density, the unit of the forces and the leg."
+    ),
+    "with_others": (
+        "Inferred with other parameters, φ leaves out how real soils deviate from the model and "
+        "may be far off: fix them, the density by --density."
     ),
     "tries_others": "Library '{name}' is shipped to try others, not to invert with.",
     "caveat": "Library {name}: {caveat}",

@@ -186,10 +186,10 @@ def _draw_posterior(axes: Axes, inversion: Inversion) -> None:
     room = 0.03 * (right - left)
     axes.set_xlim(left - room, right + room)
     for edge in (low, high):
-        # Beyond the library's edge there is no posterior: say so instead of drawing a cliff.
+        # Where there is no prior is no posterior: say so instead of drawing a cliff.
         outside = (edge - 90.0, edge) if edge == low else (edge, edge + 90.0)
         hatched: dict[str, Any] = {"facecolor": "none", "edgecolor": GREY, "hatch": "///"}
-        axes.axvspan(*outside, alpha=0.5, lw=0, label="outside the library", **hatched)
+        axes.axvspan(*outside, alpha=0.5, lw=0, label="outside the prior", **hatched)
     axes.set_ylim(bottom=0.0)
     axes.set_yticks([])
     axes.set_ylabel("posterior density")

@@ -94,7 +94,7 @@ def stepping_of(scenario: Scenario) -> Stepping:
         update_volume=numerics.particle_volume == "updated",
         phase=numerics.steps_per_phase,
         surface=numerics.contact == "surface",
-        mean_dilatation=numerics.dilatation == "cell",
+        mean_dilatation=scenario.mean_dilatation,
         mean_distortion=scenario.mean_distortion,
         unbalanced=numerics.contact == "unbalanced",
         turning=1.0 if numerics.stress_rate == "jaumann" else 0.0,

@@ -47,7 +47,7 @@ class Plainly:
     """The reference, ``scalar`` with slopes of all nodes or ``scalar_cell`` with those of cells."""
 
     def __init__(self, scenario: Scenario, lattice: Lattice, *, linear: bool) -> None:
-        averaging = scenario.numerics.dilatation == "cell"
+        averaging = scenario.mean_dilatation
         self._law = plain.Law(linear, averaging, particle_volume(scenario))
         self._material, self._lattice = material_of(scenario.soil), lattice
         self._cells = plain.empty_cells(lattice)
@@ -68,7 +68,7 @@ class InPackets:
     """The fast kernel."""
 
     def __init__(self, scenario: Scenario, lattice: Lattice) -> None:
-        averaging = scenario.numerics.dilatation == "cell"
+        averaging = scenario.mean_dilatation
         self._laws = laws_of(material_of(scenario.soil), averaging=averaging)
         self._area = np.float32(-particle_volume(scenario) / lattice.cell_size)
         self._lattice, self._work = lattice, packets.work_memory()
