@@ -1,6 +1,6 @@
 r"""φ over a terrain: a Gaussian process on a logit scale, from points with their own variances.
 
-With :math:`z = \mathrm{logit}(\tan\varphi / \tan 60°)`,
+With :math:`z = \mathrm{logit}(\tan\varphi / \tan(\pi/3))`,
 
 .. math:: z(x) = \mu + s(x) + \sum_j \beta_j c_j(x), \qquad
     z_i = z(x_i) + \varepsilon_i + \eta_i
