@@ -140,7 +140,7 @@ def _about_emcee(cases: list[dict[str, Any]]) -> str:
 
 
 def _walkers(library: Library, truth: Case) -> FloatArray:
-    """The first of the inverted ensembles from its first step [deg], shape [walker, step]."""
+    """An ensemble at the paper's settings, from its first step [deg], shape [walker, step]."""
     import emcee
 
     assert truth.history is not None

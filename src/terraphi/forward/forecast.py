@@ -153,11 +153,11 @@ def foreseen(scenarios: Sequence[Scenario]) -> Forecast:
 
 def place_of_code(dimensions: int = 2) -> tuple[Path, str]:
     """Where the machine code of the kernels in the plane or in space is kept: folder, name."""
-    from terraphi.forward.mpm import packets
-    from terraphi.forward.mpm3d import phase
-
-    # Numba's types do not tell that a function has statistics.
-    outermost: Any = packets.march if dimensions == 2 else phase.step
+    outermost: Any  # Numba's types do not tell that a function has statistics.
+    if dimensions == 2:
+        from terraphi.forward.mpm.packets import march as outermost
+    else:
+        from terraphi.forward.mpm3d.phase import step as outermost
     file = outermost.__module__.rpartition(".")[2]
     return Path(outermost.stats.cache_path), f"{file}.{outermost.__name__}-*.nbi"
 

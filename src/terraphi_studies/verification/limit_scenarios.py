@@ -113,6 +113,8 @@ def _numerics(settings: str, cell: float, cells: int, drive: Drive) -> dict[str,
     if settings == NODES:
         time_step = drive.courant * cell / wave
         return size | {"time_step": time_step, "damping_rate": 0.0, "contact_band_cells": 0.5}
+    if settings != PRESET:
+        raise ValueError(f"no settings '{settings}'; there are '{PRESET}' and '{NODES}'")
     # All of the preset but the size of things and where particles lie: its Courant number and its
     # steps a phase too.
     soil, numerics = preset().soil, preset().numerics
