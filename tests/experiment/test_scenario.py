@@ -318,10 +318,8 @@ def test_tip_is_drawn_in_where_it_alone_lies_in_soil() -> None:
         drawn_in.replace(**{"leg.chord": 0.0026, "leg.shape": "plate"})
     with pytest.raises(ValidationError, match=r"at the hip, comes as low as 0\.16 m, into soil"):
         drawn_in.replace(**{"motion.hip.1": 0.16})
-    with pytest.raises(ValidationError, match=r"tip_inset_cells = 1\.7 is for two dimensions only"):
-        Scenario.load("resolved").replace(
-            **{"dimensions": 3, "bed.breadth": 0.1, "numerics.tip_inset_cells": 1.7}
-        )
+    with pytest.raises(ValidationError, match=r"leg\.shape = 'sphere' has no tip; set tip_inset_"):
+        drawn_in.replace(**{"dimensions": 3, "bed.breadth": 0.1, "leg.shape": "sphere"})
 
 
 def test_replace_checks_anew() -> None:

@@ -163,7 +163,7 @@ class Numerics(Strict):
     tip_inset_cells: float = Field(0.0, ge=0, le=4)
     """By how many cells ``surface`` contact ends before the leg's tip, along its centre line [-]:
     the soil beneath a tip follows the nodes that contact drives, as if the tip were that much
-    farther out (``docs/convergence.md``). The faces stay where they are. In the plane only."""
+    farther out (``docs/convergence.md``). The faces stay where they are."""
     remap_interval: float = Field(0.0, ge=0)
     """For how long the grid keeps its velocities before it takes them from the particles anew
     [s], rounded to steps; 0: it does so at every step."""
@@ -291,7 +291,6 @@ COURANT_LIMIT_IN_SPACE = 0.75
 _ONLY_IN_SPACE = {
     "relief.enabled": False,
     "numerics.contact": "surface",
-    "numerics.tip_inset_cells": 0.0,
     "numerics.transfer": "apic",
     "numerics.damping_order": "after_contact",
     "numerics.distortion": "particle",
@@ -494,6 +493,10 @@ class Scenario(Strict):
         if self.tip_inset == 0.0:
             return
         key = f"numerics.tip_inset_cells = {self.numerics.tip_inset_cells:g}"
+        if self.leg.shape in ("sphere", "cylinder"):
+            raise ValueError(
+                f"{key}, but leg.shape = '{self.leg.shape}' has no tip; set tip_inset_cells = 0"
+            )
         if self.tip_inset >= self.leg.length:
             raise ValueError(
                 f"{key} is {self.tip_inset:g} m, no less than the leg's length of "

@@ -34,11 +34,13 @@ BODIES = {
 SOFT = {"soil.friction_angle_deg": 40.0, "soil.dilation_angle_deg": 8.0,
         "soil.critical_friction_angle_deg": 32.0, "soil.softening_strain": 0.05}  # fmt: skip
 
+DRAWN_IN = {"leg.shape": "c", "numerics.tip_inset_cells": 1.7}
+
 
 @pytest.mark.parametrize(
     "changes",
-    [*BODIES.values(), SOFT, {"soil.yield_criterion": "triaxial"}],
-    ids=[*BODIES, "soft", "cone"],
+    [*BODIES.values(), SOFT, {"soil.yield_criterion": "triaxial"}, DRAWN_IN],
+    ids=[*BODIES, "soft", "cone", "drawn in"],
 )
 def test_packets_do_what_the_reference_does(space, changes):
     scenario = space.scenario(**changes)
@@ -106,6 +108,15 @@ def test_a_mirrored_half_is_half_of_the_whole(space):
     assert 2 * len(half.soil.mass) == len(whole.soil.mass)
     np.testing.assert_allclose(half.impulse, whole.impulse, rtol=1e-3)
     np.testing.assert_allclose(half.audit.ledger, whole.audit.ledger, rtol=0, atol=1e-3)
+
+
+def test_straight_leg_whose_tip_is_drawn_in_is_the_shorter_one(space):
+    own = space.scenario()
+    drawn_in = own.replace(**{"numerics.tip_inset_cells": 1.7})
+    short = own.replace(**{"leg.chord": own.leg.chord - 1.7 * own.numerics.cell_size})
+    impulses = [space.run(s, "packets", 50).impulse for s in (drawn_in, short, own)]
+    np.testing.assert_allclose(impulses[0], impulses[1], rtol=1e-9)
+    assert np.linalg.norm(impulses[2] - impulses[0]) > 0.1 * np.linalg.norm(impulses[2])
 
 
 def slab(space, **changes):

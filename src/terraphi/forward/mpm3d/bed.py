@@ -133,7 +133,7 @@ def _outside_leg(
     """
     pose = scenario.motion.poses(np.zeros(1))
     axes = np.array(frame_axes(pose.theta[0]))
-    intruder, hip = intruder_of(scenario.leg), pose.hip[0]
+    intruder, hip = intruder_of(scenario.leg, inset=scenario.tip_inset), pose.hip[0]
     kept = np.ones(len(position), dtype=bool)
     flat = position[:, [0, 2]] - hip
     near = np.hypot(*flat.T) < intruder.reach + radius

@@ -55,9 +55,17 @@ class Spring(NamedTuple):
     """Δt [s]."""
 
 
-def intruder_of(leg: Leg) -> Intruder:
-    """Constants of a body."""
-    outline, half_width = plane.intruder_of(leg), 0.5 * leg.width
+def intruder_of(leg: Leg, *, inset: float = 0.0) -> Intruder:
+    """Constants of a body.
+
+    Parameters
+    ----------
+    leg
+        The body.
+    inset
+        How much of its centre line contact leaves out at the tip [m]; 0 for those without one.
+    """
+    outline, half_width = plane.intruder_of(leg, inset=inset), 0.5 * leg.width
     kind = {"sphere": SPHERE, "cylinder": CYLINDER}.get(leg.shape, OUTLINE)
     return Intruder(kind, outline, half_width, leg.reach(), leg.friction)
 

@@ -114,7 +114,7 @@ class Phases:
         lattice, precision, soil = self.lattice, precision_of(kernel), scenario.soil
         self._steps = scenario.numerics.steps_per_phase
         self._setting = nodes.setting_of(scenario)
-        self._intruder = intruder_of(scenario.leg)
+        self._intruder = intruder_of(scenario.leg, inset=scenario.tip_inset)
         modulus = soil.lame_lambda + 2.0 * soil.shear_modulus
         step = self._setting.time_step
         self._spring = spring_of(particle_volume(scenario), modulus, step)
