@@ -20,7 +20,7 @@ from terraphi.experiment.measurements import medium_and_leg
 from terraphi.inference import friction_angle, several_parameters
 from terraphi.inference.answer import PHI, Inversion
 from terraphi.inference.discrepancy import Learnt, default_library, learnt_for
-from terraphi.inference.explanation import OFFSETS, SLIPS
+from terraphi.inference.explanation import OFFSETS, SLIPS, USUAL_DEG
 from terraphi.inference.findings import Doubt
 from terraphi.inference.known_soils import Calibration, Compared, compared
 from terraphi.inference.noise import Noise
@@ -34,9 +34,6 @@ LIKELIHOODS = ("calibrated", "paper")
 SAMPLERS = ("quadrature", "emcee")
 DISCREPANCIES = ("none", "gp", "soils")
 
-USUAL_DEG = (18.0, 50.0)
-"""Friction angles of dry granular soils in plane strain [deg]: smooth glass beads, loose, have
-some 20 to 25, dense sand at a few kilopascals up to some 50."""
 ALL_ONE = ("damaged", "against_prior")
 """Misfits of which no history more than another is the reason."""
 _SOFTWARE = ("terraphi", "numpy", "scipy", "emcee")

@@ -282,6 +282,7 @@ class Looked:
                 nrmsd=nrmsd(observation.vector, best),
                 data=self.inspections[at].as_dict(),
                 simulation=trial.simulation,
+                left_out_deg=self.inspections[at].left_out_deg,
                 leg_assumed=trial.leg_assumed,
             )
             why = explain(observation.vector, *nodes) if nodes else Explanation()
@@ -380,7 +381,10 @@ def look(trials: Sequence[Trial], library: Library) -> Looked:
     found, left = [], []
     for trial in trials:
         with named(trial, len(trials) > 1):
-            seen = inspect_record(trial.history, touches_deg=touches_soil_deg(library, trial.leg))
+            # Where the library's leg is in air, one simulated otherwise may still lift soil.
+            comparable = not trial.simulation or trial.made_as(library.cases[0].scenario)
+            touches = touches_soil_deg(library, trial.leg) if comparable else None
+            seen = inspect_record(trial.history, touches_deg=touches)
             found.append(seen)
             left.append(replace(trial, history=seen.history))
             try:
