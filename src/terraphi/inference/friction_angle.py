@@ -199,6 +199,11 @@ def infer(looked: Looked, library: Library, ways: Ways) -> Inversion:
         raise InputError(
             "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or 'paper'"
         )
+    if ways.steps is not None:
+        raise InputError(
+            f"steps = {ways.steps}: they are those of several parameters; φ alone is inferred by "
+            "quadrature, and drawn by emcee as in the paper: leave them out"
+        )
     by_paper, density = ways.likelihood == "paper", ways.density
     # What the paper's surrogate learns depends in its last digits on how sums are split.
     with nullcontext() if by_paper else single_threaded():
@@ -252,7 +257,7 @@ def _leg(group: Repeats, looked: Looked, library: Library, ways: Ways) -> _Leg:
     if ways.likelihood != "paper":
         prepared = prepare(library, group.leg, readings=readings)
     curves = prepared.curves if prepared else library.curves(group.leg, readings=readings)
-    check_trials(group, curves.scenario, ways.density, several=looked.several)
+    check_trials(group, curves.scenario, ways.density)
     scale = 1.0 if ways.density is None else ways.density / curves.scenario.soil.density
     density = scale * curves.scenario.soil.density
     shared = group, Through(curves.scenario, scale * curves.vectors, density), scale

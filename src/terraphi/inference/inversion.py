@@ -53,7 +53,7 @@ def invert(
     sampler: str | None = None,
     seed: int = 0,
     source: str = "",
-    steps: int = several_parameters.STEPS,
+    steps: int | None = None,
     calibration: Calibration | Path | str | None = None,
 ) -> Inversion:
     """Infer the friction angle, and what else a library varies, from one history or several.
@@ -97,8 +97,8 @@ def invert(
     seed
         Of all draws.
     steps
-        Of each ensemble to begin with, for several parameters; they double until the draws have
-        converged.
+        Of each ensemble to begin with, of several parameters; ``None``: 1500. They double until the
+        draws have converged.
     calibration
         The library compared with soils of known friction angle, or its file: of φ alone.
 
