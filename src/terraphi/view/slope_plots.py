@@ -40,7 +40,7 @@ def map_figure(found: SlopeMap) -> Figure:
         low, high = limits or (None, None)
         shown = axes.imshow(values, cmap=colours, extent=extent, vmin=low, vmax=high)
         figure.colorbar(shown, ax=axes, shrink=0.8)
-        if height.min() < height.max():
+        if min(height.shape) > 1 and height.min() < height.max():
             lines: dict[str, Any] = {"colors": "black", "linewidths": 0.4, "alpha": 0.6}
             axes.contour(height, 10, extent=extent, origin="upper", **lines)
         _hatched(axes, beyond, extent)
