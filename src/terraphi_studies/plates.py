@@ -347,7 +347,7 @@ def _figure(
     widths = sorted({test.diameter_mm for test in tests})
     styles = dict(zip(widths, ("-", "--", ":", "-."), strict=False))
     for i, test in enumerate(measured):
-        label = None if i else "measured (lines: as right)"
+        label = None if i else "measured"
         forces.plot(1e3 * test.sinkage, test.force, ".", ms=3, color=GREY, label=label)
     for i, (law, found) in enumerate(by_law.items()):
         colour = (BLUE, ORANGE, GREEN, PURPLE, "black")[i]
@@ -365,7 +365,10 @@ def _figure(
     forces.set(
         xlabel="sinkage [mm]", ylabel="force [N]", title="One φ for all; lines as on the right"
     )
-    left.set(xlabel="diameter of the plate [mm]", ylabel="φ [deg]", title="Whole tests")
+    left.set(xlabel="diameter of the plate [mm]", ylabel="φ [deg]")
+    left.set(title="Whole tests; laws side by side", xlim=(-0.5, len(widths) - 0.5))
+    for between in range(1, len(widths)):
+        left.axvline(between - 0.5, color=GREY, lw=0.8)
     left.set_xticks(range(len(widths)), [f"{width:g}" for width in widths])
     right.set(xlabel="sinkage [mm], middle of a window", title="In windows of depth")
     for axes in (forces, left, right):

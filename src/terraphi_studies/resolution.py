@@ -267,15 +267,15 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         notes.append(f"A peak of resolved moves by more than {bound} with: {', '.join(beyond)}.")
     if halved:
         means = {name: change["mean_change_percent"] for name, change in halved.items()}
-        moved = ", ".join(
+        moved = "; ".join(
             f"{name} {both(mean, ' %', '+.1f')} ({degrees.worth(mean)})"
-            + ("" if name in alone else f" from '{halved[name]['from']}'")
             for name, mean in means.items()
+            if max(map(abs, mean.values())) > TOLERANCE_PERCENT
         )
         apart = both(data["resolved"]["mean_scatter_percent"], " %")
         notes.append(
-            f"The mean forces over the path (F_z / F_x), which seeds move by {apart} at most, "
-            f"change by: {moved}."
+            f"Mean forces over the path (F_z / F_x; seeds move them by {apart} at most) change by "
+            f"more than {bound} with: {moved or 'nothing'}."
         )
     return notes
 

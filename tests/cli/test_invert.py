@@ -194,13 +194,14 @@ def test_suggest_refuses_what_it_does_not_know(terraphi) -> None:
         (("--density", "1_650"), "'1_650' is not a number"),
         (("--density", "\uff11\uff16\uff15\uff10"), "is not a number"),
         (("--density", "nan"), "'nan' is not a number"),
+        (("--density", "638±30"), "--density 638, or --prior density=638+-30 to"),
         (("--seed", "1_0"), "'1_0' is not a number"),
         (("--noise", "1_0"), "noise = '1_0': give newtons"),
         (("--prior", "density=1_500:1700"), "expected KEY=LOW:HIGH"),
-        (("--noise", "50"), "noise = 50 N: all Fx of the record lies within 0.014 to 9.01 N"),
+        (("--noise", "50"), "50 N: all Fx of li2013:yuma/straight lies within 0.014 to 9.01 N"),
         (
             ("--noise", "50", "--prior", "density=1550:1750"),
-            "noise = 50 N: all Fx of the record lies within 0.014 to 9.01 N",
+            "50 N: all Fx of li2013:yuma/straight lies within 0.014 to 9.01 N",
         ),
         (
             ("li2013:yuma/c", "--noise", "12"),

@@ -10,6 +10,7 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement
+from terraphi.experiment.scenario import Scenario
 from terraphi.inference.defects import inspect_record, touches_soil_deg
 from terraphi.inference.inversion import invert
 from terraphi.inference.trials import Trial
@@ -178,6 +179,19 @@ def test_an_offset_in_air_makes_a_misfit(library: Library) -> None:
     assert answer.verdict.verdict == "misfit"
     assert answer.verdict.code == "damaged"
     assert "kept" in {d["treatment"] for d in answer.record.data["defects"]}
+
+
+def test_a_simulated_leg_that_lifts_soil_is_not_damaged(library: Library) -> None:
+    """Without relief, soil stays on the leg where it is in air in the library."""
+    whole = Library.load("quick-plane-strain-truths").cases[4].history
+    assert whole is not None
+    scenario = Scenario.model_validate(whole.provenance["scenario"])
+    other = scenario.replace(**{"relief.enabled": False}).model_dump(mode="json")
+    lifted = whole.force - np.where(whole.theta_deg > 122.0, 1.0, 0.0)[:, None]
+    record = replace(whole, force=lifted, provenance={**whole.provenance, "scenario": other})
+    answer = invert(record, library=library)
+    assert answer.verdict.code != "damaged"
+    assert [doubt.code for doubt in answer.warnings] == ["unlike"]
 
 
 def test_a_step_in_the_stroke_makes_a_misfit() -> None:

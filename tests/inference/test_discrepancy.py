@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -108,6 +109,23 @@ def test_an_angle_that_hardly_any_soil_has_is_asked_about(library: Library) -> N
 
     assert "unusual" not in codes(1.0)
     assert "unusual" in codes(0.5)
+
+
+def test_forces_off_by_one_factor_are_asked_about(library: Library) -> None:
+    def asked(medium: str, factor: float = 1.0, **changes: Any) -> list[str]:
+        right = Trial.of(measurement(f"li2013:{medium}/straight"))
+        found = invert(
+            replace(right, history=right.history.scaled(factor), **changes), library=library
+        )
+        codes = {"pounds_force", "kilograms_force", "assumed_density"}
+        return [doubt.code for doubt in found.warnings if doubt.code in codes]
+
+    assert asked("poppy_loose", 0.2248) == asked("yuma", 0.2248) == ["pounds_force"]
+    heavy = {"density": 1650.0, "density_assumed": True}
+    assert asked("poppy_loose", **heavy) == ["assumed_density"]
+    assert asked("poppy_loose", density=1650.0, density_assumed=False) == []
+    for leg in ("straight", "c", "reversed_c"):
+        assert asked("yuma", leg=leg, **heavy) == []
 
 
 def test_real_soils_are_consistent_and_other_records_are_not(library: Library) -> None:

@@ -29,6 +29,7 @@ EXAMPLES = {
     "too_large": ({"peak_N": 200.0, "ratio": 20.0}, "200 N, is 20 times that of the library's"),
     "too_small": ({"peak_N": 0.02, "ratio": 50.0}, "is one 50th of that of the library's smallest"),
     "runs_against": ({"force": "Fx", "correlation": -0.8}, "library's (-0.80 correlation)"),
+    "assumed_density": ({"used": 1650.0}, "1650 kg/m³ is assumed"),
     "other_density": (
         {"made": "measured at", "own": 638.0, "used": 1650.0},
         "measured at a density of 638 kg/m³ and is inverted with 1650 kg/m³",

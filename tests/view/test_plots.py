@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,19 @@ def test_a_row_an_inversion_with_data_curve_and_posterior(found: Inversion) -> N
     assert f"φ = {found.phi.median:.0f}°" in posterior.get_title()
     low, high = posterior.get_xlim()
     assert low < found.phi.ci95[0] < found.phi.ci95[1] < high
+
+
+def test_means_over_readings_that_were_left_out_are_open() -> None:
+    measured = measurement("li2013:poppy_loose/straight")
+    force = measured.history.force.copy()
+    force[:, 1] = np.minimum(force[:, 1], 0.93 * force[:, 1].max())
+    seen = invert(replace(measured.history, force=force), density=638.0)
+    for axes in plots.inversions_figure([seen]).axes[:2]:
+        points = {str(line.get_label()): line for line in axes.lines if line.get_marker() == "o"}
+        bridged = np.asarray(points.pop("readings left out (bridged)").get_xdata())
+        assert np.abs(bridged + 47.0).max() < 15.0
+        (used,) = points.values()
+        assert len(used.get_xdata()) == 40 - len(bridged)
 
 
 def test_sampled_posterior_is_drawn_too(found: Inversion) -> None:

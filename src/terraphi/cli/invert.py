@@ -36,6 +36,23 @@ MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
 """Files that an inversion of any kind may leave in its folder."""
 
 
+class _Density(Float):
+    """A density; one with its error is a prior, and refused with what to type."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """The number."""
+        from terraphi.experiment.files import number_with_sd
+
+        try:
+            mean, sd = number_with_sd(str(value))
+        except ValueError:
+            mean, sd = 0.0, None
+        if sd is not None:
+            remedy = f"--density {mean:g}, or --prior density={mean:g}+-{sd:g} to infer it too"
+            self.fail(f"{value!r} is not a number; give {remedy}", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 @click.command(
     cls=Grouped,
     groups={
@@ -54,7 +71,7 @@ MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
 )
 @click.option(
     "--density",
-    type=Float(),
+    type=_Density(),
     help="Bulk density of the soil [kg/m³].  [default: as measured, else the library's]",
 )
 @click.option(

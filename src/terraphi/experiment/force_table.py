@@ -203,11 +203,18 @@ def _check_header(place: str, header: list[str], lines: _Lines) -> None:
                 "in numbers"
             )
     expected = ",".join(CSV_COLUMNS)
+    if not lines.names_in_comment and all(map(_is_number, header)):
+        raise InputError(
+            f"{place}: numbers where the names of the columns belong; write {expected}, in the "
+            "order of your columns, as the line above"
+        )
     for name in header:
         if name not in CSV_COLUMNS:
             known = f"expected exactly {expected}"
             if lines.names_in_comment:
                 known += ", and they stand in a comment: remove its '#'"
+            else:
+                known += ": rename it, or remove it if it is none of these"
             raise InputError(
                 f"{place}: unexpected column {name[:40]!r} ({nearest(name, CSV_COLUMNS)}); {known}"
             )
@@ -216,6 +223,14 @@ def _check_header(place: str, header: list[str], lines: _Lines) -> None:
     for name in CSV_COLUMNS:
         if name not in header:
             raise InputError(f"{place}: column '{name}' is missing; expected {expected}")
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        plain_number(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _at_once(lines: _Lines, order: list[int]) -> FloatArray | None:

@@ -107,6 +107,8 @@ class Record:
         ``left_out``, and the ``defects`` that they show; JSON-able.
     simulation
         What a history that was simulated says of its simulation; empty for any other.
+    left_out_deg
+        Leg angles of the readings that were left out [deg], shape [sample].
     band
         Smallest and largest force over the 95 % interval of φ alone [N], shape [2, 2M].
     expected
@@ -122,6 +124,7 @@ class Record:
     nrmsd: Mapping[str, float]
     data: Mapping[str, Any] = field(default_factory=dict)
     simulation: Mapping[str, Any] = field(default_factory=dict)
+    left_out_deg: FloatArray = field(default_factory=lambda: np.empty(0))
     band: FloatArray | None = None
     expected: FloatArray | None = None
     leg_assumed: bool = False

@@ -4,9 +4,10 @@ ArviZ 0.x reads the groups into an ``InferenceData``, ArviZ 1.x into a ``DataTre
 the same. Groups ``posterior`` and ``prior`` (chain and draw first; a variable each parameter,
 ``phi_deg`` or named by the last parts of its key), ``observed_data`` (the window means of each
 record, and where it was read), ``posterior_predictive_mean`` (its best curve) and, of φ alone,
-``curves_within_ci95`` (the least and the largest force of the curves within the interval) and, if
-there is a budget, ``information_share`` (what each angle told of φ); the answer stands in the
-attributes.
+``curves_within_ci95`` (the least and the largest force of the curves within the interval),
+``with_mean_deviation`` (the best curve with what real soils deviate on average, if that was learnt)
+and, if there is a budget, ``information_share`` (what each angle told of φ); the answer stands in
+the attributes.
 
 A posterior by quadrature is written as quantiles of equal probability in a random order, which are
 as good as independent draws; of an ensemble one step in every autocorrelation time is kept, a chain
@@ -179,6 +180,9 @@ def _data(found: Inversion) -> dict[str, Any]:
         ends = zip(("Fx", "Fz"), np.hsplit(band, 2), strict=True)
         within = {name: (("end", "theta_deg"), part, {"units": "N"}) for name, part in ends}
         groups["/curves_within_ci95"] = xr.Dataset(within, coords=angle)
+    expected = found.records[0].expected
+    if len(found.records) == 1 and expected is not None:
+        groups["/with_mean_deviation"] = both(expected[None])
     if found.budget is not None:
         shares = zip(("Fx", "Fz"), found.budget.information, strict=True)
         told = {name: ("theta_deg", share, {"units": "1"}) for name, share in shares}

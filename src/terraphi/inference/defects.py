@@ -9,7 +9,7 @@ in, for nobody knows which of them are right, and makes any answer a misfit.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -110,7 +110,7 @@ class Defect:
         return Doubt(self.code, {k: v for k, v in vars(self).items() if k != "code"}, source)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Inspection:
     """A record without the readings that are not to be believed.
 
@@ -125,12 +125,15 @@ class Inspection:
     zero_N
         How far the zeros of Fx and Fz may be off by what was read in air [N]: a standard error of
         the median, or the median if it is three of them; ``None`` if next to nothing was read.
+    left_out_deg
+        Leg angles of the readings that were left out [deg], shape [sample].
     """
 
     history: ForceHistory
     rows: int
     defects: tuple[Defect, ...] = ()
     zero_N: tuple[float, float] | None = None
+    left_out_deg: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def as_dict(self) -> dict[str, Any]:
         """The ``data`` part of an answer."""
@@ -187,7 +190,7 @@ def inspect_record(
     kept = np.ones(len(history.position), dtype=bool)
     kept[np.flatnonzero(inside)[bad]] = False
     left = replace(history, position=history.position[kept], force=history.force[kept])
-    return Inspection(left, len(theta), tuple(defects), zero)
+    return Inspection(left, len(theta), tuple(defects), zero, theta[bad])
 
 
 def touches_soil_deg(library: Library, leg: str) -> tuple[float, float] | None:

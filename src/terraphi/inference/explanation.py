@@ -34,6 +34,9 @@ left up to which it does, of peak-to-peak [-]. With an offset curves of another 
 0.1 of a library's, and with either the shipped measurements within 0.07."""
 FURTHEST_DEG = 15.0
 """How far beyond the library's end an angle is looked for [deg]."""
+USUAL_DEG = (18.0, 50.0)
+"""Friction angles of dry granular soils in plane strain [deg]: smooth glass beads, loose, have
+some 20 to 25, dense sand at a few kilopascals up to some 50."""
 STEP_WINDOWS = 3
 """Fewest windows of the record before a step and after it, and of a saturated sensor."""
 

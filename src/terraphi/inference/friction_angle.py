@@ -43,6 +43,7 @@ from terraphi.inference.discrepancy import (
     SoilLikelihood,
     learnt_for,
 )
+from terraphi.inference.explanation import SLIPS, USUAL_DEG
 from terraphi.inference.findings import Doubt, Measure, Verdict
 from terraphi.inference.fit import SMALLEST_PROBABILITY, fit_without_discrepancy
 from terraphi.inference.identifiability import Identifiability
@@ -83,6 +84,9 @@ UNSEEN = 0.01
 the shipped measurements in air."""
 FOUND_OUT = 16.0
 """Chi-square that an offset adds to a record that shows it to be a misfit."""
+BULK = (600.0, 800.0, 1000.0, 1300.0, 1700.0, 2200.0)
+"""Bulk densities that are tried where one is assumed: from light grains to heavy, dense ones
+[kg/m3]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +199,11 @@ def infer(looked: Looked, library: Library, ways: Ways) -> Inversion:
         raise InputError(
             "likelihood 'joint' is that of several parameters; φ alone has 'calibrated' or 'paper'"
         )
+    if ways.steps is not None:
+        raise InputError(
+            f"steps = {ways.steps}: they are those of several parameters; φ alone is inferred by "
+            "quadrature, and drawn by emcee as in the paper: leave them out"
+        )
     by_paper, density = ways.likelihood == "paper", ways.density
     # What the paper's surrogate learns depends in its last digits on how sums are split.
     with nullcontext() if by_paper else single_threaded():
@@ -248,7 +257,7 @@ def _leg(group: Repeats, looked: Looked, library: Library, ways: Ways) -> _Leg:
     if ways.likelihood != "paper":
         prepared = prepare(library, group.leg, readings=readings)
     curves = prepared.curves if prepared else library.curves(group.leg, readings=readings)
-    check_trials(group, curves.scenario, ways.density, several=looked.several)
+    check_trials(group, curves.scenario, ways.density)
     scale = 1.0 if ways.density is None else ways.density / curves.scenario.soil.density
     density = scale * curves.scenario.soil.density
     shared = group, Through(curves.scenario, scale * curves.vectors, density), scale
@@ -396,8 +405,33 @@ def _matched(
         record = replace(one.record, band=band)
         if isinstance(likelihood, SoilLikelihood):
             record = replace(record, expected=likelihood.learnt.expected(leg.group.leg, best))
-        seen.append(one._replace(record=record, measures=[*own, *one.measures]))
+        one = one._replace(record=record, measures=[*own, *one.measures])
+        if isinstance(likelihood, SoilLikelihood) and own[0].exceeded and not one.why.question:
+            why = replace(one.why, question=_by_one_factor(one, leg, ways))
+            one = one._replace(why=why)
+        seen.append(one)
     return seen, budget
+
+
+def _by_one_factor(one: Matched, leg: _Leg, ways: Ways) -> Doubt | None:
+    """A question on unit or density if one factor makes a misfit deviate as known soils do.
+
+    Real soils deviate from the library too much for `explanation` to see that in the forces alone.
+    """
+    vector, used = one.record.observation.vector, one.through.density
+
+    def known(forces: FloatArray) -> bool:
+        soil, (low, high) = leg.of(forces, 1), USUAL_DEG
+        if not isinstance(soil, SoilLikelihood) or not low <= soil.fitted.angle_deg <= high:
+            return False
+        return not replace(one.measures[0], value=soil.deviation).exceeded
+
+    for code in ("pounds_force", "kilograms_force"):
+        if known(SLIPS[code](vector.reshape(2, -1)).ravel()):
+            return Doubt(code)
+    if ways.density_assumed and used and any(known(vector * used / rho) for rho in BULK):
+        return Doubt("assumed_density", {"used": used})
+    return None
 
 
 def _judged(

@@ -20,7 +20,7 @@ from terraphi.experiment.measurements import medium_and_leg
 from terraphi.inference import friction_angle, several_parameters
 from terraphi.inference.answer import PHI, Inversion
 from terraphi.inference.discrepancy import Learnt, default_library, learnt_for
-from terraphi.inference.explanation import OFFSETS, SLIPS
+from terraphi.inference.explanation import OFFSETS, SLIPS, USUAL_DEG
 from terraphi.inference.findings import Doubt
 from terraphi.inference.known_soils import Calibration, Compared, compared
 from terraphi.inference.noise import Noise
@@ -34,9 +34,6 @@ LIKELIHOODS = ("calibrated", "paper")
 SAMPLERS = ("quadrature", "emcee")
 DISCREPANCIES = ("none", "gp", "soils")
 
-USUAL_DEG = (18.0, 50.0)
-"""Friction angles of dry granular soils in plane strain [deg]: smooth glass beads, loose, have
-some 20 to 25, dense sand at a few kilopascals up to some 50."""
 ALL_ONE = ("damaged", "against_prior")
 """Misfits of which no history more than another is the reason."""
 _SOFTWARE = ("terraphi", "numpy", "scipy", "emcee")
@@ -56,7 +53,7 @@ def invert(
     sampler: str | None = None,
     seed: int = 0,
     source: str = "",
-    steps: int = several_parameters.STEPS,
+    steps: int | None = None,
     calibration: Calibration | Path | str | None = None,
 ) -> Inversion:
     """Infer the friction angle, and what else a library varies, from one history or several.
@@ -100,8 +97,8 @@ def invert(
     seed
         Of all draws.
     steps
-        Of each ensemble to begin with, for several parameters; they double until the draws have
-        converged.
+        Of each ensemble to begin with, of several parameters; ``None``: 1500. They double until the
+        draws have converged.
     calibration
         The library compared with soils of known friction angle, or its file: of φ alone.
 

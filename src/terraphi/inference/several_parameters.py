@@ -317,7 +317,7 @@ def infer(looked: Looked, library: Library, ways: Ways) -> Inversion:
             target.draw_prior,
             parameters=target.parameters,
             seed=ways.seed,
-            steps=ways.steps,
+            steps=STEPS if ways.steps is None else ways.steps,
             walkers=max(32, 4 * len(keys)),
         )
         return _answer(looked, data, library, target, draws, ways)
@@ -345,8 +345,7 @@ def _checked(looked: Looked, library: Library, ways: Ways) -> list[Training]:
     found = []
     for group in looked.groups:
         data = training(library, group.leg, readings=group.readings)
-        several = looked.several
-        check_trials(group, data.scenario, ways.density, several=several, varied=data.bounds)
+        check_trials(group, data.scenario, ways.density, varied=data.bounds)
         cohesive = data.scenario.soil.cohesion > 0.0
         if DENSITY in ways.priors and DENSITY not in data.bounds and cohesive:
             raise InputError(

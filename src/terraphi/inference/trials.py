@@ -282,6 +282,7 @@ class Looked:
                 nrmsd=nrmsd(observation.vector, best),
                 data=self.inspections[at].as_dict(),
                 simulation=trial.simulation,
+                left_out_deg=self.inspections[at].left_out_deg,
                 leg_assumed=trial.leg_assumed,
             )
             why = explain(observation.vector, *nodes) if nodes else Explanation()
@@ -319,7 +320,7 @@ class Looked:
     def check_noise(self, noise: Noise) -> None:
         """Refuse noise that a history cannot have."""
         for trial in self.trials:
-            noise.check_against(trial.history, source=self.name_of(trial))
+            noise.check_against(trial.history, source=trial.source)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -344,7 +345,7 @@ class Ways:
     noise: Noise
     discrepancy: str | Learnt | None
     seed: int
-    steps: int
+    steps: int | None
     calibration: Calibration | None
     priors: Mapping[str, Marginal]
     density: float | None
@@ -352,12 +353,12 @@ class Ways:
 
 
 @contextmanager
-def named(trial: Trial, several: bool) -> Iterator[None]:
-    """Name the history in what is refused, where there are several."""
+def named(trial: Trial) -> Iterator[None]:
+    """Name the history in what is refused."""
     try:
         yield
     except InputError as error:
-        if several and trial.source and trial.source not in str(error):
+        if trial.source and trial.source not in str(error):
             raise InputError(f"{trial.source}: {error}") from error
         raise
 
@@ -379,8 +380,11 @@ def look(trials: Sequence[Trial], library: Library) -> Looked:
     """
     found, left = [], []
     for trial in trials:
-        with named(trial, len(trials) > 1):
-            seen = inspect_record(trial.history, touches_deg=touches_soil_deg(library, trial.leg))
+        with named(trial):
+            # Where the library's leg is in air, one simulated otherwise may still lift soil.
+            comparable = not trial.simulation or trial.made_as(library.cases[0].scenario)
+            touches = touches_soil_deg(library, trial.leg) if comparable else None
+            seen = inspect_record(trial.history, touches_deg=touches)
             found.append(seen)
             left.append(replace(trial, history=seen.history))
             try:
@@ -463,7 +467,6 @@ def check_trials(
     scenario: Scenario,
     density: float | None,
     *,
-    several: bool,
     varied: Iterable[str] = (),
 ) -> None:
     """Refuse what cannot be inverted with a library: odd magnitudes, or another leg or hip.
@@ -476,8 +479,6 @@ def check_trials(
         Of the library.
     density
         Density that is taken as known [kg/m3]; ``None`` if it is inferred.
-    several
-        Whether there are other histories, so that this one has to be named.
     varied
         Keys that it varies, and that histories may differ in.
 
@@ -486,14 +487,15 @@ def check_trials(
     InputError
         With the number that is wrong.
     """
+    _check_density(density, scenario)
     for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
-        with named(trial, several):
-            check_magnitudes(density, observation, scenario)
+        with named(trial):
+            _check_forces(observation)
             _check_same_setup(trial.history, scenario, varied)
 
 
-def check_magnitudes(density: float | None, observation: Observation, scenario: Scenario) -> None:
-    """Refuse numbers that can only be in another unit, and scaling where it does not hold."""
+def _check_density(density: float | None, scenario: Scenario) -> None:
+    """Refuse one that can only be in another unit, and scaling where it does not hold."""
     low, high = DENSITIES
     if density is not None and not low <= density <= high:
         raise InputError(
@@ -505,6 +507,10 @@ def check_magnitudes(density: float | None, observation: Observation, scenario: 
             f"density = {density:g} kg/m³: the library's soil has cohesion and a density of "
             f"{scenario.soil.density:g} kg/m³, and its forces are not proportional to the density"
         )
+
+
+def _check_forces(observation: Observation) -> None:
+    """Refuse forces that can only be in another unit, or of no sensor."""
     for name, force in (("Fx", observation.Fx), ("Fz", observation.Fz)):
         # Exact equality would be lost to the rounding of the window means.
         if np.ptp(force) <= 1e-9 * np.abs(force).max():

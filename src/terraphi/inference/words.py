@@ -76,12 +76,12 @@ MEASURES = {
     "probability": "probability of a residual as large",
     "log10_odds": "odds of a model discrepancy",
     "amplitude": "discrepancy, if there is one, of peak-to-peak",
-    "soil_deviation": "deviation, over that of known soils",
+    "soil_deviation": "deviation, as a multiple of that of known soils",
     "agreement": "probability that histories of one angle differ as much",
     "prior_agreement": "probability that forces and prior of one angle differ as much",
     "nrmsd": "deviation of the best curve, of peak-to-peak",
     "edge_mass": "posterior mass near the edge",
-    "edge_density": "density at the edge, over the largest",
+    "edge_density": "posterior density at the edge, of its peak",
 }
 """Name of each measure."""
 
@@ -91,8 +91,18 @@ DOUBTS = {
     "turned_Fz": "Is the sign of Fz turned? It points up, as a force on the leg.",
     "on_the_soil": "Are these the forces of the leg on the soil? Those on the leg are meant.",
     "backwards": "Does theta run backwards? It grows as the leg moves.",
-    "pounds_force": "Are the forces in pounds-force, or kilograms-force? Newtons are meant.",
-    "kilograms_force": "Are the forces in kilograms-force, or pounds-force? Newtons are meant.",
+    "pounds_force": (
+        "Are the forces in pounds-force, or kilograms-force, or is the density wrong? Newtons and "
+        "kg/m³ are meant."
+    ),
+    "kilograms_force": (
+        "Are the forces in kilograms-force, or pounds-force, or is the density wrong? Newtons and "
+        "kg/m³ are meant."
+    ),
+    "assumed_density": (
+        "Is the density right? {used:g} kg/m³ is assumed; with another the forces would be like "
+        "those of known soils: give --density."
+    ),
     "grams_force": "Are the forces in grams-force? Newtons are meant.",
     "kilonewtons": "Are the forces in kilonewtons? Newtons are meant.",
     "millinewtons": "Are the forces in millinewtons? Newtons are meant.",

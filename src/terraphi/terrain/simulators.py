@@ -254,7 +254,7 @@ _EVERY = [
         parameter="friction_angle",
         unit="deg",
         meaning="√J2 ≤ 6 sin θ/(√3(3 - sin θ)) p: the cone of triaxial compression",
-        formula="sin θ = 3 sin φ / (2√3 + sin φ); no φ acts that is named above 42.2 deg there",
+        formula="sin θ = 3 sin φ / (2√3 + sin φ), at most 42.2 deg: more is stronger than any φ",
         source="engine/materials/MPM/sand.py (2025)",
         value=_compression,
         ratio=lambda angle: ratio_of_angle(angle, "triaxial"),

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOUR_MAP = "viridis"
+PLAN = (1.3, 1.0)
+"""Width and height of the panel with the path, one over the other [-]."""
 
 
 def footfalls_figure(found: FootfallMap) -> Figure:
@@ -41,7 +43,12 @@ def footfalls_figure(found: FootfallMap) -> Figure:
             label=f"usable ({int(usable.sum())})",
         )  # fmt: skip
         figure.colorbar(points, ax=plan, label="φ [deg]", location="bottom", shrink=0.8)
-    plan.set_aspect("equal", adjustable="datalim")
+    places = np.vstack([found.path[:, 1:3], found.place[:, :2]])
+    low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
+    # Set here: limits that change while drawing have labels that the layout does not know.
+    reach = 0.55 * max(*((high - low) / PLAN), 0.1) * np.array(PLAN)
+    (left, lower), (right, upper) = 0.5 * (low + high) - reach, 0.5 * (low + high) + reach
+    plan.set(aspect="equal", xlim=(left, right), ylim=(lower, upper))
     plan.set(xlabel="x, along the first heading [m]", ylabel="y [m]", title="Footfalls")
     plan.legend(fontsize="small", frameon=False)
     _draw_course(course, found)

@@ -16,7 +16,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.files import replacing
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
 from terraphi.experiment.scenario import Scenario
-from terraphi.inference.answer import Inversion
+from terraphi.inference.answer import Inversion, Record
 from terraphi.inference.identifiability import label
 
 if TYPE_CHECKING:
@@ -143,7 +143,6 @@ def _draw_forces(axes: Axes, inversion: Inversion, component: str, *, label: str
     seen = record.observation
     half = len(seen.theta_deg)
     part = slice(0, half) if component == "Fx" else slice(half, None)
-    data = seen.Fx if component == "Fx" else seen.Fz
     pale: dict[str, Any] = {"color": BLUE, "alpha": 0.25, "lw": 0}
     within = "curves within the 95 % interval"
     if record.band is not None:
@@ -153,11 +152,23 @@ def _draw_forces(axes: Axes, inversion: Inversion, component: str, *, label: str
         expected = record.expected[part]
         name = "with the mean deviation of real soils"
         axes.plot(seen.theta_deg, expected, color=PURPLE, ls="--", label=name)
-    axes.plot(seen.theta_deg, data, "o", ms=3.5, color=ORANGE, mec="black", mew=0.4, label=label)
+    _draw_points(axes, record, part, "o", color=ORANGE, label=label)
     finish_force_axes(axes, component)
     deviation = 100.0 * record.nrmsd[component]
     what = inversion.source if component == "Fx" else f"library {inversion.library}"
     axes.set_title(f"{what}: NRMSD {deviation:.1f} %", fontsize=10)
+
+
+def _draw_points(axes: Axes, record: Record, part: slice, mark: str, **look: Any) -> None:
+    """Window means of one force; open where readings were left out, which lines then bridge."""
+    theta, means = record.observation.theta_deg, record.observation.vector[part]
+    apart = np.abs(theta[:, None] - record.left_out_deg)
+    bridged = (apart <= 0.5 * (theta[1] - theta[0])).any(axis=1)
+    same: dict[str, Any] = {"ls": "", "marker": mark, "ms": 3.5}
+    axes.plot(theta[~bridged], means[~bridged], mec="black", mew=0.4, **same, **look)
+    if bridged.any():
+        same |= {"mfc": "none", "mec": GREY, "label": "readings left out (bridged)"}
+        axes.plot(theta[bridged], means[bridged], **same)
 
 
 def finish_force_axes(axes: Axes, component: str) -> None:
@@ -337,10 +348,8 @@ def fits_figure(found: Inversion) -> Figure:
             half = slice(0, theta.size) if force == "Fx" else slice(theta.size, None)
             axes.plot(theta, records[0].best[half], color=BLUE, label="best curve")
             for i, record in enumerate(records):
-                values, name = record.observation.vector[half], record.source or f"history {i + 1}"
-                look: dict[str, Any] = {"color": GREY if i % 2 else ORANGE, "ms": 3.5}
-                look |= {"mec": "black", "mew": 0.4, "label": name}
-                axes.plot(theta, values, marks[i % len(marks)], **look)
+                name, colour = record.source or f"history {i + 1}", GREY if i % 2 else ORANGE
+                _draw_points(axes, record, half, marks[i % len(marks)], color=colour, label=name)
             finish_force_axes(axes, force)
             axes.set_title(f"leg {leg}", fontsize=10)
         row[0].legend(fontsize=8, frameon=False)

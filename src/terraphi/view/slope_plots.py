@@ -1,4 +1,4 @@
-"""Pictures of slope maps, over the shade of the hill."""
+"""Pictures of slope maps, under the hill's contour lines."""
 
 from __future__ import annotations
 
@@ -24,17 +24,13 @@ PANELS = (
 
 
 def map_figure(found: SlopeMap) -> Figure:
-    """Four maps with hillshade, the points, and hatching where the field extrapolates."""
-    from matplotlib.colors import LightSource
-
+    """Four maps with contour lines, the points, and hatching where the field extrapolates."""
     every = max(1, -(-max(found.dem.height.shape) // MOST_PIXELS))
     thin = (slice(None, None, every), slice(None, None, every))
     x, y = found.dem.x, found.dem.y
     half = 0.5 * found.dem.cell
     extent = (x[0] - half, x[-1] + half, y[-1] - half, y[0] + half)
-    height = np.ma.masked_invalid(found.dem.height[thin]).filled(np.nanmin(found.dem.height))
-    cell = every * found.dem.cell
-    shade = LightSource(azdeg=315.0, altdeg=45.0).hillshade(height, dx=cell, dy=cell)
+    height = np.ma.masked_invalid(found.dem.height[thin])
     tall = (extent[3] - extent[2]) / (extent[1] - extent[0])
     size = 5.2 * min(max(tall, 0.4), 2.0)
     figure, grid = panels_of(2, 2, size=(11.0, 1.7 * size + 0.6), sharex=True, sharey=True)
@@ -42,9 +38,11 @@ def map_figure(found: SlopeMap) -> Figure:
     for axes, (name, title, colours, limits) in zip(grid.flat, PANELS, strict=True):
         values = np.ma.masked_invalid(found.layers[name][thin])
         low, high = limits or (None, None)
-        axes.imshow(shade, cmap="gray", extent=extent, vmin=0.0, vmax=1.2)
-        shown = axes.imshow(values, cmap=colours, extent=extent, alpha=0.7, vmin=low, vmax=high)
+        shown = axes.imshow(values, cmap=colours, extent=extent, vmin=low, vmax=high)
         figure.colorbar(shown, ax=axes, shrink=0.8)
+        if min(height.shape) > 1 and height.min() < height.max():
+            lines: dict[str, Any] = {"colors": "black", "linewidths": 0.4, "alpha": 0.6}
+            axes.contour(height, 10, extent=extent, origin="upper", **lines)
         _hatched(axes, beyond, extent)
         axes.plot(found.points.x_m, found.points.y_m, "k.", ms=2.5)
         axes.set_title(title, fontsize=10)
@@ -52,7 +50,8 @@ def map_figure(found: SlopeMap) -> Figure:
         axes.tick_params(labelsize=7)
     figure.supxlabel("x [m]", fontsize=9)
     figure.supylabel("y [m]", fontsize=9)
-    figure.suptitle("Points: where φ was measured. Hatched: the field extrapolates.", fontsize=10)
+    told = "Points: where φ was measured. Hatched: the field extrapolates. Thin lines: elevation."
+    figure.suptitle(told, fontsize=10)
     return figure
 
 

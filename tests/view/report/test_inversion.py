@@ -300,6 +300,16 @@ def test_a_file_of_the_first_schema_is_read_too(inversion_folder: Path, tmp_path
     assert plots(page)["Fx"].note == NO_BAND
 
 
+def test_forces_stand_beside_what_real_soils_would_have(tmp_path: Path) -> None:
+    found = invert(measurement("li2013:yuma/straight").history, density=1650.0)
+    found.to_netcdf(tmp_path / "posterior.nc")
+    lines = {trace["name"]: trace for trace in plots(section(tmp_path))["Fz"].traces}
+    expected = found.record.expected
+    assert expected is not None
+    drawn = lines["with the mean deviation of real soils"]["y"]
+    assert drawn == pytest.approx(expected[40:], rel=1e-3, abs=1e-3)
+
+
 def test_a_calibrated_answer_has_its_own_band_and_budget(tmp_path: Path) -> None:
     measured = measurement("li2013:yuma/straight")
     library = Library.load("quick-plane-strain")

@@ -350,6 +350,7 @@ def _forces(saved: Saved) -> list[Part]:
             traces.append(fig.band(saved.theta_deg, low, high, within, "@blue/0.3"))
         traces += [
             fig.line(saved.theta_deg, saved.best[part], "curve at the median", "@blue"),
+            *_expected(saved, part),
             fig.points(saved.theta_deg, saved.data[part], _origin(saved.answer), "@orange"),
         ]
         deviation = 100.0 * saved.answer["nrmsd"][name]
@@ -362,6 +363,13 @@ def _forces(saved: Saved) -> list[Part]:
             )
         )
     return plots
+
+
+def _expected(saved: Saved, part: slice) -> list[dict[str, Any]]:
+    if saved.expected is None:
+        return []
+    name = "with the mean deviation of real soils"
+    return [fig.line(saved.theta_deg, saved.expected[part], name, "@purple", dash="dash")]
 
 
 def _residuals(saved: Saved) -> Plot:
@@ -492,6 +500,8 @@ class Saved:
     band
         Least and largest force of the curves within the 95 % interval [N], shape [2, 2 theta], if
         the file says so.
+    expected
+        The curve with the mean deviation of real soils [N], shape [2 theta], if the file says so.
     """
 
     answer: Mapping[str, Any]
@@ -501,6 +511,7 @@ class Saved:
     best: FloatArray = field(default_factory=lambda: np.empty(0))
     share: FloatArray | None = None
     band: FloatArray | None = None
+    expected: FloatArray | None = None
 
 
 def load(path: Path) -> Saved:
@@ -520,25 +531,28 @@ def load(path: Path) -> Saved:
         answer = _parsed(tree.attrs["answer"])
         if is_several(answer):
             return Saved(answer)
-        data, best = (
-            np.concatenate([_array(tree, f"{group}/{name}") for name in ("Fx", "Fz")])
-            for group in ("observed_data", "posterior_predictive_mean")
-        )
+        data, best = _both(tree, "observed_data"), _both(tree, "posterior_predictive_mean")
         theta = _array(tree, "observed_data/theta_deg")
         draws = _array(tree, "posterior/phi_deg")
-        share = band = None
+        share = band = expected = None
         if "information_share" in tree:
-            share = np.stack([_array(tree, f"information_share/{name}") for name in ("Fx", "Fz")])
+            share = _both(tree, "information_share").reshape(2, -1)
+        if "with_mean_deviation" in tree:
+            expected = _both(tree, "with_mean_deviation")
         if "curves_within_ci95" in tree:
             ends = [_array(tree, f"curves_within_ci95/{name}") for name in ("Fx", "Fz")]
             band = np.hstack([part.reshape(2, -1) for part in ends])
-    shapes = {(2, len(theta)): share, (2, 2 * len(theta)): band}
+    shapes = {(2, len(theta)): share, (2, 2 * len(theta)): band, data.shape: expected}
     sound = len(data) == len(best) == 2 * len(theta) and len(draws) >= 10
     sound = sound and all(part is None or part.shape == shape for shape, part in shapes.items())
-    told = [part for part in (data, best, theta, draws, share, band) if part is not None]
+    told = [part for part in (data, best, theta, draws, share, band, expected) if part is not None]
     if not sound or not all(np.isfinite(part).all() for part in told):
         raise InputError(f"{posterior}: its arrays do not fit each other; make it again")
-    return Saved(answer, draws, theta, data, best, share, band)
+    return Saved(answer, draws, theta, data, best, share, band, expected)
+
+
+def _both(tree: Any, group: str) -> FloatArray:
+    return np.concatenate([_array(tree, f"{group}/{name}") for name in ("Fx", "Fz")])
 
 
 def _array(tree: Any, name: str) -> FloatArray:
