@@ -46,8 +46,8 @@ PRESET, NODES, RESOLVED = "preset", "nodes", "resolved"
 """Names of settings: those of preset ``resolved-2`` (contact on the surface that ends before the
 tip, phases, strains of whole cells where soil dilates); contact with the nodes within half a cell,
 with a transfer at every step and the strains of each particle, to which the quick presets are
-nearest; and those of preset ``resolved`` (as the first, but contact ends at the tip, and of a cell's
-particles but the dilatation is alike)."""
+nearest; and those of preset ``resolved`` (as the first, but contact ends at the tip, and
+particles of a cell share their dilatation alone)."""
 BENEATH = 3
 """Soil beneath the toe of a rough wall, if there is any, is the wall's height over this."""
 
