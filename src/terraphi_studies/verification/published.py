@@ -63,6 +63,10 @@ AS_RUN = Drive(
 """MarbleRun.jl's test in small: the same E/(γ B), v/√(g B) and settlement over B."""
 FIRST = "E = 10⁵ q_u, ρ c v = 0.05 q_u"
 """What :func:`~terraphi_studies.verification.limit_scenarios.drive_at_first` chooses, in words."""
+MOVED_NODES = (
+    "contact with the nodes depends on where in a cell the footing stands, which has moved by 0.2 "
+    "cells"
+)
 PHI_DEG, PHI_OF_ELEMENTS_DEG = 30.0, 32.07
 ELEMENT_COHESION, ELEMENT_WIDTH = 4.21, 2.0
 """c [MPa] and B [m] of Code_Aster."""
@@ -124,10 +128,10 @@ def press_as_run(settings: str, across: int = 20, slower: float = 1.0) -> Outcom
                 quantity=f"pressure/c, {what}",
                 expected=float(expected),
                 obtained=float(obtained),
-                tolerance=0.10,
+                tolerance=0.10 if slower == 1.0 else 0.05,
                 resolution=f"B/Δx = {across}",
                 source=source,
-                cause=_cause(settings),
+                cause=MOVED_NODES if settings == NODES else _cause(settings),
             )
             for what, expected, obtained in found
         ]
@@ -193,7 +197,8 @@ FAMILY = Family(
     "[Code_Aster]"
     "(https://github.com/SRaude/formation-mfront-2022/tree/main/code-aster/bc-strip-foundation), "
     "from a course. MarbleRun.jl presses so fast that its forces are no limit loads: ours stand "
-    "beside them at the same speed, and beside the exact load where the footing is slow. Column "
+    "beside them at the same speed, and beside the exact load where the footing is slow. The ±10 % "
+    "beside their forces was chosen when the deviations were known. Column "
     "`resolved` has the settings of that preset, the others those of the limit loads above.",
     full=[
         *numbered(
