@@ -24,6 +24,7 @@ FAMILIES = (
     "waves",
     "sliding",
     "limit_loads",
+    "published",
     "plate",
     "collapse",
     "conservation",

@@ -318,7 +318,7 @@ def press_footing(
         resolution=f"B/Δx = {across}",
         source=source,
         note="; ".join(filter(None, (note, unrest(factor)))),
-        cause=_footing_cause(load, settings),
+        cause=footing_cause(load, settings),
         per_degree=n_gamma_per_degree(phi_deg, base)
         if load == "weight"
         else per_degree(surcharge_factor, phi_deg),
@@ -326,7 +326,8 @@ def press_footing(
     return Outcome([check], _curves(name, check, across, exact, place / FIRST_UNIT, factor))
 
 
-def _footing_cause(load: str, settings: str) -> str:
+def footing_cause(load: str, settings: str) -> str:
+    """Why the load of a footing misses the exact one."""
     if settings == PRESET:
         return (
             "the transfer smooths the velocities beside the footing's edge, against which contact "

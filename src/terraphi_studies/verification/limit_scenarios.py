@@ -38,11 +38,16 @@ PACE, PACE_OF_DEAD_WEIGHT = 0.05, 0.01
 """ρ c v of a plate over its limit pressure. Dead weight is heavy, and swings for long if pushed."""
 HEAVY = 20.0
 """Dead weight over γ B: N_γ then gives 1.5 to 2.6 % of the load."""
-PRESET, NODES = "preset", "nodes"
+COHESION, BOTH = 10e3 / (1000.0 * 9.81), 42.64
+"""c/(γ B) of a footing on soil with weight and cohesion, which others computed (see
+:mod:`~terraphi_studies.verification.published`), and its exact q_u/c at φ = 30° if it is rough, by
+slip lines [-]."""
+PRESET, NODES, RESOLVED = "preset", "nodes", "resolved"
 """Names of settings: those of preset ``resolved-2`` (contact on the surface that ends before the
-tip, phases, strains of whole cells where soil dilates), and contact with the nodes within half a
-cell, with a transfer at every step and the strains of each particle, to which the quick presets are
-nearest."""
+tip, phases, strains of whole cells where soil dilates); contact with the nodes within half a cell,
+with a transfer at every step and the strains of each particle, to which the quick presets are
+nearest; and those of preset ``resolved`` (as the first, but contact ends at the tip, and
+particles of a cell share their dilatation alone)."""
 BENEATH = 3
 """Soil beneath the toe of a rough wall, if there is any, is the wall's height over this."""
 
@@ -102,9 +107,9 @@ def drive_at_first(pressure: float, length: float, pace: float = PACE) -> Drive:
 
 
 @cache
-def preset() -> Scenario:
-    """Preset ``resolved-2``."""
-    return Scenario.load("resolved-2")
+def preset(settings: str = PRESET) -> Scenario:
+    """Preset ``resolved-2``, or ``resolved`` for :data:`RESOLVED`."""
+    return Scenario.load("resolved-2" if settings == PRESET else "resolved")
 
 
 def _numerics(settings: str, cell: float, cells: int, drive: Drive) -> dict[str, Any]:
@@ -113,11 +118,11 @@ def _numerics(settings: str, cell: float, cells: int, drive: Drive) -> dict[str,
     if settings == NODES:
         time_step = drive.courant * cell / wave
         return size | {"time_step": time_step, "damping_rate": 0.0, "contact_band_cells": 0.5}
-    if settings != PRESET:
-        raise ValueError(f"no settings '{settings}'; there are '{PRESET}' and '{NODES}'")
+    if settings not in (PRESET, RESOLVED):
+        raise ValueError(f"no settings '{settings}'; there are '{PRESET}', '{NODES}', '{RESOLVED}'")
     # All of the preset but the size of things and where particles lie: its Courant number and its
     # steps a phase too.
-    soil, numerics = preset().soil, preset().numerics
+    soil, numerics = preset(settings).soil, preset(settings).numerics
     time_step = numerics.time_step * soil.p_wave_speed / numerics.cell_size * cell / wave
     return numerics.model_dump() | {
         **size,
@@ -215,6 +220,9 @@ def _loading(phi_deg: float, base: str, load: str) -> tuple[float, dict[str, flo
     if load == "weight":
         pressure = 0.5 * DENSITY * GRAVITY * FOOTING_WIDTH * N_GAMMA[phi_deg, base]
         return pressure, {"gravity": GRAVITY}, 0.0
+    if load == "weight and cohesion":
+        cohesion = COHESION * DENSITY * GRAVITY * FOOTING_WIDTH
+        return BOTH * cohesion, {"gravity": GRAVITY}, cohesion
     pressure = CONFINEMENT * surcharge_factor(phi_deg)
     if load == "cohesion":
         return pressure, {"gravity": 0.0}, CONFINEMENT * math.tan(math.radians(phi_deg))
@@ -232,7 +240,14 @@ def _bed_of_footing(phi_deg: float, load: str) -> tuple[float, float]:
 
 
 def footing_scenario(
-    phi_deg: float, base: str, across: int, *, load: str, settings: str = NODES
+    phi_deg: float,
+    base: str,
+    across: int,
+    *,
+    load: str,
+    settings: str = NODES,
+    room: tuple[float, float] | None = None,
+    drive: Drive | None = None,
 ) -> Scenario:
     """Half a strip footing that is pressed into a bed, as far as to its limit load.
 
@@ -245,12 +260,17 @@ def footing_scenario(
     across
         B/Δx.
     load
-        ``weight`` of the soil for N_γ; for N_q its ``cohesion``, or a ``dead weight`` on it.
+        ``weight`` of the soil for N_γ; for N_q its ``cohesion``, or a ``dead weight`` on it; or
+        ``weight and cohesion``, for φ = 30° and a rough base alone.
     settings
+        As in :func:`wall_scenario`, or :data:`RESOLVED`.
+    room
+        Width and depth of the bed over B; ``None``: beyond the exact mechanism.
+    drive
         As in :func:`wall_scenario`.
     """
     cell = FOOTING_WIDTH / across
-    wide, deep = _bed_of_footing(phi_deg, load)
+    wide, deep = room or _bed_of_footing(phi_deg, load)
     thick, left, bottom = 4 * cell, (4 + 1e-6) * cell, (3 + 1e-6) * cell
     height, width = round(deep * across) * cell, wide * FOOTING_WIDTH
     cells = max(
@@ -258,7 +278,7 @@ def footing_scenario(
     )
     pressure, weights, cohesion = _loading(phi_deg, base, load)
     pace = PACE_OF_DEAD_WEIGHT if load == "dead weight" else PACE
-    drive = drive_at_first(pressure, FOOTING_WIDTH, pace)
+    drive = drive or drive_at_first(pressure, FOOTING_WIDTH, pace)
     return Scenario.model_validate(
         {
             "soil": _soil(phi_deg, "associated", drive, cohesion),
