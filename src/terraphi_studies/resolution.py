@@ -1,10 +1,11 @@
 """Resolution: is the force of preset ``resolved`` the soil's, and what took it there.
 
-Two shipped plans. ``waterfall`` leads from preset ``paper-1`` to ``resolved``, one remedy after
+Three shipped plans. ``waterfall`` leads from preset ``paper-1`` to ``resolved``, one remedy after
 another. ``resolution`` takes ``resolved`` and halves the cells, the time step and the speed-up, and
 makes the soil four times as stiff: none of these is a property of the soil, so the peaks should
 stay. What a change is worth is seen beside what another seed does. A step that follows another is
-measured from that one: so the cells of preset ``resolved-2`` are halved.
+measured from that one: so the cells of preset ``resolved-2`` are halved. ``space`` does the same in
+three dimensions, with the numerics of plan ``sand3d-quick``.
 Peaks are those of 1° means, over the part of the path that holds both.
 """
 
@@ -23,7 +24,7 @@ from terraphi_studies.measures import FORCES, both, peaks_of
 from terraphi_studies.pictures import waterfall_figure
 from terraphi_studies.planned import Simulations, missing_from, need_base, not_yet, steps_of
 
-PLANS = ("waterfall", "resolution")
+PLANS = ("waterfall", "resolution", "space")
 NAME = "resolution"
 TITLE = "Resolution: from preset paper-1 to preset resolved, and whether that has arrived"
 COLUMNS = (
@@ -32,6 +33,7 @@ COLUMNS = (
     ("peak Fx", "{peaks_N[Fx]:.2f} N"),
     ("change of Fz", "{said[Fz]}"),
     ("change of Fx", "{said[Fx]}"),
+    ("of the means, Fz / Fx", "{said[mean]}"),
 )
 TOLERANCE_PERCENT = 5.0
 """What halving anything may do to a peak [%]."""
@@ -46,7 +48,7 @@ ByForce = Mapping[str, float]
 
 
 def run(*, cases: Simulations) -> Study:
-    """Measure the finished cases of both plans.
+    """Measure the finished cases of the plans.
 
     Parameters
     ----------
@@ -63,19 +65,19 @@ def run(*, cases: Simulations) -> Study:
     InputError
         If a base is not simulated yet, the folder cannot be written, or a simulation failed.
     """
-    way, halved = (Plan.load(name) for name in PLANS)
-    return study_of(way, halved, cases.histories(way, halved))
+    way, halved, space = (Plan.load(name) for name in PLANS)
+    return study_of(way, halved, space, cases.histories(way, halved, space))
 
 
-def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> Study:
-    """The study on what is finished of the two plans.
+def study_of(way: Plan, halved: Plan, space: Plan, finished: Mapping[str, ForceHistory]) -> Study:
+    """The study on what is finished of the plans.
 
     Parameters
     ----------
     way
         Plan of steps that lead from one preset to the other.
-    halved
-        Plan of steps that each change the base.
+    halved, space
+        Plans of steps that each change the base.
     finished
         Histories by the hash of their scenario.
 
@@ -86,34 +88,24 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         (``peaks_N``: mean over the seeds, ``seed_scatter_percent``), ``halved`` (by step:
         ``from``, the step that it follows or the base, ``seeds``, ``peaks_N``, ``change_percent``,
         ``within_5_percent``, ``mean_change_percent``: that of the mean over the path; both also
-        as ``change_deg`` and ``mean_change_deg``, in degrees of the friction angle),
-        ``change_when_halved_percent`` (by force: ``mean_change_percent`` of
-        :data:`HALVED`; null while that is missing), ``percent_per_degree`` by force, and
-        ``missing``.
+        as ``change_deg`` and ``mean_change_deg``, in degrees of the friction angle), ``space``
+        (its ``base`` and ``steps``, as these two), ``change_when_halved_percent`` (by force:
+        ``mean_change_percent`` of :data:`HALVED`; null while that is missing),
+        ``percent_per_degree`` by force, and ``missing``.
 
     Raises
     ------
     InputError
         If a base is not among the finished.
     """
-    for plan in (way, halved):
+    for plan in (way, halved, space):
         need_base(plan, finished)
     steps = _waterfall(way, finished)
-    base = halved.scenario.name
-    runs = _runs(halved, finished)
-    resolved = _seeds([peaks_of(h) for h in runs[base]], [_level(h) for h in runs[base]])
-    start = {
-        name: (_mean([peaks_of(h) for h in same]), _mean([_level(h) for h in same]))
-        for name, same in runs.items()
-    }
-    changes = {
-        name: {"from": before, "seeds": len(runs[name]), **_change(*start[name], *start[before])}
-        for name, before in followed(halved).items()
-        if name in start and before in start
-    }
+    resolved, changes = _changes(halved, finished)
+    of_space, in_space = _changes(space, finished)
     missing = {
         name: s
-        for plan in (way, halved)
+        for plan in (way, halved, space)
         for name, s in missing_from(steps_of(plan), finished).items()
     }
     data = {
@@ -121,10 +113,17 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         "resolved": resolved,
         "halved": changes,
         "change_when_halved_percent": changes.get(HALVED, {}).get("mean_change_percent"),
+        "space": {"base": of_space, "steps": in_space},
         "percent_per_degree": {f: 100.0 * degrees.rise_of()[f] for f in FORCES},
         "missing": list(missing),
     }
-    table = Table.of(TITLE, COLUMNS, _rows(steps, resolved, changes))
+    rows = [
+        *_steps(steps),
+        *_changed(resolved, changes, base="resolved"),
+        *_changed(of_space, in_space, base=space.scenario.name),
+    ]
+    table = Table.of(TITLE, COLUMNS, rows)
+    base = halved.scenario.name
     alone = {name: change for name, change in changes.items() if change["from"] == base}
     notes = [*_notes(data), *not_yet(NAME, missing)]
     return Study(
@@ -134,6 +133,24 @@ def study_of(way: Plan, halved: Plan, finished: Mapping[str, ForceHistory]) -> S
         documents=page(NAME, table, _method(), notes, PICTURE),
         notes=notes,
     )
+
+
+def _changes(
+    plan: Plan, finished: Mapping[str, ForceHistory]
+) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """The base of a plan, and what its finished steps change; see :func:`study_of`."""
+    runs = _runs(plan, finished)
+    both_of = {
+        name: ([peaks_of(h) for h in same], [_level(h) for h in same])
+        for name, same in runs.items()
+    }
+    start = {name: (_mean(peaks), _mean(levels)) for name, (peaks, levels) in both_of.items()}
+    changes = {
+        name: {"from": before, "seeds": len(runs[name]), **_change(*start[name], *start[before])}
+        for name, before in followed(plan).items()
+        if name in start and before in start
+    }
+    return _seeds(*both_of[plan.scenario.name]), changes
 
 
 def followed(plan: Plan) -> dict[str, str]:
@@ -221,30 +238,31 @@ def _change(
 # -- what people see -------------------------------------------------------------------------------
 
 
-def _rows(
-    steps: Sequence[Mapping[str, Any]], resolved: Mapping[str, Any], changes: Mapping[str, Any]
+def _steps(steps: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of the waterfall."""
+    rows = []
+    for i, step in enumerate(steps):
+        said = {f: f"{step['change_N'][f]:+.2f} N" if i else "" for f in FORCES}
+        rows.append({**step, "said": {**said, "mean": ""}})
+    return rows
+
+
+def _changed(
+    start: Mapping[str, Any], changes: Mapping[str, Any], *, base: str
 ) -> list[dict[str, Any]]:
-    nothing = dict.fromkeys(FORCES, "")
-    rows = [
-        {**step, "said": {f: f"{step['change_N'][f]:+.2f} N" for f in FORCES} if i else nothing}
-        for i, step in enumerate(steps)
-    ]
-    scatter = resolved["seed_scatter_percent"]
-    rows.append(
-        {
-            "step": f"resolved, mean of {resolved['seeds']} seeds",
-            "peaks_N": resolved["peaks_N"],
-            "said": {
-                f: "" if scatter[f] is None else f"scatter {scatter[f]:.1f} %" for f in FORCES
-            },
-        }
-    )
+    """Rows of a base and of what changes it; steps that do not begin with a preset get its name."""
+    scatter = start["seed_scatter_percent"]
+    of_seeds = {f: "" if scatter[f] is None else f"scatter {scatter[f]:.1f} %" for f in FORCES}
+    of_seeds["mean"] = f"within {both(start['mean_scatter_percent'], ' %')}"
+    name = f"{base}, mean of {start['seeds']} seeds"
+    rows = [{"step": name, "peaks_N": start["peaks_N"], "said": of_seeds}]
     for name, change in changes.items():
         percent, turned = change["change_percent"], change["change_deg"]
         # What follows another step stands below it.
         above = " from above" if change["from"] in changes else ""
         said = {f: f"{percent[f]:+.1f} %, {turned[f]:+.1f}°{above}" for f in FORCES}
-        step = name if name.startswith("resolved") else f"resolved, {name}"
+        said["mean"] = both(change["mean_change_percent"], " %", "+.1f")
+        step = f"resolved, {name}" if base == "resolved" and not name.startswith(base) else name
         rows.append({"step": step, "peaks_N": change["peaks_N"], "said": said})
     return rows
 
@@ -294,7 +312,9 @@ def _method() -> str:
         "Straight leg, φ = 35°, speed-up 10, peaks of 1° means. Each row of the first part adds a "
         "change to all before it; each of the second changes preset `resolved` by itself, but for "
         "what is said to be from above: that changes the row above it. Preset `resolved-2` has the "
-        "tip drawn in and phases of 20 steps on each grid. Plans: `waterfall` and `resolution`. "
+        "tip drawn in and phases of 20 steps on each grid. Rows *in space* are of the leg's true "
+        "width, contact a cell short of its tip but where another is named; of all means, those "
+        "over the path. Plans: `waterfall`, `resolution` and `space`. "
         "Run again: `terraphi study resolution`.\n\n"
         f"{degrees.said()}\n\n"
         "`resolved` and `resolved-2` are means over three seeds, all else is one run, so that a "

@@ -12,7 +12,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan, Step
-from terraphi_studies import resolution
+from terraphi_studies import Study, resolution
 from terraphi_studies.planned import Simulations
 
 THETA = np.radians(np.arange(-82.0, 5.0, 0.1) + 0.05)
@@ -26,7 +26,7 @@ def history(fz: float, fx: float) -> ForceHistory:
 
 
 @pytest.fixture(name="plans")
-def _plans() -> tuple[Plan, Plan]:
+def _plans() -> tuple[Plan, Plan, Plan]:
     base: dict[str, Any] = {"name": "start", "motion": {"start_deg": -82.0, "stop_deg": 5.0}}
     way = {
         "name": "waterfall",
@@ -45,7 +45,16 @@ def _plans() -> tuple[Plan, Plan]:
             {"name": "k doubled", "after": "base", "changes": {"numerics.speed_up": 2.0}},
         ],
     }
-    return Plan.model_validate(way), Plan.model_validate(halved)
+    space = {
+        "name": "space",
+        "scenario": base | {"name": "in space", "soil": {"friction_angle_deg": 33.0}},
+        "steps": [
+            {"name": "finer", "changes": {"numerics.time_step": 4e-6}},
+            {"name": "finest", "changes": {"numerics.time_step": 2e-6}},
+            {"name": "finer, seed 1", "changes": {"numerics.time_step": 4e-6, "numerics.seed": 1}},
+        ],
+    }
+    return tuple(Plan.model_validate(one) for one in (way, halved, space))
 
 
 def finished_of(plan: Plan, peaks: list[tuple[float, float]]) -> dict[str, ForceHistory]:
@@ -53,22 +62,30 @@ def finished_of(plan: Plan, peaks: list[tuple[float, float]]) -> dict[str, Force
     return {variant.scenario.hash: history(*values) for variant, values in found}
 
 
-def test_each_step_takes_the_difference_to_the_one_before(plans: tuple[Plan, Plan]) -> None:
+def studied(
+    plans: tuple[Plan, Plan, Plan],
+    finished: dict[str, ForceHistory],
+    in_space: list[tuple[float, float]] | None = None,
+) -> Study:
+    return resolution.study_of(*plans, finished | finished_of(plans[2], in_space or [(10.0, 5.0)]))
+
+
+def test_each_step_takes_the_difference_to_the_one_before(plans: tuple[Plan, Plan, Plan]) -> None:
     finished = finished_of(plans[1], [(10.0, 5.0), (10.0, 5.0)])
     finished |= finished_of(plans[0], [(10.0, 5.0), (7.0, 4.0), (6.0, 4.5)])
-    data = resolution.study_of(*plans, finished).data
+    data = studied(plans, finished).data
     assert [s["step"] for s in data["waterfall"]] == ["start", "no drag", "thin band"]
     taken = [(s["change_N"]["Fz"], s["change_N"]["Fx"]) for s in data["waterfall"]]
     np.testing.assert_allclose(taken, [(0, 0), (-3, -1), (-1, 0.5)], atol=2e-3)
 
 
 def test_changes_are_measured_from_the_mean_over_the_seeds(
-    plans: tuple[Plan, Plan], monkeypatch: pytest.MonkeyPatch
+    plans: tuple[Plan, Plan, Plan], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(resolution, "HALVED", "k doubled")
     finished = finished_of(plans[0], [(10.0, 5.0)])
     finished |= finished_of(plans[1], [(9.0, 5.0), (11.0, 5.0), (10.3, 4.9), (10.2, 5.6)])
-    study = resolution.study_of(*plans, finished)
+    study = studied(plans, finished)
     assert study.data["resolved"]["peaks_N"]["Fz"] == pytest.approx(10.0, rel=1e-3)
     scatter = study.data["resolved"]["seed_scatter_percent"]
     assert scatter["Fz"] == pytest.approx(100 * math.sqrt(2) / 10, rel=1e-3)
@@ -92,24 +109,24 @@ def test_changes_are_measured_from_the_mean_over_the_seeds(
     assert any("more than 5 % with: k doubled" in note for note in study.notes)
 
 
-def test_a_step_that_follows_another_is_measured_from_it(plans: tuple[Plan, Plan]) -> None:
-    way, halved = plans
+def test_a_step_that_follows_another_is_measured_from_it(plans: tuple[Plan, Plan, Plan]) -> None:
+    way, halved, space = plans
     steps = [*halved.steps, Step(name="both", changes={"numerics.seed": 3})]
     halved = halved.model_copy(update={"steps": steps})
     finished = finished_of(way, [(10.0, 5.0)])
     finished |= finished_of(halved, [(10.0, 5.0), (10.0, 5.0), (9.0, 5.0), (8.0, 5.0), (8.4, 5.0)])
-    study = resolution.study_of(way, halved, finished)
+    study = studied((way, halved, space), finished)
     changes = study.data["halved"]
     assert [changes[name]["from"] for name in ("k doubled", "both")] == ["start", "k doubled"]
     assert changes["k doubled"]["mean_change_percent"]["Fz"] == pytest.approx(-20.0, abs=0.1)
     assert changes["both"]["mean_change_percent"]["Fz"] == pytest.approx(5.0, abs=0.1)
-    assert [row[3].endswith("from above") for row in study.table.rows[-2:]] == [False, True]
+    assert [row[3].endswith("from above") for row in study.table.rows[-3:-1]] == [False, True]
     del finished[halved.variants()[-2].scenario.hash]
-    assert "both" not in resolution.study_of(way, halved, finished).data["halved"]
+    assert "both" not in studied((way, halved, space), finished).data["halved"]
 
 
-def test_seeds_of_a_step_are_its_mean(plans: tuple[Plan, Plan]) -> None:
-    way, halved = plans
+def test_seeds_of_a_step_are_its_mean(plans: tuple[Plan, Plan, Plan]) -> None:
+    way, halved, space = plans
     more = [
         Step(name="finer", changes={"numerics.seed": 3}),
         Step(name="k doubled, seed 1", after="base", changes={"numerics.seed": 4}),
@@ -117,25 +134,38 @@ def test_seeds_of_a_step_are_its_mean(plans: tuple[Plan, Plan]) -> None:
     halved = halved.model_copy(update={"steps": [*halved.steps, *more]})
     peaks = [(10.0, 5.0), (10.0, 5.0), (9.0, 5.0), (8.0, 5.0), (9.0, 5.0), (12.0, 5.0)]
     finished = finished_of(way, [(10.0, 5.0)]) | finished_of(halved, peaks)
-    changes = resolution.study_of(way, halved, finished).data["halved"]
+    changes = studied((way, halved, space), finished).data["halved"]
     assert set(changes) == {"Δt halved", "k doubled", "finer"}
     assert (changes["k doubled"]["seeds"], changes["finer"]["seeds"]) == (2, 1)
     assert changes["k doubled"]["mean_change_percent"]["Fz"] == pytest.approx(0.0, abs=0.1)
     assert changes["finer"]["mean_change_percent"]["Fz"] == pytest.approx(-10.0, abs=0.1)
 
 
-def test_what_is_missing_is_said(plans: tuple[Plan, Plan]) -> None:
+def test_in_space_each_grid_is_measured_from_the_coarser(plans: tuple[Plan, Plan, Plan]) -> None:
+    finished = finished_of(plans[0], [(10.0, 5.0)]) | finished_of(plans[1], [(10.0, 5.0)])
+    study = studied(plans, finished, [(10.0, 5.0), (8.0, 5.0), (9.0, 5.0), (10.0, 5.0)])
+    steps = study.data["space"]["steps"]
+    assert steps["finer"]["seeds"] == 2
+    assert steps["finer"]["mean_change_percent"]["Fz"] == pytest.approx(-10.0, abs=0.1)
+    assert steps["finest"]["mean_change_percent"]["Fz"] == pytest.approx(0.0, abs=0.1)
+    assert [row[0] for row in study.table.rows[-2:]] == ["finer", "finest"]
+
+
+def test_what_is_missing_is_said(plans: tuple[Plan, Plan, Plan]) -> None:
     finished = finished_of(plans[0], [(10.0, 5.0), (7.0, 4.0)])
     finished |= finished_of(plans[1], [(10.0, 5.0)])
-    study = resolution.study_of(*plans, finished)
-    assert study.data["missing"] == ["thin band", "seed 1", "Δt halved", "k doubled"]
+    study = studied(plans, finished)
+    assert study.data["missing"] == [
+        *("thin band", "seed 1", "Δt halved", "k doubled"),
+        *("finer", "finest", "finer, seed 1"),
+    ]
     assert len(study.data["waterfall"]) == 2
     with pytest.raises(InputError, match="plan 'waterfall': its base"):
         resolution.study_of(*plans, {})
 
 
 def test_the_way_ends_at_the_preset() -> None:
-    way, halved = (Plan.load(name) for name in resolution.PLANS)
+    way, halved, _ = (Plan.load(name) for name in resolution.PLANS)
     ends = {"motion.start_deg": -82.0, "motion.stop_deg": 5.0}
     assert (
         way.scenario.hash

@@ -76,9 +76,13 @@ def ovesen(phi_deg: float, ratio: float) -> float:
 
 
 def bed_of_plan(phi_deg: float) -> dict[str, Any]:
-    """Scenario of the plan, not sped up, as a mapping."""
+    """Scenario of the plan, not sped up, contact up to the very tip, as a mapping."""
     base = Plan.load("sand3d-quick").scenario
-    changes = {"soil.friction_angle_deg": phi_deg, "numerics.speed_up": 1.0}
+    changes = {
+        "soil.friction_angle_deg": phi_deg,
+        "numerics.speed_up": 1.0,
+        "numerics.tip_inset_cells": 0.0,
+    }
     return base.replace(**changes).model_dump()
 
 
