@@ -76,13 +76,9 @@ def ovesen(phi_deg: float, ratio: float) -> float:
 
 
 def bed_of_plan(phi_deg: float) -> dict[str, Any]:
-    """Scenario of the plan, not sped up, contact up to the very tip, as a mapping."""
+    """Scenario of the plan, not sped up, as a mapping."""
     base = Plan.load("sand3d-quick").scenario
-    changes = {
-        "soil.friction_angle_deg": phi_deg,
-        "numerics.speed_up": 1.0,
-        "numerics.tip_inset_cells": 0.0,
-    }
+    changes = {"soil.friction_angle_deg": phi_deg, "numerics.speed_up": 1.0}
     return base.replace(**changes).model_dump()
 
 
@@ -151,6 +147,7 @@ def footing(phi_deg: float) -> Outcome:
     bed, path = content["bed"], 2e-3
     leg = {"shape": "cylinder", "chord": 0.04, "width": DIAMETER, "friction": 10.0}
     leg["half_thickness"] = 0.5 * DIAMETER
+    content["numerics"]["tip_inset_cells"] = 0.0  # there is no tip
     motion = {
         "start": (0.5 * content["numerics"]["domain"], bed["floor"] + bed["height"] + 0.04),
         "velocity": (0.0, -SPEED),
@@ -207,7 +204,7 @@ def column_bed(aspect: float, across: int, phi_deg: float) -> tuple[Scenario, So
     }  # fmt: skip
     content["numerics"] |= {
         "domain": cells * cell, "cells": cells, "time_step": time_step,
-        "remap_interval": PHASE * time_step,
+        "remap_interval": PHASE * time_step, "tip_inset_cells": 0.0,
     }  # fmt: skip
     scenario = Scenario.model_validate(content)
     soil = geostatic_bed(scenario, np.float32)
