@@ -249,7 +249,8 @@ def _leg(group: Repeats, looked: Looked, library: Library, ways: Ways) -> _Leg:
     # A history of the library's own grid and speed-up has the error that finer cases take away.
     library = library.as_simulated if ours else library
     if ways.likelihood != "paper":
-        prepared = prepare(library, group.leg, readings=readings)
+        legs = len(looked.groups) if library.fine else 1
+        prepared = prepare(library, group.leg, readings=readings, legs=legs)
     curves = prepared.curves if prepared else library.curves(group.leg, readings=readings)
     check_trials(group, curves.scenario, ways.density, several=looked.several)
     scale = 1.0 if ways.density is None else ways.density / curves.scenario.soil.density

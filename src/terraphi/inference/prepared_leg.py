@@ -229,7 +229,9 @@ def _spectra(leg: PreparedLeg, shape: bytes) -> Spectra:
     return Spectra(leg, np.frombuffer(shape).reshape(leg.opened.shape))
 
 
-def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -> PreparedLeg:
+def prepare(
+    library: Library, leg: str, *, readings: FloatArray | None = None, legs: int = 1
+) -> PreparedLeg:
     """Make a leg of a library ready, or recall it.
 
     Parameters
@@ -240,23 +242,29 @@ def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -
     leg, readings
         As in :meth:`Library.curves`. What the readings leave open of the path is part of the
         covariance.
+    legs
+        Legs that are inverted together, this one among them. Their corrections err alike, and
+        likelihoods are added as if they did not: variances of the correction are so many times
+        what they are, which bounds the covariance of all whatever the legs have in common.
 
     Raises
     ------
     InputError
         As :meth:`Library.curves` does.
     """
-    return _prepared(library, leg, None if readings is None else readings.tobytes())
+    return _prepared(library, leg, None if readings is None else readings.tobytes(), legs)
 
 
 @functools.lru_cache(maxsize=REMEMBERED)
-def _prepared(library: Library, leg: str, readings_as_bytes: bytes | None) -> PreparedLeg:
+def _prepared(
+    library: Library, leg: str, readings_as_bytes: bytes | None, legs: int
+) -> PreparedLeg:
     readings = None if readings_as_bytes is None else np.frombuffer(readings_as_bytes)
     curves = library.curves(leg, readings=readings)
     surrogate = surrogate_of(library, leg, curves, readings=readings)
     if library.fine:
         correction = refinement_of(library, leg, surrogate, readings=readings)
-        surrogate = replace(surrogate, correction=correction)
+        surrogate = replace(surrogate, correction=correction.widened(np.sqrt(legs)))
     reading = None if readings is None else learn_reading(library, leg, readings, surrogate)
     return PreparedLeg.of(surrogate, curves, reading)
 

@@ -441,8 +441,9 @@ def kinds_in(data: Any) -> list[int]:
 
     Files that were written before libraries kept the others have none.
     """
-    found = data["replicate"].values if "replicate" in data else np.zeros(len(data["failure"]))
-    return [int(kind) for kind in found]
+    if "replicate" not in data:
+        return [0] * len(data["failure"].values)
+    return [int(kind) for kind in data["replicate"].values]
 
 
 def _alike(one: ForceHistory, other: ForceHistory) -> bool:

@@ -9,8 +9,9 @@ coarse forces are g (`joint`), and the forces of the finest (Kennedy & O'Hagan, 
 
 a the *level*, a factor of each force, of prior N(0, LEVEL^2), which is wide; s the peak-to-peak of
 each force; delta a process of mean zero, Matern over phi, Matern and a white part over theta (the
-ripple of one grid beside another's), times a profile: no correction where the leg is in no soil. A fine curve less the coarse mean has besides the error of that mean, as the
-surrogate knows it, and particle scatter of its own, of the coarse size times a factor.
+ripple of one grid beside another's), times a profile: no correction where the leg is in no soil. A
+fine curve less the coarse mean has besides the error of that mean, as the surrogate knows it, and
+particle scatter of its own, of the coarse size times a factor.
 
 **Extrapolation.** An error c h^p is left by the share r^p in a curve of h_f = r h, so that the
 limit is g + w (g_f - g), w = 1 / (1 - r^p); of the speed-up r = (k_f - 1) / (k - 1). The order p is
@@ -380,6 +381,11 @@ class Refinement:
     def mean(self, phi_deg: FloatArray, forces: FloatArray) -> FloatArray:
         """As of :meth:`Correction.mean` [N]."""
         return sum((one.mean(phi_deg, forces) for one in self.parts.values()), 0.0 * forces)
+
+    def widened(self, factor: float) -> Refinement:
+        """The same with standard deviations times a factor [-]."""
+        each = self.parts.items()
+        return Refinement({c: replace(one, widened=factor * one.widened) for c, one in each})
 
     def covariances(self, phi_deg: FloatArray, forces: FloatArray) -> dict[str, FloatArray]:
         """As of :meth:`Correction.covariance` [N^2], of each cause."""
