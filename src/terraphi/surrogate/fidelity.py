@@ -16,9 +16,10 @@ particle scatter of its own, of the coarse size times a factor.
 **Extrapolation.** An error c h^p is left by the share r^p in a curve of h_f = r h, so that the
 limit is g + w (g_f - g), w = 1 / (1 - r^p); of the speed-up r = (k_f - 1) / (k - 1). The order p is
 1 as far as anyone has measured, and may lie between 1/2 and 2: each of ORDERS has the same prior
-probability. With one fine size the curves cannot tell orders apart; with more they do, by their
-evidence. The mean is that of the most probable order, of equal ones the nearest to 1. The
-covariance has that of each order and, of one sign at all angles, how far its mean lies from ours:
+probability. It is one for all angles and both forces. With one fine size the curves cannot tell
+orders apart; with more they do, by their evidence. The mean is that of the most probable order, of
+equal ones the nearest to 1. The covariance has that of each order and, of one sign at all angles,
+how far its mean lies from ours:
 
     sum_p pi_p (w_p^2 P_p + (w_p m_p - w m) (w_p m_p - w m)^T).
 
@@ -53,7 +54,7 @@ from terraphi.library.finer import FineCurves
 from terraphi.surrogate.joint import PROFILE_DEG, JointSurrogate, matern
 from terraphi.surrogate.kronecker import maximise, single_threaded
 
-ORDERS = 2.0 ** np.linspace(-1.0, 1.0, 9)
+ORDERS = 2.0 ** np.linspace(-1.0, 1.0, 25)
 """Orders p of convergence [-]."""
 LEVEL = 0.5
 """Prior standard deviation of the level [-]."""
@@ -282,8 +283,8 @@ class Correction:
             factor = np.linalg.cholesky(self._of_rows(share)).astype(np.float64)
             by_force = share[:, None] * _by_force(self.forces)
             rows = self.differences.ravel() - by_force @ self.level_mean
-            white = np.linalg.solve(factor, rows)
-            weights: FloatArray = np.linalg.solve(factor.T, white)
+            white = _whitened(factor, rows)
+            weights = _whitened(factor, white, transposed=True)
         evidence = -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())
         level: FloatArray = self.level_mean + self.level_covariance @ (by_force.T @ weights)
         return evidence, factor, weights, level
@@ -332,7 +333,7 @@ class Correction:
             key = limit.share.tobytes()
             if key not in explained:
                 with single_threaded():
-                    white = np.linalg.solve(limit.cholesky, (between * limit.share).T)
+                    white = _whitened(limit.cholesky, (between * limit.share).T)
                 white = white.reshape(len(white), len(phi_deg), size)
                 explained[key] = white.transpose(1, 2, 0) @ white.transpose(1, 0, 2)
             apart = limit.factor * self._mean(limit, phi_deg, forces) - mean
@@ -350,7 +351,7 @@ class Correction:
         """
         best = self._limits[0]
         by_force = best.share[:, None] * _by_force(self.forces)
-        white = np.linalg.solve(best.cholesky, by_force @ self.level_covariance)
+        white = _whitened(best.cholesky, by_force @ self.level_covariance)
         none = np.zeros((0, 2 * coarse.theta_deg.size))
         by_order = {one.order: one.log_evidence for one in self._limits}
         return replace(
@@ -413,6 +414,16 @@ def profile_of(theta_deg: FloatArray, forces: FloatArray) -> FloatArray:
     squares = kernel @ np.square(relative).mean(axis=(0, 1))
     profile = np.maximum(np.sqrt(squares / squares.max()), LEAST_PROFILE)
     return np.tile(profile, 2)
+
+
+def _whitened(cholesky: FloatArray, values: FloatArray, *, transposed: bool = False) -> FloatArray:
+    """Inverse of a lower triangle, or of its transpose, times values."""
+    from scipy.linalg import solve_triangular
+
+    if not values.size:
+        return values
+    found: FloatArray = solve_triangular(cholesky, values, lower=True, trans=int(transposed))
+    return found
 
 
 def _spans(forces: FloatArray) -> FloatArray:
