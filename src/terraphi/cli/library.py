@@ -146,16 +146,27 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
     Example: terraphi library refine mine.nc --fine half-cells.nc --out refined.nc
     """
     from terraphi.experiment.outputs import check_file
-    from terraphi.inference.prepared_leg import refined
+    from terraphi.inference.prepared_leg import corrections, refined
     from terraphi.library.store import Library
 
     check_file(out, kind="library")
     made = refined(Library.load(name), [Library.load(one) for one in fine])
     made.save(out)
+    found = corrections(made)
     if as_json:
-        print_json({**made.summary(), "file": str(out)})
+        print_json({"library": made.name, "file": str(out), "corrections": found})
         return
-    print_library(made)
+    header = ("leg", "φ [deg]", "Fx [%]", "Fz [%]")
+    rows = [
+        (
+            row["leg"],
+            words(row["phi_deg"]),
+            *(f"{row[f]['percent']:+.1f} ± {row[f]['sd_percent']:.1f}" for f in ("Fx", "Fz")),
+        )
+        for row in found
+    ]
+    title = f"Cells and speed-up taken out of {made.name}'s forces, written to {out}"
+    print_table(Table(title, header, rows))
 
 
 @library.command("list")

@@ -31,7 +31,7 @@ import functools
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -354,6 +354,34 @@ def refined(library: Library, others: Sequence[Library]) -> Library:
         causes = fine_curves(bare, leg).items()
         told[leg] = {c: Correction.of(surrogate, fine).as_dict() for c, fine in causes}
     return replace(bare, refinement=told)
+
+
+def corrections(library: Library) -> list[dict[str, Any]]:
+    """What the correction of a refined library does to each force, JSON-able.
+
+    Returns
+    -------
+    list
+        For each leg at its least, middle and largest friction angle ``leg``, ``phi_deg`` and for
+        ``Fx`` and ``Fz`` the factor that comes closest to the change over θ, with its standard
+        deviation [%].
+    """
+    found = []
+    for leg in library.legs:
+        surrogate = prepare(library, leg).surrogate
+        simulated = replace(surrogate, correction=None)
+        angles = surrogate.phi_deg
+        for phi in angles[[0, len(angles) // 2, -1]].tolist():
+            before, after = simulated.predict(phi)[0], surrogate.predict(phi)[0]
+            error = surrogate.covariance(phi) - simulated.covariance(phi)
+            row: dict[str, Any] = {"leg": leg, "phi_deg": phi}
+            for name, part in zip(("Fx", "Fz"), np.split(np.arange(before.size), 2), strict=True):
+                along = before[part] / np.square(before[part]).sum()
+                sd = float(np.sqrt(along @ error[np.ix_(part, part)] @ along))
+                change = float(along @ (after - before)[part])
+                row[name] = {"percent": 100.0 * change, "sd_percent": 100.0 * sd}
+            found.append(row)
+    return found
 
 
 def learn(curves: Curves, replicates: Sequence[tuple[float, FloatArray]] = ()) -> JointSurrogate:
