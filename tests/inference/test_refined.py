@@ -18,12 +18,13 @@ from terraphi.forward import simulate
 from terraphi.inference.coverage import certified
 from terraphi.inference.discrepancy import learn as learn_soils
 from terraphi.inference.inversion import invert
-from terraphi.inference.prepared_leg import learn, prepare, refined
+from terraphi.inference.prepared_leg import learn, prepare, refined, surrogate_of
 from terraphi.inference.trials import Trial
 from terraphi.library.build import build
-from terraphi.library.finer import fine_curves, with_fine
+from terraphi.library.finer import FineCurves, fine_curves, with_fine
 from terraphi.library.plan import Plan
 from terraphi.library.store import Case, Library, hash_of
+from terraphi.surrogate.fidelity import Correction
 from terraphi_studies.real_soil import PARTS_DEG, parts_of, seen_through
 
 PHI = "soil.friction_angle_deg"
@@ -166,6 +167,30 @@ def test_learnt_discrepancies_have_its_error_as_parts_of_the_level(better: Libra
     assert budget is not None
     assert budget.degrees["refinement"] == 0.0
     assert budget.degrees["grid"] == parts["grid"] > 0.1
+
+
+def test_three_slower_simulations_foretell_the_others() -> None:
+    # Two shipped libraries that differ in their speed-up, 10 and 4: a ratio of 1/3.
+    quick, slow = Library.load("quick-plane-strain"), Library.load("k4-plane-strain")
+    there = {case.scenario.soil.friction_angle_deg for case in quick.cases}
+    cases = [c for c in slow.cases if c.scenario.soil.friction_angle_deg in there]
+    every = fine_curves(replace(quick, fine=tuple(cases)), "straight")["speed_up"]
+    assert every.ratio == pytest.approx(1.0 / 3.0)
+    coarse = surrogate_of(quick, "straight", quick.curves("straight"))
+    some = np.isin(every.phi_deg, [15.0, 32.5, 50.0])
+    # With a ratio of none the correction is to the slower forces themselves.
+    told = FineCurves(*(part[some] for part in every))._replace(ratio=np.zeros(3))
+    correction = Correction.of(coarse, told)
+    phi, forces = every.phi_deg[~some], coarse.predict(every.phi_deg[~some])
+    apart = every.forces[~some] - forces
+    left = apart - correction.mean(phi, forces)
+    spans = np.ptp(forces, axis=1, keepdims=True)
+    assert np.sqrt(np.mean(np.square(apart / spans))) > 0.035
+    assert np.sqrt(np.mean(np.square(left / spans))) < 0.016
+    own = [coarse.scatter.covariance(p) + coarse.covariance(p) for p in phi.tolist()]
+    sd = np.sqrt(np.diagonal(correction.covariance(phi, forces) + own, axis1=1, axis2=2))
+    assert 0.6 < np.mean(np.abs(left) < sd) < 0.85
+    assert np.mean(np.abs(left) < 1.96 * sd) > 0.88
 
 
 def test_cells_and_speed_up_are_parts_of_their_own(coarse: Library) -> None:

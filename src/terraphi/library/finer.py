@@ -157,7 +157,7 @@ def fine_curves(
     for case in library.fine:
         if case.history and case.scenario.leg.shape == leg:
             cause, ratio = finer(twin(library, case.scenario), case.scenario)
-            key = cause, case.scenario.soil.friction_angle_deg, round(ratio, 9)
+            key = cause, case.scenario.soil.friction_angle_deg, round(ratio, 12)
             seen = case.history.as_read_at(readings).observation().vector
             groups.setdefault(key, []).append(seen)
     found = {}

@@ -65,7 +65,7 @@ LEAST_PROFILE = 0.05
 PRIORS = {
     "amplitude": (0.05, 3.0, 0.002, 0.5),
     "phi_length_deg": (20.0, 1.6, 8.0, 60.0),
-    "theta_length_deg": (20.0, 1.6, 8.0, 60.0),
+    "theta_length_deg": (20.0, 1.6, 4.0, 60.0),
     "fine": (0.1, 2.0, 0.01, 1.0),
     "scatter": (1.0, 1.5, 0.2, 5.0),
 }
