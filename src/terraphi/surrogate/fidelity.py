@@ -42,7 +42,7 @@ Kronecker product; its algebra is dense, its hyperparameters found as those of a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, Self
@@ -56,6 +56,9 @@ from terraphi.surrogate.kronecker import maximise, single_threaded
 
 ORDERS = 2.0 ** np.linspace(-1.0, 1.0, 25)
 """Orders p of convergence [-]."""
+COARSELY = 3
+"""Every how many of them are looked at first, if there are several fine sizes; if those that count
+are as few, those in between are too."""
 LEVEL = 0.5
 """Prior standard deviation of the level [-]."""
 WIDER = 2.0
@@ -264,18 +267,33 @@ class Correction:
 
     @cached_property
     def _limits(self) -> tuple[_Limit, ...]:
-        """What each order says, those of most evidence first."""
-        found, known = [], {}
-        for order, told in zip(ORDERS.tolist(), self.order_evidence.tolist(), strict=True):
-            share = self._share(order)
-            if share.tobytes() not in known:
-                known[share.tobytes()] = self._conditioned(share)
-            evidence, *rest = known[share.tobytes()]
-            factor = 1.0 / (1.0 - self.finest**order)
-            found.append(_Limit(order, told + evidence, factor, share, *rest))
-        # Without a second fine size all orders explain the curves alike, but for round-off.
-        key = [(-round(one.log_evidence, 6), abs(np.log(one.order))) for one in found]
-        return tuple(found[i] for i in sorted(range(len(found)), key=key.__getitem__))
+        """What each order says that is not negligible, those of most evidence first."""
+        every, known = range(ORDERS.size), {}
+
+        def limits(indices: Iterable[int]) -> list[_Limit]:
+            found = []
+            for i in indices:
+                order, share = float(ORDERS[i]), self._share(float(ORDERS[i]))
+                if share.tobytes() not in known:
+                    known[share.tobytes()] = self._conditioned(share)
+                evidence, *rest = known[share.tobytes()]
+                told = float(self.order_evidence[i]) + evidence
+                factor = 1.0 / (1.0 - self.finest**order)
+                found.append(_Limit(order, told, factor, share, *rest))
+            return found
+
+        # Without a second fine size all orders have one decomposition; else each is large.
+        several = np.unique(self.ratio).size > 1
+        found = limits(every[::COARSELY] if several else every)
+        probability = _probability(found)
+        if several and np.square(probability).sum() > 1.0 / COARSELY:
+            near = COARSELY * int(probability.argmax())
+            found = limits(every[max(near - 2 * COARSELY, 0) : near + 2 * COARSELY + 1])
+            probability = _probability(found)
+        pairs = zip(found, probability, strict=True)
+        kept = [one for one, share in pairs if share > NEGLIGIBLE]
+        # Orders that explain the curves alike differ by round-off.
+        return tuple(sorted(kept, key=lambda x: (-round(x.log_evidence, 6), abs(np.log(x.order)))))
 
     def _conditioned(self, share: FloatArray) -> tuple[float, FloatArray, FloatArray, FloatArray]:
         """Log evidence, and what follows of the rows; see :class:`_Limit`."""
@@ -291,11 +309,8 @@ class Correction:
 
     @cached_property
     def order_probability(self) -> FloatArray:
-        """Of each order, most probable first [-]."""
-        evidence = np.array([one.log_evidence for one in self._limits])
-        probability: FloatArray = np.exp(evidence - evidence.max())
-        probability /= probability.sum()
-        return probability
+        """Of each order that is not negligible, most probable first [-]."""
+        return _probability(self._limits)
 
     def mean(self, phi_deg: FloatArray, forces: FloatArray) -> FloatArray:
         """Correction at friction angles [N], shape [k] -> [k, 2 theta].
@@ -328,8 +343,6 @@ class Correction:
         prior += by_force @ self.level_covariance @ by_force.transpose(0, 2, 1)
         total, explained = np.zeros_like(prior), {}
         for limit, probability in zip(self._limits, self.order_probability, strict=True):
-            if probability < NEGLIGIBLE:
-                continue
             key = limit.share.tobytes()
             if key not in explained:
                 with single_threaded():
@@ -364,7 +377,7 @@ class Correction:
             differences=none,
             level_mean=best.level,
             level_covariance=self.level_covariance - white.T @ white,
-            order_evidence=np.array([by_order[order] for order in ORDERS.tolist()]),
+            order_evidence=np.array([by_order.get(p, -np.inf) for p in ORDERS.tolist()]),
             widened=WIDER,
         )
 
@@ -396,6 +409,14 @@ class Refinement:
         """Of all causes together [N^2]."""
         found: FloatArray = np.sum(list(self.covariances(phi_deg, forces).values()), axis=0)
         return found
+
+
+def _probability(limits: Sequence[_Limit]) -> FloatArray:
+    """Of each order, by the evidence [-]."""
+    evidence = np.array([one.log_evidence for one in limits])
+    probability: FloatArray = np.exp(evidence - evidence.max())
+    probability /= probability.sum()
+    return probability
 
 
 def profile_of(theta_deg: FloatArray, forces: FloatArray) -> FloatArray:
