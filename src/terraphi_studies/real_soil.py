@@ -96,7 +96,7 @@ def run(*, library: str | None = None, progress: Progress | None = None) -> Stud
     seen = [seen_through(through, one) for one in sands]
     media = sorted({one.medium for one in seen})
     learnt = {m: learn(through, [s for s in seen if s.medium != m]) for m in media}
-    whole = learn(through, seen, parts_deg=PARTS_DEG, provenance={"made_by": f"study {NAME}"})
+    whole = learn(through, seen, parts_deg=parts_of(seen), provenance={"made_by": f"study {NAME}"})
     wrong = list(false_records(sands))
     step = steps(len(sands) + len(media) + len(wrong), progress)
 
@@ -134,7 +134,16 @@ def seen_through(library: Library, one: Measurement) -> Seen:
     data = one.history.observation().vector * own / density
     fitted = Fitted.of(prepared, data, np.ptp(data.reshape(2, -1), axis=1))
     medium, theta_deg = medium_and_leg(one.name)[0], prepared.surrogate.theta_deg
-    return Seen(medium, one.leg, one.angle_of_repose_deg, fitted, theta_deg)
+    c, errors = fitted.shift, prepared.surrogate.corrections(fitted.phi_deg)
+    corrected = {cause: float(np.sqrt(c @ error @ c)) for cause, error in errors.items()}
+    return Seen(medium, one.leg, one.angle_of_repose_deg, fitted, theta_deg, corrected)
+
+
+def parts_of(seen: Sequence[Seen]) -> dict[str, float]:
+    """Parts of the level [deg]: of a refined library by its own correction's error."""
+    causes = seen[0].corrected_deg
+    of_each = {c: [one.corrected_deg[c] for one in seen] for c in causes}
+    return {**PARTS_DEG, **{c: float(np.sqrt(np.mean(np.square(v)))) for c, v in of_each.items()}}
 
 
 def false_records(sands: Sequence[Measurement]) -> Iterator[Wrong]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -21,6 +23,15 @@ def inverted(likelihood: str) -> Inversion:
 
 def test_every_term_is_drawn_and_named_with_its_share() -> None:
     found = inverted("calibrated")
+    assert found.budget is not None
+    # That of a refined library has one term more.
+    one_more = {"refinement": found.budget.sigma_N["noise"]}
+    budget = replace(
+        found.budget,
+        sigma_N={**found.budget.sigma_N, **one_more},
+        degrees={**found.budget.degrees, "refinement": 0.3},
+    )
+    found = replace(found, budget=budget)
     assert found.budget is not None
     figure = budget_figure(found)
     for axes, half in zip(figure.axes, (0, 1), strict=True):

@@ -130,6 +130,45 @@ def forecast_of(plan: Plan, cores: int) -> Forecast:
     return expected
 
 
+@library.command("refine")
+@click.argument("name", shell_complete=library_names)
+@click.option(
+    "--fine", multiple=True, required=True, help="Library with finer simulations of some cases."
+)
+@click.option("--out", type=PATH, required=True, help="NetCDF file to make.")
+@json_option
+def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -> None:
+    """Correct library NAME by finer simulations of some of its cases, in a copy.
+
+    These have smaller cells, or a smaller speed-up, at a few friction angles. The copy's forces are
+    those of cells without size and of no speed-up, with the error of that in every answer.
+
+    Example: terraphi library refine mine.nc --fine half-cells.nc --out refined.nc
+    """
+    from terraphi.experiment.outputs import check_file
+    from terraphi.inference.prepared_leg import corrections, refined
+    from terraphi.library.store import Library
+
+    check_file(out, kind="library")
+    made = refined(Library.load(name), [Library.load(one) for one in fine])
+    made.save(out)
+    found = corrections(made)
+    if as_json:
+        print_json({"library": made.name, "file": str(out), "corrections": found})
+        return
+    header = ("leg", "φ [deg]", "Fx [%]", "Fz [%]")
+    rows = [
+        (
+            row["leg"],
+            words(row["phi_deg"]),
+            *(f"{row[f]['percent']:+.1f} ± {row[f]['sd_percent']:.1f}" for f in ("Fx", "Fz")),
+        )
+        for row in found
+    ]
+    title = f"Cells and speed-up taken out of {made.name}'s forces, written to {out}"
+    print_table(Table(title, header, rows))
+
+
 @library.command("list")
 @json_option
 def library_list(as_json: bool) -> None:

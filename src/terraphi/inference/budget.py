@@ -29,13 +29,14 @@ from terraphi.inference.posterior import Posterior
 TERMS = {
     "interpolation": "surrogate between the library's angles",
     "library_scatter": "particle scatter of the library",
+    "refinement": "cells and speed-up of the library, extrapolated",
     "particle_scatter": "particle scatter of the observed bed",
     "readings": "ripple of the model between the readings",
     "noise": "sensor noise",
     "registration": "error of the leg angle",
     "discrepancy": "model discrepancy",
 }
-"""Names of the terms, and what they are for people."""
+"""Names of the terms, and what they are for people; ``refinement`` of refined libraries alone."""
 
 
 def covariance_terms(
@@ -66,9 +67,12 @@ def covariance_terms(
     interpolation, library = (part[0] for part in surrogate.standard_terms(phi))
     along = windows_about(surrogate.predict(phi)[0], surrogate.theta_deg, 0.0)[1]
     off = float(problem.discrepancy) * REGISTRATION_DEG**2
+    corrections = surrogate.corrections(phi_deg)
+    refined = {"refinement": np.sum(list(corrections.values()), axis=0)} if corrections else {}
     return {
         "interpolation": (left * interpolation) @ left.T,
         "library_scatter": (left * library) @ left.T,
+        **refined,
         "particle_scatter": left @ left.T / problem.leg.trials,
         "readings": problem.leg.opened,
         "noise": noise_variance * problem.noise_shape,

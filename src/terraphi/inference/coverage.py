@@ -12,6 +12,9 @@ library, and those whose libraries scatter with the tail that observed simulatio
 In the joint surrogate's basis all directions are independent, so worlds are drawn by the thousand.
 Worlds that the one library may be of are draws of the process given its curves, by Matheron's rule
 (Wilson et al., ICML 2020): f = u + K (K + 1)^-1 (y - u - e), u and e draws of prior and scatter.
+
+All forces are as simulated, true ones too: the correction of a refined library and its error
+(`fidelity`) are left out of both worlds and inference.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.inference.calibrated import log_sum
-from terraphi.inference.prepared_leg import PreparedLeg, learn
+from terraphi.inference.prepared_leg import PreparedLeg, learn, refined
 from terraphi.library.plan import unseeded
 from terraphi.library.store import Library, hash_of
 from terraphi.surrogate.joint import JointSurrogate
@@ -421,7 +424,7 @@ def certified(
         if progress is not None:
             progress(len(legs), len(library.legs))
     calibration = {
-        "library_hash": library.hash,
+        "library_hash": library.as_simulated.hash,
         **origin,
         "legs": legs,
         "certificate": {
@@ -430,7 +433,9 @@ def certified(
             "rank_chi2_p_of_other_seeds": again,
         },
     }
-    return replace(library, calibration=calibration)
+    made = replace(library, calibration=calibration)
+    # What finer cases say rests on the scatter.
+    return refined(made, ()) if library.fine else made
 
 
 def with_replicates(library: Library, replicates: Library) -> Library:

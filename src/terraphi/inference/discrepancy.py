@@ -166,13 +166,17 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A measured record through a library: what a discrepancy is learnt from."""
+    """A measured record through a library: what a discrepancy is learnt from.
+
+    ``corrected_deg``: error of its angle by each cause that a refined library corrects [deg].
+    """
 
     medium: str
     leg: str
     repose_deg: float | None
     fitted: Fitted
     theta_deg: FloatArray
+    corrected_deg: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -487,8 +491,10 @@ class SoilLikelihood:
         """Standard deviation of phi* by each term, and between legs [deg]."""
         c = self.fitted.shift
         found = {name: float(np.sqrt(c @ term @ c)) for name, term in self.terms.items()}
-        # A deviation that is orthogonal to the slope moves no angle.
-        return {**found, "discrepancy": 0.0, "legs": self.learnt.between_legs_deg}
+        # A deviation that is orthogonal to the slope moves no angle; and what is left of a
+        # library's cells and speed-up was seen through it in all media: it is in the level.
+        none = dict.fromkeys(found.keys() & {"discrepancy", "refinement"}, 0.0)
+        return {**found, **none, "legs": self.learnt.between_legs_deg}
 
     def __call__(self, phi_deg: FloatArray, /) -> FloatArray:
         """Log-likelihood up to a constant of friction angles [deg], shape [k] -> [k]."""

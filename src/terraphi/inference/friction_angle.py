@@ -254,8 +254,12 @@ def infer(looked: Looked, library: Library, ways: Ways) -> Inversion:
 def _leg(group: Repeats, looked: Looked, library: Library, ways: Ways) -> _Leg:
     """Make a leg of the library ready, and the likelihood of its histories."""
     readings, prepared = group.readings, None
+    ours = all(trial.made_as(library.cases[0].scenario) for trial in looked.trials)
+    # A history of the library's own grid and speed-up has the error that finer cases take away.
+    library = library.as_simulated if ours else library
     if ways.likelihood != "paper":
-        prepared = prepare(library, group.leg, readings=readings)
+        legs = len(looked.groups) if library.fine else 1
+        prepared = prepare(library, group.leg, readings=readings, legs=legs)
     curves = prepared.curves if prepared else library.curves(group.leg, readings=readings)
     check_trials(group, curves.scenario, ways.density)
     scale = 1.0 if ways.density is None else ways.density / curves.scenario.soil.density
@@ -272,7 +276,6 @@ def _leg(group: Repeats, looked: Looked, library: Library, ways: Ways) -> _Leg:
         return _Leg(*shared, surrogate, (angles, surrogate.predict(angles, scale=scale)), by_paper)
     looked.check_noise(ways.noise)
     learnt = _learnt(looked, library, ways.discrepancy, group.leg)
-    ours = all(trial.made_as(library.cases[0].scenario) for trial in looked.trials)
     wrong = learnt is not None or ways.discrepancy == "gp" or not (ours or ways.discrepancy)
     each = group.window_covariances
     shape, sigma = shape_of(ways.noise, each[0] if len(each) == 1 else np.mean(each, axis=0))

@@ -135,6 +135,11 @@ def invert(
         density=density,
         density_assumed=assumed,
     )
+    if library.fine and (likelihood == "paper" or not phi_alone):
+        raise InputError(
+            f"library '{library.name}' is refined, and only the calibrated likelihood of φ alone "
+            "knows the correction; infer φ alone with that, or take the library as it was built"
+        )
     infer = friction_angle.infer if phi_alone else several_parameters.infer
     found = infer(looked, library, ways)
     return replace(

@@ -17,6 +17,9 @@ library's own curves:
   the library's curves too, since they are read alike; what one has beside its neighbours over φ is
   not.
 
+**Finer simulations.** Forces of a library that is refined (`finer`) are corrected by these
+(`fidelity`), and the correction's error is part of the covariance.
+
 A few dozen curves that share one grid show fewer patterns than there are, and what they do not show
 would count as known. So variance is added at each window by itself: as much as makes the errors of
 φ of curves that were left out, read like the record, as large as the rest of the curves say.
@@ -28,7 +31,7 @@ import functools
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,13 +39,18 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
+from terraphi.library.finer import CAUSES, fine_curves, with_fine
 from terraphi.library.store import Case, Curves, Library
+from terraphi.surrogate.fidelity import Correction, FidelityKernel, Refinement
 from terraphi.surrogate.joint import JointKernel, JointSurrogate
 from terraphi.surrogate.kronecker import single_threaded
 from terraphi.surrogate.scatter import Scatter, estimate
 
 log = logging.getLogger(__name__)
 
+STRIDE = 8
+"""Nodes over phi from one to the next at which the covariance of a correction, which is smooth, is
+computed."""
 NODES = 281
 """Nodes over phi, between which chi-square and log-determinant are splines: intervals are right to
 a few thousandths of their width; half the nodes leave some hundredths at worst."""
@@ -112,6 +120,13 @@ class PreparedLeg:
         left = surrogate.scatter.sigma(phi)[:, :, None] * surrogate.basis
         right = left.transpose(0, 2, 1)
         covariance, mean = (left * variance[:, None, :]) @ right, surrogate.predict(phi)
+        if surrogate.correction is not None:
+            some = phi[::STRIDE]
+            forces = replace(surrogate, correction=None).predict(some)
+            known = surrogate.correction.covariance(some, forces)
+            below, part = np.divmod(np.arange(NODES), STRIDE)
+            above, share = np.minimum(below + 1, len(some) - 1), part[:, None, None] / STRIDE
+            covariance += (1.0 - share) * known[below] + share * known[above]
         none = np.zeros(covariance.shape[1:])
         of_readings = reading or Reading()
         return cls(surrogate, curves, phi, mean, covariance, left @ right, of_readings, none)
@@ -214,7 +229,9 @@ def _spectra(leg: PreparedLeg, shape: bytes) -> Spectra:
     return Spectra(leg, np.frombuffer(shape).reshape(leg.opened.shape))
 
 
-def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -> PreparedLeg:
+def prepare(
+    library: Library, leg: str, *, readings: FloatArray | None = None, legs: int = 1
+) -> PreparedLeg:
     """Make a leg of a library ready, or recall it.
 
     Parameters
@@ -225,20 +242,29 @@ def prepare(library: Library, leg: str, *, readings: FloatArray | None = None) -
     leg, readings
         As in :meth:`Library.curves`. What the readings leave open of the path is part of the
         covariance.
+    legs
+        Legs that are inverted together, this one among them. Their corrections err alike, and
+        likelihoods are added as if they did not: variances of the correction are so many times
+        what they are, which bounds the covariance of all whatever the legs have in common.
 
     Raises
     ------
     InputError
         As :meth:`Library.curves` does.
     """
-    return _prepared(library, leg, None if readings is None else readings.tobytes())
+    return _prepared(library, leg, None if readings is None else readings.tobytes(), legs)
 
 
 @functools.lru_cache(maxsize=REMEMBERED)
-def _prepared(library: Library, leg: str, readings_as_bytes: bytes | None) -> PreparedLeg:
+def _prepared(
+    library: Library, leg: str, readings_as_bytes: bytes | None, legs: int
+) -> PreparedLeg:
     readings = None if readings_as_bytes is None else np.frombuffer(readings_as_bytes)
     curves = library.curves(leg, readings=readings)
     surrogate = surrogate_of(library, leg, curves, readings=readings)
+    if library.fine:
+        correction = refinement_of(library, leg, surrogate, readings=readings)
+        surrogate = replace(surrogate, correction=correction.widened(np.sqrt(legs)))
     reading = None if readings is None else learn_reading(library, leg, readings, surrogate)
     return PreparedLeg.of(surrogate, curves, reading)
 
@@ -246,7 +272,7 @@ def _prepared(library: Library, leg: str, readings_as_bytes: bytes | None) -> Pr
 def surrogate_of(
     library: Library, leg: str, curves: Curves, *, readings: FloatArray | None = None
 ) -> JointSurrogate:
-    """Joint surrogate of one leg: as the library's calibration says, or fitted."""
+    """Joint surrogate of one leg as simulated: as the library's calibration says, or fitted."""
     learnt = _carried(library, leg)
     if learnt is None or not np.allclose(learnt[0].theta_deg, curves.theta_deg, atol=1e-6):
         log.info("library %s, leg %s: fitting a surrogate, as none fits", library.name, leg)
@@ -263,7 +289,7 @@ def surrogate_of(
 def _carried(library: Library, leg: str) -> tuple[Scatter, JointKernel] | None:
     """Scatter and hyperparameters of a leg that a library's calibration has; ``None`` if none."""
     carried = library.calibration.get("legs", {}).get(leg)
-    if carried is None or library.calibration.get("library_hash") != library.hash:
+    if carried is None or library.calibration.get("library_hash") != library.as_simulated.hash:
         return None
     try:
         return Scatter.from_dict(carried["scatter"]), JointKernel.from_dict(carried["kernel"])
@@ -272,6 +298,90 @@ def _carried(library: Library, leg: str) -> tuple[Scatter, JointKernel] | None:
             f"library '{library.name}' carries a calibration of another version of terraphi; "
             "calibrate it again (terraphi library calibrate)"
         ) from error
+
+
+def refinement_of(
+    library: Library, leg: str, coarse: JointSurrogate, *, readings: FloatArray | None = None
+) -> Refinement:
+    """Correction of one leg of a refined library.
+
+    Parameters
+    ----------
+    library
+        Hyperparameters that it carries are used, otherwise they are found.
+    leg, readings
+        As in :func:`prepare`.
+    coarse
+        The leg's surrogate, as simulated.
+    """
+    of_legs = {one: fine_curves(library, one, readings=readings) for one in library.legs}
+    parts = {}
+    for cause in CAUSES:
+        count = {one: len(of[cause].phi_deg) for one, of in of_legs.items() if cause in of}
+        if not count:
+            continue
+        # Of legs with fine curves, the one with most stands for those without.
+        source = leg if leg in count else max(count, key=lambda one: count[one])
+        surrogate = coarse
+        if source != leg:
+            surrogate = surrogate_of(
+                library, source, library.curves(source, readings=readings), readings=readings
+            )
+        told = library.refinement.get(source, {}).get(cause)
+        kernel = None if told is None else FidelityKernel(**told)
+        found = Correction.of(surrogate, of_legs[source][cause], kernel)
+        parts[cause] = found if source == leg else found.for_leg(coarse)
+    return Refinement(parts)
+
+
+def refined(library: Library, others: Sequence[Library]) -> Library:
+    """The library with finer simulations of some of its cases, and the correction that they give.
+
+    Parameters
+    ----------
+    library, others
+        As in :func:`~terraphi.library.finer.with_fine`.
+
+    Raises
+    ------
+    InputError
+        If one is no finer case of the library, or nothing can be inferred with that.
+    """
+    bare = with_fine(library, others)
+    told: dict[str, dict[str, dict[str, float]]] = {}
+    for leg in dict.fromkeys(case.scenario.leg.shape for case in bare.fine):
+        surrogate = surrogate_of(bare, leg, bare.curves(leg))
+        causes = fine_curves(bare, leg).items()
+        told[leg] = {c: Correction.of(surrogate, fine).as_dict() for c, fine in causes}
+    return replace(bare, refinement=told)
+
+
+def corrections(library: Library) -> list[dict[str, Any]]:
+    """What the correction of a refined library does to each force, JSON-able.
+
+    Returns
+    -------
+    list
+        For each leg at its least, middle and largest friction angle ``leg``, ``phi_deg`` and for
+        ``Fx`` and ``Fz`` the factor that comes closest to the change over θ, with its standard
+        deviation [%].
+    """
+    found = []
+    for leg in library.legs:
+        surrogate = prepare(library, leg).surrogate
+        simulated = replace(surrogate, correction=None)
+        angles = surrogate.phi_deg
+        for phi in angles[[0, len(angles) // 2, -1]].tolist():
+            before, after = simulated.predict(phi)[0], surrogate.predict(phi)[0]
+            error = surrogate.covariance(phi) - simulated.covariance(phi)
+            row: dict[str, Any] = {"leg": leg, "phi_deg": phi}
+            for name, part in zip(("Fx", "Fz"), np.split(np.arange(before.size), 2), strict=True):
+                along = before[part] / np.square(before[part]).sum()
+                sd = float(np.sqrt(along @ error[np.ix_(part, part)] @ along))
+                change = float(along @ (after - before)[part])
+                row[name] = {"percent": 100.0 * change, "sd_percent": 100.0 * sd}
+            found.append(row)
+    return found
 
 
 def learn(curves: Curves, replicates: Sequence[tuple[float, FloatArray]] = ()) -> JointSurrogate:

@@ -111,7 +111,7 @@ def build(
     path
         The library's file; cases of the same scenario and model version that it, or an
         interrupted build of it, already holds are taken from there, and so are its replicates of
-        cases of the plan. Its calibration stays if the cases are the same.
+        cases of the plan. Its calibration and its finer cases stay if the cases are the same.
     executor
         Runs the cases, such as that of a :class:`~terraphi.library.workers.WorkerPool` or a
         :class:`~terraphi.library.cluster.Cluster`; ``None`` runs them here, one after another.
@@ -162,7 +162,7 @@ def build(
 
 
 def _with_what_was_learnt(library: Library, before: Library) -> Library:
-    """Return the library with replicates and calibration of the file that it replaces."""
+    """Return the library with what else the file has that it replaces: see :func:`build`."""
     cases = {c.scenario.hash for c in library.cases}
     kinds = {unseeded(c.scenario) for c in library.cases}
     usable = _usable(before.replicates)
@@ -176,7 +176,15 @@ def _with_what_was_learnt(library: Library, before: Library) -> Library:
     same = [c.digest for c in library.cases] == [c.digest for c in before.cases]
     whole = len(kept) == len(before.replicates)
     calibration = before.calibration if same and whole else {}
-    return replace(library, replicates=kept, calibration=calibration)
+    if before.fine and not same:
+        log.warning("library '%s' is no longer refined: its cases have changed", library.name)
+    return replace(
+        library,
+        replicates=kept,
+        calibration=calibration,
+        fine=before.fine if same else (),
+        refinement=before.refinement if same else {},
+    )
 
 
 def simulate_cases(

@@ -17,7 +17,7 @@ import numpy as np
 from terraphi.experiment.documents import shipped_file, shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.leg import LEG_SHAPES
-from terraphi.library.store import Library, replicates_in
+from terraphi.library.store import Library, kinds_in
 
 FEWEST_ANGLES = 3
 """Friction angles that an inversion needs."""
@@ -108,7 +108,7 @@ def legs_of(path: Path) -> frozenset[str]:
 
     with xr.open_dataset(path, engine="h5netcdf") as data:
         failures = data["failure"].values.tolist()
-        own = len(failures) - replicates_in(data)
+        own = kinds_in(data).count(0)
         scenarios = [json.loads(str(text)) for text in data["scenario"].values]
         sample = json.loads(str(data.attrs["plan"])).get("sample")
     if sample and len(sample.get("keys", ())) > 1:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -87,6 +88,11 @@ class Library:
         certificate of its coverage; JSON-able, empty if nobody looked.
     replicates
         Some of the cases again under other particle seeds: what the scatter was learnt from.
+    fine
+        Some of the cases again with smaller cells or speed-up (`finer`): what the library's forces
+        are corrected by; empty if it is not refined.
+    refinement
+        Hyperparameters of that correction by leg and cause; JSON-able.
     """
 
     plan: Plan
@@ -94,6 +100,8 @@ class Library:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     calibration: Mapping[str, Any] = field(default_factory=dict)
     replicates: tuple[Case, ...] = ()
+    fine: tuple[Case, ...] = ()
+    refinement: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -107,8 +115,13 @@ class Library:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the hashes of all cases, hexadecimal."""
-        return hash_of(self.cases)
+        """SHA-256 of the hashes of all cases, and of finer ones if there are, hexadecimal."""
+        return hash_of((*self.cases, *self.fine))
+
+    @cached_property
+    def as_simulated(self) -> Library:
+        """The same without finer cases."""
+        return replace(self, fine=(), refinement={}) if self.fine else self
 
     @property
     def legs(self) -> list[str]:
@@ -143,9 +156,19 @@ class Library:
             **({"more": [m.model_dump() for m in self.plan.more]} if self.plan.more else {}),
             **({"sample": self.plan.sample.model_dump()} if self.plan.sample else {}),
             "replicates": len(self.replicates),
+            **({"finer_cases": self._fine_by_leg} if self.fine else {}),
             "certificate": self.calibration.get("certificate"),
             "provenance": dict(self.provenance),
         }
+
+    @property
+    def _fine_by_leg(self) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for scenario in (case.scenario for case in self.fine):
+            size, k = 1e3 * scenario.numerics.cell_size, scenario.numerics.speed_up
+            told = f"{scenario.soil.friction_angle_deg:g}° (cells {size:.3g} mm, k = {k:g})"
+            found.setdefault(scenario.leg.shape, []).append(told)
+        return found
 
     def rotations(self, leg: str, *, over_phi: bool = True) -> list[Case]:
         """Finished cases of one leg.
@@ -275,7 +298,8 @@ class Library:
         import xarray as xr
 
         whole = next(case.history for case in self.cases if case.history)
-        everything = (*self.cases, *self.replicates)
+        kinds = (self.cases, self.replicates, self.fine)
+        everything = tuple(case for kind in kinds for case in kind)
         for case in everything:
             if case.history and not _alike(case.history, whole):
                 raise InputError(
@@ -304,7 +328,8 @@ class Library:
                 "scenario_hash": text([c.scenario.hash for c in everything]),
                 "failure": text([c.failure for c in everything]),
                 "digest": text([c.digest for c in everything]),
-                "replicate": ("case", [0] * len(self.cases) + [1] * len(self.replicates)),
+                # 0 of the plan, 1 a replicate, 2 a finer one.
+                "replicate": ("case", [i for i, kind in enumerate(kinds) for _ in kind]),
                 "provenance": text(
                     [
                         json.dumps(dict(c.history.provenance) if c.history else {})
@@ -321,6 +346,7 @@ class Library:
                 "coordinate": whole.coordinate,
                 "provenance": json.dumps(dict(self.provenance)),
                 "calibration": json.dumps(dict(self.calibration)),
+                **({"refinement": json.dumps(dict(self.refinement))} if self.fine else {}),
             },
         )
         packing = {f"F{axis}": {"zlib": True, "shuffle": True} for axis in whole.axes}
@@ -375,11 +401,16 @@ class Library:
             if "digest" in data and str(data["digest"].values[i]) != cases[-1].digest:
                 raise ValueError(f"the forces of case {i + 1} are not those that were written")
         plan = Plan.model_validate_json(str(data.attrs["plan"]))
-        provenance, calibration = (
-            json.loads(data.attrs.get(name, "{}")) for name in ("provenance", "calibration")
+        provenance, calibration, refinement = (
+            json.loads(data.attrs.get(name, "{}"))
+            for name in ("provenance", "calibration", "refinement")
         )
-        own = len(cases) - replicates_in(data)
-        return cls(plan, tuple(cases[:own]), provenance, calibration, tuple(cases[own:]))
+        kinds = kinds_in(data)
+        own, again, fine = (
+            tuple(case for case, of in zip(cases, kinds, strict=True) if of == kind)
+            for kind in range(3)
+        )
+        return cls(plan, own, provenance, calibration, again, fine, refinement)
 
 
 def _refuse_if_only_planned(name: str) -> None:
@@ -405,12 +436,14 @@ def differ_beyond(cases: Sequence[Case], keys: Iterable[str]) -> bool:
     return len({unseeded(case.scenario.replace(**same)) for case in cases}) > 1
 
 
-def replicates_in(data: Any) -> int:
-    """How many replicates an open library file has; they stand after its cases.
+def kinds_in(data: Any) -> list[int]:
+    """Of each case in an open library file: 0 of its plan, 1 a replicate, 2 a finer one.
 
-    Files that were written before libraries kept theirs have none.
+    Files that were written before libraries kept the others have none.
     """
-    return int(data["replicate"].values.sum()) if "replicate" in data else 0
+    if "replicate" not in data:
+        return [0] * len(data["failure"].values)
+    return [int(kind) for kind in data["replicate"].values]
 
 
 def _alike(one: ForceHistory, other: ForceHistory) -> bool:

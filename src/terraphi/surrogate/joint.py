@@ -34,7 +34,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +42,9 @@ from numpy.typing import ArrayLike
 from terraphi.experiment.arrays import FloatArray
 from terraphi.surrogate.kronecker import Blocks, Kronecker, maximise, single_threaded
 from terraphi.surrogate.scatter import Scatter, corrected, with_tail
+
+if TYPE_CHECKING:
+    from terraphi.surrogate.fidelity import Refinement
 
 ORDERS = np.arange(4)
 AMPLITUDES = (1e-2, 1e3)
@@ -301,6 +304,8 @@ JITTER = 1e-9
 class JointSurrogate:
     """Mean and covariance of the observation vector [Fx, Fz] of one leg, over phi.
 
+    What is called standard is of forces as simulated; a correction is not in it.
+
     Attributes
     ----------
     phi_deg, theta_deg
@@ -319,6 +324,8 @@ class JointSurrogate:
     prior_variance, cubic_variance
         Prior variance of the Matern process and of the cubic's coefficients in each direction of
         the basis, over sigma^2 [-], shapes [2 theta] and [4, 2 theta].
+    correction
+        What finer simulations add to the forces, and its error; ``None``: they are as simulated.
     """
 
     phi_deg: FloatArray
@@ -331,6 +338,7 @@ class JointSurrogate:
     standard_curves: FloatArray = field(repr=False)
     prior_variance: FloatArray = field(repr=False)
     cubic_variance: FloatArray = field(repr=False)
+    correction: Refinement | None = None
     _blocks: Blocks = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -404,7 +412,10 @@ class JointSurrogate:
             Factor on the forces [-], such as the soil's density over the library's.
         """
         phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))
-        return scale * self.scatter.sigma(phi) * (self.standard_mean(phi) @ self.basis.T)
+        found = scale * self.scatter.sigma(phi) * (self.standard_mean(phi) @ self.basis.T)
+        if self.correction is not None:
+            found += scale * self.correction.mean(phi, found / scale)
+        return found
 
     def slope(self, phi_deg: float) -> FloatArray:
         """Derivative of the forces with respect to the friction angle [N/deg], shape [2 theta]."""
@@ -506,7 +517,19 @@ class JointSurrogate:
         """Predictive covariance of the forces f [N^2], shape [2 theta, 2 theta]."""
         phi = np.array([phi_deg], dtype=np.float64)
         left = self.scatter.sigma(phi)[0][:, None] * self.basis
-        return (left * self.standard_variance(phi)[0]) @ left.T
+        found: FloatArray = (left * self.standard_variance(phi)[0]) @ left.T
+        for error in self.corrections(phi_deg).values():
+            found += error
+        return found
+
+    def corrections(self, phi_deg: float) -> dict[str, FloatArray]:
+        """Covariance of the correction's error by cause [N^2], shape [2 theta, 2 theta] each."""
+        if self.correction is None:
+            return {}
+        phi = np.array([phi_deg], dtype=np.float64)
+        forces = replace(self, correction=None).predict(phi)
+        found = self.correction.covariances(phi, forces)
+        return {cause: covariance[0] for cause, covariance in found.items()}
 
     def _between(self, phi_deg: FloatArray) -> FloatArray:
         """Prior covariance of f with the rows of the curves, [k] -> [2 theta, k, case]."""

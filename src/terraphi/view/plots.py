@@ -363,16 +363,17 @@ def figures_of(found: Inversion) -> dict[str, Figure]:
     return {"figure.png": fits_figure(found), "corner.png": corner_figure(found)}
 
 
-LOOKS = (
-    (GREEN, "-"),
-    (BLUE, "--"),
-    (ORANGE, "-"),
-    (BLUE, ":"),
-    (GREY, "--"),
-    (PURPLE, "-"),
-    ("black", ":"),
-)
-"""Colour and line of each term, in the budget's order."""
+LOOKS = {
+    "interpolation": (GREEN, "-"),
+    "library_scatter": (BLUE, "--"),
+    "refinement": (GREEN, ":"),
+    "particle_scatter": (ORANGE, "-"),
+    "readings": (BLUE, ":"),
+    "noise": (GREY, "--"),
+    "registration": (PURPLE, "-"),
+    "discrepancy": ("black", ":"),
+}
+"""Colour and line of each term of a budget."""
 
 
 def budget_figure(inversion: Inversion) -> Figure:
@@ -397,7 +398,8 @@ def budget_figure(inversion: Inversion) -> Figure:
     if budget is None:
         raise ValueError(f"likelihood '{inversion.likelihood}' has no terms; take 'calibrated'")
     figure, (panels,) = panels_of(1, 2, size=(10.0, 4.2))
-    for (name, sigma), (colour, style) in zip(budget.sigma_N.items(), LOOKS, strict=True):
+    for name, sigma in budget.sigma_N.items():
+        colour, style = LOOKS[name]
         label = f"{name.replace('_', ' ')}, {budget.shares[name]:.0%}"
         for axes, half in zip(panels, np.split(sigma, 2), strict=True):
             # A term that is absent has no place on a logarithmic axis, but in the legend.
