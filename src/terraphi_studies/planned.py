@@ -78,10 +78,11 @@ class Simulations:
         for plan in plans:
             for folder in self._folders(plan.name):
                 found |= finished_cases(folder)
+        for plan in plans:
             failed = self.failures(plan.name) if keep_failures else {}
             waiting = {scenario.hash for scenario in plan.cases()} - found.keys() - failed.keys()
             if self.build is not None and waiting:
-                found |= self._simulated(plan, self.build, failed, keep_failures=keep_failures)
+                found |= self._simulated(plan, self.build, found, failed, keep_failures)
         return found
 
     def failures(self, name: str) -> dict[str, str]:
@@ -92,7 +93,12 @@ class Simulations:
         return [shipped_folder("cases", name), *([self.build] if self.build else [])]
 
     def _simulated(
-        self, plan: Plan, folder: Path, failed: Mapping[str, str], *, keep_failures: bool
+        self,
+        plan: Plan,
+        folder: Path,
+        known: Mapping[str, ForceHistory],
+        failed: Mapping[str, str],
+        keep_failures: bool,
     ) -> dict[str, ForceHistory]:
         report = self.progress
         try:
@@ -100,7 +106,7 @@ class Simulations:
                 finished, failures = simulate_cases(
                     plan,
                     folder,
-                    known=finished_cases(shipped_folder("cases", plan.name)),
+                    known=known,
                     executor=running.executor,
                     progress=lambda done, total: report and report(running.counted(done), total),
                     keep_failures=keep_failures,

@@ -48,11 +48,15 @@ METHOD = (
     "accepted. Run again: `terraphi study real_soil`; with `--out` it writes "
     f"the file that the package ships in `data/{FOLDER}`, learnt from all media."
 )
-PARTS_DEG = {"grid": 1.9, "speed_up": 0.8, "leg_friction": 0.6}
-"""Parts of the level that are known [deg]: halving the cells moves the mean forces of preset
-`resolved` by 1.5° (F_z) and 2.3° (F_x), halving the speed-up by 0.8° (`study resolution`); a
-friction of the leg anywhere between 0.2 and 0.5 has a standard deviation of 0.087, worth 0.6° by
-the mean forces of the cases of `study prediction` at 30°."""
+PARTS_DEG = {
+    "resolved": {"grid": 1.9, "speed_up": 0.8, "leg_friction": 0.6},
+    "resolved-2": {"grid": 0.4, "speed_up": 0.6, "leg_friction": 0.6},
+}
+"""Parts of the level that are known, by library [deg]: halving the cells moves the mean forces of
+preset `resolved` by 1.5° (F_z) and 2.3° (F_x), halving the speed-up by 0.8°, and those of
+`resolved-2` by 0 and 0.8° (`study resolution`) and by 0.4 and 0.8° (on 96 cells,
+`docs/convergence.md`); a friction of the leg anywhere between 0.2 and 0.5 has a standard deviation
+of 0.087, worth 0.6° by the mean forces of the cases of `study prediction` at 30°."""
 SPACE_DEG = (15.0, 20.0, 25.0, 30.0, 35.0, 40.0)
 """Friction angles of the records by resistive force theory in three dimensions [deg]."""
 PLANE = {"poppy_loose": 638.0, "glass03_loose": 1450.0, "glass03_close": 1550.0}
@@ -96,7 +100,9 @@ def run(*, library: str | None = None, progress: Progress | None = None) -> Stud
     seen = [seen_through(through, one) for one in sands]
     media = sorted({one.medium for one in seen})
     learnt = {m: learn(through, [s for s in seen if s.medium != m]) for m in media}
-    whole = learn(through, seen, parts_deg=parts_of(seen), provenance={"made_by": f"study {NAME}"})
+    whole = learn(
+        through, seen, parts_deg=parts_of(through, seen), provenance={"made_by": f"study {NAME}"}
+    )
     wrong = list(false_records(sands))
     step = steps(len(sands) + len(media) + len(wrong), progress)
 
@@ -139,11 +145,12 @@ def seen_through(library: Library, one: Measurement) -> Seen:
     return Seen(medium, one.leg, one.angle_of_repose_deg, fitted, theta_deg, corrected)
 
 
-def parts_of(seen: Sequence[Seen]) -> dict[str, float]:
+def parts_of(library: Library, seen: Sequence[Seen]) -> dict[str, float]:
     """Parts of the level [deg]: of a refined library by its own correction's error."""
     causes = seen[0].corrected_deg
     of_each = {c: [one.corrected_deg[c] for one in seen] for c in causes}
-    return {**PARTS_DEG, **{c: float(np.sqrt(np.mean(np.square(v)))) for c, v in of_each.items()}}
+    known = PARTS_DEG.get(library.name, {})
+    return {**known, **{c: float(np.sqrt(np.mean(np.square(v)))) for c, v in of_each.items()}}
 
 
 def false_records(sands: Sequence[Measurement]) -> Iterator[Wrong]:

@@ -159,9 +159,13 @@ def test_learnt_discrepancies_have_its_error_as_parts_of_the_level(better: Libra
     sands.append(measurement("li2013:glass03_loose/straight"))
     seen = [seen_through(better, one) for one in sands]
     errors = [one.corrected_deg["grid"] for one in seen]
-    parts = parts_of(seen)
+    parts = parts_of(better, seen)
     assert parts["grid"] == pytest.approx(np.sqrt(np.mean(np.square(errors))))
-    assert parts["speed_up"] == PARTS_DEG["speed_up"]
+    assert set(parts) == {"grid"}
+    of_resolved = parts_of(
+        replace(better, plan=better.plan.model_copy(update={"name": "resolved"})), seen
+    )
+    assert of_resolved == {**PARTS_DEG["resolved"], "grid": parts["grid"]}
     learnt = learn_soils(better, seen, parts_deg=parts)
     budget = invert(Trial.of(sands[0]), library=better, discrepancy=learnt).budget
     assert budget is not None

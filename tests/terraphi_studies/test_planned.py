@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from terraphi.experiment.errors import InputError
+from terraphi.forward import simulate
 from terraphi.library.plan import Plan
+from terraphi_studies import planned
 from terraphi_studies.planned import Simulations, need_base, not_yet
 
 PLAN = {
@@ -32,3 +34,16 @@ def test_what_is_missing_is_told_with_its_time() -> None:
 def test_without_its_base_nothing_can_be_compared() -> None:
     with pytest.raises(InputError, match="plan 'nobody-ships-this': its base"):
         need_base(Plan.model_validate(PLAN), {})
+
+
+def test_what_one_plan_ships_is_not_simulated_for_another(tmp_path, monkeypatch) -> None:
+    shipped = {name: tmp_path / name for name in ("first", "second")}
+    monkeypatch.setattr(planned, "shipped_folder", lambda _, name: shipped[name])
+    first, second = (Plan.model_validate(PLAN | {"name": name}) for name in shipped)
+    case = second.cases()[0]
+    shipped["second"].mkdir()
+    simulate(case).to_netcdf(shipped["second"] / f"{case.hash}.nc")
+    found = Simulations(build=tmp_path / "built").histories(first, second)
+    assert len(found) == 3
+    built = {path.stem for path in (tmp_path / "built").glob("*.nc")}
+    assert built == found.keys() - {case.hash}
