@@ -142,7 +142,8 @@ def run(
     trained = Library.load(library)
     todo = ways(library, np.random.default_rng(seed + 2))
     done_with = steps(7 + len(todo), progress)
-    leg = prepare(trained, "straight")
+    # Worlds are of forces as simulated.
+    leg = prepare(trained.as_simulated, "straight")
     counts = {kind: min(replicates, BESIDE) for kind in WORLDS} | {"prior": replicates}
     worlds = {
         kind: done_with(calibrate(leg, replicates=count, seed=seed, worlds=kind))

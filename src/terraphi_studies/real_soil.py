@@ -48,15 +48,17 @@ METHOD = (
     "accepted. Run again: `terraphi study real_soil`; with `--out` it writes "
     f"the file that the package ships in `data/{FOLDER}`, learnt from all media."
 )
+LEG_FRICTION_DEG = 0.6
 PARTS_DEG = {
-    "resolved": {"grid": 1.9, "speed_up": 0.8, "leg_friction": 0.6},
-    "resolved-2": {"grid": 0.4, "speed_up": 0.6, "leg_friction": 0.6},
+    "resolved": {"grid": 1.9, "speed_up": 0.8},
+    "resolved-2": {"grid": 0.4, "speed_up": 0.6},
 }
 """Parts of the level that are known, by library [deg]: halving the cells moves the mean forces of
 preset `resolved` by 1.5° (F_z) and 2.3° (F_x), halving the speed-up by 0.8°, and those of
 `resolved-2` by 0 and 0.8° (`study resolution`) and by 0.4 and 0.8° (on 96 cells,
-`docs/convergence.md`); a friction of the leg anywhere between 0.2 and 0.5 has a standard deviation
-of 0.087, worth 0.6° by the mean forces of the cases of `study prediction` at 30°."""
+`docs/convergence.md`). Of any library: a friction of the leg anywhere between 0.2 and 0.5 has a
+standard deviation of 0.087, worth 0.6° by the mean forces of the cases of `study prediction` at
+30°."""
 SPACE_DEG = (15.0, 20.0, 25.0, 30.0, 35.0, 40.0)
 """Friction angles of the records by resistive force theory in three dimensions [deg]."""
 PLANE = {"poppy_loose": 638.0, "glass03_loose": 1450.0, "glass03_close": 1550.0}
@@ -149,7 +151,7 @@ def parts_of(library: Library, seen: Sequence[Seen]) -> dict[str, float]:
     """Parts of the level [deg]: of a refined library by its own correction's error."""
     causes = seen[0].corrected_deg
     of_each = {c: [one.corrected_deg[c] for one in seen] for c in causes}
-    known = PARTS_DEG.get(library.name, {})
+    known = {**PARTS_DEG.get(library.name, {}), "leg_friction": LEG_FRICTION_DEG}
     return {**known, **{c: float(np.sqrt(np.mean(np.square(v)))) for c, v in of_each.items()}}
 
 

@@ -14,6 +14,7 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.inference.coverage import certified
 from terraphi.inference.discrepancy import learn as learn_soils
@@ -21,7 +22,7 @@ from terraphi.inference.inversion import invert
 from terraphi.inference.prepared_leg import learn, prepare, refined, surrogate_of
 from terraphi.inference.trials import Trial
 from terraphi.library.build import build
-from terraphi.library.finer import FineCurves, fine_curves, with_fine
+from terraphi.library.finer import FineCurves, fine_curves, finer, with_fine
 from terraphi.library.plan import Plan
 from terraphi.library.store import Case, Library, hash_of
 from terraphi.surrogate.fidelity import Correction
@@ -161,11 +162,11 @@ def test_learnt_discrepancies_have_its_error_as_parts_of_the_level(better: Libra
     errors = [one.corrected_deg["grid"] for one in seen]
     parts = parts_of(better, seen)
     assert parts["grid"] == pytest.approx(np.sqrt(np.mean(np.square(errors))))
-    assert set(parts) == {"grid"}
+    assert set(parts) == {"grid", "leg_friction"}
     of_resolved = parts_of(
         replace(better, plan=better.plan.model_copy(update={"name": "resolved"})), seen
     )
-    assert of_resolved == {**PARTS_DEG["resolved"], "grid": parts["grid"]}
+    assert of_resolved == {**parts, "speed_up": PARTS_DEG["resolved"]["speed_up"]}
     learnt = learn_soils(better, seen, parts_deg=parts)
     budget = invert(Trial.of(sands[0]), library=better, discrepancy=learnt).budget
     assert budget is not None
@@ -299,3 +300,22 @@ def test_what_knows_no_correction_is_refused(better: Library, ways: dict[str, An
     record = plain(scattered(simulate(better.cases[0].scenario), 1.0, 7))
     with pytest.raises(InputError, match="'coarse' is refined"):
         invert(record, library=better, **ways)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"numerics.speed_up": 5.0, "numerics.time_step": 4e-6}, "numerics.time_step is 4e-06 s"),
+        ({"numerics.cells": 256, "numerics.time_step": 4e-6}, "numerics.remap_interval is 0.0002"),
+        ({"numerics.cells": 256, "numerics.domain": 0.31}, "numerics.domain is 0.31"),
+    ],
+)
+def test_what_goes_with_the_cells_goes_with_nothing_else(
+    changes: dict[str, Any], said: str
+) -> None:
+    base = Scenario.model_validate({"numerics": {"speed_up": 10.0, "remap_interval": 2e-4}})
+    with pytest.raises(InputError, match=said):
+        finer(base, base.replace(**changes))
+    half = {"cells": 256, "time_step": 4e-6, "remap_interval": 1e-4}
+    good = base.replace(**{f"numerics.{key}": value for key, value in half.items()})
+    assert finer(base, good) == ("grid", 0.5)

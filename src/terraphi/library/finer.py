@@ -28,8 +28,12 @@ from terraphi.library.store import Case, Library
 
 CAUSES = {"grid": "cells", "speed_up": "speed-up"}
 """What may be finer, and what it is called."""
-FREE = ("cells", "domain", "speed_up", "seed", "time_step", "remap_interval")
+SCALED = ("time_step", "remap_interval")
+"""Keys of ``numerics`` that go with the cell size, in proportion."""
+FREE = ("cells", "speed_up", "seed", *SCALED)
 """Keys of ``numerics`` in which a fine case may differ: what is finer and what goes with it."""
+ALIKE = 0.02
+"""How far from that proportion they may be [-]."""
 
 
 class FineCurves(NamedTuple):
@@ -77,16 +81,23 @@ def finer(coarse: Scenario, fine: Scenario) -> tuple[str, float]:
         )
     if alike and k == k_fine:
         raise InputError("its cells and its speed-up are those of the library; make one smaller")
-    if not alike and cells < 1.0:
-        return "grid", cells
-    if alike and 1.0 <= k_fine < k:
-        return "speed_up", (k_fine - 1.0) / (k - 1.0)
-    raise InputError(
-        f"its speed-up is {k_fine:g}; between 1 and the library's, {k:g}, it tells of the error"
-        if alike
-        else f"its cells of {1e3 * fine.numerics.cell_size:.3g} mm are coarser than the library's "
-        f"of {1e3 * coarse.numerics.cell_size:.3g} mm; make them smaller"
-    )
+    if not alike and cells > 1.0:
+        raise InputError(
+            f"its cells of {1e3 * fine.numerics.cell_size:.3g} mm are coarser than the library's "
+            f"of {1e3 * coarse.numerics.cell_size:.3g} mm; make them smaller"
+        )
+    if alike and not 1.0 <= k_fine < k:
+        raise InputError(
+            f"its speed-up is {k_fine:g}; between 1 and the library's, {k:g}, it tells of the error"
+        )
+    for key in SCALED if fine.model == "mpm" else ():
+        value, own_value = (getattr(s.numerics, key) for s in (fine, coarse))
+        if abs(value - cells * own_value) > ALIKE * cells * own_value:
+            raise InputError(
+                f"numerics.{key} is {value:g} s; it goes with the cells, and should be "
+                f"{cells * own_value:g} s"
+            )
+    return ("speed_up", (k_fine - 1.0) / (k - 1.0)) if alike else ("grid", cells)
 
 
 def twin(library: Library, fine: Scenario) -> Scenario:
