@@ -26,7 +26,9 @@ def alone() -> Library:
 
 @pytest.fixture(scope="module")
 def seeds() -> Library:
-    return Library.load(f"{NAME}-seeds")
+    """Its replicates, as the library that they came from."""
+    whole = Library.load(NAME)
+    return replace(whole, cases=whole.replicates, calibration={}, replicates=())
 
 
 def test_replicates_are_kept_with_the_cases_that_they_repeat(
