@@ -76,6 +76,7 @@ STUDIES = {
     "resolution": Outline(
         "from preset paper-1 to resolved, and whether that has arrived", "seconds"
     ),
+    "onset": Outline("where the lift of a leg in space rises, and what moves that", "seconds"),
     "plates": Outline(
         "plates pressed into real sand: φ by each force law, and what the law is worth", "seconds"
     ),

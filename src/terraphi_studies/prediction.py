@@ -6,12 +6,17 @@ forces over their measured peak-to-peak; the other two legs are then simulated w
 compared with forces that the fit has not seen. Forces between the simulated pairs come from a cubic
 spline over φ and a parabola over μ, and are proportional to the density, as the soil has no
 cohesion. Nothing is tuned to a medium.
+
+Through libraries, which have one friction of the leg, φ alone is fitted to the straight leg in the
+same way, and their own forces on the other legs are what they foretell. Through one of them the
+height of the hip above the soil is fitted too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,21 +24,33 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import Measurement, measurement, medium_and_leg, names
+from terraphi.experiment.motion import Rotation
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan, Step
+from terraphi.library.shipped import companion
+from terraphi.library.store import Library
 from terraphi.view.plots import BLUE, ORANGE, Curve
 from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, Study, benchmark, page
 from terraphi_studies.benchmark import LEGS, FinishedCase, in_the_sand
-from terraphi_studies.measures import FORCES, PHI, means_of, nrmsd_percent
+from terraphi_studies.measures import FORCES, PHI, both, means_of, nrmsd_of_means, nrmsd_percent
 from terraphi_studies.pictures import legs_figure
 from terraphi_studies.planned import Simulations, missing_from, not_yet
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 NAME = "prediction"
 TITLE = "Calibrated on the straight leg, and what that foretells of the C and the reversed C"
 FRICTION, SHAPE = "leg.friction", "leg.shape"
 CALIBRATED_ON = "straight"
 OURS = "resolved"
+LIBRARIES = ("resolved-2", "sand3d-quick", "rft3d")
+"""Libraries through which φ alone is fitted, and which foretell the other legs."""
+RAISED = "sand3d-quick"
+"""The library of these with cases whose hip is higher."""
+HEIGHT = ", height too"
+"""What is added to its name where the height is fitted."""
 COLUMNS = (
     ("medium", "{medium}"),
     ("leg", "{leg}"),
@@ -41,13 +58,16 @@ COLUMNS = (
     ("NRMSD Fz", "{Fz:.1f} %"),
     ("NRMSD Fx", "{Fx:.1f} %"),
 )
+PAPERS = "the paper's MPM"
 OTHERS = {"mpm": "preset paper-1", "rft2d": "RFT 2-D", "rft3d": "RFT 3-D"}
 """Models of the benchmark that stand beside ours in Yuma sand."""
 METHOD = (
     "Preset `resolved` (plane strain), φ and the leg's friction μ fitted to the straight leg "
     "alone; C and reversed C are simulated with that pair. NRMSD on 1° means over |θ| < 85°, in "
-    "percent of the measured peak-to-peak. The other models are not fitted here: theirs is the 35° "
-    "that Xu & Wang use for Yuma sand, and RFT 2-D has the generic coefficients of Li et al. times "
+    "percent of the measured peak-to-peak. Through libraries φ alone is fitted to that leg, "
+    "through one of them the height of the hip above the soil too; their forces on the other legs "
+    "are what they foretell. The other models are not fitted here: theirs is the 35° that Xu & "
+    "Wang use for Yuma sand, and RFT 2-D has the generic coefficients of Li et al. times "
     f"{benchmark.YUMA_SCALE}, which gives their own curves for that sand. Plan: `prediction`. Run "
     "again: `terraphi study prediction`."
 )
@@ -75,6 +95,28 @@ class Calibration:
     nrmsd_percent: Mapping[str, float]
 
 
+@dataclass(frozen=True)
+class Foretold:
+    """What a library makes of a sand, by the straight leg.
+
+    Attributes
+    ----------
+    phi_deg
+        Friction angle, to 0.1° [deg].
+    raised_m
+        How much higher the hip is than the library's [m], to 0.25 mm; 0 if that is not fitted.
+    at_edge
+        Whether either is the first or last of what was simulated.
+    nrmsd_percent
+        Of each measured leg that the library has, by leg and force [%].
+    """
+
+    phi_deg: float
+    raised_m: float
+    at_edge: bool
+    nrmsd_percent: Mapping[str, Mapping[str, float]]
+
+
 def run(*, cases: Simulations) -> Study:
     """Calibrate and predict every shipped sand.
 
@@ -87,10 +129,12 @@ def run(*, cases: Simulations) -> Study:
     -------
     Study
         ``data``: ``calibrated`` (``phi_deg``, ``friction``, ``at_edge`` by medium),
-        ``nrmsd_percent`` by medium, leg, model and force, ``better_than`` (of the
-        deviations in Yuma sand, by each other model, how many of ours lie ``below`` theirs,
-        ``of`` how many; the same of the C and the reversed C alone, ``foretold_below`` and
-        ``foretold_of``), ``missing``.
+        ``libraries`` (by library and medium ``phi_deg``, ``raised_m`` and ``at_edge``),
+        ``nrmsd_percent`` by medium, leg, model and force, ``foretold_percent`` (by model that
+        foretold all legs, and force: the mean over the C and the reversed C of all media),
+        ``better_than`` (of the deviations in Yuma sand, by each model that is not fitted, how many
+        of ours lie ``below`` theirs, ``of`` how many; the same of the C and the reversed C alone,
+        ``foretold_below`` and ``foretold_of``), ``missing``.
 
     Raises
     ------
@@ -112,7 +156,16 @@ def run(*, cases: Simulations) -> Study:
     lacking = missing_from(foretold(plan, media, fits), finished)
     if lacking:
         finished |= cases.histories(legs_plan(plan, lacking))
-    return study_of(plan, media, fits, finished)
+    own = {name: Library.load(name) for name in LIBRARIES}
+    libraries = {
+        name: {medium: through(library, legs) for medium, legs in media.items()}
+        for name, library in own.items()
+    }
+    raised = companion(RAISED, "raised")
+    libraries[f"{RAISED}{HEIGHT}"] = {
+        medium: through(own[RAISED], legs, raised) for medium, legs in media.items()
+    }
+    return study_of(plan, media, fits, finished, libraries)
 
 
 def sands() -> dict[str, dict[str, Measurement]]:
@@ -186,6 +239,79 @@ def calibrate(measured: Measurement, forces: Interpolated) -> Calibration:
     return Calibration(phi, mu, bool(near.any()), {"Fx": fx, "Fz": fz})
 
 
+def through(
+    library: Library, legs: Mapping[str, Measurement], raised: Library | None = None
+) -> Foretold:
+    """Fit φ to the straight leg of one sand, and compare all its legs with the library there.
+
+    A leg that either library lacks there, or has for other angles alone, is left out.
+
+    Parameters
+    ----------
+    library
+        Whose forces foretell.
+    legs
+        Measurements of the sand by leg, the straight one among them.
+    raised
+        Cases of the library with the hip higher above the soil: between the two heights forces go
+        in proportion, and the height is fitted too.
+    """
+    density = library.plan.scenario.soil.density
+    relative = (legs[CALIBRATED_ON].density_kg_m3 or density) / density
+    levels = [_over_phi(one) for one in (library, raised) if one]
+    ends = {
+        leg: (max(c[leg].x[0] for c in levels), min(c[leg].x[-1] for c in levels))
+        for leg in legs
+        if all(leg in curves for curves in levels)
+    }
+    data = {leg: means_of(legs[leg].history) for leg in ends}
+    low, high = ends[CALIBRATED_ON]
+    phi = np.round(np.arange(round(10.0 * low), round(10.0 * high) + 1) / 10.0, 1)
+    higher = np.linspace(0.0, 1.0, 29 if raised else 1)
+
+    def forces(leg: str, at: FloatArray) -> FloatArray:
+        """Of a sand of each angle and height, shape [height, angle, theta, 2]."""
+        first, last = (relative * curves[leg](at) for curves in (levels[0], levels[-1]))
+        share = higher[:, None, None, None]
+        return (1.0 - share) * first + share * last
+
+    off = forces(CALIBRATED_ON, phi) - data[CALIBRATED_ON]
+    squares = np.sum(np.square(off / np.ptp(data[CALIBRATED_ON], axis=0)), axis=(2, 3))
+    height, angle = np.unravel_index(int(np.argmin(squares)), squares.shape)
+    raise_m = _hip_height(raised) - _hip_height(library) if raised else 0.0
+    return Foretold(
+        float(phi[angle]),
+        float(higher[height]) * raise_m,
+        angle in (0, len(phi) - 1) or (raised is not None and height in (0, len(higher) - 1)),
+        {
+            leg: nrmsd_of_means(data[leg], forces(leg, phi[angle : angle + 1])[height, 0])
+            for leg, (first, last) in ends.items()
+            if first <= phi[angle] <= last
+        },
+    )
+
+
+def _hip_height(library: Library) -> float:
+    motion = library.plan.scenario.motion
+    assert isinstance(motion, Rotation)
+    return motion.hip[1]
+
+
+def _over_phi(library: Library) -> dict[str, CubicSpline]:
+    """1° means [N] over φ [deg] by leg, shape [theta, 2] at each angle."""
+    from scipy.interpolate import CubicSpline
+
+    means: dict[str, dict[float, FloatArray]] = {}
+    for case in library.cases:
+        if case.history:
+            of_leg = means.setdefault(case.scenario.leg.shape, {})
+            of_leg[case.scenario.soil.friction_angle_deg] = means_of(case.history)
+    return {
+        leg: CubicSpline(sorted(cases), np.array([cases[phi] for phi in sorted(cases)]))
+        for leg, cases in means.items()
+    }
+
+
 def foretold(
     plan: Plan,
     media: Mapping[str, Mapping[str, Measurement]],
@@ -225,6 +351,7 @@ def study_of(
     media: Mapping[str, Mapping[str, Measurement]],
     fits: Mapping[str, Calibration],
     finished: Mapping[str, ForceHistory],
+    libraries: Mapping[str, Mapping[str, Foretold]],
 ) -> Study:
     """The study on what is finished, as :func:`run` says.
 
@@ -236,6 +363,8 @@ def study_of(
         Measurements and calibrations by medium.
     finished
         Histories by the hash of their scenario.
+    libraries
+        What libraries make of the media, by library and medium.
     """
     deviations: dict[str, dict[str, dict[str, Mapping[str, float]]]] = {}
     curves: dict[str, dict[str, list[Curve]]] = {}
@@ -253,23 +382,31 @@ def study_of(
             )
             sand = Curve("measured, Li et al. 2013", measured.history, ORANGE, "")
             curves.setdefault(medium, {})[leg] = [sand, Curve(label, ours, BLUE)]
+        row |= {
+            name: of_media[medium].nrmsd_percent[leg]
+            for name, of_media in libraries.items()
+            if leg in of_media[medium].nrmsd_percent
+        }
         if medium == "yuma":
             row |= _others(leg)
+    means = _means(deviations, (OURS, *libraries))
     better = _better(deviations.get("yuma", {}))
     rows = [
-        {"medium": medium, "leg": leg, "model": model, **percent}
+        {"medium": medium, "leg": leg, "model": _said(model), **percent}
         for medium, legs in deviations.items()
         for leg, models in legs.items()
         for model, percent in models.items()
     ]
     table, missing = Table.of(TITLE, COLUMNS, rows), missing_from(wanted, finished)
     repose = {medium: legs[CALIBRATED_ON].angle_of_repose_deg for medium, legs in media.items()}
-    notes = [*_notes(fits, repose, better), *not_yet(NAME, missing)]
+    notes = [*_notes(fits, libraries, repose), *_compared(means, better), *not_yet(NAME, missing)]
     return Study(
         table=table,
         data={
             "calibrated": {medium: vars(fit) for medium, fit in fits.items()},
+            "libraries": _reached_by(libraries),
             "nrmsd_percent": deviations,
+            "foretold_percent": means,
             "better_than": better,
             "missing": list(missing),
         },
@@ -279,13 +416,18 @@ def study_of(
     )
 
 
+def _said(model: str) -> str:
+    """A model's name for people; the preset and its library differ."""
+    return f"library {model}" if model.removesuffix(HEIGHT) in LIBRARIES else model
+
+
 def _others(leg: str) -> dict[str, Mapping[str, float]]:
     """Deviations of the other models in Yuma sand, ours and printed."""
     histories, _ = benchmark.histories_of(PAPER_LIBRARY, leg)
     ours = benchmark.deviations_of(histories)
     fz, fx = benchmark.PAPER_NRMSD[leg]
     return {
-        "the paper's MPM": {"Fz": fz, "Fx": fx},
+        PAPERS: {"Fz": fz, "Fx": fx},
         **{name: ours[model] for model, name in OTHERS.items()},
     }
 
@@ -294,7 +436,9 @@ def _better(legs: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, 
     """Of the deviations that both have, fitted or foretold, how many of ours lie below."""
     found: dict[str, dict[str, int]] = {}
     for leg, models in legs.items():
-        for name in [n for n in models if n != OURS and OURS in models]:
+        for name in [
+            n for n in models if n.removesuffix(HEIGHT) not in (OURS, *LIBRARIES) and OURS in models
+        ]:
             below = sum(models[OURS][force] < models[name][force] for force in FORCES)
             count = found.setdefault(
                 name, dict.fromkeys(("below", "of", "foretold_below", "foretold_of"), 0)
@@ -305,19 +449,66 @@ def _better(legs: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, 
     return found
 
 
+def _reached_by(libraries: Mapping[str, Mapping[str, Foretold]]) -> dict[str, dict[str, object]]:
+    """What each library reached by the straight leg of each medium, JSON-able."""
+    keys = ("phi_deg", "raised_m", "at_edge")
+    return {
+        name: {medium: {key: getattr(one, key) for key in keys} for medium, one in found.items()}
+        for name, found in libraries.items()
+    }
+
+
+def _means(
+    deviations: Mapping[str, Mapping[str, Mapping[str, Mapping[str, float]]]], models: Sequence[str]
+) -> dict[str, dict[str, float]]:
+    """Mean over all legs that were foretold [%], by model that foretold all of them and force."""
+    rows = [
+        of_models
+        for legs in deviations.values()
+        for leg, of_models in legs.items()
+        if leg != CALIBRATED_ON
+    ]
+    return {
+        name: {force: float(np.mean([row[name][force] for row in rows])) for force in FORCES}
+        for name in models
+        if rows and all(name in row for row in rows)
+    }
+
+
 def _notes(
     fits: Mapping[str, Calibration],
+    libraries: Mapping[str, Mapping[str, Foretold]],
     repose: Mapping[str, float | None],
-    better: Mapping[str, Mapping[str, int]],
 ) -> list[str]:
-    notes = [
+    """What the straight leg says of each medium."""
+    edge = " (at an edge of what was simulated)"
+    return [
         f"{medium}: φ = {fit.phi_deg:.1f}°, μ = {fit.friction:.2f} from the straight leg"
         + (f", where the angle of repose is {repose[medium]:g}°" if repose[medium] else "")
-        + (", at an edge of what was simulated." if fit.at_edge else ".")
+        + f"{edge if fit.at_edge else ''}. Through libraries: "
+        + "; ".join(_reached(name, of_media[medium]) for name, of_media in libraries.items())
+        + "."
         for medium, fit in fits.items()
     ]
-    return notes + [
-        f"In Yuma sand {count['below']} of our {count['of']} deviations lie below those of {name}, "
-        f"{count['foretold_below']} of the {count['foretold_of']} foretold."
-        for name, count in better.items()
+
+
+def _reached(name: str, found: Foretold) -> str:
+    """What a library reached by the straight leg, in a few words."""
+    higher = f" and {1e3 * found.raised_m:.1f} mm" if name.endswith(HEIGHT) else ""
+    edge = " (at an edge)" if found.at_edge else ""
+    return f"{name} {found.phi_deg:.1f}°{higher}{edge}"
+
+
+def _compared(
+    means: Mapping[str, Mapping[str, float]], better: Mapping[str, Mapping[str, int]]
+) -> list[str]:
+    """How the models that were fitted compare with each other, and ours with the others."""
+    rank = ", ".join(f"{_said(name)} {both(percent, ' %')}" for name, percent in means.items())
+    return [
+        f"Mean deviation Fz / Fx of the C and the reversed C, foretold: {rank}.",
+        *(
+            f"In Yuma sand {count['below']} of the {count['of']} deviations of {OURS} lie below "
+            f"those of {name}, {count['foretold_below']} of the {count['foretold_of']} foretold."
+            for name, count in better.items()
+        ),
     ]

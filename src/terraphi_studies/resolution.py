@@ -4,9 +4,9 @@ Three shipped plans. ``waterfall`` leads from preset ``paper-1`` to ``resolved``
 another. ``resolution`` takes ``resolved`` and halves the cells, the time step and the speed-up, and
 makes the soil four times as stiff: none of these is a property of the soil, so the peaks should
 stay. What a change is worth is seen beside what another seed does. A step that follows another is
-measured from that one: so the cells of preset ``resolved-2`` are halved. ``space`` does the same in
-three dimensions, with the numerics of plan ``sand3d-quick``.
-Peaks are those of 1° means, over the part of the path that holds both.
+measured from that one: so the cells of preset ``resolved-2`` are halved, for each leg; a step to
+another leg begins anew. ``space`` does the same in three dimensions, with the numerics of plan
+``sand3d-quick``. Peaks are those of 1° means, over the part of the path that holds both.
 """
 
 from __future__ import annotations
@@ -88,9 +88,10 @@ def study_of(way: Plan, halved: Plan, space: Plan, finished: Mapping[str, ForceH
         (``peaks_N``: mean over the seeds, ``seed_scatter_percent``), ``halved`` (by step:
         ``from``, the step that it follows or the base, ``seeds``, ``peaks_N``, ``change_percent``,
         ``within_5_percent``, ``mean_change_percent``: that of the mean over the path; both also
-        as ``change_deg`` and ``mean_change_deg``, in degrees of the friction angle), ``space``
-        (its ``base`` and ``steps``, as these two), ``change_when_halved_percent`` (by force:
-        ``mean_change_percent`` of :data:`HALVED`; null while that is missing),
+        as ``change_deg`` and ``mean_change_deg``, in degrees of the friction angle, null where the
+        step's leg is not the base's; a step to another leg has ``from`` null and no change),
+        ``space`` (its ``base`` and ``steps``, as these two), ``change_when_halved_percent`` (by
+        force: ``mean_change_percent`` of :data:`HALVED`; null while that is missing),
         ``percent_per_degree`` by force, and ``missing``.
 
     Raises
@@ -123,8 +124,7 @@ def study_of(way: Plan, halved: Plan, space: Plan, finished: Mapping[str, ForceH
         *_changed(of_space, in_space, base=space.scenario.name),
     ]
     table = Table.of(TITLE, COLUMNS, rows)
-    base = halved.scenario.name
-    alone = {name: change for name, change in changes.items() if change["from"] == base}
+    alone = {name: change for name, change in changes.items() if name in _alone(changes)}
     notes = [*_notes(data), *not_yet(NAME, missing)]
     return Study(
         table=table,
@@ -145,11 +145,18 @@ def _changes(
         for name, same in runs.items()
     }
     start = {name: (_mean(peaks), _mean(levels)) for name, (peaks, levels) in both_of.items()}
-    changes = {
-        name: {"from": before, "seeds": len(runs[name]), **_change(*start[name], *start[before])}
-        for name, before in followed(plan).items()
-        if name in start and before in start
-    }
+    legs = {name: scenario.leg.shape for name, scenario in steps_of(plan).items()}
+    changes: dict[str, dict[str, Any]] = {}
+    for name, before in followed(plan).items():
+        if name in start and before in start:
+            change = {"from": before, "seeds": len(runs[name]), "peaks_N": start[name][0]}
+            if legs[name] != legs[before]:
+                change["from"] = None
+            else:
+                change |= _change(*start[name], *start[before])
+                if legs[name] != plan.scenario.leg.shape:
+                    change |= {"change_deg": None, "mean_change_deg": None}
+            changes[name] = change
     return _seeds(*both_of[plan.scenario.name]), changes
 
 
@@ -226,7 +233,6 @@ def _change(
     """How far peaks, and means over the path, are from those of what is changed."""
     percent, of_mean = _percent(peaks, peaks_before), _percent(level, level_before)
     return {
-        "peaks_N": peaks,
         "change_percent": percent,
         "change_deg": _degrees(percent),
         "within_5_percent": all(abs(v) <= TOLERANCE_PERCENT for v in percent.values()),
@@ -257,25 +263,35 @@ def _changed(
     name = f"{base}, mean of {start['seeds']} seeds"
     rows = [{"step": name, "peaks_N": start["peaks_N"], "said": of_seeds}]
     for name, change in changes.items():
-        percent, turned = change["change_percent"], change["change_deg"]
-        # What follows another step stands below it.
-        above = " from above" if change["from"] in changes else ""
-        said = {f: f"{percent[f]:+.1f} %, {turned[f]:+.1f}°{above}" for f in FORCES}
-        said["mean"] = both(change["mean_change_percent"], " %", "+.1f")
+        said = dict.fromkeys((*FORCES, "mean"), "")
+        if change["from"]:
+            percent, turned = change["change_percent"], change["change_deg"]
+            # What follows another step stands below it.
+            above = " from above" if change["from"] in changes else ""
+            for f in FORCES:
+                worth = f", {turned[f]:+.1f}°" if turned else ""
+                said[f] = f"{percent[f]:+.1f} %{worth}{above}"
+            said["mean"] = both(change["mean_change_percent"], " %", "+.1f")
         step = f"resolved, {name}" if base == "resolved" and not name.startswith(base) else name
         rows.append({"step": step, "peaks_N": change["peaks_N"], "said": said})
     return rows
 
 
+def _alone(changes: Mapping[str, Any]) -> list[str]:
+    """Steps that change the base by themselves."""
+    return [name for name, one in changes.items() if one["from"] and one["from"] not in changes]
+
+
 def _notes(data: Mapping[str, Any]) -> list[str]:
     notes = []
-    steps, halved = data["waterfall"][1:], data["halved"]
+    steps = data["waterfall"][1:]
+    halved = {name: change for name, change in data["halved"].items() if change["from"]}
     if steps:
         largest = max(steps, key=lambda step: abs(step["change_N"]["Fz"]))
         notes.append(
             f"The largest step in F_z is '{largest['step']}': {largest['change_N']['Fz']:+.1f} N."
         )
-    alone = [name for name, change in halved.items() if change["from"] not in halved]
+    alone = _alone(data["halved"])
     within = [name for name in alone if halved[name]["within_5_percent"]]
     beyond = [name for name in alone if name not in within]
     bound = f"{TOLERANCE_PERCENT:g} %"
@@ -286,14 +302,17 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
     if halved:
         means = {name: change["mean_change_percent"] for name, change in halved.items()}
         moved = "; ".join(
-            f"{name} {both(mean, ' %', '+.1f')} ({degrees.worth(mean)})"
+            name
+            + ("" if name in alone else f", from '{halved[name]['from']}'")
+            + f" {both(mean, ' %', '+.1f')}"
+            + (f" ({degrees.worth(mean)})" if halved[name]["mean_change_deg"] else "")
             for name, mean in means.items()
             if max(map(abs, mean.values())) > TOLERANCE_PERCENT
         )
         apart = both(data["resolved"]["mean_scatter_percent"], " %")
         notes.append(
-            f"Mean forces over the path (F_z / F_x; seeds move them by {apart} at most) change by "
-            f"more than {bound} with: {moved or 'nothing'}."
+            f"Mean forces over the path (F_z / F_x; seeds move those of resolved by {apart} at "
+            f"most) change by more than {bound} with: {moved or 'nothing'}."
         )
     return notes
 
@@ -309,13 +328,14 @@ def _method() -> str:
         for f, words in (("Fz", "F_z"), ("Fx", "F_x"))
     )
     return (
-        "Straight leg, φ = 35°, speed-up 10, peaks of 1° means. Each row of the first part adds a "
-        "change to all before it; each of the second changes preset `resolved`, and each of the "
-        "third the leg in space on cells of 7 mm, by itself, but for what is said to be from "
-        "above: that changes the row above it. Preset `resolved-2` has the "
-        "tip drawn in and phases of 20 steps on each grid. Rows *in space* are of the leg's true "
-        "width, contact a cell short of its tip but where another is named; of all means, those "
-        "over the path. Plans: `waterfall`, `resolution` and `space`. "
+        "Straight leg unless another is named, φ = 35°, speed-up 10, peaks of 1° means. Each row "
+        "of the first part adds a change to all before it; each of the second changes preset "
+        "`resolved`, and each of the third the leg in space on cells of 7 mm, by itself, but for "
+        "what is said to be from above: that changes the row above it. A row without changes is "
+        "where another leg begins. Preset `resolved-2` has the tip drawn in and phases of 20 steps "
+        "on each grid. Rows *in space* are of the leg's true width, contact a cell short of its "
+        "tip but where another is named; of all means, those over the path. Plans: `waterfall`, "
+        "`resolution` and `space`. "
         "Run again: `terraphi study resolution`.\n\n"
         f"{degrees.said()}\n\n"
         "Presets, and cells of 7 and 5 mm in space where contact ends at the tip or a cell short "

@@ -143,8 +143,8 @@ def test_library_list_and_show(terraphi: Terraphi) -> None:
     assert "rft3d" in [entry["name"] for entry in listed]
     usable, others = terraphi("library", "list").out.split("To test those with")
     assert re.search(r"^rft3d +rft3d +15 to 50 +c, reversed_c, straight +45 ", usable, re.MULTILINE)
-    assert "quick-plane-strain-seeds" in others
-    assert "quick-plane-strain-seeds" not in usable
+    assert "quick-plane-strain-hip" in others
+    assert "quick-plane-strain-hip" not in usable
     shown = json.loads(terraphi("library", "show", "rft3d", "--json").out)
     assert shown["cases"] == 45
     assert shown["provenance"]["model_version"] == "rft-1"

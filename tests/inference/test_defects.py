@@ -47,6 +47,22 @@ def test_measured_records_are_whole(library: Library, medium: str, leg: str) -> 
     assert inspection.defects == ()
 
 
+@pytest.mark.parametrize("medium", ["yuma", "poppy_loose"])
+def test_where_no_simulation_goes_nothing_is_said_of_air(medium: str) -> None:
+    # Library sand3d-quick ends at 90 deg, where its reversed C still touches soil.
+    library = Library.load("sand3d-quick")
+    touches = touches_soil_deg(library, "reversed_c")
+    assert touches is not None
+    assert touches[1] == np.inf
+    assert -90.0 < touches[0] < -70.0
+    record = measurement(f"li2013:{medium}/reversed_c").history
+    assert inspect_record(record, touches_deg=touches).defects == ()
+    # Where the leg was simulated out of the soil, a force in air is one.
+    shifted = replace(record, force=record.force + np.array([0.0, 0.5]))
+    codes = {defect.code for defect in inspect_record(shifted, touches_deg=touches).defects}
+    assert codes == {"offset"}
+
+
 @pytest.mark.parametrize("name", ["quick-plane-strain", "resolved", "rft3d"])
 @pytest.mark.parametrize("every", [1, 5, 10, 40])
 @pytest.mark.parametrize("digits", [None, 3])
@@ -115,6 +131,18 @@ def test_held_values_and_spikes() -> None:
     force[at, 1] *= 10.0
     (defect,) = inspect_record(replace(whole, force=force)).defects
     assert (defect.code, defect.force, defect.rows) == ("spike", "Fz", 1)
+
+
+def test_a_sensor_that_sticks_to_the_end_is_named() -> None:
+    whole = truth(1)
+    at = int(np.searchsorted(whole.theta_deg, 30.0))
+    force = whole.force.copy()
+    force[at:, 0] = force[at, 0]
+    with pytest.raises(InputError, match=r"between 30\.0 and .* \(held values of Fx\)"):
+        inspect_record(replace(whole, force=force))
+    # A force that is nothing from there on is that of a leg in air.
+    force[at:, 0] = 0.01 * force[:, 0].max()
+    assert all(one.code != "held" for one in inspect_record(replace(whole, force=force)).defects)
 
 
 def test_ten_spikes_are_left_out_too() -> None:

@@ -22,7 +22,7 @@ from terraphi.inference.inversion import invert
 from terraphi.inference.prepared_leg import learn, prepare, refined, surrogate_of
 from terraphi.inference.trials import Trial
 from terraphi.library.build import build
-from terraphi.library.finer import FineCurves, fine_curves, finer, with_fine
+from terraphi.library.finer import FineCurves, fine_curves, finer, twin, with_fine
 from terraphi.library.plan import Plan
 from terraphi.library.store import Case, Library, hash_of
 from terraphi.surrogate.fidelity import Correction
@@ -120,7 +120,10 @@ def test_a_history_of_the_librarys_own_cells_has_the_answer_that_it_had(
     coarse: Library, better: Library
 ) -> None:
     made = simulate(coarse.cases[0].scenario.replace(**{PHI: 33.0}))
-    before, after = (invert(made, library=one).of_phi for one in (coarse, better))
+    plain_one, refined_one = (invert(made, library=one) for one in (coarse, better))
+    assert "refined" not in plain_one.provenance
+    assert refined_one.provenance["refined"]
+    before, after = plain_one.of_phi, refined_one.of_phi
     assert before is not None
     assert after is not None
     assert np.array_equal(before.density, after.density)
@@ -319,3 +322,29 @@ def test_what_goes_with_the_cells_goes_with_nothing_else(
     half = {"cells": 256, "time_step": 4e-6, "remap_interval": 1e-4}
     good = base.replace(**{f"numerics.{key}": value for key, value in half.items()})
     assert finer(base, good) == ("grid", 0.5)
+
+
+@pytest.mark.parametrize(
+    ("of", "name", "cause", "ratios"),
+    [
+        ("resolved-2", "cells-384", "grid", {0.5}),
+        ("resolved-2", "cells-288", "grid", {2 / 3}),
+        ("resolved-2", "speed-up", "speed_up", {1 / 9, 1 / 3}),
+        ("sand3d-quick", "cells-86", "grid", {60 / 86}),
+    ],
+)
+def test_plans_that_are_to_refine_a_library_are_of_its_cases(
+    of: str, name: str, cause: str, ratios: set[float]
+) -> None:
+    library = Library.load(of)
+    found = [finer(twin(library, fine), fine) for fine in Plan.load(f"{of}-{name}").cases()]
+    assert {one for one, _ in found} == {cause}
+    assert sorted({round(ratio, 9) for _, ratio in found}) == [round(r, 9) for r in sorted(ratios)]
+
+
+def test_another_model_is_refused_in_a_sentence() -> None:
+    # With its cells and the library's step no scenario could be.
+    library = Library.load("sand3d-quick")
+    plane = Plan.load("resolved-2").cases()[0]
+    with pytest.raises(InputError, match=r"dimensions is 2, in the library 3; a finer case"):
+        finer(library.cases[0].scenario, plane)

@@ -38,7 +38,7 @@ def test_every_library_and_leg_that_is_offered_has_curves() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["quick-plane-strain-seeds", "quick-plane-strain-fourteen", "quick-plane-strain-hip",
+    ["quick-plane-strain-fourteen", "quick-plane-strain-hip",
      "quick-paper-truths", "quick-k0-jaky"],
 )  # fmt: skip
 def test_what_is_there_to_test_others_is_told_by_its_angles(name: str, tmp_path: Path) -> None:

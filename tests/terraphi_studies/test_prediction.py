@@ -15,10 +15,12 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import Measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan
+from terraphi.library.store import Case, Library
 from terraphi_studies import planned, prediction
 
 THETA = np.radians(np.arange(-135.0, 135.0, 0.1) + 0.05)
 DENSITY = 1200.0
+SHAPE = "leg.shape"
 
 
 def history(scenario: Scenario) -> ForceHistory:
@@ -79,7 +81,7 @@ def test_predicted_legs_are_compared_at_the_measured_density(plan, finished) -> 
     legs = prediction.legs_plan(plan, prediction.foretold(plan, media, fits))
     done = {v.scenario.hash: history(v.scenario) for v in legs.variants()[1:]}
     assert len(done) == 3
-    study = prediction.study_of(plan, media, fits, done)
+    study = prediction.study_of(plan, media, fits, done, {})
     assert study.data["missing"] == []
     for leg in prediction.LEGS:
         found = study.data["nrmsd_percent"]["mud"][leg]["resolved"]
@@ -87,7 +89,7 @@ def test_predicted_legs_are_compared_at_the_measured_density(plan, finished) -> 
     assert set(study.figures) == {"prediction-mud"}
     # A sand of another friction is not foretold by the wrong pair.
     wrong = {"mud": replace(fits["mud"], phi_deg=40.0)}
-    study = prediction.study_of(plan, media, wrong, done)
+    study = prediction.study_of(plan, media, wrong, done, {})
     assert study.data["missing"] == ["mud/straight", "mud/c", "mud/reversed_c"]
     assert "mud/c" in study.notes[-1]
 
@@ -134,6 +136,81 @@ def test_rows_that_are_better_are_counted() -> None:
     assert prediction._better(legs)["RFT 2-D"] == count
     count = {"below": 0, "of": 2, "foretold_below": 0, "foretold_of": 0}
     assert prediction._better(legs)["lacks our reversed C"] == count
+
+
+ANGLES = (20.0, 25.0, 30.0, 35.0, 40.0, 45.0)
+
+
+def library_of(
+    plan: Plan, legs: tuple[str, ...], hip_height: float, size: float, until: float = 45.0
+) -> Library:
+    """All forces times the same, as those of a hip that is higher are less.
+
+    ``until``: largest angle of all legs but the straight one.
+    """
+    base = plan.scenario.replace(**{"motion.hip": (plan.scenario.motion.hip[0], hip_height)})
+    sweep = {SHAPE: list(legs), prediction.PHI: list(ANGLES)}
+    whole = plan.model_copy(update={"sweep": sweep, "scenario": base})
+    cases = whole.cases()
+    assert len(cases) == len(legs) * len(ANGLES)
+    kept = [s for s in cases if s.leg.shape == "straight" or s.soil.friction_angle_deg <= until]
+    return Library(whole, tuple(Case(s, history(s).scaled(size), "") for s in kept), {})
+
+
+def test_a_library_foretells_what_it_made(plan) -> None:
+    # φ alone, at another density than the library's; the spline is within 1 % between its angles.
+    library = library_of(plan, ("straight", "c"), 0.19, 1.0)
+    own = plan.scenario.leg.friction
+    legs = {leg: measured(plan, leg, 33.7, own, DENSITY) for leg in prediction.LEGS}
+    found = prediction.through(library, legs)
+    assert found.phi_deg == pytest.approx(33.7, abs=0.11)
+    assert found.raised_m == 0.0
+    assert not found.at_edge
+    assert set(found.nrmsd_percent) == {"straight", "c"}  # it has no reversed C
+    assert max(value for leg in found.nrmsd_percent.values() for value in leg.values()) < 0.5
+    # The C of a sand whose straight leg is of another angle is not foretold.
+    legs["c"] = measured(plan, "c", 25.0, own, DENSITY)
+    assert prediction.through(library, legs).nrmsd_percent["c"]["Fz"] > 5.0
+    legs["straight"] = measured(plan, "straight", 52.0, own, DENSITY)
+    assert prediction.through(library, legs).at_edge
+
+
+def test_the_height_that_made_the_forces_is_found(plan) -> None:
+    low = library_of(plan, prediction.LEGS, 0.190, 1.0)
+    raised = library_of(plan, ("straight", "c"), 0.194, 0.6)
+    own = plan.scenario.leg.friction
+    sand = {
+        leg: replace(one, history=one.history.scaled(0.9))  # as a millimetre makes it
+        for leg, one in ((n, measured(plan, n, 33.7, own, DENSITY)) for n in prediction.LEGS)
+    }
+    found = prediction.through(low, sand, raised)
+    assert found.phi_deg == pytest.approx(33.7, abs=0.11)
+    assert found.raised_m == pytest.approx(1e-3, abs=2e-4)
+    assert not found.at_edge
+    assert max(value for leg in found.nrmsd_percent.values() for value in leg.values()) < 1.0
+    assert set(found.nrmsd_percent) == {"straight", "c"}  # both need to have them
+    # Higher than what was simulated.
+    far = {leg: replace(one, history=one.history.scaled(0.4)) for leg, one in sand.items()}
+    assert prediction.through(low, far, raised).at_edge
+
+
+def test_a_leg_is_not_foretold_beyond_its_own_angles(plan) -> None:
+    library = library_of(plan, prediction.LEGS, 0.190, 1.0)
+    raised = library_of(plan, prediction.LEGS, 0.194, 0.6, until=30.0)
+    own = plan.scenario.leg.friction
+    for phi, legs in ((28.0, set(prediction.LEGS)), (33.7, {"straight"})):
+        sand = {leg: measured(plan, leg, phi, own, DENSITY) for leg in prediction.LEGS}
+        assert prediction.through(library, sand, raised).nrmsd_percent.keys() == legs
+
+
+def test_models_are_ranked_by_what_they_foretold_everywhere() -> None:
+    both = {"resolved": {"Fx": 5.0, "Fz": 9.0}, "rft3d": {"Fx": 1.0, "Fz": 2.0}}
+    legs = {
+        "a": {"straight": {"resolved": {"Fx": 90.0, "Fz": 90.0}}, "c": both},
+        "b": {"reversed_c": {"resolved": {"Fx": 7.0, "Fz": 1.0}}},
+    }
+    means = prediction._means(legs, ("resolved", "rft3d"))
+    assert means == {"resolved": {"Fx": 6.0, "Fz": 5.0}}
 
 
 def test_without_the_straight_legs_there_is_nothing_to_say(monkeypatch) -> None:

@@ -35,6 +35,8 @@ FEWEST_HELD = 3
 """Equal readings in a row that may be a held value."""
 QUANTA = 5.0
 """Steps of the record's resolution that a value must change by after it was held [-]."""
+FINELY = 100.0
+"""Steps of the record's resolution in a value that is held to the record's end [-]."""
 BY_CHANCE = 1e-3
 """Runs of equal readings that a coarse record may have by chance."""
 SPIKE = (8.0, 1.0)
@@ -196,7 +198,8 @@ def inspect_record(
 def touches_soil_deg(library: Library, leg: str) -> tuple[float, float] | None:
     """Leg angles between which a leg may touch the soil [deg], by a library's own curves.
 
-    ``None`` for a leg that it does not have.
+    Infinite on a side where a simulation ends before its leg is out of the soil; ``None`` for a leg
+    that the library does not have.
 
     Parameters
     ----------
@@ -209,8 +212,11 @@ def touches_soil_deg(library: Library, leg: str) -> tuple[float, float] | None:
     for case in library.cases:
         if case.history is not None and case.scenario.leg.shape == leg:
             size = np.hypot(case.history.Fx, case.history.Fz)
-            loaded = case.history.theta_deg[size > IN_AIR * size.max()]
-            low, high = min(low, loaded[0]), max(high, loaded[-1])
+            theta = case.history.theta_deg
+            loaded = theta[size > IN_AIR * size.max()]
+            first, last = loaded[0] - theta[0] < MARGIN_DEG, theta[-1] - loaded[-1] < MARGIN_DEG
+            low = min(low, -np.inf if first else loaded[0])
+            high = max(high, np.inf if last else loaded[-1])
     return None if high < low else (float(low) - MARGIN_DEG, float(high) + MARGIN_DEG)
 
 
@@ -273,7 +279,10 @@ def _resolution(values: FloatArray) -> float:
 
 
 def _held(values: FloatArray) -> Mask:
-    """Repetitions of a value that then jumps, where the record resolves far smaller changes."""
+    """Repetitions of a loaded value that then jumps, or to an end of the record.
+
+    Where the record resolves far smaller changes.
+    """
     steps = np.abs(np.diff(values))
     changes, resolution = steps[steps > 0.0], _resolution(values)
     if not changes.size:
@@ -285,11 +294,19 @@ def _held(values: FloatArray) -> Mask:
     ends = np.append(starts[1:], len(values))
     held = np.zeros(len(values), dtype=bool)
     for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        # A value that does not change up to an end of the record is that of a leg in air.
-        if end - start < max(FEWEST_HELD, shortest) or start == 0 or end == len(values):
+        if end - start < max(FEWEST_HELD, shortest):
             continue
-        loaded = abs(values[start]) > LOADED * np.ptp(values)
-        if loaded and steps[end - 1] > QUANTA * resolution:
+        # What hardly is a load, and does not change, may be that of a leg in air; so may what both
+        # ends of a record show. At its end there is no jump that tells a held value from a round top.
+        load = abs(values[start])
+        if start == 0:
+            load = min(load, abs(values[start] - values[-1]))
+        if end == len(values):
+            load = min(load, abs(values[start] - values[0]))
+            told = load > FINELY * resolution
+        else:
+            told = steps[end - 1] > QUANTA * resolution
+        if load > LOADED * np.ptp(values) and told:
             held[start + 1 : end] = True
     return held
 

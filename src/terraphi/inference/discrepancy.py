@@ -62,8 +62,9 @@ from terraphi.inference.budget import Budget, covariance_terms, information_shar
 from terraphi.inference.calibrated import Problem, matern32, shift_of
 from terraphi.inference.findings import Measure
 from terraphi.inference.posterior import Posterior
-from terraphi.inference.prepared_leg import PreparedLeg, window_spans
+from terraphi.inference.prepared_leg import PreparedLeg
 from terraphi.library.store import Library
+from terraphi.surrogate.joint import window_spans
 
 FOR_SIMULATED = "quick-plane-strain"
 """Library for simulated records."""

@@ -138,7 +138,7 @@ def invert(
     if library.fine and (likelihood == "paper" or not phi_alone):
         raise InputError(
             f"library '{library.name}' is refined, and only the calibrated likelihood of φ alone "
-            "knows the correction; infer φ alone with that, or take the library as it was built"
+            "knows the correction; infer φ alone with that, or take a library that is not refined"
         )
     infer = friction_angle.infer if phi_alone else several_parameters.infer
     found = infer(looked, library, ways)
@@ -160,6 +160,8 @@ def _provenance(
         "library": dict(library.provenance),
         "library_hash": library.hash,
     }
+    if library.fine:
+        about["refined"] = True
     if len(found.records) == 1 and found.records[0].simulation:
         about["simulation"] = dict(found.records[0].simulation)
     about |= {"seconds": seconds, **found.provenance}

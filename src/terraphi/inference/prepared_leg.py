@@ -42,7 +42,7 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.library.finer import CAUSES, fine_curves, with_fine
 from terraphi.library.store import Case, Curves, Library
 from terraphi.surrogate.fidelity import Correction, FidelityKernel, Refinement
-from terraphi.surrogate.joint import JointKernel, JointSurrogate
+from terraphi.surrogate.joint import JointKernel, JointSurrogate, window_spans
 from terraphi.surrogate.kronecker import single_threaded
 from terraphi.surrogate.scatter import Scatter, estimate
 
@@ -503,11 +503,6 @@ class _Errors(NamedTuple):
         size = np.log(np.maximum(np.square(part).mean(axis=(1, 2)), 1e-30))
         fit = np.polynomial.polynomial.polyfit(x, size, degree)
         return fit[0] - np.polynomial.polynomial.polyval(x, fit)
-
-
-def window_spans(forces: FloatArray) -> FloatArray:
-    """Peak-to-peak of the force of each window of an observation vector [N], shape [2 theta]."""
-    return np.repeat(np.ptp(forces.reshape(2, -1), axis=1), forces.size // 2)
 
 
 def learn_reading(

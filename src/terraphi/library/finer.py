@@ -58,8 +58,9 @@ def finer(coarse: Scenario, fine: Scenario) -> tuple[str, float]:
     InputError
         If it differs in anything else, in both, in neither, or is not finer.
     """
-    same = {f"numerics.{key}": value_of(coarse, f"numerics.{key}") for key in FREE}
-    told, own = (s.replace(**same, name="").model_dump(mode="json") for s in (fine, coarse))
+    told, own = (s.model_dump(mode="json") | {"name": ""} for s in (fine, coarse))
+    for key in FREE:
+        told["numerics"][key] = own["numerics"][key]
     other = next((name for name in own if told[name] != own[name]), None)
     if other is not None:
         key = other

@@ -28,6 +28,7 @@ COMPANIONS = {
     "legs": "the legs that the library lacks, at the benchmark's friction angle",
     "jaky": "one of a pair: K0 = 1 - sin φ",
     "half": "the other: K0 = 0.5",
+    "raised": "some of its cases with the hip higher above the soil",
 }
 """Roles of shipped libraries that are there for others, however many angles they have."""
 TRY_OTHERS = tuple(f"-{role}" for role in COMPANIONS)

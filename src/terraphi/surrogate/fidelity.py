@@ -51,7 +51,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.library.finer import FineCurves
-from terraphi.surrogate.joint import PROFILE_DEG, JointSurrogate, matern
+from terraphi.surrogate.joint import JointSurrogate, matern, smoothing, window_spans
 from terraphi.surrogate.kronecker import maximise, single_threaded
 
 ORDERS = 2.0 ** np.linspace(-1.0, 1.0, 25)
@@ -263,7 +263,7 @@ class Correction:
 
     def _sizes(self, forces: FloatArray) -> FloatArray:
         """Standard deviation of s delta [N], [k, 2 theta] -> the same."""
-        return self.kernel.amplitude * _spans(forces) * self.profile
+        return self.kernel.amplitude * window_spans(forces) * self.profile
 
     @cached_property
     def _limits(self) -> tuple[_Limit, ...]:
@@ -429,9 +429,8 @@ def profile_of(theta_deg: FloatArray, forces: FloatArray) -> FloatArray:
     forces
         Of a library [N], shape [case, 2 theta].
     """
-    kernel = np.exp(-0.5 * np.square((theta_deg[:, None] - theta_deg) / PROFILE_DEG))
-    kernel /= kernel.sum(axis=1, keepdims=True)
-    relative = (forces / _spans(forces)).reshape(-1, 2, theta_deg.size)
+    kernel = smoothing(np.square(theta_deg[:, None] - theta_deg))
+    relative = (forces / window_spans(forces)).reshape(-1, 2, theta_deg.size)
     squares = kernel @ np.square(relative).mean(axis=(0, 1))
     profile = np.maximum(np.sqrt(squares / squares.max()), LEAST_PROFILE)
     return np.tile(profile, 2)
@@ -445,12 +444,6 @@ def _whitened(cholesky: FloatArray, values: FloatArray, *, transposed: bool = Fa
         return values
     found: FloatArray = solve_triangular(cholesky, values, lower=True, trans=int(transposed))
     return found
-
-
-def _spans(forces: FloatArray) -> FloatArray:
-    """Peak-to-peak of the force of each window [N], shape [k, 2 theta] -> the same."""
-    halves = forces.reshape(len(forces), 2, forces.shape[1] // 2)
-    return np.repeat(np.ptp(halves, axis=2), halves.shape[2], axis=1)
 
 
 def _by_force(forces: FloatArray) -> FloatArray:

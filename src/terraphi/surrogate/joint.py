@@ -184,8 +184,7 @@ class Standardised:
 
     def _profile(self) -> FloatArray:
         """Root mean square of the curves over sigma and growth, smoothed, shape [2 theta]."""
-        kernel = np.exp(-0.5 * self.theta_distance2 / PROFILE_DEG**2)
-        kernel /= kernel.sum(axis=1, keepdims=True)
+        kernel = smoothing(self.theta_distance2)
         even = self.values / self.growth[:, None]
         squares = np.mean(np.square(even), axis=0).reshape(2, -1) @ kernel.T
         root = np.sqrt(squares)
@@ -243,6 +242,18 @@ class Evidence(Kronecker):
             by_fine = 2.0 * self._fine2[force] * np.trace(sensitivity)
             found += [by_length, 2.0 * np.sum(sensitivity * smooth) + by_fine, by_fine]
         return np.array([*found, 2.0 * self.by_noise()])
+
+
+def window_spans(forces: FloatArray) -> FloatArray:
+    """Peak-to-peak of the force of each window of observation vectors [N], [..., 2 theta]."""
+    halves = forces.reshape(*forces.shape[:-1], 2, forces.shape[-1] // 2)
+    return np.repeat(np.ptp(halves, axis=-1), halves.shape[-1], axis=-1)
+
+
+def smoothing(distance2: FloatArray) -> FloatArray:
+    """Weights of a mean over neighbouring leg angles [-], from squared distances [deg²]."""
+    kernel = np.exp(-0.5 * distance2 / PROFILE_DEG**2)
+    return kernel / kernel.sum(axis=1, keepdims=True)
 
 
 def matern(one_deg: FloatArray, other_deg: FloatArray, length_deg: float) -> FloatArray:

@@ -64,7 +64,8 @@ def _title(found: Inversion) -> str:
     if len(found.records) == 1:
         what = f"{found.source}: leg {found.legs[0]}"
     calibrated = ", calibrated" if "calibration" in found.provenance else ""
-    return f"{what}, library {found.library}{calibrated}{density}"
+    refined = ", refined" if "refined" in found.provenance else ""
+    return f"{what}, library {found.library}{refined}{calibrated}{density}"
 
 
 def _remarks(found: Inversion, several: bool) -> list[str]:

@@ -6,10 +6,11 @@ what is compared is the ratio of the two, which knows nothing of errors that bot
 
 An upright slab as deep and wide as the buried leg, with soil behind it too, against the factor of
 Ovesen (1964, Danish Geotechnical Institute, Bulletin 16) for anchors that reach the surface; and a
-round footing against the shape factor s_γ of bearing-capacity formulas. That factor is fitted to
-tests, whose strip has the larger φ of plane strain and whose circle has not; of a Mohr-Coulomb soil
-that has one φ, and associated flow, the exact circle carries more than the strip from some 28° on
-(C. M. Martin, 2004, program ABC). Neither has ψ = 0, as here.
+round and a square footing against the shape factor s_γ of bearing-capacity formulas. That factor is
+fitted to tests, whose strip has the larger φ of plane strain and whose circle and square have not;
+other formulas have 0.8 and more for the square. Of a Mohr-Coulomb soil that has one φ, and
+associated flow, the exact circle carries more than the strip from some 28° on (C. M. Martin, 2004,
+program ABC). Neither has ψ = 0, as here.
 
 A column that is let go spreads on a rough floor to (r - r₀)/r₀ = 1.24 a for a = h₀/r₀ < 1.7 (Lube,
 Huppert, Sparks & Hallworth, 2004, J. Fluid Mech. 508, 175), and is as high in the middle as it was
@@ -42,6 +43,8 @@ DEPTH, BREADTH = 0.054, 0.0254
 """h and b of the slab [m]: those of the leg, upright."""
 DIAMETER = 0.050
 """B of the footing [m]."""
+FOOTINGS = {"cylinder": ("round", 0.25 * math.pi * DIAMETER), "plate": ("square", DIAMETER)}
+"""What a footing of each shape is called, and its area over its width [m]."""
 SPEED = 0.02
 """Of a body [m/s]: the shock of its start, ρ c v, is 1.3 kPa."""
 RADIUS = 0.1
@@ -54,7 +57,8 @@ STILL = 0.01
 """Mean speed over √(g h₀) below which a deposit stands [-]."""
 SOURCES = {
     "wall": "M = 1 + (K_p − K_a)^(2/3) · 1.6/(1 + 5 b/h) (Ovesen 1964)",
-    "footing": "0.6 to 0.7 in formulas of bearing capacity (de Beer 1970 and others)",
+    "footing": "0.6 (de Beer 1970, Hansen, Vesić, both shapes) to 0.7 (EC 7, square); Terzaghi has "
+    "0.8 for the square, Meyerhof 1.3",
     "run-out": "(r − r₀)/r₀ = 1.24 a, a < 1.7 (Lube et al. 2004)",
     "height": "min(a, 0.74) (Lajeunesse et al. 2004)",
 }
@@ -141,11 +145,11 @@ def narrow_wall(phi_deg: float) -> Outcome:
     return Outcome([check])
 
 
-def footing(phi_deg: float) -> Outcome:
-    """Mean pressure under a rough circle over that under a rough strip as wide."""
+def footing(phi_deg: float, shape: str) -> Outcome:
+    """Mean pressure under a rough circle or square over that under a rough strip as wide."""
     content = bed_of_plan(phi_deg)
     bed, path = content["bed"], 2e-3
-    leg = {"shape": "cylinder", "chord": 0.04, "width": DIAMETER, "friction": 10.0}
+    leg = {"shape": shape, "chord": 0.04, "width": DIAMETER, "friction": 10.0}
     leg["half_thickness"] = 0.5 * DIAMETER
     content["numerics"]["tip_inset_cells"] = 0.0  # there is no tip
     motion = {
@@ -155,21 +159,23 @@ def footing(phi_deg: float) -> Outcome:
         "bin_width": path / 40,
     }
     _, force, flat = ratio_of(content, leg, motion, (0.5 * path, path), 1)
-    circle, strip = force / (0.25 * math.pi * DIAMETER), flat / DIAMETER
+    name, length = FOOTINGS[shape]
+    alone, strip = force / length, flat / DIAMETER
     unit = 0.5 * content["soil"]["density"] * GRAVITY * DIAMETER
     check = Check(
-        problem="Round footing",
+        problem=f"{name.capitalize()} footing",
         case=f"φ = {phi_deg:g}°, ψ = 0, rough",
         quantity="s_γ, mean pressure over that of a strip",
         expected=0.65,
-        obtained=circle / strip,
+        obtained=alone / strip,
         tolerance=0.15,
         resolution=_grid(content, DIAMETER, "B"),
         source=SOURCES["footing"],
-        note=f"N_γ of circle and strip {circle / unit:.3g} and {strip / unit:.3g}, over 1 to 2 mm "
-        "of sinkage",
-        cause="Mohr-Coulomb soil of one φ: with associated flow its exact s_γ is 1.05 at 30° "
-        "and 1.22 at 35° (Martin 2004), where tests fold into s_γ that φ of plane strain is larger",
+        note=f"N_γ of {name} footing and strip {alone / unit:.3g} and {strip / unit:.3g}, over 1 "
+        "to 2 mm of sinkage",
+        cause="Mohr-Coulomb soil of one φ: with associated flow the exact s_γ of a circle is 1.05 "
+        "at 30° and 1.22 at 35° (Martin 2004), where tests fold into s_γ that φ of plane strain is "
+        "larger; no exact one of a square is known here",
     )
     return Outcome([check])
 
@@ -285,14 +291,14 @@ FULL = [
         for a, n in ((0.6, 12), (1.0, 12), (1.5, 12), (1.0, 20))
     ),
     *numbered("wall", narrow_wall, [{"phi_deg": phi} for phi in (25.0, 35.0)], 13.0),
-    Task("footing", footing, {"phi_deg": 30.0}, 10.0),
+    *numbered("footing", footing, [{"phi_deg": 30.0, "shape": s} for s in FOOTINGS], 10.0),
 ]
 
 FAMILY = Family(
     title="Three dimensions",
-    meaning="A narrow wall and a round footing in space, each over the same in plane strain, and "
-    "a round column that is let go. If these pass, what the third dimension adds is what it adds "
-    "to real walls, footings and columns.",
+    meaning="A narrow wall, a round and a square footing in space, each over the same in plane "
+    "strain, and a round column that is let go. If these pass, what the third dimension adds is "
+    "what it adds to real walls, footings and columns.",
     full=FULL,
     quick=[Task("column", column, {"aspect": 1.0, "across": 12, "times": 5.0})],
 )
