@@ -297,7 +297,7 @@ def _held(values: FloatArray) -> Mask:
         if end - start < max(FEWEST_HELD, shortest):
             continue
         # What hardly is a load, and does not change, may be that of a leg in air; so may what both
-        # ends of a record show. At its end there is no jump that tells a held value from a round top.
+        # ends of a record show. At its end no jump tells a held value from a round top.
         load = abs(values[start])
         if start == 0:
             load = min(load, abs(values[start] - values[-1]))
