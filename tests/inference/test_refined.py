@@ -265,6 +265,9 @@ def test_the_command_refines_a_copy(
         assert row["Fz"]["percent"] == pytest.approx(-20.0, abs=2.0)
         expected = {"straight": 6.5, "c": 13.0}[row["leg"]]
         assert row["Fz"]["sd_percent"] == pytest.approx(expected, rel=0.3)
+    said = terraphi(*arguments[:-1], "again.nc").out
+    assert "No finer case has leg c: what is known of another leg stands for it" in said
+    assert "Uncertain by more than 10 % of a force: c at 20°, c at " in said
     shown = json.loads(terraphi("library", "show", "better.nc", "--json").out)
     told = shown["finer_cases"]["straight"]
     assert told[0] == "20° (cells 1.17 mm, k = 1)"

@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+UNSURE = 10.0
+"""Standard deviation of a correction from which on it is named, of the force [%]."""
+
 
 @click.group()
 def library() -> None:
@@ -156,7 +159,7 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
     if as_json:
         print_json({"library": made.name, "file": str(out), "corrections": found})
         return
-    header = ("leg", "φ [deg]", "Fx [%]", "Fz [%]")
+    header = ("leg", "φ [deg]", "change of Fx [%]", "change of Fz [%]")
     rows = [
         (
             row["leg"],
@@ -167,6 +170,18 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
     ]
     title = f"Cells and speed-up taken out of {made.name}'s forces, written to {out}"
     print_table(Table(title, header, rows))
+    refined_legs = {case.scenario.leg.shape for case in made.fine}
+    if without := [leg for leg in made.legs if leg not in refined_legs]:
+        click.echo(
+            f"No finer case has leg {words(without)}: what is known of another leg stands for it, "
+            "with twice the uncertainty."
+        )
+    unsure = [row for row in found if max(row[f]["sd_percent"] for f in ("Fx", "Fz")) > UNSURE]
+    if unsure:
+        where = ", ".join(f"{row['leg']} at {words(row['phi_deg'])}°" for row in unsure)
+        click.echo(
+            f"Uncertain by more than {UNSURE:g} % of a force: {where}. Finer cases there help."
+        )
 
 
 @library.command("list")
