@@ -52,6 +52,18 @@ def test_means_over_readings_that_were_left_out_are_open() -> None:
         assert len(used.get_xdata()) == 40 - len(bridged)
 
 
+def test_an_end_of_the_library_inside_the_picture_is_a_line() -> None:
+    sand = measurement("li2013:glass03_loose/c")
+    seen = invert(sand.history, library=Library.load("sand3d-quick"), leg="c", density=1450.0)
+    assert seen.verdict.verdict == "out_of_range"
+    axes = plots.inversions_figure([seen]).axes[2]
+    low, high = axes.get_xlim()
+    ends = [line for line in axes.lines if line.get_label() == "end of the library"]
+    at = [float(np.asarray(line.get_xdata())[0]) for line in ends]
+    assert at == [end for end in (15.0, 50.0) if low < end < high]
+    assert 15.0 in at
+
+
 def test_sampled_posterior_is_drawn_too(found: Inversion) -> None:
     measured = measurement("li2013:poppy_loose/straight")
     sampled = invert(

@@ -247,7 +247,11 @@ def infer(looked: Looked, library: Library, ways: Ways) -> Inversion:
         budget=budget,
         together=_together(legs, found, used, ways) if looked.several else None,
         draws=draws,
-        provenance={"core_seconds": seconds, "library_angle_deg": found.library_angle},
+        provenance={
+            "core_seconds": seconds,
+            "library_angle_deg": found.library_angle,
+            "library_phi_deg": list(found.core.bounds_deg),
+        },
     )
 
 

@@ -201,6 +201,12 @@ def _draw_posterior(axes: Axes, inversion: Inversion) -> None:
         outside = (edge - 90.0, edge) if edge == low else (edge, edge + 90.0)
         hatched: dict[str, Any] = {"facecolor": "none", "edgecolor": GREY, "hatch": "///"}
         axes.axvspan(*outside, alpha=0.5, lw=0, label="outside the prior", **hatched)
+    # An angle beyond them was reached by the spread of real soils, not by a simulation; one that is
+    # calibrated is none of the library's.
+    told = {} if "calibration" in inversion.provenance else inversion.provenance
+    for end in told.get("library_phi_deg", ()):
+        if low < end < high and left < end < right:
+            axes.axvline(end, color=GREY, lw=1.0, ls=":", label="end of the library")
     axes.set_ylim(bottom=0.0)
     axes.set_yticks([])
     axes.set_ylabel("posterior density")
