@@ -43,12 +43,18 @@ class _Density(Float):
         """The number."""
         from terraphi.experiment.files import number_with_sd
 
+        written = str(value)
         try:
-            mean, sd = number_with_sd(str(value))
+            low, high = (float(end) for end in written.split(":"))
+            mean, prior = 0.5 * (low + high), f"{low:g}:{high:g}"
         except ValueError:
-            mean, sd = 0.0, None
-        if sd is not None:
-            remedy = f"--density {mean:g}, or --prior density={mean:g}+-{sd:g} to infer it too"
+            try:
+                mean, sd = number_with_sd(written)
+            except ValueError:
+                mean, sd = 0.0, None
+            prior = "" if sd is None else f"{mean:g}+-{sd:g}"
+        if prior:
+            remedy = f"--density {mean:g}, or --prior density={prior} to infer it too"
             self.fail(f"{value!r} is not a number; give {remedy}", param, ctx)
         return super().convert(value, param, ctx)
 
