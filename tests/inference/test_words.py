@@ -37,6 +37,10 @@ EXAMPLES = {
     "uninformed": ({"bits": 0.04, "limit": 0.1}, "they add 0.04 bits"),
     "caveat": ({"name": "coarse", "caveat": "it reads low."}, "Library coarse: it reads low."),
     "two_soils": ({"worst": "b.csv"}, "these histories b.csv fits worst"),
+    "height": (
+        {"theta_deg": -66.3, "size_mm": 8.5, "way": "higher"},
+        "meets the soil at -66°, as if its hip were 8 mm higher than in known records",
+    ),
     "tries_others": ({"name": "quick-paper-truths"}, "'quick-paper-truths' is shipped to try"),
     "read_twice": ({"leg": "c", "spacing_deg": 0.5}, "another history of leg c, more than 0.5°"),
     "dropout": ({**DEFECT, "force": "both"}, "3 readings left out: readings of zero under load be"),

@@ -26,6 +26,7 @@ from terraphi.inference.answer import Record
 from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
 from terraphi.inference.explanation import OFFSETS, Explanation, explain
 from terraphi.inference.findings import Doubt, Measure, Side
+from terraphi.inference.first_contact import Contact, first_contact
 from terraphi.inference.noise import Noise, window_covariance
 from terraphi.inference.prior import DENSITIES, Marginal
 from terraphi.inference.verdict import deviations, nrmsd
@@ -216,12 +217,15 @@ class Looked:
         Each history without its damaged readings, in the order given.
     inspections
         The damage found in each.
+    contacts
+        Where the leg of each first meets the soil, of measured ones if they tell.
     groups
         The trials by leg.
     """
 
     trials: tuple[Trial, ...]
     inspections: tuple[Inspection, ...]
+    contacts: tuple[Contact | None, ...]
     groups: tuple[Repeats, ...]
 
     @property
@@ -272,7 +276,7 @@ class Looked:
         """
         found = []
         for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
-            at = next(i for i, one in enumerate(self.trials) if one is trial)
+            at = self._number(trial)
             record = Record(
                 source=trial.source,
                 leg=trial.leg,
@@ -280,7 +284,7 @@ class Looked:
                 readings=trial.history.position,
                 best=best,
                 nrmsd=nrmsd(observation.vector, best),
-                data=self.inspections[at].as_dict(),
+                data=self._data(at),
                 simulation=trial.simulation,
                 left_out_deg=self.inspections[at].left_out_deg,
                 leg_assumed=trial.leg_assumed,
@@ -289,6 +293,15 @@ class Looked:
             measures = deviations(record.nrmsd, most=most, source=self.name_of(trial))
             found.append(Matched(trial, through, record, measures, why))
         return found
+
+    def _number(self, trial: Trial) -> int:
+        return next(i for i, one in enumerate(self.trials) if one is trial)
+
+    def _data(self, at: int) -> dict[str, Any]:
+        """What was found in a history before the inversion."""
+        contact = self.contacts[at]
+        met = {} if contact is None else {"first_contact": contact.as_dict()}
+        return {**self.inspections[at].as_dict(), **met}
 
     def doubts(self, seen: Sequence[Matched], *, misfit: bool) -> list[Doubt]:
         """Questions on all histories, and why they may not be what they were taken for.
@@ -311,6 +324,8 @@ class Looked:
                 said = [question, unlike(history, scenario, repeats.leg, varied=varied)]
                 said += [] if question else slips(one.record.observation, curves)
                 said.append(other_density(history, density))
+                contact = self.contacts[self._number(one.trial)]
+                said.append(contact.doubt() if contact else None)
                 source = self.name_of(one.trial)
                 found += [replace(doubt, source=source) for doubt in said if doubt is not None]
             numbers = {"leg": repeats.leg, "spacing_deg": DENSE_DEG}
@@ -378,7 +393,7 @@ def look(trials: Sequence[Trial], library: Library) -> Looked:
     InputError
         If there is none, the same history is given twice, or one cannot be used.
     """
-    found, left = [], []
+    found, left, contacts = [], [], []
     for trial in trials:
         with named(trial):
             # Where the library's leg is in air, one simulated otherwise may still lift soil.
@@ -387,12 +402,15 @@ def look(trials: Sequence[Trial], library: Library) -> Looked:
             seen = inspect_record(trial.history, touches_deg=touches)
             found.append(seen)
             left.append(replace(trial, history=seen.history))
+            # What a simulation's geometry is it says itself.
+            measured = (seen.history, trial.leg, library.cases[0].scenario)
+            contacts.append(None if trial.simulation else first_contact(*measured))
             try:
                 seen.history.observation()
             except InputError as error:
                 said = [f"{error}.", *(of_doubt(one.doubt()) for one in seen.defects)]
                 raise InputError(" ".join(said).rstrip(".")) from error
-    return Looked(tuple(left), tuple(found), tuple(grouped(left)))
+    return Looked(tuple(left), tuple(found), tuple(contacts), tuple(grouped(left)))
 
 
 def grouped(trials: Sequence[Trial]) -> list[Repeats]:

@@ -120,6 +120,11 @@ DOUBTS = {
     "saturated": (
         "Was the sensor saturated? {force} cut off at {size_N:.3g} N would explain the record."
     ),
+    "height": (
+        "The leg meets the soil at {theta_deg:.0f}°, as if its hip were {size_mm:.0f} mm {way} "
+        "than in known records: check its height above the soil and the zero of theta. A "
+        "millimetre moves φ by 0.5 to 2°."
+    ),
     "unlike": (
         "The history was not simulated as the library was (the library's in brackets): "
         "{differences}; so the angle found may differ from the one that it was simulated with."
