@@ -196,6 +196,8 @@ def test_suggest_refuses_what_it_does_not_know(terraphi) -> None:
         (("--density", "nan"), "'nan' is not a number"),
         (("--density", "638±30"), "--density 638, or --prior density=638+-30 to"),
         (("--density", "600:700"), "--density 650, or --prior density=600:700 to"),
+        (("--density", "700:600"), "'700:600' is not a number; expected one such as"),
+        (("--density", "1.5:1.7"), "'1.5:1.7' is not a number; expected one such as"),
         (("--seed", "1_0"), "'1_0' is not a number"),
         (("--noise", "1_0"), "noise = '1_0': give newtons"),
         (("--prior", "density=1_500:1700"), "expected KEY=LOW:HIGH"),

@@ -41,20 +41,17 @@ class _Density(Float):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         """The number."""
-        from terraphi.experiment.files import number_with_sd
+        from terraphi.inference.prior import DENSITIES, parsed
 
-        written = str(value)
         try:
-            low, high = (float(end) for end in written.split(":"))
-            mean, prior = 0.5 * (low + high), f"{low:g}:{high:g}"
-        except ValueError:
-            try:
-                mean, sd = number_with_sd(written)
-            except ValueError:
-                mean, sd = 0.0, None
-            prior = "" if sd is None else f"{mean:g}+-{sd:g}"
-        if prior:
-            remedy = f"--density {mean:g}, or --prior density={prior} to infer it too"
+            prior = parsed("density", str(value), None)
+        except InputError:
+            prior = None
+        if prior is not None and DENSITIES[0] <= prior.low < prior.high <= DENSITIES[1]:
+            written = f"{prior.low:g}:{prior.high:g}"
+            if prior.normal is not None:
+                written = "{:g}+-{:g}".format(*prior.normal)
+            remedy = f"--density {prior.middle:g}, or --prior density={written} to infer it too"
             self.fail(f"{value!r} is not a number; give {remedy}", param, ctx)
         return super().convert(value, param, ctx)
 

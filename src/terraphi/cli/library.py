@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 UNSURE = 10.0
-"""Standard deviation of a correction from which on it is named, of the force [%]."""
+"""Standard deviation of a correction above which it is named, of the force [%]."""
 
 
 @click.group()
@@ -180,7 +180,8 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
     if unsure:
         where = ", ".join(f"{row['leg']} at {words(row['phi_deg'])}°" for row in unsure)
         click.echo(
-            f"Uncertain by more than {UNSURE:g} % of a force: {where}. Finer cases there help."
+            f"Uncertain by more than {UNSURE:g} % of a force: {where}. Finer cases of another cell "
+            "size, or of that leg, would help."
         )
 
 

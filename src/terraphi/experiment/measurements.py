@@ -21,6 +21,10 @@ from terraphi.experiment.scenario import Scenario
 
 COLLECTION = "li2013"
 """Folder of the shipped measurements, and the first part of their names."""
+APPARATUS = {"chord": 0.0762, "half_thickness": 0.0032, "width": 0.0254}
+"""Their legs [m]."""
+HIP_ABOVE = 0.020
+"""Height of their hip above the soil, as it was meant to be [m]."""
 _RFT = "-rft"
 
 

@@ -36,7 +36,13 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError, sentence_from_validation
 from terraphi.experiment.files import number_with_sd, replacing
-from terraphi.experiment.measurements import measurement, medium_and_leg, names
+from terraphi.experiment.measurements import (
+    APPARATUS,
+    HIP_ABOVE,
+    measurement,
+    medium_and_leg,
+    names,
+)
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.discrepancy import FREEDOM, SPREAD_DEG, Learnt, Level
 from terraphi.inference.words import of_verdict
@@ -54,10 +60,6 @@ CHECK_DEG = 2.1
 """Standard deviation of an angle foretold by the line [deg]: of eight media in one apparatus."""
 RISE_DEG, RISE_SD_DEG = 20.0, 7.0
 """Prior of c, and its standard deviation [deg]: forces rise by 4 to 8 % a degree."""
-APPARATUS = {"chord": 0.0762, "half_thickness": 0.0032, "width": 0.0254}
-"""The legs of Li et al. (2013) [m]."""
-HIP_ABOVE = 0.020
-"""Height of their hip above the soil [m]."""
 
 
 class KnownSoil(Strict):

@@ -40,6 +40,11 @@ class Marginal:
         return self.low == self.high
 
     @property
+    def middle(self) -> float:
+        """Mean, of a normal one before it is cut off."""
+        return self.normal[0] if self.normal else 0.5 * (self.low + self.high)
+
+    @property
     def cut_off(self) -> tuple[bool, bool]:
         """Whether more lies beyond the bounds: not where a normal prior has run out by itself."""
         if self.normal is None:

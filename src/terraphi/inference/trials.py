@@ -322,10 +322,11 @@ class Looked:
                 if self.spoilt and question is not None and question.code in OFFSETS:
                     question = None
                 said = [question, unlike(history, scenario, repeats.leg, varied=varied)]
-                said += [] if question else slips(one.record.observation, curves)
+                if question is None:
+                    contact = self.contacts[self._number(one.trial)]
+                    said += [contact.doubt() if contact else None]
+                    said += slips(one.record.observation, curves)
                 said.append(other_density(history, density))
-                contact = self.contacts[self._number(one.trial)]
-                said.append(contact.doubt() if contact else None)
                 source = self.name_of(one.trial)
                 found += [replace(doubt, source=source) for doubt in said if doubt is not None]
             numbers = {"leg": repeats.leg, "spacing_deg": DENSE_DEG}
@@ -403,7 +404,7 @@ def look(trials: Sequence[Trial], library: Library) -> Looked:
             found.append(seen)
             left.append(replace(trial, history=seen.history))
             # What a simulation's geometry is it says itself.
-            measured = (seen.history, trial.leg, library.cases[0].scenario)
+            measured = (seen.history, trial.leg, library)
             contacts.append(None if trial.simulation else first_contact(*measured))
             try:
                 seen.history.observation()

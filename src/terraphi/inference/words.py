@@ -122,8 +122,8 @@ DOUBTS = {
     ),
     "height": (
         "The leg meets the soil at {theta_deg:.0f}°, as if its hip were {size_mm:.0f} mm {way} "
-        "than in known records: check its height above the soil and the zero of theta. A "
-        "millimetre is worth up to 1° of φ."
+        "than in known records: check the leg, that height and the zero of theta. A millimetre "
+        "is worth up to 1° of φ."
     ),
     "unlike": (
         "The history was not simulated as the library was (the library's in brackets): "
