@@ -11,9 +11,16 @@ import pytest
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.measurements import measurement, names, open_forces, reference_rft
+from terraphi.experiment.measurements import (
+    is_of_their_apparatus,
+    measurement,
+    names,
+    open_forces,
+    reference_rft,
+)
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
+from terraphi.library.store import Library
 
 # Peaks [N] and angles [deg] read off Figs. S5 and S12 of Li et al. (2013): Fz, Fx.
 PEAKS = {
@@ -143,3 +150,13 @@ def test_missing_file_is_said_to_be_missing() -> None:
 def test_data_say_whom_to_cite() -> None:
     text = shipped_file("li2013", "PROVENANCE", ".md").read_text(encoding="utf-8")
     assert "The numbers are measurements of those authors: cite them." in text
+
+
+@pytest.mark.parametrize("name", ["resolved", "resolved-2", "sand3d-quick", "rft3d"])
+def test_shipped_libraries_are_of_the_apparatus_of_the_measurements(name: str) -> None:
+    scenario = Library.load(name).cases[0].scenario
+    assert is_of_their_apparatus(scenario)
+    for changes in ({"leg.chord": 0.07}, {"leg.width": 0.03}, {"leg.half_thickness": 0.004}):
+        assert not is_of_their_apparatus(scenario.replace(**changes))
+    x, z = scenario.motion.hip
+    assert not is_of_their_apparatus(scenario.replace(**{"motion.hip": (x, z + 0.001)}))

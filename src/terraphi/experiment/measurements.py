@@ -6,6 +6,7 @@ Shipped are the rotating-leg experiments of Li, Zhang & Goldman, *Science* 339:1
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,10 +22,12 @@ from terraphi.experiment.scenario import Scenario
 
 COLLECTION = "li2013"
 """Folder of the shipped measurements, and the first part of their names."""
-APPARATUS = {"chord": 0.0762, "half_thickness": 0.0032, "width": 0.0254}
-"""Their legs [m]."""
-HIP_ABOVE = 0.020
-"""Height of their hip above the soil, as it was meant to be [m]."""
+CHORDS = (0.072, 0.077)
+"""Chords of scenarios of their legs, 76.2 mm or that less the round end [m]."""
+HALF_THICKNESS, WIDTH, HIP_ABOVE = 0.0032, 0.0254, 0.020
+"""Of their legs, and the height of their hip above the soil as it was meant to be [m]."""
+SAME = 0.01
+"""How nearly a scenario has these sizes [-]."""
 _RFT = "-rft"
 
 
@@ -203,6 +206,18 @@ def open_forces(source: str | Path) -> Measurement:
         medium=f"simulated ({scenario.model})",
         density_kg_m3=scenario.soil.density,
     )
+
+
+def is_of_their_apparatus(scenario: Scenario) -> bool:
+    """Whether a scenario's leg, and the height of its hip, are those of the shipped records."""
+    leg, (shortest, longest) = scenario.leg, CHORDS
+    sizes = {
+        HALF_THICKNESS: leg.half_thickness,
+        WIDTH: leg.width,
+        HIP_ABOVE: scenario.hip_height,
+    }
+    same = all(math.isclose(size, own, rel_tol=SAME) for own, size in sizes.items())
+    return same and shortest <= leg.chord <= longest
 
 
 def medium_and_leg(name: str) -> tuple[str, str]:

@@ -31,13 +31,11 @@ from terraphi.experiment.history import WINDOW_DEG as WINDOW_END_DEG
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.leg import Leg
 from terraphi.experiment.measurements import (
-    APPARATUS,
-    HIP_ABOVE,
+    is_of_their_apparatus,
     measurement,
     medium_and_leg,
     names,
 )
-from terraphi.experiment.scenario import Scenario
 from terraphi.inference.findings import Doubt
 from terraphi.library.store import Library
 
@@ -57,10 +55,6 @@ IN_AIR, ZERO = 4, 12
 """Means in air before the contact: at least, and of which the zero of the sensor is taken."""
 MARGIN_M = 0.003
 """How far beyond those of the shipped records a height is taken for usual [m]."""
-CHORDS_M = (0.072, 0.077)
-"""Chords of libraries of those legs: 76.2 mm, or that less the round end [m]."""
-SAME_M = 2e-4
-"""How near their thickness and the height of their hip have to be [m]."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +108,7 @@ def first_contact(history: ForceHistory, shape: str, library: Library) -> Contac
         ``None`` if the record does not begin in air, or is too noisy or too coarse to tell, or the
         library's apparatus is not that of the shipped records, or varies.
     """
-    if not all(_as_shipped(case.scenario) for case in library.cases):
+    if not all(is_of_their_apparatus(case.scenario) for case in library.cases):
         return None
     found = contact_deg(history)
     if found is None:
@@ -127,14 +121,6 @@ def first_contact(history: ForceHistory, shape: str, library: Library) -> Contac
     higher = float(_leg(shape).depth(np.radians([theta_deg]))[0]) - mean
     usual = min(known) - mean - MARGIN_M, max(known) - mean + MARGIN_M
     return Contact(theta_deg, higher, usual)
-
-
-def _as_shipped(scenario: Scenario) -> bool:
-    """Whether leg and height of the hip are those of the shipped records."""
-    leg, (shortest, longest) = scenario.leg, CHORDS_M
-    thick = math.isclose(leg.half_thickness, APPARATUS["half_thickness"], abs_tol=SAME_M)
-    high = math.isclose(scenario.hip_height, HIP_ABOVE, abs_tol=SAME_M)
-    return thick and high and shortest <= leg.chord <= longest
 
 
 def contact_deg(history: ForceHistory, share: float = SHARE) -> tuple[float, float] | None:

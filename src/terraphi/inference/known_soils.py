@@ -37,8 +37,7 @@ from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError, sentence_from_validation
 from terraphi.experiment.files import number_with_sd, replacing
 from terraphi.experiment.measurements import (
-    APPARATUS,
-    HIP_ABOVE,
+    is_of_their_apparatus,
     measurement,
     medium_and_leg,
     names,
@@ -256,9 +255,7 @@ def compared(
     scenario
         What the records are inverted as: legs, and height of the hip.
     """
-    leg = scenario.leg.model_dump()
-    same = all(math.isclose(leg[key], size, rel_tol=0.01) for key, size in APPARATUS.items())
-    if not same or not math.isclose(scenario.hip_height, HIP_ABOVE, rel_tol=0.01):
+    if not is_of_their_apparatus(scenario):
         return None
     own = {medium_and_leg(name)[0] for _, _, name in forces if name}
     foretold = [_foretold(shape, _log_size(v, density), own) for shape, v, _ in forces]
