@@ -3,8 +3,8 @@
 The normalised root-mean-square deviation (NRMSD) is taken on 1° means over |θ| < 85° and divided
 by the measured peak-to-peak, as the paper does. Two resistive force theories stand beside the
 material point method: Li et al. (2013) with generic coefficients scaled by ζ = 0.597, and Agarwal
-et al. (2023) at the same φ and density. The contact of the paper's prototype has a row too, once
-its library is whole.
+et al. (2023) at the same φ and density. The contact of the paper's prototype has two rows: what it
+counts, and what it applies to the soil.
 """
 
 from __future__ import annotations
