@@ -202,7 +202,7 @@ def test_an_edge_that_a_misfit_only_reaches_is_a_misfit(
 
 def looked_at(group: Repeats) -> Looked:
     nothing = tuple(Inspection(trial.history, 0) for trial in group.trials)
-    return Looked(group.trials, nothing, (None,) * len(nothing), (group,))
+    return Looked(group.trials, nothing, (group,))
 
 
 def warnings_on(group: Repeats, data: Training, density: float | None) -> list[Doubt]:

@@ -19,6 +19,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import WIDEST_GAP_DEG, WINDOW_DEG, ForceHistory
 from terraphi.inference.findings import Doubt
+from terraphi.inference.first_contact import Contact
 from terraphi.library.store import Library
 
 Mask = NDArray[np.bool_]
@@ -129,6 +130,8 @@ class Inspection:
         the median, or the median if it is three of them; ``None`` if next to nothing was read.
     left_out_deg
         Leg angles of the readings that were left out [deg], shape [sample].
+    contact
+        Where the leg first meets the soil, of a measured record if it tells.
     """
 
     history: ForceHistory
@@ -136,6 +139,7 @@ class Inspection:
     defects: tuple[Defect, ...] = ()
     zero_N: tuple[float, float] | None = None
     left_out_deg: FloatArray = field(default_factory=lambda: np.empty(0))
+    contact: Contact | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The ``data`` part of an answer."""
@@ -143,6 +147,7 @@ class Inspection:
             "rows": self.rows,
             "left_out": sum(d.rows for d in self.defects if d.left_out),
             "defects": [d.as_dict() for d in self.defects],
+            **({"first_contact": self.contact.as_dict()} if self.contact else {}),
         }
 
     @property

@@ -23,12 +23,12 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.history import WINDOW_DEG as WINDOW_END_DEG
-from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.history import WINDOW_DEG, ForceHistory
 from terraphi.experiment.leg import Leg
 from terraphi.experiment.measurements import (
     is_of_their_apparatus,
@@ -45,7 +45,7 @@ CLEAR = 5.0
 """The same over the noise of a mean, at least."""
 LOADED = 0.25
 """Force over the largest at which a leg surely is in the soil."""
-WINDOW_DEG = 1.0
+MEAN_DEG = 1.0
 """Width of the means that are looked at [deg]."""
 APART_DEG = 2.0
 """Distance of readings beyond which they do not tell the contact [deg]."""
@@ -140,30 +140,42 @@ def contact_deg(history: ForceHistory, share: float = SHARE) -> tuple[float, flo
     """
     from scipy.ndimage import median_filter
 
-    theta_deg = np.arange(history.theta_deg[0] + 0.5 * WINDOW_DEG, WINDOW_END_DEG, WINDOW_DEG)
+    theta_deg = np.arange(history.theta_deg[0] + 0.5 * MEAN_DEG, WINDOW_DEG, MEAN_DEG)
     theta_deg = theta_deg[theta_deg < history.theta_deg[-1]]
     if len(theta_deg) <= max(IN_AIR, MEDIAN):
         return None
     plane = replace(history, force=np.stack([history.Fx, history.Fz], axis=1), axes=("x", "z"))
-    means = plane.means(np.radians(theta_deg), math.radians(0.5 * WINDOW_DEG))
+    means = plane.means(np.radians(theta_deg), math.radians(0.5 * MEAN_DEG))
     means = median_filter(means, size=(MEDIAN, 1), mode="nearest")
     if not np.ptp(means, axis=0).any():
         return None
-    zero = np.median(means[:IN_AIR], axis=0)
-    # The sensor's zero may drift, and is looked for again right before the contact.
-    for again in (True, False):
-        size = np.hypot(*(means - zero).T)
-        share = max(share, CLEAR * _noise(plane) / float(size.max()))
-        loaded = int(np.argmax(size >= LOADED * size.max()))
-        at = int(np.flatnonzero(size[:loaded] < share * size.max()).max(initial=0))
-        if share > MOST_SHARE or at < IN_AIR:
-            break
-        if not again:
-            pair = slice(at, at + 2)
-            met = float(np.interp(share * size.max(), size[pair], theta_deg[pair]))
-            return (met, share) if _is_read(history, met) else None
-        zero = np.median(means[max(at - ZERO, 0) : at], axis=0)
-    return None
+    noise = _noise(plane)
+    rise = _rise(means, slice(0, IN_AIR), share, noise)
+    if rise is not None:  # The zero may drift, and is looked for again right before the contact.
+        rise = _rise(means, slice(max(rise.at - ZERO, 0), rise.at), rise.share, noise)
+    if rise is None:
+        return None
+    pair = slice(rise.at, rise.at + 2)
+    met = float(np.interp(rise.share, rise.size[pair], theta_deg[pair]))
+    return (met, rise.share) if _is_read(history, met) else None
+
+
+class _Rise(NamedTuple):
+    """Force over its largest, the last mean in air before it rises, and the share that says so."""
+
+    size: FloatArray
+    at: int
+    share: float
+
+
+def _rise(means: FloatArray, in_air: slice, share: float, noise: float) -> _Rise | None:
+    """Where the force rises above a share, or its noise, over the zero that is read in air."""
+    size = np.hypot(*(means - np.median(means[in_air], axis=0)).T)
+    share = max(share, CLEAR * noise / float(size.max()))
+    size /= size.max()
+    loaded = int(np.argmax(size >= LOADED))
+    at = int(np.flatnonzero(size[:loaded] < share).max(initial=0))
+    return None if share > MOST_SHARE or at < IN_AIR else _Rise(size, at, share)
 
 
 def _is_read(history: ForceHistory, theta_deg: float) -> bool:
@@ -179,7 +191,7 @@ def _noise(history: ForceHistory) -> float:
     # The median size of normal deviates is 0.67 of their deviation; that of these is six times.
     reading = float(np.median(np.abs(rough), axis=0).max() / 0.6745 / math.sqrt(6.0))
     spacing = float(np.median(np.diff(history.theta_deg)))
-    return reading * min(1.0, math.sqrt(spacing / WINDOW_DEG))
+    return reading * min(1.0, math.sqrt(spacing / MEAN_DEG))
 
 
 def _leg(shape: str) -> Leg:

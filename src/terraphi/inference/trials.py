@@ -26,7 +26,7 @@ from terraphi.inference.answer import Record
 from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
 from terraphi.inference.explanation import OFFSETS, Explanation, explain
 from terraphi.inference.findings import Doubt, Measure, Side
-from terraphi.inference.first_contact import Contact, first_contact
+from terraphi.inference.first_contact import first_contact
 from terraphi.inference.noise import Noise, window_covariance
 from terraphi.inference.prior import DENSITIES, Marginal
 from terraphi.inference.verdict import deviations, nrmsd
@@ -217,15 +217,12 @@ class Looked:
         Each history without its damaged readings, in the order given.
     inspections
         The damage found in each.
-    contacts
-        Where the leg of each first meets the soil, of measured ones if they tell.
     groups
         The trials by leg.
     """
 
     trials: tuple[Trial, ...]
     inspections: tuple[Inspection, ...]
-    contacts: tuple[Contact | None, ...]
     groups: tuple[Repeats, ...]
 
     @property
@@ -276,7 +273,7 @@ class Looked:
         """
         found = []
         for trial, observation in zip(repeats.trials, repeats.observations, strict=True):
-            at = self._number(trial)
+            seen = self._inspected(trial)
             record = Record(
                 source=trial.source,
                 leg=trial.leg,
@@ -284,9 +281,9 @@ class Looked:
                 readings=trial.history.position,
                 best=best,
                 nrmsd=nrmsd(observation.vector, best),
-                data=self._data(at),
+                data=seen.as_dict(),
                 simulation=trial.simulation,
-                left_out_deg=self.inspections[at].left_out_deg,
+                left_out_deg=seen.left_out_deg,
                 leg_assumed=trial.leg_assumed,
             )
             why = explain(observation.vector, *nodes) if nodes else Explanation()
@@ -294,14 +291,12 @@ class Looked:
             found.append(Matched(trial, through, record, measures, why))
         return found
 
-    def _number(self, trial: Trial) -> int:
-        return next(i for i, one in enumerate(self.trials) if one is trial)
-
-    def _data(self, at: int) -> dict[str, Any]:
-        """What was found in a history before the inversion."""
-        contact = self.contacts[at]
-        met = {} if contact is None else {"first_contact": contact.as_dict()}
-        return {**self.inspections[at].as_dict(), **met}
+    def _inspected(self, trial: Trial) -> Inspection:
+        return next(
+            inspection
+            for one, inspection in zip(self.trials, self.inspections, strict=True)
+            if one is trial
+        )
 
     def doubts(self, seen: Sequence[Matched], *, misfit: bool) -> list[Doubt]:
         """Questions on all histories, and why they may not be what they were taken for.
@@ -323,7 +318,7 @@ class Looked:
                     question = None
                 said = [question, unlike(history, scenario, repeats.leg, varied=varied)]
                 if question is None:
-                    contact = self.contacts[self._number(one.trial)]
+                    contact = self._inspected(one.trial).contact
                     said += [contact.doubt() if contact else None]
                     said += slips(one.record.observation, curves)
                 said.append(other_density(history, density))
@@ -394,24 +389,24 @@ def look(trials: Sequence[Trial], library: Library) -> Looked:
     InputError
         If there is none, the same history is given twice, or one cannot be used.
     """
-    found, left, contacts = [], [], []
+    found, left = [], []
     for trial in trials:
         with named(trial):
             # Where the library's leg is in air, one simulated otherwise may still lift soil.
             comparable = not trial.simulation or trial.made_as(library.cases[0].scenario)
             touches = touches_soil_deg(library, trial.leg) if comparable else None
             seen = inspect_record(trial.history, touches_deg=touches)
+            # What a simulation's geometry is it says itself.
+            if not trial.simulation:
+                seen = replace(seen, contact=first_contact(seen.history, trial.leg, library))
             found.append(seen)
             left.append(replace(trial, history=seen.history))
-            # What a simulation's geometry is it says itself.
-            measured = (seen.history, trial.leg, library)
-            contacts.append(None if trial.simulation else first_contact(*measured))
             try:
                 seen.history.observation()
             except InputError as error:
                 said = [f"{error}.", *(of_doubt(one.doubt()) for one in seen.defects)]
                 raise InputError(" ".join(said).rstrip(".")) from error
-    return Looked(tuple(left), tuple(found), tuple(contacts), tuple(grouped(left)))
+    return Looked(tuple(left), tuple(found), tuple(grouped(left)))
 
 
 def grouped(trials: Sequence[Trial]) -> list[Repeats]:
