@@ -322,3 +322,12 @@ def test_what_legs_cover_is_shown_leg_by_leg_where_it_differs(terraphi, library,
         assert (
             next(line for line in out.splitlines() if "phi_deg" in line).split(None, 1)[1] == said
         )
+
+
+def test_what_a_library_was_simulated_with_is_shown(terraphi) -> None:
+    out = terraphi("library", "show", "resolved").out
+    for said in (r"model +mpm", r"cell_mm +1\.562", r"speed_up +10", r"contact +surface"):
+        assert re.search(f"^{said}$", out, re.MULTILINE)
+    assert re.search(r"truths inside the 95 % interval .* 0\.9[345]", out)
+    # Resistive force theory has no cells.
+    assert "cell" not in terraphi("library", "show", "rft3d").out.split("provenance")[0]

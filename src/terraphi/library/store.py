@@ -152,6 +152,7 @@ class Library:
             "cases": len(self.cases),
             "failures": self.failures,
             "density_kg_m3": first.soil.density,
+            "settings": self.settings,
             "sweep": self.plan.sweep or self.plan.one_at_a_time,
             **({"more": [m.model_dump() for m in self.plan.more]} if self.plan.more else {}),
             **({"sample": self.plan.sample.model_dump()} if self.plan.sample else {}),
@@ -160,6 +161,30 @@ class Library:
             "certificate": self.calibration.get("certificate"),
             "provenance": dict(self.provenance),
         }
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the first case was simulated with, by keys that name their unit, JSON-able."""
+        first = self.cases[0].scenario
+        leg, numerics = first.leg, first.numerics
+        found: dict[str, Any] = {
+            "model": first.model,
+            "dimensions": first.dimensions,
+            "leg_chord_mm": 1e3 * leg.chord,
+            "leg_width_mm": 1e3 * leg.width,
+            "hip_above_surface_mm": 1e3 * first.hip_height,
+        }
+        if first.model == "mpm":
+            found |= {
+                "leg_friction": leg.friction,
+                "youngs_modulus_mpa": 1e-6 * first.soil.youngs_modulus,
+                "dilation_angle_deg": first.soil.dilation_angle_deg,
+                "cell_mm": 1e3 * numerics.cell_size,
+                "particles_per_cell_side": numerics.particles_per_cell_side,
+                "speed_up": numerics.speed_up,
+                "contact": numerics.contact,
+            }
+        return found
 
     @property
     def _fine_by_leg(self) -> dict[str, list[str]]:

@@ -121,12 +121,27 @@ def print_verdict(verdict: Verdict, warnings: Sequence[Doubt]) -> None:
 
 
 def print_library(found: Library) -> None:
-    """Summary of a library."""
+    """Summary of a library, and how often its intervals held the truth."""
+    from terraphi.view.report.certificate import certificate_parts
+    from terraphi.view.report.parts import Text
+
     summary = found.summary()
     by_leg = {leg: _between(ends) for leg, ends in summary.pop("phi_deg_by_leg").items()}
     alike = len(set(by_leg.values())) == 1
     summary["phi_deg"] = _between(summary["phi_deg"]) if alike else by_leg
-    print_pairs({key: value for key, value in summary.items() if value or key != "caveat"})
+    shown: dict[str, Any] = {}
+    for key, value in summary.items():
+        if key == "settings":
+            shown |= value
+        elif key != "certificate" and (value or key != "caveat"):
+            shown[key] = value
+    print_pairs(shown)
+    click.echo()
+    for part in certificate_parts(found):
+        if isinstance(part, Table):
+            print_table(part)
+        elif isinstance(part, Text):
+            click.echo(f"{part.title}: {' '.join(part.paragraphs)}\n")
 
 
 def _between(ends: Sequence[float]) -> str:

@@ -11,6 +11,7 @@ from terraphi.view.table import Table
 
 WORDS = {
     "replicates": "worlds tried",
+    "mean_rank": "mean rank of the truth (0.5: unbiased)",
     "coverage68": "truths inside the 68 % interval [-]",
     "coverage95": "truths inside the 95 % interval [-]",
     "rank_chi2_p": "p of uniform ranks (χ²)",

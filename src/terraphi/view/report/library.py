@@ -43,7 +43,7 @@ def section(path: Path) -> Section:
         parts += _leg_plots(library, leg, cases)
     parts += _peaks(library)
     parts += certificate_parts(library)
-    parts.append(_facts(library, summary))
+    parts.append(_facts(summary))
     if library.failures:
         parts.append(Table("Cases that failed", ("case", "why"), list(library.failures.items())))
     return Section(
@@ -72,19 +72,20 @@ def _headline(library: Library, summary: dict[str, Any]) -> str:
     )
 
 
-def _facts(library: Library, summary: dict[str, Any]) -> Table:
-    first = library.cases[0].scenario
+def _facts(summary: dict[str, Any]) -> Table:
     rows = [
-        ("model", first.model),
+        *((_words(key), number(value)) for key, value in summary["settings"].items()),
         ("swept", number(summary["sweep"], 4)),
         *(("and then", number(more["sweep"], 4)) for more in summary.get("more", [])),
-        ("leg's chord and width [mm]", f"{1e3 * first.leg.chord:g}, {1e3 * first.leg.width:g}"),
-        ("hip above the surface [mm]", f"{1e3 * first.hip_height:g}"),
-        ("cells", f"{first.numerics.cells}"),
-        ("particles a cell's side", f"{first.numerics.particles_per_cell_side}"),
-        ("speed-up", f"{first.numerics.speed_up:g}"),
     ]
     return Table("What was simulated", ("", "first case"), rows)
+
+
+def _words(key: str) -> str:
+    """A key as people read it, its unit in brackets."""
+    words = key.split("_")
+    unit = {"mm": "mm", "mpa": "MPa", "deg": "deg"}.get(words[-1])
+    return " ".join(words) if unit is None else f"{' '.join(words[:-1])} [{unit}]"
 
 
 def _leg_plots(library: Library, leg: str, cases: list[Case]) -> list[Part]:
