@@ -96,6 +96,26 @@ def test_a_log_of_exchanged_legs_tells_no_footfall() -> None:
         find_footfalls(replace(log, **other))
 
 
+@pytest.mark.parametrize("count", [1, 2, 9])
+def test_too_few_samples_for_a_footfall_are_told(count: int) -> None:
+    log = Walk(duration=0.1).log()[0]
+    few = JointLog(**{name: getattr(log, name)[:count] for name in COLUMNS})
+    with pytest.raises(InputError, match=f"takes 10 samples or more, found {count}"):
+        find_footfalls(few)
+
+
+@pytest.mark.parametrize("factor", [1.0 / 9.81, -1.0])
+def test_an_accelerometer_that_is_ignored_does_not_matter(factor: float) -> None:
+    log = Walk(duration=4.0).log()[0]
+    assert log.acceleration is not None
+    broken = replace(log, acceleration=factor * log.acceleration)
+    found, without = (find_footfalls(each) for each in (broken, replace(log, acceleration=None)))
+    assert any("accelerometer ignored" in note for note in found.notes)
+    assert len(found.verdict) > 3
+    for name in ("place", "sinkage", "misfit", "path"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(without, name))
+
+
 def test_the_weight_is_spoken_of_once() -> None:
     log = Walk(duration=5.0).log()[0]
     found = find_footfalls(replace(log, torque=1.25 * log.torque))

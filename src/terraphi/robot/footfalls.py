@@ -26,13 +26,14 @@ from terraphi.robot.footfall_fit import (
     shared_sd,
 )
 from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, Shared, pool
+from terraphi.robot.forces import without_broken_accelerometer
 from terraphi.robot.friction import JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.kinematics import rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.odometry import Motion, track
 from terraphi.robot.results import RobotForces, analyse, opened
-from terraphi.robot.touchdowns import Touchdowns, sensitivity, touchdowns
+from terraphi.robot.touchdowns import FEWEST, Touchdowns, sensitivity, touchdowns
 from terraphi.robot.weighing import Weighing, weigh
 
 USABLE = "usable"
@@ -176,6 +177,11 @@ def find_footfalls(
     log, _ = opened(log, body, **reading)
     if log.quaternion is None:
         raise InputError(f"{name}: has no attitude, without which nobody knows where down is")
+    if len(log.time) < FEWEST:
+        raise InputError(
+            f"{name}: a footfall takes {FEWEST} samples or more, found {len(log.time)}; give the "
+            "log of a walk"
+        )
     chosen = replace(prior or Prior(), radius=body.foot_radius)
     try:
         found = analyse(log, robot=body, friction=friction)
@@ -184,6 +190,7 @@ def find_footfalls(
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
     lift = found.forces.force[:, :, 2].astype(np.float64)
+    log, _ = without_broken_accelerometer(log)  # as the forces did, whose notes say so
     motion = _from_the_start(track(log, body, lift), log)
     per = sensitivity(log, body)
     saturated = found.forces.saturated

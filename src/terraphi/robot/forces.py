@@ -180,7 +180,7 @@ def estimate(
     """
     _check_options(robot, estimator, frame, gain)
     _check_log(log, frame)
-    log, doubts = _without_broken_accelerometer(log)
+    log, doubts = without_broken_accelerometer(log)
     # A frame or two are read as well: of a robot at rest, for they say nothing of accelerations.
     gap = GAP_STEPS * float(np.median(np.diff(log.time))) if len(log.time) > 1 else math.inf
     settings = Settings(estimator, gap, gain)
@@ -397,24 +397,37 @@ def _check_log(log: JointLog, frame: Frame) -> None:
         )
 
 
-def _without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
+def without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
     """Drop accelerations whose mean is not gravity, pointing up; return the log and remarks."""
     if log.acceleration is None:
         return log, []
     every = slice(None, None, max(1, len(log.time) // 10_000))
-    felt = np.asarray(log.acceleration[every], dtype=np.float64)
-    if log.quaternion is not None:
-        felt = np.einsum("sij,sj->si", rotation(log.quaternion[every]), felt)
-    mean = felt.mean(axis=0)
+    mean = specific_force(log, every).mean(axis=0)
+    fault = accelerometer_fault(mean, upright=log.quaternion is not None)
+    return (replace(log, acceleration=None), [fault]) if fault else (log, [])
+
+
+def specific_force(log: JointLog, part: slice = slice(None)) -> FloatArray:
+    """What the accelerometer felt [m/s²], shape [sample, 3]; in the world's axes if it can be."""
+    felt = np.asarray(log.acceleration, dtype=np.float64)[part]
     if log.quaternion is None:
-        off = abs(float(np.linalg.norm(mean)) - GRAVITY)
-    else:
+        return felt
+    return np.asarray(np.einsum("sij,sj->si", rotation(log.quaternion[part]), felt))
+
+
+def accelerometer_fault(mean: FloatArray, *, upright: bool) -> str:
+    """Why a mean specific force [m/s²] is no accelerometer's; empty if it may be one's.
+
+    ``upright`` says that it is one in the world's axes, shape [3], which has a direction as well.
+    """
+    if upright:
         off = float(np.linalg.norm(mean - [0.0, 0.0, GRAVITY]))
+    else:
+        off = abs(float(np.linalg.norm(mean)) - GRAVITY)
     if off <= WORST_ACCELEROMETER:
-        return log, []
+        return ""
     text = ", ".join(f"{value:.1f}" for value in mean)
-    reason = f"accelerometer ignored: its mean is ({text}) m/s², {GRAVITY:g} upward is expected"
-    return replace(log, acceleration=None), [reason]
+    return f"accelerometer ignored: its mean is ({text}) m/s², {GRAVITY:g} upward is expected"
 
 
 def _provenance(

@@ -9,8 +9,8 @@ whole log are the minimum of
     \sum_k \frac{|v_k - v_{k-1} - a_k\,\Delta t_k|^2}{(\sigma_a \Delta t_k)^2}
     + \sum_{k,f} w_{kf}\,\frac{|v_k + \Delta p_{kf}/\Delta t_k|^2}{\sigma_v^2},
 
-a tridiagonal system. The weight of a foot is its share of load, and falls as Cauchy's where it does
-not stand still: a foot that sinks, slips or rises is outvoted by the others and by the
+a tridiagonal system. The weight of a foot is its share of load, and falls as Geman and McClure's
+where it does not stand still: a foot that sinks, slips or rises is outvoted by the others and by the
 accelerometer.
 """
 
