@@ -13,8 +13,9 @@ import pytest
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.footfall_files import read_footfalls, summary, write_footfalls
-from terraphi.robot.footfall_stream import Footfalls
+from terraphi.robot.footfall_stream import Footfall, Footfalls
 from terraphi.robot.footfalls import (
+    TORN,
     USABLE,
     FootfallMap,
     anchor_from,
@@ -151,6 +152,88 @@ def test_a_sample_without_attitude_is_refused_on_board_and_the_next_are_taken() 
     with pytest.raises(InputError, match="has no attitude"):
         live.update(replace(log, quaternion=lost))
     assert str(live.update(log)) == str(Footfalls(GO2).update(log))
+
+
+def in_blocks(log: JointLog, length: int) -> list[Footfall]:
+    """What a stream answers of a log that comes in blocks of so many samples."""
+    live, told = Footfalls(GO2), []
+    for first in range(0, len(log.time), length):
+        part = {
+            name: value[first : first + length]
+            for name in COLUMNS
+            if (value := getattr(log, name)) is not None
+        }
+        told += live.update(JointLog(**part))
+    return told
+
+
+def test_the_length_of_a_block_does_not_matter() -> None:
+    """0.6 s of blocks lost footfalls, and what is at the start of a block was touched down."""
+    walk = Walk(duration=6.0, coulomb=0.0, viscous=0.0)
+    log = walk.log()[0]
+    short = in_blocks(log, 10)
+    # Each foot of this walk comes down every 1.2 s; those that stand at first do not count.
+    begins = np.sort([footfall.time for footfall in short])
+    downs = [k * 1.2 - phase * 1.2 for phase in (0.5, 0.0, 0.75, 0.25) for k in range(7)]
+    loaded = np.sort([t for t in downs if 0.0 <= t < 5.8])
+    assert len(begins) == len(loaded)
+    assert np.all((begins > loaded) & (begins < loaded + 0.1))
+    for length in (300, 3000):
+        long = in_blocks(log, length)
+        assert [f.foot for f in long] == [f.foot for f in short]
+        np.testing.assert_allclose([f.time for f in long], [f.time for f in short], atol=0.01)
+        np.testing.assert_allclose([f.sinkage for f in long], [f.sinkage for f in short], atol=1e-3)
+
+
+def test_a_trunk_that_starts_with_a_jerk_keeps_its_accelerometer(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The first 80 ms of this trot have a mean of (-4.4, -1.8, 7.2) m/s²."""
+    log = Walk(gait="trot", period=0.42, speed=0.3, duration=1.0).log()[0]
+    in_blocks(log, 40)
+    assert "accelerometer" not in caplog.text
+
+
+def test_a_broken_accelerometer_is_ignored_on_board() -> None:
+    log = Walk(duration=3.0).log()[0]
+    assert log.acceleration is not None
+    broken = in_blocks(replace(log, acceleration=log.acceleration / 9.81), 40)
+    without = in_blocks(replace(log, acceleration=None), 40)
+    assert len(broken) > 3
+    assert [(f.foot, f.verdict) for f in broken] == [(f.foot, f.verdict) for f in without]
+    for one, other in zip(broken, without, strict=True):
+        assert one[2:6] == pytest.approx(other[2:6], nan_ok=True, abs=1e-6)
+
+
+def test_a_footfall_in_a_gap_is_torn() -> None:
+    log = Walk(gait="trot", period=0.42, speed=0.3, duration=2.0).log()[0]
+    whole = in_blocks(log, 40)
+    begin = whole[4].time
+    late = np.where(log.time > begin + 0.1, log.time + 5.0, log.time)
+    told = in_blocks(replace(log, time=late), 40)
+    assert [f.verdict for f in told if f.time == begin] == [TORN]
+    # Nobody touches down in the gap, nor because it ends.
+    others = [f.time - 5.0 if f.time > 5.0 else f.time for f in told if f.time != begin]
+    assert set(np.round(others, 2)) <= set(np.round([f.time for f in whole], 2))
+
+
+def test_blocks_that_do_not_go_on_are_told() -> None:
+    log = Walk(duration=0.4).log()[0]
+    first, second = (
+        JointLog(**{name: getattr(log, name)[part] for name in COLUMNS})
+        for part in (slice(100), slice(100, None))
+    )
+    live = Footfalls(GO2)
+    live.update(first)
+    with pytest.raises(InputError, match=r"block at 0\.2000 s lacks acceleration, unlike"):
+        live.update(replace(second, acceleration=None))
+    with pytest.raises(InputError, match=r"brings foot_counts, unlike"):
+        live.update(replace(second, foot_counts=np.zeros((100, 4))))
+    with pytest.raises(InputError, match="it should follow"):
+        live.update(first)
+    with pytest.raises(InputError, match="it should increase"):
+        live.update(replace(second, time=second.time[::-1]))
+    live.update(second)
 
 
 @pytest.mark.parametrize(

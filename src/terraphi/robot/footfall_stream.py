@@ -8,6 +8,7 @@ has stood before, and a log that cannot be right is not doubted.
 
 from __future__ import annotations
 
+import logging
 from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
@@ -18,21 +19,29 @@ from terraphi.experiment.errors import InputError
 from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.estimators import GAP_STEPS, Settings, contact_torque, signals
 from terraphi.robot.footfall_fit import LAW_SETS, Prior, fit, shared_sd
-from terraphi.robot.footfalls import USABLE, average, check_known, verdicts
-from terraphi.robot.forces import DEFAULT_ESTIMATOR, SATURATED
+from terraphi.robot.footfalls import TORN, USABLE, average, check_known, verdicts
+from terraphi.robot.forces import (
+    DEFAULT_ESTIMATOR,
+    SATURATED,
+    accelerometer_fault,
+    specific_force,
+)
 from terraphi.robot.friction import JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.kinematics import forces_of_torques
 from terraphi.robot.model import Quadruped
 from terraphi.robot.odometry import track
 from terraphi.robot.results import RISE_SHARE
-from terraphi.robot.stance import Stance
-from terraphi.robot.touchdowns import WINDOW_S, sensitivity, touchdowns
+from terraphi.robot.stance import Criteria, Stance
+from terraphi.robot.touchdowns import FEWEST, WINDOW_S, sensitivity, touchdowns
 
 MEMORY_S = 0.7
 """How much of the log is kept [s]: a touch-down, and the odometry before it."""
-TOUCH_PART = 0.1
-"""A foot touched down where its force last was below this part of the rise [-]."""
+PIECE_S = 0.1
+"""Longer blocks are taken in pieces of this length [s], so that a touch-down is answered while the
+memory holds more before it than after it."""
+
+logger = logging.getLogger(__name__)
 
 
 class Footfall(NamedTuple):
@@ -83,7 +92,10 @@ class Footfalls:
         self._waiting: dict[int, float] = {}
         """Foot to the time of its touch-down, until its loading is over."""
         self._stands = np.zeros(4, dtype=bool)
-        self._rise = RISE_SHARE * robot.mass * GRAVITY
+        self._criteria = Criteria(rise_N=RISE_SHARE * robot.mass * GRAVITY)
+        self._felt, self._samples = np.zeros(3), 0
+        """Sum of the accelerometer's readings in the world [m/s²], and their number."""
+        self._begin, self._fault = 0.0, ""
 
     def update(self, block: JointLog) -> list[Footfall]:
         """Take the next samples.
@@ -91,7 +103,7 @@ class Footfalls:
         Parameters
         ----------
         block
-            The samples since the last call, with attitude.
+            The samples since the last call, with attitude; of any length.
 
         Returns
         -------
@@ -101,28 +113,68 @@ class Footfalls:
         Raises
         ------
         InputError
-            If the block or one of its samples (a zero quaternion) has no attitude, or it does not
-            follow the one before; nothing is taken of it then.
+            If the block or one of its samples (a zero quaternion) has no attitude, it has other
+            columns than the one before, its time does not increase or it does not follow the one
+            before; nothing is taken of it then.
         """
         if not len(block.time):
             return []
         if block.quaternion is None or not block.quaternion.any(axis=1).all():
             raise InputError("the block has no attitude, without which nobody knows where down is")
+        _check_follows(block, self._log)
+        told = []
+        while len(block.time):
+            count = max(int(np.searchsorted(block.time, block.time[0] + PIECE_S)), 1)
+            told += self._take(_cut(block, slice(count)))
+            block = _cut(block, slice(count, None))
+        return told
+
+    def _take(self, piece: JointLog) -> list[Footfall]:
+        """The same for a piece that is short against the memory."""
         last = self._log
-        if last is not None and block.time[0] <= last.time[-1]:
-            raise InputError(
-                f"the block begins at {block.time[0]:.4f} s, the last one ended at "
-                f"{last.time[-1]:.4f} s; it should follow"
-            )
-        log = block if last is None else _joined(last, block)
+        self._begin = float(piece.time[0]) if last is None else self._begin
+        log = piece if last is None else _joined(last, piece)
         kept = int(np.searchsorted(log.time, log.time[-1] - MEMORY_S))
         self._log = log = _cut(log, slice(kept, None))
-        self._force = self._forces(log, self._force[kept:])
-        new = slice(len(log.time) - len(block.time), None)
+        faulty = bool(self._fault)
+        log = self._without_broken_accelerometer(log, piece)
+        # All of them again if they were found with an accelerometer that turned out to be none.
+        known = self._force[kept:] if bool(self._fault) == faulty else self._force[:0]
+        self._force = self._forces(log, known)
+        if last is None or log.time[0] > last.time[-1]:
+            # At the start, and after a long gap, who stands already did not touch down now.
+            low = self._criteria.fall_part * self._criteria.rise_N
+            self._stands = self._force[0, :, 2] >= low
+        new = slice(len(log.time) - len(piece.time), None)
         for i in range(*new.indices(len(log.time))):
             self._watch(log.time, i)
         done = [f for f, begin in self._waiting.items() if log.time[-1] > begin + WINDOW_S + 0.01]
-        return self._answers(log, {f: self._waiting.pop(f) for f in done}) if done else []
+        begins = {f: self._waiting.pop(f) for f in done}
+        # After a long gap, a touch-down is not in memory, or too little of it.
+        held = {
+            f: begin
+            for f, begin in begins.items()
+            if begin >= log.time[0] and np.count_nonzero(log.time >= begin) >= FEWEST
+        }
+        told = self._answers(log, held) if held else []
+        unknown = (np.nan, np.nan, np.nan, np.nan)
+        told += [
+            Footfall(begin, FEET[f], *unknown, TORN) for f, begin in begins.items() if f not in held
+        ]
+        return told
+
+    def _without_broken_accelerometer(self, log: JointLog, piece: JointLog) -> JointLog:
+        """The log as the forces of a whole one would take it, by all readings until now."""
+        if log.acceleration is None:
+            return log
+        self._felt += specific_force(piece).sum(axis=0)
+        self._samples += len(piece.time)
+        span = float(piece.time[-1]) - self._begin
+        fault = accelerometer_fault(self._felt / self._samples, upright=True, span=span)
+        if fault and not self._fault:
+            logger.warning("footfalls: %s", fault)
+        self._fault = fault
+        return replace(log, acceleration=None) if fault else log
 
     def _forces(self, log: JointLog, known: FloatArray) -> FloatArray:
         """Forces in the world; those of the last samples again, whose future was not known."""
@@ -139,13 +191,14 @@ class Footfalls:
         return np.concatenate([known[:first], force[first - (part.start or 0) :]])
 
     def _watch(self, time: FloatArray, i: int) -> None:
-        lift = self._force[i, :, 2]
+        lift, criteria = self._force[i, :, 2], self._criteria
         for f in range(len(FEET)):
-            if not self._stands[f] and lift[f] > self._rise:
-                low = np.flatnonzero(self._force[: i + 1, f, 2] < TOUCH_PART * self._rise)
+            if not self._stands[f] and lift[f] > criteria.rise_N:
+                touch = criteria.touch_part * criteria.rise_N
+                low = np.flatnonzero(self._force[: i + 1, f, 2] < touch)
                 self._waiting[f] = float(time[low[-1] if len(low) else 0])
                 self._stands[f] = True
-            elif self._stands[f] and lift[f] < 0.25 * self._rise:
+            elif self._stands[f] and lift[f] < criteria.fall_part * criteria.rise_N:
                 self._stands[f] = False
 
     def _answers(self, log: JointLog, begins: dict[int, float]) -> list[Footfall]:
@@ -184,6 +237,35 @@ def _columns(log: JointLog) -> list[str]:
 
 def _cut(log: JointLog, part: slice) -> JointLog:
     return replace(log, **{name: getattr(log, name)[part] for name in _columns(log)})
+
+
+def _check_follows(block: JointLog, last: JointLog | None) -> None:
+    """Raise InputError if a block runs backwards, or does not go on where the last one ended."""
+    back = np.flatnonzero(np.diff(block.time) <= 0.0)
+    if back.size:
+        raise InputError(
+            f"the block's time goes from {block.time[back[0]]:.4f} to "
+            f"{block.time[back[0] + 1]:.4f} s; it should increase"
+        )
+    if last is None:
+        return
+    if block.time[0] <= last.time[-1]:
+        raise InputError(
+            f"the block begins at {block.time[0]:.4f} s, the last one ended at "
+            f"{last.time[-1]:.4f} s; it should follow"
+        )
+    had, has = set(_columns(last)), set(_columns(block))
+    if had != has:
+        raise InputError(
+            f"the block at {block.time[0]:.4f} s {_unlike(had, has)}; give every block the same "
+            "columns"
+        )
+
+
+def _unlike(had: set[str], has: set[str]) -> str:
+    lacks = [f"lacks {', '.join(sorted(had - has))}"] if had - has else []
+    brings = [f"brings {', '.join(sorted(has - had))}"] if has - had else []
+    return f"{' and '.join(lacks + brings)}, unlike the ones before"
 
 
 def _joined(first: JointLog, second: JointLog) -> JointLog:

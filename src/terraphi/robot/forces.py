@@ -51,6 +51,8 @@ WIDEST_ANGLE = 10.0
 """Joint angles beyond this [rad] are degrees."""
 WORST_ACCELEROMETER = 3.0
 """Mean specific force may differ by this much from gravity's [m/s²], or it is not one."""
+MOST_GAINED_SPEED = 1.0
+"""A walking trunk's speed changes by less than this within a stride [m/s]."""
 UNFELT_PART = 0.3
 """Force that a leg cannot feel, as a part of the one it does, as a standard deviation [-]."""
 MOST_THREADS = 4
@@ -415,16 +417,23 @@ def specific_force(log: JointLog, part: slice = slice(None)) -> FloatArray:
     return np.asarray(np.einsum("sij,sj->si", rotation(log.quaternion[part]), felt))
 
 
-def accelerometer_fault(mean: FloatArray, *, upright: bool) -> str:
-    """Why a mean specific force [m/s²] is no accelerometer's; empty if it may be one's.
+def accelerometer_fault(mean: FloatArray, *, upright: bool, span: float = math.inf) -> str:
+    """Why a mean specific force is no accelerometer's; empty if it may be one's.
 
-    ``upright`` says that it is one in the world's axes, shape [3], which has a direction as well.
+    Parameters
+    ----------
+    mean
+        [m/s²], shape [3].
+    upright
+        Whether it is one in the world's axes, which has a direction as well.
+    span
+        Time that it is the mean of [s]; over a short one, the trunk may have gained some speed.
     """
     if upright:
         off = float(np.linalg.norm(mean - [0.0, 0.0, GRAVITY]))
     else:
         off = abs(float(np.linalg.norm(mean)) - GRAVITY)
-    if off <= WORST_ACCELEROMETER:
+    if off <= WORST_ACCELEROMETER + MOST_GAINED_SPEED / max(span, 1e-3):
         return ""
     text = ", ".join(f"{value:.1f}" for value in mean)
     return f"accelerometer ignored: its mean is ({text}) m/s², {GRAVITY:g} upward is expected"

@@ -10,8 +10,8 @@ whole log are the minimum of
     + \sum_{k,f} w_{kf}\,\frac{|v_k + \Delta p_{kf}/\Delta t_k|^2}{\sigma_v^2},
 
 a tridiagonal system. The weight of a foot is its share of load, and falls as Geman and McClure's
-where it does not stand still: a foot that sinks, slips or rises is outvoted by the others and by the
-accelerometer.
+where it does not stand still: a foot that sinks, slips or rises is outvoted by the others and by
+the accelerometer.
 """
 
 from __future__ import annotations
