@@ -31,9 +31,9 @@ def lift_error(found: FootForces, true: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean((found.force - true)[standing, 2] ** 2)))
 
 
-def hanging(seconds: float = 20.0) -> JointLog:
+def hanging(seconds: float = 20.0, **joints: float) -> JointLog:
     """A robot in the air that treads slowly, held by its body."""
-    walk = Walk(duration=seconds, seed=3)
+    walk = Walk(duration=seconds, seed=3, **joints)
     log, force = walk.log()
     from terraphi.robot.kinematics import jacobian, rotation
 
@@ -114,6 +114,43 @@ def test_a_log_that_cannot_tell_friction_is_refused() -> None:
     still = replace(log, velocity=log.velocity * np.array([0.0, 1.0, 1.0]))
     with pytest.raises(InputError, match="hardly move: FR_hip"):
         friction_of_hanging(still)
+
+
+def exchanged(log: JointLog, *names: str) -> JointLog:
+    """Left legs for right ones."""
+    return replace(log, **{name: getattr(log, name)[:, [1, 0, 3, 2]] for name in names})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (lambda log: replace(log, torque=1000.0 * log.torque), "unexplained, most at"),
+        (lambda log: replace(log, torque=100.0 / 9.81 * log.torque), "unexplained"),
+        (lambda log: replace(log, torque=-log.torque), "unexplained"),
+        (lambda log: replace(log, torque=0.0 * log.torque), "all torques are zero"),
+        (lambda log: exchanged(log, "torque"), "unexplained, most at .._hip"),
+        (lambda log: exchanged(log, "angle", "velocity", "torque"), "most at .._hip"),
+    ],
+)
+def test_torques_that_cannot_be_right_give_no_friction(
+    wrong: Callable[[JointLog], JointLog], words: str
+) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        friction_of_hanging(wrong(hanging(5.0)))
+    assert "N m that the motors exert" in str(caught.value)
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.3])
+@pytest.mark.parametrize("coulomb", [0.0, 1.0])
+def test_noise_and_friction_are_no_reason_to_refuse(noise: float, coulomb: float) -> None:
+    found, _ = friction_of_hanging(hanging(10.0, torque_noise=noise, coulomb=coulomb))
+    np.testing.assert_allclose(found.coulomb, coulomb, atol=0.06)
+
+
+def test_friction_beyond_the_motor_is_refused() -> None:
+    weak = GO2.model_copy(update={"torque_limit": (0.5, 23.7, 45.43)})
+    with pytest.raises(InputError, match=r"FR_hip would be (1|0\.9\d*) N m, and its .* 0\.5 at"):
+        friction_of_hanging(hanging(5.0, coulomb=1.0), robot=weak)
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import Field, field_validator
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict, parse_toml
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import replacing
@@ -27,6 +29,15 @@ from terraphi.robot.results import opened
 
 LEAST_AIR = 0.5
 """Part of the log that each foot has to be in the air [-]; the ends of movements are left out."""
+MOST_UNEXPLAINED = 0.3
+"""Part of the torques (root mean square) that weight, inertia and friction may leave unexplained
+[-]. Sound torques leave 0.05 to 0.1, with six times the usual noise 0.22; those of another unit,
+sign or leg 0.38 and more."""
+
+EXPECTED = (
+    "torques in N m that the motors exert on the joints of this robot are expected, legs in the "
+    "order FR, FL, RR, RL"
+)
 
 
 class JointNumbers(Strict):
@@ -133,7 +144,8 @@ def friction_of_hanging(
     Raises
     ------
     InputError
-        If the feet touched something, a joint hardly moved, or the log cannot be used.
+        If the feet touched something, a joint hardly moved, torques cannot be those of this robot,
+        or the log cannot be used.
     """
     name = "the log" if isinstance(log, JointLog) else str(log)
     log, body = opened(log, robot, **reading)
@@ -145,6 +157,7 @@ def friction_of_hanging(
             f"{name}: the feet bear {lift:.0f} N of the robot's {weight:.0f} N; hang it up, so "
             "that no foot touches anything, and move its legs"
         )
+    _check_torques(log, found.swing_residual, name)
     for foot, share in found.provenance["swing_share"].items():
         if share < LEAST_AIR:
             raise InputError(
@@ -152,9 +165,44 @@ def friction_of_hanging(
                 "touch anything"
             )
     assert found.friction is not None, "friction was asked for"
-    still = [n for n, ok in zip(JOINT_NAMES, found.friction.found.ravel(), strict=True) if not ok]
+    still = [
+        n
+        for n, ok in zip(JOINT_NAMES, (found.friction.found | ~body.there).ravel(), strict=True)
+        if not ok
+    ]
     if still:
         raise InputError(
             f"{name}: joints that hardly move: {', '.join(still)}; move all of them to and fro"
         )
+    limit = np.broadcast_to(body.torque_limit or np.inf, (len(FEET), len(JOINTS)))
+    stuck = np.argwhere(found.friction.coulomb > limit)
+    if len(stuck):
+        i, j = stuck[0]
+        raise InputError(
+            f"{name}: the Coulomb friction of {FEET[i]}_{JOINTS[j]} would be "
+            f"{found.friction.coulomb[i, j]:.3g} N m, and its motor gives {limit[i, j]:g} at most; "
+            f"{EXPECTED}"
+        )
     return found.friction, body.name
+
+
+def _check_torques(log: JointLog, residual: FloatArray, name: str) -> None:
+    """Raise InputError if torques in the air are not those of weight, inertia and friction.
+
+    ``residual`` is what those leave unexplained [N m], shape [foot, joint]; not a number for legs
+    that were not seen in the air.
+    """
+    size = np.sqrt(np.mean(np.square(log.torque, dtype=np.float64), axis=0))
+    known = np.isfinite(residual)
+    if not size.any():
+        raise InputError(f"{name}: all torques are zero; {EXPECTED}")
+    left = math.sqrt(
+        float(np.sum(residual[known] ** 2)) / max(float(np.sum(size[known] ** 2)), 1e-9)
+    )
+    if left > MOST_UNEXPLAINED:
+        i, j = np.unravel_index(np.argmax(np.where(known, residual, 0.0)), residual.shape)
+        raise InputError(
+            f"{name}: weight, inertia and friction leave {left:.0%} of the torques unexplained, "
+            f"most at {FEET[i]}_{JOINTS[j]}; {MOST_UNEXPLAINED:.0%} is the most that is believed: "
+            f"{EXPECTED}"
+        )
