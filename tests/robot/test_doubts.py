@@ -46,12 +46,7 @@ def off(log: JointLog, foot: int | slice, joint: int, by: float) -> JointLog:
 @pytest.mark.parametrize("name", WALKS)
 @pytest.mark.parametrize("heading", [0.0, 1.0])
 def test_a_sound_log_is_not_doubted(name: str, heading: float) -> None:
-    log = WALKS[name].log()[0]
-    assert log.quaternion is not None
-    w, x, y, z = log.quaternion.T
-    c, s = np.cos(heading), np.sin(heading)
-    turned = np.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], axis=1)
-    found = analyse(replace(log, quaternion=turned), frame="heading")
+    found = analyse(turned(WALKS[name].log()[0], 2.0 * heading), frame="heading")
     assert found.notes == ()
     assert found.summary()["lift_over_weight"] == pytest.approx(1.0, abs=0.03)
 
@@ -76,6 +71,73 @@ def test_what_cannot_be_is_said(
 ) -> None:
     notes = " | ".join(analyse(wrong(log)).notes)
     assert re.search(words, notes), notes
+
+
+def turned(log: JointLog, heading: float) -> JointLog:
+    """The same, its world turned about the vertical."""
+    assert log.quaternion is not None
+    w, x, y, z = log.quaternion.T
+    c, s = np.cos(0.5 * heading), np.sin(0.5 * heading)
+    new = np.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], axis=1)
+    return replace(log, quaternion=new)
+
+
+def imu(log: JointLog, order: list[int], signs: list[float], factor: float = 1.0) -> JointLog:
+    """A quaternion's components in another order, of other signs, and a factor of the gyroscope."""
+    assert log.quaternion is not None
+    assert log.angular_velocity is not None
+    quaternion = log.quaternion[:, order] * np.array(signs)
+    return replace(log, quaternion=quaternion, angular_velocity=factor * log.angular_velocity)
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.0, 2.5])
+@pytest.mark.parametrize(
+    ("order", "signs", "factor", "words"),
+    [
+        ([0, 1, 2, 3], [1.0, -1.0, -1.0, -1.0], 1.0, r"and by \d% if the quaternion is .*conjug"),
+        ([1, 2, 3, 0], [1.0, 1.0, 1.0, 1.0], 1.0, r"and by \d% if the quaternion comes as x, y,"),
+        ([0, 1, 2, 3], [1.0, 1.0, 1.0, 1.0], 57.3, r"and by \d% if the gyroscope is in degrees"),
+        ([0, 1, 2, 3], [1.0, 1.0, 1.0, 1.0], -1.0, r"and by \d% if .*gyroscope's signs are rev"),
+        ([0, 2, 1, 3], [1.0, 1.0, -1.0, 1.0], 1.0, "check the IMU's axes"),
+        ([0, 1, 2, 3], [1.0, 1.0, 1.0, 1.0], 0.0, "disagree by 100%"),
+    ],
+)
+def test_an_attitude_that_turns_otherwise_than_the_gyroscope(
+    log: JointLog, heading: float, order: list[int], signs: list[float], factor: float, words: str
+) -> None:
+    wrong = imu(turned(log, heading), order, signs, factor)
+    if order[0] and heading > 2.0:  # upside down, so that the feet pull
+        with pytest.raises(InputError, match="^attitude and gyroscope.*" + words):
+            analyse(wrong)
+        return
+    found = analyse(wrong)
+    assert re.search(words, found.grave[0]), found.grave
+    assert not any("exchanged" in note or "zeros" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_noise_bias_and_delay_of_an_imu_are_no_doubt(log: JointLog, seed: int) -> None:
+    assert log.quaternion is not None
+    assert log.angular_velocity is not None
+    rng = np.random.default_rng(seed)
+    late = np.roll(log.quaternion, 10, axis=0)  # 20 ms
+    late[:10] = log.quaternion[0]
+    noisy = replace(
+        log,
+        quaternion=late + rng.normal(0.0, 5e-4, late.shape),
+        angular_velocity=log.angular_velocity + rng.normal(0.02, 0.05, log.angular_velocity.shape),
+    )
+    assert not any("gyroscope" in note for note in analyse(noisy).notes)
+
+
+def test_a_robot_that_hardly_turns_tells_nothing_of_its_imu(log: JointLog) -> None:
+    assert log.quaternion is not None
+    assert log.angular_velocity is not None
+    still = np.tile(log.quaternion[:1], (len(log.time), 1))
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0.0, 0.1, log.angular_velocity.shape)
+    found = analyse(replace(log, quaternion=still, angular_velocity=noise))
+    assert not any("gyroscope" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,9 @@
 """Whether a log and the description of its robot can both be right.
 
-Over whole strides the ground pushes up with the robot's weight and pushes it nowhere; feet that
-stand move as one rigid body, turned as the gyroscope says. Torques in another unit, legs in another
-order and angles with another zero break one of these, and mostly not the others.
+Over whole strides the ground pushes up with the robot's weight and pushes it nowhere; the attitude
+turns as the gyroscope says, and feet that stand move as one rigid body, turned likewise. Torques in
+another unit, an attitude that is another's, legs in another order and angles with another zero
+break one of these, and mostly not the others.
 """
 
 from __future__ import annotations
@@ -40,6 +41,16 @@ EXCHANGED = 0.75
 """Legs are exchanged if another order leaves less than this part of the sliding [-]."""
 OFF_RAD, OFF_GAIN = (0.1, 0.5), 0.1
 """A joint's zero is off if a shift between these [rad] takes off this part of the sliding."""
+TURN_S = 0.1
+"""Attitude and gyroscope are compared over this time [s]: long enough to average noise, short
+against a stride."""
+LEAST_TURNING = 0.08
+"""A trunk that turns less than this [rad/s] (root mean square) tells nothing of them: a gyroscope's
+bias, and the attitude's noise, are a few hundredths."""
+UNLIKE, SOMEWHAT_UNLIKE = 0.7, 0.3
+"""Parts of the turning by which attitude and gyroscope disagree if one of them is wrong [-]:
+surely, and if another reading of them leaves less than half of that. Sound ones disagree by 0.5 at
+most, even with an attitude that is 20 ms late in a trot."""
 _BEARING = 0.15
 _SAMPLES = 2500
 _UNITS = {1e3: "N mm", 100.0 / GRAVITY: "kgf cm"}
@@ -96,8 +107,14 @@ def doubts(log: JointLog, robot: Quadruped, forces: FootForces, found: Balance |
     InputError
         If the feet pull at the ground, or bear the robot's weight several times over.
     """
-    weight, angles = _of_weight(found, robot), _of_angles(log)
-    legs = _of_legs(log, robot, np.nan_to_num(forces.force[..., 2]))
+    attitude, angles = _of_attitude(log), _of_angles(log)
+    try:
+        weight = _of_weight(found, robot)
+    except InputError as error:
+        # An attitude that is upside down makes the feet pull.
+        raise InputError("; and ".join([*attitude, str(error)])) from error
+    # With a wrong attitude, feet that stand seem to slide.
+    legs = attitude or _of_legs(log, robot, np.nan_to_num(forces.force[..., 2]))
     grave = list(legs)
     if found is not None:
         low, high = BELIEVABLE_LIFT
@@ -134,6 +151,73 @@ def _of_angles(log: JointLog) -> list[str]:
     if not COARSEST_ANGLE <= step < np.inf:
         return []
     return [f"angles come in steps of {step:.2g} rad: forces turn by as much; write more digits"]
+
+
+def _of_attitude(log: JointLog) -> list[str]:
+    """An attitude that turns otherwise than the gyroscope, and what may be wrong with either."""
+    if log.quaternion is None or log.angular_velocity is None or len(log.time) < 3:
+        return []
+    every = max(1, round(TURN_S / float(np.median(np.diff(log.time)))))
+    quaternion = np.asarray(log.quaternion[::every], float)
+    felt = _mean_rate(log.time, np.asarray(log.angular_velocity, float), every)
+    step = np.diff(log.time[::every])
+    if not len(step):
+        return []
+    whole = step < 2.0 * float(np.median(step))
+
+    def unlike(quaternion: FloatArray, felt: FloatArray) -> tuple[float, float]:
+        turned = _body_rate(quaternion, step)[whole]
+        most = max(_rms(turned), _rms(felt[whole]))
+        return _rms(turned - felt[whole]) / max(most, 1e-12), most
+
+    off, turning = unlike(quaternion, felt)
+    if turning < LEAST_TURNING or off < SOMEWHAT_UNLIKE:
+        return []
+    others = {
+        "the quaternion is that of the world in the body's frame (conjugate)": (
+            quaternion * np.array([1.0, -1.0, -1.0, -1.0]), felt,
+        ),
+        "the quaternion comes as x, y, z, w (w first is expected)": (
+            quaternion[:, [3, 0, 1, 2]], felt,
+        ),
+        "the gyroscope is in degrees per second (rad/s is expected)": (
+            quaternion, np.radians(felt),
+        ),
+        "the gyroscope's signs are reversed": (quaternion, -felt),
+    }  # fmt: skip
+    left = {words: unlike(*other)[0] for words, other in others.items()}
+    best = min(left.values())
+    disagree = f"attitude and gyroscope disagree by {off:.0%} of how the robot turns"
+    if best < 0.5 * off and best < UNLIKE:
+        # At small tilts, a conjugate and reversed signs are hard to tell apart.
+        causes = [words for words, value in left.items() if value < best + 0.1]
+        return [f"{disagree}, and by {best:.0%} if {', or '.join(causes)}; check the IMU"]
+    return [f"{disagree}: check the IMU's axes, units and signs"] if off > UNLIKE else []
+
+
+def _mean_rate(time: FloatArray, rate: FloatArray, every: int) -> FloatArray:
+    """Mean of a gyroscope's readings [rad/s] from one of some samples to the next."""
+    angle = np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time)[:, None], axis=0)
+    angle = np.concatenate([np.zeros((1, 3)), angle])[::every]
+    return np.asarray(np.diff(angle, axis=0) / np.diff(time[::every])[:, None])
+
+
+def _body_rate(quaternion: FloatArray, step: FloatArray) -> FloatArray:
+    """Rate of turning in the body's frame [rad/s], shape [sample − 1, 3], of attitudes."""
+    unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    (w, x), (v, u) = (unit[:-1, 0], unit[1:, 0]), (unit[:-1, 1:], unit[1:, 1:])
+    # The vector of conj(first) * second; of the two quaternions of one turn, the smaller one.
+    half = w[:, None] * u - x[:, None] * v - np.cross(v, u)
+    scalar = w * x + np.sum(v * u, axis=1)
+    half *= np.where(scalar < 0.0, -1.0, 1.0)[:, None]
+    size = np.linalg.norm(half, axis=1)
+    angle = 2.0 * np.arctan2(size, np.abs(scalar))
+    return np.asarray(half * (angle / np.maximum(size, 1e-12) / step)[:, None])
+
+
+def _rms(vectors: FloatArray) -> float:
+    """Root mean square length of vectors, shape [sample, 3]."""
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1))))
 
 
 def _of_legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[str]:
