@@ -140,6 +140,20 @@ def test_a_robot_that_hardly_turns_tells_nothing_of_its_imu(log: JointLog) -> No
     assert not any("gyroscope" in note for note in found.notes)
 
 
+@pytest.mark.parametrize("order", [[1, 0, 2, 3], [0, 1, 3, 2], [1, 0, 3, 2], [2, 1, 0, 3]])
+def test_torques_of_other_feet_are_seen(
+    log: JointLog, order: list[int], request: pytest.FixtureRequest
+) -> None:
+    found = analyse(replace(log, torque=log.torque[:, order]))
+    feet = ("FR", "FL", "RR", "RL")
+    moves = ", ".join(f"{feet[j]} for {feet[i]}" for i, j in enumerate(order) if i != j)
+    assert "check the order of the torques" in found.grave[0]
+    if request.node.callspec.params["log"] == "walk":
+        named = re.search("such as (.*);", found.grave[0])
+        assert named is None or named[1] == moves
+    # In a trot, those of a diagonal bear alike: nobody can tell which of them were exchanged.
+
+
 @pytest.mark.parametrize(
     ("factor", "words"), [(1000.0, "not N mm"), (-1.0, "bear -0.[89]"), (9.81, "not kgf")]
 )

@@ -38,7 +38,13 @@ LEAST_SPEED, SOFT_SPEED = 0.01, 0.06
 """Speed [m/s] below which feet that stand do not slide, and above which soil gives way under them,
 so that sliding says nothing of a joint's zero."""
 EXCHANGED = 0.75
-"""Legs are exchanged if another order leaves less than this part of the sliding [-]."""
+"""Legs or torques are exchanged if another order leaves less than this part of the sliding [-]."""
+AS_GOOD = 1.5
+"""Orders of the torques that leave this many times the least sliding [-] are as good: feet that
+swing together can be exchanged at will, and the one that moves fewest is named."""
+HELD_UP = 0.005
+"""Feet that bear are lower than when they do not, by as much as they are lifted; if they are higher
+by this [m], torques are those of other feet."""
 OFF_RAD, OFF_GAIN = (0.1, 0.5), 0.1
 """A joint's zero is off if a shift between these [rad] takes off this part of the sliding."""
 TURN_S = 0.1
@@ -221,7 +227,7 @@ def _rms(vectors: FloatArray) -> float:
 
 
 def _of_legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[str]:
-    """Legs in another order, or a joint whose angle has another zero."""
+    """Legs or torques in another order, or a joint whose angle has another zero."""
     turning = log.angular_velocity
     if turning is None:
         return []
@@ -235,20 +241,34 @@ def _of_legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[str]:
     if not np.any(np.count_nonzero(load, axis=1) > 1):
         return []
     sliding = seen.sliding(angle, velocity, load)
+    up = seen.held_up(angle, lift[every] / (robot.mass * GRAVITY))
+    if up > HELD_UP:
+        bear = f"feet that bear are held {1e3 * up:.0f} mm higher than when they do not"
+        return [f"{bear}: torques are of other legs than angles; check the order of the torques"]
     if _size(sliding) < LEAST_SPEED:
         return []
-    orders = {
-        order: _size(seen.sliding(angle[:, order], velocity[:, order], load[:, order]))
-        for order in itertools.permutations(range(len(FEET)))
-    }
-    best = min(orders, key=orders.__getitem__)
-    if orders[best] < EXCHANGED * _size(sliding):
-        moves = (f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(best) if i != j)
-        other = f"at {orders[best]:.2g} m/s if legs were exchanged: {', '.join(moves)}"
+    legs, torques = {}, {}
+    for order in itertools.permutations(range(len(FEET))):
+        legs[order] = _size(seen.sliding(angle[:, order], velocity[:, order], load[:, order]))
+        # Of torques alone: who swings seems to bear, whatever the leg that tells the force.
+        torques[order] = _size(seen.sliding(angle, velocity, load[:, order]))
+    best, least = min(legs, key=legs.__getitem__), min(torques.values())
+    if min(legs[best], least) >= EXCHANGED * _size(sliding):
+        return (
+            [] if _size(sliding) > SOFT_SPEED else _of_zeros(seen, angle, velocity, load, sliding)
+        )
+    if legs[best] <= least:
+        other = f"at {legs[best]:.2g} m/s if legs were exchanged: {_moved(best)}"
         return [f"{_slide(sliding)}, and {other}; check the order of the joints"]
-    if _size(sliding) > SOFT_SPEED:
-        return []
-    return _of_zeros(seen, angle, velocity, load, sliding)
+    alike = [_moved(order) for order, value in torques.items() if value <= AS_GOOD * least]
+    likely = min(alike, key=len)
+    other = f"at {least:.2g} m/s if torques were exchanged, such as {likely}"
+    return [f"{_slide(sliding)}, and {other}; check the order of the torques"]
+
+
+def _moved(order: Sequence[int]) -> str:
+    """Legs that stand elsewhere in an order."""
+    return ", ".join(f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(order) if i != j)
 
 
 def _of_zeros(
@@ -291,6 +311,21 @@ class _Stands(NamedTuple):
         speed = speed[several]
         speed -= np.sum(share[..., None] * speed, axis=1, keepdims=True)
         return np.asarray(speed * np.sqrt(share)[..., None])
+
+    def held_up(self, angle: FloatArray, bears: FloatArray) -> float:
+        """How much higher feet are while they bear than while they do not [m].
+
+        ``bears`` is in parts of the robot's weight, shape [sample, foot]. Heights are above the
+        mean of all feet, of each foot by itself, so that neither slopes nor stairs matter.
+        """
+        height = np.einsum("si,sfi->sf", self.turn[:, 2], foot_position(self.robot, angle))
+        height -= height.mean(axis=1, keepdims=True)
+        rises = [
+            one[on > _BEARING].mean() - one[on < 0.5 * _BEARING].mean()
+            for one, on in zip(height.T, bears.T, strict=True)
+            if (on > _BEARING).any() and (on < 0.5 * _BEARING).any()
+        ]
+        return float(np.mean(rises)) if rises else 0.0
 
 
 def _size(sliding: FloatArray) -> float:
