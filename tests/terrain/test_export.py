@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import math
 import runpy
@@ -95,6 +96,62 @@ def set_by(name: str, made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> 
         return given[4]
     assert made["material"](1e7, 0.3)["dpType"] == "MiddleCircumscribed"
     return made["material"](1e7, 0.3)["Friction"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'x"""\nimport sys\nsys.stolen = True\n"""',
+        "C:\\new\\u00\\N{x}\\",
+        'a"" "b" \\"""',
+        "nul\0 \ud800 \u2028",
+    ],
+)
+def test_what_others_wrote_stays_a_text(text, tmp_path) -> None:
+    changes = {"source": text, "library": text, "verdict": "misfit", "reason": text}
+    found = export(told(**changes)._replace(source=text), simulator("newton"), anyway=True)
+    tree = ast.parse(found.text("python"))
+    clean = ast.parse(export(told(), simulator("newton")).text("python"))
+    kinds = [[type(node) for node in one.body] for one in (tree, clean)]
+    assert kinds[0] == kinds[1]
+    assert f"From {text}: {text}, library {text}." in (ast.get_docstring(tree, clean=False) or "")
+
+
+def test_the_json_of_an_inversion_is_enough() -> None:
+    """With the keys that 'terraphi invert --json' promises, and no others."""
+    summary = {"median": 30.0, "ci68": [28.0, 32.0], "ci95": [26.0, 34.0]}
+    promised = {
+        "phi_deg": {**summary, "yield": "plane_strain"},
+        "phi_plane_strain_deg": summary,
+        "verdict": "consistent",
+        "reason": "It fits.",
+        "edge": None,
+        "nrmsd": {"Fx": 0.1, "Fz": 0.1},
+        "density_kg_m3": 1600.0,
+        "n_angles": 40,
+        "library": "resolved",
+        "sampler": "quadrature",
+        "convergence": {},
+    }
+    found = export(Told("answer", promised, np.empty(0)), simulator("newton"))
+    assert (found.density, found.assumed) == (1600.0, True)
+    assert "DENSITY [kg/m³] was assumed." in found.text("python")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"phi_plane_strain_deg": {}}, "has no 'ci95'"),
+        ({"phi_plane_strain_deg": {"median": 30.0, "ci95": [1.0, 2.0]}}, "has no 'ci68'"),
+        ({"phi_deg": 30.0, "phi_plane_strain_deg": 30.0}, "not as 'terraphi invert' writes"),
+        ({"density_kg_m3": "heavy"}, "heavy"),
+        ({"density_kg_m3": None}, "has no 'parameters'"),
+    ],
+)
+def test_an_answer_that_lacks_something_is_told(changes, words) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        export(told(**changes), simulator("newton"))
+    assert str(caught.value).startswith("answer: ")
 
 
 def test_draws_of_other_conventions_are_turned_into_plane_strain() -> None:

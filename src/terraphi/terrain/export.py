@@ -135,7 +135,9 @@ class Export:
         for name, one in self.extra.items():
             lines += [f"{name} = {one['median']!r}"]
             lines += [f"{name}_DRAWS = {one['draws']!r}"] if one["draws"] else []
-        return f'"""{self._about()}"""\n\n' + "\n".join(lines) + "\n\n\n" + USES[self.to.name]
+        return (
+            f'"""{_quoted(self._about())}"""\n\n' + "\n".join(lines) + "\n\n\n" + USES[self.to.name]
+        )
 
     def headline(self) -> str:
         """The parameter in a sentence."""
@@ -222,8 +224,22 @@ def export(
     ------
     InputError
         If the answer has no φ, or none with an equivalent in plane strain; if its verdict is not
-        ``consistent``; or if it has no draws and some are wanted.
+        ``consistent``; if it has no draws and some are wanted; or if it lacks what answers have.
     """
+    try:
+        made = _made(told, to, match, draws, seed, anyway)
+        made.headline(), made.as_dict()
+    except InputError:
+        raise
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(
+            f"{told.source}: not as 'terraphi invert' writes it ({what}); make it again"
+        ) from error
+    return made
+
+
+def _made(told: Told, to: Simulator, match: Match, draws: int, seed: int, anyway: bool) -> Export:
     answer = told.answer
     to.from_angle(30.0, match)  # whether it can be told any
     if answer["phi_deg"] is None:
@@ -231,7 +247,7 @@ def export(
     if answer["phi_plane_strain_deg"] is None:
         raise InputError(
             f"{told.source}: its friction angle is one of '{answer['phi_deg']['yield']}', and has "
-            f"no equivalent in plane strain: {answer['phi_plane_strain_reason']}"
+            f"no equivalent in plane strain: {answer.get('phi_plane_strain_reason', '')}"
         )
     caution = ""
     if answer["verdict"] != "consistent":
@@ -342,11 +358,20 @@ def _drawn(told: Told, count: int, seed: int) -> tuple[FloatArray, float]:
     return rng.choice(there, count, replace=count > there.size), 1.0 - there.size / every.size
 
 
+def _quoted(text: str) -> str:
+    """A text between the quotation marks of a docstring, whatever somebody wrote into it."""
+    marks = text.replace("\\", "\\\\").replace('"""', '\\"\\"\\"')
+    return "".join(
+        c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in marks
+    )
+
+
 def _density(answer: Mapping[str, Any]) -> tuple[float, bool | None]:
     """Density [kg/m³] and whether it was assumed; the median and ``None`` if it was inferred."""
     if answer["density_kg_m3"] is None:
         return float(answer["parameters"]["soil.density"]["median"]), None
-    return float(answer["density_kg_m3"]), bool(answer["density_assumed"])
+    # An answer that does not say so gives no ground to rely on it.
+    return float(answer["density_kg_m3"]), bool(answer.get("density_assumed", True))
 
 
 def _leg_friction(answer: Mapping[str, Any]) -> float | None:

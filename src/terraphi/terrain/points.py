@@ -197,7 +197,7 @@ def _from_csv(path: Path) -> tuple[dict[str, Any], str, list[str]]:
     import pandas as pd
 
     try:
-        text = read_bytes(path).decode("utf-8")
+        text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a text; expected a CSV of points") from error
     lines = text.splitlines()
