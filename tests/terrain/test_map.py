@@ -155,6 +155,14 @@ def test_probability_median_and_share_against_plain_monte_carlo() -> None:
     assert share[0] == pytest.approx(second.mean() ** 2 * tan_phi.var() / factor.var(), abs=0.02)
 
 
+@pytest.mark.filterwarnings("error")
+def test_soil_that_nothing_presses_on_is_told_without_a_warning() -> None:
+    # Neutrally buoyant and saturated, B = 0: F = A at every φ.
+    a, b = np.array([[0.5, 2.0, 0.9, 1.1]]), np.zeros((1, 4))
+    found = slopes.unstable(np.zeros(1), np.ones(1), a, b)
+    assert found == pytest.approx([0.5])
+
+
 def test_quantiles_of_priors_are_those_of_their_draws() -> None:
     for marginal in (Marginal(2.0, 5.0), Marginal(0.0, 1.0, (0.9, 0.3))):
         drawn = np.sort(marginal.draw(100_000, np.random.default_rng(0)))
@@ -185,6 +193,9 @@ def test_the_command_writes_maps_that_open(terraphi, hill, points, tmp_path) -> 
     with rasterio.open(tmp_path / "maps" / "extrapolated.tif") as file:
         assert file.nodata == 255
         assert set(np.unique(file.read(1))) <= {0, 1, 255}
+    # A table program's mark at the beginning hides no comment.
+    file = tmp_path / "points.csv"
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
     again = terraphi("map", "points.csv", "--dem", "dem.tif", "--out", "maps")
     assert again.status == 0
     assert "Wide guesses, which nobody has measured, stand for: cohesion_Pa" in again.out
@@ -277,6 +288,9 @@ def test_what_is_no_map(terraphi, hill, points, tmp_path, change: Change, words)
         (("--covariate", "moved.tif"), "its coordinate system is EPSG:32612"),
         (("--covariate", "points.csv"), "not a raster that can be read"),
         (("--covariate", "no.tif"), "no such file"),
+        (("--covariate", "slope.tif"), "slope.tif: 'slope' is a covariate already"),
+        (("--covariate", "burn.tif", "--wetness", "part.tif"), "part.tif: has no data at some"),
+        (("--covariate", "part.tif", "--wetness", "half.tif"), "part.tif: has no data at some"),
     ],
 )
 def test_what_does_not_fit_the_elevations(terraphi, hill, points, tmp_path, args, words) -> None:
@@ -284,6 +298,10 @@ def test_what_does_not_fit_the_elevations(terraphi, hill, points, tmp_path, args
     hill(heights=np.full((60, 60), 40.0), name="wet.tif")
     hill(n=50, name="other.tif")
     hill(name="moved.tif", crs="EPSG:32612")
+    half = np.full((60, 60), 0.5)
+    for name in ("slope.tif", "burn.tif", "half.tif"):
+        hill(heights=half, name=name)
+    hill(heights=np.where(np.arange(60) < 30, half, -9999.0), name="part.tif")
     points(np.arange(4) * 10.0 + 5.0, 20.0, 30.0)
     ran = terraphi("map", "points.csv", "--dem", "dem.tif", "--out", "maps", *args)
     assert (ran.status, ran.out) == (2, "")

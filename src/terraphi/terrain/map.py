@@ -124,11 +124,19 @@ def map_slopes(
     wet = None if wetness is None else _wetness(wetness, ground)
     named = {"elevation": ground.height, "slope": ground.slope}
     if covariate is not None:
+        if covariate.stem in named:
+            raise InputError(
+                f"{covariate}: '{covariate.stem}' is a covariate already, made from "
+                f"{ground.source}; give the file another name, or leave it out"
+            )
         named[covariate.stem] = read_layer(covariate, ground)
     layers_in = [*named.values(), *([] if wet is None else [wet])]
     there = np.all([np.isfinite(layer) for layer in layers_in], axis=0)
-    if not there[row, column].all():
-        raise InputError(f"{covariate or wetness}: has no data at some of the points")
+    given = {} if wet is None else {wetness: wet}
+    given |= {} if covariate is None else {covariate: named[covariate.stem]}
+    for source, layer in given.items():
+        if not np.isfinite(layer[row, column]).all():
+            raise InputError(f"{source}: has no data at some of the points; fill it there")
     scaled = _standardised(named, there)
     at_points = np.stack([one[row, column] for one in scaled], axis=1).astype(float)
     half = 0.5 * ground.cell

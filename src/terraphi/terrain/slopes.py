@@ -157,7 +157,8 @@ def unstable(mean: Any, sd: Any, a: Any, b: Any) -> Any:
     a, b
         Of :meth:`Sample.terms`.
     """
-    critical = np.clip((1.0 - a) / (b * STEEPEST), 1e-12, 1.0 - 1e-12)
+    # Soil that nothing presses on (b = 0) is unstable at every φ, or at none.
+    critical = np.clip((1.0 - a) / np.maximum(b * STEEPEST, 1e-12), 1e-12, 1.0 - 1e-12)
     z = np.log(critical / (1.0 - critical))
     return ndtr((z - mean[:, None]) / sd[:, None]).mean(axis=1)
 

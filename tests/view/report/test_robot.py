@@ -11,7 +11,9 @@ import xarray as xr
 from go2.logs import write_npz
 
 from terraphi.experiment.errors import InputError
+from terraphi.robot.forces import Frame
 from terraphi.robot.logs import read_log
+from terraphi.robot.results import analyse, write_forces
 from terraphi.view.report.parts import Plot, Section, Text
 from terraphi.view.report.robot import MOST_POINTS, _thinned, section
 from terraphi.view.table import Table
@@ -63,6 +65,20 @@ def test_a_log_without_attitude_is_shown_in_the_body_frame(log_file: Path, tmp_p
     found = section(tmp_path / "bare.npz")
     assert "body frame" in found.headline
     assert "gravity is taken along the body's z" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("frame", "words"), [("world", "along the world's x"), ("heading", "forward")]
+)
+def test_where_a_force_points_is_said_by_its_frame(
+    log_file: Path, tmp_path: Path, frame: Frame, words: str
+) -> None:
+    write_forces(analyse(log_file, frame=frame), tmp_path / "f.nc")
+    found = section(tmp_path / "f.nc")
+    assert f" N {words} (" in found.headline
+    labels = [p.layout["yaxis"]["title"] for p in plots(found) if p.title == "Mean stance, Fx"]
+    assert len(labels) == 1
+    assert words in str(labels[0])
 
 
 def test_of_a_file_the_page_says_how_to_compare(forces_file: Path) -> None:

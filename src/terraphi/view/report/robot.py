@@ -37,6 +37,13 @@ LOOKS = {
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
 NAMES: dict[str, str] = {name: name.replace("_", " ") for name in ESTIMATORS}
 
+ALONG = {
+    "world": "along the world's x",
+    "heading": "forward",
+    "body": "along the body's x",
+}
+"""What F_x counts along, by the frame of the forces."""
+
 
 def section(path: Path, *, robot: str = "go2") -> Section:
     """Report of foot forces.
@@ -122,7 +129,8 @@ def _headline(summary: Mapping[str, Any]) -> str:
     return (
         f"{pooled['stances']} stances of {pooled['mean_duration_s']:.2f} s each carry the robot, "
         f"with a mean peak lift of {pooled['mean_peak_Fz_N']:.0f} N and "
-        f"{pooled['mean_peak_Fx_N']:.0f} N forward ({how})."
+        f"{pooled['mean_peak_Fx_N']:.0f} N {ALONG.get(str(summary.get('frame')), 'along x')} "
+        f"({how})."
     )
 
 
@@ -228,13 +236,14 @@ def _ensemble(shown: Any) -> list[Part]:
             if np.isfinite(one).any():
                 colour, dash = LOOKS[foot]
                 traces.append(fig.line(part, one, foot, colour, dash=dash))
-        plots.append(_stance_plot("Mean stance", axis, traces))
+        plots.append(_stance_plot("Mean stance", axis, traces, shown.attrs["frame"]))
     return plots
 
 
-def _stance_plot(title: str, axis: str, traces: Sequence[Mapping[str, Any]]) -> Plot:
+def _stance_plot(title: str, axis: str, traces: Sequence[Mapping[str, Any]], frame: str) -> Plot:
     """One force over the normalised time of a stance."""
-    layout = fig.layout("normalised time in the stance [-]", fig.AXIS_LABEL[f"F{axis}"])
+    label = f"{fig.FORCE['Fx']} [N], {ALONG[frame]}" if axis == "x" else fig.AXIS_LABEL["Fz"]
+    layout = fig.layout("normalised time in the stance [-]", label)
     return Plot(title=f"{title}, F{axis}", traces=traces, layout=layout, height=340)
 
 
@@ -256,7 +265,8 @@ def _comparison(compared: Mapping[str, Any], why_not: str) -> list[Part]:
             )
             for (name, forces), (colour, dash) in zip(walked.items(), LOOKS.values(), strict=False)
         ]
-        plots.append(_stance_plot(f"{title}: mean stance", axis, traces))
+        frame = next(iter(walked.values())).attrs["frame"]
+        plots.append(_stance_plot(f"{title}: mean stance", axis, traces, frame))
     rows = {NAMES[name]: _summary(f)["pooled"] for name, f in compared.items()}
     table = figures_table("estimator", rows, title)
     missing = f" Left out, as it could not be had: {why_not}." if why_not else ""
