@@ -334,6 +334,15 @@ def test_tick_that_stands_still() -> None:
     np.testing.assert_allclose(time, 0.002 * np.arange(50), rtol=1e-12)
 
 
+@pytest.mark.parametrize(("step_s", "tick_hz"), [(1.0, 1e3), (0.002, 1e6), (5.0, 1e6)])
+def test_recording_tells_the_unit_of_slow_ticks(step_s: float, tick_hz: float) -> None:
+    at = step_s * np.arange(50)
+    recorded = 10**18 + np.rint(1.001e9 * at).astype(np.int64)
+    time, _, facts = seconds(np.rint(tick_hz * at).astype(np.int64), recorded, "tick")
+    np.testing.assert_allclose(time, at, atol=1e-9)
+    assert facts["clock_ratio"] == pytest.approx(1.0, abs=2e-3)
+
+
 def test_single_sample(tmp_path: Path) -> None:
     write_csv(tmp_path / "log.csv", helpers.walking(1))
     report = read_log(tmp_path / "log.csv").report

@@ -105,6 +105,40 @@ def test_imu_that_does_not_know_or_was_not_there_is_left_out(log: JointLog, tmp_
     assert any("do not overlap" in note for note in found.report["notes"])
 
 
+def test_an_imu_without_messages_is_named(log: JointLog, tmp_path: Path) -> None:
+    topics = {
+        "/joint_states": (jointstate.TYPE, joint_states(log)),
+        "/imu": ("sensor_msgs/msg/Imu", iter(())),
+    }
+    found = read_log(bag(tmp_path / "bag", topics))
+    assert found.quaternion is None
+    assert "/imu not used: it has no messages" in found.report["notes"]
+
+
+@pytest.mark.parametrize("column", ["quaternion", "angular_velocity", "acceleration"])
+def test_an_imu_message_that_is_no_number_is_left_out(
+    log: JointLog, column: str, tmp_path: Path
+) -> None:
+    log = replace(log, angular_velocity=np.outer(np.sin(log.time), [0.1, 0.2, 0.3]) + 0.1)
+    worn = getattr(log, column).copy()
+    worn[[20, 21]] = np.nan
+    lost = replace(log, **{column: worn})
+    read = []
+    for name, each in (("whole", log), ("lost", lost)):
+        topics = {
+            "/joint_states": (jointstate.TYPE, joint_states(log)),
+            "/imu": ("sensor_msgs/msg/Imu", imu_states(each)),
+        }
+        read.append(read_log(bag(tmp_path / name, topics)))
+    whole, found = read
+    assert "2 messages on /imu that are not all numbers left out" in found.report["notes"]
+    far = np.r_[0:19, 24 : len(log.time)]
+    for name in ("quaternion", "angular_velocity", "acceleration"):
+        own, other = getattr(found, name), getattr(whole, name)
+        np.testing.assert_allclose(own[far], other[far], atol=1e-12)
+        assert np.isfinite(own).all()
+
+
 def test_joints_of_an_arm_are_ignored_and_named(log: JointLog, tmp_path: Path) -> None:
     rows = joint_states(log, ("arm_1", "gripper"))
     found = read_log(bag(tmp_path / "bag", {"/joint_states": (jointstate.TYPE, rows)}))

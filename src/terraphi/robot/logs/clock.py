@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import replace
 from typing import Any, Literal
@@ -23,7 +24,8 @@ _SAMPLES = 60_000
 """Samples that are looked at."""
 LEAST_MICROSECONDS = 500.0
 """Ticks from one message to the next from which they are microseconds: of the A1 by the header of
-its SDK; milliseconds would make a message every half a second."""
+its SDK; milliseconds would make a message every half a second, which the times of recording tell
+where they are known."""
 STALLED = 0.9
 """Fraction of steps without advance beyond which a clock stands still."""
 
@@ -77,14 +79,19 @@ def seconds(
     # Differences modulo 2³² of the smallest size: forwards across a wrap, backwards after a glitch.
     steps = np.diff(stamp.astype(np.uint32)).view(np.int32).astype(np.int64)
     ticks = stamp[0] + np.concatenate([[0], np.cumsum(steps)])
-    facts, unit = {}, 1e3
-    if len(stamp) > 1 and float(np.median(steps)) >= LEAST_MICROSECONDS:
-        unit = 1e6
-        facts["notes"] = ["the tick counts microseconds"]
+    report: dict[str, Any] = {}
+    microseconds = len(stamp) > 1 and float(np.median(steps)) >= LEAST_MICROSECONDS
+    per_ns = 0.0
     if recorded is not None and len(stamp) > 1 and recorded[-1] > recorded[0]:
-        ratio = (ticks[-1] - ticks[0]) * (1e9 / unit) / float(recorded[-1] - recorded[0])
-        facts["clock_ratio"] = round(float(ratio), 6)
-    return ticks / unit, clock, facts
+        per_ns = float(ticks[-1] - ticks[0]) / float(recorded[-1] - recorded[0])
+    if microseconds and per_ns > 0.0:
+        microseconds = abs(math.log(per_ns * 1e3)) < abs(math.log(per_ns * 1e6))
+    unit = 1e6 if microseconds else 1e3
+    if microseconds:
+        report["notes"] = ["the tick counts microseconds"]
+    if per_ns:
+        report["clock_ratio"] = round(per_ns * 1e9 / unit, 6)
+    return ticks / unit, clock, report
 
 
 def evened(

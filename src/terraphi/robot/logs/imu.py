@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.logs.messages import decoded
 
@@ -78,14 +78,18 @@ def merged(log: JointLog, read: Sequence[Readings], name: str, others: Sequence[
     Returns
     -------
     JointLog
-        Without the samples that no message of the IMU is near to; as it was, with a note, if that
-        leaves less than half of it.
+        Without the samples that no sound message of the IMU is near to; as it was, with a note, if
+        that leaves less than half of it, or the IMU has no messages.
     """
+    if not sum(len(each.stamp) for each in read):
+        notes = [*log.report.get("notes", ()), f"{name} not used: it has no messages"]
+        return replace(log, report={**log.report, "notes": notes})
     stamp, recorded, values = (np.concatenate(column) for column in zip(*read, strict=True))
     by_recording = log.report.get("clock") == "recording time" or not np.any(np.diff(stamp))
     time = ((recorded if by_recording else stamp) - log.report.get("start_ns", 0)) / 1e9
     order = np.unique(time, return_index=True)[1]
-    time, values = time[order], values[order]
+    groups, whole = _whole(values[order])
+    time, values = time[order][whole], values[order][whole]
     near = np.zeros(len(log.time), dtype=bool)
     if len(time):
         after = np.clip(np.searchsorted(time, log.time), 1, max(len(time) - 1, 1))
@@ -97,22 +101,37 @@ def merged(log: JointLog, read: Sequence[Readings], name: str, others: Sequence[
     if 2 * near.sum() < len(near):
         notes.append(f"{name} not used: its stamps do not overlap with those of the joints")
         return replace(log, report={**log.report, "notes": notes})
+    if not whole.all():
+        notes.append(f"{(~whole).sum()} messages on {name} that are not all numbers left out")
     if others:
         notes.append(f"attitude from {name}; also there, not read: {', '.join(others)}")
     if not near.all():
         notes.append(f"{(~near).sum()} joint states without a message on {name} left out")
     found = {}
-    for column, part in _GROUPS.items():
-        own = values[:, part]
+    for column in groups:
+        own = values[:, _GROUPS[column]]
         if column == "quaternion":
             sense = np.sign(np.sum(own[1:] * own[:-1], axis=1))
             own = (
                 own * np.cumprod(np.concatenate([[1.0], np.where(sense < 0.0, -1.0, 1.0)]))[:, None]
             )
-        if np.isfinite(own).all() and own.any():
-            found[column] = np.stack([np.interp(log.time[near], time, c) for c in own.T], axis=1)
+        found[column] = np.stack([np.interp(log.time[near], time, c) for c in own.T], axis=1)
     if "quaternion" in found:
         found["quaternion"] /= np.linalg.norm(found["quaternion"], axis=1, keepdims=True)
     joints = {n: getattr(log, n)[near] for n in ("time", "angle", "velocity", "torque")}
     report = {**log.report, "notes": notes, "imu_topic": name, "samples": int(near.sum())}
     return replace(log, **joints, **found, report=report)
+
+
+def _whole(values: FloatArray) -> tuple[list[str], BoolArray]:
+    """What an IMU measures, and the messages, shape [message], in which all of that is a number."""
+    measured, whole = [], np.ones(len(values), dtype=bool)
+    for column, part in _GROUPS.items():
+        own = values[:, part]
+        sound: BoolArray = np.asarray(np.isfinite(own).all(axis=1))
+        if column == "quaternion":
+            sound &= own.any(axis=1)
+        if 2 * np.count_nonzero(sound) > len(sound) and own[sound].any():
+            measured.append(column)
+            whole &= sound
+    return measured, whole
