@@ -195,6 +195,7 @@ def test_a_breakdown_is_one_sentence(terraphi, tmp_path) -> None:
         (("--fields", "s.toml"), "s.toml: cannot be made a folder"),
         (("--checkpoint", "no/c"), "no: no such folder"),
         (("--frames", "1"), "--frames"),
+        (("--frames", "5"), "--frames: nothing has frames here; name --fields or --animate"),
         (("--checkpoint-every", "-1"), "--checkpoint-every"),
     ],
 )

@@ -15,6 +15,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.robot.footfall_files import read_footfalls, summary, write_footfalls
 from terraphi.robot.footfall_stream import Footfall, Footfalls
 from terraphi.robot.footfalls import (
+    SHALLOW,
     TORN,
     USABLE,
     FootfallMap,
@@ -24,6 +25,7 @@ from terraphi.robot.footfalls import (
 )
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.model import Quadruped
+from terraphi.robot.results import analyse
 
 Walk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["Walk"]
 GO2 = Quadruped.load("go2")
@@ -115,6 +117,23 @@ def test_an_accelerometer_that_is_ignored_does_not_matter(factor: float) -> None
     assert len(found.verdict) > 3
     for name in ("place", "sinkage", "misfit", "path"):
         np.testing.assert_array_equal(getattr(found, name), getattr(without, name))
+
+
+def test_axes_that_footfalls_do_not_have_are_not_spoken_of() -> None:
+    log = Walk(duration=5.0).log()[0]
+    assert log.quaternion is not None
+    w, x, y, z = log.quaternion.T
+    about = replace(log, quaternion=np.stack([-z, -y, x, w], axis=1))  # half a turn
+    assert any("frame 'heading'" in note for note in analyse(about).notes)
+    assert not any("frame 'heading'" in note for note in find_footfalls(about).notes)
+
+
+def test_a_foot_that_hardly_goes_down_is_shallow_and_in_time() -> None:
+    found = find_footfalls(Walk(duration=5.0, sinkage=0.0).log()[0])
+    assert set(found.verdict) == {SHALLOW}
+    slow = Walk(duration=5.0).log()[0]
+    thin = JointLog(**{name: getattr(slow, name)[::10] for name in COLUMNS})
+    assert set(find_footfalls(thin).verdict) == {TORN}
 
 
 def test_the_weight_is_spoken_of_once() -> None:

@@ -57,6 +57,13 @@ def test_links_weigh_what_pinocchio_says(pinocchio: Any, floating: Any) -> None:
         np.testing.assert_allclose(np.trace(second) * np.eye(3) - second, about_origin, atol=1e-12)
 
 
+@pytest.mark.parametrize("mass", ["true", "'20.0'"])
+def test_what_is_no_number_is_no_mass(tmp_path: Path, mass: str) -> None:
+    path = written(tmp_path, SMALL.replace("mass = 20.0", f"mass = {mass}"))
+    with pytest.raises(InputError, match=r"robot\.toml.*mass"):
+        Quadruped.load(path)
+
+
 def test_small_file_is_enough_for_geometry(tmp_path: Path) -> None:
     robot = Quadruped.load(written(tmp_path, SMALL))
     assert robot.legs.RL.foot == (0.0, 0.0, -0.32)

@@ -150,7 +150,10 @@ def told(error: BaseException) -> tuple[str, int]:
         return str(error), UNUSABLE
     if isinstance(error, click.Abort | KeyboardInterrupt):
         ignore_interrupts()
-        return "interrupted; nothing was written", UNUSABLE
+        return (
+            "interrupted; files that were finished before stay, and nothing else was written",
+            UNUSABLE,
+        )
     if isinstance(error, OSError):
         return f"the operating system reports: {error}; nothing more was written", UNUSABLE
     if isinstance(error, MemoryError):

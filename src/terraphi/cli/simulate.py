@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from terraphi.forward.mpm.fields import FieldSeries
 
 log = logging.getLogger(__name__)
+FRAMES = 100
+"""Of fields and animation, if nobody says otherwise."""
 
 
 @click.command()
@@ -30,9 +32,7 @@ log = logging.getLogger(__name__)
 @click.option(
     "--frames",
     type=IntRange(min=2),
-    default=100,
-    show_default=True,
-    help="Frames of the fields and the animation; at most one every 2000 steps.",
+    help="Frames of the fields and the animation; at most one every 2000 steps.  [default: 100]",
 )
 @click.option(
     "--checkpoint",
@@ -46,7 +46,7 @@ def simulate(
     out: Path | None,
     fields: Path | None,
     animate: Path | None,
-    frames: int,
+    frames: int | None,
     checkpoint: Path | None,
     checkpoint_every: float,
     as_json: bool,
@@ -69,6 +69,8 @@ def simulate(
     expected = forecast_of(chosen, scenario)
     if out is not None and out.suffix != ".nc":
         raise InputError(f"{out}: a history is written as NetCDF; name it {out.stem}.nc")
+    if frames is not None and fields is None and animate is None:
+        raise InputError("--frames: nothing has frames here; name --fields or --animate, too")
     for file, kind in ((out, "force history"), (animate, "")):
         if file is not None:
             check_file(file, kind=kind)
@@ -79,7 +81,7 @@ def simulate(
 
         check_animation(animate)
     kept = kept_state(chosen, checkpoint, out or animate or fields, checkpoint_every)
-    series = field_series(chosen, fields, animate, frames)
+    series = field_series(chosen, fields, animate, FRAMES if frames is None else frames)
     for doubt in doubts(chosen):
         log.warning(doubt)
     note(expected.sentence())

@@ -238,11 +238,12 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
         Of the foot [m].
     """
     trodden = _trodden(seen, NEAR_RADII * radius)
+    rests = seen.used.sum(axis=1) < FEWEST
     low, high = PHI_RANGE[0] + NEAR_EDGE_DEG, PHI_RANGE[1] - NEAR_EDGE_DEG
     against = (
         (TORN, seen.torn),
         (SATURATED, seen.saturated),
-        (SHALLOW, (found.sinkage < LEAST_SINKAGE) | (found.gained < LEAST_GAINED)),
+        (SHALLOW, (found.sinkage < LEAST_SINKAGE) | (found.gained < LEAST_GAINED) | rests),
         (TRODDEN, trodden),
         (EDGE, (found.phi < low) | (found.phi > high)),
         (MISFIT, found.misfit > WORST_MISFIT),
@@ -346,7 +347,7 @@ def _together(
         path_absolute_sd=along[2],
         shared=shared,
         by_law={k: float(f.phi[usable].mean()) for k, f in fits.items()} if usable.any() else {},
-        notes=(*forces.notes, *_notes(usable, anchors)),
+        notes=(*(n for n in forces.notes if n not in forces.of_axes), *_notes(usable, anchors)),
         provenance=provenance,
     )
 

@@ -19,7 +19,7 @@ from pydantic import Field, ValidationError, model_validator
 from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.experiment.documents import Strict, shipped_file, toml_content
+from terraphi.experiment.documents import Strict, shipped_file, strictly, toml_content
 from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
 from terraphi.experiment.files import is_there, read_bytes
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS
@@ -263,7 +263,7 @@ class Quadruped(Strict):
     def from_document(cls, content: Mapping[str, object], source: str) -> Quadruped:
         """Check what a file says; raises InputError that names the source, key and remedy."""
         try:
-            return cls.model_validate(content)
+            return strictly({**content}, cls)
         except ValidationError as error:
             raise InputError(sentence_from_validation(error, source, cls)) from error
 

@@ -61,6 +61,8 @@ class RobotForces:
     lift
         What the feet bear on average over whole strides, as a part of the robot's weight [-];
         ``None`` if unknown.
+    of_axes
+        Of the notes, those on the axes along which forces count.
     grave
         Of the notes, those with which neither directions of forces nor places of feet can be used.
     """
@@ -74,6 +76,7 @@ class RobotForces:
     report: Mapping[str, Any]
     lift: float | None = None
     grave: tuple[str, ...] = ()
+    of_axes: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, Any]:
         """Main numbers of the analysis, JSON-able.
@@ -191,7 +194,7 @@ def analyse(
         if "source" not in report:
             raise
         raise InputError(f"{report['source']}: {error}") from error
-    correlation = _sensor_correlation(log, forces)
+    correlation, askew = _sensor_correlation(log, forces), _askew(forces)
     return RobotForces(
         forces=forces,
         stances=stances,
@@ -200,12 +203,14 @@ def analyse(
         notes=(
             *log.report.get("notes", ()),
             *doubtful.all,
+            *askew,
             *_notes(forces, stances, correlation, weight, chosen),
         ),
         sensor_correlation=correlation,
         report={**report, **describe(log.time), **log.report},
         lift=None if mean is None else mean.lift,
         grave=doubtful.grave,
+        of_axes=askew,
     )
 
 
@@ -240,13 +245,6 @@ def _notes(
     criteria: Criteria,
 ) -> list[str]:
     notes = list(forces.provenance.get("assumed", ()))
-    headings = forces.provenance.get("headings_deg")
-    if forces.frame == "world" and headings and max(map(abs, headings)) > ASKEW_DEG:
-        low, _, high = headings
-        notes.append(
-            f"the robot heads {low:.0f} to {high:.0f}° from the world's x, along which Fx counts; "
-            "frame 'heading' counts it along the robot"
-        )
     counts = forces.saturated.sum(axis=0).tolist()
     limited = [f"{foot} ({n})" for foot, n in zip(FEET, counts, strict=True) if n]
     if limited:
@@ -266,6 +264,16 @@ def _notes(
             f"(correlation below {SENSOR_AGREEMENT:g})"
         )
     return notes
+
+
+def _askew(forces: FootForces) -> tuple[str, ...]:
+    """What Fx means if the robot does not head along the world's x."""
+    headings = forces.provenance.get("headings_deg")
+    if forces.frame != "world" or not headings or max(map(abs, headings)) <= ASKEW_DEG:
+        return ()
+    low, _, high = headings
+    turned = f"the robot heads {low:.0f} to {high:.0f}° from the world's x, along which Fx counts"
+    return (f"{turned}; frame 'heading' counts it along the robot",)
 
 
 def _why_no_stances(forces: FootForces, weight: float | None, criteria: Criteria) -> str:

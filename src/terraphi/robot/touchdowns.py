@@ -34,7 +34,7 @@ BEFORE_S = 0.012
 POINTS = 64
 """Most samples of a touch-down; longer ones are thinned."""
 FEWEST = 10
-"""Samples in the loading that a touch-down needs."""
+"""Samples that a touch-down needs while the foot goes down."""
 GOES_ON = 0.25
 """A foot that goes down slower than this part of its fastest has come to rest [-]."""
 WIDEST_STEP = 4.0
@@ -71,7 +71,7 @@ class Touchdowns(NamedTuple):
     used
         Whether the sample is there, and the foot is going down in it.
     torn
-        Samples are missing, or come at uneven times; shape [touchdown].
+        Samples are missing, or come too slowly for a touch-down; shape [touchdown].
     saturated
         A motor of the leg is at its limit in it; shape [touchdown].
     """
@@ -151,7 +151,7 @@ def touchdowns(
     Touchdowns
     """
     step = float(np.median(np.diff(log.time)))
-    half = max(1, round(0.5 * SMOOTH_S / step))
+    half, slow = max(1, round(0.5 * SMOOTH_S / step)), FEWEST * step > WINDOW_S
     pieces = [
         _piece(log.time, lift[:, f], motion.feet[:, f], stance, half, probe=probe)
         for stance in stances
@@ -173,7 +173,7 @@ def touchdowns(
         used[i, :n] = good
         joints[0, i, :n], joints[1, i, :n] = per.gain[rows, foot], per.friction[rows, foot]
         between = np.diff(log.time[rows[0] : last + 1]) if n else np.array([])
-        torn[i] = n == 0 or bool((between > WIDEST_STEP * step).any()) or good.sum() < FEWEST
+        torn[i] = n == 0 or slow or bool((between > WIDEST_STEP * step).any())
         if n:
             at_limit[i] = bool(saturated[rows[0] : last + 1, foot].any())
             place[i] = motion.feet[last, foot]

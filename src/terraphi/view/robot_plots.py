@@ -80,7 +80,8 @@ def forces_figure(result: RobotForces) -> Figure:
         grid[i, 0].set_title(f"{foot}, {FOOT_NAMES[foot]}", fontsize=10, loc="left")
     for axes in grid[-1]:
         axes.set_xlabel(f"time after {start:.2f} s [s]")
-    grid[0, 0].set_xlim(0.0, min(seconds, time[-1] - start))
+    if time[-1] > start:
+        grid[0, 0].set_xlim(0.0, min(seconds, time[-1] - start))
     figure.suptitle(
         f"Force of the ground on each foot ({result.forces.estimator.replace('_', ' ')}, "
         f"frame: {result.forces.frame}); stances shaded",
