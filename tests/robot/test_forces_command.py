@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import runpy
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from terraphi.robot.logs import jointstate
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import analyse
 from terraphi.robot.stance import Criteria, find_stances
+from terraphi.view.robot_plots import forces_figure
 
 Terraphi = Callable[..., tuple[int, str, str]]
 _SAMPLES = runpy.run_path(str(Path(__file__).with_name("log_samples.py")))
@@ -166,6 +168,9 @@ def test_a_few_frames_of_a_standing_robot(samples: int) -> None:
     assert found.forces.force[..., 2].sum(axis=1) == pytest.approx(weight, rel=1e-3)
     assert not found.stances
     assert found.notes
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        forces_figure(found)
 
 
 def test_a_stance_begins_where_the_force_does_not_where_a_filter_smears_it() -> None:
