@@ -13,10 +13,11 @@ import pytest
 from go2.logs import write_npz
 
 from terraphi.experiment.errors import InputError
+from terraphi.robot.dynamics import BodyMotion, inverse_dynamics
 from terraphi.robot.forces import FootForces, estimate
 from terraphi.robot.friction import JointFriction, clear_of_ground
 from terraphi.robot.friction_file import friction_of_hanging, read_friction, write_friction
-from terraphi.robot.joint_log import JointLog
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JointLog
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import analyse
 
@@ -145,6 +146,30 @@ def test_torques_that_cannot_be_right_give_no_friction(
 def test_noise_and_friction_are_no_reason_to_refuse(noise: float, coulomb: float) -> None:
     found, _ = friction_of_hanging(hanging(10.0, torque_noise=noise, coulomb=coulomb))
     np.testing.assert_allclose(found.coulomb, coulomb, atol=0.06)
+
+
+def test_legs_of_two_joints_have_friction_as_well() -> None:
+    """The hips of a Go2 that are bolted: nothing of them moves, and nobody asks them to."""
+    content = GO2.model_dump()
+    for foot in FEET:
+        content["legs"][foot]["axes"] = ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 1.0, 0.0))
+    content["joint_order"] = [name for name in JOINT_NAMES if not name.endswith("hip")]
+    robot = Quadruped.model_validate(content)
+    rng, time = np.random.default_rng(0), np.arange(0.0, 20.0, 0.002)
+    rate = 2.0 * np.pi * rng.uniform(0.3, 0.6, (4, 3))
+    turn = rate * time[:, None, None] + rng.uniform(0.0, 6.0, (4, 3))
+    moves = np.array([0.0, 0.3, 0.3])
+    angle = np.array([0.0, 0.6, -1.2]) + moves * np.sin(turn)
+    velocity, second = moves * rate * np.cos(turn), -moves * rate**2 * np.sin(turn)
+    still = np.zeros((len(time), 3))
+    body = BodyMotion(still + np.array([0.0, 0.0, 9.81]), still, still)
+    torque = inverse_dynamics(robot, angle, velocity, second, body=body)
+    torque += (0.2 * np.tanh(velocity / 0.01) + rng.normal(0.0, 0.05, angle.shape)) * moves / 0.3
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (len(time), 1))
+    log = JointLog(time, angle, velocity, torque, level, still, body.specific_force)
+    found, _ = friction_of_hanging(log, robot=robot)
+    np.testing.assert_array_equal(found.found, robot.there)
+    np.testing.assert_allclose(found.coulomb[:, 1:], 0.2, atol=0.03)
 
 
 def test_friction_beyond_the_motor_is_refused() -> None:

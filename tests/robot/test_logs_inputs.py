@@ -279,3 +279,33 @@ def test_joints_of_a_robot_without_hips(log: JointLog, tmp_path: Path) -> None:
     assert not found.torque[..., 0].any()
     with pytest.raises(InputError, match="none for the FR hip"):
         read_log(path)
+
+
+TWO_JOINTS = tuple(name for name in JOINT_NAMES if not name.endswith("hip"))
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_a_csv_of_legs_with_two_joints(log: JointLog, named: bool, tmp_path: Path) -> None:
+    table = {"time_s": log.time}
+    for at, name in enumerate(JOINT_NAMES):
+        if name in TWO_JOINTS:
+            foot, joint = divmod(at, 3)
+            pattern = f"m{TWO_JOINTS.index(name)}_{{}}" if named else f"{name}_{{}}"
+            table[pattern.format("angle_rad")] = log.angle[:, foot, joint]
+            table[pattern.format("torque_Nm")] = log.torque[:, foot, joint]
+    path = tmp_path / "log.csv"
+    np.savetxt(path, np.column_stack([*table.values()]), "%.9g", ",", header=",".join(table),
+               comments="")  # fmt: skip
+    columns = None
+    if named:
+        columns = tmp_path / "columns.toml"
+        columns.write_text(
+            'time = "time_s"\nangle = "m{motor}_angle_rad"\ntorque = "m{motor}_torque_Nm"\n'
+        )
+    found = read_log(path, motors=TWO_JOINTS, columns=columns)
+    np.testing.assert_allclose(found.angle[..., 1:], log.angle[..., 1:], atol=1e-6)
+    np.testing.assert_allclose(found.torque[..., 1:], log.torque[..., 1:], rtol=1e-6, atol=1e-6)
+    assert not found.angle[..., 0].any()
+    # A robot of three joints asks for the hips as before.
+    with pytest.raises(InputError, match=r"FR_hip_angle_rad' and 7 more missing|m8_angle_rad"):
+        read_log(path, columns=columns)

@@ -53,7 +53,7 @@ class Columns(Strict):
         return {"time": _SECONDS[self.time_unit], "angle": angle, "velocity": angle}
 
     def groups(self, motors: Sequence[str], source: Path) -> dict[str, list[str]]:
-        """Columns of each group that is there, in the order of a JointLog.
+        """Columns of each group that is there, in the order of a JointLog; joints that exist.
 
         Parameters
         ----------
@@ -73,9 +73,9 @@ class Columns(Strict):
             if names is None:
                 continue
             listed = [names] if isinstance(names, str) else list(names)
-            count = prod(shape)
+            count = len(motors) if shape == SHAPES["angle"] else prod(shape)
             if isinstance(names, str):
-                filled = [_filled(names, name, motors) for name in JOINT_NAMES]
+                filled = [_filled(names, name, motors) for name in JOINT_NAMES if name in motors]
                 listed = list(dict.fromkeys(filled))
             if len(listed) != count:
                 raise InputError(
@@ -109,6 +109,8 @@ def places(
 ) -> dict[str, list[int]]:
     """Where the columns of each group stand in a header, the time as ``time``.
 
+    A joint that the robot does not have stands at −1.
+
     Raises
     ------
     InputError
@@ -121,4 +123,9 @@ def places(
             if header.count(name) != 1:
                 how = "stands twice" if name in header else f"is missing; {nearest(name, header)}"
                 raise InputError(f"{source}, line 1: column '{name[:60]}' {how}")
-    return {group: [header.index(name) for name in names] for group, names in wanted.items()}
+    found = {group: [header.index(name) for name in names] for group, names in wanted.items()}
+    for group, at in found.items():
+        if SHAPES.get(group) == SHAPES["angle"]:
+            there = iter(at)
+            found[group] = [next(there) if name in motors else -1 for name in JOINT_NAMES]
+    return found

@@ -99,7 +99,7 @@ def read_log(
                     f"{path}: {kind} names its joints itself; leave the joint names out"
                 )
             collector = Collector(path, "time_s" if kind == "csv" else "time", precision)
-            for block in source(path) if named is None else read_csv(path, named, motors):
+            for block in read_csv(path, named, motors) if kind == "csv" else source(path):
                 collector.add(block)
             collector.facts |= {"format": kind, "topic": None}
             return collector.finish()

@@ -51,7 +51,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
 """Columns of a CSV for each column of a JointLog; all of a group or none."""
 
 
-def check_columns(place: str, header: list[str]) -> list[str]:
+def check_columns(place: str, header: list[str], motors: Sequence[str] = JOINT_NAMES) -> list[str]:
     """Groups that a CSV's header holds.
 
     Parameters
@@ -60,6 +60,8 @@ def check_columns(place: str, header: list[str]) -> list[str]:
         File and line, for messages.
     header
         Names of the columns.
+    motors
+        Joints that the robot has, as ``FR_hip``; those of the others may be missing.
 
     Returns
     -------
@@ -89,14 +91,22 @@ def check_columns(place: str, header: list[str]) -> list[str]:
     needed = [TIME_COLUMN]
     for group in dict.fromkeys([*REQUIRED, *present]):
         needed += GROUPS[group]
-    missing = [name for name in needed if name not in header]
+    optional = {name for joint in JOINT_NAMES if joint not in motors for name in _of(joint)}
+    missing = [name for name in needed if name not in header and name not in optional]
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise InputError(
-            f"{place}: column '{missing[0]}'{more} missing; expected {TIME_COLUMN} and for twelve "
-            f"joints columns like {GROUPS['angle'][0]} and {GROUPS['torque'][0]}"
+            f"{place}: column '{missing[0]}'{more} missing; expected {TIME_COLUMN} and for "
+            f"{'twelve' if len(motors) == len(JOINT_NAMES) else len(motors)} joints columns like "
+            f"{motors[0]}_angle_rad and {motors[0]}_torque_Nm"
         )
     return present
+
+
+def _of(joint: str) -> tuple[str, ...]:
+    """Columns of a joint."""
+    at = JOINT_NAMES.index(joint)
+    return tuple(GROUPS[group][at] for group in ("angle", "velocity", "torque"))
 
 
 def check_arrays(place: str, names: Iterable[str]) -> list[str]:
@@ -137,9 +147,10 @@ def read_csv(
     ----------
     path
         The file.
-    columns, motors
-        Which of its columns are what, and which joint each motor moves, if they are not named as
-        above.
+    columns
+        Which of its columns are what, if they are not named as above.
+    motors
+        Which joint each motor moves; of joints that no motor moves, all is zero.
 
     Yields
     ------
@@ -154,8 +165,11 @@ def read_csv(
     with path.open("rb") as stream:
         header = _header(path, stream.readline(LONGEST_HEADER))
         if columns is None:
-            groups = check_columns(f"{path}, line 1", header)
-            at = {group: [header.index(name) for name in GROUPS[group]] for group in groups}
+            groups = check_columns(f"{path}, line 1", header, motors)
+            at = {
+                group: [header.index(name) if name in header else -1 for name in GROUPS[group]]
+                for group in groups
+            }
             at["time"] = [header.index(TIME_COLUMN)]
         else:
             at = places(columns, header, motors, path)
@@ -197,6 +211,8 @@ def _block(
         dropped[WRONG_CELLS] = len(every) - len(sound)
         lines, rows = b"\n".join([*sound, b""]), len(sound)
     table = _numbers(lines, width) if rows else np.empty((0, width))
+    if any(-1 in at for at in places.values()):
+        table = np.pad(table, ((0, 0), (0, 1)))  # joints that are not there have the last column
     values = {
         group: scales.get(group, 1.0) * table[:, at].reshape(len(table), *SHAPES.get(group, ()))
         for group, at in places.items()
