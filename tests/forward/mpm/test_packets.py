@@ -66,6 +66,35 @@ def test_every_particle_lies_in_the_lane_of_its_cell(coarse):
     assert sorted(owners) == list(range(len(soil.mass)))
 
 
+@pytest.mark.parametrize("cells", [21, 48, 60, 64])
+@pytest.mark.parametrize("side", [1, 3])
+def test_particles_on_the_edges_of_cells_are_all_packed(coarse, cells, side):
+    """A lattice without jitter puts some of them half way between nodes, to the last bit or so."""
+    domain = 0.3
+    size = domain / cells
+    at = (np.arange(2 * side, (cells - 2) * side) + 0.5) * size / side
+    soil = geostatic_bed(coarse())
+    count = at.size * at.size
+    fields = (np.resize(field, (count, *field.shape[1:])) for field in soil)
+    soil = type(soil)(*fields)
+    soil.position[:] = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2)
+    packed = pack(soil, cells + 2, size)
+    before = soil.position.copy()
+    soil.position[:] = math.nan
+    assert packed.stack.sum() == count
+    unpack(packed, soil, size)
+    np.testing.assert_allclose(soil.position, before, rtol=1e-15, atol=0)
+
+
+def test_blocks_get_room_until_all_particles_are_packed(coarse, monkeypatch):
+    """Whatever the compiler makes of the two roundings of an edge."""
+    scenario = coarse()
+    soil = geostatic_bed(scenario)
+    monkeypatch.setattr(packing, "count_stacks", lambda _x, heights, *_: heights.fill(1))
+    packed = pack(soil, scenario.numerics.cells + 2, scenario.numerics.cell_size)
+    assert packed.stack.sum() == len(soil.mass)
+
+
 def test_cache_lines_are_not_straddled():
     for count in (1, 63, 4096):
         assert packing.aligned_zeros(count).ctypes.data % 64 == 0
@@ -162,6 +191,21 @@ def test_lost_particle_is_found(compare, coarse, far_away):
     soil.mass[stray] *= 1e6
     for kernel in (packets, scalar):
         assert compare.run_blocks(kernel, scenario, [300], soil=compare.copy_of(soil))[4] >= 0
+
+
+def test_particles_set_aside_keep_their_volume_when_another_is_lost(compare, coarse, far_away):
+    """Some cross the edge of their cell in the very step in which one leaves the grid."""
+    scenario = coarse(**far_away, **{"numerics.particle_volume": "updated"})
+    soil, size = geostatic_bed(scenario), scenario.numerics.cell_size
+    top = soil.position[:, 1].max()
+    for p in range(40):
+        soil.position[p] = [(8.5 + p % 8) * size - 1e-9, (8.5 + p // 8) * size]
+    soil.velocity[:40] = [1.0, 0.0]
+    soil.position[-1] = [0.05, top + 4.0 * size]
+    soil.velocity[-1] = [0.0, 4000.0]
+    left, *_, lost = compare.run_blocks(packets, scenario, [2], soil=soil)
+    assert lost == len(soil.mass) - 1
+    assert left.stretch[:40].min() > 0.9
 
 
 def test_number_that_is_none_is_found(compare, coarse):

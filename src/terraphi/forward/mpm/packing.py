@@ -155,12 +155,47 @@ def pack(soil: Particles, rows: int, cell_size: float) -> Packets:
     """
     lanes = int(LANES)
     blocks = (rows + lanes - 1) // lanes
-    base = np.floor(soil.position / cell_size - 0.5).astype(np.int64)
-    cells = base[:, 1] * blocks * lanes + base[:, 0]
-    heights = np.bincount(cells, minlength=rows * blocks * lanes).reshape(-1, lanes)
-    first = np.concatenate([[0], np.cumsum(heights.max(axis=1) + SPARE_LAYERS)])
+    heights = np.zeros(rows * blocks * lanes, np.int64)
+    count_stacks(soil.position, heights, blocks * lanes, cell_size)
+    layers = heights.reshape(-1, lanes).max(axis=1) + SPARE_LAYERS
+    packets = _empty_packets(layers, rows, blocks)
+    # The compiler may round otherwise where it counts than where it inserts: a particle on the
+    # edge of two cells is then in the other.
+    while not insert_all(packets, soil, cell_size):
+        layers += 1
+        packets = _empty_packets(layers, rows, blocks)
+    return packets
+
+
+@entry
+def count_stacks(
+    position: FloatArray, heights: NDArray[np.int64], columns: int, cell_size: float
+) -> None:
+    """Count the particles of each cell.
+
+    Parameters
+    ----------
+    position
+        [m], shape [particle, 2].
+    heights
+        Added to; flat, row by row of ``columns`` cells.
+    columns
+        Lanes of a row of blocks.
+    cell_size
+        Δx [m].
+    """
+    per_cell = 1.0 / cell_size
+    for p in range(position.shape[0]):
+        i, j = base_of(position[p, 0], per_cell), base_of(position[p, 1], per_cell)
+        heights[j * np.uint64(columns) + i] += 1
+
+
+def _empty_packets(room: NDArray[np.int64], rows: int, blocks: int) -> Packets:
+    """Packets without particles: ``room`` layers in each block, ``blocks`` in each of the rows."""
+    lanes = int(LANES)
+    first = np.concatenate([[0], np.cumsum(room)])
     count = int(first[-1])
-    packets = Packets(
+    return Packets(
         state=aligned_zeros(count * int(FIELDS)),
         origin=aligned_zeros(count * int(ORIGINS)),
         owner=np.zeros(count * lanes, np.int64),
@@ -170,15 +205,21 @@ def pack(soil: Particles, rows: int, cell_size: float) -> Packets:
         top=np.zeros(1, np.uint64),
         blocks=np.uint64(blocks),
     )
-    insert_all(packets, soil, cell_size)
-    return packets
 
 
 @entry
-def insert_all(packets: Packets, soil: Particles, cell_size: float) -> None:
-    """Put all particles into packets that are empty, in the order of the soil."""
-    for p in range(soil.mass.size):
-        insert(packets, soil, p, cell_size)
+def insert_all(packets: Packets, soil: Particles, cell_size: float) -> bool:
+    """Put all particles into packets that are empty, in the order of the soil.
+
+    Returns
+    -------
+    bool
+        False if a block had no packet left for one.
+    """
+    for p in range(soil.mass.size):  # noqa: SIM110  # Numba knows no generators
+        if not insert(packets, soil, p, cell_size):
+            return False
+    return True
 
 
 @kernel

@@ -384,6 +384,7 @@ def set_aside(
             p = int(packets.owner[slot])
             copy_out(packets, soil, block, slot, cell_size)
             if not inside_grid(soil.position[p, 0], soil.position[p, 1], rows, cell_size):
+                put_back(packets, soil, aside)
                 return p
             moves = layer * MOTION + lane
             soil.velocity[p, 0], soil.velocity[p, 1] = motion[moves + VX], motion[moves + VZ]
@@ -395,6 +396,19 @@ def set_aside(
             aside.particle[n], aside.block[n], aside.slot[n] = p, block, slot
             aside.number[0] = n + ONE
     return -1
+
+
+@kernel
+def put_back(packets: Packets, soil: Particles, aside: Aside) -> None:
+    """Give the lanes of what lies aside their mass and volume again.
+
+    For a step that broke off: all particles are then unpacked where they are, and looked at.
+    """
+    for n in range(aside.number[0]):
+        p, slot = aside.particle[n], aside.slot[n]
+        at = slot // LANES * FIELDS + slot % LANES
+        packets.state[at + MASS] = soil.weight[p] * soil.mass[p]
+        packets.state[at + VOLUME] = soil.weight[p] * soil.volume[p] * soil.stretch[p]
 
 
 @kernel
