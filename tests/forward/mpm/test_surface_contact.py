@@ -43,7 +43,7 @@ def touched(gap: float, speed=(0.0, 0.0), *, slip=0.0, friction=0.35, weight=1.0
     leg = straight(friction)
     place = (0.1 - leg.half_thickness - gap, 0.2 - 0.5 * leg.chord)
     pose = pose_of(at_rest())
-    return touch(place, speed, RADIUS, MASS, weight, slip, MATERIAL, leg, pose, DT)
+    return touch(place, speed, RADIUS, weight * MASS, weight, slip, MATERIAL, leg, pose, DT)
 
 
 @given(st.floats(1.0, 3.0))
@@ -61,6 +61,16 @@ def test_push_is_proportional_to_the_overlap(gap):
 
 def test_faded_particle_pushes_less():
     assert touched(0.5 * RADIUS, weight=0.3).fx == pytest.approx(0.3 * touched(0.5 * RADIUS).fx)
+
+
+@pytest.mark.parametrize("weight", [1.0, 0.3, 0.05])
+def test_particle_of_any_weight_moves_alike(weight):
+    """Spring, dashpot and friction all go with the mass, so that none becomes unstable."""
+    whole = touched(0.5 * RADIUS, (0.3, -0.2), slip=1e-6)
+    faded = touched(0.5 * RADIUS, (0.3, -0.2), slip=1e-6, weight=weight)
+    for one, other in ((faded.fx, whole.fx), (faded.fz, whole.fz)):
+        assert one / weight == pytest.approx(other, rel=1e-12)
+    assert faded.slip == pytest.approx(whole.slip, rel=1e-12)
 
 
 def test_overlap_of_soil_at_10_kPa_is_small():
@@ -85,15 +95,19 @@ def test_friction_opposes_a_steady_slip_at_its_limit():
     assert all(b.fz >= a.fz - 1e-12 for a, b in itertools.pairwise(forces))
 
 
-def test_particle_in_friction_that_holds_comes_to_rest_where_its_load_is_carried():
-    """A load along the surface below the limit: at rest at load / stiffness, however long."""
+@pytest.mark.parametrize("weight", [1.0, 0.3, 0.05])
+def test_particle_in_friction_that_holds_comes_to_rest_where_its_load_is_carried(weight):
+    """A load along the surface below the limit: at rest at load / stiffness, however long.
+
+    A particle that has faded carries its share of the load alike.
+    """
     press = SPRING * 0.1 * RADIUS
     load = -0.2 * press
     z, vz, slip = 0.0, 0.0, 0.0
     for _ in range(4000):
-        force = touched(0.9 * RADIUS, (0.0, vz), slip=slip)
+        force = touched(0.9 * RADIUS, (0.0, vz), slip=slip, weight=weight)
         slip = force.slip
-        vz += DT * (force.fz + load) / MASS
+        vz += DT * (force.fz + weight * load) / (weight * MASS)
         z += DT * vz
     assert vz == pytest.approx(0.0, abs=1e-9)
     assert z == pytest.approx(load / SPRING, rel=1e-3)

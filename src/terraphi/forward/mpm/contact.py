@@ -365,10 +365,11 @@ def touch(
     ux = speed[0] - (pose.hip_vx + pose.rate * rz)
     uz = speed[1] - (pose.hip_vz - pose.rate * rx)
     normal, along = ux * nx + uz * nz, uz * nx - ux * nz
-    spring = STIFFNESS * (material.lame_lambda + 2.0 * material.shear_modulus)
+    # All of it goes with the weight: on a mass that has faded, a full spring would be unstable.
+    spring = weight * (STIFFNESS * (material.lame_lambda + 2.0 * material.shear_modulus))
     dashpot = 2.0 * DAMPING * math.sqrt(spring * mass)
     # At most as large as the spring's force, so that contact begins softly.
-    push = weight * spring * overlap
+    push = spring * overlap
     press = push + min(max(-dashpot * normal, -push), push)
     rub, slip = _rub(slip + along * time_step, along, spring, dashpot, intruder.friction * press)
     return Touch(press * nx - rub * nz, press * nz + rub * nx, -distance * nx, -distance * nz, slip)
