@@ -127,9 +127,10 @@ def _kernels() -> Iterator[Check]:
     yield Check("processor", "ok", f"{known['processor']} ({platform.machine()})")
     yield _vectors(register_bits())
     place, _ = place_of_code()
-    if not os.access(place if place.exists() else place.parent, os.W_OK):
+    if place is None:
         found = (
-            f"{place} cannot be written: kernels are compiled at every start; set NUMBA_CACHE_DIR"
+            "no folder for it can be written: kernels are compiled at every start; set "
+            "NUMBA_CACHE_DIR"
         )
         yield Check("cache", "note", found)
     elif is_compiled():

@@ -1,30 +1,52 @@
-"""How kernels are compiled: one decorator, and a cache that never serves old code."""
+"""How kernels are compiled: one decorator, and a cache that never serves old code.
+
+Numba looks only at the file of the outermost function, not at those of the functions that it has
+inlined; a change to the latter would silently be ignored. So machine code lies in a folder named
+by a digest of all sources. A process that has read other sources than those of its digest, for they
+changed while it started, keeps nothing.
+"""
 
 from __future__ import annotations
 
 import ast
 import hashlib
+import inspect
+import os
 import re
+import tempfile
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
+from types import CodeType, ModuleType
 from typing import Any, TypeVar, cast
 
 import numba
 import numba.extending
 
+from terraphi.experiment import leg
+
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
 _OPTIONS: dict[str, Any] = {
-    "cache": True,
     "error_model": "numpy",
     "fastmath": {"contract", "nsz", "reassoc"},
 }
 
 _FOLDER = Path(__file__).parent
 _NOT_OF_THE_MODEL = {"__init__.py", "breakdown.py", "checkpoint.py", "fields.py"}
-_IN_PLANE = [*sorted(_FOLDER.glob("*.py")), _FOLDER.parents[1] / "experiment" / "leg.py"]
+_EXPERIMENT = _FOLDER.parents[1] / "experiment"
+_IN_PLANE = [*sorted(_FOLDER.glob("*.py")), _EXPERIMENT / "leg.py"]
 _SOURCES = [*_IN_PLANE, *sorted((_FOLDER.parent / "mpm3d").glob("*.py"))]
+"""What is compiled."""
+_GIVEN = [_EXPERIMENT / f"{name}.py" for name in ("motion", "scenario", "soil")]
+"""What makes the numbers that the kernels are called with."""
+
+_NAME = "terraphi-kernels-"
+_UNUSED = 7 * 86400.0
+"""Time after which machine code of other sources is removed [s]: as long as it is used, somebody
+may run them."""
 
 
 def kernel(function: Kernel) -> Kernel:
@@ -48,7 +70,7 @@ def kernel(function: Kernel) -> Kernel:
     """
     # A call that is not inlined would round differently in the process that compiles than in one
     # that loads the cache.
-    return cast(Kernel, numba.njit(**_OPTIONS, forceinline=True)(function))
+    return _compiled(function, forceinline=True)
 
 
 def entry(function: Kernel) -> Kernel:
@@ -67,7 +89,20 @@ def entry(function: Kernel) -> Kernel:
     callable
         The same function, compiled at its first call.
     """
-    return cast(Kernel, numba.njit(**_OPTIONS)(function))
+    return _compiled(function)
+
+
+def _compiled(function: Kernel, **options: Any) -> Kernel:
+    """Compile a function at its first call, cached where there is a place for it."""
+    place = _PLACE if _PLACE is not None and _read_at() == _READ_AT else None
+    before = numba.config.CACHE_DIR  # type: ignore[attr-defined]  # Numba sets its options by name
+    numba.config.CACHE_DIR = str(place or "")  # type: ignore[attr-defined]
+    try:
+        # Numba asks here, and not later, where the code is to be kept.
+        made = numba.njit(**_OPTIONS, **options, cache=place is not None)(function)
+    finally:
+        numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+    return cast(Kernel, made)
 
 
 def _wide_vectors(_context: Any) -> tuple[Any, Callable[..., Any]]:
@@ -103,7 +138,7 @@ def register_use(function: Callable[..., object], *arguments: object) -> Counter
     Counter
         By register: ``zmm`` (512 bits), ``ymm`` (256), ``xmm`` (128), ``single`` (one number).
     """
-    fresh = numba.njit(**{**_OPTIONS, "cache": False})(getattr(function, "py_func", function))
+    fresh = numba.njit(**_OPTIONS)(getattr(function, "py_func", function))
     fresh(*arguments)
     (code,) = fresh.inspect_asm().values()
     used: Counter[str] = Counter()
@@ -155,45 +190,61 @@ def _digest_of_model(sources: Iterable[Path]) -> str:
     return hashlib.sha256("\n".join([numba.__version__, *sorted(codes)]).encode()).hexdigest()
 
 
-SOURCE_DIGEST = _digest_of_model(_IN_PLANE)
+SOURCE_DIGEST = _digest_of_model([*_IN_PLANE, *_GIVEN])
 """SHA-256 of the compiler's version and of the code that bears on a result, hexadecimal.
 
 Words about the code, and code that only keeps, shows or explains a result, do not count."""
-SOURCE_DIGEST_IN_SPACE = _digest_of_model(_SOURCES)
+SOURCE_DIGEST_IN_SPACE = _digest_of_model([*_SOURCES, *_GIVEN])
 """The same with the code of three dimensions."""
 
 
-def _cache_folders() -> list[Path]:
-    """Where Numba keeps machine code of the sources; the first one also keeps their digest."""
-    beside = dict.fromkeys(source.parent for source in _SOURCES)
-    chosen = getattr(numba.config, "CACHE_DIR", "")  # Numba sets its options by name
-    if not chosen:
-        return [folder / "__pycache__" for folder in beside]
-    # As Numba names them: by the folder of the source, and a hash of its path.
-    return [
-        Path(chosen) / f"{folder.name}_{hashlib.sha1(str(folder.absolute()).encode()).hexdigest()}"
-        for folder in beside
-    ]
+def _read_at() -> list[int]:
+    """When each source was last written [ns]."""
+    return [source.stat().st_mtime_ns for source in _SOURCES]
 
 
-def _drop_stale_cache() -> None:
-    """Remove cached machine code if any source of the kernels has changed since it was made.
+def _is_as_written(module: ModuleType) -> bool:
+    """Whether the functions of a module are those of its file, which may have changed since."""
+    file = Path(str(module.__file__))
+    now = compile(file.read_text(encoding="utf-8"), str(file), "exec", dont_inherit=True)
+    codes = [constant for constant in now.co_consts if isinstance(constant, CodeType)]
+    known = {name: f.__code__ for name, f in inspect.getmembers(module, inspect.isfunction)}
+    return all(known.get(code.co_name, code) == code for code in codes)
 
-    Numba looks only at the file of the outermost function, not at those of the functions that it
-    has inlined; a change to the latter would silently be ignored.
+
+def _place_of_cache() -> Path | None:
+    """Folder for machine code of these sources; None if none can be written.
+
+    Where the user wants what Numba keeps, else beside the sources, else, where they are installed
+    for all, in the user's own folder.
     """
-    digest, folders = _digest_of_sources(), _cache_folders()
-    stamp = folders[0] / "kernels.sha256"
-    try:
-        if stamp.is_file() and stamp.read_text() == digest:
-            return
-        for folder in folders:
-            for old in [*folder.glob("*.nbi"), *folder.glob("*.nbc")]:
+    chosen = getattr(numba.config, "CACHE_DIR", "")
+    own = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    for parent in [Path(chosen)] if chosen else [_FOLDER / "__pycache__", own / "terraphi"]:
+        place = parent / (_NAME + _digest_of_sources()[:16])
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=place).close()
+            os.utime(place)  # it is used
+        except OSError:
+            continue
+        _remove_unused(parent)
+        return place
+    return None
+
+
+def _remove_unused(parent: Path) -> None:
+    """Remove machine code of other sources that nobody has used for a long time."""
+    for folder in parent.glob(_NAME + "*"):
+        with suppress(OSError):
+            if folder.stat().st_mtime > time.time() - _UNUSED:
+                continue
+            for old in [*folder.glob("*/*.nbi"), *folder.glob("*/*.nbc")]:
                 old.unlink(missing_ok=True)
-        folders[0].mkdir(parents=True, exist_ok=True)
-        stamp.write_text(digest)
-    except OSError:
-        return
+            for inner in [*folder.iterdir(), folder]:
+                inner.rmdir()
 
 
-_drop_stale_cache()
+_READ_AT = _read_at()
+# The one source that may have been read long before this.
+_PLACE = _place_of_cache() if _is_as_written(leg) else None
