@@ -88,6 +88,10 @@ remap_interval = 1e-4
         ),
         (SPACE + "[bed]\nbreadth = 0.01", ["leg.width = 0.0254 m does not fit"]),
         (
+            SPACE + "[leg]\nshape = 'sphere'\nchord = 0.05\nwidth = 0.05\n[bed]\nbreadth = 0.04",
+            ["leg.chord = 0.05 m does not fit"],
+        ),
+        (
             SPACE.replace("plane_strain", "paper") + "[bed]\nbreadth = 0.1",
             ["soil.yield_criterion = 'paper'", "'plane_strain' (Mohr-Coulomb) or 'triaxial'"],
         ),

@@ -217,6 +217,12 @@ def test_soils_that_cannot_be(key: str, value: object) -> None:
         Soil.model_validate({key: value})
 
 
+def test_soil_that_softens_has_no_cohesion() -> None:
+    # Strength and tip of the surface would each have a cohesion of their own.
+    with pytest.raises(ValidationError, match=r"cohesion = 100 Pa: .* is not modelled"):
+        Soil(critical_friction_angle_deg=30.0, cohesion=100.0)
+
+
 def test_a_soil_is_frozen() -> None:
     with pytest.raises(ValidationError, match="frozen"):
         Soil().density = 1.0  # type: ignore[misc]

@@ -391,10 +391,13 @@ class Scenario(Strict):
                 "dimensions = 3 needs bed.breadth, the extent of the box across the plane of "
                 "motion; 0.2 m leaves the forces on a leg of 25 mm alone"
             )
-        if self.leg.width > self.bed.breadth * (1.0 + 1e-9) and self.leg.shape != "sphere":
+        # A sphere is as wide as its chord is long.
+        key = "chord" if self.leg.shape == "sphere" else "width"
+        across = getattr(self.leg, key)
+        if across > self.bed.breadth * (1.0 + 1e-9):
             raise ValueError(
-                f"leg.width = {self.leg.width:g} m does not fit between the flanks of the box, "
-                f"bed.breadth = {self.bed.breadth:g} m"
+                f"leg.{key} = {across:g} m does not fit between the flanks of the box, "
+                f"bed.breadth = {self.bed.breadth:g} m; widen the box, or take a smaller leg"
             )
 
     def _check_resistive_bed(self) -> None:

@@ -206,6 +206,11 @@ class Soil(Strict):
                 f"critical_friction_angle_deg = {critical:g} exceeds friction_angle_deg = "
                 f"{self.friction_angle_deg:g}, which is that of the peak"
             )
+        if critical is not None and self.cohesion > 0.0:
+            raise ValueError(
+                f"cohesion = {self.cohesion:g} Pa: how cohesion falls while soil softens is not "
+                "modelled; set it to 0, or leave critical_friction_angle_deg out"
+            )
         return self
 
     @property
