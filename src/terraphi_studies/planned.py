@@ -109,6 +109,7 @@ class Simulations:
                     known=known,
                     executor=running.executor,
                     progress=lambda done, total: report and report(running.counted(done), total),
+                    memory=running.memory,
                     keep_failures=keep_failures,
                     known_failures=failed,
                 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,14 @@ from terraphi.forward import simulate
 from terraphi.forward.forecast import (
     YEAR,
     Forecast,
+    code_for,
+    compiles,
     forecast,
     foreseen,
     lasting,
     particle_count,
+    place_of_code,
+    refuse_too_long,
     refuse_too_many,
     refuse_what_cannot_fit,
     step_count,
@@ -135,8 +140,14 @@ def test_too_many_workers_and_too_many_years(monkeypatch) -> None:
         refuse_too_many(large, 4, "plan 'p'")
     long = Forecast(1000, 1e3, 1e9, 10.0 * YEAR, YEAR / 100.0, 1e6)
     refuse_too_many(long, 11, "plan 'p'")
-    with pytest.raises(InputError, match="1,000 cases would take about 10 years on 1 core;"):
-        refuse_too_many(long, 1, "plan 'p'")
+    for refuse in (refuse_too_many, refuse_too_long):
+        with pytest.raises(InputError, match="1,000 cases would take about 10 years on 1 core;"):
+            refuse(long, 1, "plan 'p'")
+    # Elsewhere there may be room.
+    monkeypatch.setattr(room, "machine_bytes", lambda: 1e6)
+    with pytest.raises(InputError, match="of memory, and this machine has"):
+        refuse_what_cannot_fit(Scenario.load("quick"))
+    refuse_what_cannot_fit(Scenario.load("quick"), memory=math.inf)
 
 
 @pytest.mark.parametrize(
@@ -219,11 +230,24 @@ def test_nothing_is_written_of_what_cannot_fit(command: str, terraphi, tmp_path)
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.toml"]
 
 
-@pytest.mark.parametrize("dimensions", [2, 3])
-def test_compiling_at_first_use_is_told(dimensions: int, monkeypatch) -> None:
-    scenario = Plan.load("sand3d-quick").cases()[0] if dimensions == 3 else Scenario()
-    monkeypatch.setattr(room, "is_compiled", lambda each: each != dimensions)
-    assert "of compiling at first use" in foreseen([scenario]).sentence()
-    monkeypatch.setattr(room, "is_compiled", lambda each: each == dimensions)
-    assert "compiling" not in foreseen([scenario]).sentence()
+KINDS = {"paper-1": "packets.march", "resolved": "packet_phases.march", "space": "phase.step"}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_compiling_at_first_use_is_told(kind: str, monkeypatch, tmp_path) -> None:
+    """Of that outermost function which the scenario calls, and of no other."""
+    space = Plan.load("sand3d-quick").cases()[0]
+    scenarios = {n: space if n == "space" else Scenario.load(n) for n in KINDS}
+    folder = tmp_path / "kernels"
+    folder.mkdir()
+    places = {code_for(s): place_of_code(code_for(s)) for s in scenarios.values()}
+    monkeypatch.setattr(room, "place_of_code", lambda code: (folder, places[code][1]))
+    for name in KINDS.values():
+        (folder / f"{name}-1.py311.nbi").touch()
+    assert not compiles(scenarios.values())
+    assert "compiling" not in foreseen(list(scenarios.values())).sentence()
+    (folder / f"{KINDS[kind]}-1.py311.nbi").unlink()
+    for name, scenario in scenarios.items():
+        assert ("of compiling at first use" in foreseen([scenario]).sentence()) == (name == kind)
+        assert compiles([scenario]) == (name == kind)
     assert foreseen([Scenario(model="rft")]).compiling_seconds == 0.0

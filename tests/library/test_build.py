@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import logging
+import math
 import multiprocessing
 import os
 import subprocess
@@ -145,6 +146,53 @@ def test_a_library_that_is_built_again_keeps_what_was_learnt_of_it(
     smaller = build(plan_of([ANGLES[1], *ANGLES[2:]]), path)
     assert [c.digest for c in smaller.replicates] == [replicates[1].digest]
     assert calls == [*ANGLES, 45.0]
+
+
+def test_what_a_plan_no_longer_asks_for_is_kept(
+    tmp_path: Path, calls: Calls, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Of the library that it replaces, and of an interrupted build of another plan."""
+    path, folder = tmp_path / "x.nc", cases_folder(tmp_path / "x.nc")
+    build(plan_of(), path)
+    folder.mkdir()
+    other = plan_of([50.0]).cases()[0]
+    simulate(other).to_netcdf(folder / f"{other.hash}.nc")
+    (folder / "notes").mkdir()
+    (folder / "notes.txt").write_text("mine")
+    with caplog.at_level(logging.WARNING):
+        build(plan_of([25.0, 30.0, 60.0]), path)
+    dropped = [s.hash for s in plan_of([20.0, 35.0, 40.0]).cases()]
+    kept = sorted(["notes", "notes.txt", *(f"{name}.nc" for name in [other.hash, *dropped])])
+    assert names(folder) == kept
+    assert "4 finished simulations that the plan does not ask for are kept in" in caplog.text
+    build(plan_of([*ANGLES, 50.0]), path)
+    assert calls == [*ANGLES, 60.0]
+    assert len(names(folder)) == 3  # that at 60° is kept now
+
+
+def test_a_case_under_the_name_of_another_is_not_taken(
+    tmp_path: Path, calls: Calls, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = tmp_path / "x.nc"
+    one, other = plan_of([25.0, 30.0]).cases()
+    cases_folder(file).mkdir()
+    simulate(other).to_netcdf(cases_folder(file) / f"{one.hash}.nc")
+    with caplog.at_level(logging.WARNING):
+        library = build(plan_of([25.0]), file)
+    assert calls == [25.0]
+    assert "holds another scenario than its name says" in caplog.text
+    assert library.cases[0].history is not None
+    assert (library.cases[0].history.force == simulate(one).force).all()
+
+
+def test_a_machine_that_is_not_this_one_refuses_for_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("terraphi.forward.forecast.machine_bytes", lambda: 1.0)
+    with pytest.raises(InputError, match="of memory, and this machine has"):
+        build(plan_of(), tmp_path / "x.nc")
+    with pytest.raises(InputError, match=r"every case failed, the first with: InputError.*memory"):
+        build(plan_of(), tmp_path / "x.nc", memory=math.inf)
 
 
 def test_two_builds_of_one_file_do_not_meddle_with_each_other(tmp_path: Path) -> None:

@@ -351,3 +351,27 @@ def test_a_denser_sweep_keeps_the_cases_that_were_there() -> None:
         plan.model_validate(
             {**plan.model_dump(mode="json"), "more": [{**more, "sweep": {PHI: [25]}}]}
         )
+
+
+@pytest.mark.parametrize("sweep", [{}, {"leg.shape": ["straight", "c"]}])
+@pytest.mark.parametrize("added", [{"count": 9}, {"also": [[31.0, 0.3], [33.0, 0.4]]}])
+def test_more_points_keep_the_seeds_of_those_that_are_there(
+    sweep: dict[str, Any], added: dict[str, Any]
+) -> None:
+    keys = {"soil.friction_angle_deg": [25.0, 45.0], "leg.friction": [0.2, 0.5]}
+    few = {"keys": keys, "count": 5, "also": [[31.0, 0.3]]}
+    fewer, more = (
+        Plan.model_validate({"name": "box", "sweep": sweep, "sample": one, "vary_seed": True})
+        for one in (few, few | added)
+    )
+    seeds = [case.numerics.seed for case in more.cases()]
+    assert len(set(seeds)) == len(seeds)
+    assert {case.hash for case in fewer.cases()} < {case.hash for case in more.cases()}
+
+
+def test_a_case_that_is_asked_for_twice_is_refused() -> None:
+    plan = plan_of({}, one_at_a_time={}, sweep={"soil.friction_angle_deg": [30.0, 30.0, 35.0]})
+    with pytest.raises(InputError, match=r"friction_angle_deg = 30\.0.* more than once; drop one"):
+        plan.cases()
+    again = plan.model_copy(update={"vary_seed": True})
+    assert len({case.hash for case in again.cases()}) == 3

@@ -174,3 +174,20 @@ def test_show_says_it(tmp_path: Path, terraphi: Callable[..., Any]) -> None:
     assert told["checked"]["same_bits"] is True
     assert len(told["cases"]) == 2
     assert "checked" not in json.loads(show("--json"))["bits"]
+
+
+def test_the_command_that_checks_names_what_was_shown(tmp_path: Path, terraphi: Any) -> None:
+    """Not the plan's name, which another file may have as well."""
+    for name in ("own.nc", "my own.nc"):
+        small().save(tmp_path / name)
+        _, out, _ = terraphi("library", "show", name)
+        quoted = f"'{name}'" if " " in name else name
+        assert f"'terraphi library show {quoted} --check' simulates" in out
+    assert "'terraphi library show rft3d --check'" in terraphi("library", "show", "rft3d").out
+
+
+def test_a_case_is_named_only_to_be_checked(tmp_path: Path, terraphi: Any) -> None:
+    small().save(tmp_path / "own.nc")
+    status, out, err = terraphi("library", "show", "own.nc", "--case", "2")
+    assert (status, out) == (2, "")
+    assert err == "terraphi: --case 2 says which case to simulate again; give --check as well\n"

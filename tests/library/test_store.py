@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -331,3 +332,28 @@ def test_what_a_library_was_simulated_with_is_shown(terraphi) -> None:
     assert re.search(r"truths inside the 95 % interval .* 0\.9[345]", out)
     # Resistive force theory has no cells.
     assert "cell" not in terraphi("library", "show", "rft3d").out.split("provenance")[0]
+
+
+def test_settings_are_those_of_all_cases_and_their_own() -> None:
+    """Associated flow has no dilation angle of its own, and a swept setting is no setting."""
+    scenario = {"soil": {"flow": "associated", "friction_angle_deg": 30.0}}
+    one = Plan.model_validate({"name": "x", "scenario": scenario, "sweep": {"soil.k0": [0.5]}})
+    assert library_of_nothing(one).settings["dilation_angle_deg"] == 30.0
+    assert library_of_nothing(one).settings["hip_above_surface_mm"] == 20.0
+    sweep = {PHI: [30.0, 35.0], "leg.width": [0.02, 0.03]}
+    two = library_of_nothing(one.model_copy(update={"sweep": sweep})).settings
+    assert not {"dilation_angle_deg", "leg_width_mm"} & two.keys()
+    assert two["leg_chord_mm"] == 76.2
+
+
+def library_of_nothing(plan: Plan) -> Library:
+    """Cases that nobody has simulated."""
+    return Library(plan, tuple(Case(scenario, None, "") for scenario in plan.cases()))
+
+
+def test_what_a_plan_of_steps_or_presets_changes_is_told(library: Library) -> None:
+    step = {"name": "dry", "changes": {"soil.density": 1500.0}}
+    plan = Plan.model_validate({"name": "x", "scenario": RFT, "steps": [step], "presets": ["quick"]})
+    told = replace(library, plan=plan).summary()
+    assert told["steps"][0]["changes"] == step["changes"]
+    assert told["presets"] == ["quick"]

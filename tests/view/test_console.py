@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from terraphi.cli.options import tells_as_much_as_asked
+from terraphi.experiment.scenario import Scenario
 from terraphi.view.console import listen, note, progress_bar
 
 
@@ -20,17 +21,22 @@ class Terminal(io.StringIO):
 
 
 @pytest.mark.parametrize(
-    ("compiles", "compiled", "word"),
-    [(True, False, "compiling, once"), (True, True, "starting"), (False, False, "starting")],
+    ("simulates", "compiled", "word"),
+    [
+        ([Scenario()], False, "compiling, once"),
+        ([Scenario()], True, "starting"),
+        ([Scenario(model="rft")], False, "starting"),
+        ([], False, "starting"),
+    ],
 )
 def test_compilation_is_told_only_where_there_is_one(
-    compiles: bool, compiled: bool, word: str, monkeypatch
+    simulates: list[Scenario], compiled: bool, word: str, monkeypatch
 ) -> None:
     seen = Terminal()
     monkeypatch.setattr("sys.stderr", seen)
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr("terraphi.forward.forecast.is_compiled", lambda: compiled)
-    with progress_bar("simulating", compiles=compiles) as report:
+    monkeypatch.setattr("terraphi.forward.forecast.is_compiled", lambda _: compiled)
+    with progress_bar("simulating", simulates=simulates) as report:
         report(0.0, 1.0)
     assert word in seen.getvalue()
     assert "simulating" not in seen.getvalue()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import math
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -73,6 +75,7 @@ def library_build(
     from terraphi.experiment.files import makeable
     from terraphi.experiment.outputs import check_file
     from terraphi.experiment.plausibility import doubts, doubts_between
+    from terraphi.forward.forecast import refuse_too_long
     from terraphi.library.build import build, kept_cases
     from terraphi.library.cluster import pool
     from terraphi.library.plan import Plan
@@ -83,19 +86,22 @@ def library_build(
         check_file(out, kind="library")
     makeable(out.parent)
     cases = chosen.cases()
-    compiles = cluster is None and any(case.model == "mpm" for case in cases)
-    expected = forecast_of(chosen, 1 if cluster is not None else workers or available_cores())
+    simulates = cases if cluster is None else []
+    here = None if cluster is not None else workers or available_cores()
+    expected = forecast_of(chosen, here)
     of_each = (doubt for case in cases for doubt in doubts(case))
     asked = dict.fromkeys([*of_each, *doubts_between(cases)])
     try:
         with (
             pool(workers, cluster) as running,
-            progress_bar("simulating", compiles=compiles) as report,
+            progress_bar("simulating", simulates=simulates) as report,
         ):
             for doubt in asked:
                 log.warning(doubt)
             if running.workers == 0:
                 note(f"{cluster} has no workers yet; the build waits")
+            elif cluster is not None:
+                refuse_too_long(expected, running.workers, f"plan '{chosen.name}'")
             cores = running.workers or 1
             note(expected.sentence(cores))
             made = build(
@@ -104,6 +110,7 @@ def library_build(
                 executor=running.executor,
                 progress=lambda done, total: report(running.counted(done), total),
                 checkpoint_every=checkpoint_every,
+                memory=running.memory,
             )
     except KeyboardInterrupt:
         ignore_interrupts()
@@ -123,13 +130,17 @@ def library_build(
     print_library(made)
 
 
-def forecast_of(plan: Plan, cores: int) -> Forecast:
-    """Forecast the time and memory of a build; raises InputError if it cannot fit."""
+def forecast_of(plan: Plan, cores: int | None) -> Forecast:
+    """Forecast the time and memory of a build; raises InputError if it cannot fit.
+
+    ``cores`` of this machine, or None for another's, of which nothing is known yet.
+    """
     from terraphi.forward.forecast import foreseen, refuse_too_many
 
-    plan.refuse_what_cannot_fit()
+    plan.refuse_what_cannot_fit(memory=None if cores else math.inf)
     expected = foreseen(plan.cases())
-    refuse_too_many(expected, cores, f"plan '{plan.name}'")
+    if cores:
+        refuse_too_many(expected, cores, f"plan '{plan.name}'")
     return expected
 
 
@@ -232,12 +243,10 @@ def _list(found: Sequence[Mapping[str, Any]], title: str) -> None:
     "--case",
     "number",
     type=IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Which case to check, in the plan's order.",
+    help="Which case to check, in the plan's order; the first if not given.",
 )
 @json_option
-def library_show(name: str, check: bool, number: int, as_json: bool) -> None:
+def library_show(name: str, check: bool, number: int | None, as_json: bool) -> None:
     """Show what the library NAME (or a .nc file) holds and where it comes from.
 
     Also says whether building it on this machine would give bit-identical forces.
@@ -247,19 +256,21 @@ def library_show(name: str, check: bool, number: int, as_json: bool) -> None:
     from terraphi.library.reproduction import account, rebuild
     from terraphi.library.store import Library
 
+    if number is not None and not check:
+        raise InputError(f"--case {number} says which case to simulate again; give --check as well")
     found = Library.load(name)
-    bits = account(found)
+    bits = account(found, source=shlex.quote(name))
     again = None
     if check:
-        compiles = any(case.scenario.model == "mpm" for case in found.cases)
-        with progress_bar("simulating", compiles=compiles) as report:
-            again = rebuild(found, number, progress=lambda fraction: report(fraction, 1.0))
+        simulates = [case.scenario for case in found.cases]
+        with progress_bar("simulating", simulates=simulates) as report:
+            again = rebuild(found, number or 1, progress=lambda done: report(done, 1.0))
     if as_json:
         checked = {"checked": again.as_dict()} if again else {}
         print_json({**found.summary(), "bits": {**bits, **checked}})
         return
     print_library(found)
-    print_pairs({"computed with": bits["rests_on"], "SHA-256 of all forces": bits["digest"]})
+    print_pairs({"computed with": bits["rests_on"], "SHA-256 of its cases": bits["digest"]})
     click.echo(f"Simulated again: {bits['sentence']}.")
     if again is not None:
         click.echo(again.sentence)

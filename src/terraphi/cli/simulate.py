@@ -161,7 +161,7 @@ def run(scenario: Scenario, kept: Checkpoint | None, series: FieldSeries | None)
     from terraphi import forward
 
     try:
-        with progress_bar("simulating", compiles=scenario.model == "mpm") as report:
+        with progress_bar("simulating", simulates=[scenario]) as report:
             return forward.simulate(
                 scenario,
                 progress=lambda fraction: report(fraction, 1.0),

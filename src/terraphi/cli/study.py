@@ -59,6 +59,8 @@ def study(name: str | None, out: Path | None, as_json: bool, **options: Any) -> 
 
     Example: terraphi study recovery --out recovery
     """
+    from terraphi.experiment.scenario import Scenario
+
     studies = studies_package()
     if name is None or name == LIST:
         given = [key for key, value in {"out": out, **options}.items() if value is not None]
@@ -66,8 +68,8 @@ def study(name: str | None, out: Path | None, as_json: bool, **options: Any) -> 
             raise InputError(f"--{given[0]}: of which study? 'terraphi study list' lists them")
         _list(studies.STUDIES, as_json=as_json)
         return
-    compiles = name == "verification" or options["build"] is not None
-    with progress_bar("computing", compiles=compiles) as report:
+    simulates = [Scenario()] if name == "verification" or options["build"] is not None else []
+    with progress_bar("computing", simulates=simulates) as report:
         found = studies.run(name, out=out, progress=report, **options)
     made = () if out is None else found.save(out)
     if as_json:

@@ -120,8 +120,9 @@ def pressed(found: Export, told: Told) -> Export:
     from terraphi.terrain.bevameter import scenarios
     from terraphi.terrain.export import in_plane_strain, with_bevameter
 
-    note(foreseen(scenarios(in_plane_strain(told))).sentence())
-    with progress_bar("pressing plates", compiles=True) as report:
+    plates = scenarios(in_plane_strain(told))
+    note(foreseen(plates).sentence())
+    with progress_bar("pressing plates", simulates=plates) as report:
         return with_bevameter(found, told, report)
 
 

@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.motion import bin_count
@@ -39,7 +39,8 @@ copies that are made of them and with a checkpoint being written, and rounded up
 BYTES_IN_SPACE = {"particle": 190.0, "node": 100.0, "bin": 200.0}
 """The same in three dimensions, in single precision."""
 COMPILING_SECONDS = 20.0
-"""Time that the first simulation in the plane, or in space, takes to compile its kernels [s]."""
+"""Time that the first simulation of a kind, with or without phases or in space, takes to compile
+its kernels [s]."""
 YEAR = 365.25 * 86400.0
 """A year [s]: simulations that would take longer are refused."""
 _UNITS = ((YEAR, "years"), (86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"), (0.0, "s"))
@@ -142,41 +143,74 @@ def foreseen(scenarios: Sequence[Scenario]) -> Forecast:
     scenarios
         At least one.
     """
-    dimensions = {scenario.dimensions for scenario in scenarios if scenario.model == "mpm"}
-    if not dimensions:
+    needed = {code for code in map(code_for, scenarios) if code is not None}
+    if not needed:
         return forecast(scenarios)
     from terraphi.forward.mpm import packing
 
-    compiling = COMPILING_SECONDS * sum(not is_compiled(each) for each in dimensions)
+    compiling = COMPILING_SECONDS * sum(not is_compiled(code) for code in needed)
     return forecast(scenarios, register_bits=packing.register_bits(), compiling_seconds=compiling)
 
 
-def place_of_code(dimensions: int = 2) -> tuple[Path, str]:
-    """Where the machine code of the kernels in the plane or in space is kept: folder, name."""
+class Code(NamedTuple):
+    """Which of the kernels' machine code a simulation needs."""
+
+    dimensions: int = 2
+    """Of the scenario."""
+    phases: bool = False
+    """Whether the grid keeps its velocities for a while; in space it always does."""
+
+
+IN_PLANE = Code()
+"""Of a transfer at every step, in plane strain."""
+
+
+def code_for(scenario: Scenario) -> Code | None:
+    """The machine code that a scenario needs; ``None`` for resistive force theory."""
+    if scenario.model != "mpm":
+        return None
+    space = scenario.dimensions == 3
+    return Code(scenario.dimensions, not space and scenario.numerics.steps_per_phase > 0)
+
+
+def place_of_code(code: Code = IN_PLANE) -> tuple[Path | None, str]:
+    """Where machine code of the kernels is kept: folder, or ``None`` for nowhere, and name."""
     outermost: Any  # Numba's types do not tell that a function has statistics.
-    if dimensions == 2:
-        from terraphi.forward.mpm.packets import march as outermost
-    else:
+    if code.dimensions == 3:
         from terraphi.forward.mpm3d.phase import step as outermost
+    elif code.phases:
+        from terraphi.forward.mpm.packet_phases import march as outermost
+    else:
+        from terraphi.forward.mpm.packets import march as outermost
     file = outermost.__module__.rpartition(".")[2]
-    return Path(outermost.stats.cache_path), f"{file}.{outermost.__name__}-*.nbi"
+    folder = outermost.stats.cache_path
+    return Path(folder) if folder else None, f"{file}.{outermost.__name__}-*.nbi"
 
 
-def is_compiled(dimensions: int = 2) -> bool:
-    """Whether the kernels in the plane, or in space, lie in the cache, or need no compiling."""
+def is_compiled(code: Code = IN_PLANE) -> bool:
+    """Whether machine code of the kernels lies in the cache, or needs no compiling."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
         return True
-    place, name = place_of_code(dimensions)
-    return any(place.glob(name))
+    place, name = place_of_code(code)
+    return place is not None and any(place.glob(name))
 
 
-def refuse_what_cannot_fit(scenario: Scenario) -> None:
-    """Refuse a simulation that needs more memory than this machine has, or more than a year.
+def compiles(scenarios: Iterable[Scenario]) -> bool:
+    """Whether kernels have to be compiled before some scenarios can be simulated here."""
+    needed = {code for code in map(code_for, scenarios) if code is not None}
+    return not all(map(is_compiled, needed))
+
+
+def refuse_what_cannot_fit(scenario: Scenario, *, memory: float | None = None) -> None:
+    """Refuse a simulation that needs more memory than there is, or more than a year.
 
     Parameters
     ----------
     scenario
         What would be simulated.
+    memory
+        Of the machine that simulates [byte]; ``None``: this one's. ``math.inf`` where that is
+        another one, which refuses for itself.
 
     Raises
     ------
@@ -184,7 +218,8 @@ def refuse_what_cannot_fit(scenario: Scenario) -> None:
         Names the key that is to blame, and what to do.
     """
     # By the time on a fast machine, so that what runs on one machine is refused on none.
-    expected, memory = _of_one(scenario, max(SLOWER)), machine_bytes()
+    expected = _of_one(scenario, max(SLOWER))
+    memory = machine_bytes() if memory is None else memory
     if expected.bytes > memory:
         what, remedy = _largest(_sizes(scenario))
         raise InputError(
@@ -220,6 +255,11 @@ def refuse_too_many(expected: Forecast, workers: int, source: str) -> None:
             f"{_size(expected.memory(workers))} of memory, and this machine has "
             f"{_size(memory)}; give --workers {max(1, int(memory // expected.bytes))}"
         )
+    refuse_too_long(expected, workers, source)
+
+
+def refuse_too_long(expected: Forecast, workers: int, source: str) -> None:
+    """Refuse cases that together need more than a year; as :func:`refuse_too_many`."""
     if expected.seconds(workers) > YEAR:
         raise InputError(
             f"{source}: {expected.simulations:,} cases would take "

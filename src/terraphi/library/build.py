@@ -3,7 +3,8 @@
 While a build of ``FILE.nc`` is under way, finished cases lie in the folder ``FILE.nc.cases``, one
 force history each, named by the hash of its scenario, and beside them the checkpoints of the cases
 that are running. When the library is whole the folder goes, but for the last good states of cases
-that broke down.
+that broke down, and for finished cases that the plan does not ask for: no simulation is thrown
+away.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ log = logging.getLogger(__name__)
 Progress = Callable[[int, int], None]
 """Called with the number of finished cases and of all cases."""
 
+HASH_LENGTH = 64
+"""Digits of a scenario's hash."""
 FAILURE = ".failure.json"
 """Suffix of the file that says why a case failed."""
 
@@ -101,6 +104,7 @@ def build(
     executor: Executor | None = None,
     progress: Progress | None = None,
     checkpoint_every: float = EVERY,
+    memory: float | None = None,
 ) -> Library:
     """Simulate what a plan asks for and has not been simulated yet, and write the library.
 
@@ -112,6 +116,7 @@ def build(
         The library's file; cases of the same scenario and model version that it, or an
         interrupted build of it, already holds are taken from there, and so are its replicates of
         cases of the plan. Its calibration and its finer cases stay if the cases are the same.
+        What the plan no longer asks for is kept in the folder beside it.
     executor
         Runs the cases, such as that of a :class:`~terraphi.library.workers.WorkerPool` or a
         :class:`~terraphi.library.cluster.Cluster`; ``None`` runs them here, one after another.
@@ -119,6 +124,8 @@ def build(
         Called whenever something may have changed.
     checkpoint_every
         Least time between two checkpoints of a case [s].
+    memory
+        Of the machine that simulates, as :meth:`Plan.refuse_what_cannot_fit` has it [byte].
 
     Returns
     -------
@@ -145,6 +152,7 @@ def build(
             executor=executor,
             progress=progress,
             checkpoint_every=checkpoint_every,
+            memory=memory,
         )
         if not finished:
             reason = next(iter(failures.values()))
@@ -153,12 +161,38 @@ def build(
         library = Library(plan, tuple(cases), software(plan.scenario))
         if before is not None:
             library = _with_what_was_learnt(library, before)
+            _keep_what_is_dropped(library, before, folder)
         library.save(path)
-        for file in set(folder.iterdir()) if folder.is_dir() else ():
-            if file.stem not in failures:
-                file.unlink(missing_ok=True)
-        _remove_if_empty(folder)
+        _clear(folder, finished)
     return library
+
+
+def _keep_what_is_dropped(library: Library, before: Library, folder: Path) -> None:
+    """Keep finished cases of the file that the library replaces and does not have, in a folder."""
+    there, were = ((*one.cases, *one.replicates, *one.fine) for one in (library, before))
+    usable = _usable(were)
+    for name in usable.keys() - {case.scenario.hash for case in there}:
+        made_folder(folder)
+        usable[name].to_netcdf(folder / f"{name}.nc")
+
+
+def _clear(folder: Path, finished: Iterable[str]) -> None:
+    """Remove what is kept of finished cases, named by their hashes, once the library has them."""
+    done = set(finished)
+    if not folder.is_dir():
+        return
+    for file in folder.iterdir():
+        # Histories, checkpoints, and what a killed process left under a temporary name.
+        if file.name.lstrip(".")[:HASH_LENGTH] in done and file.is_file():
+            file.unlink(missing_ok=True)
+    if more := sum(1 for _ in folder.glob("[0-9a-f]*.nc")):
+        log.warning(
+            "%d finished simulations that the plan does not ask for are kept in %s; a plan that "
+            "does finds them there, and nothing else needs them",
+            more,
+            folder,
+        )
+    _remove_if_empty(folder)
 
 
 def _with_what_was_learnt(library: Library, before: Library) -> Library:
@@ -195,6 +229,7 @@ def simulate_cases(
     executor: Executor | None = None,
     progress: Progress | None = None,
     checkpoint_every: float = EVERY,
+    memory: float | None = None,
     keep_failures: bool = False,
     known_failures: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[dict[str, ForceHistory], dict[str, str]]:
@@ -209,7 +244,7 @@ def simulate_cases(
         that are running; what is here already is taken as it is.
     known
         Further finished cases, by the hash of their scenario.
-    executor, progress, checkpoint_every
+    executor, progress, checkpoint_every, memory
         As in :func:`build`.
     keep_failures
         Whether that a case fails is a result too: the reason is then kept in a file beside the
@@ -229,7 +264,7 @@ def simulate_cases(
         finished here.
     """
     wanted = plan.cases()
-    plan.refuse_what_cannot_fit()
+    plan.refuse_what_cannot_fit(memory=memory)
     made_folder(folder)
     there = {**known, **finished_cases(folder)}
     finished = {s.hash: there[s.hash] for s in wanted if s.hash in there}
@@ -315,8 +350,13 @@ def finished_cases(folder: Path) -> dict[str, ForceHistory]:
         except InputError as error:
             log.warning("%s; it will be computed again", error)
             continue
-        if _is_current(history):
-            found[file.stem] = history
+        if not _is_current(history):
+            continue
+        own = Scenario.model_validate(history.provenance["scenario"]).hash
+        if own != file.stem:
+            log.warning("%s: holds another scenario than its name says, %s; it is left", file, own)
+            continue
+        found[file.stem] = history
     return found
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import math
 import platform
 import warnings
 from collections.abc import Callable, Iterator
@@ -44,12 +45,16 @@ class Cluster:
         Runs tasks on its workers. A worker that dies costs nothing: Dask runs its tasks elsewhere.
     workers
         How many workers it had at first.
+    memory
+        Of a worker's machine [byte]: infinite, for each refuses for itself what it cannot hold.
 
     Raises
     ------
     InputError
         If Dask is not installed here, nobody answers, or the scheduler has other versions.
     """
+
+    memory: float | None = math.inf
 
     def __init__(self, address: str) -> None:
         try:
@@ -148,7 +153,7 @@ def pool(
     Returns
     -------
     Cluster or WorkerPool
-        A context with an ``executor`` and ``counted``.
+        A context with an ``executor``, ``counted``, ``workers`` and ``memory``.
 
     Raises
     ------

@@ -23,6 +23,8 @@ from terraphi.forward.forecast import refuse_what_cannot_fit
 
 MOST_CASES = 100_000
 """Cases that a plan may have: of more, the scenarios alone would fill the memory."""
+MOST_POINTS = 65536
+"""Points of a sample."""
 LONGEST_CAVEAT = 25
 """Words of a caveat."""
 BASE = "base"
@@ -61,7 +63,7 @@ class Sample(Strict):
 
     keys: dict[str, tuple[float, float]] = Field(min_length=1)
     """Dotted scenario key, of a number, to its lower and upper bound."""
-    count: int = Field(ge=0, le=65536)
+    count: int = Field(ge=0, le=MOST_POINTS)
     """Number of points; powers of two fill the box most evenly."""
     seed: int = Field(0, ge=0)
     """Seed of the scrambling (Owen, *J. Complexity* 14:466, 1998)."""
@@ -93,6 +95,13 @@ class Sample(Strict):
             box = qmc.scale(unit[: self.count], *zip(*self.keys.values(), strict=True))
             found = [[float(f"{value:.6g}") for value in point] for point in box]
         return [dict(zip(self.keys, p, strict=True)) for p in [*found, *self.also]]
+
+    def numbers(self) -> list[int]:
+        """Number of each point, which it keeps when others are added.
+
+        Those of ``also`` count from :data:`MOST_POINTS`.
+        """
+        return [*range(self.count), *range(MOST_POINTS, MOST_POINTS + len(self.also))]
 
 
 class More(Strict):
@@ -134,7 +143,8 @@ class Plan(Strict):
     """Names of shipped scenarios to set beside the base, each a case as it stands."""
     vary_seed: bool = False
     """Whether case number i of a sweep takes the scenario's seed plus i, so that the particle
-    scatter of neighbouring cases is independent."""
+    scatter of neighbouring cases is independent. In a sample it is counted point by point, so that
+    further points change no seed."""
 
     @model_validator(mode="after")
     def _is_one_of_two_kinds(self) -> Self:
@@ -186,15 +196,17 @@ class Plan(Strict):
             )
         table = "sample" if self.sample else "sweep"
         points: list[dict[str, float]] = self.sample.points() if self.sample else [{}]
+        numbers = self.sample.numbers() if self.sample else [0]
         found = []
         for sweep, seed in self._sweeps():
-            every = itertools.product(itertools.product(*sweep.values()), points)
-            for i, (combination, point) in enumerate(every):
+            combinations = list(itertools.product(*sweep.values()))
+            every = itertools.product(enumerate(combinations), zip(numbers, points, strict=True))
+            for (i, combination), (number, point) in every:
                 changes: dict[str, JsonValue] = {
                     **dict(zip(sweep, combination, strict=True)), **point,
                 }  # fmt: skip
                 if self.vary_seed:
-                    changes["numerics.seed"] = seed + i
+                    changes["numerics.seed"] = seed + number * len(combinations) + i
                 found.append(self._changed(table, changes))
         self._refuse_repeats(found)
         return found
@@ -210,8 +222,16 @@ class Plan(Strict):
         return {key: [v for sweep, _ in self._sweeps() for v in sweep[key]] for key in self.sweep}
 
     def _refuse_repeats(self, found: list[Scenario]) -> None:
-        """Raise InputError if further sweeps have cases or particle seeds of those before them."""
+        """Raise InputError if a case comes twice, or further sweeps have seeds of earlier ones."""
         if not self.more:
+            seen: set[str] = set()
+            for case in found:
+                if case.hash in seen:
+                    raise InputError(
+                        f"plan '{self.name}': {describe(self, case)} is asked for more than once; "
+                        "drop one of the two, or let vary_seed = true make them differ"
+                    )
+                seen.add(case.hash)
             return
         kinds = {unseeded(case) for case in found}
         if len(kinds) < len(found):
@@ -233,8 +253,13 @@ class Plan(Strict):
         changed = sum(map(len, self.one_at_a_time.values()))
         return 1 + changed + len(self.steps) + len(self.presets)
 
-    def refuse_what_cannot_fit(self) -> None:
+    def refuse_what_cannot_fit(self, *, memory: float | None = None) -> None:
         """Refuse a plan of which a case could not be held or finished, before any is begun.
+
+        Parameters
+        ----------
+        memory
+            As :func:`terraphi.forward.forecast.refuse_what_cannot_fit` has it [byte].
 
         Raises
         ------
@@ -242,10 +267,10 @@ class Plan(Strict):
             Names the case, unless all share it, the key that is to blame, and what to do.
         """
         for scenario in self.cases():
-            refused = _why_it_cannot_fit(scenario)
+            refused = _why_it_cannot_fit(scenario, memory)
             if refused is not None:
                 # What all cases share is not for one of them to answer for.
-                shared = str(_why_it_cannot_fit(self.scenario)) == str(refused)
+                shared = str(_why_it_cannot_fit(self.scenario, memory)) == str(refused)
                 case = "" if shared else f", {describe(self, scenario)}"
                 raise InputError(f"plan '{self.name}'{case}: {refused}") from refused
 
@@ -327,10 +352,10 @@ class Plan(Strict):
         return plan
 
 
-def _why_it_cannot_fit(scenario: Scenario) -> InputError | None:
+def _why_it_cannot_fit(scenario: Scenario, memory: float | None) -> InputError | None:
     """What a scenario would be refused with."""
     try:
-        refuse_what_cannot_fit(scenario)
+        refuse_what_cannot_fit(scenario, memory=memory)
     except InputError as error:
         return error
     return None

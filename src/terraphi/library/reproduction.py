@@ -92,19 +92,22 @@ def differences(case: Case) -> tuple[str, ...]:
     )
 
 
-def account(library: Library) -> dict[str, Any]:
+def account(library: Library, *, source: str = "FILE.nc") -> dict[str, Any]:
     """What a library's bits are and rest on, and whether they can be expected here.
 
     Parameters
     ----------
     library
         Any.
+    source
+        Name or file that it was loaded from, for the command that checks it.
 
     Returns
     -------
     dict
-        ``digest`` of all cases, ``cases`` (case to its digest), ``rests_on`` (of the first case),
-        ``expected`` (whether the same bits can be expected here), ``sentence``. JSON-able.
+        ``digest`` of all cases of its plan, in order, without replicates and finer ones; ``cases``
+        (case to its digest), ``rests_on`` (of the first case), ``expected`` (whether the same bits
+        can be expected here), ``sentence``. JSON-able.
     """
     whole = [case for case in library.cases if case.history]
     different = tuple(dict.fromkeys(word for case in whole for word in differences(case)))
@@ -114,7 +117,7 @@ def account(library: Library) -> dict[str, Any]:
         "cases": {describe(library.plan, case.scenario): case.digest for case in library.cases},
         "rests_on": {"machine": first.get("machine"), **first.get("rests_on", {})},
         "expected": not different,
-        "sentence": _sentence(library, different),
+        "sentence": _sentence(library, different, source),
     }
 
 
@@ -152,11 +155,10 @@ def rebuild(
     return Rebuilt(name, again.digest == case.digest, change, differences(case))
 
 
-def _sentence(library: Library, different: tuple[str, ...]) -> str:
+def _sentence(library: Library, different: tuple[str, ...], source: str) -> str:
     """Whether the same bits can be expected of a build here, and how to check."""
-    file = library.name if library.name in shipped_names("libraries", ".nc") else "FILE.nc"
     check = (
-        f"'terraphi library show {file} --check' simulates a case again{_lasting(library)} and "
+        f"'terraphi library show {source} --check' simulates a case again{_lasting(library)} and "
         "compares"
     )
     if different:

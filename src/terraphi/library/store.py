@@ -154,6 +154,8 @@ class Library:
             "density_kg_m3": first.soil.density,
             "settings": self.settings,
             "sweep": self.plan.sweep or self.plan.one_at_a_time,
+            **({"steps": [s.model_dump() for s in self.plan.steps]} if self.plan.steps else {}),
+            **({"presets": self.plan.presets} if self.plan.presets else {}),
             **({"more": [m.model_dump() for m in self.plan.more]} if self.plan.more else {}),
             **({"sample": self.plan.sample.model_dump()} if self.plan.sample else {}),
             "replicates": len(self.replicates),
@@ -164,27 +166,16 @@ class Library:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What the first case was simulated with, by keys that name their unit, JSON-able."""
-        first = self.cases[0].scenario
-        leg, numerics = first.leg, first.numerics
-        found: dict[str, Any] = {
-            "model": first.model,
-            "dimensions": first.dimensions,
-            "leg_chord_mm": 1e3 * leg.chord,
-            "leg_width_mm": 1e3 * leg.width,
-            "hip_above_surface_mm": 1e3 * first.hip_height,
+        """What all cases were simulated with, by keys that name their unit, JSON-able.
+
+        What differs between them is left out.
+        """
+        first, *others = (_settings_of(case.scenario) for case in self.cases)
+        return {
+            key: value
+            for key, value in first.items()
+            if all(other.get(key) == value for other in others)
         }
-        if first.model == "mpm":
-            found |= {
-                "leg_friction": leg.friction,
-                "youngs_modulus_mpa": 1e-6 * first.soil.youngs_modulus,
-                "dilation_angle_deg": first.soil.dilation_angle_deg,
-                "cell_mm": 1e3 * numerics.cell_size,
-                "particles_per_cell_side": numerics.particles_per_cell_side,
-                "speed_up": numerics.speed_up,
-                "contact": numerics.contact,
-            }
-        return found
 
     @property
     def _fine_by_leg(self) -> dict[str, list[str]]:
@@ -474,3 +465,30 @@ def kinds_in(data: Any) -> list[int]:
 def _alike(one: ForceHistory, other: ForceHistory) -> bool:
     """Whether two histories have the same axes and positions."""
     return one.axes == other.axes and np.array_equal(one.position, other.position)
+
+
+def _settings_of(scenario: Scenario) -> dict[str, Any]:
+    """What a case was simulated with, by keys that name their unit, JSON-able."""
+    leg, soil, numerics = scenario.leg, scenario.soil, scenario.numerics
+    lengths = {
+        "leg_chord_mm": leg.chord,
+        "leg_width_mm": leg.width,
+        "hip_above_surface_mm": scenario.hip_height,
+    }
+    found: dict[str, Any] = {
+        "model": scenario.model,
+        "dimensions": scenario.dimensions,
+        # To the nanometre: 19.99999999999999 is the rounding of a difference.
+        **{key: round(1e3 * length, 6) for key, length in lengths.items()},
+    }
+    if scenario.model == "mpm":
+        found |= {
+            "leg_friction": leg.friction,
+            "youngs_modulus_mpa": round(1e-6 * soil.youngs_modulus, 9),
+            "dilation_angle_deg": soil.potential_angle_deg,
+            "cell_mm": round(1e3 * numerics.cell_size, 6),
+            "particles_per_cell_side": numerics.particles_per_cell_side,
+            "speed_up": numerics.speed_up,
+            "contact": numerics.contact,
+        }
+    return found

@@ -157,7 +157,14 @@ class WorkerPool:
     ----------
     workers
         How many.
+
+    Attributes
+    ----------
+    memory
+        None: cases run on this machine, which has what it has.
     """
+
+    memory: float | None = None
 
     def __init__(self, workers: int) -> None:
         self.workers = workers

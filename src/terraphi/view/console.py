@@ -6,7 +6,7 @@ import json
 import logging
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ import click
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
+    from terraphi.experiment.scenario import Scenario
     from terraphi.inference.answer import Inversion
     from terraphi.inference.budget import Budget
     from terraphi.inference.findings import Doubt, Verdict
@@ -275,7 +276,7 @@ def ignore_interrupts() -> None:
 
 @contextmanager
 def progress_bar(
-    description: str, *, compiles: bool = False
+    description: str, *, simulates: Iterable[Scenario] = ()
 ) -> Iterator[Callable[[float, float], None]]:
     """Time left, time spent and share done on standard error, where that is a terminal.
 
@@ -283,8 +284,8 @@ def progress_bar(
     ----------
     description
         What is being done.
-    compiles
-        Whether it needs the kernels, which are compiled first if they never were.
+    simulates
+        What is simulated: its kernels are compiled first if they never were.
 
     Yields
     ------
@@ -305,7 +306,7 @@ def progress_bar(
         return
     from terraphi.forward import forecast
 
-    compiling = compiles and not forecast.is_compiled()
+    compiling = forecast.compiles(simulates)
     columns = (
         TextColumn("{task.description}:"),
         TimeRemainingColumn(),

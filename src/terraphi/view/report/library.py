@@ -36,7 +36,7 @@ def section(path: Path) -> Section:
     """
     library = Library.load(path)
     summary = library.summary()
-    bits = account(library)
+    bits = account(library, source=path.name)
     parts: list[Part] = []
     for leg in library.legs:
         cases = [c for c in library.cases if c.history and c.scenario.leg.shape == leg]
