@@ -169,6 +169,8 @@ def moments(
     InputError
         If the leg does not come to an angle.
     """
+    from terraphi.forward.mpm.bed import Particles
+
     left = [float(np.radians(angle)) for angle in theta_deg]
     kept: list[Moment] = []
 
@@ -179,6 +181,7 @@ def moments(
         while left and theta >= left[0]:
             left.pop(0)
         soil = seen.soil
+        assert isinstance(soil, Particles)  # the scenario is one of the plane
         speed = np.linalg.norm(soil.velocity, axis=1) / seen.scenario.numerics.speed_up
         places = (seen.pose.hip[0].copy(), soil.position.copy())
         kept.append(Moment(theta, *places, speed, soil.weight.copy()))

@@ -24,6 +24,7 @@ from distributed import LocalCluster
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
+from terraphi.forward import forecast
 from terraphi.forward.watch import Checkpoint
 from terraphi.library import cluster as clusters
 from terraphi.library.build import build, cases_folder
@@ -220,6 +221,25 @@ def test_build_on_a_cluster_by_the_command_line(
     assert json.loads(out)["cases"] == 3
     here = build(Plan.load(tmp_path / "p.toml"), tmp_path / "y.nc")
     assert bits(Library.load(tmp_path / "l.nc")) == bits(here)
+
+
+def test_a_cluster_is_asked_for_its_own_room_and_time(
+    local: LocalCluster, terraphi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No case fits this machine, and one core of it would be at work for more than a year."""
+    longest = forecast.forecast(Plan.load(tmp_path / "p.toml").cases()).longest_seconds
+    monkeypatch.setattr(forecast, "machine_bytes", lambda: 1.0)
+    monkeypatch.setattr(forecast, "YEAR", 2.0 * longest)
+    assert terraphi(*BUILD, "--workers", "1").status == 2
+    status, _, err = terraphi(*BUILD, "--cluster", local.scheduler_address)
+    assert (status, err) == (0, "")
+    monkeypatch.setattr(forecast, "YEAR", 1.2 * longest)
+    (tmp_path / "l.nc").unlink()
+    status, _, err = terraphi(*BUILD, "--cluster", local.scheduler_address)
+    assert status == 2
+    assert "3 cases would take" in err
+    assert "on 2 cores" in err
+    assert not (tmp_path / "l.nc").exists()
 
 
 def free_port() -> int:

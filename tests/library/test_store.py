@@ -353,7 +353,9 @@ def library_of_nothing(plan: Plan) -> Library:
 
 def test_what_a_plan_of_steps_or_presets_changes_is_told(library: Library) -> None:
     step = {"name": "dry", "changes": {"soil.density": 1500.0}}
-    plan = Plan.model_validate({"name": "x", "scenario": RFT, "steps": [step], "presets": ["quick"]})
+    plan = Plan.model_validate(
+        {"name": "x", "scenario": RFT, "steps": [step], "presets": ["quick"]}
+    )
     told = replace(library, plan=plan).summary()
     assert told["steps"][0]["changes"] == step["changes"]
     assert told["presets"] == ["quick"]

@@ -32,7 +32,8 @@ FRAMES = 100
 @click.option(
     "--frames",
     type=IntRange(min=2),
-    help="Frames of the fields and the animation; at most one every 2000 steps.  [default: 100]",
+    help="Frames of the fields and the animation; at most one every 2000 steps, or 400 in space.  "
+    "[default: 100]",
 )
 @click.option(
     "--checkpoint",

@@ -15,6 +15,7 @@ from terraphi.experiment.scenario import Scenario
 
 if TYPE_CHECKING:
     from terraphi.forward.mpm.bed import Particles
+    from terraphi.forward.mpm3d.bed import Soil
 
 EVERY = 20.0
 """Least time between two checkpoints [s]."""
@@ -72,13 +73,15 @@ class Snapshot:
     steps
         Number of steps in all.
     soil
-        The particles; read-only, and changed by the simulation as soon as the observer returns.
+        The particles, :class:`~terraphi.forward.mpm.bed.Particles` or, in three dimensions,
+        :class:`~terraphi.forward.mpm3d.bed.Soil`; read-only, and changed by the simulation as soon
+        as the observer returns.
     """
 
     scenario: Scenario
     step: int
     steps: int
-    soil: Particles
+    soil: Particles | Soil
 
     @property
     def time(self) -> float:

@@ -44,7 +44,7 @@ DRAWN_IN = {"leg.shape": "c", "numerics.tip_inset_cells": 1.7}
 )
 def test_packets_do_what_the_reference_does(space, changes):
     scenario = space.scenario(**changes)
-    fast, slow = (space.run(scenario, kernel, 50) for kernel in ("packets", "scalar_cell"))
+    fast, slow = (space.run(scenario, kernel, 50) for kernel in ("packets", "scalar"))
     assert fast.lost == slow.lost == -1
     assert np.linalg.norm(slow.impulse) > 1e-3
     np.testing.assert_allclose(
@@ -57,7 +57,9 @@ def test_packets_do_what_the_reference_does(space, changes):
     assert np.quantile(gap, 0.99) < 2e-3 * np.abs(slow.soil.stress).max()
 
 
-@pytest.mark.parametrize(("kernel", "most"), [("packets", 1e-6), ("scalar", 1e-13)])
+@pytest.mark.parametrize(
+    ("kernel", "most"), [("packets", 1e-6), ("scalar", 1e-13), ("scalar_nodes", 1e-13)]
+)
 def test_momentum_of_the_soil_is_accounted_for(space, kernel, most):
     scenario = space.scenario(**{"numerics.damping_rate": 20.0})
     made = space.run(scenario, kernel, 100)
@@ -147,7 +149,7 @@ def test_a_slab_is_plane_strain(space):
         **{"numerics.remap_interval": 4.5e-4, "numerics.dilatation": "particle"},
     )
     flat = in_the_plane(scenario, 400)
-    plain = space.run(scenario, "scalar", 400)
+    plain = space.run(scenario, "scalar_nodes", 400)
     assert plain.audit.worst[0] < 1e-12
     np.testing.assert_allclose(plain.impulse, flat, rtol=0.005)
 
@@ -157,6 +159,13 @@ def test_packets_in_a_slab_are_near_plane_strain(space):
     scenario = slab(space, **{"numerics.remap_interval": 4.5e-4})
     made, flat = space.run(scenario, "packets", 400), in_the_plane(scenario, 400)
     np.testing.assert_allclose(made.impulse, flat, rtol=0.04)
+
+
+def test_both_kernels_of_the_driver_differ_by_rounding_alone(space):
+    """In single precision and in double."""
+    scenario = space.scenario(**{"motion.stop_deg": -48.0})
+    fast, slow = (simulate(scenario, kernel=name).force for name in ("packets", "scalar"))
+    assert np.abs(fast - slow).max() < 1e-3 * np.abs(slow).max()
 
 
 def test_a_run_that_was_stopped_ends_in_the_same_bits(space, tmp_path):

@@ -1,20 +1,22 @@
-"""Contact of grid velocities with the leg and the walls: non-penetration and Coulomb friction.
+"""Contact with the leg, in one of three ways, and with the walls.
 
-Contact of material points with the leg's true surface.
+**Nodes** (:func:`against_leg`). Velocities of the grid near the leg: non-penetration and Coulomb
+friction. Walls are met in the same way (:func:`against_walls`).
 
-A particle stands for a square of soil; half the side of that is its radius. Where it comes closer
-to the surface than its radius, it is pushed back in proportion (a penalty, far stiffer than the
-soil: at 10 kPa a particle overlaps by a few thousandths of its size), and rubs as a spring that
-slips at Coulomb's limit (Cundall and Strack, 1979, doi 10.1680/geot.1979.29.1.47). The force acts
-where the particle touches, not at its centre: its moment about the centre goes to the grid as the
-affine part of a momentum does. Contact thus begins where soil and leg meet, whatever the grid, as
-in the particle-to-surface method of Nakamura et al. (2021, doi 10.1016/j.compgeo.2021.104069).
+**Surface** (:func:`touch`). Material points at the leg's true surface. A particle stands for a
+square of soil; half the side of that is its radius. Where it comes closer to the surface than its
+radius, it is pushed back in proportion (a penalty, far stiffer than the soil: at 10 kPa a particle
+overlaps by a few thousandths of its size), and rubs as a spring that slips at Coulomb's limit
+(Cundall and Strack, 1979, doi 10.1680/geot.1979.29.1.47). The force acts where the particle
+touches, not at its centre: its moment about the centre goes to the grid as the affine part of a
+momentum does. Contact thus begins where soil and leg meet, whatever the grid, as in the
+particle-to-surface method of Nakamura et al. (2021, doi 10.1016/j.compgeo.2021.104069).
 
-Contact of the public prototype of Xu & Wang: it counts more force than it applies.
-
-The prototype is the program behind the paper whose text ``contact.py`` follows; it has no licence,
-and what is described here are facts read off it. At a node closer to the leg than the band, with
-the soil's velocity v, the leg's V, the outward normal n and the approach a = (v - V) · n < 0:
+**Unbalanced** (:func:`against_leg_unbalanced`). Nodes as in the public prototype of Xu & Wang,
+which counts more force than it applies. The prototype is the program behind their paper; it has no
+licence, and what is described here are facts read off it. At a node closer to the leg than the
+band, with the soil's velocity v, the leg's V, the outward normal n and the approach
+a = (v - V) · n < 0:
 
 1. v becomes v - a n, and the reaction counts m |a| / Δt along n; friction is never counted;
 2. a slip t = (v - V) - a n is taken of the *new* v with the *old* a. The approach is subtracted

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,6 +14,7 @@ from terraphi.experiment.errors import InputError, SimulationError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.motion import bin_centres
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward import forecast
 from terraphi.forward.mpm import packet_phases, packets, phases, scalar
 from terraphi.forward.mpm.bed import empty_grid
 from terraphi.forward.mpm.breakdown import account_of, is_whole
@@ -40,7 +40,9 @@ KERNELS: dict[Kernel, tuple[Callable[..., int], Callable[..., int]]] = {
 """By name, two functions that take a block of steps: one that transfers between particles and grid
 at every step, and one with Lagrangian phases.
 
-``scalar`` is the reference; ``packets`` is fast, and gives the same but for rounding."""
+``scalar`` is the reference; ``packets`` is fast, and gives the same but for rounding. In three
+dimensions, where :mod:`terraphi.forward.mpm3d.phase` has both, ``packets`` rounds to single
+precision."""
 
 BLOCK = 2000
 """Steps in a block: what is done between two reports of progress.
@@ -267,9 +269,8 @@ def _books(scenario: Scenario, state: State) -> dict[str, Any]:
 
 
 def step_count(scenario: Scenario) -> int:
-    """Number of steps that cover the motion."""
-    duration = scenario.motion.duration / scenario.numerics.speed_up
-    return math.ceil(duration / scenario.numerics.time_step - 1e-9)
+    """Number of steps that cover the motion; see :func:`terraphi.forward.forecast.step_count`."""
+    return int(forecast.step_count(scenario))
 
 
 def path_of_steps(

@@ -40,8 +40,6 @@ class Intruder(NamedTuple):
     """Half its extent across the plane, or the cylinder's radius [m]."""
     reach: float
     """Largest distance from the hip, in the plane of motion [m]."""
-    friction: float
-    """Coulomb coefficient [-]."""
 
 
 class Spring(NamedTuple):
@@ -67,7 +65,7 @@ def intruder_of(leg: Leg, *, inset: float = 0.0) -> Intruder:
     """
     outline, half_width = plane.intruder_of(leg, inset=inset), 0.5 * leg.width
     kind = {"sphere": SPHERE, "cylinder": CYLINDER}.get(leg.shape, OUTLINE)
-    return Intruder(kind, outline, half_width, leg.reach(), leg.friction)
+    return Intruder(kind, outline, half_width, leg.reach())
 
 
 def spring_of(volume: float, modulus: float, time_step: float) -> Spring:
@@ -204,7 +202,7 @@ def touch(
     sx, sy, sz = slip[0] + step * ux, slip[1] + step * uy, slip[2] + step * uz
     out = sx * nx + sy * ny + sz * nz  # the surface may have turned
     sx, sy, sz = sx - out * nx, sy - out * ny, sz - out * nz
-    stiff, most = spring.stiffness, intruder.friction * press
+    stiff, most = spring.stiffness, intruder.outline.friction * press
     held = stiff * math.sqrt(sx * sx + sy * sy + sz * sz)
     if held > most:
         kept = most / held

@@ -27,7 +27,9 @@ from terraphi.forward.mpm3d.plasticity import material_of
 from terraphi.forward.mpm3d.transfer import Nodes, gather, press, renew
 
 FloatArray = NDArray[np.float64]
-Kernel = Literal["packets", "scalar", "scalar_cell"]
+Kernel = Literal["packets", "scalar", "scalar_nodes"]
+"""``scalar`` is the reference of ``packets``, in double precision; ``scalar_nodes`` takes slopes of
+all nodes, as the solver in the plane does, with which it is compared."""
 
 
 class Strainer(Protocol):
@@ -44,7 +46,7 @@ class Strainer(Protocol):
 
 
 class Plainly:
-    """The reference, ``scalar`` with slopes of all nodes or ``scalar_cell`` with those of cells."""
+    """The reference, with slopes of cells (``linear``) or of all nodes: see ``plain``."""
 
     def __init__(self, scenario: Scenario, lattice: Lattice, *, linear: bool) -> None:
         averaging = scenario.mean_dilatation
@@ -121,7 +123,7 @@ class Phases:
         self._strainer: Strainer = (
             InPackets(scenario, lattice)
             if kernel == "packets"
-            else Plainly(scenario, lattice, linear=kernel == "scalar_cell")
+            else Plainly(scenario, lattice, linear=kernel == "scalar")
         )
         self._inertia = nodes.empty_inertia(lattice, precision)
         shape = (3, lattice.nodes)
