@@ -75,7 +75,6 @@ def library_build(
     from terraphi.experiment.files import makeable
     from terraphi.experiment.outputs import check_file
     from terraphi.experiment.plausibility import doubts, doubts_between
-    from terraphi.forward.forecast import refuse_too_long
     from terraphi.library.build import build, kept_cases
     from terraphi.library.cluster import pool
     from terraphi.library.plan import Plan
@@ -87,8 +86,7 @@ def library_build(
     makeable(out.parent)
     cases = chosen.cases()
     simulates = cases if cluster is None else []
-    here = None if cluster is not None else workers or available_cores()
-    expected = forecast_of(chosen, here)
+    expected = forecast_of(chosen, None if cluster else workers or available_cores())
     of_each = (doubt for case in cases for doubt in doubts(case))
     asked = dict.fromkeys([*of_each, *doubts_between(cases)])
     try:
@@ -98,11 +96,9 @@ def library_build(
         ):
             for doubt in asked:
                 log.warning(doubt)
-            if running.workers == 0:
-                note(f"{cluster} has no workers yet; the build waits")
-            elif cluster is not None:
-                refuse_too_long(expected, running.workers, f"plan '{chosen.name}'")
             cores = running.workers or 1
+            if cluster is not None:
+                ask_cluster(cluster, running.workers, expected, chosen)
             note(expected.sentence(cores))
             made = build(
                 chosen,
@@ -142,6 +138,16 @@ def forecast_of(plan: Plan, cores: int | None) -> Forecast:
     if cores:
         refuse_too_many(expected, cores, f"plan '{plan.name}'")
     return expected
+
+
+def ask_cluster(cluster: str, workers: int, expected: Forecast, plan: Plan) -> None:
+    """Refuse a build that would take a cluster's workers over a year; note if there are none."""
+    from terraphi.forward.forecast import refuse_too_long
+
+    if workers:
+        refuse_too_long(expected, workers, f"plan '{plan.name}'")
+    else:
+        note(f"{cluster} has no workers yet; the build waits")
 
 
 @library.command("refine")

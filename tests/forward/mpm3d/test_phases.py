@@ -9,6 +9,7 @@ from terraphi.experiment.errors import SimulationError
 from terraphi.experiment.leg import Leg
 from terraphi.forward import Checkpoint, simulate
 from terraphi.forward.mpm import phases as plane
+from terraphi.forward.mpm import solver
 from terraphi.forward.mpm.bed import empty_grid, geostatic_bed
 from terraphi.forward.mpm.compiled import register_use
 from terraphi.forward.mpm.contact import intruder_of
@@ -164,7 +165,7 @@ def test_packets_in_a_slab_are_near_plane_strain(space):
 def test_both_kernels_of_the_driver_differ_by_rounding_alone(space):
     """In single precision and in double."""
     scenario = space.scenario(**{"motion.stop_deg": -48.0})
-    fast, slow = (simulate(scenario, kernel=name).force for name in ("packets", "scalar"))
+    fast, slow = (solver.simulate(scenario, kernel=name).force for name in ("packets", "scalar"))
     assert np.abs(fast - slow).max() < 1e-3 * np.abs(slow).max()
 
 
