@@ -15,7 +15,7 @@ import xarray as xr
 from pydantic import ValidationError
 
 from terraphi.experiment.documents import shipped_file, shipped_names
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, sentence_from_validation
 from terraphi.experiment.scenario import ADDED_LATER, PAPER_DAMPING_RATE, Scenario
 from terraphi.library.store import Library
 
@@ -394,3 +394,16 @@ def test_nobody_writes_an_option_that_is_gone(tmp_path: Path, value: str) -> Non
         Scenario.load(file)
     with pytest.raises(ValidationError, match="Extra inputs"):
         Scenario().replace(**{"numerics.gradient": value})
+
+
+def test_numbers_in_nested_lists_are_looked_at_too() -> None:
+    profile = [[-135.0, 1e-300], [135.0, 0.2]]
+    with pytest.raises(ValidationError, match="motion.rate_profile = 1e-300 is out of all prop"):
+        Scenario.model_validate({"motion": {"kind": "rotation", "rate_profile": profile}})
+
+
+def test_a_table_named_as_a_kind_is_unknown() -> None:
+    with pytest.raises(ValidationError) as refused:
+        Scenario.model_validate({"motion": {"kind": "rotation", "rotation": {"rate": 0.2}}})
+    said = sentence_from_validation(refused.value, "leg.toml", Scenario)
+    assert said.startswith("leg.toml: unknown key 'motion.rotation'")

@@ -9,7 +9,7 @@ import pytest
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.measurements import measurement
+from terraphi.experiment.measurements import measurement, medium_and_leg, names
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.defects import inspect_record, touches_soil_deg
 from terraphi.inference.inversion import invert
@@ -294,6 +294,25 @@ def test_both_forces_may_pass_zero_in_a_coarse_record() -> None:
     theta = np.arange(-90.0, 90.0, 0.25)
     force = np.round(np.stack([np.sin(np.radians(2.0 * theta)), np.sin(np.radians(theta))], 1) * 5)
     assert inspect_record(ForceHistory(np.radians(theta), force)).defects == ()
+
+
+@pytest.mark.parametrize("count_N", [0.02, 0.05, 0.1])
+def test_a_coarse_sensor_is_no_damaged_one(count_N: float) -> None:
+    found = {}
+    for name in names():
+        record = measurement(name).history
+        coarse = replace(record, force=np.round(record.force / count_N) * count_N)
+        touches = touches_soil_deg(Library.load("resolved"), medium_and_leg(name)[1])
+        found[name] = inspect_record(coarse, touches_deg=touches).defects
+    assert not any(found.values()), found
+
+
+def test_what_one_channel_reads_once_is_no_top() -> None:
+    theta = np.radians(np.linspace(-90.0, 90.0, 181))
+    fz = np.where(np.abs(np.arange(181) - 60) < 30, 5.0, 0.0) + 0.01 * np.arange(181)
+    fx = np.where(np.arange(181) == 60, 1.0, 0.0)
+    fz[60] = 0.0
+    inspect_record(ForceHistory(theta, np.stack([fx, fz], axis=1)))
 
 
 def test_most_of_a_record_must_be_left() -> None:

@@ -184,6 +184,20 @@ def test_another_apparatus_or_one_that_varies_is_not_compared(changes: dict[str,
     assert first_contact(one, "c", replace(RESOLVED, cases=(*RESOLVED.cases, other))) is None
 
 
+@pytest.mark.parametrize("name", names())
+def test_a_coarse_sensor_tells_the_same_contact_or_none(name: str) -> None:
+    record = measurement(name).history
+    exact = contact_deg(record)
+    assert exact is not None
+    for count_N in (0.02, 0.05, 0.1):
+        coarse = contact_deg(replace(record, force=np.round(record.force / count_N) * count_N))
+        if coarse is not None:
+            theta_deg, share = coarse
+            same = contact_deg(record, share)
+            assert same is not None
+            assert theta_deg == pytest.approx(same[0], abs=2.5)
+
+
 def test_a_leg_that_is_another_is_named() -> None:
     sand = measurement("li2013:glass03_close/c")
     found = invert(sand.history, library=RESOLVED, leg="straight", density=1550.0)

@@ -19,6 +19,7 @@ from terraphi.forward import simulate
 from terraphi.inference import friction_angle
 from terraphi.inference.answer import PHI, AngleSummary, Inversion, plane_strain_summary
 from terraphi.inference.inversion import invert
+from terraphi.inference.trials import Trial
 from terraphi.inference.words import of_doubt
 from terraphi.library.store import Library
 
@@ -58,6 +59,39 @@ def test_known_angle_is_found(found: Inversion) -> None:
     assert max(found.record.nrmsd.values()) < 0.01
 
 
+def test_what_a_history_says_of_its_leg_and_its_density_is_taken() -> None:
+    library, poppy = Library.load("resolved"), measurement("li2013:poppy_loose/c")
+    for given in (poppy, poppy.history):
+        answer = invert(given, library=library)
+        assert (answer.record.leg, answer.record.leg_assumed) == ("c", False)
+        assert (answer.density, answer.density_assumed) == (638.0, False)
+    nameless = replace(poppy.history, provenance={})
+    answer = invert(nameless, library=library)
+    assert (answer.record.leg, answer.record.leg_assumed) == ("straight", True)
+    assert invert(nameless, library=library, leg="c").record.leg_assumed is False
+
+
+def test_nameless_histories_are_judged_as_named_ones() -> None:
+    trials = [Trial.of(measurement(f"li2013:yuma/{leg}")) for leg in ("straight", "c")]
+    louder = [replace(t, history=t.history.scaled(1.1)) for t in trials]
+    nameless = [replace(t, source="") for t in louder]
+    library = Library.load("resolved")
+    named, other = (invert(each, library=library) for each in (louder, nameless))
+    assert [m.most for m in other.verdict.measures] == [m.most for m in named.verdict.measures]
+    assert [record.source for record in other.records] == ["history 1", "history 2"]
+
+
+def test_what_is_no_leg_angle_or_no_leg_of_the_library_is_refused(library: Library) -> None:
+    simulated = rft_history(PHI_DEG)
+    with pytest.raises(InputError, match="has no leg 'strait'"):
+        invert(simulated, library=library, leg="strait")
+    pressed = ForceHistory(np.linspace(0.0, 0.1, 50), np.ones((50, 2)), coordinate="displacement")
+    with pytest.raises(InputError, match="expected forces over the leg angle"):
+        invert(pressed, library=library)
+    with pytest.raises(InputError, match="seed = -1"):
+        invert(simulated, library=library, seed=-1)
+
+
 def test_intervals_nest_and_the_band_holds_the_best_curve(found: Inversion) -> None:
     (low95, high95), (low68, high68) = found.phi.ci95, found.phi.ci68
     assert low95 < low68 < found.phi.median < high68 < high95
@@ -72,7 +106,9 @@ def test_density_scales_the_curves(
     light = invert(history.scaled(0.5), library=library, density=0.5 * 1650.0)
     assert light.phi.median == pytest.approx(found.phi.median, abs=1e-6)
     assert not light.density_assumed
-    assert found.density_assumed
+    # What was simulated says its density; of what says none the library's is assumed.
+    assert not found.density_assumed
+    assert invert(replace(history, provenance={}), library=library).density_assumed
     assert found.density == 1650.0
 
 
@@ -339,7 +375,7 @@ def test_a_density_unlike_the_simulated_one_is_told(
 
 def test_a_scenario_of_another_version_is_refused(history: ForceHistory, library: Library) -> None:
     odd = ForceHistory(history.position, history.force, provenance={"scenario": {"sand": "wet"}})
-    with pytest.raises(InputError, match="this version of terraphi cannot read"):
+    with pytest.raises(InputError, match="unknown key 'sand'.*; give its forces alone"):
         invert(odd, library=library)
 
 

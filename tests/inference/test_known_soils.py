@@ -175,3 +175,14 @@ def test_a_soil_counts_by_the_error_of_the_librarys_angle_and_not_if_that_is_non
     for density in (100.0, 1650.0):  # at the library's end, and a misfit
         with pytest.raises(InputError, match="nothing to calibrate with"):
             known_soil(invert(replace(record, density=density), library=library), 36.0, 2.0)
+
+
+def test_an_answer_of_several_parameters_calibrates_nothing() -> None:
+    found = invert(
+        measurement("li2013:poppy_loose/straight"),
+        library=Library.load("rft3d"),
+        prior=["density=600:680"],
+        steps=300,
+    )
+    with pytest.raises(InputError, match="infers several parameters"):
+        known_soil(found, 36.0, 2.0)

@@ -92,3 +92,18 @@ def test_a_table_among_the_records_is_none_of_them(records) -> None:
     (records / "answers.csv").write_text(",".join(COLUMNS) + "\n")
     assert records_in([str(records)]) == before
     assert not any("answers" in name for name in records_in([f"{records}/*.csv"]))
+
+
+def test_a_table_of_angles_that_are_fixed_is_refused_as_what_it_is(terraphi) -> None:
+    fixed = ("--prior", "friction_angle_deg=30", "--prior", "density=1500:1700")
+    options = ("--table", "a.csv", "--library", "rft3d", *fixed)
+    ran = terraphi("invert", "li2013:yuma/straight", *options)
+    assert ran.status == 2
+    assert "φ is fixed by a prior" in ran.err
+
+
+def test_a_folder_has_its_records_whatever_the_case_of_their_suffix(tmp_path) -> None:
+    for name in ("A.CSV", "b.csv", "c.NC", "d.txt"):
+        (tmp_path / name).write_text("")
+    found = [Path(name).name for name in records_in([str(tmp_path)])]
+    assert found == ["A.CSV", "b.csv", "c.NC"]

@@ -57,12 +57,30 @@ def test_a_prior_is_cut_off_where_the_library_ends_and_not_where_it_runs_out() -
         ("friction_angle_deg=", "expected KEY=LOW:HIGH"),
         ("friction_angle_deg=40:25", "LOW below HIGH"),
         ("friction_angle_deg=much", "LOW below HIGH"),
-        ("friction_angle_deg=30+--2", "LOW below HIGH"),
+        ("friction_angle_deg=30+--2", "has to be above 0"),
         ("friction_angle_deg=15:30", "between 20 and 45"),
         ("friction_angle_deg=50", "between 20 and 45"),
+        ("friction_angle_deg=200+-10", "lies more than 6 standard deviations outside 20 to 45"),
+        ("friction_angle_deg=35+-0", "has to be above 0"),
+        ("friction_angle_deg=30+-inf", "finite"),
+        ("friction_angle_deg=nan", "finite"),
         ("density=1.6", "between 100 and 10000"),
     ],
 )
 def test_unusable_priors_are_refused(text, words) -> None:
     with pytest.raises(InputError, match=words):
         priors(BOUNDS, [text])
+
+
+def test_two_priors_on_one_key_are_refused_whatever_their_order() -> None:
+    both = ["friction_angle_deg=30+-1", "soil.friction_angle_deg=20:45"]
+    for given in (both, both[::-1]):
+        with pytest.raises(InputError, match="are both on soil.friction_angle_deg"):
+            priors(BOUNDS, given)
+
+
+def test_a_density_is_a_number_of_any_kind_and_refused_as_one() -> None:
+    given = priors(BOUNDS, ["friction_angle_deg=20:40"], density=np.float64(1450.0))
+    assert given["soil.density"].as_dict() == {"kind": "fixed", "value": 1450.0}
+    with pytest.raises(InputError, match=r"^density = -5 kg/m³: soil.density lies between 100"):
+        priors(BOUNDS, [], density=-5.0)

@@ -27,7 +27,10 @@ EXAMPLES = {
     "moved": ({"force": "Fx", "size_N": -1.5, "theta_deg": 12.0}, "step of -1.5 N at about 12°"),
     "unlike": ({"differences": [("rft.panels", 20, 40)]}, "rft.panels = 20 (40); so the angle"),
     "too_large": ({"peak_N": 200.0, "ratio": 20.0}, "200 N, is 20 times that of the library's"),
-    "too_small": ({"peak_N": 0.02, "ratio": 50.0}, "is one 50th of that of the library's smallest"),
+    "too_small": (
+        {"peak_N": 0.02, "ratio": 50.0},
+        "is 50 times smaller than that of the library's smallest",
+    ),
     "runs_against": ({"force": "Fx", "correlation": -0.8}, "library's (-0.80 correlation)"),
     "assumed_density": ({"used": 1650.0}, "1650 kg/m³ is assumed"),
     "other_density": (

@@ -41,10 +41,10 @@ class _Density(Float):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         """The number."""
-        from terraphi.inference.prior import DENSITIES, parsed
+        from terraphi.inference.prior import DENSITIES, Marginal, parsed
 
         try:
-            prior = parsed("density", str(value), None)
+            prior = parsed("density", str(value), Marginal(*DENSITIES))
         except InputError:
             prior = None
         if prior is not None and DENSITIES[0] <= prior.low < prior.high <= DENSITIES[1]:

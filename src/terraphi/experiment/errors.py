@@ -84,10 +84,9 @@ def sentence_from_validation(error: ValidationError, source: str, model: type[Ba
     path = [str(part) for part in first["loc"]]
     if first["type"] == "extra_forbidden":
         names = _field_names(model, path[:-1])
-        # A union names its branch in the path; people did not write that.
-        key = ".".join(part for part in path if part not in {"rotation", "translation"})
+        key = ".".join([*_as_written(path[:-1]), path[-1]])
         return f"{source}: unknown key '{key}'; {nearest(path[-1], names)}"
-    key = ".".join(part for part in path if part not in {"rotation", "translation"})
+    key = ".".join(_as_written(path))
     if first["type"] == "list_type" and isinstance(first["input"], dict):
         return f"{source}: [{key}] is one table and there may be several: write [[{key}]]"
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ").rstrip(".")
@@ -103,6 +102,11 @@ def sentence_from_validation(error: ValidationError, source: str, model: type[Ba
     if first["type"] == "literal_error":
         hint = _hint(str(first["input"]), first["ctx"]["expected"])
     return f"{source}: {key} = {first['input']!r}: {message}{hint}"
+
+
+def _as_written(path: list[str]) -> list[str]:
+    """Parts of a key without the branch of a union, which people do not write."""
+    return [part for part in path if part not in {"rotation", "translation"}]
 
 
 def _hint(word: str, allowed: str) -> str:

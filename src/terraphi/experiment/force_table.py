@@ -314,8 +314,9 @@ def _check_finite(path: Path, table: FloatArray, numbers: array[int]) -> None:
 def _check_order(path: Path, theta: FloatArray, numbers: array[int]) -> None:
     if len(theta) > 1 and np.all(np.diff(theta) < 0):
         raise InputError(
-            f"{path}: theta_deg decreases; sort the rows by time, or change the sign of theta if "
-            "yours is opposite (theta grows in time; the leg moves down where it is negative)"
+            f"{path}: theta_deg decreases; sort the rows by time or, if they are, change the sign "
+            "of theta, and that of Fx if it then points backward (theta grows in time; the leg "
+            "moves down where it is negative)"
         )
     for i in np.flatnonzero(np.diff(theta) <= 0)[:1].tolist():
         what = "repeats" if theta[i + 1] == theta[i] else "falls below"

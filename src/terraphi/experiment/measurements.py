@@ -180,7 +180,7 @@ def open_forces(source: str | Path) -> Measurement:
                 f"'{text}' is neither a file nor a shipped measurement; {nearest(text, names())}"
             )
     named = "standard input" if text == "-" else text
-    if path.suffix == ".nc":
+    if path.suffix.lower() == ".nc":
         history, remedy = ForceHistory.from_netcdf(path), "simulate it again"
     else:
         history, remedy = ForceHistory.from_csv(path), "remove that comment for its forces alone"
@@ -188,19 +188,47 @@ def open_forces(source: str | Path) -> Measurement:
         raise InputError(
             f"{path}: forces over {history.coordinate}, expected forces over the leg angle theta"
         )
+    return told_by(history, named, remedy=remedy)
+
+
+def told_by(
+    history: ForceHistory, name: str = "", *, remedy: str = "give its forces alone"
+) -> Measurement:
+    """What a force history itself says of its leg and its soil.
+
+    Parameters
+    ----------
+    history
+        Forces over the leg angle.
+    name
+        What it is called; by default the file that it says it comes from.
+    remedy
+        What to do if it carries a scenario that cannot be read.
+
+    Returns
+    -------
+    Measurement
+        As of :func:`open_forces`.
+
+    Raises
+    ------
+    InputError
+        If it carries a scenario that cannot be read.
+    """
+    name = name or str(history.provenance.get("file", ""))
     shipped = history.provenance.get("measurement")
     if shipped in names():
-        return replace(measurement(str(shipped)), name=named, history=history)
+        return replace(measurement(str(shipped)), name=name or str(shipped), history=history)
     made_by = history.provenance.get("scenario")
     if made_by is None:
-        return Measurement(name=named, history=history, leg="straight", leg_assumed=True)
+        return Measurement(name=name, history=history, leg="straight", leg_assumed=True)
     try:
         scenario = Scenario.model_validate(made_by)
     except ValidationError as error:
-        sentence = sentence_from_validation(error, f"{path}, scenario", Scenario)
-        raise InputError(f"{sentence}; {remedy}") from error
+        what = f"{name or 'the history'}, scenario"
+        raise InputError(f"{sentence_from_validation(error, what, Scenario)}; {remedy}") from error
     return Measurement(
-        name=named,
+        name=name,
         history=history,
         leg=scenario.leg.shape,
         medium=f"simulated ({scenario.model})",

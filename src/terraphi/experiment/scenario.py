@@ -641,14 +641,16 @@ class Scenario(Strict):
         return parse_toml(Path(source), cls)
 
 
-def _numbers(content: dict[str, Any], above: str = "") -> Iterator[tuple[str, float]]:
+def _numbers(content: Any, key: str = "") -> Iterator[tuple[str, float]]:
     """Dotted keys and values of all numbers that are not whole, those in lists too."""
-    for key, value in content.items():
-        if isinstance(value, dict):
-            yield from _numbers(value, f"{above}{key}.")
-        for number in value if isinstance(value, list | tuple) else (value,):
-            if isinstance(number, float):
-                yield above + key, number
+    if isinstance(content, dict):
+        for name, value in content.items():
+            yield from _numbers(value, f"{key}.{name}" if key else name)
+    elif isinstance(content, list | tuple):
+        for value in content:
+            yield from _numbers(value, key)
+    elif isinstance(content, float):
+        yield key, content
 
 
 @functools.lru_cache(maxsize=64)

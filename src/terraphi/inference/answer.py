@@ -159,7 +159,7 @@ class Together:
         Draws of the noise of a window mean of the noisier force [N], and of the relative size of
         the discrepancy [-], shape [draw] or that of the draws.
     discrepancy
-        ``none`` or ``gp``.
+        ``none``, ``gp`` or ``soils``.
     """
 
     conditional: Mapping[str, Summary]
@@ -219,8 +219,8 @@ class Inversion:
     warnings
         Why the answer may not be what was asked for.
     budget
-        Where the interval comes from; ``None`` but for one leg, φ alone and the calibrated
-        likelihood.
+        Where the interval comes from; ``None`` but for one history, φ alone without a normal
+        prior, and the calibrated likelihood.
     together
         What there is to say of several histories or parameters; ``None`` for one history and φ.
     library_reason

@@ -20,6 +20,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import WIDEST_GAP_DEG, WINDOW_DEG, ForceHistory
 from terraphi.inference.findings import Doubt
 from terraphi.inference.first_contact import Contact
+from terraphi.inference.noise import resolution_of
 from terraphi.library.store import Library
 
 Mask = NDArray[np.bool_]
@@ -229,11 +230,12 @@ def _found(theta: FloatArray, force: FloatArray) -> list[tuple[str, str, Mask]]:
     """Code, force and readings of each kind of defect that there may be."""
     both = (force == 0.0).all(axis=1)
     size = np.hypot(*force.T)
-    loaded = _loaded(size, both, share=ANY_LOAD)
+    loaded = _loaded(size, both, share=ANY_LOAD, resolution=max(map(resolution_of, force.T)))
     every = [("dropout", "both", (both & loaded) | _sudden_nothing(size))]
     for name, values in zip(("Fx", "Fz"), force.T, strict=True):
         zero = (values == 0.0) & ~both
-        every.append(("dropout", name, zero & _loaded(values, zero | both)))
+        loaded = _loaded(values, zero | both, resolution=resolution_of(values))
+        every.append(("dropout", name, zero & loaded))
     for name, values in zip(("Fx", "Fz"), force.T, strict=True):
         known = ~every[0][2] & (values != 0.0)
         every += [
@@ -262,7 +264,7 @@ def _sudden_nothing(size: FloatArray) -> Mask:
     return (size <= nothing) & (np.median(about, axis=2).min(axis=1) > lots)
 
 
-def _loaded(values: FloatArray, zero: Mask, *, share: float = LOADED) -> Mask:
+def _loaded(values: FloatArray, zero: Mask, *, resolution: float, share: float = LOADED) -> Mask:
     """Where the nearest readings to either side that are not zero show a load, and the same one.
 
     A leg that enters the soil comes from zeros, and a force that changes its sign passes zero.
@@ -272,15 +274,8 @@ def _loaded(values: FloatArray, zero: Mask, *, share: float = LOADED) -> Mask:
     padded = np.concatenate([[0.0], values[where], [0.0]])
     before, behind = padded[after], padded[after + 1]
     least = np.minimum(np.abs(before), np.abs(behind))
-    load = max(share * np.abs(values).max(), QUANTA * _resolution(values))
+    load = max(share * np.abs(values).max(), QUANTA * resolution)
     return (before * behind > 0.0) & (least > load)
-
-
-def _resolution(values: FloatArray) -> float:
-    """Smallest change between two readings, 0 if there is none."""
-    changes = np.abs(np.diff(values))
-    some = changes[changes > 1e-12 * np.abs(values).max()]
-    return float(some.min()) if some.size else 0.0
 
 
 def _held(values: FloatArray) -> Mask:
@@ -289,7 +284,7 @@ def _held(values: FloatArray) -> Mask:
     Where the record resolves far smaller changes.
     """
     steps = np.abs(np.diff(values))
-    changes, resolution = steps[steps > 0.0], _resolution(values)
+    changes, resolution = steps[steps > 0.0], resolution_of(values)
     if not changes.size:
         return np.zeros(len(values), dtype=bool)
     # A coarse record repeats itself by chance: runs count if so long a one hardly comes about.
@@ -337,8 +332,8 @@ def _spikes(values: FloatArray, known: Mask) -> Mask:
 def _flat_top(theta: FloatArray, values: FloatArray, known: Mask) -> Mask:
     """The stretch over which a force stays at its very largest, or least, and should not."""
     found = np.zeros(len(values), dtype=bool)
-    span, resolution = float(np.ptp(values)), _resolution(values)
-    for sign in (1.0, -1.0):
+    span, resolution = float(np.ptp(values)), resolution_of(values)
+    for sign in (1.0, -1.0) if known.any() else ():
         top = sign * values
         at = np.flatnonzero(known & (top >= top[known].max() - 1e-9 * span))
         if at.size < FEWEST_HELD or top[at[0]] < 0.25 * span:
@@ -418,7 +413,7 @@ def _steps(theta_deg: FloatArray, force: FloatArray) -> list[Defect]:
         before, after = windows[:, :near], windows[:, near:]
         jump = np.abs(np.median(after, axis=1) - np.median(before, axis=1))
         rough = np.maximum(np.ptp(before, axis=1), np.ptp(after, axis=1))
-        rough = np.maximum(rough, 2.0 * QUANTA * _resolution(values) / TIMES_ROUGH)
+        rough = np.maximum(rough, 2.0 * QUANTA * resolution_of(values) / TIMES_ROUGH)
         step = (jump > STEP * np.ptp(values)) & (jump > TIMES_ROUGH * rough)
         # A leg that meets or leaves the soil jumps as well, from or to nothing.
         low = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1))
@@ -446,6 +441,8 @@ def _offsets(
         mean, error = _median(force[air])  # a hip a little low meets the soil before
         # More than the noise of so many readings makes of none.
         least = np.maximum(OFFSET * span, SURE * error)
+        # A count more or less may be all that a coarse sensor tells.
+        least = np.maximum(least, 1.5 * np.array([resolution_of(one) for one in force.T]))
         for axis in np.flatnonzero(np.abs(mean) > least):
             where = (float(theta[air][0]), float(theta[air][-1]))
             name, rows = ("Fx", "Fz")[int(axis)], int(air.sum())

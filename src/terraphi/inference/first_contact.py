@@ -37,6 +37,7 @@ from terraphi.experiment.measurements import (
     names,
 )
 from terraphi.inference.findings import Doubt
+from terraphi.inference.noise import resolution_of
 from terraphi.library.store import Library
 
 SHARE, MOST_SHARE = 0.02, 0.1
@@ -142,7 +143,7 @@ def contact_deg(history: ForceHistory, share: float = SHARE) -> tuple[float, flo
 
     theta_deg = np.arange(history.theta_deg[0] + 0.5 * MEAN_DEG, WINDOW_DEG, MEAN_DEG)
     theta_deg = theta_deg[theta_deg < history.theta_deg[-1]]
-    if len(theta_deg) <= max(IN_AIR, MEDIAN):
+    if len(theta_deg) <= max(IN_AIR, MEDIAN) or len(history.position) < MEDIAN:
         return None
     plane = replace(history, force=np.stack([history.Fx, history.Fz], axis=1), axes=("x", "z"))
     means = plane.means(np.radians(theta_deg), math.radians(0.5 * MEAN_DEG))
@@ -191,7 +192,9 @@ def _noise(history: ForceHistory) -> float:
     # The median size of normal deviates is 0.67 of their deviation; that of these is six times.
     reading = float(np.median(np.abs(rough), axis=0).max() / 0.6745 / math.sqrt(6.0))
     spacing = float(np.median(np.diff(history.theta_deg)))
-    return reading * min(1.0, math.sqrt(spacing / MEAN_DEG))
+    # Means do not take off what readings of a coarse sensor lack, half a count of it at most.
+    count = max(map(resolution_of, history.force.T))
+    return max(reading * min(1.0, math.sqrt(spacing / MEAN_DEG)), 0.5 * count)
 
 
 def _leg(shape: str) -> Leg:

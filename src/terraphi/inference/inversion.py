@@ -16,7 +16,7 @@ from typing import Any
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.measurements import medium_and_leg
+from terraphi.experiment.measurements import Measurement, medium_and_leg, told_by
 from terraphi.inference import friction_angle, several_parameters
 from terraphi.inference.answer import PHI, Inversion
 from terraphi.inference.discrepancy import Learnt, default_library, learnt_for
@@ -30,6 +30,8 @@ from terraphi.library.shipped import is_there_to_try_others
 from terraphi.library.store import Library
 from terraphi.surrogate.training import DENSITY, is_of_several, parameters
 
+History = ForceHistory | Measurement | Trial
+"""What can be inverted."""
 LIKELIHOODS = ("calibrated", "paper")
 SAMPLERS = ("quadrature", "emcee")
 DISCREPANCIES = ("none", "gp", "soils")
@@ -40,11 +42,11 @@ _SOFTWARE = ("terraphi", "numpy", "scipy", "emcee")
 
 
 def invert(
-    histories: ForceHistory | Trial | Sequence[ForceHistory | Trial],
+    histories: History | Sequence[History],
     *,
     library: Library | None = None,
     prior: Sequence[str] = (),
-    leg: str = "straight",
+    leg: str | None = None,
     density: float | None = None,
     density_assumed: bool = False,
     likelihood: str | None = None,
@@ -64,7 +66,8 @@ def invert(
     Parameters
     ----------
     histories
-        Forces over the whole window |θ| ≤ 85°: of one trial, or of several in one soil.
+        Forces over the whole window |θ| ≤ 85°: of one trial, or of several in one soil. One that
+        was simulated, or shipped, knows its leg and its density.
     library
         Simulations over φ, or over several parameters, with every leg of the histories; ``None``:
         the shipped one that :func:`~terraphi.inference.discrepancy.default_library` names.
@@ -74,7 +77,8 @@ def invert(
         varies it or not.
     leg, source
         Shape of the leg that was moved, and where the forces come from, of histories that are no
-        :class:`~terraphi.inference.trials.Trial`, which says so itself.
+        :class:`~terraphi.inference.trials.Trial`, which says so itself. ``None``: as a measurement,
+        or a history, says itself; else a straight leg is assumed.
     density
         Bulk density of the soil [kg/m³]. ``None`` infers it if the library varies it, and else
         takes that of the trials, or assumes the library's.
@@ -112,6 +116,8 @@ def invert(
         If a history, the leg, the density, a prior or an option cannot be used.
     """
     _check_options(likelihood, sampler, noise, discrepancy)
+    if seed < 0:
+        raise InputError(f"seed = {seed}: expected a whole number, 0 or more")
     began = time.perf_counter()
     trials, why = _trials(histories, leg, source), ""
     check_origin(trials)
@@ -238,17 +244,24 @@ def _doubts(looked: Looked, found: Inversion, library: Library) -> list[Doubt]:
     return doubts
 
 
-def _trials(
-    histories: ForceHistory | Trial | Sequence[ForceHistory | Trial], leg: str, source: str
-) -> list[Trial]:
-    """Each history with its leg and its name."""
-    given = [histories] if isinstance(histories, ForceHistory | Trial) else list(histories)
-    return [
-        one
-        if isinstance(one, Trial)
-        else Trial(one, leg, source or str(one.provenance.get("file", "")))
-        for one in given
-    ]
+def _trials(histories: History | Sequence[History], leg: str | None, source: str) -> list[Trial]:
+    """Each history with its leg and, of several, a name."""
+    given = [histories] if isinstance(histories, History) else list(histories)
+    found = []
+    for number, one in enumerate(given, start=1):
+        trial = one if isinstance(one, Trial) else _trial(one, leg, source)
+        if len(given) > 1 and not trial.source:
+            trial = replace(trial, source=f"history {number}")
+        found.append(trial)
+    return found
+
+
+def _trial(one: ForceHistory | Measurement, leg: str | None, source: str) -> Trial:
+    if isinstance(one, Measurement):
+        return Trial.of(replace(one, name=source or one.name), leg)
+    if one.coordinate != "theta":
+        raise InputError(f"forces over {one.coordinate}, expected forces over the leg angle theta")
+    return Trial.of(told_by(one, source), leg)
 
 
 def _known(
@@ -267,8 +280,7 @@ def _known(
         density, guessed = common_density(trials)
     if not varied:
         return True, {}, density, guessed
-    given = [] if density is None else [f"{DENSITY}={density!r}"]
-    marginals = priors(varied, [*prior, *given])
+    marginals = priors(varied, prior, density=density)
     free = [key for key, marginal in marginals.items() if not marginal.fixed]
     if not free:
         raise InputError("every parameter is fixed; there is nothing to infer")

@@ -22,6 +22,7 @@ or three media hardly fix c; forces rise by some 5 % a degree in all models, so 
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import math
 from collections.abc import Iterable, Sequence
@@ -179,6 +180,11 @@ def known_soil(found: Inversion, phi_deg: float, sd_deg: float, *, medium: str =
     """
     if found.origin == "simulated":
         raise InputError(f"{found.source}: is simulated; a calibration is for measured forces")
+    if found.of_phi is None:
+        raise InputError(
+            f"library '{found.library}' infers several parameters; a calibration is of φ alone: "
+            "take a library of one density"
+        )
     verdict = found.verdict
     # A model that is wrong alike for all soils is what a calibration is for.
     alike = verdict.code in ("calibrated_misfit", "calibrated_misfit_at_edge")
@@ -270,6 +276,7 @@ def _log_size(vector: FloatArray, density: float) -> float:
     return math.log(math.sqrt(float(np.square(vector).mean())) / density)
 
 
+@functools.cache
 def _known_media() -> dict[str, dict[str, tuple[float, float]]]:
     """Shipped media with an angle of repose: by leg, ln(RMS force / density) and that angle."""
     known: dict[str, dict[str, tuple[float, float]]] = {}

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import replacing, writable
 from terraphi.experiment.measurements import open_forces
-from terraphi.inference.answer import Inversion
+from terraphi.inference.answer import PHI, Inversion
 from terraphi.inference.inversion import invert
 from terraphi.inference.trials import Trial
 from terraphi.library.store import Library
@@ -94,7 +94,9 @@ def invert_many(
 
 
 def _row(found: Inversion) -> dict[str, Any]:
-    """The answer's numbers, by column."""
+    """The answer's numbers, by column; InputError if φ is none of them."""
+    if PHI not in found.keys:
+        raise InputError("φ is fixed by a prior; a table is of friction angles that are inferred")
     phi, plane, record = found.phi, found.phi_plane_strain, found.record
     told: dict[str, Any] = {
         "leg": record.leg,
@@ -135,7 +137,7 @@ def records_in(places: Sequence[str]) -> list[str]:
     found: list[str] = []
     for place in places:
         if Path(place).is_dir():
-            files = [str(f) for f in Path(place).iterdir() if f.suffix in RECORDS]
+            files = [str(f) for f in Path(place).iterdir() if f.suffix.lower() in RECORDS]
         elif glob.has_magic(place) and not Path(place).exists():
             files = glob.glob(place)  # noqa: PTH207 - absolute patterns too
         else:

@@ -100,6 +100,19 @@ class Noise:
                 )
 
 
+def resolution_of(values: FloatArray) -> float:
+    """Smallest change between two readings of a record [N], 0 if there is none.
+
+    Parameters
+    ----------
+    values
+        Readings of one force [N], shape [sample].
+    """
+    changes = np.abs(np.diff(values))
+    some = changes[changes > 1e-12 * np.abs(values).max()]
+    return float(some.min()) if some.size else 0.0
+
+
 def window_covariance(
     position: FloatArray, theta_deg: FloatArray, *, read_at: FloatArray | None = None
 ) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -91,7 +92,10 @@ class Marginal:
 
 
 def priors(
-    bounds: Mapping[str, tuple[float, float]], given: Sequence[str] = ()
+    bounds: Mapping[str, tuple[float, float]],
+    given: Sequence[str] = (),
+    *,
+    density: float | None = None,
 ) -> dict[str, Marginal]:
     """Prior of each parameter of a library, and of the density if it is asked for.
 
@@ -102,14 +106,18 @@ def priors(
     given
         What a person wrote: ``KEY=LOW:HIGH`` (uniform), ``KEY=MEAN+-SD`` (normal) or ``KEY=VALUE``
         (known); the key may be shortened to its last parts. The others are uniform.
+    density
+        Of the soil, if it is known [kg/m³].
 
     Raises
     ------
     InputError
-        If a key is none of these, a number cannot be read, or the prior leaves the library.
+        If a key is none of these or comes twice, a number cannot be read, or a prior or the density
+        leaves the library.
     """
     found = {key: Marginal(*ends) for key, ends in bounds.items()}
     keys = dict.fromkeys([*bounds, DENSITY])
+    written: dict[str, str] = {}
     for text in given:
         name, _, value = text.partition("=")
         matches = [k for k in keys if is_on(text, k)]
@@ -119,16 +127,28 @@ def priors(
                 f"the library; {nearest(name, list(keys))}"
             )
         key = matches[0]
-        marginal = parsed(text, value, found.get(key))
-        low, high = bounds.get(key, DENSITIES)
-        slack = 1e-9 * (high - low)
-        if not low - slack <= marginal.low <= marginal.high <= high + slack:
-            raise InputError(
-                f"prior '{text}' reaches from {marginal.low:g} to {marginal.high:g}; {key} lies "
-                f"between {low:g} and {high:g} in this library"
-            )
-        found[key] = marginal
+        if key in written:
+            raise InputError(f"priors '{written[key]}' and '{text}' are both on {key}; give one")
+        written[key] = text
+        found[key] = parsed(text, value, Marginal(*bounds.get(key, DENSITIES)))
+        _check_within(bounds, key, found[key], f"prior '{text}'")
+    if density is not None:
+        found[DENSITY] = Marginal(float(density), float(density))
+        _check_within(bounds, DENSITY, found[DENSITY], f"density = {density:g} kg/m³")
     return found
+
+
+def _check_within(
+    bounds: Mapping[str, tuple[float, float]], key: str, marginal: Marginal, told: str
+) -> None:
+    """Refuse a prior that leaves the library, or a density that is none of a soil."""
+    low, high = bounds.get(key, DENSITIES)
+    slack = 1e-9 * (high - low)
+    if not low - slack <= marginal.low <= marginal.high <= high + slack:
+        reach = "" if marginal.fixed else f" reaches from {marginal.low:g} to {marginal.high:g}"
+        where = "in this library" if key in bounds else "in soils"
+        verb = ": " if marginal.fixed else "; "
+        raise InputError(f"{told}{reach}{verb}{key} lies between {low:g} and {high:g} {where}")
 
 
 def is_on(text: str, key: str) -> bool:
@@ -137,24 +157,27 @@ def is_on(text: str, key: str) -> bool:
     return name == key or key.endswith("." + name)
 
 
-def parsed(text: str, value: str, within: Marginal | None) -> Marginal:
+def parsed(text: str, value: str, within: Marginal) -> Marginal:
     """A prior as a person wrote it; a normal one is cut off where the library ends."""
+    expected = "expected KEY=LOW:HIGH with LOW below HIGH, KEY=MEAN+-SD or KEY=VALUE"
     try:
         if ":" in value:
             low, high = (plain_number(part) for part in value.split(":"))
             if low < high:
                 return Marginal(low, high)
         mean, sd = number_with_sd(value)
-        if sd is None:
-            return Marginal(mean, mean)
-        if sd > 0.0:
-            low, high = mean - FAR * sd, mean + FAR * sd
-            if within is not None:
-                low, high = max(low, within.low), min(high, within.high)
-            if low < high:
-                return Marginal(low, high, (mean, sd))
-    except ValueError:
-        pass
-    raise InputError(
-        f"prior '{text}': expected KEY=LOW:HIGH with LOW below HIGH, KEY=MEAN+-SD or KEY=VALUE"
-    )
+    except ValueError as error:
+        raise InputError(f"prior '{text}': {expected}") from error
+    if not math.isfinite(mean) or not (sd is None or math.isfinite(sd)):
+        raise InputError(f"prior '{text}': {expected}, all of them finite numbers")
+    if sd is None:
+        return Marginal(mean, mean)
+    if sd <= 0.0:
+        raise InputError(f"prior '{text}': the standard deviation has to be above 0")
+    low, high = max(mean - FAR * sd, within.low), min(mean + FAR * sd, within.high)
+    if low >= high:
+        raise InputError(
+            f"prior '{text}': lies more than {FAR:g} standard deviations outside {within.low:g} to "
+            f"{within.high:g}, which is what can be inferred"
+        )
+    return Marginal(low, high, (mean, sd))

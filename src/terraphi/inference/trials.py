@@ -392,6 +392,7 @@ def look(trials: Sequence[Trial], library: Library) -> Looked:
     found, left = [], []
     for trial in trials:
         with named(trial):
+            library.rotations(trial.leg, over_phi=False)
             # Where the library's leg is in air, one simulated otherwise may still lift soil.
             comparable = not trial.simulation or trial.made_as(library.cases[0].scenario)
             touches = touches_soil_deg(library, trial.leg) if comparable else None

@@ -85,7 +85,7 @@ def judge(
     edge
         Where most of the posterior lies; ``None``: nothing was learnt that an edge could cut off.
     kind
-        ``calibrated``, ``paper`` or ``parameters``: what is meant by a fit.
+        ``calibrated``, ``soil``, ``paper`` or ``parameters``: what is meant by a fit.
     beyond
         End of the library beyond which an angle would explain forces that do not fit.
     numbers

@@ -59,7 +59,7 @@ VERDICTS = {
     "against_prior": (
         "The forces and the prior of the friction angle exclude each other: one of them is wrong."
     ),
-    "damaged": "The record is damaged. No angle is to be believed.",
+    "damaged": "A record is damaged. No angle is to be believed.",
     "edge": (
         "Too much of the posterior lies at the {edge}, so the friction angle may lie {beyond} it."
     ),
@@ -67,7 +67,7 @@ VERDICTS = {
         "No curve of the library fits, but one beyond its {edge} would: the friction angle may lie "
         "{beyond} it."
     ),
-    "parameter_edge": "The posterior is cut off by the {edge}; what it is may lie {beyond} it.",
+    "parameter_edge": "The posterior is cut off by the {edge}; the true value may lie {beyond} it.",
 }
 """Sentence of each verdict, of at most 25 words; its numbers stand in a table of the measures."""
 
@@ -134,8 +134,8 @@ DOUBTS = {
         "largest curve: are the forces in newtons?"
     ),
     "too_small": (
-        "The largest mean force, {peak_N:.3g} N, is one {ratio:.3g}th of that of the library's "
-        "smallest curve: are the forces in newtons?"
+        "The largest mean force, {peak_N:.3g} N, is {ratio:.3g} times smaller than that of "
+        "the library's smallest curve: are the forces in newtons?"
     ),
     "runs_against": (
         "{force} runs against the library's ({correlation:.2f} correlation): is its sign right? Fx "
@@ -149,7 +149,7 @@ DOUBTS = {
         "over the angles looked at (limit {limit:g}), so that the median is not theirs."
     ),
     "unusual": (
-        "Hardly any dry soil has a friction angle of {median:.0f}° in plane strain ({low:g} to "
+        "Hardly any dry soil has a friction angle of {median:.1f}° in plane strain ({low:g} to "
         "{high:g}° is usual): check the density, the unit of the forces and the leg."
     ),
     "with_others": (
