@@ -375,7 +375,7 @@ def test_a_density_unlike_the_simulated_one_is_told(
 
 def test_a_scenario_of_another_version_is_refused(history: ForceHistory, library: Library) -> None:
     odd = ForceHistory(history.position, history.force, provenance={"scenario": {"sand": "wet"}})
-    with pytest.raises(InputError, match="unknown key 'sand'.*; give its forces alone"):
+    with pytest.raises(InputError, match=r"unknown key 'sand'.*; give its forces alone"):
         invert(odd, library=library)
 
 

@@ -21,7 +21,7 @@ EXAMPLES = {
         {"force": "Fz", "size_N": 0.07, "moves_deg": 0.3},
         "offset of 0.07 N of Fz would hardly",
     ),
-    "unusual": ({"median": 55.4, "low": 18.0, "high": 50.0}, "friction angle of 55° in plane"),
+    "unusual": ({"median": 55.4, "low": 18.0, "high": 50.0}, "friction angle of 55.4° in plane"),
     "known_soil": ({"medium": "yuma"}, "was learnt from yuma too"),
     "saturated": ({"force": "Fz", "size_N": 6.5}, "saturated? Fz cut off at 6.5 N"),
     "moved": ({"force": "Fx", "size_N": -1.5, "theta_deg": 12.0}, "step of -1.5 N at about 12°"),
