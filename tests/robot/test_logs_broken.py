@@ -126,6 +126,19 @@ def test_much_is_saved_of_a_log_that_lost_its_end(name: str) -> None:
     assert report["notes"] or report["dropped"]
 
 
+def test_a_damaged_length_in_an_mcap_asks_for_no_memory() -> None:
+    damaged = bytearray(content("log.mcap"))
+    at = 8  # after the magic: opcode, length, content of each record
+    while damaged[at] != 6:
+        at += 9 + int.from_bytes(damaged[at + 1 : at + 9], "little")
+    # A chunk: three numbers of 8 bytes, one of 4, a compression of 4 + n, the length of its records.
+    inside = at + 9 + 28
+    length = inside + 4 + int.from_bytes(damaged[inside : inside + 4], "little")
+    damaged[length : length + 8] = (2**50).to_bytes(8, "little")
+    found = read_bytes("log.mcap", bytes(damaged))
+    assert found is None or any("damaged" in note for note in found.report["notes"])
+
+
 def test_damaged_chunk_of_an_mcap_leaves_the_others() -> None:
     damaged = bytearray(content("log.mcap"))
     at = len(damaged) // 3

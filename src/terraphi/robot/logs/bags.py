@@ -18,6 +18,7 @@ The tables are those of the package ``rosbag2_storage_sqlite3`` of https://githu
 
 from __future__ import annotations
 
+import mmap
 import os
 import re
 import shutil
@@ -30,7 +31,7 @@ from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
-from typing import Any
+from typing import IO, Any, cast
 
 import numpy as np
 
@@ -172,11 +173,14 @@ class McapFile(Storage):
                 raise InputError(
                     f"{self.shown}: not an MCAP file, or damaged at its start; copy it again"
                 )
+            # A damaged length asks a file for terabytes, and a map of it for what is left.
+            content = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+            content.seek(len(MAGIC))
             reader = mcap.stream_reader.StreamReader(
-                stream,
+                cast("IO[bytes]", content),
                 skip_magic=True,
                 emit_chunks=True,
-                record_size_limit=self.path.stat().st_size,
+                record_size_limit=len(content),
             )
             try:
                 for record in reader.records:
