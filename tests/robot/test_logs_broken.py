@@ -131,7 +131,7 @@ def test_a_damaged_length_in_an_mcap_asks_for_no_memory() -> None:
     at = 8  # after the magic: opcode, length, content of each record
     while damaged[at] != 6:
         at += 9 + int.from_bytes(damaged[at + 1 : at + 9], "little")
-    # A chunk: three numbers of 8 bytes, one of 4, a compression of 4 + n, the length of its records.
+    # A chunk: three numbers of 8 bytes, one of 4, a compression of 4 + n, the length of records.
     inside = at + 9 + 28
     length = inside + 4 + int.from_bytes(damaged[inside : inside + 4], "little")
     damaged[length : length + 8] = (2**50).to_bytes(8, "little")
