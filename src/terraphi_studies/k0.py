@@ -80,10 +80,10 @@ def run(*, library: str = LIBRARIES) -> Study:
     ]
     notes = []
     if beyond:
+        ends = " to ".join(f"{phi:g}" for phi in sorted({min(beyond), max(beyond)}))
         notes.append(
-            f"At {len(beyond)} of {len(cases)} angles, {min(beyond):g} to {max(beyond):g}°, both "
-            "stresses at rest lie beyond the yield surface, to which the first step takes them "
-            "back."
+            f"At {len(beyond)} of {len(cases)} angles, {ends}°, both stresses at rest lie "
+            "beyond the yield surface, to which the first step takes them back."
         )
     title = f"The case that changes most, φ = {angles[worst]:g}° ({convention})"
     before, after = pairs[worst]
