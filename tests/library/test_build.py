@@ -159,6 +159,8 @@ def test_what_a_plan_no_longer_asks_for_is_kept(
     simulate(other).to_netcdf(folder / f"{other.hash}.nc")
     (folder / "notes").mkdir()
     (folder / "notes.txt").write_text("mine")
+    # What is no finished simulation goes.
+    (folder / f"{plan_of([55.0]).cases()[0].hash}.checkpoint").write_text("half")
     with caplog.at_level(logging.WARNING):
         build(plan_of([25.0, 30.0, 60.0]), path)
     dropped = [s.hash for s in plan_of([20.0, 35.0, 40.0]).cases()]

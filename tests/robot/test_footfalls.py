@@ -224,6 +224,15 @@ def test_a_broken_accelerometer_is_ignored_on_board() -> None:
         assert one[2:6] == pytest.approx(other[2:6], nan_ok=True, abs=1e-6)
 
 
+def test_a_reading_that_is_no_number_costs_nothing_on_board() -> None:
+    log = Walk(duration=2.0).log()[0]
+    assert log.acceleration is not None
+    holed = log.acceleration.copy()
+    holed[300] = np.nan
+    with_hole, whole = (in_blocks(one, 40) for one in (replace(log, acceleration=holed), log))
+    assert [(f.foot, f.verdict) for f in with_hole] == [(f.foot, f.verdict) for f in whole]
+
+
 def test_a_footfall_in_a_gap_is_torn() -> None:
     log = Walk(gait="trot", period=0.42, speed=0.3, duration=2.0).log()[0]
     whole = in_blocks(log, 40)

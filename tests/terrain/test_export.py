@@ -17,7 +17,7 @@ import pytest
 
 from terraphi.experiment.errors import InputError
 from terraphi.inference.answer_file import Told, read
-from terraphi.terrain.export import export, in_plane_strain
+from terraphi.terrain.export import _quoted, export, in_plane_strain
 from terraphi.terrain.simulators import NAMES, simulator
 
 
@@ -115,6 +115,11 @@ def test_what_others_wrote_stays_a_text(text, tmp_path) -> None:
     kinds = [[type(node) for node in one.body] for one in (tree, clean)]
     assert kinds[0] == kinds[1]
     assert f"From {text}: {text}, library {text}." in (ast.get_docstring(tree, clean=False) or "")
+
+
+def test_a_quotation_mark_at_the_end_ends_no_docstring() -> None:
+    text = 'he said "so"'
+    assert ast.literal_eval(f'"""{_quoted(text)}"""') == text
 
 
 def test_the_json_of_an_inversion_is_enough() -> None:

@@ -192,9 +192,9 @@ def _noise(history: ForceHistory) -> float:
     # The median size of normal deviates is 0.67 of their deviation; that of these is six times.
     reading = float(np.median(np.abs(rough), axis=0).max() / 0.6745 / math.sqrt(6.0))
     spacing = float(np.median(np.diff(history.theta_deg)))
-    # Means do not take off what readings of a coarse sensor lack, half a count of it at most.
+    # Rounding to counts of a coarse sensor errs by that much, and means may not take it off.
     count = max(map(resolution_of, history.force.T))
-    return max(reading * min(1.0, math.sqrt(spacing / MEAN_DEG)), 0.5 * count)
+    return max(reading * min(1.0, math.sqrt(spacing / MEAN_DEG)), count / math.sqrt(12.0))
 
 
 def _leg(shape: str) -> Leg:

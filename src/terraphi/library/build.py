@@ -163,7 +163,7 @@ def build(
             library = _with_what_was_learnt(library, before)
             _keep_what_is_dropped(library, before, folder)
         library.save(path)
-        _clear(folder, finished)
+        _clear(folder, finished, failures)
     return library
 
 
@@ -176,16 +176,22 @@ def _keep_what_is_dropped(library: Library, before: Library, folder: Path) -> No
         usable[name].to_netcdf(folder / f"{name}.nc")
 
 
-def _clear(folder: Path, finished: Iterable[str]) -> None:
-    """Remove what is kept of finished cases, named by their hashes, once the library has them."""
-    done = set(finished)
+def _clear(folder: Path, finished: Iterable[str], failed: Iterable[str]) -> None:
+    """Remove what is kept of cases, named by their hashes, once the library has them.
+
+    Histories of other cases stay, and last good states of cases that failed.
+    """
+    done, kept = set(finished), set(failed)
     if not folder.is_dir():
         return
     for file in folder.iterdir():
-        # Histories, checkpoints, and what a killed process left under a temporary name.
-        if file.name.lstrip(".")[:HASH_LENGTH] in done and file.is_file():
+        of = file.name.lstrip(".")[:HASH_LENGTH]
+        if len(of) < HASH_LENGTH or set(of) - set("0123456789abcdef") or not file.is_file():
+            continue
+        # Checkpoints, and what a killed process left under a temporary name, are no histories.
+        if of in done or (of not in kept and file.name != f"{of}.nc"):
             file.unlink(missing_ok=True)
-    if more := sum(1 for _ in folder.glob("[0-9a-f]*.nc")):
+    if more := len(finished_cases(folder)):
         log.warning(
             "%d finished simulations that the plan does not ask for are kept in %s; a plan that "
             "does finds them there, and nothing else needs them",
@@ -354,7 +360,9 @@ def finished_cases(folder: Path) -> dict[str, ForceHistory]:
             continue
         own = Scenario.model_validate(history.provenance["scenario"]).hash
         if own != file.stem:
-            log.warning("%s: holds another scenario than its name says, %s; it is left", file, own)
+            log.warning(
+                "%s: holds another scenario than its name says, %s; it is not taken", file, own
+            )
             continue
         found[file.stem] = history
     return found

@@ -230,6 +230,7 @@ class Plan(Strict):
                     raise InputError(
                         f"plan '{self.name}': {describe(self, case)} is asked for more than once; "
                         "drop one of the two, or let vary_seed = true make them differ"
+                        f"{', or widen the bounds of the sample' if self.sample else ''}"
                     )
                 seen.add(case.hash)
             return

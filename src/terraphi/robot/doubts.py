@@ -56,6 +56,8 @@ against a stride."""
 LEAST_TURNING = 0.08
 """A trunk that turns less than this [rad/s] (root mean square) tells nothing of them: a gyroscope's
 bias, and the attitude's noise, are a few hundredths."""
+JUMPS = 0.05
+"""Part of the time in which an attitude may jump, as where a filter corrects its heading [-]."""
 UNLIKE, SOMEWHAT_UNLIKE = 0.7, 0.3
 """Parts of the turning by which attitude and gyroscope disagree if one of them is wrong [-]:
 surely, and if another reading of them leaves less than half of that. Sound ones disagree by 0.5 at
@@ -116,14 +118,16 @@ def doubts(log: JointLog, robot: Quadruped, forces: FootForces, found: Balance |
     InputError
         If the feet pull at the ground, or bear the robot's weight several times over.
     """
-    attitude, angles = _of_attitude(log), _of_angles(log)
+    (attitude, vaguely), angles = _of_attitude(log), _of_angles(log)
     try:
         weight = _of_weight(found, robot)
     except InputError as error:
         # An attitude that is upside down makes the feet pull.
-        raise InputError("; and ".join([*attitude, str(error)])) from error
+        raise InputError("; and ".join([*attitude, *vaguely, str(error)])) from error
     # With a wrong attitude, feet that stand seem to slide.
     legs = attitude or _of_legs(log, robot, np.nan_to_num(forces.force[..., 2]))
+    if vaguely and legs:
+        legs, vaguely = [f"{vaguely[0]}; or, if they are right, {one}" for one in legs], []
     grave = list(legs)
     if found is not None:
         low, high = BELIEVABLE_LIFT
@@ -135,7 +139,7 @@ def doubts(log: JointLog, robot: Quadruped, forces: FootForces, found: Balance |
             )
             legs = [f"{push}: are the angles' zeros and the attitude right?"]
             grave += legs if found.push > BELIEVABLE_PUSH else []
-    return Doubts((*weight, *angles, *legs), tuple(grave))
+    return Doubts((*weight, *angles, *vaguely, *legs), tuple(grave))
 
 
 def _of_weight(found: Balance | None, robot: Quadruped) -> list[str]:
@@ -162,26 +166,33 @@ def _of_angles(log: JointLog) -> list[str]:
     return [f"angles come in steps of {step:.2g} rad: forces turn by as much; write more digits"]
 
 
-def _of_attitude(log: JointLog) -> list[str]:
-    """An attitude that turns otherwise than the gyroscope, and what may be wrong with either."""
+def _of_attitude(log: JointLog) -> tuple[list[str], list[str]]:
+    """An attitude that turns otherwise than the gyroscope: with a cause that explains it, or none.
+
+    A constant difference, as of a gyroscope's bias, is none, nor are a few large ones, as where a
+    filter corrects its heading.
+    """
     if log.quaternion is None or log.angular_velocity is None or len(log.time) < 3:
-        return []
+        return [], []
     every = max(1, round(TURN_S / float(np.median(np.diff(log.time)))))
     quaternion = np.asarray(log.quaternion[::every], float)
     felt = _mean_rate(log.time, np.asarray(log.angular_velocity, float), every)
     step = np.diff(log.time[::every])
     if not len(step):
-        return []
+        return [], []
     whole = step < 2.0 * float(np.median(step))
 
     def unlike(quaternion: FloatArray, felt: FloatArray) -> tuple[float, float]:
-        turned = _body_rate(quaternion, step)[whole]
-        most = max(_rms(turned), _rms(felt[whole]))
-        return _rms(turned - felt[whole]) / max(most, 1e-12), most
+        turned, own = _body_rate(quaternion, step)[whole], felt[whole]
+        own = own + np.median(turned - own, axis=0)
+        size = np.linalg.norm(turned - own, axis=1)
+        usual = size <= np.quantile(size, 1.0 - JUMPS)
+        most = max(_rms(turned[usual]), _rms(own[usual]))
+        return _rms((turned - own)[usual]) / max(most, 1e-12), most
 
     off, turning = unlike(quaternion, felt)
     if turning < LEAST_TURNING or off < SOMEWHAT_UNLIKE:
-        return []
+        return [], []
     others = {
         "the quaternion is that of the world in the body's frame (conjugate)": (
             quaternion * np.array([1.0, -1.0, -1.0, -1.0]), felt,
@@ -200,8 +211,9 @@ def _of_attitude(log: JointLog) -> list[str]:
     if best < 0.5 * off and best < UNLIKE:
         # At small tilts, a conjugate and reversed signs are hard to tell apart.
         causes = [words for words, value in left.items() if value < best + 0.1]
-        return [f"{disagree}, and by {best:.0%} if {', or '.join(causes)}; check the IMU"]
-    return [f"{disagree}: check the IMU's axes, units and signs"] if off > UNLIKE else []
+        return [f"{disagree}, and by {best:.0%} if {', or '.join(causes)}; check the IMU"], []
+    vaguely = f"{disagree}: check the IMU's axes, units and clock"
+    return [], [vaguely] if off > UNLIKE else []
 
 
 def _mean_rate(time: FloatArray, rate: FloatArray, every: int) -> FloatArray:

@@ -167,8 +167,16 @@ class Footfalls:
         """The log as the forces of a whole one would take it, by all readings until now."""
         if log.acceleration is None:
             return log
-        self._felt += specific_force(piece).sum(axis=0)
-        self._samples += len(piece.time)
+        sound = np.isfinite(log.acceleration).all(axis=1)
+        if sound.any() and not sound.all():
+            filled = [np.interp(log.time, log.time[sound], a[sound]) for a in log.acceleration.T]
+            log = replace(log, acceleration=np.stack(filled, axis=1))
+        felt = specific_force(piece)
+        felt = felt[np.isfinite(felt).all(axis=1)]
+        self._felt += felt.sum(axis=0)
+        self._samples += len(felt)
+        if not self._samples:
+            return replace(log, acceleration=None)
         span = float(piece.time[-1]) - self._begin
         fault = accelerometer_fault(self._felt / self._samples, upright=True, span=span)
         if fault and not self._fault:

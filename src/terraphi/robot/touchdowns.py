@@ -151,7 +151,8 @@ def touchdowns(
     Touchdowns
     """
     step = float(np.median(np.diff(log.time)))
-    half, slow = max(1, round(0.5 * SMOOTH_S / step)), FEWEST * step > WINDOW_S
+    half = max(1, round(0.5 * SMOOTH_S / step))
+    slow = FEWEST * step > (PROBE_S if probe else WINDOW_S)
     pieces = [
         _piece(log.time, lift[:, f], motion.feet[:, f], stance, half, probe=probe)
         for stance in stances

@@ -226,6 +226,8 @@ def export(
         If the answer has no φ, or none with an equivalent in plane strain; if its verdict is not
         ``consistent``; if it has no draws and some are wanted; or if it lacks what answers have.
     """
+    if min(draws, seed) < 0:
+        raise InputError(f"draws = {draws}, seed = {seed}: expected whole numbers, 0 or more")
     try:
         made = _made(told, to, match, draws, seed, anyway)
         made.headline(), made.as_dict()
@@ -360,7 +362,7 @@ def _drawn(told: Told, count: int, seed: int) -> tuple[FloatArray, float]:
 
 def _quoted(text: str) -> str:
     """A text between the quotation marks of a docstring, whatever somebody wrote into it."""
-    marks = text.replace("\\", "\\\\").replace('"""', '\\"\\"\\"')
+    marks = text.replace("\\", "\\\\").replace('"', '\\"')
     return "".join(
         c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in marks
     )

@@ -98,11 +98,13 @@ def merged(log: JointLog, read: Sequence[Readings], name: str, others: Sequence[
         )
         near = off <= LONGEST_GAP
     notes = [*log.report.get("notes", ())]
+    broken = f"{(~whole).sum()} messages on {name} that are not all numbers left out"
     if 2 * near.sum() < len(near):
-        notes.append(f"{name} not used: its stamps do not overlap with those of the joints")
+        why = "its stamps do not overlap with those of the joints"
+        notes.append(f"{name} not used: {why if whole.all() else broken}")
         return replace(log, report={**log.report, "notes": notes})
     if not whole.all():
-        notes.append(f"{(~whole).sum()} messages on {name} that are not all numbers left out")
+        notes.append(broken)
     if others:
         notes.append(f"attitude from {name}; also there, not read: {', '.join(others)}")
     if not near.all():

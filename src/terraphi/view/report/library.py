@@ -78,7 +78,7 @@ def _facts(summary: dict[str, Any]) -> Table:
         ("swept", number(summary["sweep"], 4)),
         *(("and then", number(more["sweep"], 4)) for more in summary.get("more", [])),
     ]
-    return Table("What was simulated", ("", "first case"), rows)
+    return Table("What was simulated", ("", "all cases"), rows)
 
 
 def _words(key: str) -> str:
