@@ -20,7 +20,7 @@ from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.forces import FootForces
 from terraphi.robot.friction import HANGING_SHARE
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, JointLog
-from terraphi.robot.kinematics import foot_position, jacobian, rotation
+from terraphi.robot.kinematics import body_rate, foot_position, jacobian, rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import Stance
 
@@ -183,7 +183,7 @@ def _of_attitude(log: JointLog) -> tuple[list[str], list[str]]:
     whole = step < 2.0 * float(np.median(step))
 
     def unlike(quaternion: FloatArray, felt: FloatArray) -> tuple[float, float]:
-        turned, own = _body_rate(quaternion, step)[whole], felt[whole]
+        turned, own = body_rate(quaternion, step)[whole], felt[whole]
         own = own + np.median(turned - own, axis=0)
         size = np.linalg.norm(turned - own, axis=1)
         usual = size <= np.quantile(size, 1.0 - JUMPS)
@@ -221,19 +221,6 @@ def _mean_rate(time: FloatArray, rate: FloatArray, every: int) -> FloatArray:
     angle = np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time)[:, None], axis=0)
     angle = np.concatenate([np.zeros((1, 3)), angle])[::every]
     return np.asarray(np.diff(angle, axis=0) / np.diff(time[::every])[:, None])
-
-
-def _body_rate(quaternion: FloatArray, step: FloatArray) -> FloatArray:
-    """Rate of turning in the body's frame [rad/s], shape [sample − 1, 3], of attitudes."""
-    unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
-    (w, x), (v, u) = (unit[:-1, 0], unit[1:, 0]), (unit[:-1, 1:], unit[1:, 1:])
-    # The vector of conj(first) * second; of the two quaternions of one turn, the smaller one.
-    half = w[:, None] * u - x[:, None] * v - np.cross(v, u)
-    scalar = w * x + np.sum(v * u, axis=1)
-    half *= np.where(scalar < 0.0, -1.0, 1.0)[:, None]
-    size = np.linalg.norm(half, axis=1)
-    angle = 2.0 * np.arctan2(size, np.abs(scalar))
-    return np.asarray(half * (angle / np.maximum(size, 1e-12) / step)[:, None])
 
 
 def _rms(vectors: FloatArray) -> float:

@@ -220,6 +220,28 @@ def rotation(quaternion: FloatArray) -> FloatArray:
     ndarray
         Shape [..., 3, 3]; its columns are the body's axes in the world.
     """
+    return np.asarray(_attitude(quaternion).as_matrix())
+
+
+def body_rate(quaternion: FloatArray, step: FloatArray) -> FloatArray:
+    """Mean rate of turning from each attitude to the next, in the body's frame.
+
+    Parameters
+    ----------
+    quaternion
+        Attitudes (w, x, y, z), of any length but zero, shape [sample, 4].
+    step
+        Times between them [s], shape [sample - 1].
+
+    Returns
+    -------
+    ndarray
+        [rad/s], shape [sample - 1, 3]; of the two ways to turn, the shorter one.
+    """
+    turn = _attitude(quaternion)
+    return np.asarray((turn[:-1].inv() * turn[1:]).as_rotvec() / step[:, None])
+
+
+def _attitude(quaternion: FloatArray) -> Rotation:
     # SciPy has the real part last.
-    last = np.roll(np.asarray(quaternion, dtype=np.float64), -1, axis=-1)
-    return np.asarray(Rotation.from_quat(last).as_matrix())
+    return Rotation.from_quat(np.roll(np.asarray(quaternion, dtype=np.float64), -1, axis=-1))

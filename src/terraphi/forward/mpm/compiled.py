@@ -219,6 +219,7 @@ def _place_of_cache() -> Path | None:
     for all, in the user's own folder.
     """
     chosen = getattr(numba.config, "CACHE_DIR", "")
+    # Path.home raises for users without one.
     own = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))  # noqa: PTH111
     for parent in [Path(chosen)] if chosen else [_FOLDER / "__pycache__", own / "terraphi"]:
         place = parent / (_NAME + _digest_of_sources()[:16])
