@@ -218,6 +218,27 @@ def test_the_forecast_of_a_library(terraphi, tmp_path) -> None:
     }  # fmt: skip
 
 
+def test_the_forecast_of_a_library_is_of_what_is_left(terraphi, tmp_path) -> None:
+    """Of a build that was cut short, a plan that grew, and one that is whole."""
+
+    def built(angles: str) -> tuple[str, int]:
+        sweep = f'name = "p"\n[sweep]\n"soil.friction_angle_deg" = {angles}\n'
+        (tmp_path / "p.toml").write_text(f"{sweep}[scenario]\n{QUICK}")
+        status, out, err = terraphi(
+            "library", "build", "p.toml", "--out", "p.nc", "--workers", "1", "--json"
+        )
+        assert status == 0
+        return err, json.loads(out)["forecast"]["simulations"]
+
+    assert "are left" not in built("[25.0, 30.0]")[0]
+    err, simulations = built("[25.0, 30.0, 35.0]")
+    assert (err.count("1 of 3 simulations are left"), simulations) == (1, 1)
+    assert err.count("forecast: 1 simulation:") == 1
+    err, simulations = built("[25.0, 30.0, 35.0]")
+    assert (err.count("0 of 3 simulations are left"), simulations) == (1, 0)
+    assert "forecast" not in err
+
+
 @pytest.mark.parametrize("command", ["simulate", "library build"])
 def test_nothing_is_written_of_what_cannot_fit(command: str, terraphi, tmp_path) -> None:
     head = "" if command == "simulate" else 'name = "p"\n[sweep]\n"numerics.seed" = [1, 2]\n'

@@ -34,6 +34,7 @@ from terraphi.view.console import (
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
+    from terraphi.experiment.scenario import Scenario
     from terraphi.forward.forecast import Forecast
     from terraphi.library.plan import Plan
 
@@ -85,25 +86,25 @@ def library_build(
         check_file(out, kind="library")
     makeable(out.parent)
     cases = chosen.cases()
-    simulates = cases if cluster is None else []
+    left: list[Forecast] = []
     expected = forecast_of(chosen, None if cluster else workers or available_cores())
     of_each = (doubt for case in cases for doubt in doubts(case))
     asked = dict.fromkeys([*of_each, *doubts_between(cases)])
     try:
         with (
             pool(workers, cluster) as running,
-            progress_bar("simulating", simulates=simulates) as report,
+            progress_bar("simulating", simulates=[] if cluster else cases) as report,
         ):
             for doubt in asked:
                 log.warning(doubt)
             cores = running.workers or 1
             if cluster is not None:
                 ask_cluster(cluster, running.workers, expected, chosen)
-            note(expected.sentence(cores))
             made = build(
                 chosen,
                 out,
                 executor=running.executor,
+                begin=lambda missing: left.append(what_is_left(missing, cases, cores)),
                 progress=lambda done, total: report(running.counted(done), total),
                 checkpoint_every=checkpoint_every,
                 memory=running.memory,
@@ -121,7 +122,7 @@ def library_build(
         kept_cases(out)
         raise
     if as_json:
-        print_json({**made.summary(), "forecast": expected.as_dict(cores)})
+        print_json({**made.summary(), "forecast": left[0].as_dict(cores)})
         return
     print_library(made)
 
@@ -137,6 +138,18 @@ def forecast_of(plan: Plan, cores: int | None) -> Forecast:
     expected = foreseen(plan.cases())
     if cores:
         refuse_too_many(expected, cores, f"plan '{plan.name}'")
+    return expected
+
+
+def what_is_left(missing: list[Scenario], cases: list[Scenario], cores: int) -> Forecast:
+    """Note what of a plan's cases is to be simulated, and how long that will take."""
+    from terraphi.forward.forecast import foreseen
+
+    expected = foreseen(missing)
+    if len(missing) < len(cases):
+        note(f"{len(missing)} of {len(cases)} simulations are left")
+    if missing:
+        note(expected.sentence(cores))
     return expected
 
 

@@ -117,7 +117,7 @@ def forecast(
     Parameters
     ----------
     scenarios
-        At least one.
+        May be none, where everything is there already.
     register_bits
         Width of the vectors of the machine that simulates [bit].
     compiling_seconds
@@ -126,11 +126,11 @@ def forecast(
     each = [_of_one(scenario, register_bits) for scenario in scenarios]
     return Forecast(
         len(each),
-        max(one.particles for one in each),
+        max((one.particles for one in each), default=0.0),
         sum(one.particle_steps for one in each),
         sum(one.core_seconds for one in each),
-        max(one.longest_seconds for one in each),
-        max(one.bytes for one in each),
+        max((one.longest_seconds for one in each), default=0.0),
+        max((one.bytes for one in each), default=0.0),
         compiling_seconds,
     )
 
@@ -141,7 +141,7 @@ def foreseen(scenarios: Sequence[Scenario]) -> Forecast:
     Parameters
     ----------
     scenarios
-        At least one.
+        May be none, where everything is there already.
     """
     needed = {code for code in map(code_for, scenarios) if code is not None}
     if not needed:

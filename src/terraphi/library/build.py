@@ -102,6 +102,7 @@ def build(
     path: Path | str,
     *,
     executor: Executor | None = None,
+    begin: Callable[[list[Scenario]], None] | None = None,
     progress: Progress | None = None,
     checkpoint_every: float = EVERY,
     memory: float | None = None,
@@ -120,6 +121,8 @@ def build(
     executor
         Runs the cases, such as that of a :class:`~terraphi.library.workers.WorkerPool` or a
         :class:`~terraphi.library.cluster.Cluster`; ``None`` runs them here, one after another.
+    begin
+        Called once, before the first simulation, with the cases that are not there yet.
     progress
         Called whenever something may have changed.
     checkpoint_every
@@ -150,6 +153,7 @@ def build(
             folder,
             known=_usable(before.cases) if before else {},
             executor=executor,
+            begin=begin,
             progress=progress,
             checkpoint_every=checkpoint_every,
             memory=memory,
@@ -233,6 +237,7 @@ def simulate_cases(
     *,
     known: Mapping[str, ForceHistory] = MappingProxyType({}),
     executor: Executor | None = None,
+    begin: Callable[[list[Scenario]], None] | None = None,
     progress: Progress | None = None,
     checkpoint_every: float = EVERY,
     memory: float | None = None,
@@ -250,7 +255,7 @@ def simulate_cases(
         that are running; what is here already is taken as it is.
     known
         Further finished cases, by the hash of their scenario.
-    executor, progress, checkpoint_every, memory
+    executor, begin, progress, checkpoint_every, memory
         As in :func:`build`.
     keep_failures
         Whether that a case fails is a result too: the reason is then kept in a file beside the
@@ -282,7 +287,8 @@ def simulate_cases(
         s.hash: Checkpoint(place / f"{s.hash}.checkpoint", checkpoint_every) for s in wanted
     }
     missing = {s.hash: s for s in wanted if s.hash not in finished and s.hash not in failures}
-    log.info("%d of %d cases are there already", len(wanted) - len(missing), len(wanted))
+    if begin is not None:
+        begin(list(missing.values()))
 
     def keep(scenario: Scenario, outcome: ForceHistory | str) -> None:
         if isinstance(outcome, str):
@@ -298,10 +304,8 @@ def simulate_cases(
 
     def look() -> None:
         if progress is not None:
-            progress(len(wanted) - len(missing) + _settled(), len(wanted))
-
-    def _settled() -> int:
-        return sum(key in finished or key in failures for key in missing)
+            settled = sum(key in finished or key in failures for key in missing)
+            progress(len(wanted) - len(missing) + settled, len(wanted))
 
     try:
         look()
