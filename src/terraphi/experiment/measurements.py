@@ -219,14 +219,9 @@ def told_by(
     shipped = history.provenance.get("measurement")
     if shipped in names():
         return replace(measurement(str(shipped)), name=name or str(shipped), history=history)
-    made_by = history.provenance.get("scenario")
-    if made_by is None:
+    scenario = scenario_of(history, name=name, remedy=remedy)
+    if scenario is None:
         return Measurement(name=name, history=history, leg="straight", leg_assumed=True)
-    try:
-        scenario = Scenario.model_validate(made_by)
-    except ValidationError as error:
-        what = f"{name or 'the history'}, scenario"
-        raise InputError(f"{sentence_from_validation(error, what, Scenario)}; {remedy}") from error
     return Measurement(
         name=name,
         history=history,
@@ -234,6 +229,31 @@ def told_by(
         medium=f"simulated ({scenario.model})",
         density_kg_m3=scenario.soil.density,
     )
+
+
+def scenario_of(
+    history: ForceHistory, *, name: str = "", remedy: str = "give its forces alone"
+) -> Scenario | None:
+    """The scenario that a simulated history carries; ``None`` if it carries none.
+
+    Parameters
+    ----------
+    history
+        Any.
+    name, remedy
+        As of :func:`told_by`.
+
+    Raises
+    ------
+    InputError
+        If it is not one of this version.
+    """
+    made_by = history.provenance.get("scenario")
+    try:
+        return None if made_by is None else Scenario.model_validate(made_by)
+    except ValidationError as error:
+        what = f"{name or 'the history'}, scenario"
+        raise InputError(f"{sentence_from_validation(error, what, Scenario)}; {remedy}") from error
 
 
 def is_of_their_apparatus(scenario: Scenario) -> bool:

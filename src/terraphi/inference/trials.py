@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from pydantic import ValidationError
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
@@ -20,7 +19,7 @@ from terraphi.experiment.history import (
     is_dense,
     is_read_again,
 )
-from terraphi.experiment.measurements import Measurement
+from terraphi.experiment.measurements import Measurement, scenario_of
 from terraphi.experiment.scenario import Scenario
 from terraphi.inference.answer import Record
 from terraphi.inference.defects import Inspection, inspect_record, touches_soil_deg
@@ -610,25 +609,6 @@ def slips(observation: Observation, curves: FloatArray) -> list[Doubt]:
         if correlation < TURNED:
             found.append(Doubt("runs_against", {"force": name, "correlation": correlation}))
     return found
-
-
-def scenario_of(history: ForceHistory) -> Scenario | None:
-    """Scenario that a simulated history carries; ``None`` if it carries none.
-
-    Raises
-    ------
-    InputError
-        If it is not one of this version.
-    """
-    if "scenario" not in history.provenance:
-        return None
-    try:
-        return Scenario.model_validate(history.provenance["scenario"])
-    except ValidationError as error:
-        raise InputError(
-            "the history carries a scenario that this version of terraphi cannot read; simulate it "
-            "again, or give its forces alone (a CSV without its comment)"
-        ) from error
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
