@@ -99,7 +99,7 @@ def test_a_table_of_angles_that_are_fixed_is_refused_as_what_it_is(terraphi) -> 
     options = ("--table", "a.csv", "--library", "rft3d", *fixed)
     ran = terraphi("invert", "li2013:yuma/straight", *options)
     assert ran.status == 2
-    assert "φ is fixed by a prior" in ran.err
+    assert "prior 'friction_angle_deg=30' fixes φ" in ran.err
 
 
 def test_a_folder_has_its_records_whatever_the_case_of_their_suffix(tmp_path) -> None:

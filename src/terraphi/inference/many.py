@@ -15,6 +15,7 @@ from terraphi.experiment.files import replacing, writable
 from terraphi.experiment.measurements import open_forces
 from terraphi.inference.answer import PHI, Inversion
 from terraphi.inference.inversion import invert
+from terraphi.inference.prior import Marginal, is_on, parsed
 from terraphi.inference.trials import Trial
 from terraphi.library.store import Library
 
@@ -67,10 +68,16 @@ def invert_many(
     Raises
     ------
     InputError
-        If there are no sources, or none of them can be inverted: with the reason of the first.
+        If there are no sources, a prior fixes φ, or none of them can be inverted: with the reason
+        of the first.
     """
     import pandas as pd
 
+    for text in options.get("prior", ()):
+        if is_on(text, PHI) and parsed(text, text.partition("=")[2], Marginal(0.0, 90.0)).fixed:
+            raise InputError(
+                f"prior '{text}' fixes φ; a table is of friction angles that are inferred"
+            )
     rows = []
     for done, source in enumerate(sources):
         progress(done, len(sources))
@@ -96,7 +103,7 @@ def invert_many(
 def _row(found: Inversion) -> dict[str, Any]:
     """The answer's numbers, by column; InputError if φ is none of them."""
     if PHI not in found.keys:
-        raise InputError("φ is fixed by a prior; a table is of friction angles that are inferred")
+        raise InputError("the library's φ does not vary; a table is of friction angles")
     phi, plane, record = found.phi, found.phi_plane_strain, found.record
     told: dict[str, Any] = {
         "leg": record.leg,
