@@ -77,6 +77,10 @@ STUDIES = {
         "from preset paper-1 to resolved, and whether that has arrived", "seconds"
     ),
     "onset": Outline("where the lift of a leg in space rises, and what moves that", "seconds"),
+    "refinement": Outline(
+        "what cells without size and no speed-up do to libraries, with their uncertainty",
+        "a minute",
+    ),
     "plates": Outline(
         "plates pressed into real sand: φ by each force law, and what the law is worth", "seconds"
     ),

@@ -265,6 +265,17 @@ def test_the_command_refines_a_copy(
         assert row["Fz"]["percent"] == pytest.approx(-20.0, abs=2.0)
         expected = {"straight": 6.5, "c": 13.0}[row["leg"]]
         assert row["Fz"]["sd_percent"] == pytest.approx(expected, rel=0.3)
+        if row["phi_deg"] == 35.0:
+            # Forces g of slope s: with 0.8 g and 0.8 s, those of g are read off 0.25 g s / s^2 on.
+            curves = coarse.curves(row["leg"])
+            below, here, above = curves.vectors[2:5]
+            slope = (above - below) / 10.0
+            per_cent = 0.25 / 20.0 * float(here @ slope / (slope @ slope))
+            assert row["phi"]["deg"] == pytest.approx(20.0 * per_cent, rel=0.2)
+            assert row["phi"]["sd_deg"] == pytest.approx(expected * per_cent, rel=0.5)
+            mean = np.abs(np.split(here, 2)[1]).mean()
+            newton = row["Fz"]["percent"] / 100.0 * mean
+            assert row["Fz"]["newton"] == pytest.approx(newton, rel=0.02)
     said = terraphi(*arguments[:-1], "again.nc").out
     assert "No finer case has leg c: what is known of another leg stands for it" in said
     assert "Uncertain by more than 10 % of a force: c at 20°, c at " in said

@@ -189,12 +189,13 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
     if as_json:
         print_json({"library": made.name, "file": str(out), "corrections": found})
         return
-    header = ("leg", "φ [deg]", "change of Fx [%]", "change of Fz [%]")
+    header = ("leg", "φ [deg]", "change of Fx [%]", "change of Fz [%]", "of φ as read [deg]")
     rows = [
         (
             row["leg"],
             words(row["phi_deg"]),
             *(f"{row[f]['percent']:+.1f} ± {row[f]['sd_percent']:.1f}" for f in ("Fx", "Fz")),
+            f"{row['phi']['deg']:+.1f} ± {row['phi']['sd_deg']:.1f}",
         )
         for row in found
     ]

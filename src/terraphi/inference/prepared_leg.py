@@ -362,9 +362,11 @@ def corrections(library: Library) -> list[dict[str, Any]]:
     Returns
     -------
     list
-        For each leg at its least, middle and largest friction angle ``leg``, ``phi_deg`` and for
+        For each leg at its least, middle and largest friction angle ``leg``, ``phi_deg``; for
         ``Fx`` and ``Fz`` the factor that comes closest to the change over θ, with its standard
-        deviation [%].
+        deviation, ``percent`` and ``sd_percent``, and what that is of the mean force, ``newton``
+        and ``sd_newton``; and for ``phi`` by how much the angle of least squares that is read off
+        a record rises, ``deg`` and ``sd_deg``.
     """
     found = []
     for leg in library.legs:
@@ -374,14 +376,28 @@ def corrections(library: Library) -> list[dict[str, Any]]:
         for phi in angles[[0, len(angles) // 2, -1]].tolist():
             before, after = simulated.predict(phi)[0], surrogate.predict(phi)[0]
             error = surrogate.covariance(phi) - simulated.covariance(phi)
-            row: dict[str, Any] = {"leg": leg, "phi_deg": phi}
+            slope = surrogate.slope(phi)
+            shift = slope / (slope @ slope)
+            read = {"deg": -float(shift @ (after - before)), "sd_deg": _sd(shift, error)}
+            row: dict[str, Any] = {"leg": leg, "phi_deg": phi, "phi": read}
             for name, part in zip(("Fx", "Fz"), np.split(np.arange(before.size), 2), strict=True):
                 along = before[part] / np.square(before[part]).sum()
-                sd = float(np.sqrt(along @ error[np.ix_(part, part)] @ along))
+                sd = _sd(along, error[np.ix_(part, part)])
                 change = float(along @ (after - before)[part])
-                row[name] = {"percent": 100.0 * change, "sd_percent": 100.0 * sd}
+                mean = float(np.abs(before[part]).mean())
+                row[name] = {
+                    "percent": 100.0 * change,
+                    "sd_percent": 100.0 * sd,
+                    "newton": mean * change,
+                    "sd_newton": mean * sd,
+                }
             found.append(row)
     return found
+
+
+def _sd(weights: FloatArray, covariance: FloatArray) -> float:
+    """Standard deviation of a sum with weights."""
+    return float(np.sqrt(weights @ covariance @ weights))
 
 
 def learn(curves: Curves, replicates: Sequence[tuple[float, FloatArray]] = ()) -> JointSurrogate:

@@ -1,0 +1,172 @@
+"""Refinement: what cells without size and no speed-up would do to a library's forces.
+
+Finer simulations of some of a library's cases are shipped beside it. They are put into it as
+`terraphi library refine` does, and the correction is told in percent and newtons of the force and
+in degrees of friction angle, each with its standard deviation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.inference.prepared_leg import corrections, prepare, refined
+from terraphi.library.store import Library
+from terraphi.view.plots import BLUE, ORANGE, panels_of
+from terraphi.view.table import Table
+from terraphi_studies import Progress, Study, page, steps
+from terraphi_studies.measures import FORCES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+NAME = "refinement"
+FINER = {
+    "resolved-2": ("cells-384", "cells-288", "bent-cells-384", "speed-up"),
+    "sand3d-quick": ("cells-86",),
+}
+"""By library, what the names of those end with that have finer cases of it."""
+PHI_DEG = 35.0
+"""Friction angle whose curves are kept and drawn, or the nearest there is [deg]."""
+TITLE = "Cells and speed-up taken out of libraries"
+COLUMNS = (
+    ("library", "`{library}`"),
+    ("leg", "{leg}"),
+    ("φ [deg]", "{phi_deg:g}"),
+    *(
+        (f"{force} [{unit}]", lambda row, force=force, key=key: _said(row[force], key))
+        for force in FORCES
+        for unit, key in (("%", "percent"), ("N", "newton"))
+    ),
+    ("φ as read [deg]", lambda row: _said(row["phi"], "deg")),
+)
+METHOD = (
+    "Written by `terraphi study refinement --out DIR`. Simulations with smaller cells or a smaller "
+    "speed-up, of a few friction angles, are put into the library that they are cases of "
+    "(`terraphi library refine`), whose forces are led to cells without size and to no speed-up "
+    "([how](inference.md#cells-and-speed-up)). Changes: the factor that comes closest to the "
+    "change over the leg angle, that times the mean force, and by how much the angle of least "
+    "squares rises that is read off a record; each with its standard deviation, at the least, the "
+    "middle and the largest friction angle of the library. Whatever the leg's width, this is the "
+    "error of the numbers alone, and not of the model."
+)
+PICTURE = "Forces over the leg angle, as simulated and led to cells without size and no speed-up"
+
+
+def run(*, library: str | None = None, progress: Progress | None = None) -> Study:
+    """Refine libraries by the shipped simulations that are finer.
+
+    Parameters
+    ----------
+    library
+        One of :data:`FINER`; all if not given.
+    progress
+        Called with the number of libraries done and of all.
+
+    Returns
+    -------
+    Study
+        ``data``: ``rows``, those of :func:`~terraphi.inference.prepared_leg.corrections` with
+        ``library`` before them; ``finer``, by library and leg the finer cases in words; and
+        ``curves``, one for each leg of a library: ``library``, ``leg``, ``phi_deg``,
+        ``theta_deg``, and by force ``simulated_N``, ``limit_N`` and ``sd_N``.
+
+    Raises
+    ------
+    InputError
+        If no finer simulations of that library are shipped.
+    """
+    if library is not None and library not in FINER:
+        raise InputError(
+            f"library '{library}': no finer simulations of it are shipped; {nearest(library, FINER)}"
+        )
+    names = [library] if library else list(FINER)
+    step = steps(len(names), progress)
+    rows: list[dict[str, Any]] = []
+    curves: list[dict[str, Any]] = []
+    finer = {}
+    for name in names:
+        made = refined(
+            Library.load(name), [Library.load(f"{name}-{ending}") for ending in FINER[name]]
+        )
+        rows += [{"library": name, **row} for row in corrections(made)]
+        curves += [{"library": name, **curves_of(made, leg)} for leg in made.legs]
+        finer[name] = step(made.summary()["finer_cases"])
+    table, notes = Table.of(TITLE, COLUMNS, rows), _notes(rows, finer)
+    return Study(
+        table=table,
+        data={"rows": rows, "finer": finer, "curves": curves},
+        figures={NAME: _figure(curves)},
+        documents=page(NAME, table, METHOD, notes, PICTURE),
+        notes=notes,
+    )
+
+
+def curves_of(library: Library, leg: str) -> dict[str, Any]:
+    """A leg's forces at one angle, as simulated and at the limit; keys as in :func:`run`."""
+    surrogate = prepare(library, leg).surrogate
+    simulated = replace(surrogate, correction=None)
+    phi = float(surrogate.phi_deg[np.abs(surrogate.phi_deg - PHI_DEG).argmin()])
+    error = surrogate.covariance(phi) - simulated.covariance(phi)
+    told = {
+        "simulated_N": simulated.predict(phi)[0],
+        "limit_N": surrogate.predict(phi)[0],
+        "sd_N": np.sqrt(np.diag(error)),
+    }
+    found: dict[str, Any] = {"leg": leg, "phi_deg": phi}
+    found["theta_deg"] = surrogate.theta_deg.tolist()
+    for i, force in enumerate(("Fx", "Fz")):
+        found[force] = {key: np.split(values, 2)[i].tolist() for key, values in told.items()}
+    return found
+
+
+def _said(told: Mapping[str, float], key: str) -> str:
+    return f"{told[key]:+.1f} ± {told[f'sd_{key}']:.1f}"
+
+
+def _notes(
+    rows: Sequence[Mapping[str, Any]], finer: Mapping[str, Mapping[str, Sequence[str]]]
+) -> list[str]:
+    """Of each library what it was refined by, and where that is least and best known."""
+    notes = []
+    for name, legs in finer.items():
+        told = "; ".join(f"{leg} {', '.join(cases)}" for leg, cases in legs.items())
+        notes.append(f"Finer cases of `{name}`: {told}.")
+        mine = [row for row in rows if row["library"] == name]
+        best = min(mine, key=lambda row: row["phi"]["sd_deg"])
+        worst = max(mine, key=lambda row: row["phi"]["sd_deg"])
+        notes.append(
+            f"Angles read through `{name}` would rise by {_place(best)} and, least well known, by "
+            f"{_place(worst)}."
+        )
+    return notes
+
+
+def _place(row: Mapping[str, Any]) -> str:
+    return f"{_said(row['phi'], 'deg')}° ({row['leg']}, {row['phi_deg']:g}°)"
+
+
+def _figure(curves: Sequence[Mapping[str, Any]]) -> Figure:
+    """A row of panels for each force, a column for each leg of a library."""
+    figure, panels = panels_of(2, len(curves), size=(2.6 * len(curves) + 0.6, 5.6), sharex=True)
+    for curve, column in zip(curves, panels.T, strict=True):
+        theta = np.array(curve["theta_deg"])
+        for force, axes in zip(FORCES, column, strict=True):
+            simulated, limit, sd = map(np.array, curve[force].values())
+            axes.plot(theta, simulated, color=ORANGE, lw=1.2, label="as simulated")
+            axes.plot(theta, limit, color=BLUE, lw=1.2, label="at the limit, ± 1 sd")
+            axes.fill_between(theta, limit - sd, limit + sd, color=BLUE, alpha=0.25, lw=0)
+            axes.axhline(0.0, color="k", lw=0.5)
+        column[0].set_title(
+            f"{curve['library']}\n{curve['leg']}, φ = {curve['phi_deg']:g}°", fontsize=9
+        )
+        column[-1].set_xlabel("leg angle [deg]")
+    for force, axes in zip(FORCES, panels[:, 0], strict=True):
+        axes.set_ylabel(f"{force} [N]")
+    panels[0, 0].legend(frameon=False, fontsize=7)
+    return figure
