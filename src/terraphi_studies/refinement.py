@@ -83,7 +83,8 @@ def run(*, library: str | None = None, progress: Progress | None = None) -> Stud
     """
     if library is not None and library not in FINER:
         raise InputError(
-            f"library '{library}': no finer simulations of it are shipped; {nearest(library, FINER)}"
+            f"library '{library}': no finer simulations of it are shipped; "
+            f"{nearest(library, FINER)}"
         )
     names = [library] if library else list(FINER)
     step = steps(len(names), progress)

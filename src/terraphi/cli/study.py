@@ -53,7 +53,8 @@ def study(name: str | None, out: Path | None, as_json: bool, **options: Any) -> 
 
     The paper's own: benchmark, phi_sensitivity, k0, surrogate, recovery, and figures, which draws
     all of them. Of measured sand: measured, real_soil, prediction. Of the model: calibration,
-    spacing, design, reading, prototype, sensitivity, resolution, onset, verification.
+    spacing, design, reading, prototype, sensitivity, resolution,
+    refinement, onset, verification.
 
     Of a foot: plates.
 
