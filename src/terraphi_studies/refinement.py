@@ -38,11 +38,10 @@ COLUMNS = (
     ("library", "`{library}`"),
     ("leg", "{leg}"),
     ("φ [deg]", "{phi_deg:g}"),
-    *(
-        (f"{force} [{unit}]", lambda row, force=force, key=key: _said(row[force], key))
-        for force in FORCES
-        for unit, key in (("%", "percent"), ("N", "newton"))
-    ),
+    ("Fz [%]", lambda row: _said(row["Fz"], "percent")),
+    ("Fz [N]", lambda row: _said(row["Fz"], "newton")),
+    ("Fx [%]", lambda row: _said(row["Fx"], "percent")),
+    ("Fx [N]", lambda row: _said(row["Fx"], "newton")),
     ("φ as read [deg]", lambda row: _said(row["phi"], "deg")),
 )
 METHOD = (

@@ -343,7 +343,8 @@ def test_what_goes_with_the_cells_goes_with_nothing_else(
     [
         ("resolved-2", "cells-384", "grid", {0.5}),
         ("resolved-2", "cells-288", "grid", {2 / 3}),
-        ("resolved-2", "speed-up", "speed_up", {1 / 9, 1 / 3}),
+        ("resolved-2", "bent-cells-384", "grid", {0.5}),
+        ("resolved-2", "speed-up", "speed_up", {1 / 3}),
         ("sand3d-quick", "cells-86", "grid", {60 / 86}),
         ("sand3d-quick", "cells-120", "grid", {0.5}),
         ("sand3d-quick", "speed-up", "speed_up", {1.5 / 9, 4 / 9}),
