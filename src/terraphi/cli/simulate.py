@@ -54,7 +54,7 @@ def simulate(
 ) -> None:
     """Simulate SCENARIO, a TOML file or the name of a shipped preset.
 
-    Presets: quick, paper-1, resolved, resolved-2.
+    Presets: quick, paper-1, paper-code-1, resolved, resolved-2.
 
     The same command resumes a simulation that was interrupted or killed; the result is
     bit-identical to that of an uninterrupted run.

@@ -89,6 +89,11 @@ def test_nodes_in_the_band_are_pushed_along_the_gradient():
     assert pushed(0.0072, 0.06, (-0.1, 0.0))[2:] == pytest.approx((0.1, 0.0))
     assert pushed(0.0072, 0.06, (0.1, 0.3)) == (0.1, 0.3, 0.0, 0.0)  # it recedes
     assert pushed(0.0083, 0.06, (-0.1, 0.0)) == (-0.1, 0.0, 0.0, 0.0)  # out of the band
+    # 2 mm to the right of its lower corner and 1 mm below, with cells of 2 mm, the distance is
+    # 4 mm a cell to the right, 1 mm to the left, 3 mm below and 2 mm above: normal (3, -1)/√10.
+    n = np.array([3.0, -1.0]) / math.sqrt(10.0)
+    at_corner = pushed(0.0032 + 0.002, 0.1 - 0.0762 - 0.001, tuple(-0.1 * n))
+    assert at_corner[2:] == pytest.approx(tuple(0.1 * n))
     # In the middle of the leg distances to either side are equal: no normal, no contact.
     assert pushed(0.0, 0.06, (-0.1, 0.0)) == (-0.1, 0.0, 0.0, 0.0)
 
