@@ -5,8 +5,9 @@ another. ``resolution`` takes ``resolved`` and halves the cells, the time step a
 makes the soil four times as stiff: none of these is a property of the soil, so the peaks should
 stay. What a change is worth is seen beside what another seed does. A step that follows another is
 measured from that one: so the cells of preset ``resolved-2`` are halved, for each leg; a step to
-another leg begins anew. ``space`` does the same in three dimensions, with the numerics of plan
-``sand3d-quick``. Peaks are those of 1° means, over the part of the path that holds both.
+another leg or friction angle begins anew. ``space`` does the same in three dimensions, with the
+numerics of plan ``sand3d-quick``. Peaks are those of 1° means, over the part of the path that holds
+both.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ def study_of(way: Plan, halved: Plan, space: Plan, finished: Mapping[str, ForceH
         ``from``, the step that it follows or the base, ``seeds``, ``peaks_N``, ``change_percent``,
         ``within_5_percent``, ``mean_change_percent``: that of the mean over the path; both also
         as ``change_deg`` and ``mean_change_deg``, in degrees of the friction angle, null where the
-        step's leg is not the base's; a step to another leg has ``from`` null and no change),
+        step's leg or angle is not the base's; a step to another has ``from`` null and no change),
         ``space`` (its ``base`` and ``steps``, as these two), ``change_when_halved_percent`` (by
         force: ``mean_change_percent`` of :data:`HALVED`; null while that is missing),
         ``percent_per_degree`` by force, and ``missing``.
@@ -145,16 +146,19 @@ def _changes(
         for name, same in runs.items()
     }
     start = {name: (_mean(peaks), _mean(levels)) for name, (peaks, levels) in both_of.items()}
-    legs = {name: scenario.leg.shape for name, scenario in steps_of(plan).items()}
+    of = {
+        name: (scenario.leg.shape, scenario.soil.friction_angle_deg)
+        for name, scenario in steps_of(plan).items()
+    }
     changes: dict[str, dict[str, Any]] = {}
     for name, before in followed(plan).items():
         if name in start and before in start:
             change = {"from": before, "seeds": len(runs[name]), "peaks_N": start[name][0]}
-            if legs[name] != legs[before]:
+            if of[name] != of[before]:
                 change["from"] = None
             else:
                 change |= _change(*start[name], *start[before])
-                if legs[name] != plan.scenario.leg.shape:
+                if of[name] != of[plan.scenario.name]:
                     change |= {"change_deg": None, "mean_change_deg": None}
             changes[name] = change
     return _seeds(*both_of[plan.scenario.name]), changes
@@ -328,14 +332,14 @@ def _method() -> str:
         for f, words in (("Fz", "F_z"), ("Fx", "F_x"))
     )
     return (
-        "Straight leg unless another is named, φ = 35°, speed-up 10, peaks of 1° means. Each row "
-        "of the first part adds a change to all before it; each of the second changes preset "
+        "Straight leg and φ = 35° unless others are named, speed-up 10, peaks of 1° means. Each "
+        "row of the first part adds a change to all before it; each of the second changes preset "
         "`resolved`, and each of the third the leg in space on cells of 7 mm, by itself, but for "
         "what is said to be from above: that changes the row above it. A row without changes is "
-        "where another leg begins. Preset `resolved-2` has the tip drawn in and phases of 20 steps "
-        "on each grid. Rows *in space* are of the leg's true width, contact a cell short of its "
-        "tip but where another is named; of all means, those over the path. Plans: `waterfall`, "
-        "`resolution` and `space`. "
+        "where another leg or angle begins. Preset `resolved-2` has the tip drawn in and phases of "
+        "20 steps on each grid. Rows *in space* are of the leg's true width, contact a cell short "
+        "of its tip but where another is named; of all means, those over the path. Plans: "
+        "`waterfall`, `resolution` and `space`. "
         "Run again: `terraphi study resolution`.\n\n"
         f"{degrees.said()}\n\n"
         "Presets, and cells of 7 and 5 mm in space where contact ends at the tip or a cell short "

@@ -125,9 +125,12 @@ def test_a_step_that_follows_another_is_measured_from_it(plans: tuple[Plan, Plan
     assert "both" not in studied((way, halved, space), finished).data["halved"]
 
 
-def test_another_leg_begins_anew(plans: tuple[Plan, Plan, Plan]) -> None:
+@pytest.mark.parametrize("another", [{"leg.shape": "c"}, {"soil.friction_angle_deg": 45.0}])
+def test_another_leg_or_angle_begins_anew(
+    plans: tuple[Plan, Plan, Plan], another: dict[str, Any]
+) -> None:
     way, halved, space = plans
-    bent = Step(name="C", after="base", changes={"leg.shape": "c"})
+    bent = Step(name="C", after="base", changes=another)
     finer = Step(name="C, finer", changes={"numerics.time_step": 4e-6})
     halved = halved.model_copy(update={"steps": [*halved.steps[:1], bent, finer]})
     finished = finished_of(way, [(10.0, 5.0)])
@@ -137,7 +140,7 @@ def test_another_leg_begins_anew(plans: tuple[Plan, Plan, Plan]) -> None:
     assert changes["C"] == {"from": None, "seeds": 1, "peaks_N": changes["C"]["peaks_N"]}
     assert changes["C"]["peaks_N"]["Fz"] == pytest.approx(30.0, rel=1e-3)
     assert changes["C, finer"]["mean_change_percent"]["Fz"] == pytest.approx(-20.0, abs=0.1)
-    assert changes["C, finer"]["mean_change_deg"] is None  # degrees are of the straight leg
+    assert changes["C, finer"]["mean_change_deg"] is None  # degrees are of the base
     cells = {row[0]: row[3:] for row in study.table.rows}
     assert cells["resolved, C"] == ("", "", "")
     assert cells["resolved, C, finer"][0] == "-20.0 % from above"
