@@ -200,3 +200,17 @@ def test_pages_and_histories_of_ours_are_replaced(terraphi, tmp_path) -> None:
     for _ in range(2):
         assert terraphi("simulate", "s.toml", "--out", "h.nc").status == 0
         assert terraphi("report", "h.nc", "--out", "r.html").status == 0
+
+
+def test_a_netcdf_is_called_so(terraphi, tmp_path) -> None:
+    # A file "resolved" would be taken for the library of that name.
+    for command in (
+        ("simulate", "quick", "--out"),
+        ("library", "build", "rft3d", "--out"),
+        ("library", "refine", "resolved-2", "--fine", "resolved-2-cells-384", "--out"),
+        ("library", "calibrate", "rft3d", "--out"),
+    ):
+        ran = terraphi(*command, "resolved")
+        assert (ran.status, ran.out) == (2, "")
+        assert "resolved: is written as NetCDF; name it resolved.nc" in ran.err
+    assert not contents(tmp_path)

@@ -277,7 +277,7 @@ def test_the_command_refines_a_copy(
             newton = row["Fz"]["percent"] / 100.0 * mean
             assert row["Fz"]["newton"] == pytest.approx(newton, rel=0.02)
     said = terraphi(*arguments[:-1], "again.nc").out
-    assert "No finer case has leg c: what is known of another leg stands for it" in said
+    assert "No finer case for cells has leg c: what is known of another leg stands for it" in said
     assert "Uncertain by more than 10 % of a force: c at 20°, c at " in said
     shown = json.loads(terraphi("library", "show", "better.nc", "--json").out)
     told = shown["finer_cases"]["straight"]
@@ -345,6 +345,7 @@ def test_what_goes_with_the_cells_goes_with_nothing_else(
         ("resolved-2", "cells-288", "grid", {2 / 3}),
         ("resolved-2", "bent-cells-384", "grid", {0.5}),
         ("resolved-2", "bent-cells-288", "grid", {2 / 3}),
+        ("resolved-2", "bent-speed-up", "speed_up", {1 / 3}),
         ("resolved-2", "speed-up", "speed_up", {1 / 9, 1 / 3}),
         ("sand3d-quick", "cells-86", "grid", {60 / 86}),
         ("sand3d-quick", "cells-120", "grid", {0.5}),

@@ -68,7 +68,7 @@ def test_file_and_figures(terraphi: Terraphi, tmp_path: Path) -> None:
         (("log.npz", "--joint-names", "a,b"), "2 joint names given; 12 are expected"),
         (("log.npz", "--joint-names", "a,b,c,d,e,f,g,h,i,j,k,l"), "leave the joint names out"),
         (("log.npz", "--out", "no/f.nc"), "no such folder"),
-        (("log.npz", "--out", "f.csv"), "f.csv: forces are written as NetCDF; name it f.nc"),
+        (("log.npz", "--out", "f.csv"), "f.csv: is written as NetCDF; name it f.nc"),
     ],
 )
 def test_unusable_words(args: tuple[str, ...], word: str, terraphi: Terraphi, tmp_path) -> None:

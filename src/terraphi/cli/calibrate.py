@@ -47,6 +47,16 @@ def library_calibrate(
     rows = [[leg, *(words(found[name]) for name in columns)] for leg, found in certificate.items()]
     title = f"Coverage of {made.name}'s intervals, written to {out}"
     print_table(Table(title, ("leg", *columns), rows))
+    if made.guesses_scatter:
+        click.echo(
+            "The library has no replicates: what particle seeds do to a force is guessed from its "
+            "curves. Simulations of some cases with other seeds (--replicates) make that sure."
+        )
+    for leg, held in made.unheld.items():
+        click.echo(
+            f"Leg {leg}: 95 % intervals hold {held:.0%} of simulated truths: do not believe them. "
+            "Replicates, or more friction angles, would help."
+        )
 
 
 @click.command("calibrate")

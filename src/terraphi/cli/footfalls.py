@@ -65,8 +65,6 @@ def footfalls(
     prior = prior_for(density) if density is not None else None
     known = [anchor_from(text) for text in anchors]
     if out is not None:
-        if out.suffix != ".nc":
-            raise click.UsageError(f"--out {out}: a name that ends in .nc is expected")
         check_file(out, kind=files.KIND)
         for suffix in (".csv", ".geojson", ".png"):
             check_file(out.with_suffix(suffix))

@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from terraphi.cli.options import ESTIMATORS, FRAMES, PATH, Choice, json_option, shipped
-from terraphi.experiment.errors import InputError
 from terraphi.view.console import print_forces, print_json, print_table
 from terraphi.view.table import Table
 
@@ -100,8 +99,6 @@ def forces(
     from terraphi.view import robot_plots as pictures
 
     if out is not None:
-        if out.suffix != ".nc":
-            raise InputError(f"{out}: forces are written as NetCDF; name it {out.stem}.nc")
         check_file(out, kind=results_file.KIND)
     if figures is not None:
         check_folder(figures, kind="forces", names=["forces.png", "stance.png"])

@@ -74,29 +74,26 @@ def library_build(
     Example: terraphi library build quick-plane-strain --out my.nc --workers 4
     """
     from terraphi.experiment.files import makeable
-    from terraphi.experiment.outputs import check_file
-    from terraphi.experiment.plausibility import doubts, doubts_between
+    from terraphi.experiment.outputs import check_file, check_netcdf_name
     from terraphi.library.build import build, kept_cases
     from terraphi.library.cluster import pool
     from terraphi.library.plan import Plan
     from terraphi.library.workers import available_cores
 
     chosen = Plan.load(plan)
+    check_netcdf_name(out)
     if out.exists():
         check_file(out, kind="library")
     makeable(out.parent)
-    cases = chosen.cases()
     left: list[Forecast] = []
     expected = forecast_of(chosen, None if cluster else workers or available_cores())
-    of_each = (doubt for case in cases for doubt in doubts(case))
-    asked = dict.fromkeys([*of_each, *doubts_between(cases)])
+    cases = chosen.cases()
     try:
         with (
             pool(workers, cluster) as running,
             progress_bar("simulating", simulates=[] if cluster else cases) as report,
         ):
-            for doubt in asked:
-                log.warning(doubt)
+            warn_of(cases)
             cores = running.workers or 1
             if cluster is not None:
                 ask_cluster(cluster, running.workers, expected, chosen)
@@ -125,6 +122,15 @@ def library_build(
         print_json({**made.summary(), "forecast": left[0].as_dict(cores)})
         return
     print_library(made)
+
+
+def warn_of(cases: list[Scenario]) -> None:
+    """Log each doubt about a plan's cases, once."""
+    from terraphi.experiment.plausibility import doubts, doubts_between
+
+    of_each = (doubt for case in cases for doubt in doubts(case))
+    for doubt in dict.fromkeys([*of_each, *doubts_between(cases)]):
+        log.warning(doubt)
 
 
 def forecast_of(plan: Plan, cores: int | None) -> Forecast:
@@ -174,12 +180,14 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
     """Correct library NAME by finer simulations of some of its cases, in a copy.
 
     These have smaller cells, or a smaller speed-up, at a few friction angles. The copy's forces are
-    those of cells without size and of no speed-up, with the error of that in every answer.
+    those of cells without size, or of no speed-up, or both, as the finer simulations go, with the
+    error of that in every answer. Repeat --fine for several.
 
     Example: terraphi library refine mine.nc --fine half-cells.nc --out refined.nc
     """
     from terraphi.experiment.outputs import check_file
     from terraphi.inference.prepared_leg import corrections, refined
+    from terraphi.library.finer import CAUSES, untold
     from terraphi.library.store import Library
 
     check_file(out, kind="library")
@@ -199,14 +207,18 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
         )
         for row in found
     ]
-    title = f"Cells and speed-up taken out of {made.name}'s forces, written to {out}"
+    missing = untold(made)
+    taken = " and ".join(CAUSES[c] for c in CAUSES if missing.get(c) != made.legs)
+    title = f"{taken[:1].upper()}{taken[1:]} taken out of {made.name}'s forces, written to {out}"
     print_table(Table(title, header, rows))
-    refined_legs = {case.scenario.leg.shape for case in made.fine}
-    if without := [leg for leg in made.legs if leg not in refined_legs]:
-        click.echo(
-            f"No finer case has leg {words(without)}: what is known of another leg stands for it, "
-            "with twice the uncertainty."
-        )
+    for cause, legs in missing.items():
+        if legs == made.legs:
+            click.echo(f"Not taken out: {CAUSES[cause]}. No finer case tells what that does.")
+        else:
+            click.echo(
+                f"No finer case for {CAUSES[cause]} has leg {words(legs)}: what is known of "
+                "another leg stands for it, with twice the uncertainty."
+            )
     unsure = [row for row in found if max(row[f]["sd_percent"] for f in ("Fx", "Fz")) > UNSURE]
     if unsure:
         where = ", ".join(f"{row['leg']} at {words(row['phi_deg'])}°" for row in unsure)

@@ -68,8 +68,6 @@ def simulate(
 
     chosen = Scenario.load(scenario)
     expected = forecast_of(chosen, scenario)
-    if out is not None and out.suffix != ".nc":
-        raise InputError(f"{out}: a history is written as NetCDF; name it {out.stem}.nc")
     if frames is not None and fields is None and animate is None:
         raise InputError("--frames: nothing has frames here; name --fields or --animate, too")
     for file, kind in ((out, "force history"), (animate, "")):

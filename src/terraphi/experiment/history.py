@@ -27,7 +27,10 @@ OBSERVATION_ANGLES = 40
 """Number M of angles in the paper's observation vector."""
 SCHEMA = 1
 
-_SHOWN = ["scenario_hash", "model_version", "particles", "steps", "momentum_mismatch", "seconds"]
+_SHOWN = [
+    *("scenario_hash", "model_version", "particles", "steps", "momentum_mismatch", "momentum"),
+    *("counted_impulse_kg_m_s", "applied_impulse_kg_m_s", "seconds"),
+]
 _APPLIED = "applied_force"
 """Where a history's provenance keeps what its contact applied, if it counts something else."""
 _UNITS = {"theta": "rad", "displacement": "m", "time": "s"}
@@ -144,10 +147,11 @@ class ForceHistory:
         return replace(self, force=self.force * factor, provenance=known)
 
     def applied(self) -> ForceHistory | None:
-        """Forces that the leg applied to the soil, where its contact counts more than that.
+        """Forces that the leg applied to the soil, where its contact counts others.
 
         They are what the simulation kept beside the counted ones, means over a degree of a
-        rotation; ``None`` of any other contact, whose forces are the applied ones.
+        rotation, without what tells the two apart; ``None`` of any other contact, whose forces are
+        the applied ones.
         """
         kept = self.provenance.get(_APPLIED)
         if kept is None:
@@ -328,6 +332,9 @@ class ForceHistory:
                 "peak_Fz_N": peaks.Fz,
                 "theta_peak_Fz_deg": peaks.theta_Fz_deg,
             }
+        if (applied := self.applied()) is not None:
+            peaks_of = applied.summary()
+            shown |= {f"applied_peak_F{axis}_N": peaks_of[f"peak_F{axis}_N"] for axis in self.axes}
         return shown | {key: known[key] for key in _SHOWN if key in known}
 
     # -- files -----------------------------------------------------------------------------------

@@ -50,9 +50,12 @@ def check_file(path: Path, *, kind: str = "") -> None:
     Raises
     ------
     InputError
-        If it is a folder or a device, its folder is not there or cannot be written to, or it holds
-        what this program did not write, or something of another kind.
+        If a NetCDF's name does not end in ``.nc``; if it is a folder or a device, its folder is not
+        there or cannot be written to, or it holds what this program did not write, or something of
+        another kind.
     """
+    if kind:
+        check_netcdf_name(path)
     writable(path)
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is a device or a pipe; name a file")
@@ -61,6 +64,12 @@ def check_file(path: Path, *, kind: str = "") -> None:
         raise InputError(
             f"{path}: is there, and not {what} terraphi; name another file, or move that one away"
         )
+
+
+def check_netcdf_name(path: Path) -> None:
+    """Raise InputError for a NetCDF that is not called so, and might hide a library by its name."""
+    if path.suffix != ".nc" and not path.is_dir():
+        raise InputError(f"{path}: is written as NetCDF; name it {path.stem}.nc")
 
 
 def _is_ours(path: Path, kind: str) -> bool:

@@ -30,6 +30,7 @@ LIMITS = {
     "bed.surcharge": (0.0, 1e6, "in pascals"),
     "numerics.time_step": (1e-8, 1e-2, "in seconds"),
     "numerics.speed_up": (0.1, 1e3, "a factor"),
+    "numerics.contact_band_cells": (0.0, 5.0, "in cells"),
     "relief.distance": (0.0, 1.0, "in metres"),
     "rft.scale": (1e-2, 1e2, "a factor"),
 }

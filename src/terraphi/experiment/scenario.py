@@ -203,6 +203,8 @@ class Numerics(Strict):
 
     @model_validator(mode="after")
     def _phases_where_needed(self) -> Self:
+        if self.contact == "unbalanced":
+            self._check_unbalanced()
         for name, value, usual in (
             ("contact", self.contact, ("nodes", "unbalanced")),
             ("dilatation", self.dilatation, ("particle",)),
@@ -228,17 +230,25 @@ class Numerics(Strict):
                 f"particles_per_cell_side = {self.particles_per_cell_side} makes the penalty of "
                 "contact = 'surface' too stiff for a particle's mass; at most 3 are stable"
             )
-        if self.contact == "unbalanced" and self.remap_interval > 0.0:
-            raise ValueError(
-                "contact = 'unbalanced' counts its force where the grid takes new velocities at "
-                "every step; set remap_interval = 0, or contact = 'nodes'"
-            )
         if self.transfer == "pic" and self.remap_interval > 0.0:
             raise ValueError(
                 "transfer = 'pic' is one of every step; set remap_interval = 0, or transfer = "
                 "'apic'"
             )
         return self
+
+    def _check_unbalanced(self) -> None:
+        for name in ("dilatation", "distortion"):
+            if (value := getattr(self, name)) != "particle":
+                raise ValueError(
+                    f"contact = 'unbalanced' goes with the strains of each particle: set {name} = "
+                    f"'particle' instead of '{value}', or contact = 'nodes'"
+                )
+        if self.remap_interval > 0.0:
+            raise ValueError(
+                "contact = 'unbalanced' counts its force where the grid takes new velocities at "
+                "every step; set remap_interval = 0, or contact = 'nodes'"
+            )
 
     @property
     def steps_per_phase(self) -> int:
@@ -445,9 +455,15 @@ class Scenario(Strict):
     def _check_time_step(self) -> None:
         limit = self.time_step_limit
         if self.numerics.time_step > limit:
+            top = self.numerics.speed_up * self.motion.top_speed(self.leg.reach())
+            leg = (
+                f", and a leg that speed_up = {self.numerics.speed_up:g} moves at {top:.3g} m/s"
+                if top > 0.1 * self.soil.p_wave_speed
+                else ""
+            )
             raise ValueError(
                 f"numerics.time_step = {self.numerics.time_step:g} s is above the CFL limit of "
-                f"{limit:.3g} s for this grid, stiffness and density"
+                f"{limit:.3g} s for this grid, stiffness and density{leg}"
             )
 
     def _check_phases(self) -> None:

@@ -26,6 +26,7 @@ from terraphi.inference.known_soils import Calibration, Compared, compared
 from terraphi.inference.noise import Noise
 from terraphi.inference.prior import Marginal, is_on, priors
 from terraphi.inference.trials import Looked, Trial, Ways, check_origin, common_density, look
+from terraphi.library.finer import CAUSES, untold
 from terraphi.library.shipped import is_there_to_try_others
 from terraphi.library.store import Library
 from terraphi.surrogate.training import DENSITY, is_of_several, parameters
@@ -227,7 +228,8 @@ def _doubts(looked: Looked, found: Inversion, library: Library) -> list[Doubt]:
     """Doubts about records, library, and an angle that hardly any dry soil has."""
     doubts = _two_soils(found)
     learnt, plane = learnt_for(library), found.phi_plane_strain
-    if learnt is not None and any(one.code == "soil_deviation" for one in found.verdict.measures):
+    judged_as_soil = any(one.code == "soil_deviation" for one in found.verdict.measures)
+    if learnt is not None and judged_as_soil:
         shipped = (str(t.history.provenance.get("measurement", "")) for t in looked.trials)
         # It was learnt from the very medium that is judged by it.
         known = {medium_and_leg(name)[0] for name in shipped} & set(learnt.media)
@@ -239,8 +241,19 @@ def _doubts(looked: Looked, found: Inversion, library: Library) -> list[Doubt]:
         doubts.append(Doubt("unusual", {"median": plane.median, "low": low, "high": high}))
     if is_there_to_try_others(library.name):
         doubts.append(Doubt("tries_others", {"name": library.name}))
-    if library.plan.caveat:
-        doubts.append(Doubt("caveat", {"name": library.name, "caveat": library.plan.caveat}))
+    doubts += [
+        Doubt("refined_in_part", {"name": library.name, "cause": CAUSES[cause]})
+        for cause, legs in (untold(library) if library.fine else {}).items()
+        if legs == library.legs
+    ]
+    if found.likelihood == "calibrated" and not judged_as_soil:
+        doubts += [
+            Doubt("intervals_do_not_hold", {"name": library.name, "leg": leg, "held": held})
+            for leg, held in library.unheld.items()
+            if leg in found.legs
+        ]
+    if library.caveat:
+        doubts.append(Doubt("caveat", {"name": library.name, "caveat": library.caveat}))
     return doubts
 
 

@@ -49,6 +49,8 @@ IDLE = {"mpm": ("rft.",), "rft": ("numerics.", "relief.", "bed.", "soil.")}
 """Sections that a forward model does not read, but for what is in ``READ``."""
 READ = {"mpm": (), "rft": ("bed.gravity",)}
 """Keys of such sections that it does read."""
+FIRST = ("soil.yield_criterion", "soil.flow", "numerics.contact")
+"""Keys that are named before others in which a history differs: they change forces the most."""
 HIP = "hip above the surface"
 
 
@@ -574,6 +576,7 @@ def unlike(
             and (key in read or not key.startswith(idle))
             and own.get(key) != other.get(key)
         ]
+    differences.sort(key=lambda one: one[0] not in FIRST)
     return Doubt("unlike", {"differences": differences}) if differences else None
 
 

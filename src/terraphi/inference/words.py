@@ -158,6 +158,13 @@ DOUBTS = {
     ),
     "tries_others": "Library '{name}' is shipped to try others, not to invert with.",
     "caveat": "Library {name}: {caveat}",
+    "refined_in_part": (
+        "Library {name} is refined, but not for its {cause}, which changes forces as simulated."
+    ),
+    "intervals_do_not_hold": (
+        "Library {name}: its 95 % intervals hold {held:.0%} of simulated truths on leg {leg}; do "
+        "not believe them. Replicates, or more friction angles, would help."
+    ),
     "read_twice": (
         "It is read at other angles than another history of leg {leg}, more than {spacing_deg:g}° "
         "apart: the angle found may be off by some tenths of a degree."

@@ -179,3 +179,17 @@ def fine_curves(
         if rows:
             found[cause] = FineCurves(*(np.array(column) for column in zip(*rows, strict=True)))
     return found
+
+
+def untold(library: Library) -> dict[str, list[str]]:
+    """Legs of a refined library without finer cases of their own, by cause, one of `CAUSES`.
+
+    All legs, if none has any: then that cause is not taken out of the forces. Otherwise another
+    leg's finer cases stand for those of a leg that has none.
+    """
+    told = {
+        (case.scenario.leg.shape, finer(twin(library, case.scenario), case.scenario)[0])
+        for case in library.fine
+    }
+    legs = {cause: [leg for leg in library.legs if (leg, cause) not in told] for cause in CAUSES}
+    return {cause: without for cause, without in legs.items() if without}

@@ -28,6 +28,13 @@ from terraphi.library.plan import Plan, describe, unseeded, value_of
 
 SCHEMA = 1
 """Version of the layout of a library file."""
+HELD_AT_LEAST = 0.85
+"""Share of simulated truths in 95 % intervals below which these are not to be believed [-]."""
+COUNTED = (
+    "its contact counts another force than it applies to the soil, so that angles of measured "
+    "forces mean nothing; see docs/explanation/prototype.md."
+)
+"""Caveat of libraries with the contact ``unbalanced``."""
 
 
 class Case(NamedTuple):
@@ -124,6 +131,32 @@ class Library:
         return replace(self, fine=(), refinement={}) if self.fine else self
 
     @property
+    def certificate(self) -> Mapping[str, Mapping[str, Any]]:
+        """How often its intervals held simulated truths, by leg; empty if nobody tried."""
+        told = self.calibration.get("certificate")
+        legs = told.get("legs") if isinstance(told, Mapping) else None
+        if not isinstance(legs, Mapping):
+            return {}
+        return {str(leg): found for leg, found in legs.items() if isinstance(found, Mapping)}
+
+    @property
+    def unheld(self) -> dict[str, float]:
+        """Legs whose 95 % intervals held too few simulated truths, and the share of these [-]."""
+        held = {leg: float(found.get("coverage95", 1.0)) for leg, found in self.certificate.items()}
+        return {leg: share for leg, share in held.items() if share < HELD_AT_LEAST}
+
+    @property
+    def guesses_scatter(self) -> bool:
+        """Whether it can but guess what particle seeds do to a force."""
+        return self.cases[0].scenario.model == "mpm" and not self.replicates
+
+    @property
+    def caveat(self) -> str:
+        """What everyone who inverts with it should know: its plan's, or that of its contact."""
+        contacts = {case.scenario.numerics.contact for case in self.cases}
+        return self.plan.caveat or (COUNTED if "unbalanced" in contacts else "")
+
+    @property
     def legs(self) -> list[str]:
         """Shapes of the legs that it has, sorted."""
         return sorted({case.scenario.leg.shape for case in self.cases if case.history})
@@ -144,7 +177,7 @@ class Library:
         return {
             "name": self.name,
             "description": self.plan.description,
-            "caveat": self.plan.caveat,
+            "caveat": self.caveat,
             "convention": first.convention,
             "phi_deg": [min(ends), max(ends)],
             "phi_deg_by_leg": ranges,

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from terraphi.view.report.certificate import certificate_of, certificate_parts
+from terraphi.library.store import Library
+from terraphi.view.report.certificate import certificate_parts
 from terraphi.view.report.parts import Text
 from terraphi.view.table import Table
 
 LEGS = {"straight": {"coverage68": 0.683, "coverage95": 0.951, "replicates": 5000}, "c": {}}
 
 
-def library(calibration: Any) -> Any:
-    return SimpleNamespace(name="mine", calibration=calibration)
+def library(calibration: Any) -> Library:
+    return replace(Library.load("rft3d"), calibration=calibration)
 
 
 def test_coverage_is_shown_by_leg() -> None:
@@ -32,14 +33,20 @@ def test_only_the_leg_that_was_asked_for() -> None:
 
 
 @pytest.mark.parametrize(
-    "calibration", [None, {}, 3, {"certificate": None}, {"certificate": {"legs": [1]}},
-                    {"certificate": {"legs": {"c": 3}}}],
-)  # fmt: skip
+    "calibration",
+    [
+        {},
+        {"certificate": None},
+        {"certificate": {"legs": [1]}},
+        {"certificate": {"legs": {"c": 3}}},
+    ],
+)
 def test_what_is_no_certificate_is_none(calibration: Any) -> None:
-    assert certificate_of(library(calibration)) == {}
+    assert library(calibration).certificate == {}
     (text,) = certificate_parts(library(calibration))
     assert isinstance(text, Text)
 
 
-def test_a_library_that_knows_of_no_certificates_has_none() -> None:
-    assert certificate_of(SimpleNamespace(name="old")) == {}  # type: ignore[arg-type]
+def test_intervals_that_did_not_hold_are_named() -> None:
+    legs = {"straight": {"coverage95": 0.95}, "c": {"coverage95": 0.1}, "reversed_c": {}}
+    assert library({"certificate": {"legs": legs}}).unheld == {"c": 0.1}

@@ -243,7 +243,7 @@ def _applied(scenario: Scenario, state: State) -> dict[str, Any]:
     position = np.add.reduceat(bin_centres(scenario.motion) * state.held, edges) / held
     force = _mean_force(scenario, np.add.reduceat(state.impulse[:, 2:], edges), held)
     return {
-        "momentum": "not balanced by design: the contact counts more than it applies",
+        "momentum": "not balanced by design: the contact counts another force than it applies",
         "counted_impulse_kg_m_s": (state.impulse[:, :2].sum(axis=0) * scenario.leg.width).tolist(),
         "applied_impulse_kg_m_s": (state.impulse[:, 2:].sum(axis=0) * scenario.leg.width).tolist(),
         "applied_force": {

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from terraphi.library.store import Library
 from terraphi.view.report.parts import Part, Text, number
 from terraphi.view.table import Table
@@ -18,18 +15,10 @@ WORDS = {
     "ci68_half_width_deg": "median half-width of the 68 % interval [deg]",
     "abs_error_deg": "median error [deg]",
 }
-
-
-def certificate_of(library: Library) -> Mapping[str, Mapping[str, Any]]:
-    """Coverage by leg from a library's certificate; empty if the library has none."""
-    calibration = getattr(library, "calibration", None)
-    if not isinstance(calibration, Mapping):
-        return {}
-    certificate = calibration.get("certificate")
-    legs = certificate.get("legs") if isinstance(certificate, Mapping) else None
-    if not isinstance(legs, Mapping):
-        return {}
-    return {str(leg): found for leg, found in legs.items() if isinstance(found, Mapping)}
+WITHOUT_REPLICATES = (
+    " The library has no replicates: what particle seeds do to a force is guessed from its curves, "
+    "in these worlds too, and intervals of other simulations may be too narrow."
+)
 
 
 def certificate_parts(library: Library, *, leg: str | None = None) -> list[Part]:
@@ -42,7 +31,7 @@ def certificate_parts(library: Library, *, leg: str | None = None) -> list[Part]
     leg
         Only this one; all if not given.
     """
-    known = certificate_of(library)
+    known = library.certificate
     chosen = {name: found for name, found in known.items() if leg in (None, name)}
     title = f"Certificate of library {library.name}"
     if not chosen:
@@ -64,6 +53,7 @@ def certificate_parts(library: Library, *, leg: str | None = None) -> list[Part]
             note=(
                 "Simulated worlds with a truth of their own, inverted with this library under the "
                 "calibrated likelihood; a sound interval holds the truth as often as its name says."
+                + (WITHOUT_REPLICATES if library.guesses_scatter else "")
             ),
         )
     ]

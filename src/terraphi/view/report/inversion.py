@@ -27,7 +27,7 @@ from terraphi.inference.words import rows_of
 from terraphi.library.store import Library
 from terraphi.view import answers
 from terraphi.view.report import parts as fig
-from terraphi.view.report.certificate import certificate_of, certificate_parts
+from terraphi.view.report.certificate import certificate_parts
 from terraphi.view.report.parts import (
     Part,
     Plot,
@@ -173,7 +173,7 @@ def _belief(answer: Mapping[str, Any], used: Library | None) -> tuple[Status, st
         return status, ""
     if used is None:
         return "doubtful", UNKNOWN
-    if str(answer["leg"]) not in certificate_of(used):
+    if str(answer["leg"]) not in used.certificate:
         return "doubtful", UNCHECKED
     if answer["likelihood"] != "calibrated":
         return "doubtful", OTHER_LIKELIHOOD
@@ -206,10 +206,10 @@ def _certificate(answer: Mapping[str, Any], library: Library) -> list[Part]:
     leg = str(answer["leg"])
     if _as_soils(answer):
         return [Text("No certificate", (OF_SIMULATED,), wide=False)]
-    if leg in certificate_of(library) and _has_own_prior(answer, library):
+    if leg in library.certificate and _has_own_prior(answer, library):
         why = f"That of library {library.name} is of a uniform prior; this answer had another."
         return [Text("No certificate", (why,), wide=False)]
-    if answer["verdict"] != "misfit" or leg not in certificate_of(library):
+    if answer["verdict"] != "misfit" or leg not in library.certificate:
         return certificate_parts(library, leg=leg)
     why = (
         f"That of library {library.name} does not apply: it was earned with forces that the "

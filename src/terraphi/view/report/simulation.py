@@ -87,13 +87,19 @@ def section(history_file: Path, *, fields: Path | None, share: float = 1.0) -> S
 
 def _headline(history: ForceHistory) -> str:
     summary = history.summary()
+
+    def peaks_of(key: str) -> str:
+        return ", ".join(f"{summary[f'{key}_F{axis}_N']:.1f} N (F{axis})" for axis in history.axes)
+
+    said = f"Peak forces: {peaks_of('peak')}."
     if "theta_peak_Fz_deg" in summary:
-        return (
+        said = (
             f"Peak lift {summary['peak_Fz_N']:.1f} N at θ = {summary['theta_peak_Fz_deg']:.0f}°, "
             f"peak thrust {summary['peak_Fx_N']:.1f} N at θ = {summary['theta_peak_Fx_deg']:.0f}°."
         )
-    peaks = ", ".join(f"{summary[f'peak_F{axis}_N']:.1f} N (F{axis})" for axis in history.axes)
-    return f"Peak forces: {peaks}."
+    if history.applied() is not None:
+        said += f" These are counted; applied to the soil were {peaks_of('applied_peak')} at most."
+    return said
 
 
 def _peaks(history: ForceHistory) -> Table:
