@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.inference.prepared_leg import corrections, prepare, refined
+from terraphi.inference.prepared_leg import prepare
+from terraphi.inference.refining import corrections, left_out, refined
+from terraphi.library.finer import CAUSES, untold
 from terraphi.library.store import Library
 from terraphi.view.plots import BLUE, ORANGE, panels_of
 from terraphi.view.table import Table
@@ -48,11 +50,11 @@ METHOD = (
     "Written by `terraphi study refinement --out DIR`. Simulations with smaller cells or a smaller "
     "speed-up, of a few friction angles, are put into the library that they are cases of "
     "(`terraphi library refine`), whose forces are led to cells without size and to no speed-up "
-    "([how](inference.md#cells-and-speed-up)). Changes: the factor that comes closest to the "
-    "change over the leg angle, that times the mean force, and by how much the angle of least "
-    "squares rises that is read off a record; each with its standard deviation, at the least, the "
-    "middle and the largest friction angle of the library. Whatever the leg's width, this is the "
-    "error of the numbers alone, and not of the model."
+    "([how](inference.md#cells-and-speed-up)). Each row says by how much this changes the forces, "
+    "as one factor for all leg angles and as that share of the mean force, and how many degrees "
+    "more friction a record then reads as, with one standard deviation; at the least, the middle "
+    "and the largest friction angle of the library. This is the error of the numbers alone: a "
+    "strip may still differ from a leg of 25 mm."
 )
 PICTURE = "Forces over the leg angle, as simulated and led to cells without size and no speed-up"
 
@@ -70,10 +72,11 @@ def run(*, library: str | None = None, progress: Progress | None = None) -> Stud
     Returns
     -------
     Study
-        ``data``: ``rows``, those of :func:`~terraphi.inference.prepared_leg.corrections` with
-        ``library`` before them; ``finer``, by library and leg the finer cases in words; and
-        ``curves``, one for each leg of a library: ``library``, ``leg``, ``phi_deg``,
-        ``theta_deg``, and by force ``simulated_N``, ``limit_N`` and ``sd_N``.
+        ``data``: ``rows``, those of :func:`~terraphi.inference.refining.corrections` with
+        ``library`` before them; ``finer``, by library and leg the finer cases in words;
+        ``borrowed``, by library and cause the legs that have none of their own; ``left_out``, as
+        :func:`~terraphi.inference.refining.left_out`, with ``library``; and ``curves``, one for
+        each leg of a library: ``library``, ``leg``, ``phi_deg``, ``theta_deg``, and by force ``simulated_N``, ``limit_N`` and ``sd_N``.
 
     Raises
     ------
@@ -89,18 +92,27 @@ def run(*, library: str | None = None, progress: Progress | None = None) -> Stud
     step = steps(len(names), progress)
     rows: list[dict[str, Any]] = []
     curves: list[dict[str, Any]] = []
-    finer = {}
+    tried: list[dict[str, Any]] = []
+    finer, borrowed = {}, {}
     for name in names:
         made = refined(
             Library.load(name), [Library.load(f"{name}-{ending}") for ending in FINER[name]]
         )
         rows += [{"library": name, **row} for row in corrections(made)]
         curves += [{"library": name, **curves_of(made, leg)} for leg in made.legs]
+        tried += [{"library": name, **row} for row in left_out(made)]
+        borrowed[name] = untold(made)
         finer[name] = step(made.summary()["finer_cases"])
-    table, notes = Table.of(TITLE, COLUMNS, rows), _notes(rows, finer)
+    table, notes = Table.of(TITLE, COLUMNS, rows), _notes(rows, finer, borrowed, tried)
     return Study(
         table=table,
-        data={"rows": rows, "finer": finer, "curves": curves},
+        data={
+            "rows": rows,
+            "finer": finer,
+            "borrowed": borrowed,
+            "left_out": tried,
+            "curves": curves,
+        },
         figures={NAME: _figure(curves)},
         documents=page(NAME, table, METHOD, notes, PICTURE),
         notes=notes,
@@ -130,7 +142,10 @@ def _said(told: Mapping[str, float], key: str) -> str:
 
 
 def _notes(
-    rows: Sequence[Mapping[str, Any]], finer: Mapping[str, Mapping[str, Sequence[str]]]
+    rows: Sequence[Mapping[str, Any]],
+    finer: Mapping[str, Mapping[str, Sequence[str]]],
+    borrowed: Mapping[str, Mapping[str, Sequence[str]]],
+    tried: Sequence[Mapping[str, Any]],
 ) -> list[str]:
     """Of each library what it was refined by, and where that is least and best known."""
     notes = []
@@ -138,11 +153,28 @@ def _notes(
         told = "; ".join(f"{leg} {', '.join(cases)}" for leg, cases in legs.items())
         notes.append(f"Finer cases of `{name}`: {told}.")
         mine = [row for row in rows if row["library"] == name]
+        for cause, without in borrowed[name].items():
+            what = CAUSES[cause]
+            if set(without) == {row["leg"] for row in mine}:
+                notes.append(f"Of `{name}`, {what} is not taken out: no finer case tells of it.")
+            else:
+                notes.append(
+                    f"Of `{name}`, what {what} does to {' and '.join(without)} is taken over from "
+                    "another leg, with twice the uncertainty."
+                )
         best = min(mine, key=lambda row: row["phi"]["sd_deg"])
         worst = max(mine, key=lambda row: row["phi"]["sd_deg"])
         notes.append(
-            f"Angles read through `{name}` would rise by {_place(best)} and, least well known, by "
+            f"Change of angles read through `{name}`: best known {_place(best)}, least known "
             f"{_place(worst)}."
+        )
+    if tried:
+        apart = [abs(one["deg"] - one["foretold_deg"]) / one["sd_deg"] for one in tried]
+        notes.append(
+            f"Each angle left out in turn: of {len(tried)} changes of φ as read by the finest "
+            f"simulations {sum(z < 1.0 for z in apart)} are foretold by the other angles within "
+            f"one standard deviation, {sum(z < 1.96 for z in apart)} within two; root mean square "
+            f"{np.sqrt(np.mean(np.square(apart))):.1f}."
         )
     return notes
 

@@ -19,10 +19,11 @@ from terraphi.forward import simulate
 from terraphi.inference.coverage import certified
 from terraphi.inference.discrepancy import learn as learn_soils
 from terraphi.inference.inversion import invert
-from terraphi.inference.prepared_leg import learn, prepare, refined, surrogate_of
+from terraphi.inference.prepared_leg import learn, prepare, surrogate_of
+from terraphi.inference.refining import left_out, refined
 from terraphi.inference.trials import Trial
 from terraphi.library.build import build
-from terraphi.library.finer import FineCurves, fine_curves, finer, twin, with_fine
+from terraphi.library.finer import FineCurves, fine_curves, finer, twin, untold, with_fine
 from terraphi.library.plan import Plan
 from terraphi.library.store import Case, Library, hash_of
 from terraphi.surrogate.fidelity import Correction
@@ -252,6 +253,28 @@ def test_an_unrefined_file_says_nothing_of_it(coarse: Library, tmp_path: Path) -
     assert "finer_cases" not in coarse.summary()
 
 
+def test_an_angle_that_is_left_out_is_foretold(coarse: Library, better: Library) -> None:
+    # All angles have 0.9 of the force: what two tell of the third is right, and surer than nothing.
+    told = left_out(better)
+    assert {(one["leg"], one["cause"], one["phi_deg"]) for one in told} == {
+        ("straight", "grid", phi) for phi in (20.0, 30.0, 45.0)
+    }
+    for one in told:
+        assert abs(one["deg"] - one["foretold_deg"]) < 2.0 * one["sd_deg"]
+        assert one["deg"] > 0.3
+        assert one["sd_deg"] < one["deg"]
+    two = refined(coarse, [finer_of(coarse, HALF, phi_deg=(30.0,))])
+    assert left_out(two) == []
+
+
+def test_what_no_finer_case_tells_of_is_named(coarse: Library, better: Library) -> None:
+    assert untold(better) == {"grid": ["c"], "speed_up": ["c", "straight"]}
+    record = plain(simulate(coarse.cases[0].scenario.replace(**{PHI: 33.0})))
+    said = {one.code: one.numbers for one in invert(record, library=better, noise=0.01).warnings}
+    assert dict(said["refined_in_part"]) == {"name": better.name, "cause": "speed-up"}
+    assert all(one.code != "refined_in_part" for one in invert(record, library=coarse).warnings)
+
+
 def test_the_command_refines_a_copy(
     coarse: Library, fine: Library, terraphi: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -261,9 +284,9 @@ def test_the_command_refines_a_copy(
     made = terraphi(*arguments, "--json")
     assert made.status == 0, made.err
     for row in json.loads(made.out)["corrections"]:
-        # 0.9 at half the cells; a third of that for the order, and twice it on the other leg.
+        # 0.9 at half the cells; some 30 % of that for the power, and of another leg the mean alone.
         assert row["Fz"]["percent"] == pytest.approx(-20.0, abs=2.0)
-        expected = {"straight": 6.5, "c": 13.0}[row["leg"]]
+        expected = {"straight": 6.0, "c": 26.0}[row["leg"]]
         assert row["Fz"]["sd_percent"] == pytest.approx(expected, rel=0.3)
         if row["phi_deg"] == 35.0:
             # Forces g of slope s: with 0.8 g and 0.8 s, those of g are read off 0.25 g s / s^2 on.

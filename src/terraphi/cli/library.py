@@ -186,7 +186,7 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
     Example: terraphi library refine mine.nc --fine half-cells.nc --out refined.nc
     """
     from terraphi.experiment.outputs import check_file
-    from terraphi.inference.prepared_leg import corrections, refined
+    from terraphi.inference.refining import corrections, refined
     from terraphi.library.finer import CAUSES, untold
     from terraphi.library.store import Library
 

@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.inference.calibrated import log_sum
-from terraphi.inference.prepared_leg import PreparedLeg, learn, refined
+from terraphi.inference.prepared_leg import PreparedLeg, learn
+from terraphi.inference.refining import refined
 from terraphi.library.plan import unseeded
 from terraphi.library.store import Library, hash_of
 from terraphi.surrogate.joint import JointSurrogate

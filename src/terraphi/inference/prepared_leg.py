@@ -31,7 +31,7 @@ import functools
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.library.finer import CAUSES, fine_curves, with_fine
+from terraphi.library.finer import CAUSES, fine_curves
 from terraphi.library.store import Case, Curves, Library
 from terraphi.surrogate.fidelity import Correction, FidelityKernel, Refinement
 from terraphi.surrogate.joint import JointKernel, JointSurrogate, window_spans
@@ -332,72 +332,6 @@ def refinement_of(
         found = Correction.of(surrogate, of_legs[source][cause], kernel)
         parts[cause] = found if source == leg else found.for_leg(coarse)
     return Refinement(parts)
-
-
-def refined(library: Library, others: Sequence[Library]) -> Library:
-    """The library with finer simulations of some of its cases, and the correction that they give.
-
-    Parameters
-    ----------
-    library, others
-        As in :func:`~terraphi.library.finer.with_fine`.
-
-    Raises
-    ------
-    InputError
-        If one is no finer case of the library, or nothing can be inferred with that.
-    """
-    bare = with_fine(library, others)
-    told: dict[str, dict[str, dict[str, float]]] = {}
-    for leg in dict.fromkeys(case.scenario.leg.shape for case in bare.fine):
-        surrogate = surrogate_of(bare, leg, bare.curves(leg))
-        causes = fine_curves(bare, leg).items()
-        told[leg] = {c: Correction.of(surrogate, fine).as_dict() for c, fine in causes}
-    return replace(bare, refinement=told)
-
-
-def corrections(library: Library) -> list[dict[str, Any]]:
-    """What the correction of a refined library does to each force, JSON-able.
-
-    Returns
-    -------
-    list
-        For each leg at its least, middle and largest friction angle ``leg``, ``phi_deg``; for
-        ``Fx`` and ``Fz`` the factor that comes closest to the change over θ, with its standard
-        deviation, ``percent`` and ``sd_percent``, and what that is of the mean force, ``newton``
-        and ``sd_newton``; and for ``phi`` by how much the angle of least squares that is read off
-        a record rises, ``deg`` and ``sd_deg``.
-    """
-    found = []
-    for leg in library.legs:
-        surrogate = prepare(library, leg).surrogate
-        simulated = replace(surrogate, correction=None)
-        angles = surrogate.phi_deg
-        for phi in angles[[0, len(angles) // 2, -1]].tolist():
-            before, after = simulated.predict(phi)[0], surrogate.predict(phi)[0]
-            error = surrogate.covariance(phi) - simulated.covariance(phi)
-            slope = surrogate.slope(phi)
-            shift = slope / (slope @ slope)
-            read = {"deg": -float(shift @ (after - before)), "sd_deg": _sd(shift, error)}
-            row: dict[str, Any] = {"leg": leg, "phi_deg": phi, "phi": read}
-            for name, part in zip(("Fx", "Fz"), np.split(np.arange(before.size), 2), strict=True):
-                along = before[part] / np.square(before[part]).sum()
-                sd = _sd(along, error[np.ix_(part, part)])
-                change = float(along @ (after - before)[part])
-                mean = float(np.abs(before[part]).mean())
-                row[name] = {
-                    "percent": 100.0 * change,
-                    "sd_percent": 100.0 * sd,
-                    "newton": mean * change,
-                    "sd_newton": mean * sd,
-                }
-            found.append(row)
-    return found
-
-
-def _sd(weights: FloatArray, covariance: FloatArray) -> float:
-    """Standard deviation of a sum with weights."""
-    return float(np.sqrt(weights @ covariance @ weights))
 
 
 def learn(curves: Curves, replicates: Sequence[tuple[float, FloatArray]] = ()) -> JointSurrogate:

@@ -213,7 +213,12 @@ class Library:
     @property
     def _fine_by_leg(self) -> dict[str, list[str]]:
         found: dict[str, list[str]] = {}
-        for scenario in (case.scenario for case in self.fine):
+        # By size, then angle.
+        order = sorted(
+            (case.scenario for case in self.fine),
+            key=lambda s: (s.numerics.cell_size, s.numerics.speed_up, s.soil.friction_angle_deg),
+        )
+        for scenario in order:
             size, k = 1e3 * scenario.numerics.cell_size, scenario.numerics.speed_up
             told = f"{scenario.soil.friction_angle_deg:g}° (cells {size:.3g} mm, k = {k:g})"
             found.setdefault(scenario.leg.shape, []).append(told)

@@ -1,39 +1,47 @@
 """What finer simulations of a few angles make of a library's forces: a second fidelity.
 
 A library is computed with cells of one size h, or a motion sped up by k, and its forces have an
-error that falls with h or with k - 1. At some friction angles there are finer simulations. The
-coarse forces are g (`joint`), and the forces of the finest (Kennedy & O'Hagan, *Biometrika* 87:1,
-2000)
+error that vanishes with h or with k - 1. At some friction angles there are finer simulations. With
+r the size of a fine one over the library's, (k_f - 1) / (k - 1) of the speed-up, the library's
+forces g (`joint`) and those of a fine curve are (after Kennedy & O'Hagan, *Biometrika* 87:1, 2000)
 
-    g_f(phi, theta) = g(phi, theta) + a g(phi, theta) + s(phi) delta(phi, theta),
+    limit   = g + sum_p c_p                + ripple_1
+    g_f(r)  = g + sum_p (1 - r^p) c_p      + ripple_1 - ripple_r,
 
-a the *level*, a factor of each force, of prior N(0, LEVEL^2), which is wide; s the peak-to-peak of
-each force; delta a process of mean zero, Matern over phi, Matern and a white part over theta (the
-ripple of one grid beside another's), times a profile: no correction where the leg is in no soil. A
-fine curve less the coarse mean has besides the error of that mean, as the surrogate knows it, and
+one c_p for each of POWERS, independent a priori:
+
+    c_p(phi, theta) = a_p(phi) g(phi, theta) + s(phi) delta_p(phi, theta),
+
+a the *level*, a factor of each force, in part one for all friction angles and in part a process
+over them; s the peak-to-peak of each force; delta a process of mean zero, Matern over phi and
+theta, times a profile: no correction where the leg is in no soil. A ripple is what one grid or
+speed shows beside another that is no power of the size: Matern over phi; a factor of each force,
+and of the same size a part that is white over theta.
+A fine curve less the coarse mean has besides the error of that mean, as the surrogate knows it, and
 particle scatter of its own, of the coarse size times a factor.
 
-**Extrapolation.** An error c h^p is left by the share r^p in a curve of h_f = r h, so that the
-limit is g + w (g_f - g), w = 1 / (1 - r^p); of the speed-up r = (k_f - 1) / (k - 1). The order p is
-1 as far as anyone has measured, and may lie between 1/2 and 2: each of ORDERS has the same prior
-probability. It is one for all angles and both forces. With one fine size the curves cannot tell
-orders apart; with more they do, by their evidence. The mean is that of the most probable order, of
-equal ones the nearest to 1. The covariance has that of each order and, of one sign at all angles,
-how far its mean lies from ours:
-
-    sum_p pi_p (w_p^2 P_p + (w_p m_p - w m) (w_p m_p - w m)^T).
+**Which power?** An error c h^p alone would leave the limit at 1 / (1 - r^p) times the finest
+curve's difference. No one has measured p, a second fine size tells it badly (errors of h and of
+h^2 may cancel: `tip_inset_cells` is there to do so), and one that is taken for certain makes
+intervals too narrow. A sum of powers needs no such choice: at half the size the limit is 1.98 times
+the difference (2 for p = 1), give or take two fifths. A part of their variance (ALIKE) is common
+to all, for errors seldom cancel.
 
 **Few curves.** Three to five say little of hyperparameters: these are those of most posterior
-density under the log-normal priors of PRIORS, within limits. The orders and the level are
-integrated out.
+density under the log-normal priors of PRIORS, within limits. That they are not certain is FEW, a
+factor on all standard deviations, and more of it for a leg without any curves.
 
-**A leg without fine curves** has the level of another leg, since a force that is too high by a
-tenth on one leg is likely to be so on the next; of the shape over theta, which goes with the leg's
-own, it has the prior. All its standard deviations are twice that (WIDER).
+**A leg without fine curves** has as its level the mean factor that the correction is of another
+leg's forces, for a force that is too high by a tenth on one leg is likely to be so on the next. Of
+all else it has the prior, with WIDER in place of FEW: legs differ.
 
-The correction's error is taken as independent of the coarse surrogate's, whose scatter it corrects
-in part: variances come out a little too large (by less than twice the interpolation and the
-library's scatter).
+**Two causes.** The corrections for cells and for the speed-up are added. An error that goes with
+the product of the two would be counted in both; so the smaller of the two, where they have one
+sign, is an uncertainty besides (:class:`Refinement`).
+
+The correction's error is taken as independent of the coarse surrogate's, which it corrects in part.
+With an error e of the coarse mean the corrected forces have (1 - w) e, w the share of the finest
+difference that the limit is; (1 + w^2) var e is counted, more than (1 - w)^2 var e.
 
 The number of fine curves is small and each has a scatter of its own, so that the covariance is no
 Kronecker product; its algebra is dense, its hyperparameters found as those of all surrogates
@@ -42,7 +50,7 @@ Kronecker product; its algebra is dense, its hyperparameters found as those of a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, Self
@@ -54,69 +62,65 @@ from terraphi.library.finer import FineCurves
 from terraphi.surrogate.joint import JointSurrogate, matern, smoothing, window_spans
 from terraphi.surrogate.kronecker import maximise, single_threaded
 
-ORDERS = 2.0 ** np.linspace(-1.0, 1.0, 25)
-"""Orders p of convergence [-]."""
-COARSELY = 3
-"""Every how many of them are looked at first, if there are several fine sizes; if those that count
-are as few, those in between are too."""
-LEVEL = 0.5
-"""Prior standard deviation of the level [-]."""
-WIDER = 2.0
-"""Factor on the standard deviations of a leg without fine curves [-]."""
+POWERS, WEIGHTS = np.array([0.5, 1.0, 2.0]), np.array([0.5, 0.25, 0.25])
+"""Powers p of the size with which errors vanish [-], and their shares of the prior variance."""
+ALIKE = 0.4
+"""Share of that variance which the powers have in common: errors seldom cancel [-]."""
+CONSTANT = 0.3
+"""Share of the level's variance that is one for all friction angles [-]."""
+LEVEL_LENGTH_DEG = 20.0
+"""Correlation length of the rest [deg]."""
+FEW, WIDER = 1.25, 2.0
+"""Factors on the standard deviations of a leg with fine curves, and of one without [-]."""
 LEAST_PROFILE = 0.05
 """Least profile over its largest [-]."""
 PRIORS = {
+    "level": (0.1, 2.5, 0.01, 0.5),
     "amplitude": (0.05, 3.0, 0.002, 0.5),
     "phi_length_deg": (20.0, 1.6, 8.0, 60.0),
     "theta_length_deg": (20.0, 1.6, 4.0, 60.0),
-    "fine": (0.1, 2.0, 0.01, 1.0),
+    "ripple": (0.01, 2.0, 0.001, 0.05),
     "scatter": (1.0, 1.5, 0.2, 5.0),
 }
 """Of each hyperparameter median and factor of one standard deviation, and least and largest."""
 STEP = 1e-4
 """Of logarithms of hyperparameters, for derivatives."""
-NEGLIGIBLE = 1e-4
-"""Probability of an order that is left out [-]."""
 
 
 @dataclass(frozen=True)
 class FidelityKernel:
-    """Hyperparameters.
+    """Hyperparameters, all standard deviations of the whole correction, summed over the powers.
 
     Attributes
     ----------
+    level
+        Standard deviation of the factor a [-].
     amplitude
-        Standard deviation of delta where the profile is 1 [-].
+        That of delta where the profile is 1 [-].
     phi_length_deg, theta_length_deg
-        Its correlation lengths [deg].
-    fine
-        Standard deviation of its part that is white over theta, over that of the smooth part [-].
+        Correlation lengths of delta [deg].
+    ripple
+        Standard deviation of a ripple's factor, and over the peak-to-peak, where the profile is 1,
+        of its white part [-].
     scatter
         Standard deviation of a fine curve's scatter over that of a coarse one [-].
     """
 
+    level: float = PRIORS["level"][0]
     amplitude: float = PRIORS["amplitude"][0]
     phi_length_deg: float = PRIORS["phi_length_deg"][0]
     theta_length_deg: float = PRIORS["theta_length_deg"][0]
-    fine: float = PRIORS["fine"][0]
+    ripple: float = PRIORS["ripple"][0]
     scatter: float = PRIORS["scatter"][0]
 
 
-class _Limit(NamedTuple):
-    """The correction if the order is one of ORDERS."""
+class _Covariances(NamedTuple):
+    """Prior covariance between forces at some angles and the rows [N^2], [k, row, 2 t, 2 t]."""
 
-    order: float
-    log_evidence: float
-    factor: float
-    """w [-]."""
-    share: FloatArray
-    """Of the finest curves' difference that each row has [-], shape [row 2 theta]."""
-    cholesky: FloatArray
-    """Of the rows' covariance."""
-    weights: FloatArray
-    """Inverse of that times the rows [1/N]."""
-    level: FloatArray
-    """Posterior mean of the level [-], shape [2]."""
+    powers: FloatArray
+    """Of the sum of all c_p."""
+    ripple: FloatArray
+    """Of a ripple."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,14 +140,10 @@ class Correction:
     own, shared
         Covariance of the coarse scatter over the simulations that a row is the mean of, and of
         the coarse mean [N^2], shape [row, 2 theta, 2 theta].
-    finest
-        Smallest r [-].
     kernel
         Hyperparameters.
-    level_mean, level_covariance
-        Of the level a priori [-], shapes [2] and [2, 2].
-    order_evidence
-        Log evidence of ORDERS from elsewhere [-].
+    level
+        Mean of the factor a priori, of both forces [-], shape [2].
     widened
         Factor on all standard deviations [-].
     """
@@ -156,12 +156,9 @@ class Correction:
     differences: FloatArray
     own: FloatArray
     shared: FloatArray
-    finest: float
     kernel: FidelityKernel = field(default_factory=FidelityKernel)
-    level_mean: FloatArray = field(default_factory=lambda: np.zeros(2))
-    level_covariance: FloatArray = field(default_factory=lambda: LEVEL**2 * np.eye(2))
-    order_evidence: FloatArray = field(default_factory=lambda: np.zeros(ORDERS.size))
-    widened: float = 1.0
+    level: FloatArray = field(default_factory=lambda: np.zeros(2))
+    widened: float = FEW
 
     @classmethod
     def of(
@@ -189,7 +186,6 @@ class Correction:
             differences=fine.forces - forces,
             own=np.stack(scatter) / fine.repeats[:, None, None],
             shared=np.stack([coarse.covariance(phi) for phi in fine.phi_deg.tolist()]),
-            finest=float(fine.ratio.min()),
             kernel=kernel or FidelityKernel(),
         )
         return made if kernel else made.fitted()
@@ -209,110 +205,108 @@ class Correction:
         return replace(self, kernel=FidelityKernel(*np.exp(best).tolist()))
 
     def _evidence(self, logarithms: FloatArray) -> tuple[float, FloatArray]:
-        """Log evidence at the first order, and its gradient."""
-        share, rows = self._share(1.0), self.differences.ravel()
-        covariance = self._covariance(logarithms, share)
+        """Log evidence and its gradient."""
+        rows = self.differences.ravel()
+        covariance = self._covariance(logarithms)
         inverse = np.linalg.inv(covariance)
         weights = inverse @ rows
-        steps = STEP * np.eye(logarithms.size)
         slope = []
-        for step in steps:
-            ahead, back = (self._covariance(logarithms + d, share) for d in (step, -step))
+        for step in STEP * np.eye(logarithms.size):
+            ahead, back = (self._covariance(logarithms + d) for d in (step, -step))
             change = (ahead - back) / (2.0 * STEP)
             slope.append(0.5 * float(weights @ change @ weights - np.sum(inverse * change)))
         volume = float(np.linalg.slogdet(covariance)[1])
         return -0.5 * (float(rows @ weights) + volume), np.array(slope)
 
-    def _covariance(self, logarithms: FloatArray, share: FloatArray) -> FloatArray:
+    def _covariance(self, logarithms: FloatArray) -> FloatArray:
         """Of the rows at logarithms of hyperparameters [N^2], [row 2 theta, row 2 theta]."""
-        given = replace(self, kernel=FidelityKernel(*np.exp(logarithms).tolist()))
-        return given._of_rows(share)
+        return replace(self, kernel=FidelityKernel(*np.exp(logarithms).tolist()))._of_rows()
 
-    def _of_rows(self, share: FloatArray) -> FloatArray:
+    def _of_rows(self) -> FloatArray:
         n, size = self.differences.shape
-        found = share[:, None] * self._between(self.phi_deg, self.forces) * share
-        blocks = found.reshape(n, size, n, size)
+        prior, share = self._between(self.phi_deg, self.forces), self._shares
+        found = self._shared_powers(share, share)[:, :, None, None] * prior.powers
+        # Each row less the coarse forces has their ripple, and that of its own size.
+        same = self.ratio[:, None] == self.ratio
+        found += (1.0 + same)[:, :, None, None] * prior.ripple
         for i in range(n):
-            blocks[i, :, i] += self.kernel.scatter**2 * self.own[i]
+            found[i, i] += self.kernel.scatter**2 * self.own[i]
             # Fine curves of one angle are compared with the same coarse mean.
-            for j in np.flatnonzero(self.phi_deg == self.phi_deg[i]).tolist():
-                blocks[i, :, j] += self.shared[i]
+            found[i, self.phi_deg == self.phi_deg[i]] += self.shared[i]
+        return found.transpose(0, 2, 1, 3).reshape(n * size, n * size)
+
+    def _shared_powers(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """Covariance that sums of the c_p have with these shares, over that of a c [-]."""
+        mean = (one @ WEIGHTS)[:, None] * (other @ WEIGHTS)
+        found: FloatArray = ALIKE * mean + (1.0 - ALIKE) * (one * WEIGHTS) @ other.T
         return found
 
-    def _share(self, order: float) -> FloatArray:
-        """What each row has of the finest's difference [-], shape [row 2 theta]."""
-        shares = (1.0 - self.ratio**order) / (1.0 - self.finest**order)
-        return np.repeat(shares, self.profile.size)
+    @property
+    def _shares(self) -> FloatArray:
+        """What each row has of each c_p [-], shape [row, power]."""
+        return np.vstack([_share(ratio) for ratio in self.ratio.tolist()])
 
-    @cached_property
-    def _correlation(self) -> FloatArray:
-        """Of delta over theta and the two forces, over the profile [-], [2 theta, 2 theta]."""
-        smooth = matern(self.theta_deg, self.theta_deg, self.kernel.theta_length_deg)
-        white = self.kernel.fine**2 * np.eye(self.theta_deg.size)
-        return np.kron(np.eye(2), smooth + white).astype(np.float64)
+    def _between(self, phi_deg: FloatArray, forces: FloatArray) -> _Covariances:
+        """Prior covariance with the rows."""
+        kernel = self.kernel
+        lag = matern(self.theta_deg, self.theta_deg, kernel.theta_length_deg)
+        over_theta, white = np.kron(np.eye(2), lag), np.eye(self.profile.size)
+        over_phi = matern(phi_deg, self.phi_deg, kernel.phi_length_deg)[:, :, None, None]
+        sizes = self._sizes(forces)[:, None, :, None] * self._sizes(self.forces)[None, :, None, :]
+        smooth = kernel.amplitude**2 * over_phi * over_theta * sizes
+        of_one = np.kron(np.eye(2), np.ones((self.theta_deg.size, self.theta_deg.size)))
+        alike = of_one * forces[:, None, :, None] * self.forces[None, :, None, :]
+        level = kernel.level**2 * self._over_phi(phi_deg)[:, :, None, None] * alike
+        ripple = kernel.ripple**2 * over_phi * (white * sizes + alike)
+        return _Covariances(smooth + level, ripple)
 
-    def _between(self, phi_deg: FloatArray, forces: FloatArray) -> FloatArray:
-        """Prior covariance with the rows [N^2], shape [k 2 theta, row 2 theta]."""
-        over_phi = matern(phi_deg, self.phi_deg, self.kernel.phi_length_deg)
-        one, other = self._sizes(forces), self._sizes(self.forces)
-        smooth = over_phi[:, None, :, None] * one[:, :, None, None] * other
-        smooth *= self._correlation[None, :, None, :]
-        of_level = _by_force(forces) @ self.level_covariance @ _by_force(self.forces).T
-        covariance: FloatArray = smooth.reshape(of_level.shape) + of_level
-        return covariance
+    def _over_phi(self, phi_deg: FloatArray) -> FloatArray:
+        """Correlation of the level with that of the rows [-], shape [k, row]."""
+        return CONSTANT + (1.0 - CONSTANT) * matern(phi_deg, self.phi_deg, LEVEL_LENGTH_DEG)
 
     def _sizes(self, forces: FloatArray) -> FloatArray:
-        """Standard deviation of s delta [N], [k, 2 theta] -> the same."""
-        return self.kernel.amplitude * window_spans(forces) * self.profile
+        """Peak-to-peak times profile [N], [k, 2 theta] -> the same."""
+        return window_spans(forces) * self.profile
+
+    def _across(self, phi_deg: FloatArray, forces: FloatArray, ratio: float | None) -> FloatArray:
+        """Prior covariance of what is foretold with the rows [N^2], [k 2 theta, row 2 theta]."""
+        prior = self._between(phi_deg, forces)
+        share = self._shared_powers(_share(ratio), self._shares)[0]
+        ripples = 1.0 + (np.zeros(self.ratio.size) if ratio is None else self.ratio == ratio)
+        found = share[None, :, None, None] * prior.powers
+        found += ripples[None, :, None, None] * prior.ripple
+        k, n, size, _ = found.shape
+        return found.transpose(0, 2, 1, 3).reshape(k * size, n * size)
+
+    def _prior(self, forces: FloatArray, ratio: float | None) -> FloatArray:
+        """Prior covariance of what is foretold [N^2], shape [k, 2 theta, 2 theta]."""
+        kernel, size = self.kernel, self.theta_deg.size
+        share = float(self._shared_powers(_share(ratio), _share(ratio))[0, 0])
+        ripple = kernel.ripple**2 * (1.0 if ratio is None else 2.0)
+        lag = matern(self.theta_deg, self.theta_deg, kernel.theta_length_deg)
+        of_sizes = share * kernel.amplitude**2 * lag + ripple * np.eye(size)
+        sizes = self._sizes(forces)
+        found = np.kron(np.eye(2), of_sizes) * sizes[:, :, None] * sizes[:, None, :]
+        variance = share * kernel.level**2 + ripple
+        of_one = variance * np.kron(np.eye(2), np.ones((size, size)))
+        total: FloatArray = found + of_one * forces[:, :, None] * forces[:, None, :]
+        return total
 
     @cached_property
-    def _limits(self) -> tuple[_Limit, ...]:
-        """What each order says that is not negligible, those of most evidence first."""
-        every, known = range(ORDERS.size), {}
-
-        def limits(indices: Iterable[int]) -> list[_Limit]:
-            found = []
-            for i in indices:
-                order, share = float(ORDERS[i]), self._share(float(ORDERS[i]))
-                if share.tobytes() not in known:
-                    known[share.tobytes()] = self._conditioned(share)
-                evidence, *rest = known[share.tobytes()]
-                told = float(self.order_evidence[i]) + evidence
-                factor = 1.0 / (1.0 - self.finest**order)
-                found.append(_Limit(order, told, factor, share, *rest))
-            return found
-
-        # Without a second fine size all orders have one decomposition; else each is large.
-        several = np.unique(self.ratio).size > 1
-        found = limits(every[::COARSELY] if several else every)
-        probability = _probability(found)
-        if several and np.square(probability).sum() > 1.0 / COARSELY:
-            near = COARSELY * int(probability.argmax())
-            found = limits(every[max(near - 2 * COARSELY, 0) : near + 2 * COARSELY + 1])
-            probability = _probability(found)
-        pairs = zip(found, probability, strict=True)
-        kept = [one for one, share in pairs if share > NEGLIGIBLE]
-        # Orders that explain the curves alike differ by round-off.
-        return tuple(sorted(kept, key=lambda x: (-round(x.log_evidence, 6), abs(np.log(x.order)))))
-
-    def _conditioned(self, share: FloatArray) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-        """Log evidence, and what follows of the rows; see :class:`_Limit`."""
+    def _conditioned(self) -> tuple[FloatArray, FloatArray]:
+        """Cholesky factor of the rows' covariance, and its inverse times the rows."""
         with single_threaded():
-            factor = np.linalg.cholesky(self._of_rows(share)).astype(np.float64)
-            by_force = share[:, None] * _by_force(self.forces)
-            rows = self.differences.ravel() - by_force @ self.level_mean
-            white = _whitened(factor, rows)
-            weights = _whitened(factor, white, transposed=True)
-        evidence = -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())
-        level: FloatArray = self.level_mean + self.level_covariance @ (by_force.T @ weights)
-        return evidence, factor, weights, level
+            factor = np.linalg.cholesky(self._of_rows()).astype(np.float64)
+            white = _whitened(factor, (self.differences - self._by_level(self.forces)).ravel())
+            return factor, _whitened(factor, white, transposed=True)
 
-    @cached_property
-    def order_probability(self) -> FloatArray:
-        """Of each order that is not negligible, most probable first [-]."""
-        return _probability(self._limits)
+    def _by_level(self, forces: FloatArray) -> FloatArray:
+        """Forces times the level's mean a priori [N]."""
+        return forces * np.repeat(self.level, self.theta_deg.size)
 
-    def mean(self, phi_deg: FloatArray, forces: FloatArray) -> FloatArray:
+    def mean(
+        self, phi_deg: FloatArray, forces: FloatArray, *, ratio: float | None = None
+    ) -> FloatArray:
         """Correction at friction angles [N], shape [k] -> [k, 2 theta].
 
         Parameters
@@ -321,38 +315,26 @@ class Correction:
             Friction angles [deg].
         forces
             Coarse forces there [N], shape [k, 2 theta].
+        ratio
+            Not to the limit, but to what simulations of this r would give on average.
         """
-        best = self._limits[0]
-        found: FloatArray = best.factor * self._mean(best, phi_deg, forces)
+        found = self._by_level(forces)
+        if self.phi_deg.size:
+            told = self._across(phi_deg, forces, ratio) @ self._conditioned[1]
+            found = found + told.reshape(found.shape)
         return found
 
-    def _mean(self, limit: _Limit, phi_deg: FloatArray, forces: FloatArray) -> FloatArray:
-        """Mean difference of the finest curves [N]."""
-        weights = (limit.share * limit.weights).reshape(self.forces.shape)
-        shapes = (self._sizes(self.forces) * weights) @ self._correlation
-        over_phi = matern(phi_deg, self.phi_deg, self.kernel.phi_length_deg)
-        by_level = forces * np.repeat(limit.level, self.theta_deg.size)
-        return by_level + self._sizes(forces) * (over_phi @ shapes)
-
-    def covariance(self, phi_deg: FloatArray, forces: FloatArray) -> FloatArray:
+    def covariance(
+        self, phi_deg: FloatArray, forces: FloatArray, *, ratio: float | None = None
+    ) -> FloatArray:
         """Covariance of its error [N^2], shape [k] -> [k, 2 theta, 2 theta]; as :meth:`mean`."""
-        size, mean = self.profile.size, self.mean(phi_deg, forces)
-        sizes, between = self._sizes(forces), self._between(phi_deg, forces)
-        by_force = _by_force(forces).reshape(-1, size, 2)
-        prior = sizes[:, :, None] * self._correlation * sizes[:, None, :]
-        prior += by_force @ self.level_covariance @ by_force.transpose(0, 2, 1)
-        total, explained = np.zeros_like(prior), {}
-        for limit, probability in zip(self._limits, self.order_probability, strict=True):
-            key = limit.share.tobytes()
-            if key not in explained:
-                with single_threaded():
-                    white = _whitened(limit.cholesky, (between * limit.share).T)
-                white = white.reshape(len(white), len(phi_deg), size)
-                explained[key] = white.transpose(1, 2, 0) @ white.transpose(1, 0, 2)
-            apart = limit.factor * self._mean(limit, phi_deg, forces) - mean
-            total += probability * limit.factor**2 * (prior - explained[key])
-            total += probability * apart[:, :, None] * apart[:, None, :]
-        return self.widened**2 * total
+        found = self._prior(forces, ratio)
+        if self.phi_deg.size:
+            with single_threaded():
+                white = _whitened(self._conditioned[0], self._across(phi_deg, forces, ratio).T)
+            white = white.reshape(len(white), len(phi_deg), -1)
+            found = found - white.transpose(1, 2, 0) @ white.transpose(1, 0, 2)
+        return self.widened**2 * found
 
     def for_leg(self, coarse: JointSurrogate) -> Self:
         """What it says of a leg without fine curves.
@@ -362,11 +344,7 @@ class Correction:
         coarse
             That leg's surrogate, without a correction.
         """
-        best = self._limits[0]
-        by_force = best.share[:, None] * _by_force(self.forces)
-        white = _whitened(best.cholesky, by_force @ self.level_covariance)
         none = np.zeros((0, 2 * coarse.theta_deg.size))
-        by_order = {one.order: one.log_evidence for one in self._limits}
         return replace(
             self,
             theta_deg=coarse.theta_deg,
@@ -375,11 +353,18 @@ class Correction:
             ratio=np.zeros(0),
             forces=none,
             differences=none,
-            level_mean=best.level,
-            level_covariance=self.level_covariance - white.T @ white,
-            order_evidence=np.array([by_order.get(p, -np.inf) for p in ORDERS.tolist()]),
+            level=self._factor(),
             widened=WIDER,
         )
+
+    def _factor(self) -> FloatArray:
+        """By how much the correction changes each force at the rows' angles [-], shape [2]."""
+        phi, at = np.unique(self.phi_deg, return_index=True)
+        forces = self.forces[at]
+        shape = (-1, 2, self.theta_deg.size)
+        told, own = self.mean(phi, forces).reshape(shape), forces.reshape(shape)
+        factor: FloatArray = np.sum(told * own, axis=2) / np.square(own).sum(axis=2)
+        return factor.mean(axis=0)
 
     def as_dict(self) -> dict[str, float]:
         """Hyperparameters, as plain numbers."""
@@ -388,7 +373,12 @@ class Correction:
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """Corrections of a leg by cause, which err independently."""
+    """Corrections of a leg by cause, which err independently but for what both may count.
+
+    What is left of an error that goes with the product of two causes is in the correction for each.
+    It may be any share of the smaller of the two, where they have one sign: that is taken as one
+    standard deviation of a uniform one, in halves of each cause's.
+    """
 
     parts: Mapping[str, Correction]
 
@@ -403,7 +393,15 @@ class Refinement:
 
     def covariances(self, phi_deg: FloatArray, forces: FloatArray) -> dict[str, FloatArray]:
         """As of :meth:`Correction.covariance` [N^2], of each cause."""
-        return {cause: one.covariance(phi_deg, forces) for cause, one in self.parts.items()}
+        found = {cause: one.covariance(phi_deg, forces) for cause, one in self.parts.items()}
+        if len(found) > 1:
+            one, other = (part.mean(phi_deg, forces) for part in self.parts.values())
+            both = np.where(one * other > 0.0, np.minimum(np.abs(one), np.abs(other)), 0.0)
+            both *= np.sign(one)
+            wide = next(iter(self.parts.values())).widened
+            product = wide**2 * both[:, :, None] * both[:, None, :] / 3.0
+            found = {cause: covariance + 0.5 * product for cause, covariance in found.items()}
+        return found
 
     def covariance(self, phi_deg: FloatArray, forces: FloatArray) -> FloatArray:
         """Of all causes together [N^2]."""
@@ -411,12 +409,9 @@ class Refinement:
         return found
 
 
-def _probability(limits: Sequence[_Limit]) -> FloatArray:
-    """Of each order, by the evidence [-]."""
-    evidence = np.array([one.log_evidence for one in limits])
-    probability: FloatArray = np.exp(evidence - evidence.max())
-    probability /= probability.sum()
-    return probability
+def _share(ratio: float | None) -> FloatArray:
+    """What curves of a size, or the limit, have of each c_p [-], shape [1, power]."""
+    return np.atleast_2d(1.0 - (ratio or 0.0) ** POWERS)
 
 
 def profile_of(theta_deg: FloatArray, forces: FloatArray) -> FloatArray:
@@ -440,13 +435,5 @@ def _whitened(cholesky: FloatArray, values: FloatArray, *, transposed: bool = Fa
     """Inverse of a lower triangle, or of its transpose, times values."""
     from scipy.linalg import solve_triangular
 
-    if not values.size:
-        return values
     found: FloatArray = solve_triangular(cholesky, values, lower=True, trans=int(transposed))
     return found
-
-
-def _by_force(forces: FloatArray) -> FloatArray:
-    """Forces times what a unit level adds to each, shape [k, 2 theta] -> [k 2 theta, 2]."""
-    of_x = np.repeat([1.0, 0.0], forces.shape[1] // 2)
-    return (forces[:, :, None] * np.stack([of_x, 1.0 - of_x], axis=1)).reshape(forces.size, 2)
