@@ -44,9 +44,10 @@ CLOSE_PERCENT = 15.0
 NORMAL_ONLY = "reaction without friction"
 METHOD = (
     "Straight leg, φ = 25° and 45° by the paper's convention, preset `paper-1` four times sped up, "
-    "one thing read differently at a time. Off by: root mean square of the relative errors of the "
-    "four peaks that the paper prints. Engages: |F| stays above 2 % of the peak of F_z from there "
-    "on; a bare leg touches the soil at -75°. Plan: `reading`. Run again: `terraphi study reading`."
+    "with the drag on the soil that it has at the true speed, one thing read differently at a "
+    "time. Off by: root mean square of the relative errors of the four peaks that the paper "
+    "prints. Engages: |F| stays above 2 % of the peak of F_z from there on; a bare leg touches the "
+    "soil at -75°. Plan: `reading`. Run again: `terraphi study reading`."
 )
 PICTURE = "peaks of each reading at both ends of the library, and the paper's"
 

@@ -76,7 +76,8 @@ def run(*, library: str | None = None, progress: Progress | None = None) -> Stud
         ``library`` before them; ``finer``, by library and leg the finer cases in words;
         ``borrowed``, by library and cause the legs that have none of their own; ``left_out``, as
         :func:`~terraphi.inference.refining.left_out`, with ``library``; and ``curves``, one for
-        each leg of a library: ``library``, ``leg``, ``phi_deg``, ``theta_deg``, and by force ``simulated_N``, ``limit_N`` and ``sd_N``.
+        each leg of a library: ``library``, ``leg``, ``phi_deg``, ``theta_deg``, and by force
+        ``simulated_N``, ``limit_N`` and ``sd_N``.
 
     Raises
     ------
