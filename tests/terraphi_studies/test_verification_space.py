@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from terraphi.forward.mpm.bed import geostatic_bed
 from terraphi.forward.mpm3d.lattice import lattice_of, positions
-from terraphi_studies.verification import space
+from terraphi_studies.verification import slab, space
 
 
 @pytest.mark.parametrize(("phi", "factor"), [(35.0, 2.09), (25.0, 1.78)])
@@ -24,3 +25,22 @@ def test_a_column_is_a_quarter_of_a_cylinder_of_soil_alone() -> None:
     place = positions(lattice_of(scenario), soil.cell, soil.offset)
     assert np.hypot(place[:, 0] - scenario.bed.left, place[:, 1]).max() < space.RADIUS
     assert len({len(part) for part in soil[:6]}) == 1
+
+
+def test_a_slab_has_the_particles_of_the_plane_twice() -> None:
+    scenario = slab.slab_scenario(30, "cell", 5)
+    soil, flat = slab.twofold_bed(scenario, "scalar"), geostatic_bed(slab.in_plane(scenario))
+    place = positions(lattice_of(scenario), soil.cell, soil.offset)
+    assert np.unique(place[:, 1].round(9)).size == 2
+    for side in (place[:, 1] < place[:, 1].mean(), place[:, 1] > place[:, 1].mean()):
+        own = np.lexsort(place[side][:, [0, 2]].T)
+        other = np.lexsort(flat.position.T)
+        np.testing.assert_allclose(place[side][own][:, [0, 2]], flat.position[other], atol=1e-9)
+        stress = soil.stress[side][own][:, [0, 2]]
+        np.testing.assert_allclose(stress, flat.stress[other][:, :2], rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_the_reference_in_a_slab_is_the_solver_in_the_plane() -> None:
+    outcome = slab.slab("scalar_nodes", 30, "particle")
+    assert all(check.passed for check in outcome.checks)

@@ -38,6 +38,7 @@ from terraphi.library.plan import Plan
 from terraphi.library.workers import heartbeat
 from terraphi_studies.verification.check import Check, Family, Outcome, Task, numbered
 from terraphi_studies.verification.driver import PARKED
+from terraphi_studies.verification.slab import TASKS
 
 DEPTH, BREADTH = 0.054, 0.0254
 """h and b of the slab [m]: those of the leg, upright."""
@@ -292,13 +293,15 @@ FULL = [
     ),
     *numbered("wall", narrow_wall, [{"phi_deg": phi} for phi in (25.0, 35.0)], 13.0),
     *numbered("footing", footing, [{"phi_deg": 30.0, "shape": s} for s in FOOTINGS], 10.0),
+    *TASKS,
 ]
 
 FAMILY = Family(
     title="Three dimensions",
     meaning="A narrow wall, a round and a square footing in space, each over the same in plane "
-    "strain, and a round column that is let go. If these pass, what the third dimension adds is "
-    "what it adds to real walls, footings and columns.",
+    "strain, a round column that is let go, and a leg in a slab that lets it be plane strain. If "
+    "these pass, what the third dimension adds is what it adds to real walls, footings and "
+    "columns.",
     full=FULL,
     quick=[Task("column", column, {"aspect": 1.0, "across": 12, "times": 5.0})],
 )
