@@ -151,7 +151,11 @@ def invert(
     found = infer(looked, library, ways)
     return replace(
         found,
-        warnings=(*found.warnings, *_doubts(looked, found, library)),
+        warnings=(
+            *_of_library(found, library),
+            *found.warnings,
+            *_doubts(looked, found, library),
+        ),
         library_reason=why if phi_alone else "",
         compared=_compared(looked, found, library),
         provenance=_provenance(found, library, by_soils, time.perf_counter() - began),
@@ -224,12 +228,34 @@ def _two_soils(found: Inversion) -> list[Doubt]:
     return [Doubt("two_soils", {"worst": worst.source})]
 
 
+def _of_library(found: Inversion, library: Library) -> list[Doubt]:
+    """What everyone who inverts with a library should know of it."""
+    name, doubts = library.name, []
+    if library.caveat:
+        doubts.append(Doubt("caveat", {"name": name, "caveat": library.caveat}))
+    if is_there_to_try_others(name):
+        doubts.append(Doubt("tries_others", {"name": name}))
+    for cause, legs in (untold(library) if library.fine else {}).items():
+        if legs == library.legs:
+            doubts.append(Doubt("refined_in_part", {"name": name, "cause": CAUSES[cause]}))
+    if found.likelihood == "calibrated" and not _as_soil(found):
+        for leg, held in library.unheld.items():
+            if leg in found.legs:
+                told = {"name": name, "leg": leg, "held": held}
+                doubts.append(Doubt("intervals_do_not_hold", told))
+    return doubts
+
+
+def _as_soil(found: Inversion) -> bool:
+    """Whether it is judged by how real soils deviate."""
+    return any(one.code == "soil_deviation" for one in found.verdict.measures)
+
+
 def _doubts(looked: Looked, found: Inversion, library: Library) -> list[Doubt]:
-    """Doubts about records, library, and an angle that hardly any dry soil has."""
+    """Doubts about records, and an angle that hardly any dry soil has."""
     doubts = _two_soils(found)
     learnt, plane = learnt_for(library), found.phi_plane_strain
-    judged_as_soil = any(one.code == "soil_deviation" for one in found.verdict.measures)
-    if learnt is not None and judged_as_soil:
+    if learnt is not None and _as_soil(found):
         shipped = (str(t.history.provenance.get("measurement", "")) for t in looked.trials)
         # It was learnt from the very medium that is judged by it.
         known = {medium_and_leg(name)[0] for name in shipped} & set(learnt.media)
@@ -239,21 +265,6 @@ def _doubts(looked: Looked, found: Inversion, library: Library) -> list[Doubt]:
     low, high = USUAL_DEG
     if plane is not None and found.origin == "measured" and not low <= plane.median <= high:
         doubts.append(Doubt("unusual", {"median": plane.median, "low": low, "high": high}))
-    if is_there_to_try_others(library.name):
-        doubts.append(Doubt("tries_others", {"name": library.name}))
-    doubts += [
-        Doubt("refined_in_part", {"name": library.name, "cause": CAUSES[cause]})
-        for cause, legs in (untold(library) if library.fine else {}).items()
-        if legs == library.legs
-    ]
-    if found.likelihood == "calibrated" and not judged_as_soil:
-        doubts += [
-            Doubt("intervals_do_not_hold", {"name": library.name, "leg": leg, "held": held})
-            for leg, held in library.unheld.items()
-            if leg in found.legs
-        ]
-    if library.caveat:
-        doubts.append(Doubt("caveat", {"name": library.name, "caveat": library.caveat}))
     return doubts
 
 
