@@ -243,6 +243,14 @@ def test_calibration_and_rebuilding_keep_what_refines(
     assert build(wider, file).fine == ()
 
 
+def test_hyperparameters_of_another_version_are_found_anew(better: Library) -> None:
+    told = {leg: {cause: {"amplitude": 1.0, "fine": 0.1} for cause in causes}
+            for leg, causes in better.refinement.items()}  # fmt: skip
+    again = replace(better, refinement=told)
+    own, other = (prepare(one, "straight").surrogate.predict(33.0) for one in (better, again))
+    assert other == pytest.approx(own, rel=1e-6, abs=1e-9)
+
+
 def test_an_unrefined_file_says_nothing_of_it(coarse: Library, tmp_path: Path) -> None:
     import xarray as xr
 

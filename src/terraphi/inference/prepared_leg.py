@@ -328,8 +328,7 @@ def refinement_of(
                 library, source, library.curves(source, readings=readings), readings=readings
             )
         told = library.refinement.get(source, {}).get(cause)
-        kernel = None if told is None else FidelityKernel(**told)
-        found = Correction.of(surrogate, of_legs[source][cause], kernel)
+        found = Correction.of(surrogate, of_legs[source][cause], FidelityKernel.known(told))
         parts[cause] = found if source == leg else found.for_leg(coarse)
     return Refinement(parts)
 

@@ -113,6 +113,11 @@ class FidelityKernel:
     ripple: float = PRIORS["ripple"][0]
     scatter: float = PRIORS["scatter"][0]
 
+    @classmethod
+    def known(cls, told: Mapping[str, float] | None) -> Self | None:
+        """Those that a library's file has; ``None`` if it has none, or those of another version."""
+        return cls(**told) if told is not None and told.keys() == PRIORS.keys() else None
+
 
 class _Covariances(NamedTuple):
     """Prior covariance between forces at some angles and the rows [N^2], [k, row, 2 t, 2 t]."""
