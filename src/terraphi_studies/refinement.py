@@ -29,7 +29,10 @@ if TYPE_CHECKING:
 
 NAME = "refinement"
 FINER = {
-    "resolved-2": ("cells-384", "cells-288", "bent-cells-384", "speed-up"),
+    "resolved-2": (
+        *("cells-384", "cells-288", "bent-cells-384"),
+        *("speed-up", "bent-speed-up"),
+    ),
     "sand3d-quick": ("cells-86",),
 }
 """By library, what the names of those end with that have finer cases of it."""
