@@ -293,7 +293,7 @@ def test_the_command_refines_a_copy(
     assert made.status == 0, made.err
     for row in json.loads(made.out)["corrections"]:
         # 0.9 at half the cells; some 30 % of that for the power, and of another leg the mean alone.
-        assert row["Fz"]["percent"] == pytest.approx(-20.0, abs=2.0)
+        assert row["Fz"]["percent"] == pytest.approx(-20.0, abs=3.0)
         expected = {"straight": 6.0, "c": 26.0}[row["leg"]]
         assert row["Fz"]["sd_percent"] == pytest.approx(expected, rel=0.3)
         if row["phi_deg"] == 35.0:

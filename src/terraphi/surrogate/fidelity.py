@@ -15,8 +15,8 @@ one c_p for each of POWERS, independent a priori:
 a the *level*, a factor of each force, in part one for all friction angles and in part a process
 over them; s the peak-to-peak of each force; delta a process of mean zero, Matern over phi and
 theta, times a profile: no correction where the leg is in no soil. A ripple is what one grid or
-speed shows beside another that is no power of the size: Matern over phi; a factor of each force,
-and of the same size a part that is white over theta.
+speed shows beside another that is no power of the size: an offset, a factor of each force that goes
+over phi as the level does, and a part that is Matern over phi and white over theta.
 A fine curve less the coarse mean has besides the error of that mean, as the surrogate knows it, and
 particle scatter of its own, of the coarse size times a factor.
 
@@ -79,7 +79,8 @@ PRIORS = {
     "amplitude": (0.05, 3.0, 0.002, 0.5),
     "phi_length_deg": (20.0, 1.6, 8.0, 60.0),
     "theta_length_deg": (20.0, 1.6, 4.0, 60.0),
-    "ripple": (0.01, 2.0, 0.001, 0.05),
+    "offset": (0.005, 2.0, 0.0005, 0.05),
+    "ripple": (0.003, 3.0, 0.0005, 0.05),
     "scatter": (1.0, 1.5, 0.2, 5.0),
 }
 """Of each hyperparameter median and factor of one standard deviation, and least and largest."""
@@ -99,9 +100,10 @@ class FidelityKernel:
         That of delta where the profile is 1 [-].
     phi_length_deg, theta_length_deg
         Correlation lengths of delta [deg].
+    offset
+        Standard deviation of a ripple's factor [-].
     ripple
-        Standard deviation of a ripple's factor, and over the peak-to-peak, where the profile is 1,
-        of its white part [-].
+        That of its white part over the peak-to-peak, where the profile is 1 [-].
     scatter
         Standard deviation of a fine curve's scatter over that of a coarse one [-].
     """
@@ -110,6 +112,7 @@ class FidelityKernel:
     amplitude: float = PRIORS["amplitude"][0]
     phi_length_deg: float = PRIORS["phi_length_deg"][0]
     theta_length_deg: float = PRIORS["theta_length_deg"][0]
+    offset: float = PRIORS["offset"][0]
     ripple: float = PRIORS["ripple"][0]
     scatter: float = PRIORS["scatter"][0]
 
@@ -261,9 +264,9 @@ class Correction:
         smooth = kernel.amplitude**2 * over_phi * over_theta * sizes
         of_one = np.kron(np.eye(2), np.ones((self.theta_deg.size, self.theta_deg.size)))
         alike = of_one * forces[:, None, :, None] * self.forces[None, :, None, :]
-        level = kernel.level**2 * self._over_phi(phi_deg)[:, :, None, None] * alike
-        ripple = kernel.ripple**2 * over_phi * (white * sizes + alike)
-        return _Covariances(smooth + level, ripple)
+        alike = self._over_phi(phi_deg)[:, :, None, None] * alike
+        ripple = kernel.ripple**2 * over_phi * white * sizes + kernel.offset**2 * alike
+        return _Covariances(smooth + kernel.level**2 * alike, ripple)
 
     def _over_phi(self, phi_deg: FloatArray) -> FloatArray:
         """Correlation of the level with that of the rows [-], shape [k, row]."""
@@ -287,12 +290,12 @@ class Correction:
         """Prior covariance of what is foretold [N^2], shape [k, 2 theta, 2 theta]."""
         kernel, size = self.kernel, self.theta_deg.size
         share = float(self._shared_powers(_share(ratio), _share(ratio))[0, 0])
-        ripple = kernel.ripple**2 * (1.0 if ratio is None else 2.0)
+        ripples = 1.0 if ratio is None else 2.0
         lag = matern(self.theta_deg, self.theta_deg, kernel.theta_length_deg)
-        of_sizes = share * kernel.amplitude**2 * lag + ripple * np.eye(size)
+        of_sizes = share * kernel.amplitude**2 * lag + ripples * kernel.ripple**2 * np.eye(size)
         sizes = self._sizes(forces)
         found = np.kron(np.eye(2), of_sizes) * sizes[:, :, None] * sizes[:, None, :]
-        variance = share * kernel.level**2 + ripple
+        variance = share * kernel.level**2 + ripples * kernel.offset**2
         of_one = variance * np.kron(np.eye(2), np.ones((size, size)))
         total: FloatArray = found + of_one * forces[:, :, None] * forces[:, None, :]
         return total
