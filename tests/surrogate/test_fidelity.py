@@ -187,7 +187,7 @@ def test_it_is_the_posterior_of_plain_dense_algebra() -> None:
 def test_the_limit_is_beyond_the_finest_curves_as_far_as_no_one_knows(
     ratio: float, order: float
 ) -> None:
-    # Each power leads to another limit, within two standard deviations, or three and a half of the square root.
+    # Each power leads to another limit, within two standard deviations (the square root: 3.5).
     truth = world(np.random.default_rng(2))
     found = Correction.of(surrogate_with(1e-4), curves(truth, [ratio], order))
     forces, first = coarse_forces(ANGLES), (1.0 - ratio**order) * truth(ANGLES)
