@@ -33,7 +33,7 @@ FINER = {
         *("cells-384", "cells-288", "bent-cells-384"),
         *("speed-up", "bent-speed-up"),
     ),
-    "sand3d-quick": ("cells-86",),
+    "sand3d-quick": ("cells-86", "speed-up"),
 }
 """By library, what the names of those end with that have finer cases of it."""
 PHI_DEG = 35.0
