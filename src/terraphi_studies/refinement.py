@@ -164,7 +164,7 @@ def _notes(
             else:
                 notes.append(
                     f"Of `{name}`, what {what} does to {' and '.join(without)} is taken over from "
-                    "another leg, with twice the uncertainty."
+                    "another leg, with more uncertainty."
                 )
         best = min(mine, key=lambda row: row["phi"]["sd_deg"])
         worst = max(mine, key=lambda row: row["phi"]["sd_deg"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -229,6 +230,13 @@ def test_what_two_causes_may_both_count_is_not_certain() -> None:
         for cause, f in (("grid", -0.1), ("speed_up", -0.06))
     }
     both = Refinement(parts).covariance(BETWEEN, forces)
+    for order in (("grid", "speed_up"), ("speed_up", "grid")):
+        uneven = {c: replace(parts[c], widened=2.0 if c == "grid" else FEW) for c in order}
+        extra = Refinement(uneven).covariance(BETWEEN, forces) - sum(
+            one.covariance(BETWEEN, forces) for one in uneven.values()
+        )
+        own = np.sqrt(np.diagonal(extra, axis1=1, axis2=2))
+        assert own == pytest.approx(2.0 * 0.06 / 3**0.5 * np.abs(forces), rel=0.05, abs=1e-4)
     alone = sum(one.covariance(BETWEEN, forces) for one in parts.values())
     added = np.sqrt(np.diagonal(both - alone, axis1=1, axis2=2))
     # A uniform share of the smaller one has a root mean square of 1/sqrt(3).

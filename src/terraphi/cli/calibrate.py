@@ -47,10 +47,10 @@ def library_calibrate(
     rows = [[leg, *(words(found[name]) for name in columns)] for leg, found in certificate.items()]
     title = f"Coverage of {made.name}'s intervals, written to {out}"
     print_table(Table(title, ("leg", *columns), rows))
-    if made.guesses_scatter:
+    if guessed := [leg for leg in certificate if made.guesses_scatter(leg)]:
         click.echo(
-            "The library has no replicates: what particle seeds do to a force is guessed from its "
-            "curves. Simulations of some cases with other seeds (--replicates) make that sure."
+            f"No replicates of {words(guessed)}: what particle seeds do to a force is guessed from "
+            "the curves. Simulations of some cases with other seeds (--replicates) make that sure."
         )
     for leg, held in made.unheld.items():
         click.echo(

@@ -193,9 +193,10 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
     check_file(out, kind="library")
     made = refined(Library.load(name), [Library.load(one) for one in fine])
     made.save(out)
-    found = corrections(made)
+    found, missing = corrections(made), untold(made)
     if as_json:
-        print_json({"library": made.name, "file": str(out), "corrections": found})
+        told = {"library": made.name, "file": str(out), "corrections": found}
+        print_json({**told, "legs_without_finer_cases": missing})
         return
     header = ("leg", "φ [deg]", "change of Fx [%]", "change of Fz [%]", "of φ as read [deg]")
     rows = [
@@ -207,7 +208,6 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
         )
         for row in found
     ]
-    missing = untold(made)
     taken = " and ".join(CAUSES[c] for c in CAUSES if missing.get(c) != made.legs)
     title = f"{taken[:1].upper()}{taken[1:]} taken out of {made.name}'s forces, written to {out}"
     print_table(Table(title, header, rows))
@@ -217,7 +217,7 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
         else:
             click.echo(
                 f"No finer case for {CAUSES[cause]} has leg {words(legs)}: what is known of "
-                "another leg stands for it, with twice the uncertainty."
+                "another leg stands for it, with more uncertainty."
             )
     unsure = [row for row in found if max(row[f]["sd_percent"] for f in ("Fx", "Fz")) > UNSURE]
     if unsure:

@@ -151,11 +151,7 @@ def invert(
     found = infer(looked, library, ways)
     return replace(
         found,
-        warnings=(
-            *_of_library(found, library),
-            *found.warnings,
-            *_doubts(looked, found, library),
-        ),
+        warnings=_warnings(looked, found, library),
         library_reason=why if phi_alone else "",
         compared=_compared(looked, found, library),
         provenance=_provenance(found, library, by_soils, time.perf_counter() - began),
@@ -226,6 +222,11 @@ def _two_soils(found: Inversion) -> list[Doubt]:
         return []
     worst = max(of_each, key=lambda one: one.value)
     return [Doubt("two_soils", {"worst": worst.source})]
+
+
+def _warnings(looked: Looked, found: Inversion, library: Library) -> tuple[Doubt, ...]:
+    """Doubts about the library, then what was found in the records, then about these."""
+    return (*_of_library(found, library), *found.warnings, *_doubts(looked, found, library))
 
 
 def _of_library(found: Inversion, library: Library) -> list[Doubt]:

@@ -327,8 +327,12 @@ def refinement_of(
             surrogate = surrogate_of(
                 library, source, library.curves(source, readings=readings), readings=readings
             )
-        told = library.refinement.get(source, {}).get(cause)
-        found = Correction.of(surrogate, of_legs[source][cause], FidelityKernel.known(told))
+        kernel = FidelityKernel.known(library.refinement.get(source, {}).get(cause))
+        if kernel is None and library.refinement:
+            log.info("refined by another version: hyperparameters of leg %s are found anew", source)
+            whole = surrogate_of(library, source, library.curves(source))
+            kernel = Correction.of(whole, fine_curves(library, source)[cause]).kernel
+        found = Correction.of(surrogate, of_legs[source][cause], kernel)
         parts[cause] = found if source == leg else found.for_leg(coarse)
     return Refinement(parts)
 

@@ -159,7 +159,7 @@ DOUBTS = {
     "tries_others": "Library '{name}' is shipped to try others, not to invert with.",
     "caveat": "Library {name}: {caveat}",
     "refined_in_part": (
-        "Library {name} is refined, but not for its {cause}, which changes forces as simulated."
+        "Library {name} is refined, but {cause} is not taken out: no finer case tells of it."
     ),
     "intervals_do_not_hold": (
         "Library {name}: its 95 % intervals hold {held:.0%} of simulated truths on leg {leg}; do "

@@ -7,9 +7,8 @@ both ends among them, and set in ``[scenario.numerics]`` for half the cell size
 
     cells = 2 x, time_step = 0.5 x, remap_interval = 0.5 x what it was
 
-or ``speed_up`` to half of what it was. With a third size, such as two thirds of the cell size, the
-order of convergence is told by the forces themselves. ``terraphi library refine`` puts them into
-the library's file.
+or ``speed_up`` to half of what it was. A third size, such as two thirds of the cell size, makes the
+limit somewhat surer. ``terraphi library refine`` puts them into the library's file.
 """
 
 from __future__ import annotations
@@ -42,8 +41,8 @@ class FineCurves(NamedTuple):
     phi_deg: FloatArray
     """Friction angles [deg], shape [row]."""
     ratio: FloatArray
-    """What the library's error is multiplied by if it is of first order [-], shape [row]: cell
-    size over the library's; k - 1 over the library's."""
+    """Size over the library's [-], shape [row]: cell size over the library's; k - 1 over the
+    library's."""
     repeats: FloatArray
     """Simulations that each is the mean of [-], shape [row]."""
     forces: FloatArray
@@ -185,11 +184,14 @@ def untold(library: Library) -> dict[str, list[str]]:
     """Legs of a refined library without finer cases of their own, by cause, one of `CAUSES`.
 
     All legs, if none has any: then that cause is not taken out of the forces. Otherwise another
-    leg's finer cases stand for those of a leg that has none.
+    leg's finer cases stand for those of a leg that has none. Of a library that is not sped up
+    there is nothing to take out.
     """
     told = {
         (case.scenario.leg.shape, finer(twin(library, case.scenario), case.scenario)[0])
         for case in library.fine
     }
-    legs = {cause: [leg for leg in library.legs if (leg, cause) not in told] for cause in CAUSES}
+    fast = any(case.scenario.numerics.speed_up > 1.0 for case in library.cases)
+    causes = [cause for cause in CAUSES if fast or cause != "speed_up"]
+    legs = {cause: [leg for leg in library.legs if (leg, cause) not in told] for cause in causes}
     return {cause: without for cause, without in legs.items() if without}

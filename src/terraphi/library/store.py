@@ -142,19 +142,26 @@ class Library:
     @property
     def unheld(self) -> dict[str, float]:
         """Legs whose 95 % intervals held too few simulated truths, and the share of these [-]."""
-        held = {leg: float(found.get("coverage95", 1.0)) for leg, found in self.certificate.items()}
-        return {leg: share for leg, share in held.items() if share < HELD_AT_LEAST}
+        held = {leg: found.get("coverage95") for leg, found in self.certificate.items()}
+        return {
+            leg: float(share)
+            for leg, share in held.items()
+            if isinstance(share, int | float) and share < HELD_AT_LEAST
+        }
 
-    @property
-    def guesses_scatter(self) -> bool:
-        """Whether it can but guess what particle seeds do to a force."""
-        return self.cases[0].scenario.model == "mpm" and not self.replicates
+    def guesses_scatter(self, leg: str) -> bool:
+        """Whether it can but guess what particle seeds do to a leg's forces."""
+        again = {case.scenario.leg.shape for case in self.replicates}
+        return self.cases[0].scenario.model == "mpm" and leg not in again
 
     @property
     def caveat(self) -> str:
-        """What everyone who inverts with it should know: its plan's, or that of its contact."""
+        """What everyone who inverts with it should know: of its contact, and its plan's."""
+        own = self.plan.caveat
         contacts = {case.scenario.numerics.contact for case in self.cases}
-        return self.plan.caveat or (COUNTED if "unbalanced" in contacts else "")
+        if "unbalanced" not in contacts or "contact" in own:
+            return own
+        return f"{COUNTED} {own}".rstrip()
 
     @property
     def legs(self) -> list[str]:

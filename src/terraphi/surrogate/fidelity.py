@@ -8,7 +8,7 @@ forces g (`joint`) and those of a fine curve are (after Kennedy & O'Hagan, *Biom
     limit   = g + sum_p c_p                + ripple_1
     g_f(r)  = g + sum_p (1 - r^p) c_p      + ripple_1 - ripple_r,
 
-one c_p for each of POWERS, independent a priori:
+one c_p for each of POWERS, which have a part of their prior in common:
 
     c_p(phi, theta) = a_p(phi) g(phi, theta) + s(phi) delta_p(phi, theta),
 
@@ -24,8 +24,10 @@ particle scatter of its own, of the coarse size times a factor.
 curve's difference. No one has measured p, a second fine size tells it badly (errors of h and of
 h^2 may cancel: `tip_inset_cells` is there to do so), and one that is taken for certain makes
 intervals too narrow. A sum of powers needs no such choice: at half the size the limit is 1.98 times
-the difference (2 for p = 1), give or take two fifths. A part of their variance (ALIKE) is common
-to all, for errors seldom cancel.
+the difference (2 for p = 1), give or take two fifths of that. The share ALIKE of the c_p's variance
+is of one process that all have, for errors seldom cancel, the rest of one for each power, with
+variances as WEIGHTS. An error that goes with the square root alone is at two to three standard
+deviations.
 
 **Few curves.** Three to five say little of hyperparameters: these are those of most posterior
 density under the log-normal priors of PRIORS, within limits. That they are not certain is FEW, a
@@ -90,7 +92,7 @@ STEP = 1e-4
 
 @dataclass(frozen=True)
 class FidelityKernel:
-    """Hyperparameters, all standard deviations of the whole correction, summed over the powers.
+    """Hyperparameters; level and amplitude are of the sum over the powers.
 
     Attributes
     ----------
@@ -150,7 +152,7 @@ class Correction:
         the coarse mean [N^2], shape [row, 2 theta, 2 theta].
     kernel
         Hyperparameters.
-    level
+    level_mean
         Mean of the factor a priori, of both forces [-], shape [2].
     widened
         Factor on all standard deviations [-].
@@ -165,7 +167,7 @@ class Correction:
     own: FloatArray
     shared: FloatArray
     kernel: FidelityKernel = field(default_factory=FidelityKernel)
-    level: FloatArray = field(default_factory=lambda: np.zeros(2))
+    level_mean: FloatArray = field(default_factory=lambda: np.zeros(2))
     widened: float = FEW
 
     @classmethod
@@ -310,7 +312,7 @@ class Correction:
 
     def _by_level(self, forces: FloatArray) -> FloatArray:
         """Forces times the level's mean a priori [N]."""
-        return forces * np.repeat(self.level, self.theta_deg.size)
+        return forces * np.repeat(self.level_mean, self.theta_deg.size)
 
     def mean(
         self, phi_deg: FloatArray, forces: FloatArray, *, ratio: float | None = None
@@ -361,7 +363,7 @@ class Correction:
             ratio=np.zeros(0),
             forces=none,
             differences=none,
-            level=self._factor(),
+            level_mean=self._factor(),
             widened=WIDER,
         )
 
@@ -384,8 +386,8 @@ class Refinement:
     """Corrections of a leg by cause, which err independently but for what both may count.
 
     What is left of an error that goes with the product of two causes is in the correction for each.
-    It may be any share of the smaller of the two, where they have one sign: that is taken as one
-    standard deviation of a uniform one, in halves of each cause's.
+    It may be any share of the smaller of the two, where they have one sign: the root mean square of
+    a uniform share is counted, in halves of each cause's variance.
     """
 
     parts: Mapping[str, Correction]
@@ -406,7 +408,7 @@ class Refinement:
             one, other = (part.mean(phi_deg, forces) for part in self.parts.values())
             both = np.where(one * other > 0.0, np.minimum(np.abs(one), np.abs(other)), 0.0)
             both *= np.sign(one)
-            wide = next(iter(self.parts.values())).widened
+            wide = max(part.widened for part in self.parts.values())
             product = wide**2 * both[:, :, None] * both[:, None, :] / 3.0
             found = {cause: covariance + 0.5 * product for cause, covariance in found.items()}
         return found

@@ -31,9 +31,9 @@ PHASES_PER_BLOCK = 50
 WORDS = {"scalar_nodes": "27 nodes a particle", "packets": "fast kernel"}
 OF_CELLS = (
     "the mean dilatation of a cell is one of three directions here and of two in the plane, which "
-    "makes the soil stiffer until cells are small"
+    "makes the soil stiffer; in the fast kernel also as below"
 )
-OF_GRADIENTS = "gradients that are linear in a cell let the soil move more freely until it is small"
+OF_GRADIENTS = "gradients that are linear in a cell let the soil move more freely"
 
 
 def slab_scenario(cells: int, dilatation: str, seed: int) -> Scenario:

@@ -16,8 +16,8 @@ WORDS = {
     "abs_error_deg": "median error [deg]",
 }
 WITHOUT_REPLICATES = (
-    " The library has no replicates: what particle seeds do to a force is guessed from its curves, "
-    "in these worlds too, and intervals of other simulations may be too narrow."
+    " No replicates of {legs}: what particle seeds do to a force is guessed from the curves, in "
+    "these worlds too, and intervals of other simulations may be too narrow."
 )
 
 
@@ -40,6 +40,7 @@ def certificate_parts(library: Library, *, leg: str | None = None) -> list[Part]
             "hold the truth."
         )
         return [Text(title, (none,), wide=False)]
+    guessed = [leg for leg in chosen if library.guesses_scatter(leg)]
     names = list(dict.fromkeys(key for found in chosen.values() for key in found))
     rows = [
         (WORDS.get(key, key), *(number(found.get(key), 3) for found in chosen.values()))
@@ -53,7 +54,7 @@ def certificate_parts(library: Library, *, leg: str | None = None) -> list[Part]
             note=(
                 "Simulated worlds with a truth of their own, inverted with this library under the "
                 "calibrated likelihood; a sound interval holds the truth as often as its name says."
-                + (WITHOUT_REPLICATES if library.guesses_scatter else "")
+                + (WITHOUT_REPLICATES.format(legs=", ".join(guessed)) if guessed else "")
             ),
         )
     ]
