@@ -30,8 +30,11 @@ if TYPE_CHECKING:
 NAME = "refinement"
 FINER = {
     "resolved-2": (
-        *("cells-384", "cells-288", "bent-cells-384"),
-        *("speed-up", "bent-speed-up"),
+        "cells-384",
+        "cells-288",
+        "bent-cells-384",
+        "speed-up",
+        "bent-speed-up",
     ),
     "sand3d-quick": ("cells-86", "speed-up"),
 }

@@ -32,6 +32,8 @@ def library_calibrate(
     """
     from terraphi.experiment.outputs import check_file
     from terraphi.inference.coverage import certified
+    from terraphi.inference.findings import Doubt
+    from terraphi.inference.words import of_doubt
     from terraphi.library.store import Library
 
     check_file(out, kind="library")
@@ -53,10 +55,8 @@ def library_calibrate(
             "the curves. Simulations of some cases with other seeds (--replicates) make that sure."
         )
     for leg, held in made.unheld.items():
-        click.echo(
-            f"Leg {leg}: 95 % intervals hold {held:.0%} of simulated truths: do not believe them. "
-            "Replicates, or more friction angles, would help."
-        )
+        numbers = {"name": made.name, "leg": leg, "held": held}
+        click.echo(of_doubt(Doubt("intervals_do_not_hold", numbers)))
 
 
 @click.command("calibrate")

@@ -209,7 +209,7 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
         for row in found
     ]
     taken = " and ".join(CAUSES[c] for c in CAUSES if missing.get(c) != made.legs)
-    title = f"{taken[:1].upper()}{taken[1:]} taken out of {made.name}'s forces, written to {out}"
+    title = f"{taken.capitalize()} taken out of {made.name}'s forces, written to {out}"
     print_table(Table(title, header, rows))
     for cause, legs in missing.items():
         if legs == made.legs:

@@ -153,7 +153,7 @@ class Correction:
     kernel
         Hyperparameters.
     level_mean
-        Mean of the factor a priori, of both forces [-], shape [2].
+        Mean of the factor a priori, of both forces, 0 where there are rows [-], shape [2].
     widened
         Factor on all standard deviations [-].
     """
@@ -307,12 +307,8 @@ class Correction:
         """Cholesky factor of the rows' covariance, and its inverse times the rows."""
         with single_threaded():
             factor = np.linalg.cholesky(self._of_rows()).astype(np.float64)
-            white = _whitened(factor, (self.differences - self._by_level(self.forces)).ravel())
+            white = _whitened(factor, self.differences.ravel())
             return factor, _whitened(factor, white, transposed=True)
-
-    def _by_level(self, forces: FloatArray) -> FloatArray:
-        """Forces times the level's mean a priori [N]."""
-        return forces * np.repeat(self.level_mean, self.theta_deg.size)
 
     def mean(
         self, phi_deg: FloatArray, forces: FloatArray, *, ratio: float | None = None
@@ -328,7 +324,7 @@ class Correction:
         ratio
             Not to the limit, but to what simulations of this r would give on average.
         """
-        found = self._by_level(forces)
+        found: FloatArray = forces * np.repeat(self.level_mean, self.theta_deg.size)
         if self.phi_deg.size:
             told = self._across(phi_deg, forces, ratio) @ self._conditioned[1]
             found = found + told.reshape(found.shape)
