@@ -20,7 +20,7 @@ from terraphi.forward.mpm.solver import path_of_steps
 from terraphi.forward.mpm3d import contact, lanes, packets, packing
 from terraphi.forward.mpm3d.bed import geostatic_bed as geostatic_bed_in_space
 from terraphi.forward.mpm3d.lattice import LANES, lattice_of, positions
-from terraphi.forward.mpm3d.phase import velocities
+from terraphi.forward.mpm3d.phase import Phases, settle, velocities
 from terraphi.forward.mpm3d.plasticity import material_of as material_in_space
 
 AWAY = {"motion.hip": [0.1, 0.15], "motion.start_deg": -180.0, "motion.stop_deg": -150.0,
@@ -102,6 +102,34 @@ def test_a_strong_bed_is_an_oedometer(space):
     assert mean[1] == pytest.approx(nu / (1.0 - nu) * mean[2], rel=0.02)
     weight = scenario.soil.density * 9.81 * (scenario.bed.surface - height).mean()
     assert mean[2] == pytest.approx(-weight, rel=0.05)  # half a cell hangs below the floor
+
+
+@pytest.mark.parametrize(
+    ("grains", "cells", "held"), [(1, 3.0, True), (1, 30.0, False), (1, np.nan, False),
+                                  (2, 3.0, False)],
+)  # fmt: skip
+def test_a_thrown_grain_is_held_back_and_a_breakdown_is_told(space, grains, cells, held):
+    phases = Phases(space.scenario(**AWAY), "scalar")
+    soil, lattice = geostatic_bed_in_space(space.scenario(**AWAY), np.float64), phases.lattice
+    # Alone, high above the bed, on nodes that no other particle has.
+    flying = np.arange(soil.cell.size - grains, soil.cell.size)
+    soil.cell[flying] = 16 * lattice.layer + 3 * lattice.row + 9
+    soil.offset[flying] = 0.1
+    phases.weigh_first(soil)
+    before = positions(lattice, soil.cell, soil.offset)
+    shift, grid = np.zeros((3, lattice.nodes)), np.zeros((4, lattice.nodes))
+    shift[0, 14 * lattice.layer :] = cells * lattice.cell_size
+    soil.vx[14 * lattice.layer :] = 2.0
+    lost = settle(soil, lattice, (shift[0], shift[1], shift[2]), grid)
+    if not held:
+        assert lost == flying[-1]
+        return
+    assert lost == -1
+    moved = (positions(lattice, soil.cell, soil.offset) - before) / lattice.cell_size
+    assert moved[flying[0]] == pytest.approx([1.4, 0.0, 0.0], abs=1e-3)  # to the next cell's end
+    assert np.abs(moved[: flying[0]]).max() == pytest.approx(0.0, abs=1e-12)
+    assert grid[0].sum() == pytest.approx(soil.mass.sum())
+    assert grid[1].sum() == pytest.approx(2.0 * soil.mass[flying[0]])  # its velocity stays
 
 
 def test_a_mirrored_half_is_half_of_the_whole(space):

@@ -30,6 +30,11 @@ from terraphi.forward.mpm3d.lattice import Lattice
 FloatArray = NDArray[np.float64]
 Nodes = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 
+THROWN_OF = 10_000
+"""Of so many particles one grain, and another of all, may fly too far in a phase."""
+FARTHEST = 10.0
+"""How far such a grain may fly [cell]."""
+
 
 @kernel
 def weights(offset: float) -> Three:
@@ -194,6 +199,12 @@ def scatter(
 
 
 @kernel
+def _held(offset: float) -> float:
+    """An offset that is no farther than the next cell [cell]."""
+    return min(max(offset, -1.4999), 1.4999)
+
+
+@kernel
 def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
     """End a phase: move the particles and give their masses and momenta to the grid.
 
@@ -212,8 +223,16 @@ def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
     -------
     int
         Index of the first particle to leave the grid, or -1.
+
+    Notes
+    -----
+    A particle may move from its cell into the next, no farther. A grain that is thrown, where the
+    nodes beside the leg are nearly empty, would: it is held back there, and keeps its velocity.
+    More of them than one in :data:`THROWN_OF`, or one that would move over :data:`FARTHEST`, are
+    no grains in flight, and end the simulation.
     """
     grid[:] = 0.0
+    held, most = 0, 1 + soil.cell.size // THROWN_OF
     row, layer, per_cell = lattice.row, lattice.layer, 1.0 / lattice.cell_size
     nodes = (soil.vx, soil.vy, soil.vz)
     for p in range(soil.cell.size):
@@ -232,7 +251,11 @@ def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
         # Written so that a place that is not a number counts as outside.
         inside = abs(x) < 1.5 and abs(y) < 1.5 and abs(z) < 1.5
         if not inside:
-            return p
+            held += 1
+            near = abs(x) < FARTHEST and abs(y) < FARTHEST and abs(z) < FARTHEST
+            if not near or held > most:
+                return p
+            x, y, z = _held(x), _held(y), _held(z)
         di, dj, dk = np.floor(x + 0.5), np.floor(y + 0.5), np.floor(z + 0.5)
         # No soil passes a plane of symmetry; rounding might put a particle a hair beyond.
         if j + dj < 1 or j + dj > lattice.count_y - 2:
