@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.history import ForceHistory
-from terraphi.library.plan import Plan
+from terraphi.library.plan import BASE, Plan
 from terraphi.view.table import Table
 from terraphi_studies import Study, degrees, page
 from terraphi_studies.measures import FORCES, both, peaks_of
@@ -165,10 +165,10 @@ def _changes(
 
 
 def followed(plan: Plan) -> dict[str, str]:
-    """Steps of a plan to what each one changes: the step before it, or the base by its name."""
+    """Steps of a plan to what each one changes: another step, or the base by its name."""
     names = [plan.scenario.name, *(step.name for step in plan.steps)]
     return {
-        step.name: before if step.after == "previous" else names[0]
+        step.name: {"previous": before, BASE: names[0]}.get(step.after, step.after)
         for before, step in zip(names, plan.steps, strict=False)
     }
 
@@ -266,18 +266,20 @@ def _changed(
     of_seeds["mean"] = f"within {both(start['mean_scatter_percent'], ' %')}"
     name = f"{base}, mean of {start['seeds']} seeds"
     rows = [{"step": name, "peaks_N": start["peaks_N"], "said": of_seeds}]
+    above = ""
     for name, change in changes.items():
         said = dict.fromkeys((*FORCES, "mean"), "")
         if change["from"]:
             percent, turned = change["change_percent"], change["change_deg"]
-            # What follows another step stands below it.
-            above = " from above" if change["from"] in changes else ""
+            of = " from above" if change["from"] == above else f" from '{change['from']}'"
+            of = of if change["from"] in changes else ""
             for f in FORCES:
                 worth = f", {turned[f]:+.1f}°" if turned else ""
-                said[f] = f"{percent[f]:+.1f} %{worth}{above}"
+                said[f] = f"{percent[f]:+.1f} %{worth}{of}"
             said["mean"] = both(change["mean_change_percent"], " %", "+.1f")
         step = f"resolved, {name}" if base == "resolved" and not name.startswith(base) else name
         rows.append({"step": step, "peaks_N": change["peaks_N"], "said": said})
+        above = name
     return rows
 
 

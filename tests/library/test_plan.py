@@ -134,23 +134,35 @@ def stepped(*steps: dict[str, Any], **changes: Any) -> Plan:
     return Plan.model_validate({"name": "mine", "scenario": RFT, "steps": list(steps), **changes})
 
 
-def test_steps_follow_one_another_or_the_base() -> None:
+def test_steps_follow_one_another_an_earlier_one_or_the_base() -> None:
     plan = stepped(
         {"name": "weaker", "changes": {PHI: 25.0}},
         {"name": "then curved", "changes": {"leg.shape": "c", "rft.panels": 20}},
         {"name": "only rough", "after": "base", "changes": {"leg.friction": 0.9}},
+        {"name": "weak and rough", "after": "weaker", "changes": {"leg.friction": 0.9}},
     )
-    base, weaker, curved, rough = (leaves(scenario) for scenario in plan.cases())
+    base, weaker, curved, rough, both = (leaves(scenario) for scenario in plan.cases())
     assert {k for k in base if base[k] != weaker[k]} == {PHI}
     assert {k for k in weaker if weaker[k] != curved[k]} == {"leg.shape", "rft.panels"}
     assert {k for k in base if base[k] != rough[k]} == {"leg.friction"}
-    assert [v.key for v in plan.variants()] == ["base", "weaker", "then curved", "only rough"]
+    assert {k for k in weaker if weaker[k] != both[k]} == {"leg.friction"}
+    keys = [v.key for v in plan.variants()]
+    assert keys == ["base", "weaker", "then curved", "only rough", "weak and rough"]
     assert describe(plan, plan.cases()[2]) == "then curved"
 
 
 def test_a_step_that_cannot_be_is_named() -> None:
     plan = stepped({"name": "wrong", "changes": {"soil.frictoin_angle_deg": 25.0}})
     with pytest.raises(InputError, match=r"plan 'mine', step 'wrong'.*friction_angle_deg"):
+        plan.cases()
+
+
+def test_a_step_after_one_that_is_not_before_it_is_refused() -> None:
+    plan = stepped(
+        {"name": "rough", "after": "weakr", "changes": {"leg.friction": 0.9}},
+        {"name": "weaker", "changes": {PHI: 25.0}},
+    )
+    with pytest.raises(InputError, match=r"step 'rough' is after 'weakr', which is no step before"):
         plan.cases()
 
 

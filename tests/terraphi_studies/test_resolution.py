@@ -121,6 +121,14 @@ def test_a_step_that_follows_another_is_measured_from_it(plans: tuple[Plan, Plan
     assert changes["k doubled"]["mean_change_percent"]["Fz"] == pytest.approx(-20.0, abs=0.1)
     assert changes["both"]["mean_change_percent"]["Fz"] == pytest.approx(5.0, abs=0.1)
     assert [row[3].endswith("from above") for row in study.table.rows[-3:-1]] == [False, True]
+    third = Step(name="third", after="k doubled", changes={"numerics.seed": 4})
+    wider = halved.model_copy(update={"steps": [*steps, third]})
+    finished[wider.cases()[-1].hash] = finished[halved.cases()[-1].hash]
+    study = studied((way, wider, space), finished)
+    assert study.data["halved"]["third"]["from"] == "k doubled"
+    assert study.data["halved"]["third"]["mean_change_percent"]["Fz"] == pytest.approx(5.0, abs=0.1)
+    row = next(row for row in study.table.rows if row[0] == "resolved, third")
+    assert row[3].endswith("from 'k doubled'")  # it does not stand above
     del finished[halved.variants()[-2].scenario.hash]
     assert "both" not in studied((way, halved, space), finished).data["halved"]
 

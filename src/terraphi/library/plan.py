@@ -11,12 +11,12 @@ from __future__ import annotations
 import itertools
 import math
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from pydantic import Field, JsonValue, ValidationError, model_validator
 
 from terraphi.experiment.documents import Strict, parse_toml, shipped_file
-from terraphi.experiment.errors import InputError, sentence_from_validation
+from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
 from terraphi.experiment.files import is_there
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.forecast import refuse_what_cannot_fit
@@ -50,8 +50,9 @@ class Step(Strict):
     """Name of the step, for people."""
     changes: dict[str, JsonValue] = Field(min_length=1)
     """Dotted scenario key to its value."""
-    after: Literal["previous", "base"] = "previous"
-    """What is changed: the ``previous`` step's scenario, or the ``base``."""
+    after: str = "previous"
+    """What is changed: the ``previous`` step's scenario, the ``base``, or an earlier step by its
+    name."""
 
 
 class Sample(Strict):
@@ -311,9 +312,15 @@ class Plan(Strict):
             for value in values:
                 scenario = self._changed("one_at_a_time", {key: value})
                 found.append(Variant(key, value, scenario))
+        earlier = {BASE: self.scenario, "previous": found[-1].scenario}
         for step in self.steps:
-            start = found[-1].scenario if step.after == "previous" else self.scenario
-            scenario = self._changed(f"step '{step.name}'", step.changes, start)
+            if step.after not in earlier:
+                raise InputError(
+                    f"plan '{self.name}': step '{step.name}' is after '{step.after}', which is no "
+                    f"step before it; {nearest(step.after, earlier)}"
+                )
+            scenario = self._changed(f"step '{step.name}'", step.changes, earlier[step.after])
+            earlier |= {step.name: scenario, "previous": scenario}
             found.append(Variant(step.name, None, scenario))
         found += [Variant(PRESET, name, Scenario.load(name)) for name in self.presets]
         seen: dict[str, str] = {}
