@@ -9,12 +9,12 @@ cohesion. Nothing is tuned to a medium.
 
 Through libraries, which have one friction of the leg, φ alone is fitted to the straight leg in the
 same way, and their own forces on the other legs are what they foretell. Through one of them the
-height of the hip above the soil is fitted too.
+height of the hip above the soil, or the friction of the leg, is fitted too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,11 +24,10 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import Measurement, measurement, medium_and_leg, names
-from terraphi.experiment.motion import Rotation
 from terraphi.experiment.scenario import Scenario
-from terraphi.library.plan import Plan, Step
+from terraphi.library.plan import Plan, Step, value_of
 from terraphi.library.shipped import companion
-from terraphi.library.store import Library
+from terraphi.library.store import Case, Library
 from terraphi.view.plots import BLUE, ORANGE, Curve
 from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, Study, benchmark, page
@@ -42,15 +41,19 @@ if TYPE_CHECKING:
 
 NAME = "prediction"
 TITLE = "Calibrated on the straight leg, and what that foretells of the C and the reversed C"
-FRICTION, SHAPE = "leg.friction", "leg.shape"
+FRICTION, SHAPE, HIP = "leg.friction", "leg.shape", "motion.hip.1"
 CALIBRATED_ON = "straight"
 OURS = "resolved"
 LIBRARIES = ("resolved-2", "sand3d-quick", "rft3d")
 """Libraries through which φ alone is fitted, and which foretell the other legs."""
-RAISED = "sand3d-quick"
-"""The library of these with cases whose hip is higher."""
-HEIGHT = ", height too"
-"""What is added to its name where the height is fitted."""
+TWO_OF = "sand3d-quick"
+"""The library of these that has cases with another hip or another friction of the leg."""
+HEIGHT, ROUGHNESS = ", height too", ", friction too"
+TOO = {HEIGHT: ("raised", HIP), ROUGHNESS: ("friction", FRICTION)}
+"""What is added to its name where something else is fitted: the role of the library that has those
+cases, and the key that differs."""
+BETWEEN = 31
+"""Values of that key that are tried."""
 COLUMNS = (
     ("medium", "{medium}"),
     ("leg", "{leg}"),
@@ -65,11 +68,11 @@ METHOD = (
     "Preset `resolved` (plane strain), φ and the leg's friction μ fitted to the straight leg "
     "alone; C and reversed C are simulated with that pair. NRMSD on 1° means over |θ| < 85°, in "
     "percent of the measured peak-to-peak. Through libraries φ alone is fitted to that leg, "
-    "through one of them the height of the hip above the soil too; their forces on the other legs "
-    "are what they foretell. The other models are not fitted here: theirs is the 35° that Xu & "
-    "Wang use for Yuma sand, and RFT 2-D has the generic coefficients of Li et al. times "
-    f"{benchmark.YUMA_SCALE}, which gives their own curves for that sand. Plan: `prediction`. Run "
-    "again: `terraphi study prediction`."
+    "through one of them the height of the hip above the soil or the leg's friction too; their "
+    "forces on the other legs are what they foretell. The other models are not fitted here: theirs "
+    "is the 35° that Xu & Wang use for Yuma sand, and RFT 2-D has the generic coefficients of Li "
+    f"et al. times {benchmark.YUMA_SCALE}, which gives their own curves for that sand. Plan: "
+    "`prediction`. Run again: `terraphi study prediction`."
 )
 PICTURE = "forces on the three legs in Yuma sand, measured and from the calibrated model"
 
@@ -104,7 +107,9 @@ class Foretold:
     phi_deg
         Friction angle, to 0.1° [deg].
     raised_m
-        How much higher the hip is than the library's [m], to 0.25 mm; 0 if that is not fitted.
+        How much higher the hip is than the library's [m]; 0 if that is not fitted.
+    friction
+        Of the leg [-]; the library's if that is not fitted.
     at_edge
         Whether either is the first or last of what was simulated.
     nrmsd_percent
@@ -113,6 +118,7 @@ class Foretold:
 
     phi_deg: float
     raised_m: float
+    friction: float
     at_edge: bool
     nrmsd_percent: Mapping[str, Mapping[str, float]]
 
@@ -129,7 +135,8 @@ def run(*, cases: Simulations) -> Study:
     -------
     Study
         ``data``: ``calibrated`` (``phi_deg``, ``friction``, ``at_edge`` by medium),
-        ``libraries`` (by library and medium ``phi_deg``, ``raised_m`` and ``at_edge``),
+        ``libraries`` (by library and medium ``phi_deg``, ``raised_m``, ``friction`` and
+        ``at_edge``),
         ``nrmsd_percent`` by medium, leg, model and force, ``foretold_percent`` (by model that
         foretold all legs, and force: the mean over the C and the reversed C of all media),
         ``better_than`` (of the deviations in Yuma sand, by each model that is not fitted, how many
@@ -161,10 +168,11 @@ def run(*, cases: Simulations) -> Study:
         name: {medium: through(library, legs) for medium, legs in media.items()}
         for name, library in own.items()
     }
-    raised = companion(RAISED, "raised")
-    libraries[f"{RAISED}{HEIGHT}"] = {
-        medium: through(own[RAISED], legs, raised) for medium, legs in media.items()
-    }
+    for too, (role, key) in TOO.items():
+        others = companion(TWO_OF, role)
+        libraries[f"{TWO_OF}{too}"] = {
+            medium: through(own[TWO_OF], legs, others, key) for medium, legs in media.items()
+        }
     return study_of(plan, media, fits, finished, libraries)
 
 
@@ -204,11 +212,8 @@ class Interpolated:
 
     def __call__(self, phi_deg: float, friction: float) -> FloatArray:
         """1° means [N] over |θ| < 85°, shape [theta, 2], of the library's density."""
-        weights = [
-            np.prod([(friction - b) / (a - b) for b in self.friction if b != a])
-            for a in self.friction
-        ]
-        return np.asarray(np.tensordot(np.array(weights), self._over_phi(phi_deg), axes=1))
+        weights = _weights(self.friction, np.array([friction]))[0]
+        return np.asarray(np.tensordot(weights, self._over_phi(phi_deg), axes=1))
 
 
 def calibrate(measured: Measurement, forces: Interpolated) -> Calibration:
@@ -240,7 +245,10 @@ def calibrate(measured: Measurement, forces: Interpolated) -> Calibration:
 
 
 def through(
-    library: Library, legs: Mapping[str, Measurement], raised: Library | None = None
+    library: Library,
+    legs: Mapping[str, Measurement],
+    others: Library | None = None,
+    key: str = FRICTION,
 ) -> Foretold:
     """Fit φ to the straight leg of one sand, and compare all its legs with the library there.
 
@@ -252,63 +260,71 @@ def through(
         Whose forces foretell.
     legs
         Measurements of the sand by leg, the straight one among them.
-    raised
-        Cases of the library with the hip higher above the soil: between the two heights forces go
-        in proportion, and the height is fitted too.
+    others
+        Cases of the library with other values of ``key``, which is fitted too: between the values
+        forces go as the polynomial through all of them.
+    key
+        Dotted scenario key.
     """
-    density = library.plan.scenario.soil.density
-    relative = (legs[CALIBRATED_ON].density_kg_m3 or density) / density
-    levels = [_over_phi(one) for one in (library, raised) if one]
+    own = library.plan.scenario
+    relative = (legs[CALIBRATED_ON].density_kg_m3 or own.soil.density) / own.soil.density
+    levels: dict[float, list[Case]] = {value_of(own, key): list(library.cases)}
+    for case in others.cases if others else ():
+        levels.setdefault(value_of(case.scenario, key), []).append(case)
+    curves = [_over_phi(cases) for cases in levels.values()]
     ends = {
-        leg: (max(c[leg].x[0] for c in levels), min(c[leg].x[-1] for c in levels))
+        leg: (max(c[leg].x[0] for c in curves), min(c[leg].x[-1] for c in curves))
         for leg in legs
-        if all(leg in curves for curves in levels)
+        if all(leg in of_level for of_level in curves)
     }
     data = {leg: means_of(legs[leg].history) for leg in ends}
     low, high = ends[CALIBRATED_ON]
     phi = np.round(np.arange(round(10.0 * low), round(10.0 * high) + 1) / 10.0, 1)
-    higher = np.linspace(0.0, 1.0, 29 if raised else 1)
+    tried = np.linspace(min(levels), max(levels), BETWEEN if others else 1)
+    weights = _weights(np.array(list(levels)), tried)
 
     def forces(leg: str, at: FloatArray) -> FloatArray:
-        """Of a sand of each angle and height, shape [height, angle, theta, 2]."""
-        first, last = (relative * curves[leg](at) for curves in (levels[0], levels[-1]))
-        share = higher[:, None, None, None]
-        return (1.0 - share) * first + share * last
+        """Of a sand with each value and angle, shape [value, angle, theta, 2]."""
+        return relative * np.tensordot(weights, np.array([c[leg](at) for c in curves]), axes=1)
 
     off = forces(CALIBRATED_ON, phi) - data[CALIBRATED_ON]
     squares = np.sum(np.square(off / np.ptp(data[CALIBRATED_ON], axis=0)), axis=(2, 3))
-    height, angle = np.unravel_index(int(np.argmin(squares)), squares.shape)
-    raise_m = _hip_height(raised) - _hip_height(library) if raised else 0.0
+    best, angle = np.unravel_index(int(np.argmin(squares)), squares.shape)
+    found = own.replace(**{key: float(tried[best])})
     return Foretold(
         float(phi[angle]),
-        float(higher[height]) * raise_m,
-        angle in (0, len(phi) - 1) or (raised is not None and height in (0, len(higher) - 1)),
+        value_of(found, HIP) - value_of(own, HIP),
+        found.leg.friction,
+        angle in (0, len(phi) - 1) or (others is not None and best in (0, len(tried) - 1)),
         {
-            leg: nrmsd_of_means(data[leg], forces(leg, phi[angle : angle + 1])[height, 0])
+            leg: nrmsd_of_means(data[leg], forces(leg, phi[angle : angle + 1])[best, 0])
             for leg, (first, last) in ends.items()
             if first <= phi[angle] <= last
         },
     )
 
 
-def _hip_height(library: Library) -> float:
-    motion = library.plan.scenario.motion
-    assert isinstance(motion, Rotation)
-    return motion.hip[1]
+def _weights(knots: FloatArray, at: FloatArray) -> FloatArray:
+    """Of values at knots in the polynomial through them (Lagrange) [-], shape [at, knot]."""
+    factors = [
+        np.prod([(at - b) / (a - b) for b in knots if b != a], axis=0) * np.ones(at.size)
+        for a in knots
+    ]
+    return np.stack(factors, axis=1)
 
 
-def _over_phi(library: Library) -> dict[str, CubicSpline]:
+def _over_phi(cases: Iterable[Case]) -> dict[str, CubicSpline]:
     """1° means [N] over φ [deg] by leg, shape [theta, 2] at each angle."""
     from scipy.interpolate import CubicSpline
 
     means: dict[str, dict[float, FloatArray]] = {}
-    for case in library.cases:
+    for case in cases:
         if case.history:
             of_leg = means.setdefault(case.scenario.leg.shape, {})
             of_leg[case.scenario.soil.friction_angle_deg] = means_of(case.history)
     return {
-        leg: CubicSpline(sorted(cases), np.array([cases[phi] for phi in sorted(cases)]))
-        for leg, cases in means.items()
+        leg: CubicSpline(sorted(of_leg), np.array([of_leg[phi] for phi in sorted(of_leg)]))
+        for leg, of_leg in means.items()
     }
 
 
@@ -418,7 +434,12 @@ def study_of(
 
 def _said(model: str) -> str:
     """A model's name for people; the preset and its library differ."""
-    return f"library {model}" if model.removesuffix(HEIGHT) in LIBRARIES else model
+    return f"library {model}" if _is_library(model) else model
+
+
+def _is_library(model: str) -> bool:
+    """Whether a model is one of the libraries, whatever is fitted."""
+    return any(model.removesuffix(too) in LIBRARIES for too in TOO)
 
 
 def _others(leg: str) -> dict[str, Mapping[str, float]]:
@@ -436,9 +457,7 @@ def _better(legs: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, 
     """Of the deviations that both have, fitted or foretold, how many of ours lie below."""
     found: dict[str, dict[str, int]] = {}
     for leg, models in legs.items():
-        for name in [
-            n for n in models if n.removesuffix(HEIGHT) not in (OURS, *LIBRARIES) and OURS in models
-        ]:
+        for name in [n for n in models if n != OURS and not _is_library(n) and OURS in models]:
             below = sum(models[OURS][force] < models[name][force] for force in FORCES)
             count = found.setdefault(
                 name, dict.fromkeys(("below", "of", "foretold_below", "foretold_of"), 0)
@@ -451,7 +470,7 @@ def _better(legs: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, 
 
 def _reached_by(libraries: Mapping[str, Mapping[str, Foretold]]) -> dict[str, dict[str, object]]:
     """What each library reached by the straight leg of each medium, JSON-able."""
-    keys = ("phi_deg", "raised_m", "at_edge")
+    keys = ("phi_deg", "raised_m", "friction", "at_edge")
     return {
         name: {medium: {key: getattr(one, key) for key in keys} for medium, one in found.items()}
         for name, found in libraries.items()
@@ -494,9 +513,10 @@ def _notes(
 
 def _reached(name: str, found: Foretold) -> str:
     """What a library reached by the straight leg, in a few words."""
-    higher = f" and {1e3 * found.raised_m:.1f} mm" if name.endswith(HEIGHT) else ""
+    too = f" and {1e3 * found.raised_m:.1f} mm" if name.endswith(HEIGHT) else ""
+    too = f" and μ = {found.friction:.2f}" if name.endswith(ROUGHNESS) else too
     edge = " (at an edge)" if found.at_edge else ""
-    return f"{name} {found.phi_deg:.1f}°{higher}{edge}"
+    return f"{name} {found.phi_deg:.1f}°{too}{edge}"
 
 
 def _compared(

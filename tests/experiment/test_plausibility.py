@@ -9,6 +9,9 @@ from terraphi.experiment.plausibility import doubts, doubts_between
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan
 
+BURIED = "sand3d-quick-plate-along"
+"""A plan whose plate begins in the soil, for that is where it is moved."""
+
 
 @pytest.mark.parametrize("name", shipped_names("scenarios", ".toml"))
 def test_shipped_scenarios_raise_no_question(name: str) -> None:
@@ -17,7 +20,12 @@ def test_shipped_scenarios_raise_no_question(name: str) -> None:
 
 @pytest.mark.parametrize("name", shipped_names("plans", ".toml"))
 def test_shipped_plans_raise_no_question(name: str) -> None:
-    assert [doubts(scenario) for scenario in Plan.load(name).cases() if doubts(scenario)] == []
+    asked = {doubt for scenario in Plan.load(name).cases() for doubt in doubts(scenario)}
+    if name == BURIED:
+        assert [doubt for doubt in asked if "begins 38 mm deep in the soil" not in doubt] == []
+        assert asked
+    else:
+        assert asked == set()
 
 
 @pytest.mark.parametrize(

@@ -183,15 +183,38 @@ def test_the_height_that_made_the_forces_is_found(plan) -> None:
         leg: replace(one, history=one.history.scaled(0.9))  # as a millimetre makes it
         for leg, one in ((n, measured(plan, n, 33.7, own, DENSITY)) for n in prediction.LEGS)
     }
-    found = prediction.through(low, sand, raised)
+    found = prediction.through(low, sand, raised, prediction.HIP)
     assert found.phi_deg == pytest.approx(33.7, abs=0.11)
     assert found.raised_m == pytest.approx(1e-3, abs=2e-4)
+    assert found.friction == own
     assert not found.at_edge
     assert max(value for leg in found.nrmsd_percent.values() for value in leg.values()) < 1.0
     assert set(found.nrmsd_percent) == {"straight", "c"}  # both need to have them
     # Higher than what was simulated.
     far = {leg: replace(one, history=one.history.scaled(0.4)) for leg, one in sand.items()}
-    assert prediction.through(low, far, raised).at_edge
+    assert prediction.through(low, far, raised, prediction.HIP).at_edge
+
+
+def test_the_friction_that_made_the_forces_is_found(plan) -> None:
+    library = library_of(plan, prediction.LEGS, 0.190, 1.0)
+    sweep = {
+        SHAPE: ["straight", "c"],
+        prediction.FRICTION: [0.15, 0.55],
+        prediction.PHI: list(ANGLES),
+    }
+    whole = plan.model_copy(update={"sweep": sweep})
+    others = Library(whole, tuple(Case(s, history(s), "") for s in whole.cases()), {})
+    sand = {leg: measured(plan, leg, 33.7, 0.21, DENSITY) for leg in prediction.LEGS}
+    found = prediction.through(library, sand, others)
+    assert found.phi_deg == pytest.approx(33.7, abs=0.11)
+    # The parabola through three frictions is exact here; one in steps of a thirtieth is found.
+    assert found.friction == pytest.approx(0.21, abs=0.4 / 60 + 1e-9)
+    assert found.raised_m == 0.0
+    assert not found.at_edge
+    assert set(found.nrmsd_percent) == {"straight", "c"}
+    assert max(value for leg in found.nrmsd_percent.values() for value in leg.values()) < 1.0
+    rough = {leg: measured(plan, leg, 33.7, 0.9, DENSITY) for leg in prediction.LEGS}
+    assert prediction.through(library, rough, others).at_edge
 
 
 def test_a_leg_is_not_foretold_beyond_its_own_angles(plan) -> None:
@@ -200,7 +223,8 @@ def test_a_leg_is_not_foretold_beyond_its_own_angles(plan) -> None:
     own = plan.scenario.leg.friction
     for phi, legs in ((28.0, set(prediction.LEGS)), (33.7, {"straight"})):
         sand = {leg: measured(plan, leg, phi, own, DENSITY) for leg in prediction.LEGS}
-        assert prediction.through(library, sand, raised).nrmsd_percent.keys() == legs
+        found = prediction.through(library, sand, raised, prediction.HIP)
+        assert found.nrmsd_percent.keys() == legs
 
 
 def test_models_are_ranked_by_what_they_foretold_everywhere() -> None:

@@ -29,6 +29,7 @@ COMPANIONS = {
     "jaky": "one of a pair: K0 = 1 - sin φ",
     "half": "the other: K0 = 0.5",
     "raised": "some of its cases with the hip higher above the soil",
+    "friction": "some of its cases with a smoother and a rougher leg",
 }
 """Roles of shipped libraries that are there for others, however many angles they have."""
 TRY_OTHERS = tuple(f"-{role}" for role in COMPANIONS)
