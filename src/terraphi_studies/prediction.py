@@ -111,7 +111,7 @@ class Foretold:
     friction
         Of the leg [-]; the library's if that is not fitted.
     at_edge
-        Whether either is the first or last of what was simulated.
+        Whether the angle, or what is fitted beside it, is the first or last that was simulated.
     nrmsd_percent
         Of each measured leg that the library has, by leg and force [%].
     """

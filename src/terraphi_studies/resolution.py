@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.history import ForceHistory
-from terraphi.library.plan import BASE, Plan
+from terraphi.library.plan import BASE, PREVIOUS, Plan
 from terraphi.view.table import Table
 from terraphi_studies import Study, degrees, page
 from terraphi_studies.measures import FORCES, both, peaks_of
@@ -168,7 +168,7 @@ def followed(plan: Plan) -> dict[str, str]:
     """Steps of a plan to what each one changes: another step, or the base by its name."""
     names = [plan.scenario.name, *(step.name for step in plan.steps)]
     return {
-        step.name: {"previous": before, BASE: names[0]}.get(step.after, step.after)
+        step.name: {PREVIOUS: before, BASE: names[0]}.get(step.after, step.after)
         for before, step in zip(names, plan.steps, strict=False)
     }
 
@@ -337,10 +337,11 @@ def _method() -> str:
         "Straight leg and φ = 35° unless others are named, speed-up 10, peaks of 1° means. Each "
         "row of the first part adds a change to all before it; each of the second changes preset "
         "`resolved`, and each of the third the leg in space on cells of 7 mm, by itself, but for "
-        "what is said to be from above: that changes the row above it. A row without changes is "
-        "where another leg or angle begins. Preset `resolved-2` has the tip drawn in and phases of "
-        "20 steps on each grid. Rows *in space* are of the leg's true width, contact a cell short "
-        "of its tip but where another is named; of all means, those over the path. Plans: "
+        "what is said to be from above, or from a row by its name: that changes the row above it, "
+        "or the one that is named. A row without changes is where another leg or angle begins. "
+        "Preset `resolved-2` has the tip drawn in and phases of 20 steps on each grid. Rows *in "
+        "space* are of the leg's true width, contact a cell short of its tip but where another is "
+        "named; of all means, those over the path. Plans: "
         "`waterfall`, `resolution` and `space`. "
         "Run again: `terraphi study resolution`.\n\n"
         f"{degrees.said()}\n\n"

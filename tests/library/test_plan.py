@@ -166,6 +166,16 @@ def test_a_step_after_one_that_is_not_before_it_is_refused() -> None:
         plan.cases()
 
 
+@pytest.mark.parametrize("name", ["base", "previous", "weaker"])
+def test_a_name_of_a_step_that_is_taken_is_refused(name: str) -> None:
+    plan = stepped(
+        {"name": "weaker", "changes": {PHI: 25.0}},
+        {"name": name, "changes": {"leg.friction": 0.9}},
+    )
+    with pytest.raises(InputError, match=f"the name '{name}' of a step is taken; give it another"):
+        plan.cases()
+
+
 def test_a_step_that_changes_nothing_is_refused() -> None:
     plan = stepped({"name": "idle", "changes": {PHI: Scenario().soil.friction_angle_deg}})
     with pytest.raises(InputError, match="idle is the same case as base"):

@@ -9,15 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from terraphi.experiment.scenario import Scenario
 from terraphi.library.finer import FineCurves
+from terraphi.library.plan import Plan
 from terraphi.surrogate.fidelity import (
     ALIKE,
     CONSTANT,
     FEW,
     LEVEL_LENGTH_DEG,
+    PRIORS,
     Correction,
     FidelityKernel,
     Refinement,
+    priors_of,
 )
 
 THETA = np.linspace(-85.0, 85.0, 10)
@@ -112,6 +116,38 @@ def test_intervals_hold_the_truth_beyond_the_fine_curves_too(
     z = np.abs(np.concatenate(apart))
     assert 0.6 < np.mean(z < 1.0) < 0.93
     assert np.mean(z < 1.96) > 0.9
+
+
+def test_where_soil_in_space_lies_in_the_cells_is_taken_for_no_trend() -> None:
+    # No error that vanishes with the cells, but each grid's forces are off by 3 % of their own.
+    space = priors_of("grid", Plan.load("sand3d-quick").scenario)
+    rng, apart, off = np.random.default_rng(5), [], []
+    for _ in range(10):
+        factor = np.repeat(1.0 + rng.normal(0.0, 0.03, 2), 10)
+        fine = curves(lambda phi: 0.0 * spans(phi), [0.7], 1.0, None, FEWER)
+        noise = 0.01 * spans(fine.phi_deg) * rng.standard_normal(fine.forces.shape)
+        fine = fine._replace(forces=factor * fine.forces + noise)
+        forces = coarse_forces(ANYWHERE)
+        each = []
+        for priors in (space, PRIORS):
+            found = Correction.of(surrogate_with(0.01), fine, priors=priors)
+            each.append(found.mean(ANYWHERE, forces))
+            if priors is space:
+                covariance = found.covariance(ANYWHERE, forces)
+                sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+                apart.append((each[0] / sd).ravel())
+        off.append([np.sqrt(np.mean(np.square(one / spans(ANYWHERE)))) for one in each])
+    assert np.mean(np.abs(np.concatenate(apart)) < 1.96) > 0.9
+    known, unknown = np.mean(off, axis=0)
+    assert known < 0.85 * unknown
+
+
+def test_only_cells_in_space_have_another_prior() -> None:
+    plane, space = Scenario.load("resolved-2"), Plan.load("sand3d-quick").scenario
+    assert priors_of("grid", plane) == priors_of("speed_up", space) == PRIORS
+    law = Plan.load("rft3d").scenario
+    assert law.dimensions == 3
+    assert priors_of("grid", law) == PRIORS
 
 
 def test_errors_of_two_powers_that_cancel_do_not_make_it_certain() -> None:

@@ -41,7 +41,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.library.finer import CAUSES, fine_curves
 from terraphi.library.store import Case, Curves, Library
-from terraphi.surrogate.fidelity import Correction, FidelityKernel, Refinement
+from terraphi.surrogate.fidelity import Correction, FidelityKernel, Refinement, priors_of
 from terraphi.surrogate.joint import JointKernel, JointSurrogate, window_spans
 from terraphi.surrogate.kronecker import single_threaded
 from terraphi.surrogate.scatter import Scatter, estimate
@@ -327,12 +327,13 @@ def refinement_of(
             surrogate = surrogate_of(
                 library, source, library.curves(source, readings=readings), readings=readings
             )
+        priors = priors_of(cause, library.plan.scenario)
         kernel = FidelityKernel.known(library.refinement.get(source, {}).get(cause))
         if kernel is None and library.refinement:
             log.info("refined by another version: hyperparameters of leg %s are found anew", source)
             whole = surrogate_of(library, source, library.curves(source))
-            kernel = Correction.of(whole, fine_curves(library, source)[cause]).kernel
-        found = Correction.of(surrogate, of_legs[source][cause], kernel)
+            kernel = Correction.of(whole, fine_curves(library, source)[cause], priors=priors).kernel
+        found = Correction.of(surrogate, of_legs[source][cause], kernel, priors=priors)
         parts[cause] = found if source == leg else found.for_leg(coarse)
     return Refinement(parts)
 

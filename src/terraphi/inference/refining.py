@@ -12,7 +12,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.inference.prepared_leg import prepare, surrogate_of
 from terraphi.library.finer import FineCurves, fine_curves, with_fine
 from terraphi.library.store import Library
-from terraphi.surrogate.fidelity import Correction
+from terraphi.surrogate.fidelity import Correction, priors_of
 
 
 def refined(library: Library, others: Sequence[Library]) -> Library:
@@ -32,8 +32,12 @@ def refined(library: Library, others: Sequence[Library]) -> Library:
     told: dict[str, dict[str, dict[str, float]]] = {}
     for leg in dict.fromkeys(case.scenario.leg.shape for case in bare.fine):
         surrogate = surrogate_of(bare, leg, bare.curves(leg))
-        causes = fine_curves(bare, leg).items()
-        told[leg] = {c: Correction.of(surrogate, fine).as_dict() for c, fine in causes}
+        told[leg] = {
+            cause: Correction.of(
+                surrogate, fine, priors=priors_of(cause, library.plan.scenario)
+            ).as_dict()
+            for cause, fine in fine_curves(bare, leg).items()
+        }
     return replace(bare, refinement=told)
 
 
@@ -98,7 +102,8 @@ def left_out(library: Library) -> list[dict[str, Any]]:
         for cause, fine in fine_curves(library, leg).items():
             for phi in np.unique(fine.phi_deg).tolist() if np.ptp(fine.phi_deg) else []:
                 there = fine.phi_deg == phi
-                others = Correction.of(coarse, FineCurves(*(part[~there] for part in fine)))
+                rest = FineCurves(*(part[~there] for part in fine))
+                others = Correction.of(coarse, rest, priors=priors_of(cause, library.plan.scenario))
                 row = int(np.flatnonzero(there)[fine.ratio[there].argmin()])
                 at, ratio = np.array([phi]), float(fine.ratio[row])
                 forces = coarse.predict(at)

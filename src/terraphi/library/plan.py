@@ -27,7 +27,7 @@ MOST_POINTS = 65536
 """Points of a sample."""
 LONGEST_CAVEAT = 25
 """Words of a caveat."""
-BASE = "base"
+BASE, PREVIOUS = "base", "previous"
 PRESET = "preset"
 
 
@@ -50,7 +50,7 @@ class Step(Strict):
     """Name of the step, for people."""
     changes: dict[str, JsonValue] = Field(min_length=1)
     """Dotted scenario key to its value."""
-    after: str = "previous"
+    after: str = PREVIOUS
     """What is changed: the ``previous`` step's scenario, the ``base``, or an earlier step by its
     name."""
 
@@ -312,15 +312,20 @@ class Plan(Strict):
             for value in values:
                 scenario = self._changed("one_at_a_time", {key: value})
                 found.append(Variant(key, value, scenario))
-        earlier = {BASE: self.scenario, "previous": found[-1].scenario}
+        earlier = {BASE: self.scenario, PREVIOUS: found[-1].scenario}
         for step in self.steps:
+            if step.name in earlier:
+                raise InputError(
+                    f"plan '{self.name}': the name '{step.name}' of a step is taken; "
+                    "give it another"
+                )
             if step.after not in earlier:
                 raise InputError(
                     f"plan '{self.name}': step '{step.name}' is after '{step.after}', which is no "
                     f"step before it; {nearest(step.after, earlier)}"
                 )
             scenario = self._changed(f"step '{step.name}'", step.changes, earlier[step.after])
-            earlier |= {step.name: scenario, "previous": scenario}
+            earlier |= {step.name: scenario, PREVIOUS: scenario}
             found.append(Variant(step.name, None, scenario))
         found += [Variant(PRESET, name, Scenario.load(name)) for name in self.presets]
         seen: dict[str, str] = {}

@@ -60,6 +60,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.scenario import Scenario
 from terraphi.library.finer import FineCurves
 from terraphi.surrogate.joint import JointSurrogate, matern, smoothing, window_spans
 from terraphi.surrogate.kronecker import maximise, single_threaded
@@ -76,7 +77,8 @@ FEW, WIDER = 1.25, 2.0
 """Factors on the standard deviations of a leg with fine curves, and of one without [-]."""
 LEAST_PROFILE = 0.05
 """Least profile over its largest [-]."""
-PRIORS = {
+Prior = tuple[float, float, float, float]
+PRIORS: Mapping[str, Prior] = {
     "level": (0.1, 2.5, 0.01, 0.5),
     "amplitude": (0.05, 3.0, 0.002, 0.5),
     "phi_length_deg": (20.0, 1.6, 8.0, 60.0),
@@ -86,6 +88,9 @@ PRIORS = {
     "scatter": (1.0, 1.5, 0.2, 5.0),
 }
 """Of each hyperparameter median and factor of one standard deviation, and least and largest."""
+OFFSET_OF_GRIDS_IN_SPACE = (0.02, 2.0, 0.0005, 0.1)
+"""The same, of the offset where the cause is the grid in three dimensions: where in cells of 5 mm
+the soil lies is worth 3 % of the lift and 1 % of the thrust there (`study resolution`)."""
 STEP = 1e-4
 """Of logarithms of hyperparameters, for derivatives."""
 
@@ -172,7 +177,12 @@ class Correction:
 
     @classmethod
     def of(
-        cls, coarse: JointSurrogate, fine: FineCurves, kernel: FidelityKernel | None = None
+        cls,
+        coarse: JointSurrogate,
+        fine: FineCurves,
+        kernel: FidelityKernel | None = None,
+        *,
+        priors: Mapping[str, Prior] = PRIORS,
     ) -> Self:
         """From fine curves beside the surrogate of the coarse ones.
 
@@ -184,6 +194,8 @@ class Correction:
             At least one.
         kernel
             Hyperparameters; ``None`` finds them.
+        priors
+            Of the hyperparameters, from :func:`priors_of`.
         """
         forces = coarse.predict(fine.phi_deg)
         scatter = [coarse.scatter.covariance(phi) for phi in fine.phi_deg.tolist()]
@@ -198,11 +210,11 @@ class Correction:
             shared=np.stack([coarse.covariance(phi) for phi in fine.phi_deg.tolist()]),
             kernel=kernel or FidelityKernel(),
         )
-        return made if kernel else made.fitted()
+        return made if kernel else made.fitted(priors)
 
-    def fitted(self) -> Self:
+    def fitted(self, priors: Mapping[str, Prior] = PRIORS) -> Self:
         """The same with the hyperparameters of most posterior density."""
-        table = np.log(list(PRIORS.values()))
+        table = np.log(list(priors.values()))
         median, sd = table[:, 0], table[:, 1]
 
         def density(logarithms: FloatArray) -> tuple[float, FloatArray]:
@@ -413,6 +425,16 @@ class Refinement:
         """Of all causes together [N^2]."""
         found: FloatArray = np.sum(list(self.covariances(phi_deg, forces).values()), axis=0)
         return found
+
+
+def priors_of(cause: str, scenario: Scenario) -> Mapping[str, Prior]:
+    """Priors of the hyperparameters of a correction, by its cause and one of the library's cases.
+
+    They are :data:`PRIORS`, but for what is known of the material point method in space.
+    """
+    if cause == "grid" and scenario.model == "mpm" and scenario.dimensions == 3:
+        return {**PRIORS, "offset": OFFSET_OF_GRIDS_IN_SPACE}
+    return PRIORS
 
 
 def _share(ratio: float | None) -> FloatArray:

@@ -31,7 +31,7 @@ FloatArray = NDArray[np.float64]
 Nodes = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 
 THROWN_OF = 10_000
-"""Of so many particles one grain, and another of all, may fly too far in a phase."""
+"""One grain may be thrown in a phase, and another for every so many particles."""
 FARTHEST = 10.0
 """How far such a grain may fly [cell]."""
 
@@ -228,8 +228,8 @@ def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
     -----
     A particle may move from its cell into the next, no farther. A grain that is thrown, where the
     nodes beside the leg are nearly empty, would: it is held back there, and keeps its velocity.
-    More of them than one in :data:`THROWN_OF`, or one that would move over :data:`FARTHEST`, are
-    no grains in flight, and end the simulation.
+    More of them than :data:`THROWN_OF` allows, or one that would move over :data:`FARTHEST`, are no
+    grains in flight, and end the simulation.
     """
     grid[:] = 0.0
     held, most = 0, 1 + soil.cell.size // THROWN_OF
