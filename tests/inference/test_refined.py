@@ -178,6 +178,25 @@ def test_learnt_discrepancies_have_its_error_as_parts_of_the_level(better: Libra
     assert budget.degrees["grid"] == parts["grid"] > 0.1
 
 
+def test_a_measured_record_is_told_that_soils_are_left_out(better: Library) -> None:
+    # The wide correction would let a poor fit pass, with an interval of the numbers alone.
+    one = measurement("li2013:poppy_loose/straight")
+    found = invert(Trial.of(one), library=better)
+    assert "refined_without_soils" in {doubt.code for doubt in found.warnings}
+    worst = max(m.value for m in found.verdict.measures if m.code == "nrmsd")
+    assert worst > 0.1
+    assert found.verdict.verdict == "misfit"
+    seen = [seen_through(better, measurement(f"li2013:{medium}/straight"))
+            for medium in ("yuma", "poppy_loose", "glass03_loose")]  # fmt: skip
+    learnt = learn_soils(better, seen, parts_deg=parts_of(better, seen))
+    told = invert(Trial.of(one), library=better, discrepancy=learnt)
+    assert "refined_without_soils" not in {doubt.code for doubt in told.warnings}
+    assert all(m.most is None for m in told.verdict.measures if m.code == "nrmsd")
+    # A simulated history knows of no soil.
+    made = invert(simulate(better.cases[0].scenario.replace(**{PHI: 33.0})), library=better)
+    assert "refined_without_soils" not in {doubt.code for doubt in made.warnings}
+
+
 def test_three_slower_simulations_foretell_the_others() -> None:
     # Two shipped libraries that differ in their speed-up, 10 and 4: a ratio of 1/3.
     quick, slow = Library.load("quick-plane-strain"), Library.load("k4-plane-strain")

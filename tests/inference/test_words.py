@@ -39,7 +39,8 @@ EXAMPLES = {
     ),
     "uninformed": ({"bits": 0.04, "limit": 0.1}, "they add 0.04 bits"),
     "caveat": ({"name": "coarse", "caveat": "it reads low."}, "Library coarse: it reads low."),
-    "refined_in_part": ({"name": "mine", "cause": "speed-up"}, "but speed-up is not taken out"),
+    "refined_in_part": ({"name": "mine", "cause": "cells"}, "but of cells nothing is taken out"),
+    "refined_without_soils": ({"name": "mine"}, "leaves that out and is too narrow"),
     "intervals_do_not_hold": (
         {"name": "mine", "leg": "c", "held": 0.4},
         "its 95 % intervals hold 40% of simulated truths on leg c",

@@ -172,7 +172,9 @@ def test_a_name_of_a_step_that_is_taken_is_refused(name: str) -> None:
         {"name": "weaker", "changes": {PHI: 25.0}},
         {"name": name, "changes": {"leg.friction": 0.9}},
     )
-    with pytest.raises(InputError, match=f"the name '{name}' of a step is taken; give it another"):
+    with pytest.raises(
+        InputError, match=f"the name '{name}' of a step is taken, by the base or a step"
+    ):
         plan.cases()
 
 

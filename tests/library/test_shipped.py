@@ -9,7 +9,7 @@ import pytest
 
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
-from terraphi.library.shipped import legs_of, offered, offered_legs
+from terraphi.library.shipped import is_there_to_try_others, legs_of, offered, offered_legs
 from terraphi.library.store import Case, Library
 
 
@@ -45,6 +45,16 @@ def test_what_is_there_to_test_others_is_told_by_its_angles(name: str, tmp_path:
     copy = tmp_path / "any.nc"
     copy.write_bytes(shipped_file("libraries", name, ".nc").read_bytes())
     assert legs_of(copy) == frozenset()
+
+
+@pytest.mark.parametrize(
+    ("name", "so"),
+    [("resolved-2", False), ("resolved-2-truths", True), ("resolved-2-cells-384", True),
+     ("resolved-2-bent-speed-up", True), ("sand3d-quick-cells-86", True),
+     ("sand3d-quick-friction", True), ("mine-cells-86", False)],
+)  # fmt: skip
+def test_what_is_there_for_others_is_told_by_its_name(name: str, so: bool) -> None:
+    assert is_there_to_try_others(name) is so
 
 
 def test_failed_cases_count_for_nothing(tmp_path: Path) -> None:

@@ -263,6 +263,8 @@ def _doubts(looked: Looked, found: Inversion, library: Library) -> list[Doubt]:
         doubts += [Doubt("known_soil", {"medium": medium}) for medium in sorted(known)]
     if learnt is not None and found.of_phi is None and found.origin == "measured":
         doubts.append(Doubt("with_others", {}))
+    if library.fine and found.origin == "measured" and not _as_soil(found):
+        doubts.append(Doubt("refined_without_soils", {"name": library.name}))
     low, high = USUAL_DEG
     if plane is not None and found.origin == "measured" and not low <= plane.median <= high:
         doubts.append(Doubt("unusual", {"median": plane.median, "low": low, "high": high}))

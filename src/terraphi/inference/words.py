@@ -159,7 +159,11 @@ DOUBTS = {
     "tries_others": "Library '{name}' is shipped to try others, not to invert with.",
     "caveat": "Library {name}: {caveat}",
     "refined_in_part": (
-        "Library {name} is refined, but {cause} is not taken out: no finer case tells of it."
+        "Library {name} is refined, but of {cause} nothing is taken out: no finer case tells of it."
+    ),
+    "refined_without_soils": (
+        "Library {name}, refined, does not know how real soils deviate from it: the interval "
+        "leaves that out and is too narrow."
     ),
     "intervals_do_not_hold": (
         "Library {name}: its 95 % intervals hold {held:.0%} of simulated truths on leg {leg}; do "

@@ -316,8 +316,8 @@ class Plan(Strict):
         for step in self.steps:
             if step.name in earlier:
                 raise InputError(
-                    f"plan '{self.name}': the name '{step.name}' of a step is taken; "
-                    "give it another"
+                    f"plan '{self.name}': the name '{step.name}' of a step is taken, by the base "
+                    "or a step before it; give it another"
                 )
             if step.after not in earlier:
                 raise InputError(

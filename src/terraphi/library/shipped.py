@@ -7,6 +7,7 @@ A library that is there for another is named after it, ``LIBRARY-ROLE``, by the 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -32,7 +33,8 @@ COMPANIONS = {
     "friction": "some of its cases with a smoother and a rougher leg",
 }
 """Roles of shipped libraries that are there for others, however many angles they have."""
-TRY_OTHERS = tuple(f"-{role}" for role in COMPANIONS)
+TRY_OTHERS = re.compile(rf"-({'|'.join(COMPANIONS)}|cells-\d+|speed-up)$")
+"""How the names of libraries end that are there for others: by such a role, or finer cases."""
 WIDEST_STEP_DEG = 5.0
 """Step between friction angles above which a library is there to test others [deg]."""
 
@@ -43,14 +45,14 @@ def offered() -> Mapping[str, frozenset[str]]:
     found = {
         name: legs_of(shipped_file("libraries", name, ".nc"))
         for name in shipped_names("libraries", ".nc")
-        if not name.endswith(TRY_OTHERS)
+        if not TRY_OTHERS.search(name)
     }
     return {name: legs for name, legs in found.items() if legs}
 
 
 def is_there_to_try_others(name: str) -> bool:
     """Whether a shipped library could be inverted with, but is there to try others."""
-    return name.endswith(TRY_OTHERS) and name in shipped_names("libraries", ".nc")
+    return bool(TRY_OTHERS.search(name)) and name in shipped_names("libraries", ".nc")
 
 
 def has_companion(library: str, role: str) -> bool:
