@@ -513,8 +513,8 @@ def _notes(
 
 def _reached(name: str, found: Foretold) -> str:
     """What a library reached by the straight leg, in a few words."""
-    too = f" and {1e3 * found.raised_m:.1f} mm" if name.endswith(HEIGHT) else ""
-    too = f" and μ = {found.friction:.2f}" if name.endswith(ROUGHNESS) else too
+    fitted = {HEIGHT: f"{1e3 * found.raised_m:.1f} mm", ROUGHNESS: f"μ = {found.friction:.2f}"}
+    too = "".join(f" and {told}" for ending, told in fitted.items() if name.endswith(ending))
     edge = " (at an edge)" if found.at_edge else ""
     return f"{name} {found.phi_deg:.1f}°{too}{edge}"
 

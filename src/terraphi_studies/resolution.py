@@ -266,20 +266,18 @@ def _changed(
     of_seeds["mean"] = f"within {both(start['mean_scatter_percent'], ' %')}"
     name = f"{base}, mean of {start['seeds']} seeds"
     rows = [{"step": name, "peaks_N": start["peaks_N"], "said": of_seeds}]
-    above = ""
-    for name, change in changes.items():
+    for above, (name, change) in zip(["", *changes], changes.items(), strict=False):
         said = dict.fromkeys((*FORCES, "mean"), "")
-        if change["from"]:
+        if before := change["from"]:
             percent, turned = change["change_percent"], change["change_deg"]
-            of = " from above" if change["from"] == above else f" from '{change['from']}'"
-            of = of if change["from"] in changes else ""
+            of = " from above" if before == above else f" from '{before}'"
+            of = of if before in changes else ""
             for f in FORCES:
                 worth = f", {turned[f]:+.1f}°" if turned else ""
                 said[f] = f"{percent[f]:+.1f} %{worth}{of}"
             said["mean"] = both(change["mean_change_percent"], " %", "+.1f")
         step = f"resolved, {name}" if base == "resolved" and not name.startswith(base) else name
         rows.append({"step": step, "peaks_N": change["peaks_N"], "said": said})
-        above = name
     return rows
 
 

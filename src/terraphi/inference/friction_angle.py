@@ -406,8 +406,8 @@ def _matched(
     band = np.stack([inside.min(axis=0), inside.max(axis=0)])
     # What refining leaves open is so wide that a poor fit to real soil would pass for a good one.
     refined = isinstance(leg.surrogate, JointSurrogate) and leg.surrogate.correction is not None
-    of_soil = isinstance(leg.whole, SoilLikelihood) or looked.trials[0].simulation
-    hidden = refined and not of_soil
+    expected = isinstance(leg.whole, SoilLikelihood) or looked.trials[0].simulation
+    hidden = refined and not expected
     limit = NRMSD_LIMIT if hidden or ways.likelihood == "paper" else None
     seen, budget = [], None
     every = looked.beside(leg.group, leg.through, best, leg.nodes, most=limit)
