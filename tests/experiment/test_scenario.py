@@ -101,6 +101,14 @@ remap_interval = 1e-4
             ["critical_friction_angle_deg = 50 exceeds"],
         ),
         ("[bed]\nbreadth = 0.2", ["bed.breadth = 0.2", "set dimensions = 3"]),
+        (
+            "[soil]\ndilation_angle_deg = -5",
+            ["soil.dilation_angle_deg = -5", "set dimensions = 3"],
+        ),
+        (
+            "[soil]\nyield_criterion = 'plane_strain'\nyield_surface = 'matsuoka_nakai'",
+            ["soil.yield_surface = 'matsuoka_nakai'", "set dimensions = 3"],
+        ),
         ("[leg]\nshape = 'sphere'", ["leg.shape = 'sphere'", "set dimensions = 3"]),
         ("model = 'rft'\n[leg]\nshape = 'sphere'", ["leg.shape = 'sphere'", "outlines only"]),
         ("model = 'rft'\n[bed]\nbreadth = 0.2", ["bed.breadth = 0.2", "model = 'mpm'"]),
@@ -274,7 +282,11 @@ OTHER: dict[str, Any] = {
 }
 
 
-IN_SPACE: dict[str, Any] = {"bed.breadth": 0.2, "soil.critical_friction_angle_deg": 30.0}
+IN_SPACE: dict[str, Any] = {
+    "bed.breadth": 0.2,
+    "soil.critical_friction_angle_deg": 30.0,
+    "soil.yield_surface": "matsuoka_nakai",
+}
 """Keys of three dimensions alone."""
 
 

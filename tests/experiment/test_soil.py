@@ -223,6 +223,19 @@ def test_soil_that_softens_has_no_cohesion() -> None:
         Soil(critical_friction_angle_deg=30.0, cohesion=100.0)
 
 
+def test_a_surface_with_an_angle_of_plane_strain_has_that_convention() -> None:
+    with pytest.raises(ValidationError, match="instead of 'triaxial'"):
+        Soil(yield_surface="matsuoka_nakai", yield_criterion="triaxial")
+
+
+def test_compaction_leaves_a_stress() -> None:
+    known = {"friction_angle_deg": 35.0, "dilation_angle_deg": -20.0}
+    assert Soil(**known).softens
+    for changes in ({"dilation_angle_deg": -30.0}, {"poisson_ratio": 0.45}):
+        with pytest.raises(ValidationError, match="faster than its elasticity can follow"):
+            Soil(**known | changes)
+
+
 def test_a_soil_is_frozen() -> None:
     with pytest.raises(ValidationError, match="frozen"):
         Soil().density = 1.0  # type: ignore[misc]

@@ -37,6 +37,7 @@ ADDED_LATER: dict[str, Any] = {
     "bed.breadth": None,
     "soil.critical_friction_angle_deg": None,
     "soil.softening_strain": 0.2,
+    "soil.yield_surface": "mohr_coulomb",
     "numerics.symmetry": "half",
     "numerics.transfer": "apic",
     "numerics.damping_order": "after_contact",
@@ -378,6 +379,16 @@ class Scenario(Strict):
                     f"{key} = {value:g}: plane strain does not know it; leave it out, or set "
                     "dimensions = 3"
                 )
+        if self.soil.is_compacted:
+            raise ValueError(
+                f"soil.dilation_angle_deg = {self.soil.dilation_angle_deg:g}: soil is compacted in "
+                "three dimensions only; set it to 0, or set dimensions = 3"
+            )
+        if self.soil.yield_surface == "matsuoka_nakai":
+            raise ValueError(
+                "soil.yield_surface = 'matsuoka_nakai': in plane strain it is 'mohr_coulomb' but "
+                "for dilation; leave it out, or set dimensions = 3"
+            )
 
     def _check_space(self) -> None:
         for key, known in _ONLY_IN_SPACE.items():
@@ -389,7 +400,7 @@ class Scenario(Strict):
                     f"{json.dumps(known)}"
                 )
         criterion = self.soil.yield_criterion
-        softens = self.soil.critical_friction_angle_deg is not None
+        softens = self.soil.softens
         if criterion == "paper" or (softens and criterion != "plane_strain"):
             some = "'plane_strain' (Mohr-Coulomb)" + ("" if softens else " or 'triaxial'")
             raise ValueError(

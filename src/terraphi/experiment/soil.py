@@ -172,8 +172,14 @@ class Soil(Strict):
     """What φ means: ``paper``, as printed by Xu & Wang; ``plane_strain``, Mohr-Coulomb (in
     three dimensions, with all principal stresses); ``triaxial``, Drucker-Prager matched at
     triaxial compression."""
-    dilation_angle_deg: float = Field(0.0, ge=0, lt=90)
-    """Dilation angle ψ [deg], same convention, at most φ; ignored by associated flow."""
+    yield_surface: Literal["mohr_coulomb", "matsuoka_nakai"] = "mohr_coulomb"
+    """In three dimensions and for ``plane_strain``, what the intermediate stress does.
+    ``mohr_coulomb``: nothing, φ is the same in every direction; ``matsuoka_nakai``: φ is that of
+    plane strain, in triaxial compression and extension it is less (35°: 31.2°)."""
+    dilation_angle_deg: float = Field(0.0, gt=-90, lt=90)
+    """Dilation angle ψ [deg], same convention, at most φ; ignored by associated flow. Below zero,
+    in three dimensions and for ``plane_strain``, soil is compacted as it flows, over
+    ``softening_strain``."""
     flow: Literal["dilation", "associated"] = "dilation"
     """``dilation``: plastic potential of slope β(ψ); ``associated``: β = α."""
     cohesion: float = Field(0.0, ge=0)
@@ -183,9 +189,12 @@ class Soil(Strict):
     flow rule; ``None``: tension is left to the cone's own apex."""
     critical_friction_angle_deg: float | None = Field(None, gt=0, lt=90)
     """Friction angle in the critical state [deg], for soil that softens: φ and ψ are then those of
-    the peak; ``None``: nothing softens. In three dimensions, ``plane_strain`` alone."""
+    the peak; ``None``: φ stays, and ψ unless it is negative. In three dimensions,
+    ``plane_strain`` alone."""
     softening_strain: float = Field(0.2, gt=0)
-    """Plastic shear strain over which sin φ falls to the critical state and sin ψ to zero [-]."""
+    """Plastic shear strain over which sin φ falls to the critical state and sin ψ goes to zero [-];
+    soil with ψ < 0 loses half of it times sin ψ of its volume (``matsuoka_nakai``), or up to a
+    third more (``mohr_coulomb``, on an edge)."""
     k0: float | None = Field(None, gt=0)
     """Ratio of horizontal to vertical stress at rest [-]; ``None``: 1 - sin φ (Jaky)."""
 
@@ -195,6 +204,30 @@ class Soil(Strict):
             raise ValueError(
                 f"dilation_angle_deg = {self.dilation_angle_deg:g} exceeds friction_angle_deg = "
                 f"{self.friction_angle_deg:g}; plastic work would be negative"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _keeps_its_stress_as_it_is_compacted(self) -> Self:
+        if not self.is_compacted:
+            return self
+        angles = (self.potential_angle_deg, self.friction_angle_deg)
+        sines = [math.sin(math.radians(angle)) for angle in angles]
+        # More, and pressure falls faster than shear where the volume is held: no stress is found.
+        room = self.shear_modulus / (self.shear_modulus + 2.0 * self.lame_lambda)
+        if -math.prod(sines) >= room:
+            raise ValueError(
+                f"dilation_angle_deg = {self.dilation_angle_deg:g} compacts soil faster than its "
+                "elasticity can follow; bring it nearer to zero, or make poisson_ratio smaller"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _one_surface(self) -> Self:
+        if self.yield_surface == "matsuoka_nakai" and self.yield_criterion != "plane_strain":
+            raise ValueError(
+                f"yield_surface = 'matsuoka_nakai' has a φ of plane strain; set yield_criterion = "
+                f"'plane_strain' instead of '{self.yield_criterion}', or leave yield_surface out"
             )
         return self
 
@@ -245,6 +278,16 @@ class Soil(Strict):
     def dilates(self) -> bool:
         """Whether its volume grows as it flows."""
         return self.potential_angle_deg > 0.0
+
+    @property
+    def is_compacted(self) -> bool:
+        """Whether its volume shrinks as it flows."""
+        return self.potential_angle_deg < 0.0
+
+    @property
+    def softens(self) -> bool:
+        """Whether φ or ψ changes with the plastic shear strain."""
+        return self.critical_friction_angle_deg is not None or self.is_compacted
 
     @property
     def cone_intercept(self) -> float:

@@ -118,6 +118,75 @@ def test_isochoric_paths_end_at_the_strength_of_mohr_and_coulomb(rate, ratio, ph
             )
 
 
+def invariants(stress):
+    """I₁, I₂, I₃ of stresses counted positive in compression."""
+    first, second, third = np.linalg.eigvalsh(-matrix(stress))
+    return first + second + third, first * second + second * third + third * first, np.prod(
+        [first, second, third]
+    )  # fmt: skip
+
+
+@settings(max_examples=300, deadline=None)
+@given(principal=principals, angles=ANGLES, seed=st.integers(0, 99))
+def test_return_to_matsuoka_and_nakai_is_radial_and_ends_on_the_surface(principal, angles, seed):
+    ground = soil(*angles, yield_surface="matsuoka_nakai")
+    material, trial = material_of(ground), turned(principal, seed)
+    made, slip = return_mapping(trial, 0.0, material)
+    scale = np.abs(principal).max() + 1.0
+    square = material.sin_friction**2
+    ratio = (9.0 - 3.0 * square) / (1.0 - square)
+
+    def outside(stress):
+        one, two, three = invariants(stress)
+        return (one * two - ratio * three) / scale**3
+
+    old, new = matrix(trial), matrix(made)
+    if max(np.linalg.eigvalsh(old)) < 0.0 and outside(trial) < -1e-9:
+        np.testing.assert_allclose(new, old, atol=1e-7 * scale)
+        assert slip < 1e-12
+        return
+    assert abs(outside(made)) < 1e-7
+    assert np.linalg.eigvalsh(new).max() < 1e-7 * scale
+    before = old - np.eye(3) * np.trace(old) / 3.0
+    after = new - np.eye(3) * np.trace(new) / 3.0
+    left = np.sum(before * after) / max(np.sum(before * before), 1e-9)
+    np.testing.assert_allclose(after, left * before, atol=1e-6 * scale)
+    assert -1e-9 < left < 1.0 + 1e-9
+    if left > 1e-6:  # not at the tip
+        bulk = ground.lame_lambda + 2.0 / 3.0 * ground.shear_modulus
+        swollen = (np.trace(old) - np.trace(new)) / (3.0 * bulk)
+        sheared = (1.0 - left) * np.ptp(np.linalg.eigvalsh(before)) / (2.0 * ground.shear_modulus)
+        assert slip == pytest.approx(sheared, abs=1e-6 * scale / ground.shear_modulus)
+        assert swollen == pytest.approx(
+            material.sin_dilation * sheared, abs=1e-6 * scale / ground.shear_modulus
+        )
+
+
+@pytest.mark.parametrize("phi", [25.0, 45.0])
+def test_matsuoka_and_nakai_has_its_angle_in_plane_strain_and_less_in_triaxial_tests(phi):
+    material = material_of(soil(phi, yield_surface="matsuoka_nakai"))
+    laws = lanes.laws_of(material, averaging=False)
+    # tan² of the triaxial angle from 9 + 8 tan² = I₁ I₂ / I₃, by hand from the plane strain's
+    square = math.sin(math.radians(phi)) ** 2
+    triaxial = math.atan(math.sqrt(0.75 * square / (1.0 - square)))
+    for rate, expected in (
+        ((-1.0, 0.0, 1.0), math.radians(phi)),
+        ((-2.0, 1.0, 1.0), triaxial),
+        ((-1.0, -1.0, 2.0), triaxial),
+    ):
+        plain = fast = (-1e3, -1e3, -1e3, 0.0, 0.0, 0.0)
+        step = tuple(1e-4 * v for v in np.diag(rate).ravel())
+        lame, shear = material.lame_lambda, material.shear_modulus
+        for _ in range(200):
+            plain, _ = return_mapping(jaumann_predictor(plain, step, 0.0, lame, shear), 0, material)
+            trial = jaumann_predictor(fast, step, 0.0, lame, shear)
+            fast, _ = lanes.return_stress(tuple(map(np.float32, trial)), np.float32(0.0), laws)
+            fast = tuple(map(float, fast))
+        for stress, tolerance in ((plain, 1e-9), (fast, 2e-4)):
+            low, _, high = np.sort(stress[:3])
+            assert (high - low) / -(high + low) == pytest.approx(math.sin(expected), rel=tolerance)
+
+
 @pytest.mark.parametrize("psi", [0.0, 10.0, 35.0])
 def test_plane_strain_is_that_of_the_solver_in_the_plane(psi):
     # Step by step, whatever the stress across: a return that does not turn the deviatoric stress
@@ -151,6 +220,9 @@ def test_lanes_return_as_the_reference_does(principal, angles, seed, worn):
         soil(*angles, critical_friction_angle_deg=0.8 * angles[0], softening_strain=0.1),
         soil(*angles, cohesion=300.0, tension_cutoff=100.0),
         soil(*angles).model_copy(update={"yield_criterion": "triaxial"}),
+        soil(*angles, yield_surface="matsuoka_nakai", cohesion=300.0, tension_cutoff=100.0),
+        soil(35.0, -10.0, yield_surface="matsuoka_nakai", softening_strain=0.1),
+        soil(35.0, -10.0, softening_strain=0.1),
     ):
         material = material_of(ground)
         trial = turned(principal, seed)
@@ -160,6 +232,28 @@ def test_lanes_return_as_the_reference_does(principal, angles, seed, worn):
         scale = np.abs(principal).max() + 1.0
         np.testing.assert_allclose(fast, made, atol=1.5e-3 * scale)
         assert fast_slip == pytest.approx(slip, abs=3e-3 * scale / material.shear_modulus)
+
+
+@pytest.mark.parametrize(
+    ("surface", "more"), [("mohr_coulomb", 4.0 / 3.0), ("matsuoka_nakai", 1.0)]
+)
+def test_soil_is_compacted_by_half_of_sin_psi_over_the_softening_strain(surface, more):
+    ground = soil(30.0, -10.0, yield_surface=surface, softening_strain=0.2)
+    material = material_of(ground)
+    bulk = ground.lame_lambda + 2.0 / 3.0 * ground.shear_modulus
+    stress, worn, lost = (-1e3, -1e3, -1e3, 0.0, 0.0, 0.0), 0.0, 0.0
+    step = tuple(1e-4 * v for v in np.diag((-1.0, 0.0, 1.0)).ravel())
+    for _ in range(1500):
+        trial = jaumann_predictor(stress, step, 0.0, material.lame_lambda, material.shear_modulus)
+        stress, slip = return_mapping(trial, worn, material)
+        worn += slip
+        # The volume is held: what soil loses, pressure loses; then it is pressed again.
+        rise = sum(stress[:3]) / 3.0 + 1e3
+        lost += rise / bulk
+        stress = tuple(v - rise for v in stress[:3]) + stress[3:]
+    assert worn > 0.2
+    half = 0.5 * 0.2 * math.sin(math.radians(10.0))
+    assert 0.99 * half < lost < 1.01 * more * half  # more where two faces of the pyramid flow
 
 
 def test_softening_takes_the_strength_from_peak_to_critical_state():

@@ -64,6 +64,7 @@ ZERO, HALF, UNIT, DOUBLE, TRIPLE = (_F(n) for n in (0.0, 0.5, 1.0, 2.0, 3.0))
 THIRD, TWO_THIRDS = _F(1.0 / 3.0), _F(2.0 / 3.0)
 SIDE, CENTRE = _F(0.125), _F(0.75)
 """Spline weights in the middle of a cell."""
+ROOT = _F(0.5 * math.sqrt(3.0))
 LODE, SIZE = _F(1.5 * math.sqrt(3.0)), _F(2.0 / math.sqrt(3.0))
 FOURFOLD, TINY = _F(4.0), _F(1e-18)
 SMALL = _F(1e-9)
@@ -103,6 +104,10 @@ class Laws(NamedTuple):
     """2 K [Pa]."""
     per_slip: Any
     """1 / (2 G) [1/Pa]."""
+    apex: Any
+    """The same had it not been cut off [Pa]."""
+    nakai: Any
+    """1 for Matsuoka and Nakai's surface, else 0."""
     cone: Any
     """1 for Drucker and Prager's surface, else 0."""
     cone_slope: Any
@@ -133,6 +138,8 @@ def laws_of(material: Material, *, averaging: bool) -> Laws:
         material.tip,
         2.0 * bulk,
         0.5 / shear,
+        material.apex,
+        float(material.nakai),
         float(material.cone),
         3.0 * material.alpha,
         1.0 / (shear + 9.0 * bulk * material.alpha * material.beta),
@@ -235,12 +242,24 @@ def strain_of(work: Work, at: Index, x: Any, y: Any, z: Any) -> tuple[Any, Any, 
 
 
 @kernel
-def coulomb_gaps(mean: Any, high: Any, low: Any, strain: Any, laws: Laws) -> tuple[Any, Any, Any]:
-    """Return to the Mohr-Coulomb surface, as in ``plasticity``, without branches."""
+def cosine_of_two_thirds(s: Any) -> Any:
+    """cos(⅔ arccos s), 0 ≤ s ≤ 1."""
+    return C0 + s * (C1 + s * (C2 + s * (C3 + s * (C4 + s * (C5 + s * C6)))))
+
+
+@kernel
+def softened(strain: Any, laws: Laws) -> tuple[Any, Any]:
+    """Mobilised sin φ and sin ψ at a plastic shear strain [-]."""
     left = UNIT - laws.per_softening * strain
     left = left if left > ZERO else ZERO
-    sin_phi = laws.sin_critical + left * laws.sin_excess
-    sin_psi = left * laws.sin_dilation
+    return laws.sin_critical + left * laws.sin_excess, left * laws.sin_dilation
+
+
+@kernel
+def coulomb_gaps(
+    mean: Any, high: Any, low: Any, sin_phi: Any, sin_psi: Any, laws: Laws
+) -> tuple[Any, Any, Any]:
+    """Return to the Mohr-Coulomb surface, as in ``plasticity``, without branches."""
     plus, minus = UNIT + sin_phi, UNIT - sin_phi
     gain, loss = UNIT + sin_psi, UNIT - sin_psi
     double = DOUBLE * laws.shear
@@ -264,6 +283,27 @@ def coulomb_gaps(mean: Any, high: Any, low: Any, strain: Any, laws: Laws) -> tup
     beyond = new > laws.tip or mean > laws.cutoff
     new = laws.tip if beyond else new
     return new, ZERO if beyond else new_high, ZERO if beyond else new_low
+
+
+@kernel
+def nakai_shrink(
+    mean: Any, radius: Any, cosine: Any, span: Any, sin_phi: Any, sin_psi: Any, laws: Laws
+) -> tuple[Any, Any]:
+    """Return to Matsuoka and Nakai's surface: mean stress [Pa], and what is left of √J₂ [-].
+
+    As ``plasticity.nakai_return``.
+    """
+    cosine = HALF * sin_phi * (TRIPLE - sin_phi * sin_phi) * cosine
+    third: Any = math.sqrt(HALF * (UNIT + cosine))
+    slope = ROOT * sin_phi / cosine_of_two_thirds(third)
+    excess = radius - slope * (laws.apex - mean)
+    excess = excess if excess > ZERO else ZERO
+    shear = DOUBLE * laws.shear / span
+    swelling = HALF * laws.drop * sin_psi
+    slip = excess / (shear * radius + slope * swelling)
+    new, left = mean - swelling * slip, UNIT - shear * slip
+    beyond = left < ZERO or new > laws.tip or mean > laws.cutoff
+    return laws.tip if beyond else new, ZERO if beyond else left
 
 
 @kernel
@@ -296,18 +336,20 @@ def return_stress(trial: Six, strain: Any, laws: Laws) -> tuple[Six, Any]:
     # With cos 3θ known, half-angle formulas give cos θ and cos(60° - θ) through one polynomial.
     up: Any = math.sqrt(HALF * (UNIT + cosine))
     down: Any = math.sqrt(HALF * (UNIT - cosine))
-    up = C0 + up * (C1 + up * (C2 + up * (C3 + up * (C4 + up * (C5 + up * C6)))))
-    down = C0 + down * (C1 + down * (C2 + down * (C3 + down * (C4 + down * (C5 + down * C6)))))
+    up, down = cosine_of_two_thirds(up), cosine_of_two_thirds(down)
     size = SIZE * radius
     last = -size * down
     high, low = size * (DOUBLE * up - down), size * (DOUBLE * down - up)
     high, low = high if high > SMALL else SMALL, low if low > SMALL else SMALL
-    new, new_high, new_low = coulomb_gaps(mean, high, low, strain, laws)
-    cone_mean, shrink = cone_shrink(mean, radius, laws)
-    cone = laws.cone > HALF
-    new = cone_mean if cone else new
-    slope_high = shrink if cone else new_high / high
-    slope_low = shrink if cone else new_low / low
+    sin_phi, sin_psi = softened(strain, laws)
+    new, new_high, new_low = coulomb_gaps(mean, high, low, sin_phi, sin_psi, laws)
+    cone_mean, cone = cone_shrink(mean, radius, laws)
+    nakai_mean, nakai = nakai_shrink(mean, radius, cosine, high + low, sin_phi, sin_psi, laws)
+    is_cone, radial = laws.cone > HALF, laws.cone + laws.nakai > HALF
+    shrink = cone if is_cone else nakai
+    new = (cone_mean if is_cone else nakai_mean) if radial else new
+    slope_high = shrink if radial else new_high / high
+    slope_low = shrink if radial else new_low / low
     bend = (slope_high - slope_low) / (high + low)
     slope = slope_high + bend * last
     even = new - bend * TWO_THIRDS * second

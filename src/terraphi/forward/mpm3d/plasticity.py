@@ -17,8 +17,22 @@ follows from m by f = 0, and m falls by 2 K sin ψ times the sum of both multipl
 Why the faces' own flow, and no radial return, which shrinks the deviatoric stress without turning
 it and has the same strength: so φ and ψ mean what they mean in limit analysis, and a point strained
 in a plane does step by step what it does in the solver of the plane, whatever the stress across.
-The radial return takes 10 to 14 % off a leg's force at ψ = 0, and 4 % at most in plane strain. Sand
-flows somewhere between the two, so that this is a doubt about the model: docs, *Three
+
+Matsuoka and Nakai (1974, Proc. JSCE 232, 59), ``yield_surface = "matsuoka_nakai"``:
+
+.. math:: I_1 I_2 / I_3 = (9 - 3 s^2) / (1 - s^2), \quad s = \sin\varphi,
+
+smooth, through Mohr-Coulomb of one angle in triaxial compression and extension and of a larger one
+between them. φ is the larger: the angle in plane strain without dilation, where the intermediate
+deviatoric stress vanishes. At the Lode angle θ (cos 3θ = 1 in extension) the surface has
+
+.. math:: \sqrt{J_2} = x\,(t - m), \quad x^2 + q x^3 = s^2, \quad
+          q = (3 - s^2) \cos 3\theta / \sqrt{27},
+
+t the mean stress at the tip. The return is radial: the deviatoric stress shrinks without turning,
+and m falls by K sin ψ times the increment of κ. It is the plainest of smooth potentials; tests of
+sand with three different stresses fit another one (Lade and Duncan, 1975, J. Geotech. Eng. Div.
+ASCE 101, 1037). Which of the two surfaces is taken is worth 2 to 3° of φ on a leg: docs, *Three
 dimensions*.
 
 The new tensor has the old directions. With new principal values a quadratic polynomial of the
@@ -27,8 +41,8 @@ directions need be found, and equal principal stresses do no harm.
 
 Drucker-Prager (``triaxial``): :math:`\sqrt{J_2} + \alpha I_1 \le k`, radial return.
 
-Softening: sin φ and sin ψ fall linearly with the plastic shear strain κ = ∫(dε₁ᵖ - dε₃ᵖ) from their
-peak to the critical state, where ψ = 0.
+Softening (not of the cone): with the plastic shear strain κ = ∫(dε₁ᵖ - dε₃ᵖ) sin φ falls and sin ψ
+goes linearly to the critical state, where ψ = 0. Of either sign: soil with ψ < 0 is compacted.
 """
 
 from __future__ import annotations
@@ -69,6 +83,10 @@ class Material(NamedTuple):
     """Mean stress beyond which a trial state goes to the tip [Pa]; may be inf."""
     tip: float
     """Mean stress at the tip of the surface, cut off or not [Pa]."""
+    apex: float
+    """The same had it not been cut off [Pa]."""
+    nakai: bool
+    """Whether the surface is Matsuoka and Nakai's."""
     cone: bool
     """Whether the surface is Drucker and Prager's."""
     alpha: float
@@ -103,10 +121,12 @@ def material_of(soil: Soil) -> Material:
         math.sin(phi),
         math.sin(math.radians(soil.potential_angle_deg)),
         math.sin(phi if critical is None else math.radians(critical)),
-        0.0 if critical is None else 1.0 / soil.softening_strain,
+        1.0 / soil.softening_strain if soil.softens else 0.0,
         2.0 * soil.cohesion * math.cos(phi),
         cutoff,
         min(cutoff, tip),
+        tip,
+        soil.yield_surface == "matsuoka_nakai",
         cone,
         cone_slope(soil.friction_angle_deg, "triaxial"),
         cone_slope(soil.potential_angle_deg, "triaxial"),
@@ -215,6 +235,54 @@ def mohr_coulomb_return(
 
 
 @kernel
+def nakai_return(
+    mean: float,
+    radius: float,
+    cosine: float,
+    span: float,
+    sin_phi: float,
+    sin_psi: float,
+    material: Material,
+) -> tuple[float, float]:
+    """Return of mean stress and √J₂ to the surface of Matsuoka and Nakai.
+
+    Parameters
+    ----------
+    mean, radius
+        Trial mean stress m and √J₂ [Pa].
+    cosine
+        cos 3θ, 1 in triaxial extension [-].
+    span
+        Trial σ₁ - σ₃ [Pa].
+    sin_phi, sin_psi
+        Mobilised [-].
+    material
+        Constants.
+
+    Returns
+    -------
+    tuple
+        The first two after the return [Pa].
+    """
+    if mean > material.cutoff:
+        return material.tip, 0.0
+    # With u = 1/x the surface is s² u³ - u - q = 0, whose largest root this is.
+    third = math.acos(0.5 * sin_phi * (3.0 - sin_phi * sin_phi) * cosine) / 3.0
+    slope = 0.5 * math.sqrt(3.0) * sin_phi / math.cos(third)
+    excess = radius - slope * (material.apex - mean)
+    if excess <= 0.0:
+        return mean, radius
+    bulk = material.lame_lambda + 2.0 / 3.0 * material.shear_modulus
+    shear = 2.0 * material.shear_modulus * max(radius, SMALLEST) / max(span, SMALLEST)
+    slip = excess / (shear + slope * bulk * sin_psi)
+    mean -= bulk * sin_psi * slip
+    radius -= shear * slip
+    if radius < 0.0 or mean > material.tip:
+        return material.tip, 0.0
+    return mean, radius
+
+
+@kernel
 def cone_return(mean: float, radius: float, material: Material) -> tuple[float, float]:
     """Return of mean stress and √J₂ to the Drucker-Prager cone [Pa]."""
     alpha, beta, k = material.alpha, material.beta, material.intercept
@@ -262,12 +330,17 @@ def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, 
     size = 2.0 / math.sqrt(3.0) * radius
     first, last = size * math.cos(lode), -size * math.cos(math.pi / 3.0 - lode)
     high, low = 2.0 * first + last, -first - 2.0 * last
-    if material.cone:
-        new_mean, new_radius = cone_return(mean, radius, material)
+    sin_phi, sin_psi = softened(strain, material)
+    if material.cone or material.nakai:
+        if material.cone:
+            new_mean, new_radius = cone_return(mean, radius, material)
+        else:
+            new_mean, new_radius = nakai_return(
+                mean, radius, math.cos(3.0 * lode), high + low, sin_phi, sin_psi, material
+            )
         new_high = high * new_radius / max(radius, SMALLEST)
         new_low = low * new_radius / max(radius, SMALLEST)
     else:
-        sin_phi, sin_psi = softened(strain, material)
         new_mean, new_high, new_low = mohr_coulomb_return(
             mean, high, low, sin_phi, sin_psi, material
         )
