@@ -17,6 +17,8 @@ from terraphi.library.store import Library
 from terraphi_studies import Beside
 
 FORCES = ("Fz", "Fx")
+WHOLE_DEG = np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG)
+"""Leg angles of 1° means, whole degrees within |θ| < 85° [deg]."""
 PHI = "soil.friction_angle_deg"
 """Key of the friction angle in plans."""
 PEAK_CELLS = (
@@ -72,8 +74,7 @@ def engagement_deg(history: ForceHistory) -> float:
 
 def means_of(history: ForceHistory) -> FloatArray:
     """Means over 1° [N] at whole degrees within |θ| < 85°, shape [theta, 2]."""
-    theta = np.radians(np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG))
-    return history.means(theta, math.radians(0.5))
+    return history.means(np.radians(WHOLE_DEG), math.radians(0.5))
 
 
 def nrmsd_percent(measured: ForceHistory, model: ForceHistory) -> dict[str, float]:

@@ -8,14 +8,15 @@ spline over φ and a parabola over μ, and are proportional to the density, as t
 cohesion. Nothing is tuned to a medium.
 
 Through libraries, which have one friction of the leg, φ alone is fitted to the straight leg in the
-same way, and their own forces on the other legs are what they foretell. Through one of them the
-height of the hip above the soil, or the friction of the leg, is fitted too.
+same way, and their own forces on the other legs are what they foretell. Through those in space the
+height of the hip above the soil, the friction of the leg, or how far the soil is compacted as it
+flows is fitted too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +26,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import Measurement, measurement, medium_and_leg, names
 from terraphi.experiment.scenario import Scenario
+from terraphi.inference.prepared_leg import prepare
 from terraphi.library.plan import Plan, Step, value_of
 from terraphi.library.shipped import companion
 from terraphi.library.store import Case, Library
@@ -32,7 +34,15 @@ from terraphi.view.plots import BLUE, ORANGE, Curve
 from terraphi.view.table import Table
 from terraphi_studies import PAPER_LIBRARY, Study, benchmark, page
 from terraphi_studies.benchmark import LEGS, FinishedCase, in_the_sand
-from terraphi_studies.measures import FORCES, PHI, both, means_of, nrmsd_of_means, nrmsd_percent
+from terraphi_studies.measures import (
+    FORCES,
+    PHI,
+    WHOLE_DEG,
+    both,
+    means_of,
+    nrmsd_of_means,
+    nrmsd_percent,
+)
 from terraphi_studies.pictures import legs_figure
 from terraphi_studies.planned import Simulations, missing_from, not_yet
 
@@ -42,16 +52,19 @@ if TYPE_CHECKING:
 NAME = "prediction"
 TITLE = "Calibrated on the straight leg, and what that foretells of the C and the reversed C"
 FRICTION, SHAPE, HIP = "leg.friction", "leg.shape", "motion.hip.1"
+DILATION = "soil.dilation_angle_deg"
 CALIBRATED_ON = "straight"
 OURS = "resolved"
-LIBRARIES = ("resolved-2", "sand3d-quick", "rft3d")
+LIBRARIES = ("resolved-2", "sand3d-quick", "sand3d", "rft3d")
 """Libraries through which φ alone is fitted, and which foretell the other legs."""
-TWO_OF = "sand3d-quick"
-"""The library of these that has cases with another hip or another friction of the leg."""
-HEIGHT, ROUGHNESS = ", height too", ", friction too"
-TOO = {HEIGHT: ("raised", HIP), ROUGHNESS: ("friction", FRICTION)}
-"""What is added to its name where something else is fitted: the role of the library that has those
-cases, and the key that differs."""
+HEIGHT, ROUGHNESS, COMPACTION = ", height too", ", friction too", ", compaction too"
+TOO = {
+    HEIGHT: ("sand3d-quick", "raised", HIP),
+    ROUGHNESS: ("sand3d-quick", "friction", FRICTION),
+    COMPACTION: ("sand3d", "compacted", DILATION),
+}
+"""What is added to the name of a library where something else is fitted: that library, the role of
+the one that has cases with other values of it, and the key that differs."""
 BETWEEN = 31
 """Values of that key that are tried."""
 COLUMNS = (
@@ -68,9 +81,11 @@ METHOD = (
     "Preset `resolved` (plane strain), φ and the leg's friction μ fitted to the straight leg "
     "alone; C and reversed C are simulated with that pair. NRMSD on 1° means over |θ| < 85°, in "
     "percent of the measured peak-to-peak. Through libraries φ alone is fitted to that leg, "
-    "through one of them the height of the hip above the soil or the leg's friction too; their "
-    "forces on the other legs are what they foretell. The other models are not fitted here: theirs "
-    "is the 35° that Xu & Wang use for Yuma sand, and RFT 2-D has the generic coefficients of Li "
+    "through those in space the height of the hip above the soil, the leg's friction or the volume "
+    "that soil loses as it flows too; their forces on the other legs are what they foretell, of "
+    "`sand3d` refined by its finer cases where φ alone is fitted. The other models are not fitted "
+    "here: theirs is the 35° that Xu & Wang use for Yuma sand, and RFT 2-D has the generic "
+    "coefficients of Li "
     f"et al. times {benchmark.YUMA_SCALE}, which gives their own curves for that sand. Plan: "
     "`prediction`. Run again: `terraphi study prediction`."
 )
@@ -110,6 +125,8 @@ class Foretold:
         How much higher the hip is than the library's [m]; 0 if that is not fitted.
     friction
         Of the leg [-]; the library's if that is not fitted.
+    compaction
+        Share of its volume that the soil loses as it flows [-]; 0 if that is not fitted.
     at_edge
         Whether the angle, or what is fitted beside it, is the first or last that was simulated.
     nrmsd_percent
@@ -119,6 +136,7 @@ class Foretold:
     phi_deg: float
     raised_m: float
     friction: float
+    compaction: float
     at_edge: bool
     nrmsd_percent: Mapping[str, Mapping[str, float]]
 
@@ -135,8 +153,8 @@ def run(*, cases: Simulations) -> Study:
     -------
     Study
         ``data``: ``calibrated`` (``phi_deg``, ``friction``, ``at_edge`` by medium),
-        ``libraries`` (by library and medium ``phi_deg``, ``raised_m``, ``friction`` and
-        ``at_edge``),
+        ``libraries`` (by library and medium ``phi_deg``, ``raised_m``, ``friction``,
+        ``compaction`` and ``at_edge``),
         ``nrmsd_percent`` by medium, leg, model and force, ``foretold_percent`` (by model that
         foretold all legs, and force: the mean over the C and the reversed C of all media),
         ``better_than`` (of the deviations in Yuma sand, by each model that is not fitted, how many
@@ -168,10 +186,10 @@ def run(*, cases: Simulations) -> Study:
         name: {medium: through(library, legs) for medium, legs in media.items()}
         for name, library in own.items()
     }
-    for too, (role, key) in TOO.items():
-        others = companion(TWO_OF, role)
-        libraries[f"{TWO_OF}{too}"] = {
-            medium: through(own[TWO_OF], legs, others, key) for medium, legs in media.items()
+    for too, (name, role, key) in TOO.items():
+        others = companion(name, role)
+        libraries[f"{name}{too}"] = {
+            medium: through(own[name], legs, others, key) for medium, legs in media.items()
         }
     return study_of(plan, media, fits, finished, libraries)
 
@@ -262,7 +280,8 @@ def through(
         Measurements of the sand by leg, the straight one among them.
     others
         Cases of the library with other values of ``key``, which is fitted too: between the values
-        forces go as the polynomial through all of them.
+        forces go as the polynomial through all of them, as simulated; without them those of a
+        refined library are its refined ones.
     key
         Dotted scenario key.
     """
@@ -272,6 +291,8 @@ def through(
     for case in others.cases if others else ():
         levels.setdefault(value_of(case.scenario, key), []).append(case)
     curves = [_over_phi(cases) for cases in levels.values()]
+    if library.fine and not others:
+        curves = [_refined(library)]
     ends = {
         leg: (max(c[leg].x[0] for c in curves), min(c[leg].x[-1] for c in curves))
         for leg in legs
@@ -290,11 +311,12 @@ def through(
     off = forces(CALIBRATED_ON, phi) - data[CALIBRATED_ON]
     squares = np.sum(np.square(off / np.ptp(data[CALIBRATED_ON], axis=0)), axis=(2, 3))
     best, angle = np.unravel_index(int(np.argmin(squares)), squares.shape)
-    found = own.replace(**{key: float(tried[best])})
+    found = (others.plan.scenario if others else own).replace(**{key: float(tried[best])})
     return Foretold(
         float(phi[angle]),
         value_of(found, HIP) - value_of(own, HIP),
         found.leg.friction,
+        found.soil.compaction,
         angle in (0, len(phi) - 1) or (others is not None and best in (0, len(tried) - 1)),
         {
             leg: nrmsd_of_means(data[leg], forces(leg, phi[angle : angle + 1])[best, 0])
@@ -326,6 +348,25 @@ def _over_phi(cases: Iterable[Case]) -> dict[str, CubicSpline]:
         leg: CubicSpline(sorted(of_leg), np.array([of_leg[phi] for phi in sorted(of_leg)]))
         for leg, of_leg in means.items()
     }
+
+
+def _refined(library: Library) -> dict[str, CubicSpline]:
+    """As :func:`_over_phi`, of a library's own cases with what finer ones change."""
+    from scipy.interpolate import CubicSpline
+
+    found = {}
+    for leg, simulated in _over_phi(library.cases).items():
+        surrogate = prepare(library, leg).surrogate
+        bare = replace(surrogate, correction=None)
+        change = surrogate.predict(simulated.x) - bare.predict(simulated.x)
+        parts = [
+            [np.interp(WHOLE_DEG, surrogate.theta_deg, force) for force in np.split(row, 2)]
+            for row in change
+        ]
+        found[leg] = CubicSpline(
+            simulated.x, simulated(simulated.x) + np.moveaxis(np.array(parts), 1, 2)
+        )
+    return found
 
 
 def foretold(
@@ -470,7 +511,7 @@ def _better(legs: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, 
 
 def _reached_by(libraries: Mapping[str, Mapping[str, Foretold]]) -> dict[str, dict[str, object]]:
     """What each library reached by the straight leg of each medium, JSON-able."""
-    keys = ("phi_deg", "raised_m", "friction", "at_edge")
+    keys = ("phi_deg", "raised_m", "friction", "compaction", "at_edge")
     return {
         name: {medium: {key: getattr(one, key) for key in keys} for medium, one in found.items()}
         for name, found in libraries.items()
@@ -513,7 +554,11 @@ def _notes(
 
 def _reached(name: str, found: Foretold) -> str:
     """What a library reached by the straight leg, in a few words."""
-    fitted = {HEIGHT: f"{1e3 * found.raised_m:.1f} mm", ROUGHNESS: f"μ = {found.friction:.2f}"}
+    fitted = {
+        HEIGHT: f"{1e3 * found.raised_m:.1f} mm",
+        ROUGHNESS: f"μ = {found.friction:.2f}",
+        COMPACTION: f"{100.0 * found.compaction:.1f} % of volume",
+    }
     too = "".join(f" and {told}" for ending, told in fitted.items() if name.endswith(ending))
     edge = " (at an edge)" if found.at_edge else ""
     return f"{name} {found.phi_deg:.1f}°{too}{edge}"

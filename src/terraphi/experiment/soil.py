@@ -193,8 +193,7 @@ class Soil(Strict):
     ``plane_strain`` alone."""
     softening_strain: float = Field(0.2, gt=0)
     """Plastic shear strain over which sin φ falls to the critical state and sin ψ goes to zero [-];
-    soil with ψ < 0 loses half of it times sin ψ of its volume (``matsuoka_nakai``), or up to a
-    third more (``mohr_coulomb``, on an edge)."""
+    soil with ψ < 0 loses half of it times sin ψ of its volume."""
     k0: float | None = Field(None, gt=0)
     """Ratio of horizontal to vertical stress at rest [-]; ``None``: 1 - sin φ (Jaky)."""
 
@@ -283,6 +282,15 @@ class Soil(Strict):
     def is_compacted(self) -> bool:
         """Whether its volume shrinks as it flows."""
         return self.potential_angle_deg < 0.0
+
+    @property
+    def compaction(self) -> float:
+        """Share of its volume that it loses until it is in the critical state [-].
+
+        Half the softening strain times sin ψ; Mohr-Coulomb loses up to a third more, on an edge.
+        """
+        sine = math.sin(math.radians(self.potential_angle_deg))
+        return -0.5 * self.softening_strain * sine if self.is_compacted else 0.0
 
     @property
     def softens(self) -> bool:
