@@ -37,6 +37,7 @@ FINER = {
         "bent-speed-up",
     ),
     "sand3d-quick": ("cells-120", "cells-86", "speed-up"),
+    "sand3d": ("cells-86", "speed-up"),
 }
 """By library, what the names of those end with that have finer cases of it."""
 PHI_DEG = 35.0
@@ -103,7 +104,8 @@ def run(*, library: str | None = None, progress: Progress | None = None) -> Stud
     finer, borrowed = {}, {}
     for name in names:
         made = refined(
-            Library.load(name), [Library.load(f"{name}-{ending}") for ending in FINER[name]]
+            Library.load(name).as_simulated,
+            [Library.load(f"{name}-{ending}") for ending in FINER[name]],
         )
         rows += [{"library": name, **row} for row in corrections(made)]
         curves += [{"library": name, **curves_of(made, leg)} for leg in made.legs]

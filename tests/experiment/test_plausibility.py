@@ -9,7 +9,7 @@ from terraphi.experiment.plausibility import doubts, doubts_between
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan
 
-BURIED = "sand3d-quick-plate-along"
+BURIED = "sand3d-plate-along"
 """A plan whose plate begins in the soil, for that is where it is moved."""
 
 
