@@ -8,9 +8,8 @@ spline over φ and a parabola over μ, and are proportional to the density, as t
 cohesion. Nothing is tuned to a medium.
 
 Through libraries, which have one friction of the leg, φ alone is fitted to the straight leg in the
-same way, and their own forces on the other legs are what they foretell. Through those in space the
-height of the hip above the soil, the friction of the leg, or how far the soil is compacted as it
-flows is fitted too.
+same way, and their own forces on the other legs are what they foretell. Through one of them the
+height of the hip above the soil, or the friction of the leg, is fitted too.
 """
 
 from __future__ import annotations
@@ -52,19 +51,16 @@ if TYPE_CHECKING:
 NAME = "prediction"
 TITLE = "Calibrated on the straight leg, and what that foretells of the C and the reversed C"
 FRICTION, SHAPE, HIP = "leg.friction", "leg.shape", "motion.hip.1"
-DILATION = "soil.dilation_angle_deg"
 CALIBRATED_ON = "straight"
 OURS = "resolved"
 LIBRARIES = ("resolved-2", "sand3d-quick", "sand3d", "rft3d")
 """Libraries through which φ alone is fitted, and which foretell the other legs."""
-HEIGHT, ROUGHNESS, COMPACTION = ", height too", ", friction too", ", compaction too"
-TOO = {
-    HEIGHT: ("sand3d-quick", "raised", HIP),
-    ROUGHNESS: ("sand3d-quick", "friction", FRICTION),
-    COMPACTION: ("sand3d", "compacted", DILATION),
-}
-"""What is added to the name of a library where something else is fitted: that library, the role of
-the one that has cases with other values of it, and the key that differs."""
+TWO_OF = "sand3d-quick"
+"""The library of these that has cases with another hip or another friction of the leg."""
+HEIGHT, ROUGHNESS = ", height too", ", friction too"
+TOO = {HEIGHT: ("raised", HIP), ROUGHNESS: ("friction", FRICTION)}
+"""What is added to its name where something else is fitted: the role of the library that has those
+cases, and the key that differs."""
 BETWEEN = 31
 """Values of that key that are tried."""
 COLUMNS = (
@@ -81,11 +77,10 @@ METHOD = (
     "Preset `resolved` (plane strain), φ and the leg's friction μ fitted to the straight leg "
     "alone; C and reversed C are simulated with that pair. NRMSD on 1° means over |θ| < 85°, in "
     "percent of the measured peak-to-peak. Through libraries φ alone is fitted to that leg, "
-    "through those in space the height of the hip above the soil, the leg's friction or the volume "
-    "that soil loses as it flows too; their forces on the other legs are what they foretell, of "
-    "`sand3d` refined by its finer cases where φ alone is fitted. The other models are not fitted "
-    "here: theirs is the 35° that Xu & Wang use for Yuma sand, and RFT 2-D has the generic "
-    "coefficients of Li "
+    "through one of them the height of the hip above the soil or the leg's friction too; their "
+    "forces on the other legs are what they foretell, of a library that ships refined (`sand3d`) "
+    "the refined ones. The other models are not fitted here: theirs is the 35° that Xu & Wang use "
+    "for Yuma sand, and RFT 2-D has the generic coefficients of Li "
     f"et al. times {benchmark.YUMA_SCALE}, which gives their own curves for that sand. Plan: "
     "`prediction`. Run again: `terraphi study prediction`."
 )
@@ -125,8 +120,6 @@ class Foretold:
         How much higher the hip is than the library's [m]; 0 if that is not fitted.
     friction
         Of the leg [-]; the library's if that is not fitted.
-    compaction
-        Share of its volume that the soil loses as it flows [-]; 0 if that is not fitted.
     at_edge
         Whether the angle, or what is fitted beside it, is the first or last that was simulated.
     nrmsd_percent
@@ -136,7 +129,6 @@ class Foretold:
     phi_deg: float
     raised_m: float
     friction: float
-    compaction: float
     at_edge: bool
     nrmsd_percent: Mapping[str, Mapping[str, float]]
 
@@ -153,8 +145,8 @@ def run(*, cases: Simulations) -> Study:
     -------
     Study
         ``data``: ``calibrated`` (``phi_deg``, ``friction``, ``at_edge`` by medium),
-        ``libraries`` (by library and medium ``phi_deg``, ``raised_m``, ``friction``,
-        ``compaction`` and ``at_edge``),
+        ``libraries`` (by library and medium ``phi_deg``, ``raised_m``, ``friction`` and
+        ``at_edge``),
         ``nrmsd_percent`` by medium, leg, model and force, ``foretold_percent`` (by model that
         foretold all legs, and force: the mean over the C and the reversed C of all media),
         ``better_than`` (of the deviations in Yuma sand, by each model that is not fitted, how many
@@ -186,10 +178,10 @@ def run(*, cases: Simulations) -> Study:
         name: {medium: through(library, legs) for medium, legs in media.items()}
         for name, library in own.items()
     }
-    for too, (name, role, key) in TOO.items():
-        others = companion(name, role)
-        libraries[f"{name}{too}"] = {
-            medium: through(own[name], legs, others, key) for medium, legs in media.items()
+    for too, (role, key) in TOO.items():
+        others = companion(TWO_OF, role)
+        libraries[f"{TWO_OF}{too}"] = {
+            medium: through(own[TWO_OF], legs, others, key) for medium, legs in media.items()
         }
     return study_of(plan, media, fits, finished, libraries)
 
@@ -311,12 +303,11 @@ def through(
     off = forces(CALIBRATED_ON, phi) - data[CALIBRATED_ON]
     squares = np.sum(np.square(off / np.ptp(data[CALIBRATED_ON], axis=0)), axis=(2, 3))
     best, angle = np.unravel_index(int(np.argmin(squares)), squares.shape)
-    found = (others.plan.scenario if others else own).replace(**{key: float(tried[best])})
+    found = own.replace(**{key: float(tried[best])})
     return Foretold(
         float(phi[angle]),
         value_of(found, HIP) - value_of(own, HIP),
         found.leg.friction,
-        found.soil.compaction,
         angle in (0, len(phi) - 1) or (others is not None and best in (0, len(tried) - 1)),
         {
             leg: nrmsd_of_means(data[leg], forces(leg, phi[angle : angle + 1])[best, 0])
@@ -511,7 +502,7 @@ def _better(legs: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, 
 
 def _reached_by(libraries: Mapping[str, Mapping[str, Foretold]]) -> dict[str, dict[str, object]]:
     """What each library reached by the straight leg of each medium, JSON-able."""
-    keys = ("phi_deg", "raised_m", "friction", "compaction", "at_edge")
+    keys = ("phi_deg", "raised_m", "friction", "at_edge")
     return {
         name: {medium: {key: getattr(one, key) for key in keys} for medium, one in found.items()}
         for name, found in libraries.items()
@@ -554,11 +545,7 @@ def _notes(
 
 def _reached(name: str, found: Foretold) -> str:
     """What a library reached by the straight leg, in a few words."""
-    fitted = {
-        HEIGHT: f"{1e3 * found.raised_m:.1f} mm",
-        ROUGHNESS: f"μ = {found.friction:.2f}",
-        COMPACTION: f"{100.0 * found.compaction:.1f} % of volume",
-    }
+    fitted = {HEIGHT: f"{1e3 * found.raised_m:.1f} mm", ROUGHNESS: f"μ = {found.friction:.2f}"}
     too = "".join(f" and {told}" for ending, told in fitted.items() if name.endswith(ending))
     edge = " (at an edge)" if found.at_edge else ""
     return f"{name} {found.phi_deg:.1f}°{too}{edge}"

@@ -93,7 +93,14 @@ remap_interval = 1e-4
         ),
         (
             SPACE.replace("plane_strain", "paper") + "[bed]\nbreadth = 0.1",
-            ["soil.yield_criterion = 'paper'", "'plane_strain' (Mohr-Coulomb) or 'triaxial'"],
+            ["soil.yield_criterion = 'paper'", "'plane_strain' or 'triaxial'"],
+        ),
+        (
+            SPACE.replace("plane_strain", "triaxial").replace(
+                "= 1e6", "= 1e6\ndilation_angle_deg = -5"
+            )
+            + "[bed]\nbreadth = 0.1",
+            ["soil.yield_criterion = 'triaxial'", "is compacted has 'plane_strain'"],
         ),
         (
             SPACE.replace("= 1e6", "= 1e6\ncritical_friction_angle_deg = 50.0")

@@ -187,7 +187,7 @@ def test_the_height_that_made_the_forces_is_found(plan) -> None:
     found = prediction.through(low, sand, raised, prediction.HIP)
     assert found.phi_deg == pytest.approx(33.7, abs=0.11)
     assert found.raised_m == pytest.approx(1e-3, abs=2e-4)
-    assert (found.friction, found.compaction) == (own, 0.0)
+    assert found.friction == own
     assert not found.at_edge
     assert max(value for leg in found.nrmsd_percent.values() for value in leg.values()) < 1.0
     assert set(found.nrmsd_percent) == {"straight", "c"}  # both need to have them
@@ -216,29 +216,6 @@ def test_the_friction_that_made_the_forces_is_found(plan) -> None:
     assert max(value for leg in found.nrmsd_percent.values() for value in leg.values()) < 1.0
     rough = {leg: measured(plan, leg, 33.7, 0.9, DENSITY) for leg in prediction.LEGS}
     assert prediction.through(library, rough, others).at_edge
-
-
-def test_the_compaction_that_made_the_forces_is_found() -> None:
-    sweep = {SHAPE: ["straight", "c"], prediction.PHI: list(ANGLES)}
-    made = []
-    for psi, name in ((0.0, "sand3d"), (-10.0, "sand3d-compacted")):
-        whole = Plan.load(name).model_copy(update={"sweep": sweep, "more": []})
-        assert whole.scenario.soil.dilation_angle_deg == psi
-        cases = tuple(Case(s, history(s).scaled(1.0 + 0.04 * psi), "") for s in whole.cases())
-        made.append(Library(whole, cases, {}))
-    truths = {
-        leg: made[0].plan.scenario.replace(**{SHAPE: leg, prediction.PHI: 33.7})
-        for leg in ("straight", "c")
-    }
-    sand = {
-        leg: Measurement("made", history(s).scaled(0.88), leg, density_kg_m3=s.soil.density)
-        for leg, s in truths.items()
-    }
-    found = prediction.through(made[0], sand, made[1], prediction.DILATION)
-    assert found.phi_deg == pytest.approx(33.7, abs=0.11)
-    # 3° of 10: half the strain of 0.4 times their sine
-    assert found.compaction == pytest.approx(0.2 * math.sin(math.radians(3.0)), abs=6e-4)
-    assert max(value for leg in found.nrmsd_percent.values() for value in leg.values()) < 1.0
 
 
 def test_a_refined_library_foretells_with_its_refined_forces() -> None:

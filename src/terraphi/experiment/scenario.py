@@ -171,9 +171,9 @@ class Numerics(Strict):
     dilatation: Literal["particle", "cell"] = "particle"
     """Volumetric strain rate that the stress follows: ``particle``, that at each particle;
     ``cell``: their mean over a cell (B-bar; Hughes, 1980, doi 10.1002/nme.1620150914), without
-    which plastic flow at constant volume locks. Not for soil that dilates: what one particle of
-    a cell dilates, its neighbours would have to give back, and the soil gets stiffer
-    instead, unless ``distortion`` is that of the cell too."""
+    which plastic flow at constant volume locks. Not for soil that dilates or is compacted: what
+    one particle of a cell dilates, its neighbours would have to give back, and the soil gets
+    stiffer instead (or loses its strength), unless ``distortion`` is that of the cell too."""
     distortion: Literal["particle", "cell", "auto"] = "particle"
     """Distortion rate that the stress follows, as ``dilatation`` says it of the volumetric rate.
     With both ``cell`` all particles of a cell strain alike, and soil that dilates no longer meets
@@ -386,8 +386,8 @@ class Scenario(Strict):
             )
         if self.soil.yield_surface == "matsuoka_nakai":
             raise ValueError(
-                "soil.yield_surface = 'matsuoka_nakai': in plane strain it is 'mohr_coulomb' but "
-                "for dilation; leave it out, or set dimensions = 3"
+                "soil.yield_surface = 'matsuoka_nakai': in plane strain without dilation it is the "
+                "same as 'mohr_coulomb'; leave it out, or set dimensions = 3"
             )
 
     def _check_space(self) -> None:
@@ -402,10 +402,10 @@ class Scenario(Strict):
         criterion = self.soil.yield_criterion
         softens = self.soil.softens
         if criterion == "paper" or (softens and criterion != "plane_strain"):
-            some = "'plane_strain' (Mohr-Coulomb)" + ("" if softens else " or 'triaxial'")
+            some = "'plane_strain'" + ("" if softens else " or 'triaxial'")
+            what = "soil that softens or is compacted has" if softens else "there is"
             raise ValueError(
-                f"soil.yield_criterion = '{criterion}': in three dimensions "
-                f"{'soil that softens has' if softens else 'there is'} {some}"
+                f"soil.yield_criterion = '{criterion}': in three dimensions {what} {some}"
             )
         if self.bed.breadth is None:
             raise ValueError(

@@ -175,7 +175,8 @@ class Soil(Strict):
     yield_surface: Literal["mohr_coulomb", "matsuoka_nakai"] = "mohr_coulomb"
     """In three dimensions and for ``plane_strain``, what the intermediate stress does.
     ``mohr_coulomb``: nothing, φ is the same in every direction; ``matsuoka_nakai``: φ is that of
-    plane strain, in triaxial compression and extension it is less (35°: 31.2°)."""
+    plane strain without dilation (with ψ = 10° soil of 35° has 34.5° there); in triaxial
+    compression and extension it is less (35°: 31.2°)."""
     dilation_angle_deg: float = Field(0.0, gt=-90, lt=90)
     """Dilation angle ψ [deg], same convention, at most φ; ignored by associated flow. Below zero,
     in three dimensions and for ``plane_strain``, soil is compacted as it flows, over
@@ -193,7 +194,8 @@ class Soil(Strict):
     ``plane_strain`` alone."""
     softening_strain: float = Field(0.2, gt=0)
     """Plastic shear strain over which sin φ falls to the critical state and sin ψ goes to zero [-];
-    soil with ψ < 0 loses half of it times sin ψ of its volume."""
+    soil with ψ < 0 loses half of it times sin ψ of its volume (or, by the faces of Mohr-Coulomb on
+    an edge, up to half as much again)."""
     k0: float | None = Field(None, gt=0)
     """Ratio of horizontal to vertical stress at rest [-]; ``None``: 1 - sin φ (Jaky)."""
 
@@ -212,12 +214,13 @@ class Soil(Strict):
             return self
         angles = (self.potential_angle_deg, self.friction_angle_deg)
         sines = [math.sin(math.radians(angle)) for angle in angles]
-        # More, and pressure falls faster than shear where the volume is held: no stress is found.
+        # Beyond a limit pressure falls faster than shear where the volume is held, and no stress is
+        # found. This is a bound below that limit for all φ, both surfaces and their edges.
         room = self.shear_modulus / (self.shear_modulus + 2.0 * self.lame_lambda)
         if -math.prod(sines) >= room:
             raise ValueError(
-                f"dilation_angle_deg = {self.dilation_angle_deg:g} compacts soil faster than its "
-                "elasticity can follow; bring it nearer to zero, or make poisson_ratio smaller"
+                f"dilation_angle_deg = {self.dilation_angle_deg:g} compacts soil so fast that "
+                "its stress may be lost; bring it nearer to zero, or make poisson_ratio smaller"
             )
         return self
 
@@ -282,15 +285,6 @@ class Soil(Strict):
     def is_compacted(self) -> bool:
         """Whether its volume shrinks as it flows."""
         return self.potential_angle_deg < 0.0
-
-    @property
-    def compaction(self) -> float:
-        """Share of its volume that it loses until it is in the critical state [-].
-
-        Half the softening strain times sin ψ; Mohr-Coulomb loses up to a third more, on an edge.
-        """
-        sine = math.sin(math.radians(self.potential_angle_deg))
-        return -0.5 * self.softening_strain * sine if self.is_compacted else 0.0
 
     @property
     def softens(self) -> bool:

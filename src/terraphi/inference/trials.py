@@ -49,7 +49,7 @@ IDLE = {"mpm": ("rft.",), "rft": ("numerics.", "relief.", "bed.", "soil.")}
 """Sections that a forward model does not read, but for what is in ``READ``."""
 READ = {"mpm": (), "rft": ("bed.gravity",)}
 """Keys of such sections that it does read."""
-FIRST = ("soil.yield_criterion", "soil.flow", "numerics.contact")
+FIRST = ("soil.yield_criterion", "soil.yield_surface", "soil.flow", "numerics.contact")
 """Keys that are named before others in which a history differs: they change forces the most."""
 HIP = "hip above the surface"
 

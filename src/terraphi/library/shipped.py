@@ -31,7 +31,6 @@ COMPANIONS = {
     "half": "the other: K0 = 0.5",
     "raised": "some of its cases with the hip higher above the soil",
     "friction": "some of its cases with a smoother and a rougher leg",
-    "compacted": "some of its cases with soil that is compacted as it flows",
 }
 """Roles of shipped libraries that are there for others, however many angles they have."""
 TRY_OTHERS = re.compile(rf"-({'|'.join(COMPANIONS)}|cells-\d+|speed-up)$")

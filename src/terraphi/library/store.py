@@ -531,6 +531,7 @@ def _settings_of(scenario: Scenario) -> dict[str, Any]:
             "leg_friction": leg.friction,
             "youngs_modulus_mpa": round(1e-6 * soil.youngs_modulus, 9),
             "dilation_angle_deg": soil.potential_angle_deg,
+            **({"yield_surface": soil.yield_surface} if scenario.dimensions == 3 else {}),
             "cell_mm": round(1e3 * numerics.cell_size, 6),
             "particles_per_cell_side": numerics.particles_per_cell_side,
             "speed_up": numerics.speed_up,

@@ -35,13 +35,16 @@ BODIES = {
 SOFT = {"soil.friction_angle_deg": 40.0, "soil.dilation_angle_deg": 8.0,
         "soil.critical_friction_angle_deg": 32.0, "soil.softening_strain": 0.05}  # fmt: skip
 
+SMOOTH = {"soil.yield_surface": "matsuoka_nakai", "soil.dilation_angle_deg": -8.0,
+          "soil.softening_strain": 0.05}  # fmt: skip
+
 DRAWN_IN = {"leg.shape": "c", "numerics.tip_inset_cells": 1.7}
 
 
 @pytest.mark.parametrize(
     "changes",
-    [*BODIES.values(), SOFT, {"soil.yield_criterion": "triaxial"}, DRAWN_IN],
-    ids=[*BODIES, "soft", "cone", "drawn in"],
+    [*BODIES.values(), SOFT, SMOOTH, {"soil.yield_criterion": "triaxial"}, DRAWN_IN],
+    ids=[*BODIES, "soft", "smooth, compacted", "cone", "drawn in"],
 )
 def test_packets_do_what_the_reference_does(space, changes):
     scenario = space.scenario(**changes)

@@ -105,7 +105,7 @@ class Laws(NamedTuple):
     per_slip: Any
     """1 / (2 G) [1/Pa]."""
     apex: Any
-    """The same had it not been cut off [Pa]."""
+    """Mean stress at the tip had it not been cut off [Pa]."""
     nakai: Any
     """1 for Matsuoka and Nakai's surface, else 0."""
     cone: Any

@@ -22,17 +22,17 @@ Matsuoka and Nakai (1974, Proc. JSCE 232, 59), ``yield_surface = "matsuoka_nakai
 
 .. math:: I_1 I_2 / I_3 = (9 - 3 s^2) / (1 - s^2), \quad s = \sin\varphi,
 
-smooth, through Mohr-Coulomb of one angle in triaxial compression and extension and of a larger one
-between them. φ is the larger: the angle in plane strain without dilation, where the intermediate
-deviatoric stress vanishes. At the Lode angle θ (cos 3θ = 1 in extension) the surface has
+smooth, through Mohr-Coulomb of one angle in triaxial compression and extension and of larger ones
+between them. φ is that in plane strain without dilation, where the intermediate deviatoric stress
+vanishes. At the Lode angle θ (cos 3θ = 1 in extension) the surface has
 
 .. math:: \sqrt{J_2} = x\,(t - m), \quad x^2 + q x^3 = s^2, \quad
           q = (3 - s^2) \cos 3\theta / \sqrt{27},
 
 t the mean stress at the tip. The return is radial: the deviatoric stress shrinks without turning,
-and m falls by K sin ψ times the increment of κ. It is the plainest of smooth potentials; tests of
+and m falls by K sin ψ times the increment of κ. It is the plainest of smooth flow rules; tests of
 sand with three different stresses fit another one (Lade and Duncan, 1975, J. Geotech. Eng. Div.
-ASCE 101, 1037). Which of the two surfaces is taken is worth 2 to 3° of φ on a leg: docs, *Three
+ASCE 101, 1037). Which of the two surfaces is taken is worth 1 to 2° of φ on a leg: docs, *Three
 dimensions*.
 
 The new tensor has the old directions. With new principal values a quadratic polynomial of the
@@ -84,7 +84,7 @@ class Material(NamedTuple):
     tip: float
     """Mean stress at the tip of the surface, cut off or not [Pa]."""
     apex: float
-    """The same had it not been cut off [Pa]."""
+    """Mean stress at the tip had it not been cut off [Pa]."""
     nakai: bool
     """Whether the surface is Matsuoka and Nakai's."""
     cone: bool
@@ -267,7 +267,7 @@ def nakai_return(
     if mean > material.cutoff:
         return material.tip, 0.0
     # With u = 1/x the surface is s² u³ - u - q = 0, whose largest root this is.
-    third = math.acos(0.5 * sin_phi * (3.0 - sin_phi * sin_phi) * cosine) / 3.0
+    third = math.acos(min(0.5 * sin_phi * (3.0 - sin_phi * sin_phi) * cosine, 1.0)) / 3.0
     slope = 0.5 * math.sqrt(3.0) * sin_phi / math.cos(third)
     excess = radius - slope * (material.apex - mean)
     if excess <= 0.0:
