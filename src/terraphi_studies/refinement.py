@@ -24,6 +24,7 @@ from terraphi_studies import Progress, Study, page, steps
 from terraphi_studies.measures import FORCES
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -193,21 +194,33 @@ def _place(row: Mapping[str, Any]) -> str:
 
 
 def _figure(curves: Sequence[Mapping[str, Any]]) -> Figure:
-    """A row of panels for each force, a column for each leg of a library."""
-    figure, panels = panels_of(2, len(curves), size=(2.6 * len(curves) + 0.6, 5.6), sharex=True)
-    for curve, column in zip(curves, panels.T, strict=True):
-        theta = np.array(curve["theta_deg"])
-        for force, axes in zip(FORCES, column, strict=True):
-            simulated, limit, sd = map(np.array, curve[force].values())
-            axes.plot(theta, simulated, color=ORANGE, lw=1.2, label="as simulated")
-            axes.plot(theta, limit, color=BLUE, lw=1.2, label="at the limit, ± 1 sd")
-            axes.fill_between(theta, limit - sd, limit + sd, color=BLUE, alpha=0.25, lw=0)
-            axes.axhline(0.0, color="k", lw=0.5)
-        column[0].set_title(
-            f"{curve['library']}\n{curve['leg']}, φ = {curve['phi_deg']:g}°", fontsize=9
-        )
-        column[-1].set_xlabel("leg angle [deg]")
-    for force, axes in zip(FORCES, panels[:, 0], strict=True):
-        axes.set_ylabel(f"{force} [N]")
+    """Two rows of panels, the forces, for each library, a column for each of its legs."""
+    libraries: dict[str, list[Mapping[str, Any]]] = {}
+    for curve in curves:
+        libraries.setdefault(curve["library"], []).append(curve)
+    columns = max(map(len, libraries.values()))
+    rows = 2 * len(libraries)
+    figure, panels = panels_of(rows, columns, size=(2.9 * columns, 2.5 * rows), sharex=True)
+    for first, legs in zip(range(0, rows, 2), libraries.values(), strict=True):
+        for column, curve in enumerate(legs):
+            _draw(panels[first : first + 2, column], curve)
+        for force, axes in zip(FORCES, panels[first : first + 2, 0], strict=True):
+            axes.set_ylabel(f"{force} [N]")
+    for axes in panels[-1]:
+        axes.set_xlabel("leg angle [deg]")
     panels[0, 0].legend(frameon=False, fontsize=7)
     return figure
+
+
+def _draw(panels: Sequence[Axes], curve: Mapping[str, Any]) -> None:
+    """Both forces on a leg, as simulated and at the limit."""
+    theta = np.array(curve["theta_deg"])
+    for force, axes in zip(FORCES, panels, strict=True):
+        simulated, limit, sd = map(np.array, curve[force].values())
+        axes.plot(theta, simulated, color=ORANGE, lw=1.2, label="as simulated")
+        axes.plot(theta, limit, color=BLUE, lw=1.2, label="at the limit, ± 1 sd")
+        axes.fill_between(theta, limit - sd, limit + sd, color=BLUE, alpha=0.25, lw=0)
+        axes.axhline(0.0, color="k", lw=0.5)
+    panels[0].set_title(
+        f"{curve['library']}, {curve['leg']}, φ = {curve['phi_deg']:g}°", fontsize=9
+    )
