@@ -82,7 +82,8 @@ def _of_strains(scenario: Scenario) -> Iterator[str]:
         if scenario.mean_dilatation and scenario.soil.potential_angle_deg != 0.0:
             yield (
                 "numerics.dilatation = 'cell' makes soil that dilates too strong and soil that is "
-                "compacted too weak; set dilatation = 'particle'"
+                "compacted too weak; set dilatation = 'particle', whose forces are all larger: "
+                "compare them with such forces only"
             )
     elif scenario.mean_distortion and not scenario.mean_dilatation:
         yield (

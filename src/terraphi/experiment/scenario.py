@@ -386,8 +386,8 @@ class Scenario(Strict):
             )
         if self.soil.yield_surface == "matsuoka_nakai":
             raise ValueError(
-                "soil.yield_surface = 'matsuoka_nakai': in plane strain without dilation it is the "
-                "same as 'mohr_coulomb'; leave it out, or set dimensions = 3"
+                "soil.yield_surface = 'matsuoka_nakai' is for three dimensions: set dimensions = "
+                "3, or leave it out (soil that does not dilate has the same strength in the plane)"
             )
 
     def _check_space(self) -> None:
@@ -405,7 +405,8 @@ class Scenario(Strict):
             some = "'plane_strain'" + ("" if softens else " or 'triaxial'")
             what = "soil that softens or is compacted has" if softens else "there is"
             raise ValueError(
-                f"soil.yield_criterion = '{criterion}': in three dimensions {what} {some}"
+                f"soil.yield_criterion = '{criterion}': in three dimensions {what} {some}; set that"
+                + (", or leave critical_friction_angle_deg and ψ < 0 out" if softens else "")
             )
         if self.bed.breadth is None:
             raise ValueError(
