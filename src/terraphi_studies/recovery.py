@@ -74,7 +74,7 @@ def run(
     InputError
         If there is no such library, or none of its truths.
     """
-    trained, truths = Library.load(library), companion(library, "truths")
+    trained, truths = Library.load(library).as_simulated, companion(library, "truths")
     convention = trained.cases[0].scenario.convention
     cases: list[dict[str, Any]] = []
     answers: list[tuple[float, Inversion]] = []
