@@ -55,8 +55,7 @@ METHOD = (
     "in its own convention of φ. `resolved`, `resolved-2`, `sand3d-quick` and `sand3d` have learnt "
     "from these very media how real soils deviate from them; `terraphi study real_soil` leaves out "
     "the one that is tried. NRMSD: of the fit at the median, in percent of the measured "
-    "peak-to-peak. "
-    "Run again: `terraphi study measured`."
+    "peak-to-peak. Run again: `terraphi study measured`."
 )
 PICTURE = "friction angles by medium, leg and library, with their 95 % intervals"
 

@@ -15,7 +15,7 @@ height of the hip above the soil, or the friction of the leg, is fitted too.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -282,9 +282,10 @@ def through(
     levels: dict[float, list[Case]] = {value_of(own, key): list(library.cases)}
     for case in others.cases if others else ():
         levels.setdefault(value_of(case.scenario, key), []).append(case)
-    curves = [_over_phi(cases) for cases in levels.values()]
     if library.fine and not others:
         curves = [_refined(library)]
+    else:
+        curves = [_over_phi(cases) for cases in levels.values()]
     ends = {
         leg: (max(c[leg].x[0] for c in curves), min(c[leg].x[-1] for c in curves))
         for leg in legs
@@ -348,8 +349,7 @@ def _refined(library: Library) -> dict[str, CubicSpline]:
     found = {}
     for leg, simulated in _over_phi(library.cases).items():
         surrogate = prepare(library, leg).surrogate
-        bare = replace(surrogate, correction=None)
-        change = surrogate.predict(simulated.x) - bare.predict(simulated.x)
+        change = surrogate.predict(simulated.x) - surrogate.as_simulated.predict(simulated.x)
         parts = [
             [np.interp(WHOLE_DEG, surrogate.theta_deg, force) for force in np.split(row, 2)]
             for row in change

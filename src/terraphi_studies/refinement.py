@@ -8,7 +8,6 @@ in degrees of friction angle, each with its standard deviation.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -132,7 +131,7 @@ def run(*, library: str | None = None, progress: Progress | None = None) -> Stud
 def curves_of(library: Library, leg: str) -> dict[str, Any]:
     """A leg's forces at one angle, as simulated and at the limit; keys as in :func:`run`."""
     surrogate = prepare(library, leg).surrogate
-    simulated = replace(surrogate, correction=None)
+    simulated = surrogate.as_simulated
     phi = float(surrogate.phi_deg[np.abs(surrogate.phi_deg - PHI_DEG).argmin()])
     error = surrogate.covariance(phi) - simulated.covariance(phi)
     told = {

@@ -136,7 +136,11 @@ def test_k0_needs_a_companion_of_every_case(monkeypatch) -> None:
 @pytest.mark.parametrize(
     ("study", "library", "known"),
     [
-        ("recovery", "rft3d", "quick-paper, quick-plane-strain, resolved-2, resolved, sand3d$"),
+        (
+            "recovery",
+            "rft3d",
+            "paper, quick-paper, quick-plane-strain, resolved-2, resolved, sand3d$",
+        ),
         ("recovery", "paper-legs", "'paper-legs-truths' is shipped.*paper"),
         ("k0", "paper", "quick-k0$"),
     ],

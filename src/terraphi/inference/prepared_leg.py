@@ -122,7 +122,7 @@ class PreparedLeg:
         covariance, mean = (left * variance[:, None, :]) @ right, surrogate.predict(phi)
         if surrogate.correction is not None:
             some = phi[::STRIDE]
-            forces = replace(surrogate, correction=None).predict(some)
+            forces = surrogate.as_simulated.predict(some)
             known = surrogate.correction.covariance(some, forces)
             below, part = np.divmod(np.arange(NODES), STRIDE)
             above, share = np.minimum(below + 1, len(some) - 1), part[:, None, None] / STRIDE

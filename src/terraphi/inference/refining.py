@@ -56,7 +56,7 @@ def corrections(library: Library) -> list[dict[str, Any]]:
     found = []
     for leg in library.legs:
         surrogate = prepare(library, leg).surrogate
-        simulated = replace(surrogate, correction=None)
+        simulated = surrogate.as_simulated
         angles = surrogate.phi_deg
         for phi in angles[[0, len(angles) // 2, -1]].tolist():
             before, after = simulated.predict(phi)[0], surrogate.predict(phi)[0]

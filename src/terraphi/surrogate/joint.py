@@ -34,6 +34,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -358,6 +359,11 @@ class JointSurrogate:
         covariance += np.eye(self.phi_deg.size)
         object.__setattr__(self, "_blocks", Blocks(covariance))
 
+    @cached_property
+    def as_simulated(self) -> Self:
+        """The same without the correction."""
+        return replace(self, correction=None) if self.correction is not None else self
+
     @classmethod
     def fit(
         cls,
@@ -538,7 +544,7 @@ class JointSurrogate:
         if self.correction is None:
             return {}
         phi = np.array([phi_deg], dtype=np.float64)
-        forces = replace(self, correction=None).predict(phi)
+        forces = self.as_simulated.predict(phi)
         found = self.correction.covariances(phi, forces)
         return {cause: covariance[0] for cause, covariance in found.items()}
 

@@ -326,7 +326,8 @@ def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, 
     third = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
     radius = math.sqrt(second)
     cosine = 1.5 * math.sqrt(3.0) * third / max(second * radius, SMALLEST_CUBE)
-    lode = math.acos(min(max(cosine, -1.0), 1.0)) / 3.0
+    cosine = min(max(cosine, -1.0), 1.0)
+    lode = math.acos(cosine) / 3.0
     size = 2.0 / math.sqrt(3.0) * radius
     first, last = size * math.cos(lode), -size * math.cos(math.pi / 3.0 - lode)
     high, low = 2.0 * first + last, -first - 2.0 * last
@@ -336,7 +337,7 @@ def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, 
             new_mean, new_radius = cone_return(mean, radius, material)
         else:
             new_mean, new_radius = nakai_return(
-                mean, radius, math.cos(3.0 * lode), high + low, sin_phi, sin_psi, material
+                mean, radius, cosine, high + low, sin_phi, sin_psi, material
             )
         new_high = high * new_radius / max(radius, SMALLEST)
         new_low = low * new_radius / max(radius, SMALLEST)
