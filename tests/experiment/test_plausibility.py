@@ -11,8 +11,6 @@ from terraphi.library.plan import Plan
 
 BURIED = "sand3d-plate-along"
 """A plan whose plate begins in the soil, for that is where it is moved."""
-DILATES = "onset"
-"""A plan with soil that dilates and the mean dilatation of cells, which its page warns of."""
 
 
 @pytest.mark.parametrize("name", shipped_names("scenarios", ".toml"))
@@ -25,9 +23,6 @@ def test_shipped_plans_raise_no_question(name: str) -> None:
     asked = {doubt for scenario in Plan.load(name).cases() for doubt in doubts(scenario)}
     if name == BURIED:
         assert [doubt for doubt in asked if "begins 38 mm deep in the soil" not in doubt] == []
-        assert asked
-    elif name == DILATES:
-        assert [doubt for doubt in asked if "'cell' makes soil that dilates" not in doubt] == []
         assert asked
     else:
         assert asked == set()

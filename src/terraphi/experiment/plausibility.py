@@ -76,16 +76,9 @@ def _of_size(scenario: Scenario) -> Iterator[str]:
 
 def _of_strains(scenario: Scenario) -> Iterator[str]:
     """Whether strains of whole cells are taken where they help (``docs/convergence.md``)."""
-    if scenario.model != "mpm":
+    if scenario.model != "mpm" or scenario.dimensions == 3:
         return
-    if scenario.dimensions == 3:
-        if scenario.mean_dilatation and scenario.soil.potential_angle_deg != 0.0:
-            yield (
-                "numerics.dilatation = 'cell' makes soil that dilates too strong and soil that is "
-                "compacted too weak; set dilatation = 'particle', whose forces are all larger: "
-                "compare them with such forces only"
-            )
-    elif scenario.mean_distortion and not scenario.mean_dilatation:
+    if scenario.mean_distortion and not scenario.mean_dilatation:
         yield (
             "numerics.distortion of whole cells with dilatation = 'particle' makes soil up to "
             "twice as strong; set dilatation = 'cell'"

@@ -171,9 +171,10 @@ class Numerics(Strict):
     dilatation: Literal["particle", "cell"] = "particle"
     """Volumetric strain rate that the stress follows: ``particle``, that at each particle;
     ``cell``: their mean over a cell (B-bar; Hughes, 1980, doi 10.1002/nme.1620150914), without
-    which plastic flow at constant volume locks. Not for soil that dilates or is compacted: what
-    one particle of a cell dilates, its neighbours would have to give back, and the soil gets
-    stiffer instead (or loses its strength), unless ``distortion`` is that of the cell too."""
+    which plastic flow at constant volume locks. In three dimensions the particles of a cell then
+    share their plastic changes of volume too. In two they do not, and soil that dilates gets
+    stiffer, since what one particle gains its neighbours would have to give back, unless
+    ``distortion`` is that of the cell too."""
     distortion: Literal["particle", "cell", "auto"] = "particle"
     """Distortion rate that the stress follows, as ``dilatation`` says it of the volumetric rate.
     With both ``cell`` all particles of a cell strain alike, and soil that dilates no longer meets

@@ -17,10 +17,10 @@ from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.relief import fading_of
 from terraphi.forward.mpm.scalar import empty_audit, empty_reaction, stepping_of
 from terraphi.forward.mpm.solver import path_of_steps
-from terraphi.forward.mpm3d import contact, lanes, packets, packing
+from terraphi.forward.mpm3d import contact, lanes, packets, packing, plain
 from terraphi.forward.mpm3d.bed import geostatic_bed as geostatic_bed_in_space
 from terraphi.forward.mpm3d.lattice import LANES, lattice_of, positions
-from terraphi.forward.mpm3d.phase import Phases, settle, velocities
+from terraphi.forward.mpm3d.phase import Phases, precision_of, settle, velocities
 from terraphi.forward.mpm3d.plasticity import material_of as material_in_space
 
 AWAY = {"motion.hip": [0.1, 0.15], "motion.start_deg": -180.0, "motion.stop_deg": -150.0,
@@ -153,6 +153,45 @@ def test_straight_leg_whose_tip_is_drawn_in_is_the_shorter_one(space):
     assert np.linalg.norm(impulses[2] - impulses[0]) > 0.1 * np.linalg.norm(impulses[2])
 
 
+@pytest.mark.parametrize("psi", [-12.0, 12.0, 35.0])
+@pytest.mark.parametrize("kernel", ["packets", "scalar"])
+def test_particles_of_a_cell_share_what_they_gain_in_volume(space, kernel, psi):
+    """What a cell's mean stress changes by is K times its strain without what yielding makes."""
+    soil = {"soil.yield_surface": "matsuoka_nakai", "soil.softening_strain": 1e6}
+    scenario = space.scenario(**AWAY, **soil, **{"soil.dilation_angle_deg": psi})
+    phases, precision = Phases(scenario, kernel), precision_of(kernel)
+    bed, lattice = geostatic_bed_in_space(scenario, precision), phases.lattice
+    rng = np.random.default_rng(7)
+    for velocity in (bed.vx, bed.vy, bed.vz):
+        velocity[:] = 0.1 * rng.normal(size=velocity.size)
+    bed.stress[:, :3] = [-2.1e4, -3.3e4, -6e4]  # about to yield, and far from the tip
+    number = np.bincount(bed.cell)
+    mean = bed.stress[:, :3].mean(axis=1, dtype=float)
+    force = tuple(np.zeros(lattice.nodes, precision) for _ in range(3))
+    strainer, time_step = phases.strainer, 5e-4
+    strainer.begin(bed)
+    strainer.strain(bed, force, time_step, lattice.nodes)
+    strainer.end(bed)
+
+    change = bed.stress[:, :3].mean(axis=1, dtype=float) - mean
+    of_cell = np.bincount(bed.cell, change)[bed.cell] / number[bed.cell]
+    # All particles of a cell by the same, though they yield by different amounts.
+    assert np.abs(change - of_cell).max() < 1e-3 * np.abs(of_cell).max()
+    slip = np.bincount(bed.cell, bed.strain) / np.maximum(number, 1)
+    own = np.bincount(bed.cell, (bed.strain - slip[bed.cell]) ** 2)
+    assert np.sqrt(own.sum() / bed.cell.size) > 0.3 * slip[number > 0].mean()
+    gradients = [plain.gradient((bed.vx, bed.vy, bed.vz), cell, tuple(offset), lattice, True)
+                 for cell, offset in zip(bed.cell, bed.offset, strict=True)]  # fmt: skip
+    rate = np.trace(np.array(gradients, float), axis1=1, axis2=2)
+    strain = time_step * np.bincount(bed.cell, rate) / np.maximum(number, 1)
+    swelling = np.sin(np.radians(psi)) * slip
+    bulk = scenario.soil.lame_lambda + 2.0 / 3.0 * scenario.soil.shear_modulus
+    gained = (bulk * swelling)[bed.cell]
+    left = of_cell - bulk * strain[bed.cell] + gained
+    assert np.sqrt(np.square(gained).mean()) > 50.0  # Pa
+    assert np.sqrt(np.square(left).mean()) < 1e-3 * np.sqrt(np.square(gained).mean())
+
+
 def slab(space, **changes):
     """A leg as wide as a slab one cell thick."""
     return space.scenario(
@@ -161,9 +200,9 @@ def slab(space, **changes):
     )  # fmt: skip
 
 
-def in_the_plane(scenario, steps):
+def in_the_plane(scenario, steps, **changes):
     """Impulse on the leg of the solver in the plane, times the width of the slab."""
-    flat = scenario.replace(dimensions=2, **{"bed.breadth": None})
+    flat = scenario.replace(dimensions=2, **{"bed.breadth": None, **changes})
     poses, turned, bins = path_of_steps(flat, np.arange(steps), 1)
     impulse, audit = empty_reaction(1), empty_audit()
     lost = plane.advance(
@@ -191,6 +230,19 @@ def test_packets_in_a_slab_are_near_plane_strain(space):
     scenario = slab(space, **{"numerics.remap_interval": 4.5e-4})
     made, flat = space.run(scenario, "packets", 400), in_the_plane(scenario, 400)
     np.testing.assert_allclose(made.impulse, flat, rtol=0.04)
+
+
+@pytest.mark.parametrize("kernel", ["packets", "scalar_nodes"])
+def test_dilation_is_worth_in_a_slab_what_it_is_in_the_plane(space, kernel):
+    """Where both strain whole cells: the plane by the mean distortion too, space by sharing."""
+    short = {"numerics.remap_interval": 4.5e-4, "numerics.particle_jitter": 0.5}
+    means = {"numerics.distortion": "cell", "numerics.cell_damping": 0.2}
+    in_space, flat = [], []
+    for psi in (0.0, 15.0):
+        scenario = slab(space, **short, **{"soil.dilation_angle_deg": psi})
+        in_space.append(space.run(scenario, kernel, 800).impulse)
+        flat.append(in_the_plane(scenario, 800, **means))
+    np.testing.assert_allclose(in_space[1] / in_space[0], flat[1] / flat[0], rtol=0.06)
 
 
 def test_both_kernels_of_the_driver_differ_by_rounding_alone(space):
@@ -243,12 +295,14 @@ def test_distance_is_that_of_the_nearest_of_many_points(shape):
             assert contact.distance_to_solid(intruder, *foot)[0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_lanes_are_vectors(space):
+@pytest.mark.parametrize("kernel", ["strain_packet", "swell_packet", "return_packet"])
+def test_the_lanes_are_vectors(space, kernel):
     scenario = space.scenario()
     soil, lattice = geostatic_bed_in_space(scenario, np.float32), lattice_of(scenario)
     state, work = packing.pack(soil, lattice).state, packets.work_memory()
     laws = lanes.laws_of(material_in_space(scenario.soil), averaging=True)
-    used = register_use(lanes.strain_packet, state, work, np.uint64(0), LANES, laws)
+    both = (laws, laws) if kernel == "swell_packet" else (laws,)
+    used = register_use(getattr(lanes, kernel), state, work, np.uint64(0), LANES, *both)
     if not used:
         pytest.skip("no x86 assembly to look at")
     # The loop stands twice: for whole vectors, and for what may be left over.

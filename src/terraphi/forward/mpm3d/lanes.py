@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from terraphi.forward.mpm.compiled import kernel, wide_vectors
 from terraphi.forward.mpm3d import packing
 from terraphi.forward.mpm3d.lattice import LANES, MARGIN
-from terraphi.forward.mpm3d.plasticity import Material
+from terraphi.forward.mpm3d.plasticity import Material, bulk_modulus
 
 Work = NDArray[np.float32]
 Index: TypeAlias = Any
@@ -53,7 +53,12 @@ MIDDLE = np.uint64(102) * ROW
 """3 rows: mean offset of a cell's particles (x, y, z) [cell]."""
 RATE = np.uint64(105) * ROW
 """1 row: volumetric strain there [-]."""
-WORK = np.uint64(106) * ROW + ROW
+SWELL = np.uint64(106) * ROW
+"""3 rows: number of a cell's particles, sums of their plastic changes of volume and of 1 + b, as
+``plain`` has them [-]."""
+SHARE = np.uint64(109) * ROW
+"""1 row: change of the mean stress that a cell's particles share [Pa]."""
+WORK = np.uint64(110) * ROW + ROW
 
 _FIELD = [np.uint64(field) * LANES for field in range(packing.FIELDS)]
 X, Y, Z, SXX, SYY, SZZ, SXY, SXZ, SYZ, STRAIN, VOLUME = _FIELD
@@ -101,7 +106,7 @@ class Laws(NamedTuple):
     tip: Any
     """Mean stress at the tip [Pa]."""
     drop: Any
-    """2 K [Pa]."""
+    """2 K, or 0 if the mean stress is held [Pa]."""
     per_slip: Any
     """1 / (2 G) [1/Pa]."""
     apex: Any
@@ -114,8 +119,8 @@ class Laws(NamedTuple):
     """3 α [-]."""
     cone_multiplier: Any
     """1 / (G + 9 K α β) [1/Pa]."""
-    cone_drop: Any
-    """3 K β [Pa]."""
+    cone_swelling: Any
+    """3 β [-]."""
     intercept: Any
     """k of the cone [Pa]."""
     averaging: Any
@@ -124,8 +129,7 @@ class Laws(NamedTuple):
 
 def laws_of(material: Material, *, averaging: bool) -> Laws:
     """Constants of a material."""
-    shear = material.shear_modulus
-    bulk = material.lame_lambda + 2.0 / 3.0 * shear
+    shear, bulk = material.shear_modulus, bulk_modulus(material)
     values = (
         material.lame_lambda,
         shear,
@@ -143,7 +147,7 @@ def laws_of(material: Material, *, averaging: bool) -> Laws:
         float(material.cone),
         3.0 * material.alpha,
         1.0 / (shear + 9.0 * bulk * material.alpha * material.beta),
-        3.0 * bulk * material.beta,
+        3.0 * material.beta,
         material.intercept,
         float(averaging),
     )
@@ -258,7 +262,7 @@ def softened(strain: Any, laws: Laws) -> tuple[Any, Any]:
 @kernel
 def coulomb_gaps(
     mean: Any, high: Any, low: Any, sin_phi: Any, sin_psi: Any, laws: Laws
-) -> tuple[Any, Any, Any]:
+) -> tuple[Any, Any, Any, Any]:
     """Return to the Mohr-Coulomb surface, as in ``plasticity``, without branches."""
     plus, minus = UNIT + sin_phi, UNIT - sin_phi
     gain, loss = UNIT + sin_psi, UNIT - sin_psi
@@ -275,23 +279,25 @@ def coulomb_gaps(
     other = common + (double * minus * loss if on_high else double * plus * gain)
     both = (DOUBLE * excess - second) / (face + other)
     flow = both if (on_high or on_low) else multiplier
-    new = mean - laws.drop * sin_psi * flow
+    swelling = DOUBLE * sin_psi * flow
+    new = mean - HALF * laws.drop * swelling
     gap = TRIPLE * (laws.strength - DOUBLE * sin_phi * new)
     gap = gap / (TRIPLE - sin_phi if on_high else TRIPLE + sin_phi)
     new_high = ZERO if on_high else (gap if on_low else high_face)
     new_low = gap if on_high else (ZERO if on_low else low_face)
     beyond = new > laws.tip or mean > laws.cutoff
     new = laws.tip if beyond else new
-    return new, ZERO if beyond else new_high, ZERO if beyond else new_low
+    new_high, new_low = ZERO if beyond else new_high, ZERO if beyond else new_low
+    return new, new_high, new_low, ZERO if beyond else swelling
 
 
 @kernel
 def nakai_shrink(
     mean: Any, radius: Any, cosine: Any, span: Any, sin_phi: Any, sin_psi: Any, laws: Laws
-) -> tuple[Any, Any]:
-    """Return to Matsuoka and Nakai's surface: mean stress [Pa], and what is left of √J₂ [-].
+) -> tuple[Any, Any, Any]:
+    """Return to Matsuoka and Nakai's surface, as in ``plasticity``.
 
-    As ``plasticity.nakai_return``.
+    The new mean stress [Pa], what is left of √J₂, and the plastic change of volume [-].
     """
     cosine = HALF * sin_phi * (TRIPLE - sin_phi * sin_phi) * cosine
     third: Any = math.sqrt(HALF * (UNIT + cosine))
@@ -299,30 +305,35 @@ def nakai_shrink(
     excess = radius - slope * (laws.apex - mean)
     excess = excess if excess > ZERO else ZERO
     shear = DOUBLE * laws.shear / span
-    swelling = HALF * laws.drop * sin_psi
-    slip = excess / (shear * radius + slope * swelling)
-    new, left = mean - swelling * slip, UNIT - shear * slip
+    bulk = HALF * laws.drop
+    slip = excess / (shear * radius + slope * bulk * sin_psi)
+    swelling, left = sin_psi * slip, UNIT - shear * slip
+    new = mean - bulk * swelling
     beyond = left < ZERO or new > laws.tip or mean > laws.cutoff
-    return laws.tip if beyond else new, ZERO if beyond else left
+    new, left = laws.tip if beyond else new, ZERO if beyond else left
+    return new, left, ZERO if beyond else swelling
 
 
 @kernel
-def cone_shrink(mean: Any, radius: Any, laws: Laws) -> tuple[Any, Any]:
-    """Return to the Drucker-Prager cone: new mean stress [Pa], and what is left of √J₂ [-]."""
+def cone_shrink(mean: Any, radius: Any, laws: Laws) -> tuple[Any, Any, Any]:
+    """Return to the Drucker-Prager cone, as :func:`nakai_shrink`."""
     excess = radius + laws.cone_slope * mean - laws.intercept
     excess = excess if excess > ZERO else ZERO
     multiplier = laws.cone_multiplier * excess
     new_radius = radius - laws.shear * multiplier
-    new = mean - laws.cone_drop * multiplier
+    swelling = laws.cone_swelling * multiplier
+    new = mean - HALF * laws.drop * swelling
     beyond = new_radius < ZERO or mean > laws.cutoff
-    return laws.tip if beyond else new, ZERO if beyond else new_radius / radius
+    new, left = laws.tip if beyond else new, ZERO if beyond else new_radius / radius
+    return new, left, ZERO if beyond else swelling
 
 
 @kernel
-def return_stress(trial: Six, strain: Any, laws: Laws) -> tuple[Six, Any]:
-    """Bring a trial stress [Pa] back to the yield surface; and the increment of κ [-].
+def return_stress(trial: Six, strain: Any, laws: Laws) -> tuple[Six, Any, Any]:
+    """Bring a trial stress [Pa] back to the yield surface.
 
-    As :func:`terraphi.forward.mpm3d.plasticity.return_mapping`.
+    And the increment of κ and the plastic change of volume [-], all as
+    :func:`terraphi.forward.mpm3d.plasticity.return_mapping`.
     """
     xx, yy, zz, xy, xz, yz = trial
     mean = THIRD * (xx + yy + zz)
@@ -342,12 +353,15 @@ def return_stress(trial: Six, strain: Any, laws: Laws) -> tuple[Six, Any]:
     high, low = size * (DOUBLE * up - down), size * (DOUBLE * down - up)
     high, low = high if high > SMALL else SMALL, low if low > SMALL else SMALL
     sin_phi, sin_psi = softened(strain, laws)
-    new, new_high, new_low = coulomb_gaps(mean, high, low, sin_phi, sin_psi, laws)
-    cone_mean, cone = cone_shrink(mean, radius, laws)
-    nakai_mean, nakai = nakai_shrink(mean, radius, cosine, high + low, sin_phi, sin_psi, laws)
+    new, new_high, new_low, swelling = coulomb_gaps(mean, high, low, sin_phi, sin_psi, laws)
+    cone_mean, cone, cone_swelling = cone_shrink(mean, radius, laws)
+    nakai_mean, nakai, nakai_swelling = nakai_shrink(
+        mean, radius, cosine, high + low, sin_phi, sin_psi, laws
+    )
     is_cone, radial = laws.cone > HALF, laws.cone + laws.nakai > HALF
     shrink = cone if is_cone else nakai
     new = (cone_mean if is_cone else nakai_mean) if radial else new
+    swelling = (cone_swelling if is_cone else nakai_swelling) if radial else swelling
     slope_high = shrink if radial else new_high / high
     slope_low = shrink if radial else new_low / low
     bend = (slope_high - slope_low) / (high + low)
@@ -363,7 +377,7 @@ def return_stress(trial: Six, strain: Any, laws: Laws) -> tuple[Six, Any]:
         slope * yz + bend * (xy * xz + yy * yz + yz * zz),
     )
     slip = laws.per_slip * (high * (UNIT - slope_high) + low * (UNIT - slope_low))
-    return made, slip if slip > ZERO else ZERO
+    return made, slip if slip > ZERO else ZERO, swelling
 
 
 @kernel
@@ -392,33 +406,102 @@ def predicted(state: Work, work: Work, at: Index, i: Index, laws: Laws) -> Six:
 
 
 @kernel
+def settle(state: Work, work: Work, at: Index, i: Index, trial: Six, laws: Laws) -> None:
+    """Return a trial stress [Pa] of a particle, keep it, and add it to the sums of its cell."""
+    made, slip, _ = return_stress(trial, state[at + STRAIN], laws)
+    xx, yy, zz, xy, xz, yz = made
+    state[at + SXX], state[at + SYY], state[at + SZZ] = xx, yy, zz
+    state[at + SXY], state[at + SXZ], state[at + SYZ] = xy, xz, yz
+    state[at + STRAIN] += slip
+    full, to = state[at + VOLUME], SUM + i
+    xx, yy, zz, xy, xz, yz = full * xx, full * yy, full * zz, full * xy, full * xz, full * yz
+    work[to] += xx
+    work[to + ROW] += yy
+    work[to + TWO * ROW] += zz
+    work[to + THREE * ROW] += xy
+    work[to + FOUR * ROW] += xz
+    work[to + FIVE * ROW] += yz
+    # Where the volumetric strain is one for a cell, so is the mean stress: see press_middle.
+    mean = laws.averaging * THIRD * (xx + yy + zz)
+    x, y, z = state[at + X], state[at + Y], state[at + Z]
+    add_moments(work, to + SIX * ROW, xx - mean, x, y, z)
+    add_moments(work, to + NINE * ROW, yy - mean, x, y, z)
+    add_moments(work, to + (SIX + SIX) * ROW, zz - mean, x, y, z)
+    add_moments(work, to + (NINE + SIX) * ROW, xy, x, y, z)
+    add_moments(work, to + (NINE + NINE) * ROW, xz, x, y, z)
+    add_moments(work, to + (NINE + NINE + THREE) * ROW, yz, x, y, z)
+
+
+@kernel
 def strain_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Laws) -> None:
     """Update the stress of a packet, and add it to the sums of the cells."""
     wide_vectors()
     for i in range(lanes):
-        at, to = packet * FIELDS + i, SUM + i
-        made, slip = return_stress(predicted(state, work, at, i, laws), state[at + STRAIN], laws)
-        xx, yy, zz, xy, xz, yz = made
+        at = packet * FIELDS + i
+        settle(state, work, at, i, predicted(state, work, at, i, laws), laws)
+
+
+@kernel
+def predict_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Laws) -> None:
+    """Put the trial stress of a packet in the place of its stress."""
+    wide_vectors()
+    for i in range(lanes):
+        at = packet * FIELDS + i
+        xx, yy, zz, xy, xz, yz = predicted(state, work, at, i, laws)
         state[at + SXX], state[at + SYY], state[at + SZZ] = xx, yy, zz
         state[at + SXY], state[at + SXZ], state[at + SYZ] = xy, xz, yz
-        state[at + STRAIN] += slip
-        full = state[at + VOLUME]
-        xx, yy, zz, xy, xz, yz = full * xx, full * yy, full * zz, full * xy, full * xz, full * yz
-        work[to] += xx
-        work[to + ROW] += yy
-        work[to + TWO * ROW] += zz
-        work[to + THREE * ROW] += xy
-        work[to + FOUR * ROW] += xz
-        work[to + FIVE * ROW] += yz
-        # Where the volumetric strain is one for a cell, so is the mean stress: see press_middle.
-        mean = laws.averaging * THIRD * (xx + yy + zz)
-        x, y, z = state[at + X], state[at + Y], state[at + Z]
-        add_moments(work, to + SIX * ROW, xx - mean, x, y, z)
-        add_moments(work, to + NINE * ROW, yy - mean, x, y, z)
-        add_moments(work, to + (SIX + SIX) * ROW, zz - mean, x, y, z)
-        add_moments(work, to + (NINE + SIX) * ROW, xy, x, y, z)
-        add_moments(work, to + (NINE + NINE) * ROW, xz, x, y, z)
-        add_moments(work, to + (NINE + NINE + THREE) * ROW, yz, x, y, z)
+
+
+@kernel
+def shared(state: Work, work: Work, at: Index, i: Index) -> Six:
+    """Trial stress of a particle [Pa] with its cell's share."""
+    more = work[SHARE + i]
+    return (
+        state[at + SXX] + more, state[at + SYY] + more, state[at + SZZ] + more,
+        state[at + SXY], state[at + SXZ], state[at + SYZ],
+    )  # fmt: skip
+
+
+@kernel
+def swell_packet(
+    state: Work, work: Work, packet: Index, lanes: Index, laws: Laws, held: Laws
+) -> None:
+    """Sum up the plastic changes of volume of a packet, held at its share of the mean stress."""
+    wide_vectors()
+    for i in range(lanes):
+        at = packet * FIELDS + i
+        trial, strain, full = shared(state, work, at, i), state[at + STRAIN], state[at + VOLUME]
+        _, _, alone = return_stress(trial, strain, laws)
+        _, _, most = return_stress(trial, strain, held)
+        yields = alone * most > ZERO
+        work[SWELL + i] += full
+        work[SWELL + ROW + i] += full * (most if yields else ZERO)
+        work[SWELL + TWO * ROW + i] += full * (
+            most / (alone if yields else UNIT) if yields else UNIT
+        )
+
+
+@kernel
+def share(work: Work, lanes: Index, laws: Laws) -> None:
+    """Take a Newton step towards the change of mean stress that a cell's particles share."""
+    wide_vectors()
+    for i in range(lanes):
+        number, swelling, slope = (
+            work[SWELL + i],
+            work[SWELL + ROW + i],
+            work[SWELL + TWO * ROW + i],
+        )
+        slope = slope if number > ZERO else UNIT
+        work[SHARE + i] -= (number * work[SHARE + i] + HALF * laws.drop * swelling) / slope
+
+
+@kernel
+def return_packet(state: Work, work: Work, packet: Index, lanes: Index, held: Laws) -> None:
+    """Return the trial stress of a packet at the mean stress that it has with its cell's share."""
+    wide_vectors()
+    for i in range(lanes):
+        at = packet * FIELDS + i
+        settle(state, work, at, i, shared(state, work, at, i), held)
 
 
 @kernel

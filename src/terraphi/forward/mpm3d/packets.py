@@ -21,8 +21,10 @@ from terraphi.forward.mpm3d.lanes import (
     NINE,
     ONE,
     ROW,
+    SHARE,
     SIDE,
     SUM,
+    SWELL,
     THREE,
     TWO,
     UNIT,
@@ -36,12 +38,17 @@ from terraphi.forward.mpm3d.lanes import (
     gather_along,
     give_across,
     give_along,
+    predict_packet,
     press_middle,
     rate_of_cells,
+    return_packet,
+    share,
     strain_packet,
+    swell_packet,
 )
 from terraphi.forward.mpm3d.lattice import LANES, MARGIN, Lattice
 from terraphi.forward.mpm3d.packing import Packets, aligned
+from terraphi.forward.mpm3d.plain import SHARING_ROUNDS
 from terraphi.forward.mpm3d.transfer import Nodes
 
 SUMS = np.uint64(24)
@@ -65,6 +72,8 @@ def strain(
     force: Nodes,
     work: Work,
     laws: Laws,
+    held: Laws,
+    sharing: bool,
     scale: Any,
     area: Any,
     top: int,
@@ -84,8 +93,10 @@ def strain(
         [N]; added to.
     work
         Working memory.
-    laws
-        Constants.
+    laws, held
+        Constants, and those with the mean stress held.
+    sharing
+        Whether the particles of a cell share their plastic changes of volume.
     scale
         Time over Δx [s/m], in single precision.
     area
@@ -119,8 +130,23 @@ def strain(
                 rate_of_cells(work, lanes)
                 for i in range(SUM - MARGIN, SUM - MARGIN + SUMS * ROW):
                     work[i] = ZERO
-                for packet in range(np.uint64(begin), np.uint64(end)):
-                    strain_packet(packets.state, work, packet, lanes, laws)
+                made = (np.uint64(begin), np.uint64(end))
+                if sharing:
+                    for packet in range(made[0], made[1]):
+                        predict_packet(packets.state, work, packet, lanes, laws)
+                    for i in range(SHARE, SHARE + ROW):
+                        work[i] = ZERO
+                    for _ in range(SHARING_ROUNDS):
+                        for i in range(SWELL, SHARE):
+                            work[i] = ZERO
+                        for packet in range(made[0], made[1]):
+                            swell_packet(packets.state, work, packet, lanes, laws, held)
+                        share(work, lanes, laws)
+                    for packet in range(made[0], made[1]):
+                        return_packet(packets.state, work, packet, lanes, held)
+                else:
+                    for packet in range(made[0], made[1]):
+                        strain_packet(packets.state, work, packet, lanes, laws)
                 press_middle(work, laws, lanes)
                 lay_down(work, force[0], at, (XX, XY, XZ), area, row, layer, wide)
                 lay_down(work, force[1], at, (XY, YY, YZ), area, row, layer, wide)

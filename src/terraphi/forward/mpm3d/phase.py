@@ -23,7 +23,7 @@ from terraphi.forward.mpm3d.contact import Intruder, Spring, intruder_of, near_l
 from terraphi.forward.mpm3d.lanes import laws_of
 from terraphi.forward.mpm3d.lattice import LANES, Lattice, lattice_of
 from terraphi.forward.mpm3d.nodes import Inertia, Setting, take_over
-from terraphi.forward.mpm3d.plasticity import material_of
+from terraphi.forward.mpm3d.plasticity import held_mean, material_of
 from terraphi.forward.mpm3d.transfer import Nodes, gather, press, renew
 
 FloatArray = NDArray[np.float64]
@@ -50,8 +50,10 @@ class Plainly:
 
     def __init__(self, scenario: Scenario, lattice: Lattice, *, linear: bool) -> None:
         averaging = scenario.mean_dilatation
-        self._law = plain.Law(linear, averaging, particle_volume(scenario))
-        self._material, self._lattice = material_of(scenario.soil), lattice
+        material, self._lattice = material_of(scenario.soil), lattice
+        sharing = averaging and material.swells
+        self._law = plain.Law(linear, averaging, sharing, particle_volume(scenario))
+        self._materials = (material, held_mean(material))
         self._cells = plain.empty_cells(lattice)
 
     def begin(self, soil: Soil) -> None:
@@ -59,7 +61,7 @@ class Plainly:
 
     def strain(self, soil: Soil, force: Nodes, time_step: float, used: int) -> None:  # noqa: ARG002
         """One particle after the other."""
-        constants = (self._material, self._law)
+        constants = (*self._materials, self._law)
         plain.strain(soil, self._lattice, force, self._cells, *constants, time_step)
 
     def end(self, soil: Soil) -> None:
@@ -71,7 +73,10 @@ class InPackets:
 
     def __init__(self, scenario: Scenario, lattice: Lattice) -> None:
         averaging = scenario.mean_dilatation
-        self._laws = laws_of(material_of(scenario.soil), averaging=averaging)
+        material = material_of(scenario.soil)
+        self._laws = laws_of(material, averaging=averaging)
+        self._held = laws_of(held_mean(material), averaging=averaging)
+        self._sharing = averaging and material.swells
         self._area = np.float32(-particle_volume(scenario) / lattice.cell_size)
         self._lattice, self._work = lattice, packets.work_memory()
         self._packed: packing.Packets | None = None
@@ -90,6 +95,8 @@ class InPackets:
             force,
             self._work,
             self._laws,
+            self._held,
+            self._sharing,
             np.float32(time_step / self._lattice.cell_size),
             self._area,
             used // self._lattice.layer,
@@ -120,7 +127,7 @@ class Phases:
         modulus = soil.lame_lambda + 2.0 * soil.shear_modulus
         step = self._setting.time_step
         self._spring = spring_of(particle_volume(scenario), modulus, step)
-        self._strainer: Strainer = (
+        self.strainer: Strainer = (
             InPackets(scenario, lattice)
             if kernel == "packets"
             else Plainly(scenario, lattice, linear=kernel == "scalar")
@@ -178,7 +185,7 @@ class Phases:
         audit: Audit,
     ) -> int:
         lattice, setting, inertia, strainer = (
-            self.lattice, self._setting, self._inertia, self._strainer,
+            self.lattice, self._setting, self._inertia, self.strainer,
         )  # fmt: skip
         force, shift = _nodes(self._force), _nodes(self._shift)
         if self._near.size != soil.cell.size:

@@ -17,6 +17,18 @@ Where the volumetric strain is one for a cell (``dilatation = "cell"``), it is t
 particles, as in the plane; their mean stress then acts on the nodes in the same way. That in the
 middle of the cell would do in full cells; in a half-empty one the soil is elsewhere, and a bed at
 rest carried 13 % too much near its floor.
+
+Its plastic changes of volume are shared too: the mean strain of a cell cannot give back what one
+particle alone gains, which would press that particle stiff, or loose. The mean stresses m_p of the
+n particles of a cell all change by the same s,
+
+.. math:: n s + K \sum_p e_p(m_p + s) = 0,
+
+with e_p(m) the change of volume of particle p if it yields at a mean stress m that is held. Newton
+steps from s = 0 find it, with the slope Σ(1 + b_p), where 1 + b_p = e_p(m) / ẽ_p and ẽ_p is the
+change of a particle that is alone, so that m falls by K ẽ_p. Where the same particles yield
+throughout, one is exact. Soil that comes apart at the tip of the surface shares nothing. Each
+particle then returns to the surface at its mean stress m_p + s.
 """
 
 from __future__ import annotations
@@ -30,8 +42,18 @@ from terraphi.forward.mpm.compiled import entry, kernel
 from terraphi.forward.mpm3d.bed import Soil
 from terraphi.forward.mpm3d.contact import Three
 from terraphi.forward.mpm3d.lattice import Lattice
-from terraphi.forward.mpm3d.plasticity import Material, jaumann_predictor, return_mapping
+from terraphi.forward.mpm3d.plasticity import (
+    Material,
+    Six,
+    bulk_modulus,
+    jaumann_predictor,
+    return_mapping,
+)
 from terraphi.forward.mpm3d.transfer import Nodes, weights
+
+SHARING_ROUNDS = 2
+"""Newton steps with which a cell shares its plastic changes of volume: one leaves a tenth of what
+the particles of a cell gain that are strained very differently, two a hundredth."""
 
 
 class Law(NamedTuple):
@@ -41,6 +63,8 @@ class Law(NamedTuple):
     """Whether slopes are those linear in the cell."""
     averaging: bool
     """Whether the volumetric strain is one for a cell."""
+    sharing: bool
+    """Whether plastic changes of volume are, too."""
     volume: float
     """Of a particle [m³]."""
 
@@ -50,6 +74,12 @@ class Cells(NamedTuple):
 
     rate: NDArray[np.float64]
     """Volumetric strain [-]."""
+    swelling: NDArray[np.float64]
+    """Plastic change of volume at trial mean stress [-]."""
+    yielding: NDArray[np.float64]
+    """1 + b [-]."""
+    share: NDArray[np.float64]
+    """Change of the mean stress of each particle by those of volume of all [Pa]; no sum."""
     pressed: NDArray[np.float64]
     """Mean stress [Pa]."""
     number: NDArray[np.float64]
@@ -117,6 +147,7 @@ def strain(
     force: Nodes,
     cells: Cells,
     material: Material,
+    held: Material,
     law: Law,
     time_step: float,
 ) -> None:
@@ -130,27 +161,44 @@ def strain(
         [N]; added to.
     cells
         Working memory.
-    material, law
-        Constants.
+    material, held, law
+        Constants; ``held`` are those of soil whose plastic changes of volume leave its mean stress.
     time_step
         Whole or half [s].
     """
     nodes = (soil.vx, soil.vy, soil.vz)
     cells.rate[:] = 0.0
+    cells.share[:] = 0.0
     cells.pressed[:] = 0.0
     cells.number[:] = 0.0
     for p in range(soil.cell.size):
         rows = gradient(nodes, soil.cell[p], offset_of(soil, p), lattice, law.linear)
         cells.rate[soil.cell[p]] += time_step * (rows[0][0] + rows[1][1] + rows[2][2])
         cells.number[soil.cell[p]] += 1.0
+    for _ in range(SHARING_ROUNDS if law.sharing else 0):
+        cells.swelling[:] = 0.0
+        cells.yielding[:] = 0.0
+        for p in range(soil.cell.size):
+            trial = trial_stress(soil, lattice, cells, material, law, time_step, p)
+            _, _, alone = return_mapping(trial, soil.strain[p], material)
+            _, _, most = return_mapping(trial, soil.strain[p], held)
+            yields = alone * most > 0.0
+            cells.swelling[soil.cell[p]] += most if yields else 0.0
+            cells.yielding[soil.cell[p]] += most / alone if yields else 1.0
+        for q in range(cells.share.size):
+            if cells.number[q] > 0.0:
+                left = cells.number[q] * cells.share[q]
+                left += bulk_modulus(material) * cells.swelling[q]
+                cells.share[q] -= left / cells.yielding[q]
     for p in range(soil.cell.size):
-        strain_particle(soil, lattice, cells, material, law, time_step, p)
+        trial = trial_stress(soil, lattice, cells, material, law, time_step, p)
+        settle(soil, cells, trial, held if law.sharing else material, p)
     for p in range(soil.cell.size):
         push_nodes(soil, lattice, force, cells, law, p)
 
 
 @kernel
-def strain_particle(
+def trial_stress(
     soil: Soil,
     lattice: Lattice,
     cells: Cells,
@@ -158,8 +206,8 @@ def strain_particle(
     law: Law,
     time_step: float,
     p: int,
-) -> None:
-    """Update the stress of one particle; its mean stress is added to the cell's."""
+) -> Six:
+    """Trial stress of a particle with its cell's share [Pa]."""
     nodes, cell = (soil.vx, soil.vy, soil.vz), soil.cell[p]
     rows = gradient(nodes, cell, offset_of(soil, p), lattice, law.linear)
     volumetric = time_step * (rows[0][0] + rows[1][1] + rows[2][2])
@@ -167,7 +215,7 @@ def strain_particle(
         volumetric = cells.rate[cell] / cells.number[cell]
     x, y, z = rows
     dt = time_step
-    trial = jaumann_predictor(
+    xx, yy, zz, xy, xz, yz = jaumann_predictor(
         (
             soil.stress[p, 0],
             soil.stress[p, 1],
@@ -185,11 +233,18 @@ def strain_particle(
         material.lame_lambda,
         material.shear_modulus,
     )  # fmt: skip
-    stress, slipped = return_mapping(trial, soil.strain[p], material)
+    more = cells.share[cell]
+    return xx + more, yy + more, zz + more, xy, xz, yz
+
+
+@kernel
+def settle(soil: Soil, cells: Cells, trial: Six, material: Material, p: int) -> None:
+    """Return the trial stress of a particle [Pa]; its mean stress is added to the cell's."""
+    stress, slipped, _ = return_mapping(trial, soil.strain[p], material)
     for c in range(6):
         soil.stress[p, c] = stress[c]
     soil.strain[p] += slipped
-    cells.pressed[cell] += (stress[0] + stress[1] + stress[2]) / 3.0
+    cells.pressed[soil.cell[p]] += (stress[0] + stress[1] + stress[2]) / 3.0
 
 
 @kernel

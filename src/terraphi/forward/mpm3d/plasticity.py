@@ -96,6 +96,11 @@ class Material(NamedTuple):
     intercept: float
     """k of the cone [Pa]."""
 
+    @property
+    def swells(self) -> bool:
+        """Whether yielding changes its volume."""
+        return self.sin_dilation != 0.0
+
 
 def material_of(soil: Soil) -> Material:
     """Constants of a soil.
@@ -132,6 +137,17 @@ def material_of(soil: Soil) -> Material:
         cone_slope(soil.potential_angle_deg, "triaxial"),
         soil.cone_intercept if cone else 0.0,
     )
+
+
+def held_mean(material: Material) -> Material:
+    """Constants of soil whose plastic changes of volume leave its mean stress: K is 0."""
+    return material._replace(lame_lambda=-2.0 / 3.0 * material.shear_modulus)
+
+
+@kernel
+def bulk_modulus(material: Material) -> float:
+    """K [Pa]."""
+    return material.lame_lambda + 2.0 / 3.0 * material.shear_modulus
 
 
 @kernel
@@ -184,7 +200,7 @@ def softened(strain: float, material: Material) -> tuple[float, float]:
 @kernel
 def mohr_coulomb_return(
     mean: float, high: float, low: float, sin_phi: float, sin_psi: float, material: Material
-) -> tuple[float, float, float]:
+) -> tuple[float, float, float, float]:
     """Return of mean stress and gaps between principal stresses to the Mohr-Coulomb surface.
 
     Parameters
@@ -201,17 +217,17 @@ def mohr_coulomb_return(
     Returns
     -------
     tuple
-        The same three after the return [Pa].
+        The same three after the return [Pa], and the plastic change of volume [-], none at the tip.
     """
     lame, shear, k = material.lame_lambda, material.shear_modulus, material.strength
+    bulk = bulk_modulus(material)
     first = mean + (2.0 * high + low) / 3.0
     third = first - high - low
     excess = (1.0 + sin_phi) * first - (1.0 - sin_phi) * third - k
     if mean > material.cutoff:
-        return material.tip, 0.0, 0.0
+        return material.tip, 0.0, 0.0, 0.0
     if excess <= 0.0:
-        return mean, high, low
-    drop = 2.0 * (lame + 2.0 / 3.0 * shear) * sin_psi
+        return mean, high, low, 0.0
     common = 4.0 * lame * sin_phi * sin_psi
     face = common + 4.0 * shear * (1.0 + sin_phi * sin_psi)
     multiplier = excess / face
@@ -220,18 +236,18 @@ def mohr_coulomb_return(
     if new_high < 0.0:  # the edge σ1 = σ2
         both = 2.0 * excess - (1.0 + sin_phi) * high
         multiplier = both / (face + common + 2.0 * shear * (1.0 - sin_phi) * (1.0 - sin_psi))
-        mean -= drop * multiplier
+        mean -= 2.0 * bulk * sin_psi * multiplier
         new_high, new_low = 0.0, 3.0 * (k - 2.0 * sin_phi * mean) / (3.0 - sin_phi)
     elif new_low < 0.0:  # the edge σ2 = σ3
         both = 2.0 * excess - (1.0 - sin_phi) * low
         multiplier = both / (face + common + 2.0 * shear * (1.0 + sin_phi) * (1.0 + sin_psi))
-        mean -= drop * multiplier
+        mean -= 2.0 * bulk * sin_psi * multiplier
         new_high, new_low = 3.0 * (k - 2.0 * sin_phi * mean) / (3.0 + sin_phi), 0.0
     else:
-        mean -= drop * multiplier
+        mean -= 2.0 * bulk * sin_psi * multiplier
     if mean > material.tip:
-        return material.tip, 0.0, 0.0
-    return mean, new_high, new_low
+        return material.tip, 0.0, 0.0, 0.0
+    return mean, new_high, new_low, 2.0 * sin_psi * multiplier
 
 
 @kernel
@@ -243,7 +259,7 @@ def nakai_return(
     sin_phi: float,
     sin_psi: float,
     material: Material,
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """Return of mean stress and √J₂ to the surface of Matsuoka and Nakai.
 
     Parameters
@@ -262,45 +278,45 @@ def nakai_return(
     Returns
     -------
     tuple
-        The first two after the return [Pa].
+        The first two after the return [Pa], and the plastic change of volume [-], none at the tip.
     """
     if mean > material.cutoff:
-        return material.tip, 0.0
+        return material.tip, 0.0, 0.0
     # With u = 1/x the surface is s² u³ - u - q = 0, whose largest root this is.
     third = math.acos(min(0.5 * sin_phi * (3.0 - sin_phi * sin_phi) * cosine, 1.0)) / 3.0
     slope = 0.5 * math.sqrt(3.0) * sin_phi / math.cos(third)
     excess = radius - slope * (material.apex - mean)
     if excess <= 0.0:
-        return mean, radius
-    bulk = material.lame_lambda + 2.0 / 3.0 * material.shear_modulus
+        return mean, radius, 0.0
+    bulk = bulk_modulus(material)
     shear = 2.0 * material.shear_modulus * max(radius, SMALLEST) / max(span, SMALLEST)
     slip = excess / (shear + slope * bulk * sin_psi)
     mean -= bulk * sin_psi * slip
     radius -= shear * slip
     if radius < 0.0 or mean > material.tip:
-        return material.tip, 0.0
-    return mean, radius
+        return material.tip, 0.0, 0.0
+    return mean, radius, sin_psi * slip
 
 
 @kernel
-def cone_return(mean: float, radius: float, material: Material) -> tuple[float, float]:
-    """Return of mean stress and √J₂ to the Drucker-Prager cone [Pa]."""
+def cone_return(mean: float, radius: float, material: Material) -> tuple[float, float, float]:
+    """Return of mean stress and √J₂ to the Drucker-Prager cone, as :func:`nakai_return`."""
     alpha, beta, k = material.alpha, material.beta, material.intercept
     if mean > material.cutoff:
-        return material.tip, 0.0
+        return material.tip, 0.0, 0.0
     excess = radius + 3.0 * alpha * mean - k
     if excess <= 0.0:
-        return mean, radius
-    bulk = material.lame_lambda + 2.0 / 3.0 * material.shear_modulus
+        return mean, radius, 0.0
+    bulk = bulk_modulus(material)
     multiplier = excess / (material.shear_modulus + 9.0 * bulk * alpha * beta)
     radius -= material.shear_modulus * multiplier
     if radius < 0.0:
-        return material.tip, 0.0
-    return mean - 3.0 * bulk * beta * multiplier, radius
+        return material.tip, 0.0, 0.0
+    return mean - 3.0 * bulk * beta * multiplier, radius, 3.0 * beta * multiplier
 
 
 @kernel
-def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, float]:
+def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, float, float]:
     """Bring a trial stress back to the yield surface.
 
     Parameters
@@ -318,6 +334,8 @@ def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, 
         Admissible stress [Pa].
     float
         Increment of κ [-].
+    float
+        Plastic change of volume [-]; none where soil comes apart at the tip.
     """
     xx, yy, zz, xy, xz, yz = trial
     mean = (xx + yy + zz) / 3.0
@@ -334,15 +352,15 @@ def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, 
     sin_phi, sin_psi = softened(strain, material)
     if material.cone or material.nakai:
         if material.cone:
-            new_mean, new_radius = cone_return(mean, radius, material)
+            new_mean, new_radius, swelling = cone_return(mean, radius, material)
         else:
-            new_mean, new_radius = nakai_return(
+            new_mean, new_radius, swelling = nakai_return(
                 mean, radius, cosine, high + low, sin_phi, sin_psi, material
             )
         new_high = high * new_radius / max(radius, SMALLEST)
         new_low = low * new_radius / max(radius, SMALLEST)
     else:
-        new_mean, new_high, new_low = mohr_coulomb_return(
+        new_mean, new_high, new_low, swelling = mohr_coulomb_return(
             mean, high, low, sin_phi, sin_psi, material
         )
     # New principal values as a polynomial of the old: slopes over both gaps, and their difference.
@@ -359,4 +377,4 @@ def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, 
         slope * yz + bend * (xy * xz + yy * yz + yz * zz),
     )
     slip = (high + low - new_high - new_low) / (2.0 * material.shear_modulus)
-    return made, max(slip, 0.0)
+    return made, max(slip, 0.0), swelling
