@@ -54,8 +54,7 @@ MIDDLE = np.uint64(102) * ROW
 RATE = np.uint64(105) * ROW
 """1 row: volumetric strain there [-]."""
 SWELL = np.uint64(106) * ROW
-"""3 rows: number of a cell's particles, sums of their plastic changes of volume and of 1 + b, as
-``plain`` has them [-]."""
+"""3 rows: of each cell number, swelling and yielding, as ``plain.Cells`` has them [-]."""
 SHARE = np.uint64(109) * ROW
 """1 row: change of the mean stress that a cell's particles share [Pa]."""
 WORK = np.uint64(110) * ROW + ROW
@@ -72,6 +71,8 @@ SIDE, CENTRE = _F(0.125), _F(0.75)
 ROOT = _F(0.5 * math.sqrt(3.0))
 LODE, SIZE = _F(1.5 * math.sqrt(3.0)), _F(2.0 / math.sqrt(3.0))
 FOURFOLD, TINY = _F(4.0), _F(1e-18)
+SHORT_OF_TIP = _F(1e-5)
+"""How far short of the tip a mean stress beyond it is put, as a share of the stress [-]."""
 SMALL = _F(1e-9)
 """Keeps a quotient of vanishing stresses from being no number [Pa]."""
 C0, C1, C2, C3, C4, C5, C6 = (
@@ -309,9 +310,10 @@ def nakai_shrink(
     slip = excess / (shear * radius + slope * bulk * sin_psi)
     swelling, left = sin_psi * slip, UNIT - shear * slip
     new = mean - bulk * swelling
-    beyond = left < ZERO or new > laws.tip or mean > laws.cutoff
+    apart = new > laws.tip or mean > laws.cutoff
+    beyond = left < ZERO or apart
     new, left = laws.tip if beyond else new, ZERO if beyond else left
-    return new, left, ZERO if beyond else swelling
+    return new, left, ZERO if apart else swelling
 
 
 @kernel
@@ -323,9 +325,10 @@ def cone_shrink(mean: Any, radius: Any, laws: Laws) -> tuple[Any, Any, Any]:
     new_radius = radius - laws.shear * multiplier
     swelling = laws.cone_swelling * multiplier
     new = mean - HALF * laws.drop * swelling
-    beyond = new_radius < ZERO or mean > laws.cutoff
+    apart = new > laws.tip or mean > laws.cutoff
+    beyond = new_radius < ZERO or apart
     new, left = laws.tip if beyond else new, ZERO if beyond else new_radius / radius
-    return new, left, ZERO if beyond else swelling
+    return new, left, ZERO if apart else swelling
 
 
 @kernel
@@ -466,19 +469,21 @@ def shared(state: Work, work: Work, at: Index, i: Index) -> Six:
 def swell_packet(
     state: Work, work: Work, packet: Index, lanes: Index, laws: Laws, held: Laws
 ) -> None:
-    """Sum up the plastic changes of volume of a packet, held at its share of the mean stress."""
+    """Add the plastic changes of volume of a packet to the sums of its cells, as ``plain``."""
     wide_vectors()
     for i in range(lanes):
         at = packet * FIELDS + i
         trial, strain, full = shared(state, work, at, i), state[at + STRAIN], state[at + VOLUME]
         _, _, alone = return_stress(trial, strain, laws)
-        _, _, most = return_stress(trial, strain, held)
-        yields = alone * most > ZERO
+        size = abs(trial[0]) + abs(trial[1]) + abs(trial[2])
+        over = THIRD * (trial[0] + trial[1] + trial[2]) - laws.tip + SHORT_OF_TIP * size
+        over = over if over > ZERO else ZERO
+        clamped = (trial[0] - over, trial[1] - over, trial[2] - over, trial[3], trial[4], trial[5])
+        _, _, most = return_stress(clamped, strain, held)
+        both = alone * most > ZERO
         work[SWELL + i] += full
-        work[SWELL + ROW + i] += full * (most if yields else ZERO)
-        work[SWELL + TWO * ROW + i] += full * (
-            most / (alone if yields else UNIT) if yields else UNIT
-        )
+        work[SWELL + ROW + i] += full * most
+        work[SWELL + TWO * ROW + i] += full * (most / (alone if both else UNIT) if both else UNIT)
 
 
 @kernel

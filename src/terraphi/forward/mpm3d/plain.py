@@ -24,10 +24,11 @@ n particles of a cell all change by the same s,
 
 .. math:: n s + K \sum_p e_p(m_p + s) = 0,
 
-with e_p(m) the change of volume of particle p if it yields at a mean stress m that is held. Newton
-steps from s = 0 find it, with the slope Σ(1 + b_p), where 1 + b_p = e_p(m) / ẽ_p and ẽ_p is the
-change of a particle that is alone, so that m falls by K ẽ_p. Where the same particles yield
-throughout, one is exact. Soil that comes apart at the tip of the surface shares nothing. Each
+with e_p(m) the change of volume of particle p if it yields at a mean stress m that is held; beyond
+the tip of the surface, that at the tip, where the whole deviatoric stress goes. A few Newton steps
+from s = 0 find it, with the slope Σ(1 + b_p), 1 + b_p = e_p(m) / ẽ_p, ẽ_p being the change of a
+particle that is alone, so that m falls by K ẽ_p; b_p is 0 where that one does not yield or comes
+apart. If all particles are alike, or the same ones yield throughout, one step is exact. Each
 particle then returns to the surface at its mean stress m_p + s.
 """
 
@@ -51,9 +52,8 @@ from terraphi.forward.mpm3d.plasticity import (
 )
 from terraphi.forward.mpm3d.transfer import Nodes, weights
 
-SHARING_ROUNDS = 2
-"""Newton steps with which a cell shares its plastic changes of volume: one leaves a tenth of what
-the particles of a cell gain that are strained very differently, two a hundredth."""
+SHARING_ROUNDS = 3
+"""Newton steps with which a cell shares its plastic changes of volume."""
 
 
 class Law(NamedTuple):
@@ -64,7 +64,7 @@ class Law(NamedTuple):
     averaging: bool
     """Whether the volumetric strain is one for a cell."""
     sharing: bool
-    """Whether plastic changes of volume are, too."""
+    """Whether the particles of a cell share their plastic changes of volume."""
     volume: float
     """Of a particle [m³]."""
 
@@ -75,7 +75,7 @@ class Cells(NamedTuple):
     rate: NDArray[np.float64]
     """Volumetric strain [-]."""
     swelling: NDArray[np.float64]
-    """Plastic change of volume at trial mean stress [-]."""
+    """Plastic change of volume with the mean stress held where trial and share put it [-]."""
     yielding: NDArray[np.float64]
     """1 + b [-]."""
     share: NDArray[np.float64]
@@ -181,10 +181,13 @@ def strain(
         for p in range(soil.cell.size):
             trial = trial_stress(soil, lattice, cells, material, law, time_step, p)
             _, _, alone = return_mapping(trial, soil.strain[p], material)
-            _, _, most = return_mapping(trial, soil.strain[p], held)
-            yields = alone * most > 0.0
-            cells.swelling[soil.cell[p]] += most if yields else 0.0
-            cells.yielding[soil.cell[p]] += most / alone if yields else 1.0
+            xx, yy, zz, xy, xz, yz = trial
+            over = (xx + yy + zz) / 3.0 - material.tip + 1e-5 * (abs(xx) + abs(yy) + abs(zz))
+            over = max(over, 0.0)
+            clamped = (xx - over, yy - over, zz - over, xy, xz, yz)
+            _, _, most = return_mapping(clamped, soil.strain[p], held)
+            cells.swelling[soil.cell[p]] += most
+            cells.yielding[soil.cell[p]] += most / alone if alone * most > 0.0 else 1.0
         for q in range(cells.share.size):
             if cells.number[q] > 0.0:
                 left = cells.number[q] * cells.share[q]

@@ -217,7 +217,7 @@ def mohr_coulomb_return(
     Returns
     -------
     tuple
-        The same three after the return [Pa], and the plastic change of volume [-], none at the tip.
+        The same three after the return [Pa], and the change of volume [-], 0 beyond the tip.
     """
     lame, shear, k = material.lame_lambda, material.shear_modulus, material.strength
     bulk = bulk_modulus(material)
@@ -278,7 +278,7 @@ def nakai_return(
     Returns
     -------
     tuple
-        The first two after the return [Pa], and the plastic change of volume [-], none at the tip.
+        The first two after the return [Pa], and the change of volume [-], 0 beyond the tip.
     """
     if mean > material.cutoff:
         return material.tip, 0.0, 0.0
@@ -293,8 +293,10 @@ def nakai_return(
     slip = excess / (shear + slope * bulk * sin_psi)
     mean -= bulk * sin_psi * slip
     radius -= shear * slip
-    if radius < 0.0 or mean > material.tip:
+    if mean > material.tip:
         return material.tip, 0.0, 0.0
+    if radius < 0.0:
+        return material.tip, 0.0, sin_psi * slip
     return mean, radius, sin_psi * slip
 
 
@@ -310,9 +312,12 @@ def cone_return(mean: float, radius: float, material: Material) -> tuple[float, 
     bulk = bulk_modulus(material)
     multiplier = excess / (material.shear_modulus + 9.0 * bulk * alpha * beta)
     radius -= material.shear_modulus * multiplier
-    if radius < 0.0:
+    mean -= 3.0 * bulk * beta * multiplier
+    if mean > material.tip:
         return material.tip, 0.0, 0.0
-    return mean - 3.0 * bulk * beta * multiplier, radius, 3.0 * beta * multiplier
+    if radius < 0.0:
+        return material.tip, 0.0, 3.0 * beta * multiplier
+    return mean, radius, 3.0 * beta * multiplier
 
 
 @kernel
@@ -335,7 +340,7 @@ def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, 
     float
         Increment of κ [-].
     float
-        Plastic change of volume [-]; none where soil comes apart at the tip.
+        Plastic change of volume [-]; 0 where the soil comes apart, its mean stress beyond the tip.
     """
     xx, yy, zz, xy, xz, yz = trial
     mean = (xx + yy + zz) / 3.0
