@@ -153,6 +153,14 @@ def test_straight_leg_whose_tip_is_drawn_in_is_the_shorter_one(space):
     assert np.linalg.norm(impulses[2] - impulses[0]) > 0.1 * np.linalg.norm(impulses[2])
 
 
+def strain_once(phases, bed, time_step):
+    """Strain particles by their grid's velocities, without moving them."""
+    nodes = phases.lattice.nodes
+    phases.strainer.begin(bed)
+    phases.strainer.strain(bed, tuple(np.zeros((3, nodes), bed.vx.dtype)), time_step, nodes)
+    phases.strainer.end(bed)
+
+
 SURFACES = {
     "faces": {},
     "smooth": {"soil.yield_surface": "matsuoka_nakai"},
@@ -174,8 +182,8 @@ def test_particles_that_are_alike_share_what_each_would_do_alone(space, kernel, 
         if psi < 0.0:
             changes["soil.softening_strain"] = 1e6
         scenario = space.scenario(**AWAY, **changes)
-        phases, precision = Phases(scenario, kernel), precision_of(kernel)
-        bed, lattice = geostatic_bed_in_space(scenario, precision), phases.lattice
+        phases = Phases(scenario, kernel)
+        bed, lattice = geostatic_bed_in_space(scenario, precision_of(kernel)), phases.lattice
         node = np.arange(lattice.nodes)
         z, y = node // lattice.layer, node % lattice.layer // lattice.row
         x = node % lattice.row
@@ -186,10 +194,7 @@ def test_particles_that_are_alike_share_what_each_would_do_alone(space, kernel, 
         rng = np.random.default_rng(3)
         pressed = rng.uniform(0.0, 3e3, lattice.nodes) ** 2 / 3e3
         bed.stress[:] = -pressed[bed.cell, None] * np.array([0.5, 0.6, 1.0, 0.0, 0.1, 0.0])
-        force = tuple(np.zeros(lattice.nodes, precision) for _ in range(3))
-        phases.strainer.begin(bed)
-        phases.strainer.strain(bed, force, 1e-4, lattice.nodes)
-        phases.strainer.end(bed)
+        strain_once(phases, bed, 1e-4)
         made.append(bed.stress.astype(float))
     shared, alone = made
     gap = np.abs(shared - alone).max(axis=1)
@@ -203,19 +208,16 @@ def test_particles_of_a_cell_share_what_they_gain_in_volume(space, kernel, psi):
     """What a cell's mean stress changes by is K times its strain without what yielding makes."""
     soil = {"soil.yield_surface": "matsuoka_nakai", "soil.softening_strain": 1e6}
     scenario = space.scenario(**AWAY, **soil, **{"soil.dilation_angle_deg": psi})
-    phases, precision = Phases(scenario, kernel), precision_of(kernel)
-    bed, lattice = geostatic_bed_in_space(scenario, precision), phases.lattice
+    phases = Phases(scenario, kernel)
+    bed, lattice = geostatic_bed_in_space(scenario, precision_of(kernel)), phases.lattice
     rng = np.random.default_rng(7)
     for velocity in (bed.vx, bed.vy, bed.vz):
         velocity[:] = 0.1 * rng.normal(size=velocity.size)
     bed.stress[:, :3] = [-2.1e4, -3.3e4, -6e4]  # about to yield, and far from the tip
     number = np.bincount(bed.cell)
     mean = bed.stress[:, :3].mean(axis=1, dtype=float)
-    force = tuple(np.zeros(lattice.nodes, precision) for _ in range(3))
-    strainer, time_step = phases.strainer, 5e-4
-    strainer.begin(bed)
-    strainer.strain(bed, force, time_step, lattice.nodes)
-    strainer.end(bed)
+    time_step = 5e-4
+    strain_once(phases, bed, time_step)
 
     change = bed.stress[:, :3].mean(axis=1, dtype=float) - mean
     of_cell = np.bincount(bed.cell, change)[bed.cell] / number[bed.cell]

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from terraphi.forward.mpm.compiled import kernel, wide_vectors
 from terraphi.forward.mpm3d import packing
 from terraphi.forward.mpm3d.lattice import LANES, MARGIN
-from terraphi.forward.mpm3d.plasticity import Material, bulk_modulus
+from terraphi.forward.mpm3d.plasticity import SHORT_OF_TIP, Material, bulk_modulus
 
 Work = NDArray[np.float32]
 Index: TypeAlias = Any
@@ -71,8 +71,7 @@ SIDE, CENTRE = _F(0.125), _F(0.75)
 ROOT = _F(0.5 * math.sqrt(3.0))
 LODE, SIZE = _F(1.5 * math.sqrt(3.0)), _F(2.0 / math.sqrt(3.0))
 FOURFOLD, TINY = _F(4.0), _F(1e-18)
-SHORT_OF_TIP = _F(1e-5)
-"""How far short of the tip a mean stress beyond it is put, as a share of the stress [-]."""
+SHORT = _F(SHORT_OF_TIP)
 SMALL = _F(1e-9)
 """Keeps a quotient of vanishing stresses from being no number [Pa]."""
 C0, C1, C2, C3, C4, C5, C6 = (
@@ -476,7 +475,7 @@ def swell_packet(
         trial, strain, full = shared(state, work, at, i), state[at + STRAIN], state[at + VOLUME]
         _, _, alone = return_stress(trial, strain, laws)
         size = abs(trial[0]) + abs(trial[1]) + abs(trial[2])
-        over = THIRD * (trial[0] + trial[1] + trial[2]) - laws.tip + SHORT_OF_TIP * size
+        over = THIRD * (trial[0] + trial[1] + trial[2]) - laws.tip + SHORT * size
         over = over if over > ZERO else ZERO
         clamped = (trial[0] - over, trial[1] - over, trial[2] - over, trial[3], trial[4], trial[5])
         _, _, most = return_stress(clamped, strain, held)

@@ -130,27 +130,36 @@ def strain(
                 rate_of_cells(work, lanes)
                 for i in range(SUM - MARGIN, SUM - MARGIN + SUMS * ROW):
                     work[i] = ZERO
-                made = (np.uint64(begin), np.uint64(end))
+                some = (np.uint64(begin), np.uint64(end))
                 if sharing:
-                    for packet in range(made[0], made[1]):
-                        predict_packet(packets.state, work, packet, lanes, laws)
-                    for i in range(SHARE, SHARE + ROW):
-                        work[i] = ZERO
-                    for _ in range(SHARING_ROUNDS):
-                        for i in range(SWELL, SHARE):
-                            work[i] = ZERO
-                        for packet in range(made[0], made[1]):
-                            swell_packet(packets.state, work, packet, lanes, laws, held)
-                        share(work, lanes, laws)
-                    for packet in range(made[0], made[1]):
-                        return_packet(packets.state, work, packet, lanes, held)
+                    strain_sharing(packets.state, work, some, lanes, laws, held)
                 else:
-                    for packet in range(made[0], made[1]):
+                    for packet in range(some[0], some[1]):
                         strain_packet(packets.state, work, packet, lanes, laws)
                 press_middle(work, laws, lanes)
                 lay_down(work, force[0], at, (XX, XY, XZ), area, row, layer, wide)
                 lay_down(work, force[1], at, (XY, YY, YZ), area, row, layer, wide)
                 lay_down(work, force[2], at, (XZ, YZ, ZZ), area, row, layer, wide)
+
+
+@kernel
+def strain_sharing(
+    state: Work, work: Work, some: tuple[Index, Index], lanes: Index, laws: Laws, held: Laws
+) -> None:
+    """Strain some packets, a block's, whose cells share their plastic changes of volume."""
+    wide_vectors()
+    for packet in range(some[0], some[1]):
+        predict_packet(state, work, packet, lanes, laws)
+    for i in range(SHARE, SHARE + ROW):
+        work[i] = ZERO
+    for _ in range(SHARING_ROUNDS):
+        for i in range(SWELL, SHARE):
+            work[i] = ZERO
+        for packet in range(some[0], some[1]):
+            swell_packet(state, work, packet, lanes, laws, held)
+        share(work, lanes, laws)
+    for packet in range(some[0], some[1]):
+        return_packet(state, work, packet, lanes, held)
 
 
 @kernel

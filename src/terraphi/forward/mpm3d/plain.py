@@ -44,6 +44,7 @@ from terraphi.forward.mpm3d.bed import Soil
 from terraphi.forward.mpm3d.contact import Three
 from terraphi.forward.mpm3d.lattice import Lattice
 from terraphi.forward.mpm3d.plasticity import (
+    SHORT_OF_TIP,
     Material,
     Six,
     bulk_modulus,
@@ -175,33 +176,18 @@ def strain(
         rows = gradient(nodes, soil.cell[p], offset_of(soil, p), lattice, law.linear)
         cells.rate[soil.cell[p]] += time_step * (rows[0][0] + rows[1][1] + rows[2][2])
         cells.number[soil.cell[p]] += 1.0
-    for _ in range(SHARING_ROUNDS if law.sharing else 0):
-        cells.swelling[:] = 0.0
-        cells.yielding[:] = 0.0
-        for p in range(soil.cell.size):
-            trial = trial_stress(soil, lattice, cells, material, law, time_step, p)
-            _, _, alone = return_mapping(trial, soil.strain[p], material)
-            xx, yy, zz, xy, xz, yz = trial
-            over = (xx + yy + zz) / 3.0 - material.tip + 1e-5 * (abs(xx) + abs(yy) + abs(zz))
-            over = max(over, 0.0)
-            clamped = (xx - over, yy - over, zz - over, xy, xz, yz)
-            _, _, most = return_mapping(clamped, soil.strain[p], held)
-            cells.swelling[soil.cell[p]] += most
-            cells.yielding[soil.cell[p]] += most / alone if alone * most > 0.0 else 1.0
-        for q in range(cells.share.size):
-            if cells.number[q] > 0.0:
-                left = cells.number[q] * cells.share[q]
-                left += bulk_modulus(material) * cells.swelling[q]
-                cells.share[q] -= left / cells.yielding[q]
     for p in range(soil.cell.size):
-        trial = trial_stress(soil, lattice, cells, material, law, time_step, p)
-        settle(soil, cells, trial, held if law.sharing else material, p)
+        predict(soil, lattice, cells, material, law, time_step, p)
+    for _ in range(SHARING_ROUNDS if law.sharing else 0):
+        share(soil, cells, material, held)
+    for p in range(soil.cell.size):
+        settle(soil, cells, held if law.sharing else material, p)
     for p in range(soil.cell.size):
         push_nodes(soil, lattice, force, cells, law, p)
 
 
 @kernel
-def trial_stress(
+def predict(
     soil: Soil,
     lattice: Lattice,
     cells: Cells,
@@ -209,8 +195,8 @@ def trial_stress(
     law: Law,
     time_step: float,
     p: int,
-) -> Six:
-    """Trial stress of a particle with its cell's share [Pa]."""
+) -> None:
+    """Put the trial stress of a particle in the place of its stress."""
     nodes, cell = (soil.vx, soil.vy, soil.vz), soil.cell[p]
     rows = gradient(nodes, cell, offset_of(soil, p), lattice, law.linear)
     volumetric = time_step * (rows[0][0] + rows[1][1] + rows[2][2])
@@ -218,7 +204,7 @@ def trial_stress(
         volumetric = cells.rate[cell] / cells.number[cell]
     x, y, z = rows
     dt = time_step
-    xx, yy, zz, xy, xz, yz = jaumann_predictor(
+    trial = jaumann_predictor(
         (
             soil.stress[p, 0],
             soil.stress[p, 1],
@@ -236,14 +222,43 @@ def trial_stress(
         material.lame_lambda,
         material.shear_modulus,
     )  # fmt: skip
-    more = cells.share[cell]
-    return xx + more, yy + more, zz + more, xy, xz, yz
+    for c in range(6):
+        soil.stress[p, c] = trial[c]
 
 
 @kernel
-def settle(soil: Soil, cells: Cells, trial: Six, material: Material, p: int) -> None:
-    """Return the trial stress of a particle [Pa]; its mean stress is added to the cell's."""
-    stress, slipped, _ = return_mapping(trial, soil.strain[p], material)
+def shared(soil: Soil, cells: Cells, p: int) -> Six:
+    """Trial stress of a particle with its cell's share [Pa]."""
+    more, stress = cells.share[soil.cell[p]], soil.stress
+    xx, yy, zz = stress[p, 0] + more, stress[p, 1] + more, stress[p, 2] + more
+    return xx, yy, zz, stress[p, 3], stress[p, 4], stress[p, 5]
+
+
+@kernel
+def share(soil: Soil, cells: Cells, material: Material, held: Material) -> None:
+    """Take a Newton step towards the change of mean stress that a cell's particles share."""
+    cells.swelling[:] = 0.0
+    cells.yielding[:] = 0.0
+    for p in range(soil.cell.size):
+        trial = shared(soil, cells, p)
+        _, _, alone = return_mapping(trial, soil.strain[p], material)
+        xx, yy, zz, xy, xz, yz = trial
+        size = abs(xx) + abs(yy) + abs(zz)
+        over = max((xx + yy + zz) / 3.0 - material.tip + SHORT_OF_TIP * size, 0.0)
+        clamped = (xx - over, yy - over, zz - over, xy, xz, yz)
+        _, _, most = return_mapping(clamped, soil.strain[p], held)
+        cells.swelling[soil.cell[p]] += most
+        cells.yielding[soil.cell[p]] += most / alone if alone * most > 0.0 else 1.0
+    for q in range(cells.share.size):
+        if cells.number[q] > 0.0:
+            left = cells.number[q] * cells.share[q] + bulk_modulus(material) * cells.swelling[q]
+            cells.share[q] -= left / cells.yielding[q]
+
+
+@kernel
+def settle(soil: Soil, cells: Cells, material: Material, p: int) -> None:
+    """Return the trial stress of a particle; its mean stress is added to the cell's."""
+    stress, slipped, _ = return_mapping(shared(soil, cells, p), soil.strain[p], material)
     for c in range(6):
         soil.stress[p, c] = stress[c]
     soil.strain[p] += slipped

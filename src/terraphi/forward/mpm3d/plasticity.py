@@ -60,6 +60,9 @@ SMALLEST = 1e-12
 """Keeps a quotient of vanishing stresses from being no number [Pa]."""
 SMALLEST_CUBE = 1e-36
 """The same for cubes of stresses [Pa³]."""
+SHORT_OF_TIP = 1e-5
+"""How far short of the tip a mean stress beyond it is put, lest rounding put it beyond, as a share
+of the stress [-]."""
 
 
 class Material(NamedTuple):
