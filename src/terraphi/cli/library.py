@@ -21,8 +21,8 @@ from terraphi.cli.options import (
     shipped,
 )
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.interrupts import ignore_interrupts
 from terraphi.view.console import (
-    ignore_interrupts,
     note,
     print_json,
     print_library,

@@ -24,7 +24,8 @@ from terraphi.cli.study import study
 from terraphi.cli.suggest import library_suggest
 from terraphi.cli.terrain import convert, export, slope_map
 from terraphi.experiment.errors import InputError, SimulationError
-from terraphi.view.console import ignore_interrupts, listen, print_json
+from terraphi.experiment.interrupts import ignore_interrupts, interrupts_after_imports
+from terraphi.view.console import listen, print_json
 
 UNUSABLE = 2
 """Exit status when the input could not be used."""
@@ -133,7 +134,8 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     listen()
     try:
-        cli.main(prog_name="terraphi", standalone_mode=False)
+        with interrupts_after_imports():
+            cli.main(prog_name="terraphi", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as asked:
         click.echo(asked.format_message())
     except (Exception, KeyboardInterrupt) as error:

@@ -10,7 +10,8 @@ import click
 
 from terraphi.cli.options import PATH, IntRange, checkpoint_every_option, json_option, shipped
 from terraphi.experiment.errors import InputError
-from terraphi.view.console import ignore_interrupts, note, print_json, print_pairs, progress_bar
+from terraphi.experiment.interrupts import ignore_interrupts
+from terraphi.view.console import note, print_json, print_pairs, progress_bar
 
 if TYPE_CHECKING:
     from terraphi.experiment.history import ForceHistory

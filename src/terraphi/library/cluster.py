@@ -20,8 +20,9 @@ from functools import partial
 from typing import Any, Self
 
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.interrupts import without_interrupts
 from terraphi.forward import MODEL_VERSIONS, package_version
-from terraphi.library.workers import WorkerPool, available_cores, stopping_when, without_interrupts
+from terraphi.library.workers import WorkerPool, available_cores, stopping_when
 
 CONNECT_SECONDS = 10.0
 """For how long a scheduler may keep us waiting [s]."""

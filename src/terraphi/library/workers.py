@@ -20,6 +20,8 @@ from multiprocessing.sharedctypes import Synchronized
 from multiprocessing.synchronize import Event
 from typing import Self, TypeVar
 
+from terraphi.experiment.interrupts import without_interrupts
+
 
 class StoppedError(RuntimeError):
     """The parent asked its workers to stop."""
@@ -43,16 +45,6 @@ def _leave_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-@contextmanager
-def without_interrupts() -> Iterator[None]:
-    """Ignore Ctrl-C for a moment; processes that are started meanwhile ignore it for good."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _nothing() -> None:
@@ -177,9 +169,13 @@ class WorkerPool:
         )
         # Workers start now, deaf to Ctrl-C from the first instant and not only once they have
         # imported this module.
-        with without_interrupts():
-            for _ in range(workers):
-                self.executor.submit(_nothing)
+        try:
+            with without_interrupts():
+                for _ in range(workers):
+                    self.executor.submit(_nothing)
+        except BaseException as error:
+            self.__exit__(type(error))
+            raise
 
     def counted(self, finished: int) -> float:
         """Tasks done so far, counting parts of those that run [-].

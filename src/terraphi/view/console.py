@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -267,11 +266,6 @@ def note(sentence: str) -> None:
     """Print a remark on standard error, unless --quiet was given."""
     if not quiet():
         click.echo(f"terraphi: {sentence}", err=True)
-
-
-def ignore_interrupts() -> None:
-    """Ignore further Ctrl-C, so that the message about the first one is printed whole."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
