@@ -221,7 +221,8 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
             )
     unsure = [row for row in found if max(row[f]["sd_percent"] for f in ("Fx", "Fz")) > UNSURE]
     if unsure:
-        where = ", ".join(f"{row['leg']} at {words(row['phi_deg'])}°" for row in unsure)
+        some = ", ".join(f"{row['leg']} at {words(row['phi_deg'])}°" for row in unsure)
+        where = some if len(unsure) < len(found) else "all of these"
         click.echo(
             f"Uncertain by more than {UNSURE:g} % of a force: {where}. Finer cases of another cell "
             "size, or of that leg, would help."
@@ -252,15 +253,15 @@ def library_list(as_json: bool) -> None:
 
 def _list(found: Sequence[Mapping[str, Any]], title: str) -> None:
     """Print libraries as a table."""
-    header = ("", "φ means", "φ [deg]", "legs", "histories", "density [kg/m³]", "certificate")
+    header = ("", "dimensions", "φ means", "φ [deg]", "legs", "histories", "certificate")
     rows = [
         (
             entry["name"],
+            words(entry["settings"].get("dimensions")),
             entry["convention"],
             " to ".join(map(words, entry["phi_deg"])),
             words(entry["legs"]),
             words(entry["cases"]),
-            words(entry["density_kg_m3"]),
             "yes" if entry["certificate"] else "-",
         )
         for entry in found
