@@ -201,5 +201,7 @@ def _note(library: str, answers: Answers, data: Mapping[str, Any]) -> str:
             a["phi_plane_strain_deg"] is not None for a in answers
         )
         acting = ", as they act in plane strain," if converted else ""
-        said += f"; the medians{acting} lie {off[0]:+z.0f} to {off[1]:+z.0f}° off the angle of repose"
+        said += (
+            f"; the medians{acting} lie {off[0]:+z.0f} to {off[1]:+z.0f}° off the angle of repose"
+        )
     return said

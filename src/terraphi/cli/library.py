@@ -222,10 +222,10 @@ def library_refine(name: str, fine: tuple[str, ...], out: Path, as_json: bool) -
     unsure = [row for row in found if max(row[f]["sd_percent"] for f in ("Fx", "Fz")) > UNSURE]
     if unsure:
         some = ", ".join(f"{row['leg']} at {words(row['phi_deg'])}°" for row in unsure)
-        where = some if len(unsure) < len(found) else "all of these"
+        where = some if len(unsure) < len(found) else "all of the above"
         click.echo(
             f"Uncertain by more than {UNSURE:g} % of a force: {where}. Finer cases of another cell "
-            "size, or of that leg, would help."
+            "size, or of the same leg, would help."
         )
 
 

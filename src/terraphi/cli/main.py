@@ -24,7 +24,7 @@ from terraphi.cli.study import study
 from terraphi.cli.suggest import library_suggest
 from terraphi.cli.terrain import convert, export, slope_map
 from terraphi.experiment.errors import InputError, SimulationError
-from terraphi.experiment.interrupts import ignore_interrupts, interrupts_after_imports
+from terraphi.experiment.interrupts import ignore_interrupts, interrupts_heard
 from terraphi.view.console import listen, print_json
 
 UNUSABLE = 2
@@ -134,7 +134,7 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     listen()
     try:
-        with interrupts_after_imports():
+        with interrupts_heard():
             cli.main(prog_name="terraphi", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as asked:
         click.echo(asked.format_message())

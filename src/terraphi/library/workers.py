@@ -194,8 +194,8 @@ class WorkerPool:
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
-        if kind is not None:
-            self._stop.set()
         # A second Ctrl-C in the middle of this would leave both sides waiting for each other.
         with without_interrupts():
+            if kind is not None:
+                self._stop.set()
             self.executor.shutdown(wait=True, cancel_futures=kind is not None)
