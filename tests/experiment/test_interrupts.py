@@ -226,7 +226,8 @@ def test_a_command_is_interrupted_after_its_import(
     swallows(1)
     code = (
         "import sys, time, click\n"
-        "from terraphi.cli.main import cli, main\n"
+        "from terraphi.cli.__main__ import main\n"
+        "from terraphi.cli.main import cli\n"
         "@cli.command()\n"
         "def waits():\n"
         "    import swallows_1\n"

@@ -1,5 +1,15 @@
-"""``python -m terraphi.cli``: the command line without an installed script."""
+"""``python -m terraphi.cli``, and what the script ``terraphi`` calls."""
 
-from terraphi.cli.main import main
+from terraphi.experiment.interrupts import interrupts_heard
 
-main()
+
+def main() -> None:
+    """Import the command line and run it; Ctrl-C is not lost meanwhile."""
+    with interrupts_heard():
+        from terraphi.cli.main import main as run
+
+        run()
+
+
+if __name__ == "__main__":
+    main()

@@ -24,7 +24,7 @@ from terraphi.cli.study import study
 from terraphi.cli.suggest import library_suggest
 from terraphi.cli.terrain import convert, export, slope_map
 from terraphi.experiment.errors import InputError, SimulationError
-from terraphi.experiment.interrupts import ignore_interrupts, interrupts_heard
+from terraphi.experiment.interrupts import ignore_interrupts
 from terraphi.view.console import listen, print_json
 
 UNUSABLE = 2
@@ -134,8 +134,7 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     listen()
     try:
-        with interrupts_heard():
-            cli.main(prog_name="terraphi", standalone_mode=False)
+        cli.main(prog_name="terraphi", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as asked:
         click.echo(asked.format_message())
     except (Exception, KeyboardInterrupt) as error:
@@ -168,7 +167,3 @@ def told(error: BaseException) -> tuple[str, int]:
     what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
     asked = "please report it with the command that you ran and what it prints as"
     return f"an error of terraphi itself ({what}); {asked} 'terraphi -v ...'", OURS
-
-
-if __name__ == "__main__":
-    main()
