@@ -85,7 +85,6 @@ def raise_swallowed_interrupt() -> None:
     Called now and then by what takes long.
     """
     if _raised.is_set() and threading.current_thread() is threading.main_thread():
-        _raised.clear()
         raise KeyboardInterrupt
 
 
