@@ -71,6 +71,16 @@ def test_what_a_history_says_of_its_leg_and_its_density_is_taken() -> None:
     assert invert(nameless, library=library, leg="c").record.leg_assumed is False
 
 
+def test_a_library_may_be_named() -> None:
+    record = measurement("li2013:yuma/straight")
+    named, loaded = (
+        invert(record, library=library) for library in ("rft3d", Library.load("rft3d"))
+    )
+    assert (named.library, named.phi) == (loaded.library, loaded.phi)
+    with pytest.raises(InputError, match="sand3e"):
+        invert(record, library="sand3e")
+
+
 def test_nameless_histories_are_judged_as_named_ones() -> None:
     trials = [Trial.of(measurement(f"li2013:yuma/{leg}")) for leg in ("straight", "c")]
     louder = [replace(t, history=t.history.scaled(1.1)) for t in trials]

@@ -45,7 +45,7 @@ _SOFTWARE = ("terraphi", "numpy", "scipy", "emcee")
 def invert(
     histories: History | Sequence[History],
     *,
-    library: Library | None = None,
+    library: Library | Path | str | None = None,
     prior: Sequence[str] = (),
     leg: str | None = None,
     density: float | None = None,
@@ -70,8 +70,9 @@ def invert(
         Forces over the whole window |θ| ≤ 85°: of one trial, or of several in one soil. One that
         was simulated, or shipped, knows its leg and its density.
     library
-        Simulations over φ, or over several parameters, with every leg of the histories; ``None``:
-        the shipped one that :func:`~terraphi.inference.discrepancy.default_library` names.
+        Simulations over φ, or over several parameters, with every leg of the histories; or their
+        file, or the name of a shipped one. ``None``: the one that
+        :func:`~terraphi.inference.discrepancy.default_library` names.
     prior
         As in :func:`~terraphi.inference.prior.priors`; parameters without one are uniform over the
         library. A prior on ``soil.density`` makes the density a parameter whether the library
@@ -125,6 +126,8 @@ def invert(
     if library is None:
         name, why = default_library([trial.history for trial in trials])
         library = _shipped(name)
+    elif not isinstance(library, Library):
+        library = Library.load(library)
     by_soils = _by_soils(calibration, library, trials, likelihood, discrepancy)
     phi_alone, marginals, density, assumed = _known(
         trials, library, prior, density, density_assumed
