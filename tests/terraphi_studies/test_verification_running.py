@@ -130,7 +130,8 @@ def test_sources_of_numbers_and_no_others_are_watched() -> None:
         for file in running._PACKAGE.glob(pattern)
     }
     room = "terraphi_studies/verification"
-    known = {"terraphi/experiment/soil.py", "terraphi/forward/mpm/contact.py", f"{room}/waves.py"}
+    forward = {"terraphi/forward/mpm/contact.py", "terraphi/forward/mpm3d/lanes.py"}
+    known = {"terraphi/experiment/soil.py", *forward, f"{room}/waves.py"}
     assert known <= watched
     assert all((running._PACKAGE / name).is_file() for name in watched)
     assert "terraphi/cli/main.py" not in watched

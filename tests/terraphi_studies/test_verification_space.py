@@ -19,7 +19,7 @@ def test_factor_of_a_narrow_wall(phi: float, factor: float) -> None:
 
 
 def test_a_column_is_a_quarter_of_a_cylinder_of_soil_alone() -> None:
-    scenario, soil = space.column_bed(0.6, 12, 30.0)
+    scenario, soil = space.column_bed(0.6, 12, 30.0, space.SMOOTH)
     weight = scenario.soil.density * math.pi / 4 * space.RADIUS**3 * 0.6
     assert soil.mass.sum() == pytest.approx(weight, rel=0.01)
     place = positions(lattice_of(scenario), soil.cell, soil.offset)

@@ -36,6 +36,10 @@ LIMITS = {
 }
 """Smallest and largest plausible value of a key, and the name of the quantity."""
 
+SHAKEN_DEG, QUIET_TRAVEL = 38.0, 0.1
+"""In three dimensions soil with a larger φ [deg] shakes in phases in which the leg travels farther
+than this [cell]; `study verification --only space` has how much strength that takes."""
+
 
 def doubts(scenario: Scenario) -> list[str]:
     """Return doubts about a scenario: values that can be simulated but are hardly meant.
@@ -50,7 +54,12 @@ def doubts(scenario: Scenario) -> list[str]:
     list of str
         A sentence each, without a full stop; none if there is nothing to ask.
     """
-    return [*_of_size(scenario), *_of_place(scenario), *_of_strains(scenario)]
+    return [
+        *_of_size(scenario),
+        *_of_place(scenario),
+        *_of_strains(scenario),
+        *_of_phases(scenario),
+    ]
 
 
 def doubts_between(scenarios: Iterable[Scenario]) -> list[str]:
@@ -92,6 +101,20 @@ def _of_strains(scenario: Scenario) -> Iterator[str]:
         yield (
             "numerics.dilatation = 'cell' makes soil that dilates far too strong; set distortion = "
             "'auto' and cell_damping = 0.2 beside it"
+        )
+
+
+def _of_phases(scenario: Scenario) -> Iterator[str]:
+    """Whether soil in space is let be at yield (``docs/explanation/three-dimensions.md``)."""
+    if scenario.model != "mpm" or scenario.dimensions == 2:
+        return
+    phi = scenario.soil.friction_angle_deg
+    if phi > SHAKEN_DEG and scenario.travel_per_phase_cells > QUIET_TRAVEL:
+        slower = scenario.numerics.speed_up * QUIET_TRAVEL / scenario.travel_per_phase_cells
+        yield (
+            f"soil of {phi:g}° shakes while the grid keeps its velocities over "
+            f"{scenario.travel_per_phase_cells:.2g} cells of the leg's travel, and bears less than "
+            f"it should; set numerics.speed_up to {slower:.2g} or less"
         )
 
 

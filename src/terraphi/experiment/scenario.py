@@ -480,16 +480,12 @@ class Scenario(Strict):
             )
 
     def _check_phases(self) -> None:
-        numerics = self.numerics
-        speed = numerics.speed_up * self.motion.top_speed(self.leg.reach())
-        interval = numerics.steps_per_phase * numerics.time_step
         travel = LONGEST_TRAVEL[self.dimensions]
-        longest = travel * numerics.cell_size / speed
-        if interval > longest:
+        if self.travel_per_phase_cells > travel:
             raise ValueError(
-                f"numerics.remap_interval = {numerics.remap_interval:g} s lets the leg travel more "
-                f"than {travel:g} cells while the grid keeps its velocities; at most "
-                f"{longest:.3g} s fits"
+                f"numerics.remap_interval = {self.numerics.remap_interval:g} s lets the leg travel "
+                f"more than {travel:g} cells while the grid keeps its velocities; at most "
+                f"{self.phase_that_travels(travel):.3g} s fits"
             )
 
     def _check_every_bin_is_visited(self) -> None:
@@ -566,6 +562,17 @@ class Scenario(Strict):
     def tip_inset(self) -> float:
         """How much of the leg's centre line contact leaves out at the tip [m]."""
         return self.numerics.tip_inset_cells * self.numerics.cell_size
+
+    def phase_that_travels(self, cells: float) -> float:
+        """Time in which the fastest point of the leg, sped up, moves by some cells [s]."""
+        speed = self.numerics.speed_up * self.motion.top_speed(self.leg.reach())
+        return cells * self.numerics.cell_size / speed
+
+    @property
+    def travel_per_phase_cells(self) -> float:
+        """By how many cells that point moves while the grid keeps its velocities [-]."""
+        interval = self.numerics.steps_per_phase * self.numerics.time_step
+        return interval / self.phase_that_travels(1.0)
 
     @property
     def time_step_limit(self) -> float:

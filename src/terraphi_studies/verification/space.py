@@ -36,9 +36,9 @@ from terraphi.forward.mpm3d.lattice import positions
 from terraphi.forward.mpm3d.phase import Phases, velocities
 from terraphi.library.plan import Plan
 from terraphi.library.workers import heartbeat
+from terraphi_studies.verification import shaking, slab
 from terraphi_studies.verification.check import Check, Family, Outcome, Task, numbered
 from terraphi_studies.verification.driver import PARKED
-from terraphi_studies.verification.slab import TASKS
 
 DEPTH, BREADTH = 0.054, 0.0254
 """h and b of the slab [m]: those of the leg, upright."""
@@ -46,6 +46,9 @@ DIAMETER = 0.050
 """B of the footing [m]."""
 FOOTINGS = {"cylinder": ("round", 0.25 * math.pi * DIAMETER), "plate": ("square", DIAMETER)}
 """What a footing of each shape is called, and its area over its width [m]."""
+FACES, SMOOTH = "sand3d-quick", "sand3d"
+SURFACES = {FACES: "", SMOOTH: "Matsuoka-Nakai, "}
+"""Plans whose bed, grid, contact and phases these problems have, and their yield surfaces."""
 SPEED = 0.02
 """Of a body [m/s]: the shock of its start, ρ c v, is 1.3 kPa."""
 RADIUS = 0.1
@@ -80,19 +83,24 @@ def ovesen(phi_deg: float, ratio: float) -> float:
     return 1.0 + math.pow(gap, 2.0 / 3.0) * 1.6 / (1.0 + 5.0 * ratio)
 
 
-def bed_of_plan(phi_deg: float) -> dict[str, Any]:
-    """Scenario of the plan, not sped up, as a mapping."""
-    base = Plan.load("sand3d-quick").scenario
+def bed_of_plan(phi_deg: float, plan: str) -> dict[str, Any]:
+    """Scenario of a plan, not sped up, as a mapping."""
+    base = Plan.load(plan).scenario
     changes = {"soil.friction_angle_deg": phi_deg, "numerics.speed_up": 1.0}
     return base.replace(**changes).model_dump()
 
 
+def soil_of(phi_deg: float, plan: str) -> str:
+    """What a check says of the soil."""
+    return f"{SURFACES[plan]}φ = {phi_deg:g}°, ψ = 0"
+
+
 def pushed(
-    content: dict[str, Any], leg: dict[str, Any], motion: dict[str, Any], *, slab: bool
+    content: dict[str, Any], leg: dict[str, Any], motion: dict[str, Any], *, flat: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Displacement [m] and force (x, z) [N/m] of a body per width; a slab's is plane strain."""
+    """Displacement [m] and force (x, z) [N/m] of a body per width; flat, in plane strain."""
     content = content | {"leg": content["leg"] | leg, "motion": {"kind": "translation"} | motion}
-    if slab:
+    if flat:
         cell = content["numerics"]["domain"] / content["numerics"]["cells"]
         content["leg"] |= {"shape": "plate", "width": cell}
         content["bed"] = content["bed"] | {"breadth": cell}
@@ -111,15 +119,15 @@ def ratio_of(
 ) -> tuple[float, float, float]:
     """Mean force in space over that of plane strain, and both [N/m], over a window [m]."""
     means = []
-    for slab in (False, True):
-        place, force = pushed(content, leg, motion, slab=slab)
+    for flat in (False, True):
+        place, force = pushed(content, leg, motion, flat=flat)
         means.append(abs(float(force[(place > window[0]) & (place < window[1]), axis].mean())))
     return means[0] / means[1], means[0], means[1]
 
 
-def narrow_wall(phi_deg: float) -> Outcome:
+def narrow_wall(phi_deg: float, plan: str = FACES) -> Outcome:
     """Thrust on an upright slab of the leg's size over that of plane strain."""
-    content = bed_of_plan(phi_deg)
+    content = bed_of_plan(phi_deg, plan)
     bed, path = content["bed"], 4e-3
     leg = {"shape": "plate", "chord": DEPTH + 0.02, "half_thickness": 5e-3, "width": BREADTH}
     motion = {
@@ -132,7 +140,7 @@ def narrow_wall(phi_deg: float) -> Outcome:
     weight = 0.5 * content["soil"]["density"] * GRAVITY * DEPTH**2
     check = Check(
         problem="Narrow wall",
-        case=f"φ = {phi_deg:g}°, ψ = 0, μ = 0.3, b/h = {BREADTH / DEPTH:.2f}, soil on both sides",
+        case=f"{soil_of(phi_deg, plan)}, μ = 0.3, b/h = {BREADTH / DEPTH:.2f}, soil on both sides",
         quantity="thrust over that in plane strain",
         expected=ovesen(phi_deg, BREADTH / DEPTH),
         obtained=ratio,
@@ -146,9 +154,9 @@ def narrow_wall(phi_deg: float) -> Outcome:
     return Outcome([check])
 
 
-def footing(phi_deg: float, shape: str) -> Outcome:
+def footing(phi_deg: float, shape: str, plan: str = FACES) -> Outcome:
     """Mean pressure under a rough circle or square over that under a rough strip as wide."""
-    content = bed_of_plan(phi_deg)
+    content = bed_of_plan(phi_deg, plan)
     bed, path = content["bed"], 2e-3
     leg = {"shape": shape, "chord": 0.04, "width": DIAMETER, "friction": 10.0}
     leg["half_thickness"] = 0.5 * DIAMETER
@@ -165,7 +173,7 @@ def footing(phi_deg: float, shape: str) -> Outcome:
     unit = 0.5 * content["soil"]["density"] * GRAVITY * DIAMETER
     check = Check(
         problem=f"{name.capitalize()} footing",
-        case=f"φ = {phi_deg:g}°, ψ = 0, rough",
+        case=f"{soil_of(phi_deg, plan)}, rough",
         quantity="s_γ, mean pressure over that of a strip",
         expected=0.65,
         obtained=alone / strip,
@@ -181,7 +189,7 @@ def footing(phi_deg: float, shape: str) -> Outcome:
     return Outcome([check])
 
 
-def column_bed(aspect: float, across: int, phi_deg: float) -> tuple[Scenario, Soil]:
+def column_bed(aspect: float, across: int, phi_deg: float, plan: str) -> tuple[Scenario, Soil]:
     """A quarter of an upright cylinder of soil between a smooth wall and a mirror.
 
     Parameters
@@ -192,12 +200,14 @@ def column_bed(aspect: float, across: int, phi_deg: float) -> tuple[Scenario, So
         r₀/Δx.
     phi_deg
         φ [deg].
+    plan
+        One of :data:`SURFACES`.
     """
     cell = RADIUS / across
     edge = (3 + 1e-6) * cell
     reach = math.ceil((1.5 + 1.5 * 1.24 * aspect) * across)
     cells = max(reach, math.ceil(aspect * across)) + 8
-    content = bed_of_plan(phi_deg)
+    content = bed_of_plan(phi_deg, plan)
     middle, before = 0.5 * cells * cell, content["numerics"]
     time_step = before["time_step"] * cell * before["cells"] / before["domain"]
     content["leg"] |= {"shape": "sphere", "chord": 4 * cell, "width": 4 * cell}
@@ -221,17 +231,19 @@ def column_bed(aspect: float, across: int, phi_deg: float) -> tuple[Scenario, So
     return scenario, soil._replace(**parts)
 
 
-def column(aspect: float, across: int, phi_deg: float = 30.0, times: float = 8.0) -> Outcome:
+def column(
+    aspect: float, across: int, phi_deg: float = 30.0, times: float = 8.0, plan: str = FACES
+) -> Outcome:
     """Let a round column go until it stands.
 
     Parameters
     ----------
-    aspect, across, phi_deg
+    aspect, across, phi_deg, plan
         As in :func:`column_bed`.
     times
         Time that is simulated over √(h₀/g).
     """
-    scenario, soil = column_bed(aspect, across, phi_deg)
+    scenario, soil = column_bed(aspect, across, phi_deg, plan)
     phases, height = Phases(scenario), scenario.bed.height
     phases.weigh_first(soil)
     steps = math.ceil(times * math.sqrt(height / GRAVITY) / scenario.numerics.time_step)
@@ -248,7 +260,7 @@ def column(aspect: float, across: int, phi_deg: float = 30.0, times: float = 8.0
     check = partial(
         Check,
         problem="Round column",
-        case=f"a = {aspect:g}, φ = {phi_deg:g}°, ψ = 0",
+        case=f"a = {aspect:g}, {soil_of(phi_deg, plan)}",
         resolution=f"r₀/Δx = {across}",
         tolerance=0.15,
         cause="the fits know no φ; the deposit's front thins out below a cell, and runs farther "
@@ -291,9 +303,21 @@ FULL = [
         Task(f"column-{a:g}-{n}", column, {"aspect": a, "across": n}, 5.0 * a * (n / 12) ** 4)
         for a, n in ((0.6, 12), (1.0, 12), (1.5, 12), (1.0, 20))
     ),
-    *numbered("wall", narrow_wall, [{"phi_deg": phi} for phi in (25.0, 35.0)], 13.0),
-    *numbered("footing", footing, [{"phi_deg": 30.0, "shape": s} for s in FOOTINGS], 10.0),
-    *TASKS,
+    Task("column-smooth", column, {"aspect": 1.0, "across": 12, "plan": SMOOTH}, 5.0),
+    *numbered(
+        "wall",
+        narrow_wall,
+        [{"phi_deg": phi, "plan": plan} for plan in SURFACES for phi in (25.0, 35.0)],
+        13.0,
+    ),
+    *numbered(
+        "footing",
+        footing,
+        [{"phi_deg": 30.0, "shape": s, "plan": plan} for plan in SURFACES for s in FOOTINGS],
+        10.0,
+    ),
+    *slab.TASKS,
+    *shaking.TASKS,
 ]
 
 FAMILY = Family(
