@@ -410,7 +410,7 @@ def test_what_goes_with_the_cells_goes_with_nothing_else(
         ("sand3d-quick", "cells-120", "grid", {0.5}),
         ("sand3d-quick", "speed-up", "speed_up", {4 / 9}),
         ("sand3d", "cells-150", "grid", {0.4}),
-        ("sand3d", "speed-up-steep", "speed_up", {1 / 6}),
+        ("sand3d", "steep-speed-up", "speed_up", {1 / 6}),
     ],
 )
 def test_plans_that_are_to_refine_a_library_are_of_its_cases(

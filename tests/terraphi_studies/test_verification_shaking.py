@@ -42,5 +42,5 @@ def test_soil_of_a_small_angle_is_at_yield_and_that_of_a_large_one_shakes() -> N
 
 @pytest.mark.slow
 def test_soil_of_35_degrees_is_at_yield_in_phases_of_the_library() -> None:
-    (check,) = shaken(35.0, 1, "sand3d").checks
+    (check,) = shaken(35.0, 1).checks
     assert check.passed

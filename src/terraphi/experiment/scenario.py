@@ -468,7 +468,7 @@ class Scenario(Strict):
     def _check_time_step(self) -> None:
         limit = self.time_step_limit
         if self.numerics.time_step > limit:
-            top = self.numerics.speed_up * self.motion.top_speed(self.leg.reach())
+            top = self.sped_up_leg_speed
             leg = (
                 f", and a leg that speed_up = {self.numerics.speed_up:g} moves at {top:.3g} m/s"
                 if top > 0.1 * self.soil.p_wave_speed
@@ -482,10 +482,11 @@ class Scenario(Strict):
     def _check_phases(self) -> None:
         travel = LONGEST_TRAVEL[self.dimensions]
         if self.travel_per_phase_cells > travel:
+            longest = travel * self.numerics.cell_size / self.sped_up_leg_speed
             raise ValueError(
                 f"numerics.remap_interval = {self.numerics.remap_interval:g} s lets the leg travel "
                 f"more than {travel:g} cells while the grid keeps its velocities; at most "
-                f"{self.phase_that_travels(travel):.3g} s fits"
+                f"{longest:.3g} s fits"
             )
 
     def _check_every_bin_is_visited(self) -> None:
@@ -563,23 +564,21 @@ class Scenario(Strict):
         """How much of the leg's centre line contact leaves out at the tip [m]."""
         return self.numerics.tip_inset_cells * self.numerics.cell_size
 
-    def phase_that_travels(self, cells: float) -> float:
-        """Time in which the fastest point of the leg, sped up, moves by some cells [s]."""
-        speed = self.numerics.speed_up * self.motion.top_speed(self.leg.reach())
-        return cells * self.numerics.cell_size / speed
+    @property
+    def sped_up_leg_speed(self) -> float:
+        """Largest speed of any point of the leg, sped up [m/s]."""
+        return self.numerics.speed_up * self.motion.top_speed(self.leg.reach())
 
     @property
     def travel_per_phase_cells(self) -> float:
         """By how many cells that point moves while the grid keeps its velocities [-]."""
         interval = self.numerics.steps_per_phase * self.numerics.time_step
-        return interval / self.phase_that_travels(1.0)
+        return interval * self.sped_up_leg_speed / self.numerics.cell_size
 
     @property
     def time_step_limit(self) -> float:
         """Largest stable time step of the material point method [s]."""
-        speed = self.soil.p_wave_speed + self.numerics.speed_up * self.motion.top_speed(
-            self.leg.reach()
-        )
+        speed = self.soil.p_wave_speed + self.sped_up_leg_speed
         limit = COURANT_LIMIT if self.dimensions == 2 else COURANT_LIMIT_IN_SPACE
         return limit * self.numerics.cell_size / speed
 

@@ -33,7 +33,7 @@ COMPANIONS = {
     "friction": "some of its cases with a smoother and a rougher leg",
 }
 """Roles of shipped libraries that are there for others, however many angles they have."""
-TRY_OTHERS = re.compile(rf"-({'|'.join(COMPANIONS)}|cells-\d+|speed-up(?:-steep)?)$")
+TRY_OTHERS = re.compile(rf"-({'|'.join(COMPANIONS)}|cells-\d+|speed-up)$")
 """How the names of libraries end that are there for others: by such a role, or finer cases."""
 WIDEST_STEP_DEG = 5.0
 """Step between friction angles above which a library is there to test others [deg]."""
