@@ -293,6 +293,7 @@ IN_SPACE: dict[str, Any] = {
     "bed.breadth": 0.2,
     "soil.critical_friction_angle_deg": 30.0,
     "soil.yield_surface": "matsuoka_nakai",
+    "numerics.stiffness_damping": 0.25,
 }
 """Keys of three dimensions alone."""
 
@@ -379,6 +380,11 @@ def test_cells_strain_as_one_where_soil_dilates_if_left_to_the_program() -> None
     [
         ({"contact": "surface"}, "set remap_interval above 0"),
         ({"cell_damping": 0.1}, "set dilatation or distortion = 'cell'"),
+        ({"stiffness_damping": 0.1}, "stiffness_damping = 0.1 needs a grid that keeps its"),
+        (
+            {"stiffness_damping": 0.1, "remap_interval": 1.6e-4},
+            "stiffness_damping = 0.1 is for three dimensions: set it to 0",
+        ),
         (
             {"contact": "surface", "remap_interval": 1.6e-4, "particles_per_cell_side": 4},
             "at most 3 are stable",

@@ -46,6 +46,7 @@ ADDED_LATER: dict[str, Any] = {
     "numerics.dilatation": "particle",
     "numerics.distortion": "particle",
     "numerics.cell_damping": 0.0,
+    "numerics.stiffness_damping": 0.0,
     "numerics.stress_rate": "jaumann",
     "numerics.tip_inset_cells": 0.0,
 }
@@ -189,6 +190,11 @@ class Numerics(Strict):
     ρ c Δx [-], c that of compression waves; of those rates that are means over the cell. A mean
     knows nothing of such motion, so that nothing else resists it. 0: none; 0.05 to 0.2 stops
     it."""
+    stiffness_damping: float = Field(0.0, ge=0, le=0.5)
+    """In three dimensions, damping in proportion to the tangent stiffness: forces of the stress
+    lead it by this share of what it changed by in a time step [-]. Without it soil with a large φ
+    shakes in long phases, and bears less than its strength
+    (``docs/explanation/three-dimensions.md``). 0: none; 0.1 to 0.5 stops it."""
     stress_rate: Literal["jaumann", "none"] = "jaumann"
     """How stress turns with the soil: ``jaumann``, with its spin; ``none``, not at all, as in
     the public prototype of Xu & Wang."""
@@ -211,10 +217,11 @@ class Numerics(Strict):
             ("contact", self.contact, ("nodes", "unbalanced")),
             ("dilatation", self.dilatation, ("particle",)),
             ("distortion", self.distortion, ("particle",)),
+            ("stiffness_damping", self.stiffness_damping, (0.0,)),
         ):
             if value not in usual and self.remap_interval == 0.0:
                 raise ValueError(
-                    f"{name} = '{value}' needs a grid that keeps its velocities for a while; "
+                    f"{name} = {value!r} needs a grid that keeps its velocities for a while; "
                     "set remap_interval above 0, as to 20 time steps"
                 )
         if self.cell_damping > 0.0 and {self.dilatation, self.distortion} == {"particle"}:
@@ -389,6 +396,11 @@ class Scenario(Strict):
             raise ValueError(
                 "soil.yield_surface = 'matsuoka_nakai' is for three dimensions: set dimensions = "
                 "3, or leave it out (soil that does not dilate has the same strength in the plane)"
+            )
+        if self.numerics.stiffness_damping > 0.0:
+            raise ValueError(
+                f"numerics.stiffness_damping = {self.numerics.stiffness_damping:g} is for three "
+                "dimensions: set it to 0, or set dimensions = 3"
             )
 
     def _check_space(self) -> None:

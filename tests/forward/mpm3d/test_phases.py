@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import curve_fit
 
 from terraphi.experiment.errors import SimulationError
 from terraphi.experiment.leg import Leg
@@ -39,12 +40,13 @@ SMOOTH = {"soil.yield_surface": "matsuoka_nakai", "soil.dilation_angle_deg": -8.
           "soil.softening_strain": 0.05}  # fmt: skip
 
 DRAWN_IN = {"leg.shape": "c", "numerics.tip_inset_cells": 1.7}
+DAMPED = {"numerics.stiffness_damping": 0.25}
 
 
 @pytest.mark.parametrize(
     "changes",
-    [*BODIES.values(), SOFT, SMOOTH, {"soil.yield_criterion": "triaxial"}, DRAWN_IN],
-    ids=[*BODIES, "soft", "smooth, compacted", "cone", "drawn in"],
+    [*BODIES.values(), SOFT, SMOOTH, {"soil.yield_criterion": "triaxial"}, DRAWN_IN, DAMPED],
+    ids=[*BODIES, "soft", "smooth, compacted", "cone", "drawn in", "damped"],
 )
 def test_packets_do_what_the_reference_does(space, changes):
     scenario = space.scenario(**changes)
@@ -105,6 +107,37 @@ def test_a_strong_bed_is_an_oedometer(space):
     assert mean[1] == pytest.approx(nu / (1.0 - nu) * mean[2], rel=0.02)
     weight = scenario.soil.density * 9.81 * (scenario.bed.surface - height).mean()
     assert mean[2] == pytest.approx(-weight, rel=0.05)  # half a cell hangs below the floor
+
+
+def test_stiffness_damping_has_the_ratio_of_rayleigh(space):
+    # An elastic bed that is let go swings up and down at ω = π c / (2 H); the damping adds
+    # share ω² Δt / 2 to what its swings decline by.
+    def swing(share):
+        changes = {"soil.cohesion": 1e5, "numerics.stiffness_damping": share}
+        scenario = space.scenario(**AWAY, **changes)
+        phases = Phases(scenario, "packets")
+        soil = geostatic_bed_in_space(scenario, np.float32)
+        soil.stress[:] = 0.0
+        phases.weigh_first(soil)
+        poses, _, bins = path_of_steps(scenario, np.arange(20), 1)
+        speeds = []
+        for _ in range(60):
+            assert phases.take(soil, poses, bins, empty_reaction(1), empty_audit()) == -1
+            speeds.append(velocities(soil, phases.lattice)[:, 2].mean())
+        step, speed = scenario.numerics.time_step, scenario.soil.p_wave_speed
+        times = 20.0 * step * np.arange(1, 61)
+
+        def model(t, size, phase, omega, decline):
+            return size * np.exp(-decline * t) * np.sin(omega * t + phase)
+
+        guess = (-0.02, 0.0, 0.5 * np.pi * speed / scenario.bed.height, 5.0)
+        (_, _, omega, decline), _ = curve_fit(model, times, speeds, guess)
+        assert omega == pytest.approx(guess[2], rel=0.05)
+        return 0.5 * omega**2 * step, decline
+
+    (unit, least), (_, more) = swing(0.0), swing(0.5)
+    # The first of a phase's 20 steps has none before it.
+    assert more - least == pytest.approx(0.5 * 0.95 * unit, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -299,7 +332,7 @@ def test_both_kernels_of_the_driver_differ_by_rounding_alone(space):
 
 
 def test_a_run_that_was_stopped_ends_in_the_same_bits(space, tmp_path):
-    scenario = space.scenario(**{"motion.stop_deg": -30.0})
+    scenario = space.scenario(**{"motion.stop_deg": -30.0}, **DAMPED)
     whole = simulate(scenario)
 
     def stop(seen):

@@ -34,6 +34,8 @@ class Setting(NamedTuple):
     """g [m/s²]."""
     damping: float
     """Factor on velocities each step [-]."""
+    lead: float
+    """Share of a step's change by which forces of the stress lead it [-]."""
     left: float
     """Left wall x [m]."""
     right: float
@@ -72,6 +74,7 @@ def setting_of(scenario: Scenario) -> Setting:
         numerics.time_step,
         bed.gravity,
         numerics.damping_factor,
+        numerics.stiffness_damping,
         bed.left,
         bed.left + bed.width,
         bed.floor,
@@ -203,6 +206,33 @@ def momentum(soil: Soil) -> tuple[float, float]:
         x += float(soil.node_mass[q]) * soil.vx[q]
         z += float(soil.node_mass[q]) * soil.vz[q]
     return x, z
+
+
+@kernel
+def lead(force: NDArray[Any], before: NDArray[Any], share: Any, count: np.uint64) -> None:
+    """Let forces of the first nodes lead their stress, f + share (f - f of the step before).
+
+    Places and weights are held for a phase, so that this is the force of the stress and of share Δt
+    times its rate: damping in proportion to the tangent stiffness, whose ratio at the angular
+    frequency ω is share ω Δt / 2. It resists waves, the more the shorter they are, and no flow: at
+    yield stress does not change.
+
+    Parameters
+    ----------
+    force
+        Of the stress [N]; changed.
+    before
+        That of the step before [N]; replaced by that of now.
+    share
+        [-].
+    count
+        Nodes.
+    """
+    wide_vectors()
+    for q in range(count):
+        now = force[q]
+        force[q] = now + share * (now - before[q])
+        before[q] = now
 
 
 @kernel

@@ -135,6 +135,7 @@ class Phases:
         self._inertia = nodes.empty_inertia(lattice, precision)
         shape = (3, lattice.nodes)
         self._force, self._shift = np.zeros(shape, precision), np.zeros(shape, precision)
+        self._before = np.zeros(shape, precision)
         self._grid = np.zeros((4, lattice.nodes))
         self._near = np.zeros(0, np.int64)
 
@@ -187,7 +188,7 @@ class Phases:
         lattice, setting, inertia, strainer = (
             self.lattice, self._setting, self._inertia, self.strainer,
         )  # fmt: skip
-        force, shift = _nodes(self._force), _nodes(self._shift)
+        force, before, shift = _nodes(self._force), _nodes(self._before), _nodes(self._shift)
         if self._near.size != soil.cell.size:
             self._near = np.zeros(soil.cell.size, np.int64)
         impulses, time_step = np.zeros((5, 2)), setting.time_step
@@ -198,11 +199,12 @@ class Phases:
         used = int(inertia.counts[2])
         strainer.begin(soil)
         strainer.strain(soil, force, 0.5 * time_step, used)
+        self._before[:] = self._force
         for number, (pose, bin_) in enumerate(zip(poses, bins.tolist(), strict=True)):
             part = time_step * (0.5 if number + 1 == len(poses) else 1.0)
             step(
-                soil, lattice, setting, inertia, body, pose, self._near, near, shift, force, part,
-                bin_, impulse, impulses,
+                soil, lattice, setting, inertia, body, pose, self._near, near, shift, force, before,
+                part, bin_, impulse, impulses,
             )  # fmt: skip
             strainer.strain(soil, force, part, used)
         self._force[:] = 0.0
@@ -279,6 +281,7 @@ def step(
     count: int,
     shift: Nodes,
     force: Nodes,
+    before: Nodes,
     time_step: float,
     bin_: int,
     impulse: FloatArray,
@@ -297,7 +300,9 @@ def step(
     shift
         Displacements of the nodes [m], added to.
     force
-        Forces on the nodes [N]; used up.
+        Forces of the stress on the nodes [N]; used up.
+    before
+        The same, of the step before in this phase [N]; replaced.
     time_step
         For which the nodes are carried [s].
     bin_
@@ -307,6 +312,13 @@ def step(
     impulses
         On the soil of the grid, rows as in the ledger [N s]; added to.
     """
+    used = np.uint64(inertia.counts[2])
+    real = soil.vx.dtype.type
+    if setting.lead > 0.0:
+        share = real(setting.lead)
+        nodes.lead(force[0], before[0], share, used)
+        nodes.lead(force[1], before[1], share, used)
+        nodes.lead(force[2], before[2], share, used)
     fx, fz = press(soil, lattice, shift, force, near, count, body[0], body[1], pose)
     fx, fz = fx * setting.time_step, fz * setting.time_step
     impulses[1, 0] += fx
@@ -314,8 +326,7 @@ def step(
     given = (lattice.bodies * fx, lattice.bodies * fz)
     enter_reaction(impulse, bin_, given, given)
     nodes.step(soil, lattice, force, inertia, setting, impulses)
-    used = np.uint64(inertia.counts[2])
-    dt = soil.vx.dtype.type(time_step)
+    dt = real(time_step)
     nodes.carry(shift[0], soil.vx, dt, used)
     nodes.carry(shift[1], soil.vy, dt, used)
     nodes.carry(shift[2], soil.vz, dt, used)
