@@ -68,3 +68,18 @@ def test_unusable_densities_are_refused() -> None:
         sample(lambda x: np.full(len(x), np.nan), box([-1], [1]))
     with pytest.raises(ValueError, match="nearly all"):
         sample(lambda x: np.full(len(x), -np.inf), box([-1], [1]))
+
+
+def test_an_interrupt_in_the_density_prints_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    asked = 0
+
+    def interrupted(points):
+        nonlocal asked
+        asked += 1
+        if asked > 20:
+            raise KeyboardInterrupt
+        return narrow(points)
+
+    with pytest.raises(KeyboardInterrupt):
+        sample(interrupted, box([-1, -1], [1, 1]), steps=900, seed=1)
+    assert capsys.readouterr() == ("", "")

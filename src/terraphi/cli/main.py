@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import logging
+import os
 import sys
 from pathlib import Path
+from shutil import which
 
 import click
 
@@ -110,7 +112,9 @@ def demo(out: Path, as_json: bool) -> None:
         click.echo(sentence)
     click.echo(f"Figure: {picture}")
     click.echo(f"Answers: {', '.join(map(str, places))}")
-    click.echo("Next, on forces of your own: terraphi invert FORCES.csv --leg LEG --density KG_M3")
+    # In an environment that is not activated the shell does not find it by its name.
+    name = "terraphi" if which("terraphi") else os.path.relpath(sys.argv[0])
+    click.echo(f"Next, on forces of your own: {name} invert FORCES.csv --leg LEG --density KG_M3")
 
 
 for command in (

@@ -168,7 +168,9 @@ def _sampler(log_density: LogPosterior, start: FloatArray) -> Any:
     import emcee
 
     moves = [(emcee.moves.StretchMove(), 0.5), (emcee.moves.DEMove(), 0.5)]
-    return emcee.EnsembleSampler(*start.shape, log_density, vectorize=True, moves=moves)
+    sampler = emcee.EnsembleSampler(*start.shape, log_density, vectorize=True, moves=moves)
+    sampler.log_prob_fn = log_density  # as it is: emcee's wrapper prints a traceback at Ctrl-C
+    return sampler
 
 
 def _start(

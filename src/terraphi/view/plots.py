@@ -155,8 +155,8 @@ def _draw_forces(axes: Axes, inversion: Inversion, component: str, *, label: str
     _draw_points(axes, record, part, "o", color=ORANGE, label=label)
     finish_force_axes(axes, component)
     deviation = 100.0 * record.nrmsd[component]
-    what = inversion.source if component == "Fx" else f"library {inversion.library}"
-    axes.set_title(f"{what}: NRMSD {deviation:.1f} %", fontsize=10)
+    what = f"of {inversion.source}" if component == "Fx" else f"by library {inversion.library}"
+    axes.set_title(f"{component} {what}: NRMSD {deviation:.1f} %", fontsize=10)
 
 
 def _draw_points(axes: Axes, record: Record, part: slice, mark: str, **look: Any) -> None:
