@@ -397,6 +397,18 @@ def test_what_goes_with_the_cells_goes_with_nothing_else(
     assert finer(base, good) == ("grid", 0.5)
 
 
+def test_what_lacks_the_damping_is_finer_where_its_soil_does_not_shake() -> None:
+    base = Plan.load("sand3d").scenario.replace(**{"numerics.stiffness_damping": 0.25})
+    slower = {"numerics.speed_up": 5.0, "numerics.stiffness_damping": 0.0}
+    for phi, fine in ((35.0, True), (50.0, False)):
+        own = base.replace(**{PHI: phi})
+        if fine:
+            assert finer(own, own.replace(**slower)) == ("speed_up", pytest.approx(4 / 9))
+        else:
+            with pytest.raises(InputError, match=r"numerics.stiffness_damping is 0.0, in the li"):
+                finer(own, own.replace(**slower))
+
+
 @pytest.mark.parametrize(
     ("of", "name", "cause", "ratios"),
     [
@@ -410,7 +422,9 @@ def test_what_goes_with_the_cells_goes_with_nothing_else(
         ("sand3d-quick", "cells-120", "grid", {0.5}),
         ("sand3d-quick", "speed-up", "speed_up", {4 / 9}),
         ("sand3d", "cells-150", "grid", {0.4}),
-        ("sand3d", "steep-speed-up", "speed_up", {1 / 6}),
+        ("sand3d", "cells-120", "grid", {0.5}),
+        ("sand3d", "cells-86", "grid", {60 / 86}),
+        ("sand3d", "speed-up", "speed_up", {4 / 9}),
     ],
 )
 def test_plans_that_are_to_refine_a_library_are_of_its_cases(

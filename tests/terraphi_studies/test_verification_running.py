@@ -131,7 +131,8 @@ def test_sources_of_numbers_and_no_others_are_watched() -> None:
     }
     room = "terraphi_studies/verification"
     forward = {"terraphi/forward/mpm/contact.py", "terraphi/forward/mpm3d/lanes.py"}
-    known = {"terraphi/experiment/soil.py", *forward, f"{room}/waves.py"}
+    plan = {"terraphi/library/plan.py", "terraphi/data/plans/sand3d.toml"}
+    known = {"terraphi/experiment/soil.py", *forward, *plan, f"{room}/waves.py"}
     assert known <= watched
     assert all((running._PACKAGE / name).is_file() for name in watched)
     assert "terraphi/cli/main.py" not in watched

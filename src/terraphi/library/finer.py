@@ -9,6 +9,9 @@ both ends among them, and set in ``[scenario.numerics]`` for half the cell size
 
 or ``speed_up`` to half of what it was. A third size, such as two thirds of the cell size, makes the
 limit somewhat surer. ``terraphi library refine`` puts them into the library's file.
+
+A fine case may lack the library's ``stiffness_damping`` where its soil does not shake without it,
+for there the damping changes nothing.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.plausibility import soil_shakes
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import value_of
 from terraphi.library.store import Case, Library
@@ -31,6 +35,8 @@ SCALED = ("time_step", "remap_interval")
 """Keys of ``numerics`` that go with the cell size, in proportion."""
 FREE = ("cells", "speed_up", "seed", *SCALED)
 """Keys of ``numerics`` in which a fine case may differ: what is finer and what goes with it."""
+DAMPING = "stiffness_damping"
+"""The one that it may lack where its soil does not shake."""
 ALIKE = 0.02
 """How far from that proportion they may be [-]."""
 
@@ -58,7 +64,8 @@ def finer(coarse: Scenario, fine: Scenario) -> tuple[str, float]:
         If it differs in anything else, in both, in neither, or is not finer.
     """
     told, own = (s.model_dump(mode="json") | {"name": ""} for s in (fine, coarse))
-    for key in FREE:
+    undamped = fine.numerics.stiffness_damping == 0.0 and not soil_shakes(fine)
+    for key in (*FREE, DAMPING) if undamped else FREE:
         told["numerics"][key] = own["numerics"][key]
     other = next((name for name in own if told[name] != own[name]), None)
     if other is not None:

@@ -1,8 +1,9 @@
 """Three dimensions: loads and a run-out that depend on there being a third one.
 
-The bodies of the first two problems are pushed through the bed of plan ``sand3d-quick`` with its
-grid, contact and phases, once as they are and once in a slab a cell thick, which is plane strain;
-what is compared is the ratio of the two, which knows nothing of errors that both share.
+The bodies of the first two problems are pushed through the beds of plans ``sand3d-quick`` and
+``sand3d`` with their grid, contact and phases, once as they are and once in a slab a cell thick,
+which is plane strain; what is compared is the ratio of the two, which knows nothing of errors that
+both share.
 
 An upright slab as deep and wide as the buried leg, with soil behind it too, against the factor of
 Ovesen (1964, Danish Geotechnical Institute, Bulletin 16) for anchors that reach the surface; and a
@@ -49,6 +50,11 @@ FOOTINGS = {"cylinder": ("round", 0.25 * math.pi * DIAMETER), "plate": ("square"
 FACES, SMOOTH = "sand3d-quick", "sand3d"
 SURFACES = {FACES: "", SMOOTH: "Matsuoka-Nakai, "}
 """Plans whose bed, grid, contact and phases these problems have, and their yield surfaces."""
+ONE_ANGLE = (
+    "Mohr-Coulomb soil of one φ: with associated flow the exact s_γ of a circle is 1.05 at 30° and "
+    "1.22 at 35° (Martin 2004), where tests fold into s_γ that φ of plane strain is larger; no "
+    "exact one of a square is known here"
+)
 SPEED = 0.02
 """Of a body [m/s]: the shock of its start, ρ c v, is 1.3 kPa."""
 RADIUS = 0.1
@@ -182,9 +188,7 @@ def footing(phi_deg: float, shape: str, plan: str = FACES) -> Outcome:
         source=SOURCES["footing"],
         note=f"N_γ of {name} footing and strip {alone / unit:.3g} and {strip / unit:.3g}, over 1 "
         "to 2 mm of sinkage",
-        cause="Mohr-Coulomb soil of one φ: with associated flow the exact s_γ of a circle is 1.05 "
-        "at 30° and 1.22 at 35° (Martin 2004), where tests fold into s_γ that φ of plane strain is "
-        "larger; no exact one of a square is known here",
+        cause=ONE_ANGLE if plan == FACES else "not known; the footing is ten cells wide",
     )
     return Outcome([check])
 
@@ -325,7 +329,7 @@ FAMILY = Family(
     meaning="A narrow wall, a round and a square footing in space, each over the same in plane "
     "strain, a round column that is let go, and a leg in a slab that lets it be plane strain. If "
     "these pass, what the third dimension adds is what it adds to real walls, footings and "
-    "columns.",
+    "columns. The last rows ask whether sheared soil bears its strength.",
     full=FULL,
     quick=[Task("column", column, {"aspect": 1.0, "across": 12, "times": 5.0})],
 )
