@@ -38,6 +38,12 @@ COARSE = {"numerics.cells": 30, "numerics.time_step": 1.8e-4, "numerics.remap_in
 DAMPING = "numerics.stiffness_damping"
 
 
+def test_soil_of_a_small_angle_is_at_yield() -> None:
+    gentle = Plan.load("sand3d").scenario.replace(**COARSE, **{DAMPING: 0.0})
+    gentle = gentle.replace(**{"soil.friction_angle_deg": 20.0})
+    assert 0.98 < strength_borne(gentle) < 1.001
+
+
 @pytest.mark.slow
 def test_soil_of_a_large_angle_shakes_where_nothing_damps_it() -> None:
     # Nine seeds without damping bore 0.948 to 0.975, three with it 1.000.
@@ -53,8 +59,8 @@ def test_forces_do_not_depend_on_how_much_damping_stops_the_shaking() -> None:
     for share in (0.0, 0.1, 0.25, 0.5):
         found = simulate(steep.replace(**{DAMPING: share}))
         lifts[share] = found.force[found.theta_deg > -76.0, 1].mean()
-    assert lifts[0.1] == pytest.approx(lifts[0.25], rel=0.1)
-    assert lifts[0.5] == pytest.approx(lifts[0.25], rel=0.1)
+    assert lifts[0.1] == pytest.approx(lifts[0.25], rel=0.2)
+    assert lifts[0.5] == pytest.approx(lifts[0.25], rel=0.2)
     assert lifts[0.0] < 0.8 * lifts[0.25]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import logging
-import os
 import sys
 from pathlib import Path
 from shutil import which
@@ -113,7 +112,7 @@ def demo(out: Path, as_json: bool) -> None:
     click.echo(f"Figure: {picture}")
     click.echo(f"Answers: {', '.join(map(str, places))}")
     # In an environment that is not activated the shell does not find it by its name.
-    name = "terraphi" if which("terraphi") else os.path.relpath(sys.argv[0])
+    name = "terraphi" if which("terraphi") else sys.argv[0]
     click.echo(f"Next, on forces of your own: {name} invert FORCES.csv --leg LEG --density KG_M3")
 
 

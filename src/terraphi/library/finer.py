@@ -10,8 +10,8 @@ both ends among them, and set in ``[scenario.numerics]`` for half the cell size
 or ``speed_up`` to half of what it was. A third size, such as two thirds of the cell size, makes the
 limit somewhat surer. ``terraphi library refine`` puts them into the library's file.
 
-A fine case may lack the library's ``stiffness_damping`` where its soil does not shake without it,
-for there the damping changes nothing.
+A fine case may lack the library's ``stiffness_damping`` where its soil hardly shakes without it:
+what it lacks in force there, 5 % at most, is then counted as an effect of what is finer.
 """
 
 from __future__ import annotations
