@@ -55,6 +55,7 @@ ONE_ANGLE = (
     "1.22 at 35° (Martin 2004), where tests fold into s_γ that φ of plane strain is larger; no "
     "exact one of a square is known here"
 )
+COARSE = "the footing is ten cells wide, and nobody has refined it"
 SPEED = 0.02
 """Of a body [m/s]: the shock of its start, ρ c v, is 1.3 kPa."""
 RADIUS = 0.1
@@ -188,7 +189,7 @@ def footing(phi_deg: float, shape: str, plan: str = FACES) -> Outcome:
         source=SOURCES["footing"],
         note=f"N_γ of {name} footing and strip {alone / unit:.3g} and {strip / unit:.3g}, over 1 "
         "to 2 mm of sinkage",
-        cause=ONE_ANGLE if plan == FACES else "not known; the footing is ten cells wide",
+        cause=ONE_ANGLE if plan == FACES else COARSE,
     )
     return Outcome([check])
 
