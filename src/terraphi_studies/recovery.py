@@ -16,6 +16,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.inference.answer import PHI, Inversion
 from terraphi.inference.inversion import invert
 from terraphi.inference.paper_likelihood import PaperLikelihood
+from terraphi.inference.sampler import ensemble
 from terraphi.library.shipped import companion
 from terraphi.library.store import Case, Library
 from terraphi.surrogate.paper import LegSurrogate
@@ -157,7 +158,7 @@ def _walkers(library: Library, truth: Case) -> FloatArray:
 
     random = np.random.RandomState(0)  # emcee knows no other
     start = emcee.State(random.uniform(low, high, (32, 1)), random_state=random.get_state())
-    sampler = emcee.EnsembleSampler(32, 1, log_p, vectorize=True)
+    sampler = ensemble(start.coords, log_p)
     sampler.run_mcmc(start, 4 * BURN_IN)
     drawn = sampler.get_chain()[:, :, 0].T
     return np.asarray(drawn)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.library.plan import Plan
 from terraphi_studies.verification.shaking import mobilised_sine, shaken, strength_borne
@@ -32,32 +33,31 @@ def test_triaxial_compression_mobilises_more_on_the_smooth_surface() -> None:
 
 
 COARSE = {"numerics.cells": 30, "numerics.time_step": 1.8e-4, "numerics.remap_interval": 1.8e-2,
-          "motion.start_deg": -80.0, "motion.stop_deg": -40.0,
-          "soil.friction_angle_deg": 50.0}  # fmt: skip
-"""Of plan `sand3d`: cells of 10 mm, a short way in, and soil that shakes if it is let."""
-DAMPING = "numerics.stiffness_damping"
+          "motion.start_deg": -80.0, "motion.stop_deg": -40.0}  # fmt: skip
+"""Changes of plan `sand3d`: cells of 10 mm, a short way in."""
+
+
+def coarse(phi_deg: float, damping: float) -> Scenario:
+    changes = {"soil.friction_angle_deg": phi_deg, "numerics.stiffness_damping": damping}
+    return Plan.load("sand3d").scenario.replace(**COARSE, **changes)
 
 
 def test_soil_of_a_small_angle_is_at_yield() -> None:
-    gentle = Plan.load("sand3d").scenario.replace(**COARSE, **{DAMPING: 0.0})
-    gentle = gentle.replace(**{"soil.friction_angle_deg": 20.0})
-    assert 0.98 < strength_borne(gentle) < 1.001
+    assert 0.98 < strength_borne(coarse(20.0, 0.0)) < 1.001
 
 
 @pytest.mark.slow
 def test_soil_of_a_large_angle_shakes_where_nothing_damps_it() -> None:
     # Nine seeds without damping bore 0.948 to 0.975, three with it 1.000.
-    steep = Plan.load("sand3d").scenario.replace(**COARSE)
-    damped, free = (strength_borne(steep.replace(**{DAMPING: share})) for share in (0.25, 0.0))
+    damped, free = (strength_borne(coarse(50.0, share)) for share in (0.25, 0.0))
     assert 0.985 < damped < 1.001
     assert free < 0.985
 
 
 def test_forces_do_not_depend_on_how_much_damping_stops_the_shaking() -> None:
-    steep = Plan.load("sand3d").scenario.replace(**COARSE)
     lifts = {}
     for share in (0.0, 0.1, 0.25, 0.5):
-        found = simulate(steep.replace(**{DAMPING: share}))
+        found = simulate(coarse(50.0, share))
         lifts[share] = found.force[found.theta_deg > -76.0, 1].mean()
     assert lifts[0.1] == pytest.approx(lifts[0.25], rel=0.2)
     assert lifts[0.5] == pytest.approx(lifts[0.25], rel=0.2)

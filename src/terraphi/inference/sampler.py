@@ -164,13 +164,30 @@ def sample(
     return found
 
 
+def ensemble(start: FloatArray, log_density: LogPosterior, **options: Any) -> Any:
+    """An ensemble sampler of emcee that prints nothing when it is interrupted.
+
+    Parameters
+    ----------
+    start
+        Where its walkers start, shape [walker, d].
+    log_density
+        Called with half the walkers at once.
+    **options
+        Of ``emcee.EnsembleSampler``.
+    """
+    import emcee
+
+    sampler = emcee.EnsembleSampler(*start.shape, log_density, vectorize=True, **options)
+    sampler.log_prob_fn = log_density  # as it is: emcee's wrapper prints a traceback at Ctrl-C
+    return sampler
+
+
 def _sampler(log_density: LogPosterior, start: FloatArray) -> Any:
     import emcee
 
     moves = [(emcee.moves.StretchMove(), 0.5), (emcee.moves.DEMove(), 0.5)]
-    sampler = emcee.EnsembleSampler(*start.shape, log_density, vectorize=True, moves=moves)
-    sampler.log_prob_fn = log_density  # as it is: emcee's wrapper prints a traceback at Ctrl-C
-    return sampler
+    return ensemble(start, log_density, moves=moves)
 
 
 def _start(

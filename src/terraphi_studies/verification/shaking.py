@@ -35,6 +35,11 @@ def strength_borne(scenario: Scenario) -> float:
     ----------
     scenario
         Of a leg in three dimensions whose soil has no cohesion.
+
+    Raises
+    ------
+    ArithmeticError
+        If the solution breaks down, or no soil is sheared under load.
     """
     blocks, numerics = Blocks(scenario, "packets"), scenario.numerics
     state, steps = blocks.first_state(), numerics.steps_per_phase
