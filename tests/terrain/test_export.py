@@ -202,6 +202,14 @@ def test_anyway_is_said_at_the_top() -> None:
     assert second == "CAUTION: the verdict is misfit: No angle fits."
 
 
+def test_what_a_consistent_answer_asks_is_said_at_the_top() -> None:
+    found = export(told(warnings=["The density is assumed.", "Is it in N?"]), simulator("newton"))
+    said = "CAUTION: The density is assumed. Is it in N?"
+    assert found.text("python").splitlines()[2] == said
+    assert found.headline().endswith(said)
+    assert found.as_dict()["caution"] in said
+
+
 def test_from_the_folder_of_an_inversion(terraphi, inverted, tmp_path) -> None:
     base = ("export", "answer", "--to", "newton")
     refused = terraphi(*base, "--out", "soil.py")

@@ -251,7 +251,7 @@ def _made(told: Told, to: Simulator, match: Match, draws: int, seed: int, anyway
             f"{told.source}: its friction angle is one of '{answer['phi_deg']['yield']}', and has "
             f"no equivalent in plane strain: {answer.get('phi_plane_strain_reason', '')}"
         )
-    caution = ""
+    caution = " ".join(answer.get("warnings", ()))
     if answer["verdict"] != "consistent":
         caution = f"the verdict is {answer['verdict'].replace('_', ' ')}: {answer['reason']}"
         if not anyway:
