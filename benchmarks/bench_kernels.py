@@ -84,7 +84,7 @@ def seconds(advance: Callable[..., int], scenario: Scenario, steps: int) -> tupl
 
 def in_space(turns: int) -> list[str]:
     """Rates in three dimensions, whole phases with all that they take; and their ratio."""
-    scenario = Plan.load("sand3d-quick").scenario
+    scenario = Plan.load("sand3d").scenario
     steps: dict[Kernel, int] = {"packets": scenario.numerics.steps_per_phase, "scalar": 4}
     for kernel in steps:
         seconds_in_space(kernel, scenario, 2)

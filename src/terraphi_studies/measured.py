@@ -36,7 +36,6 @@ LIBRARIES = (
     "paper",
     "quick-paper",
     "rft3d",
-    "sand3d-quick",
     "sand3d",
 )
 """Libraries to invert with, as far as they are shipped."""
@@ -52,10 +51,10 @@ COLUMNS = (
 )
 METHOD = (
     "`terraphi invert` on every shipped measurement of Li et al. (2013) with every library, each "
-    "in its own convention of φ. `resolved`, `resolved-2`, `sand3d-quick` and `sand3d` have learnt "
-    "from these very media how real soils deviate from them; `terraphi study real_soil` leaves out "
-    "the one that is tried. NRMSD: of the fit at the median, in percent of the measured "
-    "peak-to-peak. Run again: `terraphi study measured`."
+    "in its own convention of φ. `resolved`, `resolved-2` and `sand3d` have learnt from these very "
+    "media how real soils deviate from them; `terraphi study real_soil` leaves out the one that is "
+    "tried. NRMSD: of the fit at the median, in percent of the measured peak-to-peak. Run again: "
+    "`terraphi study measured`."
 )
 PICTURE = "friction angles by medium, leg and library, with their 95 % intervals"
 

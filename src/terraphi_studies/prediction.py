@@ -53,9 +53,9 @@ TITLE = "Calibrated on the straight leg, and what that foretells of the C and th
 FRICTION, SHAPE, HIP = "leg.friction", "leg.shape", "motion.hip.1"
 CALIBRATED_ON = "straight"
 OURS = "resolved"
-LIBRARIES = ("resolved-2", "sand3d-quick", "sand3d", "rft3d")
+LIBRARIES = ("resolved-2", "sand3d", "rft3d")
 """Libraries through which φ alone is fitted, and which foretell the other legs."""
-TWO_OF = "sand3d-quick"
+TWO_OF = "sand3d"
 """The library of these that has cases with another hip or another friction of the leg."""
 HEIGHT, ROUGHNESS = ", height too", ", friction too"
 TOO = {HEIGHT: ("raised", HIP), ROUGHNESS: ("friction", FRICTION)}
@@ -79,8 +79,8 @@ METHOD = (
     "percent of the measured peak-to-peak. Through libraries φ alone is fitted to that leg, "
     "through one of them the height of the hip above the soil or the leg's friction too; their "
     "forces on the other legs are what they foretell, of a library that ships refined (`sand3d`) "
-    "the refined ones. The other models are not fitted here: theirs is the 35° that Xu & Wang use "
-    "for Yuma sand, and RFT 2-D has the generic coefficients of Li "
+    "the refined ones, in all its rows. The other models are not fitted here: theirs is the 35° "
+    "that Xu & Wang use for Yuma sand, and RFT 2-D has the generic coefficients of Li "
     f"et al. times {benchmark.YUMA_SCALE}, which gives their own curves for that sand. Plan: "
     "`prediction`. Run again: `terraphi study prediction`."
 )
@@ -272,8 +272,8 @@ def through(
         Measurements of the sand by leg, the straight one among them.
     others
         Cases of the library with other values of ``key``, which is fitted too: between the values
-        forces go as the polynomial through all of them, as simulated; without them those of a
-        refined library are its refined ones.
+        forces go as the polynomial through all of them. What finer cases change of a library that
+        is refined is added to all.
     key
         Dotted scenario key.
     """
@@ -282,10 +282,9 @@ def through(
     levels: dict[float, list[Case]] = {value_of(own, key): list(library.cases)}
     for case in others.cases if others else ():
         levels.setdefault(value_of(case.scenario, key), []).append(case)
-    if library.fine and not others:
-        curves = [_refined(library)]
-    else:
-        curves = [_over_phi(cases) for cases in levels.values()]
+    curves = [_over_phi(cases) for cases in levels.values()]
+    if library.fine:
+        curves = [_refined(library, of_level) for of_level in curves]
     ends = {
         leg: (max(c[leg].x[0] for c in curves), min(c[leg].x[-1] for c in curves))
         for leg in legs
@@ -342,12 +341,12 @@ def _over_phi(cases: Iterable[Case]) -> dict[str, CubicSpline]:
     }
 
 
-def _refined(library: Library) -> dict[str, CubicSpline]:
-    """As :func:`_over_phi`, of a library's own cases with what finer ones change."""
+def _refined(library: Library, of_level: Mapping[str, CubicSpline]) -> dict[str, CubicSpline]:
+    """What :func:`_over_phi` found, with what finer cases change of a library's own forces."""
     from scipy.interpolate import CubicSpline
 
     found = {}
-    for leg, simulated in _over_phi(library.cases).items():
+    for leg, simulated in of_level.items():
         surrogate = prepare(library, leg).surrogate
         change = surrogate.predict(simulated.x) - surrogate.as_simulated.predict(simulated.x)
         parts = [

@@ -52,15 +52,13 @@ LEG_FRICTION_DEG = 0.6
 PARTS_DEG = {
     "resolved": {"grid": 1.9, "speed_up": 0.8},
     "resolved-2": {"grid": 0.4, "speed_up": 0.6},
-    "sand3d-quick": {"grid": 0.6, "speed_up": 0.4},
 }
 """Parts of the level that are known, by library [deg]: halving the cells moves the mean forces of
 preset `resolved` by 1.5° (F_z) and 2.3° (F_x), halving the speed-up by 0.8°, and those of
 `resolved-2` by 0 and 0.8° (`study resolution`) and by 0.4 and 0.8° (on 96 cells,
-`docs/convergence.md`); those of `sand3d-quick` by 0.4 and 0.7° from 5 to 2.5 mm and by 0.4° for the
-speed-up (straight leg, 7 % a degree; `study resolution`). Of any library: a friction of the leg
-anywhere between 0.2 and 0.5 has a standard deviation of 0.087, worth 0.6° by the mean forces of the
-cases of `study prediction` at 30°."""
+`docs/convergence.md`). Of any library: a friction of the leg anywhere between 0.2 and 0.5 has a
+standard deviation of 0.087, worth 0.6° by the mean forces of the cases of `study prediction` at
+30°."""
 SPACE_DEG = (15.0, 20.0, 25.0, 30.0, 35.0, 40.0)
 """Friction angles of the records by resistive force theory in three dimensions [deg]."""
 PLANE = {"poppy_loose": 638.0, "glass03_loose": 1450.0, "glass03_close": 1550.0}

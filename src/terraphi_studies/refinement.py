@@ -36,7 +36,6 @@ FINER = {
         "speed-up",
         "bent-speed-up",
     ),
-    "sand3d-quick": ("cells-120", "cells-86", "speed-up"),
     "sand3d": ("cells-150", "cells-120", "cells-86", "speed-up"),
 }
 """By library, what the names of those end with that have finer cases of it."""

@@ -6,7 +6,7 @@ makes the soil four times as stiff: none of these is a property of the soil, so 
 stay. What a change is worth is seen beside what another seed does. A step that follows another is
 measured from that one: so the cells of preset ``resolved-2`` are halved, for each leg; a step to
 another leg or friction angle begins anew. ``space`` does the same in three dimensions, with the
-numerics of plan ``sand3d-quick``. Peaks are those of 1° means, over the part of the path that holds
+numerics of plan ``sand3d``. Peaks are those of 1° means, over the part of the path that holds
 both.
 """
 
@@ -339,7 +339,8 @@ def _method() -> str:
         "or the one that is named. A row without changes is where another leg or angle begins. "
         "Preset `resolved-2` has the tip drawn in and phases of 20 steps on each grid. Rows *in "
         "space* are of the leg's true width, contact a cell short of its tip but where another is "
-        "named; of all means, those over the path. Plans: "
+        "named, and soil with the smooth surface of Matsuoka and Nakai, damped, but where faces "
+        "(those of Mohr-Coulomb) are named; of all means, those over the path. Plans: "
         "`waterfall`, `resolution` and `space`. "
         "Run again: `terraphi study resolution`.\n\n"
         f"{degrees.said()}\n\n"

@@ -152,7 +152,7 @@ def test_data_say_whom_to_cite() -> None:
     assert "The numbers are measurements of those authors: cite them." in text
 
 
-@pytest.mark.parametrize("name", ["resolved", "resolved-2", "sand3d-quick", "sand3d", "rft3d"])
+@pytest.mark.parametrize("name", ["resolved", "resolved-2", "sand3d", "rft3d"])
 def test_shipped_libraries_are_of_the_apparatus_of_the_measurements(name: str) -> None:
     scenario = Library.load(name).cases[0].scenario
     assert is_of_their_apparatus(scenario)

@@ -11,9 +11,6 @@ from terraphi.library.plan import Plan
 
 BURIED = "sand3d-plate-along"
 """A plan whose plate begins in the soil, for that is where it is moved."""
-UNDAMPED = {"onset", "plates", "sand3d-dense", "sand3d-volume", "space"}
-"""Plans in space of before soil was damped, beside all of `sand3d-quick`, whose soil shakes at
-their largest angles; the page on three dimensions says so."""
 
 
 @pytest.mark.parametrize("name", shipped_names("scenarios", ".toml"))
@@ -24,8 +21,6 @@ def test_shipped_scenarios_raise_no_question(name: str) -> None:
 @pytest.mark.parametrize("name", shipped_names("plans", ".toml"))
 def test_shipped_plans_raise_no_question(name: str) -> None:
     asked = {doubt for scenario in Plan.load(name).cases() for doubt in doubts(scenario)}
-    if name in UNDAMPED or name.startswith("sand3d-quick"):
-        asked = {doubt for doubt in asked if " shakes where nothing damps it" not in doubt}
     if name == BURIED:
         assert [doubt for doubt in asked if "begins 38 mm deep in the soil" not in doubt] == []
         assert asked

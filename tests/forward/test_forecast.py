@@ -257,7 +257,7 @@ KINDS = {"paper-1": "packets.march", "resolved": "packet_phases.march", "space":
 @pytest.mark.parametrize("kind", KINDS)
 def test_compiling_at_first_use_is_told(kind: str, monkeypatch, tmp_path) -> None:
     """Of that outermost function which the scenario calls, and of no other."""
-    space = Plan.load("sand3d-quick").cases()[0]
+    space = Plan.load("sand3d").cases()[0]
     scenarios = {n: space if n == "space" else Scenario.load(n) for n in KINDS}
     folder = tmp_path / "kernels"
     folder.mkdir()

@@ -49,8 +49,8 @@ def test_measured_records_are_whole(library: Library, medium: str, leg: str) -> 
 
 @pytest.mark.parametrize("medium", ["yuma", "poppy_loose"])
 def test_where_no_simulation_goes_nothing_is_said_of_air(medium: str) -> None:
-    # Library sand3d-quick ends at 90 deg, where its reversed C still touches soil.
-    library = Library.load("sand3d-quick")
+    # Library sand3d ends at 90 deg, where its reversed C still touches soil.
+    library = Library.load("sand3d")
     touches = touches_soil_deg(library, "reversed_c")
     assert touches is not None
     assert touches[1] == np.inf

@@ -65,7 +65,7 @@ def test_simulated_soil_tells_it_whatever_its_friction() -> None:
 
     What reads as friction in them is what the module says.
     """
-    base, raised = Library.load("sand3d-quick"), companion("sand3d-quick", "raised")
+    base, raised = Library.load("sand3d").as_simulated, companion("sand3d", "raised")
     worth: dict[str, list[float]] = {}
     for case in raised.cases:
         leg, phi = case.scenario.leg.shape, case.scenario.soil.friction_angle_deg
@@ -76,14 +76,14 @@ def test_simulated_soil_tells_it_whatever_its_friction() -> None:
         )
         assert case.history is not None
         assert twin is not None
-        assert 5.5 < 1e3 * higher_m(leg, case.history, twin) < 9.0
+        assert 5.5 < 1e3 * higher_m(leg, case.history, twin) < 8.5
         found = [
             invert(replace(one, provenance={}), library=base, leg=leg, likelihood="paper").phi
             for one in (case.history, twin)
         ]
         worth.setdefault(leg, []).append((found[1].median - found[0].median) / 7.0)
     assert {leg: len(w) for leg, w in worth.items()} == {"straight": 5, "c": 3, "reversed_c": 3}
-    ranges = {"straight": (0.4, 1.1), "reversed_c": (0.6, 0.9), "c": (0.3, 0.5)}
+    ranges = {"straight": (0.45, 0.75), "reversed_c": (0.65, 0.85), "c": (0.35, 0.45)}
     for leg, (low, high) in ranges.items():
         assert low < min(worth[leg]) <= max(worth[leg]) < high
 

@@ -414,9 +414,6 @@ def test_what_lacks_the_damping_is_finer_where_its_soil_does_not_shake() -> None
         ("resolved-2", "bent-cells-288", "grid", {2 / 3}),
         ("resolved-2", "bent-speed-up", "speed_up", {1 / 3}),
         ("resolved-2", "speed-up", "speed_up", {1 / 9, 1 / 3}),
-        ("sand3d-quick", "cells-86", "grid", {60 / 86}),
-        ("sand3d-quick", "cells-120", "grid", {0.5}),
-        ("sand3d-quick", "speed-up", "speed_up", {4 / 9}),
         ("sand3d", "cells-150", "grid", {0.4}),
         ("sand3d", "cells-120", "grid", {0.5}),
         ("sand3d", "cells-86", "grid", {60 / 86}),
@@ -434,7 +431,7 @@ def test_plans_that_are_to_refine_a_library_are_of_its_cases(
 
 def test_another_model_is_refused_in_a_sentence() -> None:
     # With its cells and the library's step no scenario could be.
-    library = Library.load("sand3d-quick")
+    library = Library.load("sand3d")
     plane = Plan.load("resolved-2").cases()[0]
     with pytest.raises(InputError, match=r"dimensions is 2, in the library 3; a finer case"):
         finer(library.cases[0].scenario, plane)

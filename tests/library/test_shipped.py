@@ -50,8 +50,8 @@ def test_what_is_there_to_test_others_is_told_by_its_angles(name: str, tmp_path:
 @pytest.mark.parametrize(
     ("name", "so"),
     [("resolved-2", False), ("resolved-2-truths", True), ("resolved-2-cells-384", True),
-     ("resolved-2-bent-speed-up", True), ("sand3d-quick-cells-86", True),
-     ("sand3d-quick-friction", True), ("mine-cells-86", False)],
+     ("resolved-2-bent-speed-up", True), ("sand3d-cells-86", True),
+     ("sand3d-friction", True), ("mine-cells-86", False)],
 )  # fmt: skip
 def test_what_is_there_for_others_is_told_by_its_name(name: str, so: bool) -> None:
     assert is_there_to_try_others(name) is so

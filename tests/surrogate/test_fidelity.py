@@ -120,7 +120,7 @@ def test_intervals_hold_the_truth_beyond_the_fine_curves_too(
 
 def test_where_soil_in_space_lies_in_the_cells_is_taken_for_no_trend() -> None:
     # No error that vanishes with the cells, but each grid's forces are off by 3 % of their own.
-    space = priors_of("grid", Plan.load("sand3d-quick").scenario)
+    space = priors_of("grid", Plan.load("sand3d").scenario)
     rng, apart, off = np.random.default_rng(5), [], []
     for _ in range(10):
         factor = np.repeat(1.0 + rng.normal(0.0, 0.03, 2), 10)
@@ -143,7 +143,7 @@ def test_where_soil_in_space_lies_in_the_cells_is_taken_for_no_trend() -> None:
 
 
 def test_only_cells_in_space_have_another_prior() -> None:
-    plane, space = Scenario.load("resolved-2"), Plan.load("sand3d-quick").scenario
+    plane, space = Scenario.load("resolved-2"), Plan.load("sand3d").scenario
     assert priors_of("grid", plane) == priors_of("speed_up", space) == PRIORS
     law = Plan.load("rft3d").scenario
     assert law.dimensions == 3

@@ -219,17 +219,18 @@ def test_the_friction_that_made_the_forces_is_found(plan) -> None:
 
 
 def test_a_refined_library_foretells_with_its_refined_forces() -> None:
-    library = Library.load("sand3d-quick")
-    finer = refined(library, [Library.load("sand3d-quick-cells-86")])
-    bare, better = prediction._over_phi(library.cases), prediction._refined(finer)
+    library = Library.load("sand3d").as_simulated
+    finer = refined(library, [Library.load("sand3d-cells-86")])
+    bare = prediction._over_phi(library.cases)
+    better = prediction._refined(finer, bare)
     for told in corrections(finer):
         leg, phi = told["leg"], told["phi_deg"]
         before, change = bare[leg](phi), better[leg](phi) - bare[leg](phi)
         for i, force in enumerate(("Fx", "Fz")):
             along = before[:, i] @ change[:, i] / np.square(before[:, i]).sum()
             # windows of 4° there, means over 1° here
-            assert 100.0 * along == pytest.approx(told[force]["percent"], abs=1.5)
-    # The reversed C is the one that they change most: by -30 % about, at 35°.
+            assert 100.0 * along == pytest.approx(told[force]["percent"], rel=0.05, abs=1.5)
+    # The reversed C is the one that they change most: by -40 % about, at 35°.
     assert better["reversed_c"](35.0).sum() < 0.8 * bare["reversed_c"](35.0).sum()
 
 

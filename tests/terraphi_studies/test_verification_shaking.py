@@ -66,5 +66,5 @@ def test_forces_do_not_depend_on_how_much_damping_stops_the_shaking() -> None:
 
 @pytest.mark.slow
 def test_soil_of_the_library_is_at_yield() -> None:
-    (check,) = shaken("sand3d", 35.0).checks
+    (check,) = shaken(35.0).checks
     assert check.passed

@@ -18,8 +18,16 @@ def test_factor_of_a_narrow_wall(phi: float, factor: float) -> None:
     assert space.ovesen(phi, 100.0) == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.parametrize("cells", [60, 120])
+def test_finer_beds_have_shorter_steps(cells: int) -> None:
+    coarse, fine = (space.bed_of_plan(35.0, space.SMOOTH, n)["numerics"] for n in (60, cells))
+    assert fine["cells"] == cells
+    for key in ("time_step", "remap_interval"):
+        assert fine[key] * fine["cells"] == pytest.approx(coarse[key] * coarse["cells"])
+
+
 def test_a_column_is_a_quarter_of_a_cylinder_of_soil_alone() -> None:
-    scenario, soil = space.column_bed(0.6, 12, 30.0, space.SMOOTH)
+    scenario, soil = space.column_bed(0.6, 12, 30.0)
     weight = scenario.soil.density * math.pi / 4 * space.RADIUS**3 * 0.6
     assert soil.mass.sum() == pytest.approx(weight, rel=0.01)
     place = positions(lattice_of(scenario), soil.cell, soil.offset)

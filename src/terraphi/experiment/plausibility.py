@@ -38,8 +38,8 @@ LIMITS = {
 
 SHAKEN_DEG = {"mohr_coulomb": 31.0, "matsuoka_nakai": 36.0}
 """By yield surface, the φ [deg] above which soil in three dimensions shakes if nothing damps it.
-Undamped, the straight leg of `sand3d` has 2 % less lift at 35° and a fifth less at 40°; that of
-`sand3d-quick` the same at 30° and an eighth less at 35°."""
+Undamped, the straight leg of `sand3d` has 2 % less lift at 35° and a fifth less at 40°; with the
+faces of Mohr-Coulomb it has the same at 30° and an eighth less at 35°."""
 
 ENOUGH = 0.1
 """Least `stiffness_damping` that was seen to stop it [-]."""

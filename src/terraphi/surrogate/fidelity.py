@@ -90,7 +90,7 @@ PRIORS: Mapping[str, Prior] = {
 """Of each hyperparameter median and factor of one standard deviation, and least and largest."""
 OFFSET_OF_GRIDS_IN_SPACE = (0.02, 2.0, 0.0005, 0.1)
 """The same, of the offset where the cause is the grid in three dimensions: where in cells of 5 mm
-the soil lies is worth 3 % of the lift and 1 % of the thrust there (`study resolution`)."""
+the soil lies is worth 3 % of the force there (`study resolution`)."""
 STEP = 1e-4
 """Of logarithms of hyperparameters, for derivatives."""
 

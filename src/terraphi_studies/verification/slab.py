@@ -37,7 +37,9 @@ OF_GRADIENTS = "gradients that are linear in a cell let the soil move more freel
 
 
 def slab_scenario(cells: int, dilatation: str, seed: int) -> Scenario:
-    """Plan ``sand3d-quick`` in a slab: other cells, phases as short as the plane demands.
+    """Plan ``sand3d`` in a slab: other cells, phases as short as the plane demands.
+
+    The yield surface is that of Mohr-Coulomb, and nothing is damped, as in the plane.
 
     Parameters
     ----------
@@ -48,12 +50,13 @@ def slab_scenario(cells: int, dilatation: str, seed: int) -> Scenario:
     seed
         Of the particle places.
     """
-    base = Plan.load("sand3d-quick").scenario
+    base = Plan.load("sand3d").scenario
     cell, numerics = base.numerics.domain / cells, base.numerics
     scale = numerics.cells / cells
     return base.replace(
         **{
             "soil.friction_angle_deg": 35.0,
+            "soil.yield_surface": "mohr_coulomb",
             "leg.width": cell,
             "bed.breadth": cell,
             "motion.start_deg": PATH_DEG[0],
@@ -62,6 +65,7 @@ def slab_scenario(cells: int, dilatation: str, seed: int) -> Scenario:
             "numerics.time_step": numerics.time_step * scale,
             "numerics.remap_interval": 0.35 * numerics.remap_interval * scale,
             "numerics.dilatation": dilatation,
+            "numerics.stiffness_damping": 0.0,
             "numerics.symmetry": "whole",
             "numerics.particle_jitter": JITTER,
             "numerics.seed": seed,
