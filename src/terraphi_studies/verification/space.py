@@ -186,7 +186,7 @@ def narrow_wall(phi_deg: float, surface: str = SMOOTH, cells: int = 60) -> Outco
         source=SOURCES["wall"],
         note=f"force over ρ g h²/2 per width: {force / weight:.3g}, in plane strain "
         f"{flat / weight:.3g}, both over 2 to 4 mm",
-        cause=f"not converged: a slab {wide:.0f} cells wide, whose contact reaches nodes beyond it",
+        cause=f"not converged: a wall {wide:.0f} cells wide, whose contact reaches nodes beyond it",
     )
     return Outcome([check])
 
