@@ -85,7 +85,7 @@ STUDIES = {
         "plates pressed into real sand: φ by each force law, and what the law is worth", "seconds"
     ),
     "verification": Outline(
-        "problems with known answers, by the code that the leg uses", "one to two hours"
+        "problems with known answers, by the code that the leg uses", "60 to 120 minutes"
     ),
 }
 
