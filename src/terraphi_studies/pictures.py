@@ -57,8 +57,10 @@ def grid_of(
     rows = -(-len(names) // columns) or 1
     size = (max(panel[0] * columns + 0.5, least), panel[1] * rows + 0.6)
     figure, panels = panels_of(rows, columns, size=size, **options)
-    for axes in panels.ravel()[len(names) :]:
-        axes.remove()
+    for surplus in range(len(names), rows * columns):
+        panels.ravel()[surplus].remove()
+        # What stands above it is now the lowest, and has the labels that panels share.
+        panels.ravel()[surplus - columns].tick_params(labelbottom=True)
     return figure, panels
 
 
