@@ -11,9 +11,9 @@ are told to be 6 to 8 mm higher, whatever the leg and the friction angle.
 
 A wrong height looks like another friction angle, and no residual shows it: a millimetre more reads
 as 0.5 to 0.7° less by the straight leg, 0.7 to 0.8° by the reversed C and 0.4° by the C (the same
-cases, through `sand3d` as simulated). Where a simulated leg meets the soil depends on its
-grid, by millimetres; so a measured record is set beside the shipped ones, whose hip was meant to be
-20 mm above the soil. They are up to 9 mm apart among themselves. Were each medium left out in turn,
+cases, through `sand3d` as simulated). Where a simulated leg meets the soil depends on its grid, by
+millimetres; so a measured record is set beside the shipped ones, whose hip was meant to be 20 mm
+above the soil. They are up to 9 mm apart among themselves. Were each medium left out in turn,
 two records of twelve would be asked about, those of poppy seeds on the straight leg and the
 reversed C.
 """

@@ -47,7 +47,7 @@ class Export:
     leg_friction
         Friction of the leg that the library took [-]; ``None`` where it is not known.
     caution
-        Why the answer should not be used; empty if it may be.
+        Why the answer should not be used, or what it asks though it may be; empty if nothing.
     source
         Where the answer comes from; JSON-able.
     extra

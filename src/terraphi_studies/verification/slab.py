@@ -50,9 +50,8 @@ def slab_scenario(cells: int, dilatation: str, seed: int) -> Scenario:
     seed
         Of the particle places.
     """
-    base = Plan.load("sand3d").scenario
-    cell, numerics = base.numerics.domain / cells, base.numerics
-    scale = numerics.cells / cells
+    base = on_cells(Plan.load("sand3d").scenario, cells)
+    cell = base.numerics.cell_size
     return base.replace(
         **{
             "soil.friction_angle_deg": 35.0,
@@ -61,14 +60,25 @@ def slab_scenario(cells: int, dilatation: str, seed: int) -> Scenario:
             "bed.breadth": cell,
             "motion.start_deg": PATH_DEG[0],
             "motion.stop_deg": PATH_DEG[1],
-            "numerics.cells": cells,
-            "numerics.time_step": numerics.time_step * scale,
-            "numerics.remap_interval": 0.35 * numerics.remap_interval * scale,
+            "numerics.remap_interval": 0.35 * base.numerics.remap_interval,
             "numerics.dilatation": dilatation,
             "numerics.stiffness_damping": 0.0,
             "numerics.symmetry": "whole",
             "numerics.particle_jitter": JITTER,
             "numerics.seed": seed,
+        }
+    )
+
+
+def on_cells(scenario: Scenario, cells: int) -> Scenario:
+    """The same on another number of cells, with time step and phases longer as the cells are."""
+    numerics = scenario.numerics
+    scale = numerics.cells / cells
+    return scenario.replace(
+        **{
+            "numerics.cells": cells,
+            "numerics.time_step": numerics.time_step * scale,
+            "numerics.remap_interval": numerics.remap_interval * scale,
         }
     )
 

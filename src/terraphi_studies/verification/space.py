@@ -105,17 +105,12 @@ def bed_of_plan(phi_deg: float, surface: str, cells: int = 60) -> dict[str, Any]
     cells
         On the plan's domain, in whose proportion its steps and phases become shorter.
     """
-    base = Plan.load("sand3d").scenario
-    numerics = base.numerics
-    scale = numerics.cells / cells
     changes = {
         "soil.friction_angle_deg": phi_deg,
         "soil.yield_surface": surface,
         "numerics.speed_up": 1.0,
-        "numerics.cells": cells,
-        "numerics.time_step": numerics.time_step * scale,
-        "numerics.remap_interval": numerics.remap_interval * scale,
     }
+    base = slab.on_cells(Plan.load("sand3d").scenario, cells)
     return base.replace(**changes).model_dump()
 
 
