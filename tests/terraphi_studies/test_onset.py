@@ -81,6 +81,23 @@ def test_seeds_are_of_the_same_base() -> None:
         onset.study_of(own, other, {own.scenario.hash: history(-40.0)}, {})
 
 
+def test_of_the_other_plan_the_seeds_alone_are_asked_for(monkeypatch) -> None:
+    asked: list[Plan] = []
+    shipped = Simulations.histories
+
+    def histories(self: Simulations, *plans: Plan, keep_failures: bool = False) -> dict:
+        asked.extend(plans)
+        return shipped(self, *plans, keep_failures=keep_failures)
+
+    monkeypatch.setattr(Simulations, "histories", histories)
+    onset.run(cases=Simulations())
+    wanted = {case.hash for one in asked for case in one.cases()}
+    space = {variant.key: variant.scenario.hash for variant in Plan.load("space").variants()}
+    assert {key for key, case in space.items() if case in wanted} == {
+        "base", "in space, 5 mm", "seed 1", "seed 2",
+    }  # fmt: skip
+
+
 def test_of_what_was_tried_the_hip_alone_delays_the_lift_by_much() -> None:
     study = onset.run(cases=Simulations())
     assert study.data["missing"] == []
