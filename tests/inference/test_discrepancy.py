@@ -147,6 +147,21 @@ def test_real_soils_are_consistent_and_other_records_are_not(library: Library) -
     assert invert(plain, library=library).verdict.verdict == "misfit"
 
 
+def test_a_soil_may_deviate_as_others_do_or_not_at_all(library: Library) -> None:
+    learnt, record = learnt_for(library), measurement("li2013:yuma/straight")
+    assert learnt is not None
+    fitted = seen_through(library, record).fitted
+
+    def deviation(share: float) -> float:
+        residual = share * fitted.spans * learnt.shapes["straight"]
+        return learnt.deviation("straight", replace(fitted, residual=residual))
+
+    assert deviation(0.0) == 0.0
+    assert deviation(1.0) < 0.1
+    assert deviation(-1.0) > deviation(0.5) > 0.3
+    assert deviation(2.0) > deviation(0.5)
+
+
 def test_only_measured_records_have_it(library: Library) -> None:
     case = library.cases[0]
     assert case.history is not None
