@@ -291,6 +291,8 @@ class Learnt:
     def deviation(self, leg: str, fitted: Fitted, extra: FloatArray | None = None) -> float:
         """Size of a record's deviation, over the typical one of real soils [-].
 
+        It is the smaller of those from their mean and from the model.
+
         Parameters
         ----------
         leg
@@ -300,8 +302,13 @@ class Learnt:
         extra
             Covariance of what else differs, over that of soils [-], shape [2 theta, 2 theta].
         """
-        size = _apart(fitted, self.shapes[leg], len(self.media), self.theta_deg, extra)
+        size, _ = self._apart(leg, fitted, extra)
         return float(np.sqrt(size) * np.exp(-0.5 * self.typical))
+
+    def _apart(
+        self, leg: str, fitted: Fitted, extra: FloatArray | None = None
+    ) -> tuple[float, FloatArray]:
+        return _nearest(fitted, self.shapes[leg], len(self.media), self.theta_deg, extra)
 
     def expected(self, leg: str, forces: FloatArray) -> FloatArray:
         """Forces of the model with the mean deviation of real soils, g + p m [N], [2 theta]."""
@@ -315,7 +322,7 @@ class Learnt:
 
     def where(self, leg: str, fitted: Fitted) -> dict[str, Any]:
         """The stretch of leg angles that deviates most: force, angles [deg] and percent of span."""
-        apart = (fitted.shape - self.shapes[leg]).reshape(2, -1)
+        apart = self._apart(leg, fitted)[1].reshape(2, -1)
         force, at = np.unravel_index(int(np.abs(apart).argmax()), apart.shape)
         row = apart[force] * np.sign(apart[force, at])
         outside = np.flatnonzero(row < 0.5 * row[at])
@@ -341,16 +348,18 @@ class Learnt:
         return cls(**{**told, "media": media, "theta_deg": theta, "shapes": shapes})
 
 
-def _apart(
+def _nearest(
     fitted: Fitted,
     mean: FloatArray,
     media: int,
     theta_deg: FloatArray,
     extra: FloatArray | None = None,
-) -> float:
-    """T of a record beside the mean shape of so many media, or beside none [-]."""
-    as_others = _size(fitted.shape - mean, fitted, theta_deg, extra) / (1.0 + 1.0 / media)
-    return min(as_others, _size(fitted.shape, fitted, theta_deg, extra))
+) -> tuple[float, FloatArray]:
+    """T of a record [-], and its shape beside what it is nearer: the media's mean or the model."""
+    others, model = fitted.shape - mean, fitted.shape
+    from_others = _size(others, fitted, theta_deg, extra) / (1.0 + 1.0 / media)
+    from_model = _size(model, fitted, theta_deg, extra)
+    return (from_others, others) if from_others < from_model else (from_model, model)
 
 
 def _size(
@@ -402,7 +411,7 @@ def learn(
         for one, row in zip(own, rows, strict=True):
             # From the mean of the others: as a new soil is seen from the mean of all.
             mean = (rows.sum(axis=0) - row) / others
-            sizes.append(_apart(one.fitted, mean, others, theta))
+            sizes.append(_nearest(one.fitted, mean, others, theta)[0])
     logs = np.log(sizes)
     known = [one for one in seen if one.repose_deg is not None]
     off = {m: [_off(one) for one in known if one.medium == m] for m in media}
