@@ -43,9 +43,10 @@ COLUMNS = (
 )
 METHOD = (
     "`terraphi invert` on every shipped measurement of Li et al. (2013); its discrepancy is learnt "
-    "from the other media alone. Deviation: of the record from the mean shape of the others, or from "
-    "the model itself if that is nearer, over the typical one of theirs; of all legs the largest, "
-    "of which more is accepted. Run again: `terraphi study real_soil`; with `--out` it writes "
+    "from the other media alone. Deviation: of the record from the mean shape of the others, or "
+    "from the model itself if that is nearer, over the typical one of theirs; of all legs the "
+    "largest, of which more is accepted. Run again: `terraphi study real_soil`; with `--out` it "
+    "writes "
     f"the file that the package ships in `data/{FOLDER}`, learnt from all media."
 )
 LEG_FRICTION_DEG = 0.6
