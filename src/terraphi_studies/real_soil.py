@@ -46,8 +46,7 @@ METHOD = (
     "from the other media alone. Deviation: of the record from the mean shape of the others, or "
     "from the model itself if that is nearer, over the typical one of theirs; of all legs the "
     "largest, of which more is accepted. Run again: `terraphi study real_soil`; with `--out` it "
-    "writes "
-    f"the file that the package ships in `data/{FOLDER}`, learnt from all media."
+    f"writes the file that the package ships in `data/{FOLDER}`, learnt from all media."
 )
 LEG_FRICTION_DEG = 0.6
 PARTS_DEG = {
