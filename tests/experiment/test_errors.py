@@ -41,6 +41,7 @@ def sentence(content: object) -> str:
         ("qqq", ["mojave", "yuma"], "known: mojave, yuma"),
         ("qqq", [], "known: none"),
         ("", ["b", "a"], "known: a, b"),
+        ("box-wide", ["box", "box-side", "box-wid-e"], "did you mean 'box'?"),
     ],
 )
 def test_nearest(word: str, choices: list[str], hint: str) -> None:

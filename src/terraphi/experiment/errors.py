@@ -55,7 +55,9 @@ def nearest(word: str, choices: Iterable[str]) -> str:
     """
     known = sorted(choices)
     folded = {choice.lower(): choice for choice in known}
-    match = difflib.get_close_matches(word.lower(), folded, n=1)
+    # A name with something added, NAME-ROLE, is nearer to NAME than to what has another role.
+    stems = [choice for choice in folded if word.lower().startswith(f"{choice}-")]
+    match = [max(stems, key=len)] if stems else difflib.get_close_matches(word.lower(), folded, n=1)
     if match:
         return f"did you mean '{folded[match[0]]}'?"
     return "known: " + (", ".join(known) or "none")
