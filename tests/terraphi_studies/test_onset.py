@@ -102,7 +102,7 @@ def test_of_what_was_tried_the_hip_alone_delays_the_lift_by_much() -> None:
     study = onset.run(cases=Simulations())
     assert study.data["missing"] == []
     later = {name: one["later_deg"] for name, one in study.data["steps"].items()}
-    # What docs/explanation/three-dimensions.md says.
+    # What docs/explanation/three-dimensions-sand.md says.
     assert later.pop("hip 5 mm higher") > 4.0
     assert max(later.values()) < 1.2
     media = {name: one["later_deg"] for name, one in study.data["media"].items()}

@@ -118,7 +118,7 @@ def soil_shakes(scenario: Scenario) -> bool:
 
 
 def _of_shaking(scenario: Scenario) -> Iterator[str]:
-    """Whether soil in space bears its strength (``docs/explanation/three-dimensions.md``)."""
+    """Whether soil in space bears its strength (``docs/explanation/three-dimensions-cells.md``)."""
     if soil_shakes(scenario):
         yield (
             f"soil of {scenario.soil.friction_angle_deg:g}° shakes where nothing damps it, and "
