@@ -193,8 +193,8 @@ class Numerics(Strict):
     stiffness_damping: float = Field(0.0, ge=0, le=0.5)
     """In three dimensions, damping in proportion to the tangent stiffness: forces of the stress
     lead it by this share of what it changed by in a time step [-]. Without it soil with a large φ
-    shakes, and bears less than its strength (``docs/explanation/three-dimensions-cells.md``). 0: none;
-    0.1 to 0.5 stops it."""
+    shakes, and bears less than its strength (``docs/explanation/three-dimensions-cells.md``).
+    0: none; 0.1 to 0.5 stops it."""
     stress_rate: Literal["jaumann", "none"] = "jaumann"
     """How stress turns with the soil: ``jaumann``, with its spin; ``none``, not at all, as in
     the public prototype of Xu & Wang."""
