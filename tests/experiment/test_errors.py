@@ -41,7 +41,9 @@ def sentence(content: object) -> str:
         ("qqq", ["mojave", "yuma"], "known: mojave, yuma"),
         ("qqq", [], "known: none"),
         ("", ["b", "a"], "known: a, b"),
-        ("box-wide", ["box", "box-side", "box-wid-e"], "did you mean 'box'?"),
+        ("sand3d-quick", ["sand3d", "sand3d-friction"], "did you mean 'sand3d'?"),
+        ("paper-coed", ["paper", "paper-code"], "did you mean 'paper-code'?"),
+        ("-x", ["", "y"], "known: , y"),
     ],
 )
 def test_nearest(word: str, choices: list[str], hint: str) -> None:

@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, get_args
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
 
+TYPO = 0.9
+"""How alike a word and a choice are, at least, of which one is the other mistyped [-]."""
+
 
 class InputError(ValueError):
     """An input is unusable; the message is one sentence that names the place and the remedy.
@@ -55,9 +58,12 @@ def nearest(word: str, choices: Iterable[str]) -> str:
     """
     known = sorted(choices)
     folded = {choice.lower(): choice for choice in known}
-    # A name with something added, NAME-ROLE, is nearer to NAME than to what has another role.
-    stems = [choice for choice in folded if word.lower().startswith(f"{choice}-")]
-    match = [max(stems, key=len)] if stems else difflib.get_close_matches(word.lower(), folded, n=1)
+    match = difflib.get_close_matches(word.lower(), folded, n=1, cutoff=TYPO)
+    # NAME-ROLE that is no slip of the pen is nearer to NAME than to what has another role.
+    stems = [choice for choice in folded if choice and word.lower().startswith(f"{choice}-")]
+    if stems and not match:
+        match = [max(stems, key=len)]
+    match = match or difflib.get_close_matches(word.lower(), folded, n=1)
     if match:
         return f"did you mean '{folded[match[0]]}'?"
     return "known: " + (", ".join(known) or "none")
