@@ -229,7 +229,7 @@ def test_a_refined_library_foretells_with_its_refined_forces() -> None:
         for i, force in enumerate(("Fx", "Fz")):
             along = before[:, i] @ change[:, i] / np.square(before[:, i]).sum()
             # windows of 4° there, means over 1° here
-            assert 100.0 * along == pytest.approx(told[force]["percent"], rel=0.035, abs=1.5)
+            assert 100.0 * along == pytest.approx(told[force]["percent"], rel=0.05, abs=1.5)
     # The reversed C is the one that they change most: by -40 % about, at 35°.
     assert better["reversed_c"](35.0).sum() < 0.65 * bare["reversed_c"](35.0).sum()
 
