@@ -58,12 +58,14 @@ def nearest(word: str, choices: Iterable[str]) -> str:
     """
     known = sorted(choices)
     folded = {choice.lower(): choice for choice in known}
-    match = difflib.get_close_matches(word.lower(), folded, n=1, cutoff=TYPO)
+    written = word.lower()
     # NAME-ROLE that is no slip of the pen is nearer to NAME than to what has another role.
-    stems = [choice for choice in folded if choice and word.lower().startswith(f"{choice}-")]
-    if stems and not match:
-        match = [max(stems, key=len)]
-    match = match or difflib.get_close_matches(word.lower(), folded, n=1)
+    stems = [choice for choice in folded if choice and written.startswith(f"{choice}-")]
+    match = (
+        difflib.get_close_matches(written, folded, n=1, cutoff=TYPO)
+        or sorted(stems, key=len)[-1:]
+        or difflib.get_close_matches(written, folded, n=1)
+    )
     if match:
         return f"did you mean '{folded[match[0]]}'?"
     return "known: " + (", ".join(known) or "none")
