@@ -37,7 +37,7 @@ test: lint
 
 # The numerical tests as on processors with AVX2 at most, and with neither: Numba and OpenBLAS are
 # held to those. Nothing else than x86 knows these names.
-NUMERICAL := tests/forward/mpm tests/surrogate/test_kronecker.py \
+NUMERICAL := tests/forward/mpm tests/forward/mpm3d tests/surrogate/test_kronecker.py \
 	tests/surrogate/test_paper_process.py tests/surrogate/test_joint.py \
 	tests/inference/test_posterior.py tests/inference/test_certificate.py
 test-processors: $(DEV)
