@@ -31,6 +31,7 @@ FAMILIES = (
     "order",
     "kernels",
     "space",
+    "round_footings",
 )
 """Modules of problems, in the order of the document."""
 

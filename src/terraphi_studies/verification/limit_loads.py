@@ -181,7 +181,7 @@ def _curve(place: np.ndarray, ratio: np.ndarray) -> dict[str, list[float]]:
     }
 
 
-def _at_end(values: np.ndarray) -> float:
+def at_end(values: np.ndarray) -> float:
     """Mean over the last quarter of the path."""
     return float(values[-len(values) // 4 :].mean())
 
@@ -231,7 +231,7 @@ def push_wall(
         settings=settings,
         quantity="K_p, first geometry",
         expected=expected,
-        obtained=_at_end(pressure),
+        obtained=at_end(pressure),
         tolerance=slack,
         resolution=f"h/Δx = {across}",
         source=source,
@@ -313,7 +313,7 @@ def press_footing(
         settings=settings,
         quantity=f"{name}, first geometry",
         expected=exact,
-        obtained=_at_end(factor),
+        obtained=at_end(factor),
         tolerance=0.05 if settings == PRESET else 0.10,
         resolution=f"B/Δx = {across}",
         source=source,
