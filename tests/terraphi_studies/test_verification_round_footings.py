@@ -39,12 +39,38 @@ def test_an_edge_without_strength_is_refused() -> None:
         circular_footing(30.0, 0.0, 0.0, 1.0)
 
 
+@pytest.mark.parametrize(
+    "wrong", [(0.0, 1.0, 0.0, 0.0), (30.0, -1.0, 0.0, 0.0), (30.0, 0.0, -1.0, 0.0)]
+)
+def test_what_is_no_soil_is_refused(wrong: tuple[float, float, float, float]) -> None:
+    with pytest.raises(ValueError, match="φ = "):
+        circular_footing(*wrong)
+
+
+@pytest.mark.parametrize("load", ["cohesion", "weight", "weight and cohesion"])
+def test_scenario_has_the_load_whose_exact_factor_it_is_compared_with(load: str) -> None:
+    """The slip lines of the scenario's own soil, in pascals, with B halved and g as there."""
+    known = load_of(30.0, load)
+    scenario = scenario_of(30.0, known, 10, 0.0)
+    weight = scenario.soil.density * scenario.bed.gravity * 0.5 * scenario.leg.width
+    little = 1e-4 * weight if load == "weight" else 0.0
+    bears = circular_footing(30.0, scenario.soil.cohesion, little, weight)
+    assert known.unit * (known.exact - known.least) == pytest.approx(bears, rel=2e-3)
+
+
+def test_unknown_load_is_refused() -> None:
+    with pytest.raises(ValueError, match="no load 'wieght'"):
+        load_of(30.0, "wieght")
+
+
 @pytest.mark.parametrize("short", CONTACT)
 def test_footing_is_stiff_and_slow_enough_for_the_first_geometry(short: float) -> None:
     """It goes no more than 10⁻³ of its width, and the shock of its start is a 20th of its load."""
     load = load_of(30.0, "cohesion")
     scenario = scenario_of(30.0, load, 10, short)
-    soil, motion = scenario.soil, scenario.motion
+    soil, motion, bed = scenario.soil, scenario.motion, scenario.bed
+    assert motion.start[1] - scenario.leg.chord == pytest.approx(bed.surface)
+    assert motion.start[0] == pytest.approx(bed.left + 0.5 * bed.width, rel=1e-6)
     pressure = load.unit * (load.exact - 1.0)
     assert motion.distance < 1e-3 * scenario.leg.width
     shock = soil.density * soil.p_wave_speed * math.hypot(*motion.velocity)

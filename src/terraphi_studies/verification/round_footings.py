@@ -4,9 +4,10 @@ A smooth round footing is pressed into soil of one φ (Mohr-Coulomb, associated 
 kernel, contact, phases and damping of plan ``sand3d``, as far as to its limit load in the first
 geometry. Slip lines give the exact load (:mod:`~terraphi_studies.verification.slip_lines`): N_q of
 weightless soil by its cohesion, N_γ of soil that has weight alone, and the load of soil that has
-both, with γ R/c = 10, for which Cox (1962, Int. J. Mech. Sci. 4, 371) has 141 c at φ = 30°. They
-are what s_q and s_γ of bearing-capacity formulas are meant to say, without the difference between
-friction angles of plane strain and of triaxial compression that tests fold into these factors.
+both, with γ R/c = 10, for which Cox (1962, Int. J. Mech. Sci. 4, 371; not checked against the
+print) has 141 c at φ = 30°. Over the strip's they are what s_q and s_γ of bearing-capacity formulas
+are meant to say, for a smooth base, and without the difference between friction angles of plane
+strain and of triaxial compression that tests fold into these factors.
 
 Contact reaches nodes beyond the footing's edge, so that the footing acts as if it were wider. Each
 load is computed with contact to the edge and with contact that ends half a cell before it.
@@ -30,22 +31,27 @@ from terraphi_studies.verification.limit_scenarios import (
     CONFINEMENT,
     DENSITY,
     drive_at_first,
+    per_degree,
     surcharge_factor,
 )
 from terraphi_studies.verification.slip_lines import circular_footing
 
 DIAMETER = 0.1
 """B [m]."""
-ROOM = (4.0, 1.5)
-"""Width and depth of the bed over B; the slip lines of φ = 35° reach 2 B from the axis."""
+ROOM, MORE, DEEP = 4.0, 4.5, 1.5
+"""Width of the bed over B, that for φ above 30°, and depth. Slip lines reach 1.4, 1.6 and 1.9 B
+from the axis at 25, 30 and 35°, and 0.6 B down."""
 HEAVY = 10.0
 """γ R/c of soil with weight and cohesion [-]."""
-LITTLE = 1e-3
+LITTLE = 1e-4
 """Surcharge over γ R with which the slip lines of N_γ are found; its own share is taken off [-]."""
 CONTACT = {0.0: "to the edge", 0.5: "half a cell short"}
 """How many cells before the edge contact ends, and what a check calls that."""
 TOLERANCE = 0.15
-CAUSE = "nodes beyond the edge are driven too, and the excess falls with the width of the cells"
+CAUSE = (
+    "contact drives nodes beyond the edge; as cells shrink the load falls with contact to the edge, "
+    "and rises with contact that ends half a cell before it"
+)
 
 
 class Load(NamedTuple):
@@ -74,18 +80,30 @@ def load_of(phi_deg: float, load: str) -> Load:
         φ [deg].
     load
         ``cohesion``, ``weight``, or ``weight and cohesion``.
+
+    Raises
+    ------
+    ValueError
+        If the load is none of these.
     """
-    weight = DENSITY * GRAVITY * DIAMETER / 2
+    weight, exact = DENSITY * GRAVITY * DIAMETER / 2, _exact(phi_deg, load)
     if load == "cohesion":
         cohesion = CONFINEMENT * math.tan(math.radians(phi_deg))
-        exact = circular_footing(phi_deg, 0.0, 1.0, 0.0)
         return Load("N_q by cohesion", exact, CONFINEMENT, 1.0, cohesion, 0.0)
     if load == "weight and cohesion":
-        exact = circular_footing(phi_deg, 1.0, 0.0, HEAVY)
         return Load("q_u/c, γ R/c = 10", exact, weight / HEAVY, 0.0, weight / HEAVY, GRAVITY)
-    own = LITTLE * circular_footing(phi_deg, 0.0, 1.0, 0.0)
-    exact = circular_footing(phi_deg, 0.0, LITTLE, 1.0) - own
     return Load("N_γ", exact, weight, 0.0, 0.0, GRAVITY)
+
+
+def _exact(phi_deg: float, load: str) -> float:
+    if load == "cohesion":
+        return circular_footing(phi_deg, 0.0, 1.0, 0.0)
+    if load == "weight and cohesion":
+        return circular_footing(phi_deg, 1.0, 0.0, HEAVY)
+    if load != "weight":
+        raise ValueError(f"no load '{load}'")
+    own = LITTLE * circular_footing(phi_deg, 0.0, 1.0, 0.0)
+    return circular_footing(phi_deg, 0.0, LITTLE, 1.0) - own
 
 
 def scenario_of(phi_deg: float, load: Load, across: int, short: float) -> Scenario:
@@ -93,8 +111,10 @@ def scenario_of(phi_deg: float, load: Load, across: int, short: float) -> Scenar
 
     Parameters
     ----------
-    phi_deg, load
-        As in :func:`load_of`.
+    phi_deg
+        φ [deg].
+    load
+        What the footing has to bear.
     across
         B/Δx.
     short
@@ -115,8 +135,9 @@ def scenario_of(phi_deg: float, load: Load, across: int, short: float) -> Scenar
     # Steps and phases last as long beside the time that a wave takes through a cell.
     speed = Soil.model_validate(content["soil"]).p_wave_speed
     scale = cell / plan.numerics.cell_size * plan.soil.p_wave_speed / speed
-    height, edge = round(ROOM[1] * across) * cell, (3 + 1e-6) * cell
-    cells = max(math.ceil(ROOM[0] * across), round(ROOM[1] * across) + 6) + 8
+    height, edge = round(DEEP * across) * cell, (3 + 1e-6) * cell
+    wide = math.ceil((ROOM if phi_deg <= 30.0 else MORE) * across)
+    cells = max(wide, round(DEEP * across) + 6) + 8
     radius = DIAMETER / 2 - short * cell
     content["leg"] |= {
         "shape": "cylinder", "chord": 4 * cell, "width": 2 * radius, "half_thickness": radius,
@@ -131,7 +152,7 @@ def scenario_of(phi_deg: float, load: Load, across: int, short: float) -> Scenar
     }
     content["bed"] |= {
         "left": edge, "floor": edge, "width": (cells - 3) * cell - edge - 2e-6 * cell,
-        "height": height, "breadth": 2 * math.ceil(ROOM[0] / 2 * across) * cell,
+        "height": height, "breadth": 2 * math.ceil(wide / 2) * cell,
         "gravity": load.gravity,
     }  # fmt: skip
     content["numerics"] = numerics | {
@@ -179,6 +200,7 @@ def press(phi_deg: float, load: str, across: int, short: float) -> Outcome:
             )
         ),
         cause=CAUSE,
+        per_degree=per_degree(lambda phi: _exact(phi, load), phi_deg),
     )
     return Outcome([check])
 

@@ -1,6 +1,7 @@
 """Exact load of a smooth circular footing, by slip lines.
 
-Soil has a constant φ, cohesion and weight, and carries a pressure beside the footing. In soil that
+Soil has a constant φ, cohesion and weight, and carries a pressure beside the footing; compression
+is positive. In soil that
 flows outwards the hoop stress is the least principal one (the hypothesis of Haar and von Karman;
 Cox, Eason & Hopkins, 1961, Phil. Trans. R. Soc. A 254, 1). The state at a point is then two
 numbers: s = (σ₁ + σ₃)/2 + c cot φ, and ψ, the angle of σ₁ from the horizontal. On the lines of
@@ -9,13 +10,14 @@ slope tan(ψ ± μ), μ = 45° - φ/2,
     ds ± 2 s tan φ dψ = (f_r cos(ψ ± ν) + f_z sin(ψ ± ν)) dl / cos φ,
 
 ν = 90° - μ, f_r = -(σ_r - σ_θ)/r, f_z = γ - τ/r, with z downwards. A fan of these lines leaves the
-footing's edge; others come from the loaded surface and end on the footing, where ψ = 90°, and at
-its axis. Without the hoop terms it is the strip.
+footing's edge; others come from the loaded surface and end on the footing, where ψ = 90°, the last
+beside its axis. Without the hoop terms it is the strip.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -26,11 +28,11 @@ FIRST, GROWTH, STEP = 1e-3, 1.15, 0.03
 """Distance over R at which the first line starts from the edge; by what factor the next is wider,
 and the widest [-]."""
 INNERMOST, FARTHEST = 0.02, 20.0
-"""Where on the footing lines end, from the axis over R; where on the surface they no longer
-start, from the edge over R [-]."""
-ENOUGH, ROUNDS = 1e-10, 200
-"""Change of a point at which its iteration ends, and after how many rounds it is given up."""
-NO_POINT = "two slip lines do not meet"
+"""Where on the footing lines end, from the axis over R, and the least radius in the hoop terms;
+where on the surface lines no longer start, from the edge over R [-]."""
+ENOUGH, DIRECT, ROUNDS = 1e-10, 20, 1000
+"""Change of a point at which its iteration ends; after how many rounds it takes half steps, and
+after how many it is given up."""
 
 
 class State(NamedTuple):
@@ -62,7 +64,7 @@ def circular_footing(
     phi_deg
         φ, above zero [deg].
     cohesion, surcharge
-        c and the pressure beside the footing.
+        c and the pressure beside the footing, not both zero.
     weight
         γ R, with R half of B.
     strip
@@ -71,8 +73,11 @@ def circular_footing(
     Raises
     ------
     ValueError
-        If the soil has neither cohesion nor surcharge, or the lines do not reach the axis.
+        If an argument is below zero, φ is none of a soil, the soil has neither cohesion nor
+        surcharge, or the lines do not meet or reach the axis.
     """
+    if not 0.0 < phi_deg < 90.0 or min(cohesion, surcharge, weight) < 0.0:
+        raise ValueError(f"φ = {phi_deg:g}°, loads {cohesion:g}, {surcharge:g}, {weight:g}")
     soil = _Soil(math.radians(phi_deg), weight, not strip)
     attraction, sine = cohesion / math.tan(soil.phi), math.sin(soil.phi)
     outer = (surcharge + attraction) / (1.0 - sine)
@@ -116,38 +121,49 @@ def _course(a: State, b: State, sign: float, soil: _Soil) -> tuple[float, float,
     return angle + sign * slope, 2.0 * s * math.tan(soil.phi), gain
 
 
-def _meet(inner: State, outer: State, soil: _Soil) -> State:
-    """Where the line of ψ - μ, inwards from one point, meets that of ψ + μ from another."""
-    found = State(*(0.5 * (a + b) for a, b in zip(inner, outer, strict=True)))
-    for _ in range(ROUNDS):
-        minus, turn_minus, gain_minus = _course(inner, found, -1.0, soil)
-        plus, turn_plus, gain_plus = _course(outer, found, 1.0, soil)
-        dr, dz = outer.r - inner.r, outer.z - inner.z
+def _meet(outer: State, inner: State, soil: _Soil) -> State:
+    """Where the line of ψ - μ, inwards from one point, meets that of ψ + μ, outwards from another.
+
+    Both are taken straight, with the means of what their ends have.
+    """
+
+    def improved(found: State) -> State:
+        minus, turn_minus, gain_minus = _course(outer, found, -1.0, soil)
+        plus, turn_plus, gain_plus = _course(inner, found, 1.0, soil)
+        dr, dz = inner.r - outer.r, inner.z - outer.z
         along = (dr * math.sin(plus) - dz * math.cos(plus)) / math.sin(plus - minus)
-        r, z = inner.r + along * math.cos(minus), inner.z + along * math.sin(minus)
-        further = (r - outer.r) * math.cos(plus) + (z - outer.z) * math.sin(plus)
-        one = inner.s - turn_minus * inner.angle + gain_minus * along
-        other = outer.s + turn_plus * outer.angle + gain_plus * further
+        r, z = outer.r + along * math.cos(minus), outer.z + along * math.sin(minus)
+        further = (r - inner.r) * math.cos(plus) + (z - inner.z) * math.sin(plus)
+        one = outer.s - turn_minus * outer.angle + gain_minus * along
+        other = inner.s + turn_plus * inner.angle + gain_plus * further
         angle = (other - one) / (turn_minus + turn_plus)
-        last, found = found, State(r, z, angle, one + turn_minus * angle)
-        if _settled(found, last):
-            return found
-    raise ValueError(NO_POINT)
+        return State(r, z, angle, one + turn_minus * angle)
+
+    return _settled(improved, _between(outer, inner))
 
 
-def _end(inner: State, soil: _Soil) -> State:
+def _end(outer: State, soil: _Soil) -> State:
     """Where the line of ψ - μ from a point meets the footing."""
-    found = inner._replace(z=0.0, angle=0.5 * math.pi)
-    for _ in range(ROUNDS):
-        minus, turn, gain = _course(inner, found, -1.0, soil)
-        along = -inner.z / math.sin(minus)
-        s = inner.s + turn * (found.angle - inner.angle) + gain * along
-        last, found = found, found._replace(r=inner.r + along * math.cos(minus), s=s)
-        if _settled(found, last):
+
+    def improved(found: State) -> State:
+        minus, turn, gain = _course(outer, found, -1.0, soil)
+        along = -outer.z / math.sin(minus)
+        s = outer.s + turn * (found.angle - outer.angle) + gain * along
+        return found._replace(r=outer.r + along * math.cos(minus), s=s)
+
+    return _settled(improved, outer._replace(z=0.0, angle=0.5 * math.pi))
+
+
+def _between(one: State, other: State) -> State:
+    return State(*(0.5 * (a + b) for a, b in zip(one, other, strict=True)))
+
+
+def _settled(improved: Callable[[State], State], found: State) -> State:
+    for count in range(ROUNDS):
+        last, found = found, improved(found)
+        gap = sum(abs(a - b) for a, b in zip(found[:3], last[:3], strict=True))
+        if gap + abs(found.s - last.s) / abs(last.s) < ENOUGH:
             return found
-    raise ValueError(NO_POINT)
-
-
-def _settled(found: State, last: State) -> bool:
-    gap = sum(abs(a - b) for a, b in zip(found[:3], last[:3], strict=True))
-    return gap + abs(found.s - last.s) / abs(last.s) < ENOUGH
+        if count > DIRECT:  # it may swing from one side to the other
+            found = _between(found, last)
+    raise ValueError(f"two slip lines do not meet near r = {found.r:.3g} R, z = {found.z:.3g} R")
