@@ -49,8 +49,8 @@ CONTACT = {0.0: "to the edge", 0.5: "half a cell short"}
 """How many cells before the edge contact ends, and what a check calls that."""
 TOLERANCE = 0.15
 CAUSE = (
-    "contact drives nodes beyond the edge; as cells shrink the load falls with contact to the edge, "
-    "and rises with contact that ends half a cell before it"
+    "contact drives nodes beyond the edge; as cells shrink, the load falls if contact goes to the "
+    "edge, and rises if it ends half a cell before"
 )
 
 
