@@ -37,15 +37,15 @@ test: lint
 
 # The numerical tests as on processors with AVX2 at most, and with neither: Numba and OpenBLAS are
 # held to those. Nothing else than x86 knows these names.
-NUMERICAL := tests/forward/mpm tests/forward/mpm3d tests/surrogate/test_kronecker.py \
+NUMERICAL := tests/forward/plane tests/forward/mpm tests/surrogate/test_kronecker.py \
 	tests/surrogate/test_paper_process.py tests/surrogate/test_joint.py \
 	tests/inference/test_posterior.py tests/inference/test_certificate.py
 test-processors: $(DEV)
 	NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Haswell \
 		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL)
 	NUMBA_CPU_NAME=x86-64 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Nehalem \
-		$(BIN)/pytest -n $(WORKERS) tests/forward/mpm/test_packets.py tests/forward/mpm/test_phases.py \
-		tests/forward/mpm3d
+		$(BIN)/pytest -n $(WORKERS) tests/forward/plane/test_packets.py tests/forward/plane/test_phases.py \
+		tests/forward/mpm
 
 test-slow: $(DEV)
 	$(BIN)/pytest -n $(WORKERS) -m slow

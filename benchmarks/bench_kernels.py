@@ -14,18 +14,18 @@ from collections.abc import Callable
 import numpy as np
 
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.mpm import lanes, packets, scalar
-from terraphi.forward.mpm.bed import Particles, empty_grid, geostatic_bed
-from terraphi.forward.mpm.compiled import register_use
-from terraphi.forward.mpm.contact import intruder_of
-from terraphi.forward.mpm.packing import LANES, aligned_zeros, pack
-from terraphi.forward.mpm.plasticity import material_of
-from terraphi.forward.mpm.relief import fading_of
-from terraphi.forward.mpm.scalar import empty_audit, empty_reaction, stepping_of
-from terraphi.forward.mpm.solver import path_of_steps
-from terraphi.forward.mpm.sweep import laws_of
-from terraphi.forward.mpm3d import bed as space
-from terraphi.forward.mpm3d.phase import Kernel, Phases, precision_of
+from terraphi.forward.compiled import register_use
+from terraphi.forward.driver import path_of_steps
+from terraphi.forward.mpm import bed as space
+from terraphi.forward.mpm.phase import Kernel, Phases, precision_of
+from terraphi.forward.plane import lanes, packets, scalar
+from terraphi.forward.plane.bed import Particles, empty_grid, geostatic_bed
+from terraphi.forward.plane.contact import intruder_of
+from terraphi.forward.plane.packing import LANES, aligned_zeros, pack
+from terraphi.forward.plane.plasticity import material_of
+from terraphi.forward.plane.relief import fading_of
+from terraphi.forward.plane.scalar import empty_audit, empty_reaction, stepping_of
+from terraphi.forward.plane.sweep import laws_of
 from terraphi.library.plan import Plan
 
 

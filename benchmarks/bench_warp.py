@@ -20,9 +20,9 @@ import numpy as np
 import warp as wp
 
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.mpm3d.bed import Soil, geostatic_bed, particle_volume
-from terraphi.forward.mpm3d.phase import Phases, precision_of
-from terraphi.forward.mpm3d.plasticity import Material, material_of
+from terraphi.forward.mpm.bed import Soil, geostatic_bed, particle_volume
+from terraphi.forward.mpm.phase import Phases, precision_of
+from terraphi.forward.mpm.plasticity import Material, material_of
 from terraphi.library.plan import Plan
 
 from bench_kernels import seconds_in_space  # isort: skip

@@ -246,7 +246,7 @@ def test_a_command_loads_only_what_it_needs(words: list[str], heavy: set[str]) -
         ("terraphi/forward/rft.py", "from terraphi.experiment.soil import Soil", True),
         ("terraphi/experiment/soil.py", "from terraphi.forward import rft", False),
         ("terraphi/forward/__init__.py", "from terraphi.forward import mpm", True),
-        ("terraphi/forward/mpm/solver.py", "import terraphi.library.store", False),
+        ("terraphi/forward/plane/solver.py", "import terraphi.library.store", False),
         ("terraphi/view/plots.py", "from terraphi import Soil", False),
         ("terraphi/robot/forces.py", "from terraphi.inference import posterior", False),
         ("terraphi/robot/forces.py", "from terraphi.forward import rft", False),

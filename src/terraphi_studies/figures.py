@@ -169,7 +169,7 @@ def moments(
     InputError
         If the leg does not come to an angle.
     """
-    from terraphi.forward.mpm.bed import Particles
+    from terraphi.forward.plane.bed import Particles
 
     left = [float(np.radians(angle)) for angle in theta_deg]
     kept: list[Moment] = []

@@ -59,7 +59,7 @@ def test_a_shipped_library_took_about_as_long_as_forecast(name: str) -> None:
 
 
 def test_memory_is_that_of_the_arrays_at_least() -> None:
-    from terraphi.forward.mpm.state import first_state
+    from terraphi.forward.state import first_state
 
     fine = Scenario().replace(**{"numerics.cells": 256, "numerics.time_step": 2e-6})
     soil = first_state(fine).soil

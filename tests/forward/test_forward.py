@@ -45,7 +45,7 @@ def test_material_point_method_is_called_and_its_words_are_kept(
         assert options == {"progress": print, "checkpoint": kept, "observe": looks}
         return ForceHistory(np.array([0.0, 1.0]), np.ones((2, 2)), provenance={"machine": "mine"})
 
-    monkeypatch.setattr("terraphi.forward.mpm.solver.simulate", fake)
+    monkeypatch.setattr("terraphi.forward.driver.simulate", fake)
     known = forward.simulate(Scenario(), progress=print, checkpoint=kept, observe=looks).provenance
     assert known["model_version"] == "mpm-1"
     assert known["machine"] == "mine"

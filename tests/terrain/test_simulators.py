@@ -16,7 +16,7 @@ import pytest
 from terraphi.cli import options
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.soil import Soil
-from terraphi.forward.mpm.plasticity import jaumann_predictor, material_of, return_mapping
+from terraphi.forward.plane.plasticity import jaumann_predictor, material_of, return_mapping
 from terraphi.terrain.simulators import (
     DP_TYPES,
     MATCHES,

@@ -14,7 +14,7 @@ import pytest
 import terraphi_studies as studies
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import Soil
-from terraphi.forward.mpm import plasticity
+from terraphi.forward.plane import plasticity
 from terraphi_studies import verification
 from terraphi_studies.verification import elements, limit_loads, limit_scenarios
 from terraphi_studies.verification import limit_scenarios as limit_values

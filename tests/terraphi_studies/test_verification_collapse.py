@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terraphi.forward.mpm.bed import geostatic_bed
+from terraphi.forward.plane.bed import geostatic_bed
 from terraphi_studies.verification import collapse
 
 

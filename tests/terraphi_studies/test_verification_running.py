@@ -130,7 +130,7 @@ def test_sources_of_numbers_and_no_others_are_watched() -> None:
         for file in running._PACKAGE.glob(pattern)
     }
     room = "terraphi_studies/verification"
-    forward = {"terraphi/forward/mpm/contact.py", "terraphi/forward/mpm3d/lanes.py"}
+    forward = {"terraphi/forward/plane/contact.py", "terraphi/forward/mpm/lanes.py"}
     plan = {"terraphi/library/plan.py", "terraphi/data/plans/sand3d.toml"}
     known = {"terraphi/experiment/soil.py", *forward, *plan, f"{room}/waves.py"}
     assert known <= watched

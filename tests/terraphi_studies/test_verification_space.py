@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from terraphi.forward.mpm.bed import geostatic_bed
-from terraphi.forward.mpm3d.lattice import lattice_of, positions
+from terraphi.forward.mpm.lattice import lattice_of, positions
+from terraphi.forward.plane.bed import geostatic_bed
 from terraphi_studies.verification import slab, space
 
 

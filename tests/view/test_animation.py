@@ -17,7 +17,7 @@ from terraphi import forward
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.mpm.fields import FieldSeries
+from terraphi.forward.plane.fields import FieldSeries
 from terraphi.forward.vtk import read_points, read_series
 from terraphi.view import animation
 from terraphi.view.animation import Scene, _tick, animate, check_animation

@@ -37,7 +37,7 @@ def test_this_installation_is_sound(terraphi) -> None:
 
 @pytest.mark.parametrize(("bits", "state"), [(512, "ok"), (256, "note"), (128, "note")])
 def test_narrow_vectors_are_told_with_what_they_cost(bits: int, state: str, monkeypatch) -> None:
-    monkeypatch.setattr("terraphi.forward.mpm.packing.register_bits", lambda: bits)
+    monkeypatch.setattr("terraphi.forward.plane.packing.register_bits", lambda: bits)
     check = found()["vectors"]
     assert check.state == state
     assert check.found.startswith(f"{bits} bits, {bits // 64} doubles at a time")
@@ -117,6 +117,6 @@ def test_a_missing_package_is_a_problem_and_a_missing_extra_is_none(monkeypatch)
 
 
 def test_a_compiler_that_fails_is_a_problem(monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "terraphi.forward.mpm.checkpoint", None)
+    monkeypatch.setitem(sys.modules, "terraphi.forward.checkpoint", None)
     check = found()["kernels"]
     assert check.state == "problem"

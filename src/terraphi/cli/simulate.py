@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from terraphi.experiment.scenario import Scenario
     from terraphi.forward import Checkpoint
     from terraphi.forward.forecast import Forecast
-    from terraphi.forward.mpm.fields import FieldSeries
+    from terraphi.forward.plane.fields import FieldSeries
 
 log = logging.getLogger(__name__)
 FRAMES = 100
@@ -151,7 +151,7 @@ def field_series(
             f"model = '{scenario.model}' has no particles to look at: --fields and --animate need "
             "model = 'mpm'"
         )
-    from terraphi.forward.mpm.fields import FieldSeries
+    from terraphi.forward.plane.fields import FieldSeries
 
     return FieldSeries(place, scenario, frames=frames)
 

@@ -159,7 +159,7 @@ class Numerics(Strict):
     """``nodes``: the nodes of the grid near the leg take its velocity; ``surface``: the
     material points press on its true surface; ``unbalanced``: near nodes as in the public
     prototype of Xu & Wang, which counts more force than it applies
-    (``forward/mpm/contact.py``)."""
+    (``forward/plane/contact.py``)."""
     contact_band_cells: float = Field(2.0, ge=0)
     """Nodes closer to the leg than this many cells are in contact [-]."""
     tip_inset_cells: float = Field(0.0, ge=0, le=4)
@@ -300,7 +300,7 @@ COURANT_LIMIT = 0.9
 """Largest stable (c_p + v) Δt / Δx of the explicit step.
 
 Measured: elastic beds stay quiet up to 1.00 in the worst arrangement of particles tried and 1.10 in
-most, soil up to 1.15; see tests/forward/mpm."""
+most, soil up to 1.15; see tests/forward/plane."""
 
 LONGEST_TRAVEL = {2: 0.1, 3: 0.5}
 """Cells that the leg may travel while the grid keeps its velocities, by dimensions [-]: the

@@ -164,7 +164,7 @@ def rests_on(scenario: Scenario) -> dict[str, Any]:
         instructions, the C library and the type of the processor. JSON-able.
     """
     if scenario.model == "mpm":
-        from terraphi.forward.mpm import checkpoint
+        from terraphi.forward import checkpoint
 
         return checkpoint.rests_on("packets", dimensions=scenario.dimensions)
     return {
@@ -188,7 +188,7 @@ def _model(
 ) -> ForwardModel:
     """The function that simulates a scenario; loads its module."""
     if scenario.model == "mpm":
-        from terraphi.forward.mpm import solver
+        from terraphi.forward import driver as solver
 
         return partial(solver.simulate, checkpoint=checkpoint, observe=observe)
     from terraphi.forward import rft

@@ -146,7 +146,7 @@ def foreseen(scenarios: Sequence[Scenario]) -> Forecast:
     needed = {code for code in map(code_for, scenarios) if code is not None}
     if not needed:
         return forecast(scenarios)
-    from terraphi.forward.mpm import packing
+    from terraphi.forward.plane import packing
 
     compiling = COMPILING_SECONDS * sum(not is_compiled(code) for code in needed)
     return forecast(scenarios, register_bits=packing.register_bits(), compiling_seconds=compiling)
@@ -177,11 +177,11 @@ def place_of_code(code: Code = IN_PLANE) -> tuple[Path | None, str]:
     """Where machine code of the kernels is kept: folder, or ``None`` for nowhere, and name."""
     outermost: Any  # Numba's types do not tell that a function has statistics.
     if code.dimensions == 3:
-        from terraphi.forward.mpm3d.phase import step as outermost
+        from terraphi.forward.mpm.phase import step as outermost
     elif code.phases:
-        from terraphi.forward.mpm.packet_phases import march as outermost
+        from terraphi.forward.plane.packet_phases import march as outermost
     else:
-        from terraphi.forward.mpm.packets import march as outermost
+        from terraphi.forward.plane.packets import march as outermost
     file = outermost.__module__.rpartition(".")[2]
     folder = outermost.stats.cache_path
     return Path(folder) if folder else None, f"{file}.{outermost.__name__}-*.nbi"

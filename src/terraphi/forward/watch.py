@@ -14,8 +14,8 @@ from terraphi.experiment.motion import Poses
 from terraphi.experiment.scenario import Scenario
 
 if TYPE_CHECKING:
-    from terraphi.forward.mpm.bed import Particles
-    from terraphi.forward.mpm3d.bed import Soil
+    from terraphi.forward.mpm.bed import Soil
+    from terraphi.forward.plane.bed import Particles
 
 EVERY = 20.0
 """Least time between two checkpoints [s]."""
@@ -73,8 +73,8 @@ class Snapshot:
     steps
         Number of steps in all.
     soil
-        The particles, :class:`~terraphi.forward.mpm.bed.Particles` or, in three dimensions,
-        :class:`~terraphi.forward.mpm3d.bed.Soil`; read-only, and changed by the simulation as soon
+        The particles, :class:`~terraphi.forward.plane.bed.Particles` or, in three dimensions,
+        :class:`~terraphi.forward.mpm.bed.Soil`; read-only, and changed by the simulation as soon
         as the observer returns.
     """
 

@@ -1,6 +1,6 @@
 """Animation of a simulation: the particles coloured by speed, beside the growing forces.
 
-Made from the frames of :class:`~terraphi.forward.mpm.fields.FieldSeries` and the finished history.
+Made from the frames of :class:`~terraphi.forward.plane.fields.FieldSeries` and the finished history.
 """
 
 from __future__ import annotations

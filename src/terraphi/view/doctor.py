@@ -118,8 +118,8 @@ def _machine() -> Iterator[Check]:
 def _kernels() -> Iterator[Check]:
     """Whether the kernels load, how wide their vectors are, and whether they are compiled."""
     try:
-        from terraphi.forward.mpm.checkpoint import rests_on
-        from terraphi.forward.mpm.packing import register_bits
+        from terraphi.forward.checkpoint import rests_on
+        from terraphi.forward.plane.packing import register_bits
     except Exception as error:  # whatever the compiler says, and it says it in many ways
         yield Check("kernels", "problem", f"cannot be loaded: {error}")
         return

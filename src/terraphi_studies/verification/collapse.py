@@ -25,7 +25,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.scenario import GRAVITY, Scenario
-from terraphi.forward.mpm.bed import Particles, geostatic_bed
+from terraphi.forward.plane.bed import Particles, geostatic_bed
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, one_legend, panels_of
 from terraphi_studies.verification.check import Check, Family, Outcome, Task
 from terraphi_studies.verification.driver import advance, rig_of

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.mpm.bed import Grid, Particles, geostatic_bed
-from terraphi.forward.mpm.solver import Kernel, step_count
-from terraphi.forward.mpm.transfer import grid_to_particle, particles_to_grid
+from terraphi.forward.driver import Kernel, step_count
+from terraphi.forward.plane.bed import Grid, Particles, geostatic_bed
+from terraphi.forward.plane.transfer import grid_to_particle, particles_to_grid
 from terraphi_studies.verification.check import Check, Family, Outcome, Task, numbered
 from terraphi_studies.verification.driver import advance, block_of, follow, in_words, rig_of
 from terraphi_studies.verification.waves import elastic

@@ -17,12 +17,12 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import SimulationError
 from terraphi.experiment.motion import bin_centres
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.mpm.bed import Grid, Particles, empty_grid, geostatic_bed
-from terraphi.forward.mpm.contact import Intruder, intruder_of
-from terraphi.forward.mpm.plasticity import Material, material_of
-from terraphi.forward.mpm.relief import Fading, fading_of
-from terraphi.forward.mpm.scalar import Audit, Stepping, empty_audit, empty_reaction, stepping_of
-from terraphi.forward.mpm.solver import KERNELS, Kernel, path_of_steps, step_count
+from terraphi.forward.driver import KERNELS, Kernel, path_of_steps, step_count
+from terraphi.forward.plane.bed import Grid, Particles, empty_grid, geostatic_bed
+from terraphi.forward.plane.contact import Intruder, intruder_of
+from terraphi.forward.plane.plasticity import Material, material_of
+from terraphi.forward.plane.relief import Fading, fading_of
+from terraphi.forward.plane.scalar import Audit, Stepping, empty_audit, empty_reaction, stepping_of
 from terraphi.library.workers import heartbeat
 
 BLOCK = 1000

@@ -14,7 +14,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.soil import Soil, YieldCriterion, friction_angle_from_plane_strain_deg
-from terraphi.forward.mpm.plasticity import (
+from terraphi.forward.plane.plasticity import (
     Four,
     cone_of,
     jaumann_predictor,

@@ -14,8 +14,8 @@ from terraphi.experiment.history import WINDOW_DEG
 from terraphi.experiment.leg import LEG_SHAPES
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import YIELD_CRITERIA
-from terraphi.forward.mpm.bed import Particles, geostatic_bed
-from terraphi.forward.mpm.solver import Kernel, simulate
+from terraphi.forward.driver import Kernel, simulate
+from terraphi.forward.plane.bed import Particles, geostatic_bed
 from terraphi.library.workers import heartbeat
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, panels_of
 from terraphi_studies.verification.check import Check, Family, Outcome, Task

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from terraphi.experiment.scenario import GRAVITY, Scenario
-from terraphi.forward.mpm.solver import simulate
+from terraphi.forward.driver import simulate
 from terraphi.library.workers import heartbeat
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, one_legend, panels_of
 from terraphi_studies.verification.check import Check, Family, Outcome, Task

@@ -30,7 +30,7 @@ from dataclasses import replace
 import numpy as np
 
 from terraphi.experiment.scenario import GRAVITY, Scenario
-from terraphi.forward.mpm.solver import simulate
+from terraphi.forward.driver import simulate
 from terraphi.library.workers import heartbeat
 from terraphi_studies.verification.check import Check, Family, Outcome, Task, numbered
 from terraphi_studies.verification.limit_loads import footing_cause, unrest

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.scenario import GRAVITY, Scenario
-from terraphi.forward.mpm.bed import Particles, geostatic_bed
-from terraphi.forward.mpm.scalar import LEDGER_ROWS
+from terraphi.forward.plane.bed import Particles, geostatic_bed
+from terraphi.forward.plane.scalar import LEDGER_ROWS
 from terraphi.view.plots import BLUE, GREY, ORANGE, panels_of
 from terraphi_studies.verification.check import Check, Family, Outcome, Task, numbered
 from terraphi_studies.verification.driver import ELASTIC, advance, benchmark, in_words, rig_of

@@ -30,7 +30,7 @@ Key = tuple[str, str]
 
 _PACKAGE = Path(__file__).parents[2]
 _SOURCES = (
-    *("terraphi/experiment/*.py", "terraphi/forward/mpm/*.py", "terraphi/forward/mpm3d/*.py"),
+    *("terraphi/experiment/*.py", "terraphi/forward/plane/*.py", "terraphi/forward/mpm/*.py"),
     *("terraphi/forward/__init__.py", "terraphi/library/plan.py"),
     *("terraphi/data/scenarios/*.toml", "terraphi/data/plans/*.toml"),
     "terraphi_studies/verification/*.py",

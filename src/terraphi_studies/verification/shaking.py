@@ -16,8 +16,8 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.mpm3d.bed import Soil
-from terraphi.forward.mpm3d.solver import Blocks
+from terraphi.forward.mpm.bed import Soil
+from terraphi.forward.mpm.solver import Blocks
 from terraphi.library.plan import Plan
 from terraphi.library.workers import heartbeat
 from terraphi_studies.verification.check import Check, Outcome, Task

@@ -14,11 +14,11 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.mpm.scalar import empty_audit, empty_reaction
-from terraphi.forward.mpm.solver import path_of_steps, simulate, step_count
-from terraphi.forward.mpm3d.bed import Soil, cells_of, geostatic_bed
-from terraphi.forward.mpm3d.lattice import positions
-from terraphi.forward.mpm3d.phase import Kernel, Phases, precision_of
+from terraphi.forward.driver import path_of_steps, simulate, step_count
+from terraphi.forward.mpm.bed import Soil, cells_of, geostatic_bed
+from terraphi.forward.mpm.lattice import positions
+from terraphi.forward.mpm.phase import Kernel, Phases, precision_of
+from terraphi.forward.plane.scalar import empty_audit, empty_reaction
 from terraphi.library.plan import Plan
 from terraphi.library.workers import heartbeat
 from terraphi_studies.verification.check import Check, Outcome, Task

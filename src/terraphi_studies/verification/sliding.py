@@ -9,7 +9,7 @@ import numpy as np
 
 from terraphi.experiment.leg import Leg
 from terraphi.experiment.scenario import GRAVITY, Scenario
-from terraphi.forward.mpm.contact import intruder_of
+from terraphi.forward.plane.contact import intruder_of
 from terraphi_studies.verification.check import Check, Family, Outcome, numbered
 from terraphi_studies.verification.driver import (
     ELASTIC,

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.mpm.bed import Particles, geostatic_bed
+from terraphi.forward.plane.bed import Particles, geostatic_bed
 from terraphi_studies.verification.driver import Rig, advance, block_of, rig_of
 from terraphi_studies.verification.waves import elastic, lame_mode
 

@@ -32,10 +32,10 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward import simulate
-from terraphi.forward.mpm.scalar import empty_audit, empty_reaction
-from terraphi.forward.mpm3d.bed import Soil, geostatic_bed
-from terraphi.forward.mpm3d.lattice import positions
-from terraphi.forward.mpm3d.phase import Phases, velocities
+from terraphi.forward.mpm.bed import Soil, geostatic_bed
+from terraphi.forward.mpm.lattice import positions
+from terraphi.forward.mpm.phase import Phases, velocities
+from terraphi.forward.plane.scalar import empty_audit, empty_reaction
 from terraphi.library.plan import Plan
 from terraphi.library.workers import heartbeat
 from terraphi_studies.verification import shaking, slab

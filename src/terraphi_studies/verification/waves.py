@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.experiment.soil import Soil
-from terraphi.forward.mpm.bed import Particles, geostatic_bed
+from terraphi.forward.plane.bed import Particles, geostatic_bed
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, panels_of
 from terraphi_studies.verification.check import Check, Family, Outcome, Task
 from terraphi_studies.verification.driver import (

@@ -13,7 +13,7 @@ from terraphi.cli.invert import save_inversion
 from terraphi.experiment.measurements import measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
-from terraphi.forward.mpm.fields import FieldSeries
+from terraphi.forward.plane.fields import FieldSeries
 from terraphi.inference.answer import Inversion
 from terraphi.inference.inversion import invert
 from terraphi.library.store import Library

@@ -1,11 +1,10 @@
-"""Material point method in plane strain: MLS-MPM with APIC transfers and a rigid leg.
+"""Material point method in space: quadratic splines, APIC, Lagrangian phases and a rigid body.
 
-Read in this order: ``bed`` (what there is), ``transfer``, ``plasticity``, ``contact``, ``relief``
-(one piece of physics each), ``scalar`` (a step), ``phases`` (steps for which the grid keeps its
-velocities), ``solver`` (all steps). Then the same steps made fast: ``compiled`` (how, and where the
-machine code is kept), ``packing`` (how particles lie), ``lanes`` (what happens to a packet of
-them), ``rows`` (the grid), ``sweep`` (from grid to grid), ``packets`` and ``packet_phases`` (a
-block of steps of either kind). Around the solver: ``state`` (all there is between two blocks),
-``checkpoint`` (the same in a file), ``breakdown`` (why a solution failed), ``fields`` (frames for
-ParaView).
+Read in this order: ``lattice`` (the grid and its symmetry planes), ``bed`` (what there is),
+``plasticity`` and ``contact`` (a piece of physics each), ``transfer`` (particles and grid between
+two phases), ``nodes`` (a step of the grid), ``plain`` (strain and force of the reference),
+``phase`` (many steps). Then strain and force made fast: ``packing`` (how particles lie), ``lanes``
+(what happens to a packet of them), ``packets`` (from the grid's velocities to its forces).
+``solver`` gives all of it to the driver in ``mpm``, which keeps checkpoints, progress and the
+history.
 """

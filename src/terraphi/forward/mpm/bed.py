@@ -1,130 +1,148 @@
-"""The bed of soil before anything moves: particles, their weight, and the stress at rest."""
+"""The bed of soil in space before anything moves, and all that is kept of it between two phases."""
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.mpm.contact import distance_to_solid, intruder_of
+from terraphi.forward.mpm.lattice import Lattice, lattice_of
 
 FloatArray = NDArray[np.float64]
 
 
-class Particles(NamedTuple):
-    """State of the soil, one row a particle; per metre of width."""
+class Soil(NamedTuple):
+    """Particles and grid between two phases, in the kernel's precision.
 
-    position: FloatArray
-    """(x, z) [m], shape [particle, 2]."""
-    start: FloatArray
-    """First position (x, z) [m], shape [particle, 2]."""
-    velocity: FloatArray
-    """(x, z) [m/s], shape [particle, 2]."""
-    gradient: FloatArray
-    """Affine matrix C, the velocity gradient, row by row [1/s], shape [particle, 4]."""
-    stress: FloatArray
-    """(σ_xx, σ_zz, σ_xz, σ_yy) [Pa], shape [particle, 4]."""
-    mass: FloatArray
-    """[kg/m], shape [particle]."""
-    volume: FloatArray
-    """V₀ [m²], shape [particle]."""
-    stretch: FloatArray
-    """J [-], shape [particle]; stays 1 with fixed volumes."""
-    weight: FloatArray
-    """q of the relief [-], shape [particle]."""
-    slip: FloatArray
-    """Elastic part of the slip along the leg's surface, where it presses [m], shape [particle]."""
+    Particles have no velocities: those of the grid, which stand for all of them, pass from one
+    phase to the next in :mod:`~terraphi.forward.mpm.transfer`.
+    """
 
-
-class Grid(NamedTuple):
-    """Background grid; row j is height, column i is x; shape [row, column]."""
-
-    mass: FloatArray
-    """[kg/m]."""
-    vx: FloatArray
-    """Momentum, then velocity along x [m/s]."""
-    vz: FloatArray
-    """Momentum, then velocity along z [m/s]."""
+    cell: NDArray[np.int32]
+    """Nearest node, shape [particle]."""
+    offset: NDArray[Any]
+    """Place from that node (x, y, z) [cell], shape [particle, 3]."""
+    stress: NDArray[Any]
+    """(σ_xx, σ_yy, σ_zz, σ_xy, σ_xz, σ_yz) [Pa], shape [particle, 6]."""
+    strain: NDArray[Any]
+    """Plastic shear strain κ [-], shape [particle]."""
+    slip: NDArray[Any]
+    """Elastic slip along the leg's surface where it presses (x, y, z) [m], shape [particle, 3]."""
+    mass: NDArray[Any]
+    """[kg], shape [particle]."""
+    node_mass: NDArray[Any]
+    """[kg], shape [node]."""
+    vx: NDArray[Any]
+    """Velocity of the nodes along x [m/s], shape [node]."""
+    vy: NDArray[Any]
+    """Along y [m/s]."""
+    vz: NDArray[Any]
+    """Along z [m/s]."""
 
 
-def empty_grid(scenario: Scenario) -> Grid:
-    """Empty grid of a scenario, with one node more than cells need, for splines at its edge."""
-    shape = (scenario.numerics.cells + 2, scenario.numerics.cells + 2)
-    return Grid(np.zeros(shape), np.zeros(shape), np.zeros(shape))
+def particle_volume(scenario: Scenario) -> float:
+    """Volume of a particle [m³]; the same for all, and kept."""
+    _, size = _sub_cells(scenario)
+    return float(np.prod(size))
 
 
-def geostatic_bed(scenario: Scenario) -> Particles:
-    """Fill the box, or a part of it, with one particle a sub-cell, at rest under its own weight.
+def geostatic_bed(scenario: Scenario, dtype: DTypeLike = np.float64) -> Soil:
+    """Fill the box with one particle a sub-cell, at rest under its own weight.
 
-    Sub-cells are those of the soil, as near to Δx / ``particles_per_cell_side`` as an integer
-    number of them allows, so that mass and volume are exact on any grid. σ_zz = -q - ρ g depth,
-    σ_xx = σ_yy = K0 σ_zz. The surcharge q is dead weight that adds to the mass of the uppermost
-    row of particles, not to their volume; its inertia is to its weight what that of the soil is to
-    the soil's. Soil under a plate carries it too: q is then part of what the plate rests on, and
-    not of the force on it. That state is admissible under ``plane_strain`` and ``triaxial``. Under
-    ``paper`` it is not, because K0 = 1 - sin φ takes the nominal φ and the yield surface does not:
-    the first step returns it to the surface (φ = 35°: K = 0.57 instead of 0.43, σ_zz 9 % smaller),
-    and the bed settles at speeds below 1 mm/s long before the leg arrives. Particles
-    inside the leg's first position are left out.
+    As :func:`terraphi.forward.plane.bed.geostatic_bed` in the plane: mass and volume are exact on any
+    grid, σ_zz = -q - ρ g depth, σ_xx = σ_yy = K0 σ_zz, the surcharge is dead weight of the
+    uppermost particles, and particles inside the leg's first position are left out.
 
     Parameters
     ----------
     scenario
         The scenario; its seed places the particles.
+    dtype
+        Precision.
 
     Returns
     -------
-    Particles
+    Soil
+        The grid has its masses, and rests.
     """
     bed, numerics, soil = scenario.bed, scenario.numerics, scenario.soil
-    target = numerics.cell_size / numerics.particles_per_cell_side
+    lattice = lattice_of(scenario)
+    counts, size = _sub_cells(scenario)
+    rng = np.random.default_rng(numerics.seed)
+    axes = np.meshgrid(*(np.arange(n) for n in counts[::-1]), indexing="ij")
+    corner = np.stack([axis.ravel() for axis in axes[::-1]], axis=1).astype(np.int32)
+    place = rng.random((len(corner), 3))
+    place = 0.5 + numerics.particle_jitter * (place - 0.5)
+    position = np.array([bed.soil_span[0], lattice.y_low, bed.floor]) + (corner + place) * size
+    uppermost = corner[:, 2] == counts[2] - 1
+    del corner, place
+    kept, position = _outside_leg(scenario, position, 0.5 * float(np.cbrt(np.prod(size))))
+    uppermost = uppermost[kept]
+
+    stress = np.zeros((len(position), 6), dtype)
+    vertical = -bed.surcharge - soil.density * bed.gravity * (bed.surface - position[:, 2])
+    stress[:, 2] = vertical
+    stress[:, 0] = stress[:, 1] = soil.k0_at_rest * vertical
+    mass = np.full(len(position), soil.density * np.prod(size), dtype)
+    if bed.surcharge > 0.0:
+        mass[uppermost] += bed.surcharge / bed.gravity * size[0] * size[1]
+    cell, offset = cells_of(lattice, position)
+    nodes = (np.zeros(lattice.nodes, dtype) for _ in range(4))
+    return Soil(
+        cell,
+        offset.astype(dtype),
+        stress,
+        np.zeros(len(mass), dtype),
+        np.zeros((len(mass), 3), dtype),
+        mass,
+        *nodes,
+    )
+
+
+def cells_of(lattice: Lattice, position: FloatArray) -> tuple[NDArray[np.int32], FloatArray]:
+    """Cells and offsets [cell] of particles from their places (x, y, z) [m]."""
+    place = position / lattice.cell_size
+    place[:, 1] += 0.5 - lattice.y_low / lattice.cell_size
+    node = np.floor(place + 0.5).astype(np.int64)
+    cell = node[:, 2] * lattice.layer + node[:, 1] * lattice.row + node[:, 0]
+    return cell.astype(np.int32), place - node
+
+
+def _sub_cells(scenario: Scenario) -> tuple[tuple[int, int, int], FloatArray]:
+    """Numbers of sub-cells along x, y, z, and the sides of one [m]."""
+    bed, numerics = scenario.bed, scenario.numerics
+    side = numerics.particles_per_cell_side
+    target = numerics.cell_size / side
     left, right = bed.soil_span
     columns, rows = round((right - left) / target), round(bed.height / target)
-    size = np.array([(right - left) / columns, bed.height / rows])
-    rng = np.random.default_rng(numerics.seed)
-    place = 0.5 + numerics.particle_jitter * (rng.random((rows * columns, 2)) - 0.5)
-    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
-    corner = np.stack([column.ravel(), row.ravel()], axis=1)
-    position = np.array([left, bed.floor]) + (corner + place) * size
-    distance, outward = _distance_to_leg(scenario, position)
-    kept = distance >= 0.0
-    if numerics.contact == "surface":
-        # A particle that overlaps would be shot out: it begins where it just touches.
-        short = np.clip(0.5 * math.sqrt(size[0] * size[1]) - distance, 0.0, None)
-        position += short[:, None] * outward
-    position, uppermost = position[kept], corner[kept, 1] == rows - 1
-
-    count = len(position)
-    stress = np.zeros((count, 4))
-    depth = bed.surface - position[:, 1]
-    stress[:, 1] = -bed.surcharge - soil.density * bed.gravity * depth
-    stress[:, 0] = stress[:, 3] = soil.k0_at_rest * stress[:, 1]
-    volume = np.full(count, size[0] * size[1])
-    mass = soil.density * volume
-    if bed.surcharge > 0.0:
-        mass[uppermost] += bed.surcharge / bed.gravity * size[0]
-    return Particles(
-        position=position,
-        start=position.copy(),
-        velocity=np.zeros((count, 2)),
-        gradient=np.zeros((count, 4)),
-        stress=stress,
-        mass=mass,
-        volume=volume,
-        stretch=np.ones(count),
-        weight=np.ones(count),
-        slip=np.zeros(count),
-    )
+    size = np.array([(right - left) / columns, target, bed.height / rows])
+    return (columns, scenario.cells_across * side, rows), size
 
 
-def _distance_to_leg(scenario: Scenario, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Signed distance [m] from the leg that contact knows, at the start, and unit normal there."""
+def _outside_leg(
+    scenario: Scenario, position: FloatArray, radius: float
+) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Which particles are outside the leg where it starts, and the places of those.
+
+    One that overlaps, closer to the leg than its ``radius`` [m], would be shot out: it is moved to
+    where it just touches.
+    """
     pose = scenario.motion.poses(np.zeros(1))
     axes = np.array(frame_axes(pose.theta[0]))
-    distance, normal = scenario.leg.signed_distance(
-        (position - pose.hip[0]) @ axes.T, inset=scenario.tip_inset
-    )
-    return distance, normal @ axes
+    intruder, hip = intruder_of(scenario.leg, inset=scenario.tip_inset), pose.hip[0]
+    kept = np.ones(len(position), dtype=bool)
+    flat = position[:, [0, 2]] - hip
+    near = np.hypot(*flat.T) < intruder.reach + radius
+    for p in np.flatnonzero(near):
+        s, m = axes @ flat[p]
+        distance, ns, nm, ny = distance_to_solid(intruder, s, m, position[p, 1])
+        kept[p] = distance >= 0.0
+        if 0.0 <= distance < radius:
+            move = radius - distance
+            position[p, [0, 2]] += move * (ns * axes[0] + nm * axes[1])
+            position[p, 1] += move * ny
+    return kept, position[kept]

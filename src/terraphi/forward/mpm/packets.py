@@ -1,225 +1,199 @@
-"""The fast kernel: the same steps as the reference kernel, many particles at a time.
+"""Strain of the particles and force of their stress, many particles at a time.
 
-Between two updates of the grid a particle takes its velocity from the grid, moves, and gives its
-momentum back; here it does so in one go, a packet at a time, so that velocities and gradients need
-not be stored. ``packing`` says what a packet is, ``lanes`` what happens to it, ``sweep`` how all of
-them are worked off, ``rows`` how the grid is updated.
-
-The reference kernel takes a step from particles to particles, this one from grid to grid. So a
-block of steps begins with the first half of a reference step, particles to grid, and ends with the
-second half, grid to particles. The result is that of the reference kernel but for the order of sums
-and roundings.
+Block by block: the velocities of its nodes are copied side by side, the moments of its cells found
+(``lanes``), its packets strained, and the forces laid down on the nodes. As ``plain`` with slopes
+of the kind ``cell``, but for rounding.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.forward.mpm.bed import Grid, Particles
-from terraphi.forward.mpm.compiled import entry, wide_vectors
-from terraphi.forward.mpm.contact import Intruder
-from terraphi.forward.mpm.lanes import Laws
-from terraphi.forward.mpm.packing import LANES, FloatArray, Index, Packets, pack, unpack
-from terraphi.forward.mpm.plasticity import Material
-from terraphi.forward.mpm.relief import Fading
-from terraphi.forward.mpm.rows import clear_rows, padded_grid, update_rows
-from terraphi.forward.mpm.scalar import (
-    Audit,
-    Stepping,
-    close_books,
-    enter_reaction,
-    update_grid,
-    update_particles,
-    write_books,
+from terraphi.forward.compiled import entry, kernel, wide_vectors
+from terraphi.forward.mpm.lanes import (
+    CENTRE,
+    DOUBLE,
+    HALF,
+    MIDDLE,
+    NINE,
+    ONE,
+    ROW,
+    SHARE,
+    SIDE,
+    SUM,
+    SWELL,
+    THREE,
+    TWO,
+    UNIT,
+    VELOCITY,
+    WORK,
+    ZERO,
+    Index,
+    Laws,
+    Work,
+    gather_across,
+    gather_along,
+    give_across,
+    give_along,
+    predict_packet,
+    press_middle,
+    rate_of_cells,
+    return_packet,
+    share,
+    strain_packet,
+    swell_packet,
 )
-from terraphi.forward.mpm.sweep import Memory, laws_of, memory_for, settle, sweep
-from terraphi.forward.mpm.transfer import particles_to_grid
+from terraphi.forward.mpm.lattice import LANES, MARGIN, Lattice
+from terraphi.forward.mpm.packing import Packets, aligned
+from terraphi.forward.mpm.plain import SHARING_ROUNDS
+from terraphi.forward.mpm.transfer import Nodes
 
-IntArray = NDArray[np.int64]
+SUMS = np.uint64(24)
+"""Rows of sums over the particles of a cell."""
+XX, YY, ZZ, XY, XZ, YZ = (np.uint64(n) for n in range(6))
+"""Order of the stresses among the sums."""
+SPLINES = ((SIDE, -HALF, UNIT), (CENTRE, ZERO, -DOUBLE), (SIDE, HALF, UNIT))
+"""Value, slope and second slope in the middle of a cell, of the nodes at -1, 0 and 1."""
 
-NODES = np.uint64(3)
-"""Nodes along a side of a spline."""
 
-
-def advance(
-    soil: Particles,
-    grid: Grid,
-    material: Material,
-    intruder: Intruder,
-    fading: Fading,
-    stepping: Stepping,
-    poses: FloatArray,
-    turned: FloatArray,
-    bins: IntArray,
-    impulse: FloatArray,
-    audit: Audit,
-) -> int:
-    """Run the kernel over a block of steps, changing its array arguments in place.
-
-    Parameters
-    ----------
-    soil, grid, material, intruder, fading, stepping, poses, turned, bins, impulse, audit
-        As in :func:`terraphi.forward.mpm.scalar.advance`.
-
-    Returns
-    -------
-    int
-        Index of the first particle to leave the grid, or -1 if none did.
-    """
-    rows, last = grid.mass.shape[0], len(poses) - 1
-    grids = (padded_grid(rows), padded_grid(rows))
-    impulses = audit.impulses.copy()
-    laws = laws_of(material, stepping)
-    momentum = first_half(soil, grids[0], stepping)
-    constants = (laws, intruder, fading, stepping, poses, turned, bins)
-    step, lost = 0, -1
-    while step < last and lost < 0:
-        packets = pack(soil, rows, stepping.cell_size)
-        memory = memory_for(packets, len(soil.mass))
-        step, momentum, lost = march(
-            packets,
-            soil,
-            grids,
-            memory,
-            *constants,
-            impulse,
-            audit,
-            impulses,
-            momentum,
-            step,
-            LANES,
-        )
-        unpack(packets, soil, stepping.cell_size)
-    if lost >= 0:
-        return lost
-    now = grids[last % 2]
-    end = (poses[last], turned[last], bins[last])
-    lost = last_half(soil, now, material, *constants[1:4], *end, impulse, audit, impulses, momentum)
-    for nodes, padded in zip(grid, now, strict=True):
-        nodes[:] = padded[:, : nodes.shape[1]]
-    return lost
+def work_memory() -> NDArray[np.float32]:
+    """Working memory of :func:`strain`."""
+    return aligned(int(WORK))
 
 
 @entry
-def first_half(soil: Particles, now: Grid, stepping: Stepping) -> tuple[float, float]:
-    """Particles to grid, as the reference kernel does it; the soil's momentum [kg/s]."""
-    return particles_to_grid(soil, now, stepping.cell_size, stepping.time_step)
-
-
-@entry
-def march(
+def strain(
     packets: Packets,
-    soil: Particles,
-    grids: tuple[Grid, Grid],
-    memory: Memory,
+    lattice: Lattice,
+    velocity: Nodes,
+    force: Nodes,
+    work: Work,
     laws: Laws,
-    intruder: Intruder,
-    fading: Fading,
-    stepping: Stepping,
-    poses: FloatArray,
-    turned: FloatArray,
-    bins: IntArray,
-    impulse: FloatArray,
-    audit: Audit,
-    impulses: FloatArray,
-    momentum: tuple[float, float],
-    step: int,
+    held: Laws,
+    sharing: bool,
+    scale: Any,
+    area: Any,
+    top: int,
     lanes: Index,
-) -> tuple[int, tuple[float, float], int]:
-    """Take steps from grid to grid until the last or until particles must be packed anew.
-
-    A step is :func:`~terraphi.forward.mpm.rows.update_rows`, then
-    :func:`~terraphi.forward.mpm.sweep.sweep`, then :func:`~terraphi.forward.mpm.sweep.settle`. Two
-    grids take turns: momenta are added to one while velocities are read from the other.
+) -> None:
+    """Strain the particles for a time and add the forces of their new stress to the nodes.
 
     Parameters
     ----------
-    packets, soil
-        The soil; what no packet had room for is in ``soil`` alone.
-    grids
-        Padded; the one of the step's parity holds momenta.
-    memory, laws
-        Working memory and constants.
-    intruder, fading, stepping, poses, turned, bins, impulse, audit
-        As in :func:`advance`.
-    impulses
-        Impulses of the step before [kg/s], changed.
-    momentum
-        Momentum of the soil (x, z) [kg/s].
-    step
-        The step to begin with.
+    packets
+        The particles; their stress is changed.
+    lattice
+        The grid.
+    velocity
+        Of the nodes [m/s].
+    force
+        [N]; added to.
+    work
+        Working memory.
+    laws, held
+        Constants, and those with the mean stress held.
+    sharing
+        Whether the particles of a cell share their plastic changes of volume.
+    scale
+        Time over Δx [s/m], in single precision.
+    area
+        Minus the volume of a particle over Δx [m²], in single precision.
+    top
+        Layers of nodes that may have soil.
     lanes
-        :data:`~terraphi.forward.mpm.packing.LANES`, in a form that the compiler cannot foresee.
-
-    Returns
-    -------
-    int
-        The step to go on with.
-    tuple
-        Momentum of the soil then [kg/s].
-    int
-        Index of the first particle to leave the grid, or -1.
+        :data:`~terraphi.forward.mpm.lattice.LANES`, in a form that the compiler cannot foresee.
     """
     wide_vectors()
-    used = packets.top[0] + NODES
-    clear_rows(grids[(step + 1) % 2], np.uint64(grids[0].mass.shape[0]))
-    room = True
-    while step < poses.shape[0] - 1 and room:
-        now, then = grids[step % 2], grids[(step + 1) % 2]
-        close_books(audit, impulses, momentum)
-        impulses[:] = 0.0
-        counted = update_rows(now, used, intruder, stepping, poses[step], impulses)
-        enter_reaction(impulse, bins[step], counted, (impulses[1, 0], impulses[1, 1]))
-        clear_rows(then, used)
-        lost, swept = sweep(
-            packets, soil, now, then, memory, laws, fading, turned[step], impulses, lanes
-        )
-        if lost >= 0:
-            return step, momentum, lost
-        write_books(audit, impulses, momentum)
-        settled, room = settle(packets, soil, then, memory.aside, laws)
-        used = max(used, packets.top[0] + NODES)
-        momentum = (swept[0] + settled[0], swept[1] + settled[1])
-        step += 1
-    return step, momentum, -1
+    wide = lanes + MARGIN
+    row, layer = np.uint64(lattice.row), np.uint64(lattice.layer)
+    block = lattice.count_y * lattice.blocks
+    for k in range(np.uint64(1), np.uint64(top - 1)):
+        for j in range(lattice.count_y):
+            for b in range(lattice.blocks):
+                begin, end = packets.first[block], packets.first[block + 1]
+                block += 1
+                if begin == end:
+                    continue
+                at = (k - ONE) * layer + np.uint64(j - 1) * row + np.uint64(b) * LANES
+                load(work, velocity, at, row, layer, wide)
+                middle = np.uint64(block - 1) * THREE * LANES
+                for axis in range(THREE):
+                    for i in range(lanes):
+                        mean = packets.centre[middle + axis * LANES + i]
+                        work[MIDDLE + axis * ROW + i] = mean
+                for component in range(THREE):
+                    gather_across(work, component, wide)
+                    gather_along(work, component, scale, lanes)
+                rate_of_cells(work, lanes)
+                for i in range(SUM - MARGIN, SUM - MARGIN + SUMS * ROW):
+                    work[i] = ZERO
+                some = (np.uint64(begin), np.uint64(end))
+                if sharing:
+                    strain_sharing(packets.state, work, some, lanes, laws, held)
+                else:
+                    for packet in range(some[0], some[1]):
+                        strain_packet(packets.state, work, packet, lanes, laws)
+                press_middle(work, laws, lanes)
+                lay_down(work, force[0], at, (XX, XY, XZ), area, row, layer, wide)
+                lay_down(work, force[1], at, (XY, YY, YZ), area, row, layer, wide)
+                lay_down(work, force[2], at, (XZ, YZ, ZZ), area, row, layer, wide)
 
 
-@entry
-def last_half(
-    soil: Particles,
-    now: Grid,
-    material: Material,
-    intruder: Intruder,
-    fading: Fading,
-    stepping: Stepping,
-    pose: FloatArray,
-    turned: float,
-    bin_: int,
-    impulse: FloatArray,
-    audit: Audit,
-    impulses: FloatArray,
-    momentum: tuple[float, float],
-) -> int:
-    """Grid update and grid to particles, as the reference kernel does it.
+@kernel
+def strain_sharing(
+    state: Work, work: Work, some: tuple[Index, Index], lanes: Index, laws: Laws, held: Laws
+) -> None:
+    """Strain some packets, a block's, whose cells share their plastic changes of volume."""
+    wide_vectors()
+    for packet in range(some[0], some[1]):
+        predict_packet(state, work, packet, lanes, laws)
+    for i in range(SHARE, SHARE + ROW):
+        work[i] = ZERO
+    for _ in range(SHARING_ROUNDS):
+        for i in range(SWELL, SHARE):
+            work[i] = ZERO
+        for packet in range(some[0], some[1]):
+            swell_packet(state, work, packet, lanes, laws, held)
+        share(work, lanes, laws)
+    for packet in range(some[0], some[1]):
+        return_packet(state, work, packet, lanes, held)
 
-    Parameters
-    ----------
-    soil, now, material, intruder, fading, stepping, impulse, audit, impulses, momentum
-        As in :func:`march`.
-    pose, turned, bin_
-        Those of the step.
 
-    Returns
-    -------
-    int
-        Index of the first particle to leave the grid, or -1.
+@kernel
+def load(work: Work, velocity: Nodes, at: Index, row: Index, layer: Index, wide: Index) -> None:
+    """Copy the velocities of the nodes that a block reaches."""
+    wide_vectors()
+    for c in range(THREE):
+        for b in range(THREE):
+            node = at + c * layer + b * row
+            to = VELOCITY + (c * THREE + b) * ROW
+            for i in range(wide):
+                work[to + i] = velocity[0][node + i]
+            for i in range(wide):
+                work[to + NINE * ROW + i] = velocity[1][node + i]
+            for i in range(wide):
+                work[to + NINE * TWO * ROW + i] = velocity[2][node + i]
+
+
+@kernel
+def lay_down(
+    work: Work,
+    force: Work,
+    at: Index,
+    stresses: tuple[Index, Index, Index],
+    area: Any,
+    row: Index,
+    layer: Index,
+    wide: Index,
+) -> None:
+    """Add one component of a block's forces to its nodes.
+
+    ``stresses`` says which of the six act on the faces across x, y and z.
     """
-    close_books(audit, impulses, momentum)
-    impulses[:] = 0.0
-    counted = update_grid(now, intruder, stepping, pose, impulses)
-    enter_reaction(impulse, bin_, counted, (impulses[1, 0], impulses[1, 1]))
-    lost = update_particles(soil, now, material, fading, stepping, turned, impulses)
-    if lost < 0:
-        write_books(audit, impulses, momentum)
-    return lost
+    give_along(work, stresses[0], stresses[1], stresses[2], area, wide)
+    for c in range(THREE):
+        for b in range(THREE):
+            give_across(work, force, at + c * layer + b * row, SPLINES[b], SPLINES[c], wide)

@@ -1,227 +1,272 @@
-"""Transfer between particles and grid: quadratic B-splines, affine velocities.
+r"""Particles and grid: splines, the forces on particles near the leg, and the end of a phase.
 
-APIC (Jiang et al., 2015, doi 10.1145/2766996) in its moving-least-squares form (Hu et al., 2018,
-doi 10.1145/3197517.3201293). The affine term m C in the momentum is essential: without it the
-transfer's own viscosity triples the forces at steps this small.
+With N the product of three quadratic B-splines and r = x_i - x_p, a phase ends with (APIC; Jiang et
+al., 2015, doi 10.1145/2766996)
+
+.. math:: v_p = \sum N v_i, \quad C_p = \tfrac{4}{\Delta x^2} \sum N v_i r^T, \quad
+          x_p \leftarrow x_p + \sum N u_i
+
+at the place that the particle had during the phase, and from its new place
+
+.. math:: m_i = \sum N m_p, \quad m_i v_i = \sum N m_p (v_p + C_p r).
+
+Both are done for one particle after the other, in double precision, so that v_p and C_p are never
+stored; it takes a few hundredths of a phase.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.forward.mpm.bed import Grid, Particles
-from terraphi.forward.mpm.compiled import kernel
+from terraphi.forward.compiled import kernel
+from terraphi.forward.mpm.bed import Soil
+from terraphi.forward.mpm.contact import Intruder, Spring, Three, place_of, touch
+from terraphi.forward.mpm.lattice import Lattice
+from terraphi.forward.plane.contact import pose_of
 
 FloatArray = NDArray[np.float64]
+Nodes = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
+
+THROWN_OF = 10_000
+"""One grain may be thrown in a phase, and another for every so many particles."""
+FARTHEST = 10.0
+"""How far such a grain may fly [cell]."""
 
 
 @kernel
-def weights(offset: float) -> tuple[float, float, float]:
-    """Quadratic B-spline weights of the three nodes from a base node on.
-
-    Parameters
-    ----------
-    offset
-        Distance of the particle from the base node in cells, 0.5 to 1.5 [-].
-
-    Returns
-    -------
-    tuple
-        Three weights [-] that sum to one.
-    """
-    before, middle, after = 1.5 - offset, offset - 1.0, offset - 0.5
-    return 0.5 * (before * before), 0.75 - middle * middle, 0.5 * (after * after)
+def weights(offset: float) -> Three:
+    """Quadratic B-spline weights of the nodes at -1, 0, 1 for a place ``offset`` [cell]."""
+    before, after = 0.5 - offset, 0.5 + offset
+    return 0.5 * before * before, 0.75 - offset * offset, 0.5 * after * after
 
 
 @kernel
-def particle_to_grid(
-    soil: Particles, grid: Grid, p: int, cell_size: float, time_step: float
+def gather(nodes: Nodes, cell: int, place: Three, row: int, layer: int) -> Three:
+    """Interpolate three values of the nodes to a place, an offset from a cell's middle [cell]."""
+    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    first, second, third = 0.0, 0.0, 0.0
+    for c in range(3):
+        for b in range(3):
+            q = cell + (c - 1) * layer + (b - 1) * row - 1
+            share = wz[c] * wy[b]
+            for a in range(3):
+                w = share * wx[a]
+                first += w * nodes[0][q + a]
+                second += w * nodes[1][q + a]
+                third += w * nodes[2][q + a]
+    return first, second, third
+
+
+@kernel
+def push(
+    force: Nodes, cell: int, place: Three, given: Three, arm: Three, row: int, layer: int
+) -> None:
+    """Give a force [N], acting ``arm`` [cell] from a place, to the nodes' forces."""
+    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    for c in range(3):
+        rz = 4.0 * arm[2] * (c - 1 - place[2])
+        for b in range(3):
+            q = cell + (c - 1) * layer + (b - 1) * row - 1
+            ry = 4.0 * arm[1] * (b - 1 - place[1])
+            for a in range(3):
+                share = 1.0 + rz + ry + 4.0 * arm[0] * (a - 1 - place[0])
+                share *= wx[a] * wy[b] * wz[c]
+                force[0][q + a] += share * given[0]
+                force[1][q + a] += share * given[1]
+                force[2][q + a] += share * given[2]
+
+
+@kernel
+def press(
+    soil: Soil,
+    lattice: Lattice,
+    shift: Nodes,
+    force: Nodes,
+    near: NDArray[np.int64],
+    count: int,
+    intruder: Intruder,
+    spring: Spring,
+    pose_row: FloatArray,
 ) -> tuple[float, float]:
-    """Scatter one particle.
-
-    Parameters
-    ----------
-    soil, grid, cell_size, time_step
-        As in :func:`particles_to_grid`; the grid is added to.
-    p
-        Index of the particle.
-
-    Returns
-    -------
-    tuple
-        Momentum (x, z) of the particle per metre of width [kg/s].
-    """
-    per_cell = 1.0 / cell_size
-    stress_scale = -4.0 * time_step * per_cell * per_cell
-    i = int(soil.position[p, 0] * per_cell - 0.5)
-    j = int(soil.position[p, 1] * per_cell - 0.5)
-    fx = soil.position[p, 0] * per_cell - i
-    fz = soil.position[p, 1] * per_cell - j
-    wx, wz = weights(fx), weights(fz)
-    mass = soil.weight[p] * soil.mass[p]
-    k = stress_scale * soil.weight[p] * soil.volume[p] * soil.stretch[p]
-    sxx, szz, sxz = soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2]
-    # The affine part of the momentum, per cell of distance from the particle.
-    axx = (k * sxx + mass * soil.gradient[p, 0]) * cell_size
-    axz = (k * sxz + mass * soil.gradient[p, 1]) * cell_size
-    azx = (k * sxz + mass * soil.gradient[p, 2]) * cell_size
-    azz = (k * szz + mass * soil.gradient[p, 3]) * cell_size
-    px, pz = mass * soil.velocity[p, 0], mass * soil.velocity[p, 1]
-    for b in range(3):
-        rz = b - fz
-        for a in range(3):
-            rx = a - fx
-            w = wz[b] * wx[a]
-            grid.mass[j + b, i + a] += w * mass
-            grid.vx[j + b, i + a] += w * (px + axx * rx + axz * rz)
-            grid.vz[j + b, i + a] += w * (pz + azx * rx + azz * rz)
-    return px, pz
-
-
-@kernel
-def particles_to_grid(
-    soil: Particles, grid: Grid, cell_size: float, time_step: float
-) -> tuple[float, float]:
-    """Scatter mass and momentum, the latter with the impulse of the stresses.
+    """Let the leg push the particles that it touches.
 
     Parameters
     ----------
     soil
-        :class:`~terraphi.forward.mpm.bed.Particles`.
-    grid
-        :class:`~terraphi.forward.mpm.bed.Grid`; cleared first.
-    cell_size
-        Δx [m].
-    time_step
-        Δt [s].
+        Particles; their slip is changed.
+    lattice
+        The grid.
+    shift
+        How far the nodes have moved in the phase [m].
+    force
+        Forces on the nodes [N]; added to.
+    near, count
+        Which particles to look at.
+    intruder, spring
+        Constants.
+    pose_row
+        Where the leg is, as the driver has it.
 
     Returns
     -------
     tuple
-        Momentum (x, z) of the particles per metre of width [kg/s].
+        Force of the leg on the soil of the grid (x, z) [N].
     """
-    grid.mass[:] = 0.0
-    grid.vx[:] = 0.0
-    grid.vz[:] = 0.0
+    pose = pose_of(pose_row)
+    row, layer, per_cell = lattice.row, lattice.layer, 1.0 / lattice.cell_size
     total_x, total_z = 0.0, 0.0
-    for p in range(soil.mass.size):
-        px, pz = particle_to_grid(soil, grid, p, cell_size, time_step)
-        total_x += px
-        total_z += pz
+    for number in range(count):
+        p = near[number]
+        cell = soil.cell[p]
+        at = (float(soil.offset[p, 0]), float(soil.offset[p, 1]), float(soil.offset[p, 2]))
+        speed = gather((soil.vx, soil.vy, soil.vz), cell, at, row, layer)
+        moved = gather(shift, cell, at, row, layer)
+        x, y, z = place_of(lattice, cell, at[0], at[1], at[2])
+        given, arm, slip = touch(
+            (x + moved[0], y + moved[1], z + moved[2]),
+            speed,
+            (float(soil.slip[p, 0]), float(soil.slip[p, 1]), float(soil.slip[p, 2])),
+            soil.mass[p],
+            intruder,
+            spring,
+            pose,
+        )
+        soil.slip[p, 0], soil.slip[p, 1], soil.slip[p, 2] = slip[0], slip[1], slip[2]
+        if given[0] != 0.0 or given[1] != 0.0 or given[2] != 0.0:
+            lever = (arm[0] * per_cell, arm[1] * per_cell, arm[2] * per_cell)
+            push(force, cell, at, given, lever, row, layer)
+            total_x += given[0]
+            total_z += given[2]
     return total_x, total_z
 
 
 @kernel
-def stress_to_grid(
-    soil: Particles,
-    grid: Grid,
-    p: int,
-    stress: tuple[float, float, float],
-    cell_size: float,
-    time_step: float,
+def affine_velocity(
+    nodes: Nodes, cell: int, place: Three, row: int, layer: int
+) -> tuple[Three, tuple[Three, Three, Three]]:
+    """Velocity at a place [m/s], and four times its first moments about it [cell m/s]."""
+    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    vx, vy, vz = 0.0, 0.0, 0.0
+    xx, xy, xz = 0.0, 0.0, 0.0
+    yx, yy, yz = 0.0, 0.0, 0.0
+    zx, zy, zz = 0.0, 0.0, 0.0
+    for c in range(3):
+        rz = 4.0 * (c - 1 - place[2])
+        for b in range(3):
+            q = cell + (c - 1) * layer + (b - 1) * row - 1
+            ry = 4.0 * (b - 1 - place[1])
+            for a in range(3):
+                rx = 4.0 * (a - 1 - place[0])
+                w = wx[a] * wy[b] * wz[c]
+                gx, gy, gz = w * nodes[0][q + a], w * nodes[1][q + a], w * nodes[2][q + a]
+                vx, vy, vz = vx + gx, vy + gy, vz + gz
+                xx, xy, xz = xx + gx * rx, xy + gx * ry, xz + gx * rz
+                yx, yy, yz = yx + gy * rx, yy + gy * ry, yz + gy * rz
+                zx, zy, zz = zx + gz * rx, zy + gz * ry, zz + gz * rz
+    return (vx, vy, vz), ((xx, xy, xz), (yx, yy, yz), (zx, zy, zz))
+
+
+@kernel
+def scatter(
+    grid: FloatArray,
+    cell: int,
+    place: Three,
+    mass: float,
+    velocity: Three,
+    affine: tuple[Three, Three, Three],
+    row: int,
+    layer: int,
 ) -> None:
-    """Scatter the impulse of one particle's stress alone.
+    """Give mass and momentum of a particle to the grid (mass, then momenta; shape [4, node])."""
+    wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    for c in range(3):
+        rz = c - 1 - place[2]
+        for b in range(3):
+            q = cell + (c - 1) * layer + (b - 1) * row - 1
+            ry = b - 1 - place[1]
+            share = mass * wz[c] * wy[b]
+            for a in range(3):
+                rx = a - 1 - place[0]
+                w = share * wx[a]
+                grid[0, q + a] += w
+                for axis in range(3):
+                    row_of = affine[axis]
+                    speed = velocity[axis] + row_of[0] * rx + row_of[1] * ry + row_of[2] * rz
+                    grid[1 + axis, q + a] += w * speed
+
+
+@kernel
+def _held(offset: float) -> float:
+    """An offset that is no farther than the next cell [cell]."""
+    return min(max(offset, -1.4999), 1.4999)
+
+
+@kernel
+def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
+    """End a phase: move the particles and give their masses and momenta to the grid.
 
     Parameters
     ----------
-    soil, cell_size, time_step
-        As in :func:`particles_to_grid`.
+    soil
+        Cells and offsets are changed; its nodes hold the velocities of the phase's end.
+    lattice
+        The grid.
+    shift
+        How far the nodes have moved in the phase [m].
     grid
-        Holds momenta; added to.
-    p
-        Index of the particle.
-    stress
-        (σ_xx, σ_zz, σ_xz) to take for it [Pa].
-    """
-    per_cell = 1.0 / cell_size
-    i = int(soil.position[p, 0] * per_cell - 0.5)
-    j = int(soil.position[p, 1] * per_cell - 0.5)
-    fx = soil.position[p, 0] * per_cell - i
-    fz = soil.position[p, 1] * per_cell - j
-    wx, wz = weights(fx), weights(fz)
-    k = -4.0 * time_step * per_cell * soil.weight[p] * soil.volume[p] * soil.stretch[p]
-    sxx, szz, sxz = k * stress[0], k * stress[1], k * stress[2]
-    for b in range(3):
-        rz = b - fz
-        for a in range(3):
-            rx = a - fx
-            w = wz[b] * wx[a]
-            grid.vx[j + b, i + a] += w * (sxx * rx + sxz * rz)
-            grid.vz[j + b, i + a] += w * (sxz * rx + szz * rz)
-
-
-@kernel
-def gather_values(
-    first: FloatArray, second: FloatArray, x: float, z: float, cell_size: float
-) -> tuple[float, float]:
-    """Interpolate two values of the nodes at a place.
-
-    Parameters
-    ----------
-    first, second
-        Values of the nodes, shape [row, column].
-    x, z
-        The place [m].
-    cell_size
-        Δx [m].
+        Mass [kg] and momenta [kg m/s] of the nodes, shape [4, node]; cleared first.
 
     Returns
     -------
-    tuple
-        Both values there.
+    int
+        Index of the first particle to leave the grid, or -1.
+
+    Notes
+    -----
+    A particle may move from its cell into the next, no farther. A grain that is thrown, where the
+    nodes beside the leg are nearly empty, would: it is held back there, and keeps its velocity.
+    More of them than :data:`THROWN_OF` allows, or one that would move over :data:`FARTHEST`, are no
+    grains in flight, and end the simulation.
     """
-    per_cell = 1.0 / cell_size
-    i, j = int(x * per_cell - 0.5), int(z * per_cell - 0.5)
-    wx, wz = weights(x * per_cell - i), weights(z * per_cell - j)
-    one, two = 0.0, 0.0
-    for b in range(3):
-        for a in range(3):
-            one += wz[b] * wx[a] * first[j + b, i + a]
-            two += wz[b] * wx[a] * second[j + b, i + a]
-    return one, two
-
-
-@kernel
-def grid_to_particle(
-    soil: Particles, grid: Grid, p: int, cell_size: float
-) -> tuple[float, float, tuple[float, float, float, float]]:
-    """Gather velocity and velocity gradient of one particle.
-
-    Parameters
-    ----------
-    soil, grid
-        As in :func:`particles_to_grid`; the grid holds velocities.
-    p
-        Index of the particle.
-    cell_size
-        Δx [m].
-
-    Returns
-    -------
-    tuple
-        vx, vz [m/s] and (∂vx/∂x, ∂vx/∂z, ∂vz/∂x, ∂vz/∂z) [1/s].
-    """
-    per_cell = 1.0 / cell_size
-    i = int(soil.position[p, 0] * per_cell - 0.5)
-    j = int(soil.position[p, 1] * per_cell - 0.5)
-    fx = soil.position[p, 0] * per_cell - i
-    fz = soil.position[p, 1] * per_cell - j
-    wx, wz = weights(fx), weights(fz)
-    vx, vz = 0.0, 0.0
-    cxx, cxz, czx, czz = 0.0, 0.0, 0.0, 0.0
-    for b in range(3):
-        rz = b - fz
-        for a in range(3):
-            rx = a - fx
-            w = wz[b] * wx[a]
-            gx = w * grid.vx[j + b, i + a]
-            gz = w * grid.vz[j + b, i + a]
-            vx += gx
-            vz += gz
-            cxx += gx * rx
-            cxz += gx * rz
-            czx += gz * rx
-            czz += gz * rz
-    scale = 4.0 * per_cell
-    return vx, vz, (scale * cxx, scale * cxz, scale * czx, scale * czz)
+    grid[:] = 0.0
+    held, most = 0, 1 + soil.cell.size // THROWN_OF
+    row, layer, per_cell = lattice.row, lattice.layer, 1.0 / lattice.cell_size
+    nodes = (soil.vx, soil.vy, soil.vz)
+    for p in range(soil.cell.size):
+        cell = soil.cell[p]
+        at = (float(soil.offset[p, 0]), float(soil.offset[p, 1]), float(soil.offset[p, 2]))
+        velocity, affine = affine_velocity(nodes, cell, at, row, layer)
+        moved = gather(shift, cell, at, row, layer)
+        k = cell // layer
+        j = (cell - k * layer) // row
+        i = cell - k * layer - j * row
+        x, y, z = (
+            at[0] + moved[0] * per_cell,
+            at[1] + moved[1] * per_cell,
+            at[2] + moved[2] * per_cell,
+        )
+        # Written so that a place that is not a number counts as outside.
+        inside = abs(x) < 1.5 and abs(y) < 1.5 and abs(z) < 1.5
+        if not inside:
+            held += 1
+            near = abs(x) < FARTHEST and abs(y) < FARTHEST and abs(z) < FARTHEST
+            if not near or held > most:
+                return p
+            x, y, z = _held(x), _held(y), _held(z)
+        di, dj, dk = np.floor(x + 0.5), np.floor(y + 0.5), np.floor(z + 0.5)
+        # No soil passes a plane of symmetry; rounding might put a particle a hair beyond.
+        if j + dj < 1 or j + dj > lattice.count_y - 2:
+            y = min(max(y, -0.5), 0.4999999)
+            dj = 0.0
+        i, j, k = i + int(di), j + int(dj), k + int(dk)
+        if not (1 <= i < lattice.count_x - 1 and 1 <= k < lattice.count_z - 1):
+            return p
+        cell = k * layer + j * row + i
+        soil.cell[p] = cell
+        soil.offset[p, 0], soil.offset[p, 1], soil.offset[p, 2] = x - di, y - dj, z - dk
+        at = (float(soil.offset[p, 0]), float(soil.offset[p, 1]), float(soil.offset[p, 2]))
+        scatter(grid, cell, at, soil.mass[p], velocity, affine, row, layer)
+    return -1

@@ -19,7 +19,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.mpm.fields import LEG, PARTICLES
+from terraphi.forward.plane.fields import LEG, PARTICLES
 from terraphi.forward.vtk import Grid, read_points, read_series
 from terraphi.view.plots import scenario_name, shown_position
 from terraphi.view.report import parts as fig

@@ -1,0 +1,243 @@
+"""Whole simulations: signs, symmetry, scaling, repeatability, books, and how they fail."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import SimulationError
+from terraphi.experiment.motion import bin_centres
+from terraphi.experiment.scenario import GRAVITY
+from terraphi.forward.driver import path_of_steps, simulate, step_count
+
+
+@pytest.fixture(name="sweep", scope="module")
+def _sweep(coarse):
+    """A coarse straight leg from entry to just behind the vertical."""
+    motion = {"motion.start_deg": -100.0, "motion.stop_deg": 30.0}
+    return simulate(coarse(**motion, **{"relief.enabled": False}))
+
+
+def test_history_has_a_bin_every_tenth_of_a_degree(coarse):
+    history = simulate(coarse())
+    assert history.coordinate == "theta"
+    assert len(history.position) == 100
+    np.testing.assert_allclose(history.theta_deg, np.arange(-59.95, -50.0, 0.1), atol=1e-9)
+    assert np.isfinite(history.force).all()
+
+
+def test_translation_has_bins_of_its_own(coarse):
+    motion = {
+        "kind": "translation",
+        "start": [0.1, 0.24],
+        "velocity": [0.02, 0.0],
+        "distance": 0.005,
+        "bin_width": 5e-4,
+    }
+    history = simulate(coarse(motion=motion))
+    assert history.coordinate == "displacement"
+    np.testing.assert_allclose(history.position, np.arange(2.5e-4, 5e-3, 5e-4))
+
+
+def test_signs_are_those_of_li(sweep):
+    """Going down the leg is lifted; through the vertical it is thrust forward."""
+    down = sweep.means(np.radians(np.arange(-70.0, -29.0)), math.radians(0.5))
+    across = sweep.means(np.radians(np.arange(-20.0, 11.0)), math.radians(0.5))
+    assert down[:, 1].min() > 0
+    assert across[:, 0].min() > 0
+    # Before its tip comes near the surface there is nothing to feel.
+    assert not sweep.force[sweep.theta_deg < -95].any()
+
+
+def test_books_close(sweep):
+    impulse = sweep.provenance["impulse_kg_m_s"]
+    assert sweep.provenance["momentum_mismatch"] < 1e-10
+    time = sweep.provenance["steps"] * 5e-5
+    weight = 1650.0 * 0.280 * 0.160 * 0.0254 * GRAVITY
+    assert impulse["gravity"][1] == pytest.approx(-weight * time, rel=1e-9)
+    # The force on the leg is, per bin, what it gave to the soil.
+    seconds = math.radians(0.1) / (0.2 * 20.0)
+    np.testing.assert_allclose(
+        sweep.force.sum(axis=0) * seconds, -np.array(impulse["leg"]), rtol=0.01, atol=1e-6
+    )
+
+
+def test_leg_that_never_touches_feels_nothing(coarse, far_away):
+    history = simulate(coarse(**far_away))
+    assert not history.force.any()
+
+
+def bits_of(history) -> str:
+    return hashlib.sha256(history.force.tobytes()).hexdigest()
+
+
+def bits_in_another_process(scenario, **environment: str) -> str:
+    script = (
+        "import hashlib, sys\n"
+        "from terraphi.forward.driver import simulate\n"
+        "from terraphi.experiment.scenario import Scenario\n"
+        "scenario = Scenario.model_validate_json(sys.stdin.read())\n"
+        "print(hashlib.sha256(simulate(scenario).force.tobytes()).hexdigest())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        input=scenario.model_dump_json(),
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.strip()
+
+
+def test_same_run_gives_the_same_bits(coarse):
+    first = bits_of(simulate(coarse()))
+    assert bits_of(simulate(coarse())) == first
+    assert bits_in_another_process(coarse()) == first
+
+
+@pytest.mark.slow
+def test_bits_do_not_depend_on_where_the_machine_code_came_from(coarse, tmp_path):
+    """Compiled a moment ago, or read from the cache: it must be the same code that runs."""
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    compiled = bits_in_another_process(coarse(), **environment)
+    assert any(tmp_path.rglob("*.nbc"))
+    assert bits_in_another_process(coarse(), **environment) == compiled
+
+
+def test_seed_changes_the_scatter_only(coarse):
+    first, other = simulate(coarse()), simulate(coarse(**{"numerics.seed": 1}))
+    assert not np.array_equal(first.force, other.force)
+    assert other.Fz.mean() == pytest.approx(first.Fz.mean(), rel=0.1)
+
+
+def test_force_scales_with_density_and_stiffness_together(coarse):
+    """Without cohesion a bed twice as heavy and stiff pushes twice as hard, to the last bit."""
+    once = simulate(coarse())
+    twice = simulate(coarse(**{"soil.density": 3300.0, "soil.youngs_modulus": 40e6}))
+    assert np.array_equal(twice.force, 2.0 * once.force)
+
+
+def test_force_scales_with_density_alone(coarse):
+    """At these strains E/ρ, which falls by a fifth, hardly matters."""
+    once = simulate(coarse())
+    denser = simulate(coarse(**{"soil.density": 1650.0 * 1.25}))
+    assert denser.Fz.mean() / once.Fz.mean() == pytest.approx(1.25, rel=0.01)
+    assert denser.Fx.mean() / once.Fx.mean() == pytest.approx(1.25, rel=0.01)
+
+
+def test_force_scales_with_width(coarse):
+    once = simulate(coarse())
+    twice = simulate(coarse(**{"leg.width": 0.0508}))
+    assert np.array_equal(twice.force, 2.0 * once.force)
+
+
+def test_stronger_soil_pushes_harder(coarse):
+    weak, strong = (
+        simulate(coarse(**{"soil.friction_angle_deg": phi})).Fz.mean() for phi in (25.0, 40.0)
+    )
+    assert 0 < weak < strong
+
+
+def plate(coarse, direction: float):
+    """A plate that leaves the middle of a lattice bed to the right (1) or to the left (-1)."""
+    return simulate(
+        coarse(
+            **{
+                "numerics.particle_jitter": 0.0,
+                "leg.shape": "plate",
+                "leg.chord": 0.05,
+                "motion": {
+                    "kind": "translation",
+                    "start": [0.150 + direction * 1e-3, 0.175],
+                    "velocity": [direction * 0.02, 0.0],
+                    "distance": 0.004,
+                },
+            }
+        )
+    )
+
+
+def test_right_and_left_are_mirror_images(coarse):
+    right, left = plate(coarse, 1.0), plate(coarse, -1.0)
+    size = np.abs(right.force).max()
+    assert right.Fx[5:].max() < 0 < left.Fx[5:].min()
+    np.testing.assert_allclose(right.Fx, -left.Fx, atol=1e-6 * size)
+    np.testing.assert_allclose(right.Fz, left.Fz, atol=1e-6 * size)
+
+
+def test_path_moves_as_its_velocities_say(coarse):
+    scenario = coarse(
+        motion={
+            "kind": "rotation",
+            "start_deg": -60.0,
+            "stop_deg": -50.0,
+            "rate_profile": [[-60.0, 0.1], [-55.0, 0.3], [-50.0, 0.2]],
+        }
+    )
+    count = step_count(scenario)
+    poses, turned, bins = path_of_steps(scenario, np.arange(count), 100)
+    theta, rate = poses[:, 2], poses[:, 5]
+    np.testing.assert_allclose(np.diff(theta) / 5e-5, 0.5 * (rate[1:] + rate[:-1]), rtol=1e-3)
+    assert math.degrees(theta[0]) == pytest.approx(-60.0)
+    assert math.degrees(theta[-1] + rate[-1] * 5e-5) == pytest.approx(-50.0, abs=0.02)
+    assert rate.max() == pytest.approx(0.3 * 20.0, rel=1e-3)
+    assert not turned.any()
+    assert (np.diff(bins) >= 0).all()
+    assert set(bins) == set(range(100))
+
+
+def test_speed_up_cuts_the_steps_and_keeps_the_path(coarse):
+    slow, fast = coarse(**{"numerics.speed_up": 5.0}), coarse(**{"numerics.speed_up": 20.0})
+    assert step_count(slow) == pytest.approx(4 * step_count(fast), abs=4)
+    assert np.array_equal(bin_centres(slow.motion), bin_centres(fast.motion))
+
+
+def test_progress_rises_to_one(coarse):
+    told = []
+    simulate(coarse(**{"motion.stop_deg": -20.0}), progress=told.append)
+    assert len(told) >= 2
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+
+
+def test_breakdown_says_where(coarse):
+    scenario = coarse()
+    numerics = scenario.numerics.model_copy(update={"time_step": 2e-4})
+    unstable = scenario.model_copy(update={"numerics": numerics})
+    with pytest.raises(SimulationError, match=r"theta = -\d+\.\d deg.*smaller numerics\.time_step"):
+        simulate(unstable)
+
+
+@pytest.mark.slow
+def test_particle_places_matter_little_over_a_whole_sweep(coarse):
+    """Two beds that differ in nothing but the places of their particles, 1° means."""
+    runs = [
+        simulate(
+            coarse(
+                **{
+                    "numerics.cells": 64,
+                    "numerics.time_step": 2.5e-5,
+                    "numerics.seed": seed,
+                    "motion.start_deg": -135.0,
+                    "motion.stop_deg": 135.0,
+                }
+            )
+        )
+        for seed in (0, 1)
+    ]
+    centre = np.radians(np.arange(-85.0, 86.0))
+    first, other = (run.means(centre, math.radians(0.5)) for run in runs)
+    for axis in range(2):
+        change = np.abs(first[:, axis] - other[:, axis])
+        assert np.sqrt((change**2).mean()) < 0.05 * np.abs(first[:, axis]).max()
+        assert change.max() < 0.25 * np.abs(first[:, axis]).max()
+    for run in runs:
+        assert run.provenance["momentum_mismatch"] < 1e-10
+        assert run.peaks().theta_Fz_deg < run.peaks().theta_Fx_deg
