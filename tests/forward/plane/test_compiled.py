@@ -143,7 +143,7 @@ def test_a_module_that_is_not_as_written_is_seen(tmp_path, monkeypatch):
 def test_every_compiled_source_is_watched():
     folder = compiled._FOLDER
     assert set(folder.glob("*.py")) < set(compiled._SOURCES)
-    assert folder.parents[1] / "experiment" / "leg.py" in compiled._SOURCES
+    assert folder.parent / "experiment" / "leg.py" in compiled._SOURCES
     assert all(source.is_file() for source in compiled._SOURCES)
 
 
