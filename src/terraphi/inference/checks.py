@@ -36,9 +36,9 @@ STEP = 0.2
 """Jump between neighbouring readings that is a step, of peak-to-peak [-]."""
 STEP_SPACING_DEG = 1.5
 """Spacing of readings above which no steps are looked for [deg]."""
-IN_AIR, MARGIN_DEG, OFFSET = 0.005, 5.0, 0.025
+IN_AIR, MARGIN_DEG, OFFSET = 0.005, 5.0, 0.04
 """Force of the model, over its largest, below which the leg is in the air [-]; distance from the soil
-that is sure to be air [deg]; median force there that is an offset, of peak-to-peak [-]."""
+that is sure to be air [deg]; force there that is an offset, of peak-to-peak [-]."""
 MOST_LEFT_OUT = 0.5
 """Share of the readings that may be left out [-]."""
 BETTER = 0.6
@@ -209,8 +209,12 @@ def in_air(likelihood: Likelihood) -> list[str]:
             ("after it has left the soil", theta > touching[-1] + MARGIN_DEG),
         ):
             for name, values in (("Fx", record.history.Fx), ("Fz", record.history.Fz)):
-                size = float(np.median(values[air])) if air.sum() >= 3 else 0.0
-                if not record.simulated and abs(size) > OFFSET * np.ptp(values):
+                if air.sum() < 3 or record.simulated:
+                    continue
+                # Soil that is met early is met more and more; an offset is there all the way.
+                size = float(np.quantile(np.abs(values[air]), 0.2))
+                size *= float(np.sign(np.median(values[air])))
+                if abs(size) > OFFSET * np.ptp(values):
                     found.append(
                         f"{record.source}: {name} is {size:.2g} N {side}; tare the sensor, or check "
                         "the leg."

