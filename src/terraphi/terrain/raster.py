@@ -1,4 +1,4 @@
-"""Elevation models in and maps out, as GeoTIFF; coordinates in metres, or a sentence why not."""
+"""Elevation models in and maps out, as GeoTIFF with coordinates in metres."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from terraphi.experiment.files import check_is_file
 Float32 = NDArray[np.float32]
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
-"""Names of the unit of elevations; without one, metres are meant."""
+"""Accepted names of the unit of elevations; without one, metres are assumed."""
 MOST_CELLS = 25_000_000
-"""Largest elevation model; some ten arrays of it are held."""
+"""Largest elevation model; some ten arrays of its size are held in memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +35,8 @@ class Elevation:
         Elevation [m], shape [row, column]; not a number where there is none.
     x, y
         Centres of columns (increasing) and rows (decreasing) [m], shape [column], [row].
-    crs
-        Coordinate system, as rasterio has it.
-    transform
-        From column and row to x and y, as rasterio has it.
+    crs, transform
+        Coordinate system, and affine map from column and row to x and y, of rasterio.
     """
 
     source: str
@@ -52,8 +50,7 @@ class Elevation:
     def slope(self) -> Float32:
         """Steepest inclination θ [rad], by central differences; shape [row, column]."""
         down, across = np.gradient(self.height, self.y, self.x)
-        inclined: Float32 = np.arctan(np.hypot(down, across)).astype(np.float32)
-        return inclined
+        return np.arctan(np.hypot(down, across)).astype(np.float32)
 
     def cells_of(self, x_m: FloatArray, y_m: FloatArray) -> tuple[Any, Any]:
         """Row and column of points [m]; -1 for those off the grid."""
@@ -74,7 +71,7 @@ def read_elevation(path: Path) -> Elevation:
     Parameters
     ----------
     path
-        A GeoTIFF, or what else rasterio reads, in a projected coordinate system in metres.
+        A GeoTIFF, or another format of rasterio, in a projected coordinate system in metres.
 
     Raises
     ------
@@ -82,33 +79,29 @@ def read_elevation(path: Path) -> Elevation:
         If it cannot be read, has no coordinate system or one not in metres, elevations in another
         unit, or cells that are not upright squares; if it is too large, or has no elevations.
     """
-    height, file = _read(path)
-    crs, transform = file["crs"], file["transform"]
+    height, crs, transform, unit = _read(path)
     if crs is None:
         raise InputError(f"{path}: has no coordinate system (CRS); set it (gdal_edit -a_srs)")
-    if crs.is_geographic or not crs.is_projected:
+    if not crs.is_projected:
         raise InputError(
             f"{path}: its coordinates are degrees ({crs.to_string()}), and slopes need metres; "
             "project it, as with gdalwarp -t_srs"
         )
-    unit, factor = crs.linear_units_factor
+    name, factor = crs.linear_units_factor
     if abs(factor - 1.0) > 1e-9:
-        raise InputError(f"{path}: its coordinates are in {unit}, expected metres; project it")
-    if file["unit"].lower() not in METRES:
-        raise InputError(
-            f"{path}: its elevations are in {file['unit']}, expected metres; convert them"
-        )
+        raise InputError(f"{path}: its coordinates are in {name}, expected metres; project it")
+    if unit.lower() not in METRES:
+        raise InputError(f"{path}: its elevations are in {unit}, expected metres; convert them")
     a, b, c, d, e, f = tuple(transform)[:6]
     if b or d or a <= 0.0 or abs(a + e) > 1e-6 * a:
         raise InputError(
-            f"{path}: its cells are {abs(a):g} by {abs(e):g} m and may be turned; expected upright "
-            "squares with north above: resample it, as with gdalwarp -tr"
+            f"{path}: its cells are {abs(a):g} by {abs(e):g} m and may be rotated; expected "
+            "squares with north up: resample it, as with gdalwarp -tr"
         )
     rows, columns = height.shape
-    x = c + a * (np.arange(columns) + 0.5)
-    y = f + e * (np.arange(rows) + 0.5)
     if min(rows, columns) < 3 or not np.isfinite(height).any():
         raise InputError(f"{path}: has no elevations, or fewer than 3 by 3 cells")
+    x, y = c + a * (np.arange(columns) + 0.5), f + e * (np.arange(rows) + 0.5)
     return Elevation(str(path), height, x, y, crs, transform)
 
 
@@ -120,41 +113,36 @@ def read_layer(path: Path, on: Elevation) -> Float32:
     InputError
         If it cannot be read, or has another grid or coordinate system.
     """
-    layer, file = _read(path)
-    if file["crs"] != on.crs:
+    layer, crs, transform, _ = _read(path)
+    if crs != on.crs:
         raise InputError(
-            f"{path}: its coordinate system is {file['crs']}, that of {on.source} is {on.crs}; "
-            "project it"
+            f"{path}: its coordinate system is {crs}, that of {on.source} is {on.crs}; project it"
         )
-    if layer.shape != on.height.shape or not file["transform"].almost_equals(on.transform, 1e-6):
+    if layer.shape != on.height.shape or not transform.almost_equals(on.transform, 1e-6):
         raise InputError(f"{path}: its grid is not that of {on.source}; resample it to that")
     return layer
 
 
-def _read(path: Path) -> tuple[Float32, dict[str, Any]]:
-    """First band with nodata as not a number, and where it lies."""
+def _read(path: Path) -> tuple[Float32, Any, Any, str]:
+    """First band with nodata as not a number; coordinate system, transform and unit."""
     with needing("a map", "rasterio and scikit-learn", extra="terrain"):
         import rasterio
     check_is_file(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         try:
-            with rasterio.open(path) as opened:
-                if opened.width * opened.height > MOST_CELLS:
+            with rasterio.open(path) as file:
+                if file.width * file.height > MOST_CELLS:
                     raise InputError(
-                        f"{path}: has {opened.width} by {opened.height} cells, more than "
+                        f"{path}: has {file.width} by {file.height} cells, more than "
                         f"{MOST_CELLS:g} in all; cut a part of it, as with gdal_translate -projwin"
                     )
-                band = opened.read(1, masked=True).astype(np.float32).filled(np.nan)
-                place = {
-                    "crs": opened.crs,
-                    "transform": opened.transform,
-                    "unit": opened.units[0] or "",
-                }
+                band = file.read(1, masked=True).astype(np.float32).filled(np.nan)
+                place = file.crs, file.transform, file.units[0] or ""
         except rasterio.errors.RasterioError as error:
-            raise InputError(f"{path}: not a raster that can be read ({error})") from error
+            raise InputError(f"{path}: cannot be read as a raster ({error})") from error
     band[~np.isfinite(band)] = np.nan
-    return band, place
+    return band, *place
 
 
 def write_layer(values: Any, path: Path, on: Elevation, *, about: str, unit: str) -> None:
