@@ -71,10 +71,8 @@ def export(
     if answer["phi_deg"] is None:
         raise InputError(f"{read.source}: the friction angle was not inferred")
     if answer["phi_plane_strain_deg"] is None:
-        raise InputError(
-            f"{read.source}: its friction angle ('{answer['phi_deg']['yield']}') has no equivalent "
-            f"in plane strain: {answer.get('phi_plane_strain_reason', '')}"
-        )
+        reason = answer.get("phi_plane_strain_reason") or "its library gives none"
+        raise InputError(f"{read.source}: φ has no equivalent in plane strain: {reason}")
     caution = " ".join(answer.get("warnings", ()))
     if answer["verdict"] != "consistent":
         caution = f"the verdict is {answer['verdict'].replace('_', ' ')}: {answer['reason']}"
@@ -82,11 +80,6 @@ def export(
             raise InputError(f"{read.source}: {caution} To export it all the same, add --anyway")
     chosen, lost = np.empty(0), 0.0
     if draws:
-        if not read.draws_deg.size:
-            raise InputError(
-                f"{read.source}: has no draws of the posterior; name the folder of 'terraphi "
-                "invert --out', or its posterior.nc"
-            )
         every = in_plane_strain(read)
         there = every[np.isfinite(every)]
         lost = 1.0 - there.size / every.size
@@ -199,30 +192,28 @@ def _summary(
 def in_plane_strain(read: Told) -> FloatArray:
     """Draws of φ as plane-strain angles [deg], shape [draw]; not a number if there is none.
 
-    The answer holds both medians; the flow rule that turns one into the other turns the draws.
-
     Raises
     ------
     InputError
-        If neither flow without dilation nor associated flow does.
+        If there are no draws, or the conversion does not reproduce the answer's own medians.
     """
+    if not read.draws_deg.size:
+        where = "name the folder of 'terraphi invert --out', or its posterior.nc"
+        raise InputError(f"{read.source}: has no draws of the posterior; {where}")
     angle, wanted = read.answer["phi_deg"], read.answer["phi_plane_strain_deg"]["median"]
 
-    def convert(phi: float, associated: bool) -> float:
+    def convert(phi: float) -> float:
         try:
-            return plane_strain_friction_angle_deg(
-                phi, angle["yield"], dilation_angle_deg=phi if associated else 0.0
-            )
+            return plane_strain_friction_angle_deg(phi, angle["yield"])
         except InputError:
             return np.nan
 
-    for associated in (False, True):
-        if abs(convert(angle["median"], associated) - wanted) < AGREE_DEG:
-            return np.array([convert(phi, associated) for phi in read.draws_deg.tolist()])
-    raise InputError(
-        f"{read.source}: draws of a soil with its own dilation angle cannot be converted to plane "
-        "strain; leave out --draws"
-    )
+    if abs(convert(angle["median"]) - wanted) > AGREE_DEG:
+        raise InputError(
+            f"{read.source}: draws of '{angle['yield']}' cannot be converted to plane strain; "
+            "leave out --draws"
+        )
+    return np.array([convert(phi) for phi in read.draws_deg.tolist()])
 
 
 def _leg_friction(answer: Mapping[str, Any]) -> float | None:

@@ -27,6 +27,7 @@ from scipy.special import expit, logit
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.terrain.points import STEEPEST_DEG, Points
+from terraphi.terrain.raster import Elevation
 
 STEEPEST = np.tan(np.radians(STEEPEST_DEG))
 CENTRE_DEG = 30.0
@@ -122,8 +123,7 @@ class Field:
         corners = [(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u]
         values = np.column_stack([*corners, covariates])
         starts = np.arange(0, index.size + 1, index.shape[1])
-        shape = (x.size, self.mean.size)
-        return csr_array((values.ravel(), index.ravel(), starts), shape=shape)
+        return csr_array((values.ravel(), index.ravel(), starts), (x.size, self.mean.size))
 
     def at(self, weights: csr_array) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of z at the places of :meth:`weights`."""
@@ -137,9 +137,8 @@ class Field:
 def fit(
     points: Points,
     covariates: FloatArray,
-    extent: tuple[float, float, float, float],
+    ground: Elevation,
     *,
-    cell: float = 0.0,
     seed: int = 0,
 ) -> Field:
     """Infer the field from points.
@@ -150,10 +149,8 @@ def fit(
         Friction angles with their errors.
     covariates
         At the points, standardized over the map, shape [point, covariate].
-    extent
-        Least and largest x, least and largest y of the map [m].
-    cell
-        Side of the map's cells [m]; the lattice is no finer than two of them.
+    ground
+        Grid of the map; the lattice is no finer than two of its cells.
     seed
         Of the starts of the search for the largest evidence.
     """
@@ -172,9 +169,10 @@ def fit(
         def diag(self, X: Any) -> Any:
             return super().diag(X[:, 2:])
 
-    x0, x1, y0, y1 = extent
-    side = max(x1 - x0, y1 - y0)
-    step = max(side / NODES, 2.0 * cell)
+    x0, y0 = ground.x[0] - 0.5 * ground.cell, ground.y[-1] - 0.5 * ground.cell
+    width, height = ground.x.size * ground.cell, ground.y.size * ground.cell
+    side = max(width, height)
+    step = max(side / NODES, 2.0 * ground.cell)
     bounds = (INTERVALS_PER_LENGTH * step, 10.0 * side)
     # k1 is the process, so that its parameters are found by name below.
     kernel = ConstantKernel(0.1, PROCESS) * OfPlace(min(0.2 * side, bounds[1]), bounds, nu=1.5) + (
@@ -194,10 +192,8 @@ def fit(
     learnt = process.kernel_.get_params()
     short = learnt["k2__k1__k1__noise_level"]
     # At least two nodes a side, on a map of one strip too.
-    x, y = (
-        step * np.arange(max(np.ceil(length / step - 1e-9), 1.0) + 1.0)
-        for length in (x1 - x0, y1 - y0)
-    )
+    counts = np.maximum(np.ceil(np.array([width, height]) / step - 1e-9), 1.0) + 1.0
+    x, y = (step * np.arange(count) for count in counts)
     nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     # An effect is the change of z at the first node with one standard deviation of a covariate.
     n, count = len(nodes), covariates.shape[1]
@@ -211,15 +207,9 @@ def fit(
     covariance[:, n:] -= covariance[:, :1]
     mean[:n] += to_logit(CENTRE_DEG)
     common = np.zeros_like(mean)
-    common[:n] = np.sqrt(np.square(points.shared_sd_deg).mean()) / degrees_per_z(
-        np.degrees(np.arctan(tangent(mean[:n])))
-    )
-    return Field(
-        x0 + x,
-        y0 + y,
-        mean,
-        covariance + np.outer(common, common),
-        float(learnt["k1__k2__length_scale"]),
-        float(np.sqrt(learnt["k1__k1__constant_value"])),
-        float(np.sqrt(short)),
-    )
+    shared_sd_deg = np.sqrt(np.square(points.shared_sd_deg).mean())
+    common[:n] = shared_sd_deg / degrees_per_z(np.degrees(np.arctan(tangent(mean[:n]))))
+    covariance += np.outer(common, common)
+    process_sd, short_sd = np.sqrt([learnt["k1__k1__constant_value"], short]).tolist()
+    length_m = float(learnt["k1__k2__length_scale"])
+    return Field(x0 + x, y0 + y, mean, covariance, length_m, process_sd, short_sd)

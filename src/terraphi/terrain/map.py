@@ -117,41 +117,24 @@ def map_slopes(
     ground = read_elevation(dem)
     known = read_points(points, ground, start)
     priors = slopes.priors_of(prior)
-    covariates = {"elevation": ground.height, "slope": ground.slope}
-    given = {}
-    if wetness is not None:
-        given[wetness] = wet = read_layer(wetness, ground)
-        low, high = float(np.nanmin(wet)), float(np.nanmax(wet))
-        if not 0.0 <= low <= high <= 1.0:
-            raise InputError(f"{wetness}: values from {low:g} to {high:g}, expected 0 to 1")
+    named, layer, wet = ["elevation", "slope"], [ground.height, ground.slope], None
     if covariate is not None:
-        if covariate.stem in covariates:
-            raise InputError(
-                f"{covariate}: a covariate '{covariate.stem}' is made from {ground.source} "
-                "already; give the file another name, or leave it out"
-            )
-        given[covariate] = covariates[covariate.stem] = read_layer(covariate, ground)
-    for source, layer in given.items():
-        if not np.isfinite(layer[known.row, known.column]).all():
-            raise InputError(f"{source}: has no data at some of the points; fill it there")
-    there = np.all([np.isfinite(one) for one in [*covariates.values(), *given.values()]], axis=0)
-    scaled = []
-    for layer in covariates.values():
-        inside = layer[there].astype(np.float64)
-        sd = inside.std()
-        # On a plane the slope varies by rounding alone.
-        scale = 1.0 / sd if sd > 1e-4 * max(1.0, abs(inside.mean())) else 0.0
-        scaled.append(((layer - inside.mean()) * scale).astype(np.float32))
-    stacked = np.stack(scaled, axis=-1)
-    at_points = stacked[known.row, known.column].astype(np.float64)
-    half = 0.5 * ground.cell
-    field = fit(
-        known,
-        at_points,
-        (ground.x[0] - half, ground.x[-1] + half, ground.y[-1] - half, ground.y[0] + half),
-        cell=ground.cell,
-        seed=seed,
-    )
+        named.append(covariate.stem)
+        layer.append(_layer(covariate, ground, known))
+    if wetness is not None:
+        wet = _layer(wetness, ground, known)
+        least, most = float(np.nanmin(wet)), float(np.nanmax(wet))
+        if not 0.0 <= least <= most <= 1.0:
+            raise InputError(f"{wetness}: values from {least:g} to {most:g}, expected 0 to 1")
+    covariates = np.stack(layer, axis=-1)
+    there = np.isfinite(covariates).all(axis=-1) & (wet is None or np.isfinite(wet))
+    middle = covariates[there].mean(axis=0, dtype=np.float64)
+    sd = covariates[there].std(axis=0, dtype=np.float64)
+    # On a plane the slope varies by rounding alone.
+    varies = sd > 1e-4 * np.maximum(1.0, np.abs(middle))
+    covariates = ((covariates - middle) * np.where(varies, 1.0 / sd, 0.0)).astype(np.float32)
+    at_points = covariates[known.row, known.column].astype(np.float64)
+    field = fit(known, at_points, ground, seed=seed)
 
     sample = slopes.Sample.of(priors, slopes.SAMPLES, seed)
     # A Sobol sequence is even at powers of two.
@@ -168,9 +151,9 @@ def map_slopes(
     for first in range(0, rows.size, BLOCK):
         progress(first, rows.size)
         cell = rows[first : first + BLOCK], columns[first : first + BLOCK]
-        x, y, terrain = ground.x[cell[1]], ground.y[cell[0]], stacked[cell]
+        x, y, terrain = ground.x[cell[1]], ground.y[cell[0]], covariates[cell]
         theta = ground.slope[cell].astype(np.float64)
-        cell_wetness = None if wetness is None else wet[cell]
+        cell_wetness = None if wet is None else wet[cell]
         weights = field.weights(x, y, terrain)
         mean, sd = field.at(weights)
         a, b = sample.terms(theta, cell_wetness)
@@ -206,7 +189,7 @@ def map_slopes(
             "length_m": field.length_m,
             "process_sd": field.process_sd,
             "short_sd": field.short_sd,
-            "covariates": list(covariates),
+            "covariates": named,
         },
         "priors": priors,
         "wetness": str(wetness) if wetness else "prior",
@@ -223,6 +206,14 @@ def map_slopes(
     return SlopeMap(ground, known, field, layers, summary)
 
 
+def _layer(path: Path, ground: Elevation, points: Points) -> Any:
+    """A raster on the grid of the map that has data at all points."""
+    layer = read_layer(path, ground)
+    if not np.isfinite(layer[points.row, points.column]).all():
+        raise InputError(f"{path}: has no data at some of the points; fill it there")
+    return layer
+
+
 def in_words(summary: Mapping[str, Any]) -> list[str]:
     """Sentences of a map's summary."""
     low, high = summary["unstable_area_share"]["ci95"]
@@ -232,9 +223,9 @@ def in_words(summary: Mapping[str, Any]) -> list[str]:
     phi, share = summary["phi_deg"], summary["mean_phi_share"]
     where = f"{summary['cells']} cells, median slope {slope:.0f} deg"
     extrapolated = f"{summary['extrapolated_share']:.0%} of the area is extrapolated"
+    on_map = f"on the map {phi['median_of_map']:.1f} deg"
     sentences = [
-        f"{points}, median φ {phi['median_of_points']:.1f} deg, on the map "
-        f"{phi['median_of_map']:.1f} deg; {where}.",
+        f"{points}, median φ {phi['median_of_points']:.1f} deg, {on_map}; {where}.",
         f"Factor of safety below 1 on {area:.0%} of the area, 95 %: {low:.0%} to {high:.0%}.",
         f"φ accounts for {share:.0%} of the variance of the factor of safety; {extrapolated}.",
     ]

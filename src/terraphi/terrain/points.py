@@ -134,14 +134,12 @@ def read_points(path: Path, dem: Elevation, start: Start | None = None) -> Point
         sine, cosine = np.sin(bearing), np.cos(bearing)
         x, y = start.x_m + x * sine - y * cosine, start.y_m + x * cosine + y * sine
     row, column = dem.cells_of(x, y)
-    hint = ""
-    if (np.abs(x) <= 180.0).all() and (np.abs(y) <= 90.0).all():
-        hint = "; project degrees to metres; for footfalls, add --start"
-    covers = (
-        f"covers x = {dem.x[0]:.7g} to {dem.x[-1]:.7g} and y = {dem.y[-1]:.7g} to "
-        f"{dem.y[0]:.7g} m ({(row < 0).sum()} of {row.size} points are outside){hint}"
+    covers = f"x = {dem.x[0]:.7g} to {dem.x[-1]:.7g}, y = {dem.y[-1]:.7g} to {dem.y[0]:.7g} m"
+    remedy = "project degrees to metres; for footfalls, add --start"
+    refuse(
+        row < 0,
+        lambda i: f"({x[i]:g}, {y[i]:g}) is outside {dem.source}, which covers {covers}; {remedy}",
     )
-    refuse(row < 0, lambda i: f"({x[i]:g}, {y[i]:g}) is off {dem.source}, which {covers}")
     refuse(
         ~np.isfinite(dem.slope[row, column]),
         lambda i: f"no elevation, or no slope, in {dem.source} at ({x[i]:g}, {y[i]:g})",
@@ -174,18 +172,13 @@ def _csv(path: Path, dem: Elevation) -> pd.DataFrame:
     for name in COLUMNS[:4]:
         if name not in table:
             raise InputError(f"{path}: no column '{name}'; expected {','.join(COLUMNS)}")
-    for found in re.findall(r"^#\s*crs:(.*)", text, re.MULTILINE)[:1]:
+    for crs in re.findall(r"^#\s*crs:\s*(.*)", text, re.MULTILINE)[:1]:
         try:
-            crs = rasterio.crs.CRS.from_user_input(found.strip())
-        except rasterio.errors.CRSError as error:
-            raise InputError(
-                f"{path}: unknown coordinate system '{found.strip()}'; expected one as EPSG:32611"
-            ) from error
-        if crs != dem.crs:
-            raise InputError(
-                f"{path}: its coordinate system is {crs}, that of {dem.source} is {dem.crs}; "
-                "project one of them"
-            )
+            same = rasterio.crs.CRS.from_user_input(crs) == dem.crs
+        except rasterio.errors.CRSError:
+            same = False
+        if not same:
+            raise InputError(f"{path}: its coordinate system is {crs}; project it to {dem.crs}")
     return table if SHARED in table else table.assign(**{SHARED: 0.0})
 
 

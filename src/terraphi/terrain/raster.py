@@ -81,22 +81,21 @@ def read_elevation(path: Path) -> Elevation:
     """
     height, crs, transform, unit = _read(path)
     if crs is None:
-        raise InputError(f"{path}: has no coordinate system (CRS); set it (gdal_edit -a_srs)")
+        raise InputError(f"{path}: no coordinate system; set one, as with gdal_edit -a_srs")
+    metres = "project it to metres, as with gdalwarp -t_srs"
     if not crs.is_projected:
-        raise InputError(
-            f"{path}: its coordinates are degrees ({crs.to_string()}), and slopes need metres; "
-            "project it, as with gdalwarp -t_srs"
-        )
+        raise InputError(f"{path}: its coordinates are degrees ({crs.to_string()}); {metres}")
     name, factor = crs.linear_units_factor
     if abs(factor - 1.0) > 1e-9:
-        raise InputError(f"{path}: its coordinates are in {name}, expected metres; project it")
+        raise InputError(f"{path}: its coordinates are in {name}; {metres}")
     if unit.lower() not in METRES:
         raise InputError(f"{path}: its elevations are in {unit}, expected metres; convert them")
     a, b, c, d, e, f = tuple(transform)[:6]
     if b or d or a <= 0.0 or abs(a + e) > 1e-6 * a:
+        size = f"{abs(a):g} by {abs(e):g} m"
         raise InputError(
-            f"{path}: its cells are {abs(a):g} by {abs(e):g} m and may be rotated; expected "
-            "squares with north up: resample it, as with gdalwarp -tr"
+            f"{path}: cells of {size}, perhaps rotated; resample it to squares with north up, as "
+            "with gdalwarp -tr"
         )
     rows, columns = height.shape
     if min(rows, columns) < 3 or not np.isfinite(height).any():
@@ -115,9 +114,7 @@ def read_layer(path: Path, on: Elevation) -> Float32:
     """
     layer, crs, transform, _ = _read(path)
     if crs != on.crs:
-        raise InputError(
-            f"{path}: its coordinate system is {crs}, that of {on.source} is {on.crs}; project it"
-        )
+        raise InputError(f"{path}: its coordinate system is {crs}; project it to {on.crs}")
     if layer.shape != on.height.shape or not transform.almost_equals(on.transform, 1e-6):
         raise InputError(f"{path}: its grid is not that of {on.source}; resample it to that")
     return layer
@@ -128,21 +125,19 @@ def _read(path: Path) -> tuple[Float32, Any, Any, str]:
     with needing("a map", "rasterio and scikit-learn", extra="terrain"):
         import rasterio
     check_is_file(path)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        try:
-            with rasterio.open(path) as file:
-                if file.width * file.height > MOST_CELLS:
-                    raise InputError(
-                        f"{path}: has {file.width} by {file.height} cells, more than "
-                        f"{MOST_CELLS:g} in all; cut a part of it, as with gdal_translate -projwin"
-                    )
-                band = file.read(1, masked=True).astype(np.float32).filled(np.nan)
-                place = file.crs, file.transform, file.units[0] or ""
-        except rasterio.errors.RasterioError as error:
-            raise InputError(f"{path}: cannot be read as a raster ({error})") from error
-    band[~np.isfinite(band)] = np.nan
-    return band, *place
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            file = rasterio.open(path)
+        with file:
+            if file.width * file.height > MOST_CELLS:
+                size = f"{file.width} by {file.height} cells, at most {MOST_CELLS:g} in all"
+                raise InputError(f"{path}: {size}; cut a part, as with gdal_translate -projwin")
+            band = file.read(1, masked=True).astype(np.float32).filled(np.nan)
+            band[~np.isfinite(band)] = np.nan
+            return band, file.crs, file.transform, file.units[0] or ""
+    except rasterio.errors.RasterioError as error:
+        raise InputError(f"{path}: cannot be read as a raster ({error})") from error
 
 
 def write_layer(values: Any, path: Path, on: Elevation, *, about: str, unit: str) -> None:

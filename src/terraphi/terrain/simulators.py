@@ -152,31 +152,19 @@ class Simulator:
             If the simulator cannot be that strong, or has no such stress path.
         """
         if self.name == "chrono-scm" and match == "triaxial":
-            raise InputError(
-                "chrono-scm models shear on a horizontal plane, not triaxial compression: leave "
-                "out --match triaxial"
-            )
+            raise InputError("chrono-scm has no triaxial compression: leave out --match triaxial")
         found = self.law.value(ratio_of_angle(phi_deg, match))
         if math.isnan(found):
-            where = match.replace("-", " ")
-            raise InputError(
-                f"{self.title}: no {self.parameter} is as strong as {phi_deg:.1f} deg in {where}; "
-                "use dpType Circumscribed"
-            )
+            soil = f"{phi_deg:.1f} deg in {match.replace('-', ' ')}"
+            raise InputError(f"{self.title}: cannot be as strong as {soil}; use another dpType")
         return found
 
     def check(self, value: float) -> None:
         """Raise InputError if the parameter cannot have this value."""
-        most = 90.0 if self.unit else 2.0
-        if not 0.0 < value < most:
+        least, most, unit = (LEAST_DEG, 90.0, " degrees, not radians") if self.unit else (0, 2, "")
+        if not least < value < most:
             raise InputError(
-                f"{self.parameter} = {value:g}: in {self.title} it lies between 0 and {most:g}"
-                f"{self.unit and ' '}{self.unit}"
-            )
-        if self.unit and value < LEAST_DEG:
-            raise InputError(
-                f"{self.parameter} = {value:g}: {self.title} uses degrees, and no soil is below "
-                f"{LEAST_DEG:g}; are these radians?"
+                f"{self.parameter} = {value:g}: {self.title} expects {least:g} to {most:g}{unit}"
             )
 
 
@@ -242,9 +230,8 @@ def simulator(name: str, *, dp_type: str | None = None) -> Simulator:
     """
     if name == "mujoco":
         raise InputError(
-            "mujoco has no soil: its friction is that of two rigid bodies that slide on each "
-            "other, which no friction angle of a soil determines; measure it between foot and "
-            "ground, or choose a simulator with soil"
+            "mujoco has no soil: its friction is that of two rigid bodies, which does not follow "
+            "from a soil's friction angle; measure it between foot and ground"
         )
     if name not in SIMULATORS:
         raise InputError(f"unknown simulator '{name}'; {nearest(name, NAMES)}")
@@ -300,10 +287,8 @@ def converted(
     wanted = simulator(target, dp_type=dp_type)
     other = wanted.law.value(ratio)
     if math.isnan(other):
-        raise InputError(
-            f"{wanted.title}: no {wanted.parameter} is as strong as {given.parameter} "
-            f"{in_words(value, given.unit)} of {source}"
-        )
+        strength = f"{given.parameter} {in_words(value, given.unit)} of {source}"
+        raise InputError(f"{wanted.title}: cannot be as strong as {strength}")
     found |= {"to": target, "to_parameter": wanted.parameter, "to_unit": wanted.unit}
     return found | {"value": other}
 
