@@ -152,8 +152,8 @@ def slope_map(
     Example: terraphi map points.csv --dem dem.tif --out slopes
     """
     from terraphi.experiment.outputs import check_folder, filling
+    from terraphi.terrain.inputs import start_from
     from terraphi.terrain.map import KIND, LAYERS, SUMMARY, in_words, map_slopes
-    from terraphi.terrain.points import start_from
     from terraphi.view import plots
     from terraphi.view.slope_plots import map_figure
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import json
 from collections.abc import Callable, Mapping
@@ -222,12 +223,11 @@ def _leg_friction(answer: Mapping[str, Any]) -> float | None:
 
     if "leg.friction" in answer.get("parameters", {}):
         return float(answer["parameters"]["leg.friction"]["median"])
-    try:
+    with contextlib.suppress(InputError):
         library = Library.load(Path(answer["library"]).name)
-    except InputError:
-        return None
-    same = library.hash == answer.get("provenance", {}).get("library_hash")
-    return library.cases[0].scenario.leg.friction if same else None
+        if library.hash == answer["provenance"]["library_hash"]:
+            return library.cases[0].scenario.leg.friction
+    return None
 
 
 def text(found: Mapping[str, Any], form: str) -> str:
@@ -334,33 +334,17 @@ USES = {
     return properties
 ''',
     "chrono-scm": '''def set_soil(
-    terrain,
-    bekker_kphi=BEKKER_KPHI,
-    bekker_n=BEKKER_N,
-    janosi=JANOSI_SHEAR,
-    *,
-    elastic_k,
-    damping_r,
-    value=MOHR_FRICTION,
+    terrain, *, elastic_k, damping_r, value=MOHR_FRICTION, bekker_kphi=BEKKER_KPHI,
+    bekker_n=BEKKER_N, janosi=JANOSI_SHEAR,
 ):
     """Set the soil of an SCMTerrain in SI units; elastic_k is above bekker_kphi."""
-    terrain.SetSoilParameters(
-        bekker_kphi, 0.0, bekker_n, 0.0, value, janosi, elastic_k, damping_r
-    )
+    terrain.SetSoilParameters(bekker_kphi, 0.0, bekker_n, 0.0, value, janosi, elastic_k, damping_r)
 ''',
     "geotaichi": '''def material(young_modulus, poisson_ratio, value=FRICTION, **others):
     """One entry for add_material, with DruckerPrager as the model."""
-    return {
-        "MaterialID": 1,
-        "Density": DENSITY,
-        "YoungModulus": young_modulus,
-        "PoissonRatio": poisson_ratio,
-        "Friction": value,
-        "dpType": DP_TYPE,
-        "Dilation": 0.0,
-        "Cohesion": 0.0,
-        **others,
-    }
+    elastic = {"YoungModulus": young_modulus, "PoissonRatio": poisson_ratio}
+    plastic = {"Friction": value, "dpType": DP_TYPE, "Dilation": 0.0, "Cohesion": 0.0}
+    return {"MaterialID": 1, "Density": DENSITY, **elastic, **plastic, **others}
 ''',
 }
 """Functions of the exported module that hand the constants to the simulator."""

@@ -19,15 +19,17 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.special import expit, logit
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.terrain.points import STEEPEST_DEG, Points
-from terraphi.terrain.raster import Elevation
+from terraphi.terrain.inputs import STEEPEST_DEG, Elevation
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 STEEPEST = np.tan(np.radians(STEEPEST_DEG))
 CENTRE_DEG = 30.0
@@ -135,7 +137,7 @@ class Field:
 
 
 def fit(
-    points: Points,
+    points: pd.DataFrame,
     covariates: FloatArray,
     ground: Elevation,
     *,
@@ -146,7 +148,7 @@ def fit(
     Parameters
     ----------
     points
-        Friction angles with their errors.
+        Of :func:`~terraphi.terrain.inputs.read_points`.
     covariates
         At the points, standardized over the map, shape [point, covariate].
     ground
@@ -180,15 +182,16 @@ def fit(
         + ConstantKernel(LEVEL_SD**2, "fixed")
         + ConstantKernel(EFFECT_SD**2, "fixed") * OfCovariates(0.0, "fixed")
     )
-    own = points.sd_deg / degrees_per_z(points.phi_deg)
+    phi_deg = points["phi_deg"].to_numpy()
+    own = points["sd_deg"].to_numpy() / degrees_per_z(phi_deg)
     process = GaussianProcessRegressor(
         kernel, alpha=own**2, n_restarts_optimizer=2, random_state=seed
     )
-    inputs = np.column_stack([points.x_m - x0, points.y_m - y0, covariates])
+    inputs = np.column_stack([points["x_m"] - x0, points["y_m"] - y0, covariates])
     with warnings.catch_warnings():
         # A value at its bound is a result here.
         warnings.simplefilter("ignore", ConvergenceWarning)
-        process.fit(inputs, to_logit(points.phi_deg) - to_logit(CENTRE_DEG))
+        process.fit(inputs, to_logit(phi_deg) - to_logit(CENTRE_DEG))
     learnt = process.kernel_.get_params()
     short = learnt["k2__k1__k1__noise_level"]
     # At least two nodes a side, on a map of one strip too.
@@ -207,7 +210,7 @@ def fit(
     covariance[:, n:] -= covariance[:, :1]
     mean[:n] += to_logit(CENTRE_DEG)
     common = np.zeros_like(mean)
-    shared_sd_deg = np.sqrt(np.square(points.shared_sd_deg).mean())
+    shared_sd_deg = np.sqrt(np.square(points["shared_sd_deg"]).mean())
     common[:n] = shared_sd_deg / degrees_per_z(np.degrees(np.arctan(tangent(mean[:n]))))
     covariance += np.outer(common, common)
     process_sd, short_sd = np.sqrt([learnt["k1__k1__constant_value"], short]).tolist()

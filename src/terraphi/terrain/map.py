@@ -8,15 +8,23 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from terraphi.experiment.errors import InputError
 from terraphi.terrain import slopes
 from terraphi.terrain.field import Field, degrees_per_z, fit, tangent
-from terraphi.terrain.points import Points, Start, read_points
-from terraphi.terrain.raster import Elevation, read_elevation, read_layer, write_layer
+from terraphi.terrain.inputs import (
+    Elevation,
+    Start,
+    read_elevation,
+    read_layer,
+    read_points,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 KIND, SUMMARY = "slope map", "map.json"
 LAYERS = {
@@ -56,16 +64,27 @@ class SlopeMap:
     """
 
     dem: Elevation
-    points: Points
+    points: pd.DataFrame
     field: Field
     layers: Mapping[str, Any]
     summary: Mapping[str, Any]
 
     def write(self, folder: Path) -> None:
         """Write a GeoTIFF each and the summary into a folder."""
+        import rasterio
+
+        rows, columns = self.dem.height.shape
         for name, (about, unit) in LAYERS.items():
-            path = folder / f"{name}.tif"
-            write_layer(self.layers[name], path, self.dem, about=about, unit=unit)
+            layer = self.layers[name]
+            whole = layer.dtype == np.uint8
+            with rasterio.open(
+                folder / f"{name}.tif", "w", driver="GTiff", width=columns, height=rows, count=1,
+                dtype=layer.dtype, crs=self.dem.crs, transform=self.dem.transform,
+                nodata=255 if whole else np.nan, compress="deflate", predictor=2 if whole else 3,
+            ) as file:  # fmt: skip
+                file.write(layer, 1)
+                file.set_band_description(1, about)
+                file.update_tags(1, unit=unit)
         text = json.dumps(self.summary, indent=2, ensure_ascii=False)
         folder.joinpath(SUMMARY).write_text(text, encoding="utf-8")
 
@@ -115,7 +134,7 @@ def map_slopes(
 
     began = time.perf_counter()
     ground = read_elevation(dem)
-    known = read_points(points, ground, start)
+    known, left_out = read_points(points, ground, start)
     priors = slopes.priors_of(prior)
     named, layer, wet = ["elevation", "slope"], [ground.height, ground.slope], None
     if covariate is not None:
@@ -132,15 +151,15 @@ def map_slopes(
     sd = covariates[there].std(axis=0, dtype=np.float64)
     # On a plane the slope varies by rounding alone.
     varies = sd > 1e-4 * np.maximum(1.0, np.abs(middle))
-    covariates = ((covariates - middle) * np.where(varies, 1.0 / sd, 0.0)).astype(np.float32)
-    at_points = covariates[known.row, known.column].astype(np.float64)
+    covariates = ((covariates - middle) / np.where(varies, sd, np.inf)).astype(np.float32)
+    at_points = covariates[known["row"], known["column"]].astype(np.float64)
     field = fit(known, at_points, ground, seed=seed)
 
     sample = slopes.Sample.of(priors, slopes.SAMPLES, seed)
     # A Sobol sequence is even at powers of two.
     joint = slopes.Sample.of(priors, 1 << max(draws - 1, 1).bit_length(), seed + 1)
     drawn = field.draws(joint.normal.size, seed).astype(np.float32).T
-    tree = cKDTree(np.column_stack([known.x_m, known.y_m]))
+    tree = cKDTree(known[["x_m", "y_m"]].to_numpy())
     far = min(field.length_m, FARTHEST * max(np.ptp(ground.x), np.ptp(ground.y)))
     slack = BEYOND * np.ptp(at_points, axis=0) + 1e-6
     low, high = at_points.min(axis=0) - slack, at_points.max(axis=0) + slack
@@ -173,16 +192,16 @@ def map_slopes(
     summary = {
         "terraphi_file": KIND,
         "terraphi": importlib.metadata.version("terraphi"),
-        "points": known.source,
-        "points_used": int(known.x_m.size),
-        "points_left_out": known.left_out,
+        "points": str(points),
+        "points_used": len(known),
+        "points_left_out": left_out,
         "dem": ground.source,
         "crs": ground.crs.to_string(),
         "cells": int(rows.size),
         "cell_m": ground.cell,
         "slope_deg": {"median": float(np.median(steep)), "largest": float(steep.max())},
         "phi_deg": {
-            "median_of_points": float(np.median(known.phi_deg)),
+            "median_of_points": float(known["phi_deg"].median()),
             "median_of_map": float(np.median(layers["phi_median"][there])),
         },
         "field": {
@@ -206,10 +225,10 @@ def map_slopes(
     return SlopeMap(ground, known, field, layers, summary)
 
 
-def _layer(path: Path, ground: Elevation, points: Points) -> Any:
+def _layer(path: Path, ground: Elevation, points: pd.DataFrame) -> Any:
     """A raster on the grid of the map that has data at all points."""
     layer = read_layer(path, ground)
-    if not np.isfinite(layer[points.row, points.column]).all():
+    if not np.isfinite(layer[points["row"], points["column"]]).all():
         raise InputError(f"{path}: has no data at some of the points; fill it there")
     return layer
 

@@ -40,59 +40,43 @@ class Law(NamedTuple):
     """Q from the parameter."""
 
 
+ROOT = math.sqrt(3.0)
+
+
+def _sine(angle_deg: float) -> float:
+    return math.sin(math.radians(angle_deg))
+
+
 def _arcsine(sine: float) -> float:
     return math.degrees(math.asin(sine)) if 0.0 <= sine <= 1.0 else math.nan
-
-
-def _meridian(sign: int) -> tuple[Callable[[float], float], Callable[[float], float]]:
-    """Angle from q and q from angle, q = 6 sin θ/(√3(3 - sin θ)); with sign -1, 3 + sin θ."""
-    root = math.sqrt(3.0)
-
-    def ratio(angle_deg: float) -> float:
-        sine = math.sin(math.radians(angle_deg))
-        return 6.0 * sine / (root * (3.0 - sign * sine))
-
-    return lambda q: _arcsine(3.0 * root * q / (6.0 + sign * root * q)), ratio
-
-
-def _inscribed(q: float) -> float:
-    rest = 1.0 - 4.0 * q**2 / 3.0
-    return math.degrees(math.atan(q / math.sqrt(rest))) if rest > 0.0 else math.nan
-
-
-def _inscribed_ratio(angle_deg: float) -> float:
-    tangent = math.tan(math.radians(angle_deg))
-    return 3.0 * tangent / math.sqrt(9.0 + 12.0 * tangent**2)
 
 
 RATIO = Law("√J2 ≤ μ p", "μ = sin φ", lambda q: q, lambda mu: mu)
 COMPRESSION = Law(
     "√J2 ≤ 6 sin θ/(√3(3 - sin θ)) p: the cone of triaxial compression",
     "sin θ = 3 sin φ / (2√3 + sin φ)",
-    *_meridian(1),
+    lambda q: _arcsine(3.0 * q / (2.0 * ROOT + q)),
+    lambda angle: 6.0 * _sine(angle) / (ROOT * (3.0 - _sine(angle))),
 )
 EXTENSION = Law(
     "√J2 ≤ 6 sin θ/(√3(3 + sin θ)) p: the cone of triaxial extension",
     "sin θ = 3 sin φ / (2√3 - sin φ)",
-    *_meridian(-1),
+    lambda q: _arcsine(3.0 * q / (2.0 * ROOT - q)),
+    lambda angle: 6.0 * _sine(angle) / (ROOT * (3.0 + _sine(angle))),
 )
 INSCRIBED = Law(
     "√J2 ≤ 3 tan θ/√(9 + 12 tan² θ) p: plane strain with associated flow",
-    "tan θ = sin φ / √(1 - 4 sin² φ / 3)",
-    _inscribed,
-    _inscribed_ratio,
+    "sin θ = sin φ / √(1 - sin² φ / 3)",
+    lambda q: _arcsine(q / math.sqrt(max(1.0 - q**2 / 3.0, 1e-12))),
+    lambda angle: _sine(angle) / math.sqrt(1.0 + _sine(angle) ** 2 / 3.0),
 )
 SHEARED_PLANE = Law(
     "τ ≤ σ tan δ on a horizontal plane, mobilised as 1 - exp(-j/K)",
     "tan δ = sin φ",
     lambda q: math.degrees(math.atan(q)),
-    lambda angle_deg: math.tan(math.radians(angle_deg)),
+    lambda angle: math.tan(math.radians(angle)),
 )
-CONES = {
-    "Circumscribed": COMPRESSION,
-    "MiddleCircumscribed": EXTENSION,
-    "Inscribed": INSCRIBED,
-}
+CONES = {"Circumscribed": COMPRESSION, "MiddleCircumscribed": EXTENSION, "Inscribed": INSCRIBED}
 """Cones of GeoTaichi, by its ``dpType``."""
 DP_TYPES = tuple(CONES)
 DEFAULT_DP_TYPE = "MiddleCircumscribed"
