@@ -14,7 +14,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.outputs import SIGNATURE
-from terraphi.experiment.soil import plane_strain_friction_angle_deg
+from terraphi.experiment.soil import cone_slope
 from terraphi.forward.foot_laws import LAWS, Foot
 from terraphi.inference.answer_file import Told
 from terraphi.terrain.simulators import Match, Simulator, in_words
@@ -25,8 +25,8 @@ AGREE_DEG = 1e-6
 """How closely a conversion has to give the answer's own plane-strain median [deg]."""
 PLATE = Foot(0.05, "disc")
 """Plate whose sinkage gives Bekker's parameters."""
-SINKAGE = 0.02
-"""Of the plate [m]; the law is linear in it."""
+SINKAGE, DOWN = 0.02, 0.5 * np.pi
+"""Of the plate [m], in which the law is linear; and its direction of motion [rad]."""
 JANOSI = (0.010, 0.025)
 """Janosi's K of sand, from firm to loose [m] (Wong, 2008, Theory of Ground Vehicles)."""
 
@@ -69,11 +69,9 @@ def export(
         ``consistent``; if it has no draws and some are wanted; or if it lacks a key.
     """
     answer = read.answer
-    if answer["phi_deg"] is None:
-        raise InputError(f"{read.source}: the friction angle was not inferred")
     if answer["phi_plane_strain_deg"] is None:
-        reason = answer.get("phi_plane_strain_reason") or "its library gives none"
-        raise InputError(f"{read.source}: φ has no equivalent in plane strain: {reason}")
+        reason = answer.get("phi_plane_strain_reason") or "it was not inferred"
+        raise InputError(f"{read.source}: no friction angle in plane strain: {reason}")
     caution = " ".join(answer.get("warnings", ()))
     if answer["verdict"] != "consistent":
         caution = f"the verdict is {answer['verdict'].replace('_', ' ')}: {answer['reason']}"
@@ -160,13 +158,9 @@ def bekker(
     """
 
     def stiffness(phi_deg: float) -> float:
+        rft_deg = np.degrees(np.arctan(np.sin(np.radians(phi_deg))))
         force = LAWS["rft"].force(
-            PLATE,
-            SINKAGE,
-            np.pi / 2.0,
-            friction_angle_deg=np.degrees(np.arctan(np.sin(np.radians(phi_deg)))),
-            density=density,
-            surface_friction=0.5,
+            PLATE, SINKAGE, DOWN, friction_angle_deg=rft_deg, density=density, surface_friction=0.5
         )
         return float(force[1] / (np.pi * PLATE.radius**2 * SINKAGE))
 
@@ -202,19 +196,17 @@ def in_plane_strain(read: Told) -> FloatArray:
         where = "name the folder of 'terraphi invert --out', or its posterior.nc"
         raise InputError(f"{read.source}: has no draws of the posterior; {where}")
     angle, wanted = read.answer["phi_deg"], read.answer["phi_plane_strain_deg"]["median"]
-
-    def convert(phi: float) -> float:
-        try:
-            return plane_strain_friction_angle_deg(phi, angle["yield"])
-        except InputError:
-            return np.nan
-
-    if abs(convert(angle["median"]) - wanted) > AGREE_DEG:
-        raise InputError(
-            f"{read.source}: draws of '{angle['yield']}' cannot be converted to plane strain; "
-            "leave out --draws"
-        )
-    return np.array([convert(phi) for phi in read.draws_deg.tolist()])
+    every = [angle["median"], *read.draws_deg.tolist()]
+    if angle["yield"] in ("paper", "plane_strain"):
+        sine = np.array([cone_slope(phi, angle["yield"]) for phi in every])
+    else:  # resistive force theory: √J2 ≤ p tan φ
+        sine = np.tan(np.radians(every))
+    with np.errstate(invalid="ignore"):
+        median, *draws = np.degrees(np.arcsin(sine))
+    if not abs(median - wanted) < AGREE_DEG:
+        why = f"draws of '{angle['yield']}' cannot be converted to plane strain"
+        raise InputError(f"{read.source}: {why}; leave out --draws")
+    return np.array(draws)
 
 
 def _leg_friction(answer: Mapping[str, Any]) -> float | None:
@@ -280,8 +272,6 @@ def _about(found: Mapping[str, Any]) -> str:
     if found["matched"] == "triaxial":
         matched = "Matched in triaxial compression: stronger than φ in plane strain."
     density = {True: "assumed", False: "given", None: "inferred"}[found["density_assumed"]]
-    leg = "is that of the library's leg, unless it was inferred"
-    leg = "is unknown" if found["leg_friction_assumed"] is None else leg
     lines = [
         f"Soil for {found['title']}; {found['made']}.\n",
         f"CAUTION: {found['caution']}" if found["caution"] else "",
@@ -293,7 +283,7 @@ def _about(found: Mapping[str, Any]) -> str:
         f"DRAWS are of the posterior: {found['draws_go_to']}." if found["draws"] else "",
         f"{lost:.1%} of the draws have no equivalent in plane strain." if lost else "",
         f"DENSITY [kg/m³] was {density}.",
-        f"LEG_FRICTION {leg}.",
+        "LEG_FRICTION is that of the library's leg, unless it was inferred; None: unknown.",
     ]
     for name in filter(str.isupper, found):
         median, (low, high) = found[name]["median"], found[name]["ci95"]
@@ -304,10 +294,8 @@ def _about(found: Mapping[str, Any]) -> str:
 
 def _quoted(content: str) -> str:
     """A text that is safe between the quotation marks of a docstring."""
-    marks = content.replace("\\", "\\\\").replace('"', '\\"')
-    return "".join(
-        c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in marks
-    )
+    lines = (repr(line)[1:-1].replace('"', '\\"') for line in content.split("\n"))
+    return "\n".join(lines)
 
 
 NEWTON = '''def set_friction(model, value=FRICTION, particles=slice(None)):
@@ -328,8 +316,7 @@ USES = {
     "chrono-crm": '''def fill(properties, value=MU_FRIC_S):
     """Fill SoilProperties (ElasticMaterialProperties in older releases) of ChFsiFluidSystemSPH."""
     properties.density = DENSITY
-    properties.mu_fric_s = value
-    properties.mu_fric_2 = value
+    properties.mu_fric_s = properties.mu_fric_2 = value
     properties.cohesion_coeff = 0.0
     return properties
 ''',

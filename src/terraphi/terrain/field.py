@@ -19,17 +19,15 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.sparse import csr_array
 from scipy.special import expit, logit
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.terrain.inputs import STEEPEST_DEG, Elevation
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 STEEPEST = np.tan(np.radians(STEEPEST_DEG))
 CENTRE_DEG = 30.0
@@ -76,19 +74,16 @@ class Field:
     mean, covariance
         Of z on the lattice at the map's mean covariates, row by row, and then of the effects β,
         shape [row × column + covariate] and its square.
-    length_m
-        Of the process [m].
-    process_sd, short_sd
-        Standard deviations of s and η.
+    learnt
+        ``length_m`` of the process [m], ``process_sd`` and ``short_sd``, the standard deviations of
+        s and η.
     """
 
     x: FloatArray
     y: FloatArray
     mean: FloatArray
     covariance: FloatArray
-    length_m: float
-    process_sd: float
-    short_sd: float
+    learnt: dict[str, float]
 
     def draws(self, count: int, seed: int) -> FloatArray:
         """Joint draws of all of ``mean``, shape [draw, node or effect]."""
@@ -136,13 +131,7 @@ class Field:
         return weights @ self.mean, np.sqrt(np.maximum(variance, 1e-12))
 
 
-def fit(
-    points: pd.DataFrame,
-    covariates: FloatArray,
-    ground: Elevation,
-    *,
-    seed: int = 0,
-) -> Field:
+def fit(points: pd.DataFrame, covariates: FloatArray, ground: Elevation, *, seed: int = 0) -> Field:
     """Infer the field from points.
 
     Parameters
@@ -183,17 +172,15 @@ def fit(
         + ConstantKernel(EFFECT_SD**2, "fixed") * OfCovariates(0.0, "fixed")
     )
     phi_deg = points["phi_deg"].to_numpy()
-    own = points["sd_deg"].to_numpy() / degrees_per_z(phi_deg)
-    process = GaussianProcessRegressor(
-        kernel, alpha=own**2, n_restarts_optimizer=2, random_state=seed
-    )
+    own = (points["sd_deg"].to_numpy() / degrees_per_z(phi_deg)) ** 2
+    process = GaussianProcessRegressor(kernel, alpha=own, n_restarts_optimizer=2, random_state=seed)
     inputs = np.column_stack([points["x_m"] - x0, points["y_m"] - y0, covariates])
     with warnings.catch_warnings():
         # A value at its bound is a result here.
         warnings.simplefilter("ignore", ConvergenceWarning)
         process.fit(inputs, to_logit(phi_deg) - to_logit(CENTRE_DEG))
-    learnt = process.kernel_.get_params()
-    short = learnt["k2__k1__k1__noise_level"]
+    found = process.kernel_.get_params()
+    short = found["k2__k1__k1__noise_level"]
     # At least two nodes a side, on a map of one strip too.
     counts = np.maximum(np.ceil(np.array([width, height]) / step - 1e-9), 1.0) + 1.0
     x, y = (step * np.arange(count) for count in counts)
@@ -213,6 +200,6 @@ def fit(
     shared_sd_deg = np.sqrt(np.square(points["shared_sd_deg"]).mean())
     common[:n] = shared_sd_deg / degrees_per_z(np.degrees(np.arctan(tangent(mean[:n]))))
     covariance += np.outer(common, common)
-    process_sd, short_sd = np.sqrt([learnt["k1__k1__constant_value"], short]).tolist()
-    length_m = float(learnt["k1__k2__length_scale"])
-    return Field(x0 + x, y0 + y, mean, covariance, length_m, process_sd, short_sd)
+    length, process_sd = found["k1__k2__length_scale"], np.sqrt(found["k1__k1__constant_value"])
+    learnt = {"length_m": length, "process_sd": process_sd, "short_sd": np.sqrt(short)}
+    return Field(x0 + x, y0 + y, mean, covariance, {name: float(v) for name, v in learnt.items()})

@@ -8,18 +8,16 @@ import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file, plain_number, read_bytes
 from terraphi.terrain.simulators import LEAST_DEG
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Float32 = NDArray[np.float32]
 
@@ -41,6 +39,8 @@ class Elevation:
         Elevation [m], shape [row, column]; not a number where there is none.
     x, y
         Centres of columns (increasing) and rows (decreasing) [m], shape [column], [row].
+    cell
+        Side of a cell [m].
     crs, transform
         Coordinate system, and affine map from column and row to x and y, of rasterio.
     """
@@ -49,6 +49,7 @@ class Elevation:
     height: Float32
     x: FloatArray
     y: FloatArray
+    cell: float
     crs: Any
     transform: Any
 
@@ -57,11 +58,6 @@ class Elevation:
         """Steepest inclination θ [rad], by central differences; shape [row, column]."""
         down, across = np.gradient(self.height, self.y, self.x)
         return np.arctan(np.hypot(down, across)).astype(np.float32)
-
-    @property
-    def cell(self) -> float:
-        """Side of a cell [m]."""
-        return float(self.transform.a)
 
 
 def read_elevation(path: Path) -> Elevation:
@@ -91,31 +87,30 @@ def read_elevation(path: Path) -> Elevation:
         raise InputError(f"{path}: its elevations are in {unit}, expected metres; convert them")
     a, b, c, d, e, f = tuple(transform)[:6]
     if b or d or a <= 0.0 or abs(a + e) > 1e-6 * a:
-        size = f"{abs(a):g} by {abs(e):g} m"
-        raise InputError(
-            f"{path}: cells of {size}, perhaps rotated; resample it to squares with north up, as "
-            "with gdalwarp -tr"
-        )
+        north_up = "squares with north up; resample it, as with gdalwarp -tr"
+        raise InputError(f"{path}: its cells are {abs(a):g} by {abs(e):g} m, expected {north_up}")
     rows, columns = height.shape
     if min(rows, columns) < 3 or not np.isfinite(height).any():
         raise InputError(f"{path}: has no elevations, or fewer than 3 by 3 cells")
     x, y = c + a * (np.arange(columns) + 0.5), f + e * (np.arange(rows) + 0.5)
-    return Elevation(str(path), height, x, y, crs, transform)
+    return Elevation(str(path), height, x, y, a, crs, transform)
 
 
-def read_layer(path: Path, on: Elevation) -> Float32:
+def read_layer(path: Path, on: Elevation, points: pd.DataFrame) -> Float32:
     """Read another raster on the grid of an elevation model, shape [row, column].
 
     Raises
     ------
     InputError
-        If it cannot be read, or has another grid or coordinate system.
+        If it cannot be read, has another grid or coordinate system, or no data at some points.
     """
     layer, crs, transform, _ = _read(path)
     if crs != on.crs:
         raise InputError(f"{path}: its coordinate system is {crs}; project it to {on.crs}")
     if layer.shape != on.height.shape or not transform.almost_equals(on.transform, 1e-6):
         raise InputError(f"{path}: its grid is not that of {on.source}; resample it to that")
+    if not np.isfinite(layer[points["row"], points["column"]]).all():
+        raise InputError(f"{path}: has no data at some of the points; fill it there")
     return layer
 
 
@@ -167,9 +162,8 @@ def start_from(text: str) -> Start:
     try:
         x, y, bearing = (plain_number(part) for part in text.split(","))
     except ValueError:
-        raise InputError(
-            f"start '{text}': expected X,Y,BEARING in metres and degrees, as 500012,4000034,90"
-        ) from None
+        expected = "X,Y,BEARING in metres and degrees, as 500012,4000034,90"
+        raise InputError(f"start '{text}': expected {expected}") from None
     return Start(x, y, bearing)
 
 
@@ -199,15 +193,13 @@ def read_points(path: Path, dem: Elevation, start: Start | None = None) -> tuple
     InputError
         If the file cannot be used, names another coordinate system, or points are off the model.
     """
-    import pandas as pd
     import rasterio
 
     table = _footfalls(path) if path.suffix == ".nc" else _csv(path, dem)
     walk = "verdict" in table
     usable = table[table["verdict"] == "usable"] if walk else table
-    counts = f"{len(usable)} of {len(table)} points are usable"
     if len(usable) < FEWEST:
-        raise InputError(f"{path}: {counts}; a map needs {FEWEST}")
+        raise InputError(f"{path}: {len(usable)} of {len(table)} points usable; needed: {FEWEST}")
     found = usable[list(COLUMNS)].apply(pd.to_numeric, errors="coerce").astype(float)
     for name, (low, high) in COLUMNS.items():
         bad = ~found[name].between(low, high, inclusive="left")
@@ -240,19 +232,18 @@ def read_points(path: Path, dem: Elevation, start: Start | None = None) -> tuple
 
 def _csv(path: Path, dem: Elevation) -> pd.DataFrame:
     """Table of a CSV, its rows named by their lines."""
-    import pandas as pd
     import rasterio
 
+    content = read_bytes(path)
     try:
-        text = read_bytes(path).decode("utf-8-sig")
+        text = content.decode("utf-8-sig")
         with warnings.catch_warnings():
             # Pandas would silently drop the end of a row that is too long.
             warnings.simplefilter("error", pd.errors.ParserWarning)
             table = pd.read_csv(
                 io.StringIO(text), comment="#", skipinitialspace=True, index_col=False
             )
-    except (UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError,
-            pd.errors.ParserWarning) as error:  # fmt: skip
+    except (ValueError, pd.errors.ParserWarning) as error:
         raise InputError(f"{path}: not a CSV of points ({error})") from error
     lines = text.splitlines()
     rows = [i + 1 for i, line in enumerate(lines) if line.strip() and not line.startswith("#")]
@@ -275,8 +266,6 @@ def _csv(path: Path, dem: Elevation) -> pd.DataFrame:
 
 def _footfalls(path: Path) -> pd.DataFrame:
     """Table of the NetCDF of a walk's footfalls."""
-    import pandas as pd
-
     from terraphi.robot.footfall_files import read_footfalls
 
     walk = read_footfalls(path)

@@ -8,23 +8,15 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
+from scipy.spatial import cKDTree
 
 from terraphi.experiment.errors import InputError
-from terraphi.terrain import slopes
+from terraphi.terrain import inputs, slopes
 from terraphi.terrain.field import Field, degrees_per_z, fit, tangent
-from terraphi.terrain.inputs import (
-    Elevation,
-    Start,
-    read_elevation,
-    read_layer,
-    read_points,
-)
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 KIND, SUMMARY = "slope map", "map.json"
 LAYERS = {
@@ -63,7 +55,7 @@ class SlopeMap:
         Numbers, priors, seeds and versions; JSON-able.
     """
 
-    dem: Elevation
+    dem: inputs.Elevation
     points: pd.DataFrame
     field: Field
     layers: Mapping[str, Any]
@@ -73,14 +65,14 @@ class SlopeMap:
         """Write a GeoTIFF each and the summary into a folder."""
         import rasterio
 
-        rows, columns = self.dem.height.shape
         for name, (about, unit) in LAYERS.items():
             layer = self.layers[name]
             whole = layer.dtype == np.uint8
             with rasterio.open(
-                folder / f"{name}.tif", "w", driver="GTiff", width=columns, height=rows, count=1,
-                dtype=layer.dtype, crs=self.dem.crs, transform=self.dem.transform,
-                nodata=255 if whole else np.nan, compress="deflate", predictor=2 if whole else 3,
+                folder / f"{name}.tif", "w", driver="GTiff", count=1, dtype=layer.dtype,
+                height=layer.shape[0], width=layer.shape[1], crs=self.dem.crs,
+                transform=self.dem.transform, nodata=255 if whole else np.nan,
+                compress="deflate", predictor=2 if whole else 3,
             ) as file:  # fmt: skip
                 file.write(layer, 1)
                 file.set_band_description(1, about)
@@ -93,7 +85,7 @@ def map_slopes(
     points: Path,
     dem: Path,
     *,
-    start: Start | None = None,
+    start: inputs.Start | None = None,
     prior: tuple[str, ...] = (),
     wetness: Path | None = None,
     covariate: Path | None = None,
@@ -106,7 +98,7 @@ def map_slopes(
     Parameters
     ----------
     points
-        As in :func:`~terraphi.terrain.points.read_points`.
+        As in :func:`~terraphi.terrain.inputs.read_points`.
     dem
         Digital elevation model in metres.
     start
@@ -130,18 +122,16 @@ def map_slopes(
     InputError
         If a file cannot be used, or they do not fit each other.
     """
-    from scipy.spatial import cKDTree
-
     began = time.perf_counter()
-    ground = read_elevation(dem)
-    known, left_out = read_points(points, ground, start)
+    ground = inputs.read_elevation(dem)
+    known, left_out = inputs.read_points(points, ground, start)
     priors = slopes.priors_of(prior)
     named, layer, wet = ["elevation", "slope"], [ground.height, ground.slope], None
     if covariate is not None:
         named.append(covariate.stem)
-        layer.append(_layer(covariate, ground, known))
+        layer.append(inputs.read_layer(covariate, ground, known))
     if wetness is not None:
-        wet = _layer(wetness, ground, known)
+        wet = inputs.read_layer(wetness, ground, known)
         least, most = float(np.nanmin(wet)), float(np.nanmax(wet))
         if not 0.0 <= least <= most <= 1.0:
             raise InputError(f"{wetness}: values from {least:g} to {most:g}, expected 0 to 1")
@@ -160,7 +150,7 @@ def map_slopes(
     joint = slopes.Sample.of(priors, 1 << max(draws - 1, 1).bit_length(), seed + 1)
     drawn = field.draws(joint.normal.size, seed).astype(np.float32).T
     tree = cKDTree(known[["x_m", "y_m"]].to_numpy())
-    far = min(field.length_m, FARTHEST * max(np.ptp(ground.x), np.ptp(ground.y)))
+    far = min(field.learnt["length_m"], FARTHEST * max(np.ptp(ground.x), np.ptp(ground.y)))
     slack = BEYOND * np.ptp(at_points, axis=0) + 1e-6
     low, high = at_points.min(axis=0) - slack, at_points.max(axis=0) + slack
     layers = {name: np.full(there.shape, np.nan, np.float32) for name in LAYERS}
@@ -204,12 +194,7 @@ def map_slopes(
             "median_of_points": float(known["phi_deg"].median()),
             "median_of_map": float(np.median(layers["phi_median"][there])),
         },
-        "field": {
-            "length_m": field.length_m,
-            "process_sd": field.process_sd,
-            "short_sd": field.short_sd,
-            "covariates": named,
-        },
+        "field": {**field.learnt, "covariates": named},
         "priors": priors,
         "wetness": str(wetness) if wetness else "prior",
         "covariate": str(covariate) if covariate else None,
@@ -225,26 +210,16 @@ def map_slopes(
     return SlopeMap(ground, known, field, layers, summary)
 
 
-def _layer(path: Path, ground: Elevation, points: pd.DataFrame) -> Any:
-    """A raster on the grid of the map that has data at all points."""
-    layer = read_layer(path, ground)
-    if not np.isfinite(layer[points["row"], points["column"]]).all():
-        raise InputError(f"{path}: has no data at some of the points; fill it there")
-    return layer
-
-
 def in_words(summary: Mapping[str, Any]) -> list[str]:
     """Sentences of a map's summary."""
     low, high = summary["unstable_area_share"]["ci95"]
     area, slope = summary["unstable_area_share"]["median"], summary["slope_deg"]["median"]
-    left_out = f" ({summary['points_left_out']} left out)" if summary["points_left_out"] else ""
-    points = f"{summary['points_used']} points{left_out}"
     phi, share = summary["phi_deg"], summary["mean_phi_share"]
-    where = f"{summary['cells']} cells, median slope {slope:.0f} deg"
+    points = f"{summary['points_used']} points ({summary['points_left_out']} left out)"
+    cells = f"{summary['cells']} cells, median φ {phi['median_of_map']:.1f} deg, slope {slope:.0f}"
     extrapolated = f"{summary['extrapolated_share']:.0%} of the area is extrapolated"
-    on_map = f"on the map {phi['median_of_map']:.1f} deg"
     sentences = [
-        f"{points}, median φ {phi['median_of_points']:.1f} deg, {on_map}; {where}.",
+        f"{points}, median φ {phi['median_of_points']:.1f} deg; {cells} deg.",
         f"Factor of safety below 1 on {area:.0%} of the area, 95 %: {low:.0%} to {high:.0%}.",
         f"φ accounts for {share:.0%} of the variance of the factor of safety; {extrapolated}.",
     ]

@@ -79,7 +79,6 @@ SHEARED_PLANE = Law(
 CONES = {"Circumscribed": COMPRESSION, "MiddleCircumscribed": EXTENSION, "Inscribed": INSCRIBED}
 """Cones of GeoTaichi, by its ``dpType``."""
 DP_TYPES = tuple(CONES)
-DEFAULT_DP_TYPE = "MiddleCircumscribed"
 
 
 def ratio_of_angle(phi_deg: float, match: Match = "plane-strain") -> float:
@@ -142,14 +141,6 @@ class Simulator:
             soil = f"{phi_deg:.1f} deg in {match.replace('-', ' ')}"
             raise InputError(f"{self.title}: cannot be as strong as {soil}; use another dpType")
         return found
-
-    def check(self, value: float) -> None:
-        """Raise InputError if the parameter cannot have this value."""
-        least, most, unit = (LEAST_DEG, 90.0, " degrees, not radians") if self.unit else (0, 2, "")
-        if not least < value < most:
-            raise InputError(
-                f"{self.parameter} = {value:g}: {self.title} expects {least:g} to {most:g}{unit}"
-            )
 
 
 def in_words(value: float, unit: str) -> str:
@@ -222,7 +213,7 @@ def simulator(name: str, *, dp_type: str | None = None) -> Simulator:
     found = SIMULATORS[name]
     if name != "geotaichi":
         return found
-    cone = dp_type or DEFAULT_DP_TYPE
+    cone = dp_type or "MiddleCircumscribed"
     if cone not in CONES:
         raise InputError(f"unknown dpType '{cone}'; {nearest(cone, DP_TYPES)}")
     return replace(found, title=f"{found.title} with dpType {cone}", law=CONES[cone], dp_type=cone)
@@ -255,7 +246,10 @@ def converted(
         If a name or the value cannot be used, or the target cannot be as strong.
     """
     given = simulator(source, dp_type=dp_type)
-    given.check(value)
+    least, most, unit = (LEAST_DEG, 90.0, " degrees, not radians") if given.unit else (0, 2, "")
+    if not least < value < most:
+        expected = f"{given.title} expects {least:g} to {most:g}{unit}"
+        raise InputError(f"{given.parameter} = {value:g}: {expected}")
     ratio = given.law.ratio(value)
     found: dict[str, Any] = {
         "from": source,
@@ -279,13 +273,9 @@ def converted(
 
 def converted_in_words(found: dict[str, Any]) -> list[str]:
     """Result of :func:`converted`, a sentence each."""
-    parameter, meaning = found["parameter"], found["meaning"]
-    sentences = [f"{found['from']}: {parameter} {found['given']:g} means {meaning}."]
-    for path, key in (
-        ("plane strain", "phi_plane_strain_deg"),
-        ("triaxial compression", "phi_triaxial_deg"),
-    ):
-        phi = found[key]
+    sentences = ["{from}: {parameter} {given:g} means {meaning}.".format_map(found)]
+    for name, path in {"plane_strain": "plane strain", "triaxial": "triaxial compression"}.items():
+        phi = found[f"phi_{name}_deg"]
         if phi is not None:
             sentences.append(f"In {path} it acts as a friction angle of {phi:.1f} deg.")
         elif found["from"] != "chrono-scm":

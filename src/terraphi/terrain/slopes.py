@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import logit, ndtr, ndtri
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
@@ -40,24 +40,22 @@ class Quantity(NamedTuple):
 
     low: float
     high: float
-    usual: tuple[float, float]
-    """Bounds of the prior where none is given: wide, and a guess."""
+    usual: str
+    """Prior where none is given: wide, and a guess."""
     about: str
 
 
 QUANTITIES = {
-    "cohesion_Pa": Quantity(0.0, 1e6, (0.0, 1000.0), "cohesion of the soil"),
-    "root_cohesion_Pa": Quantity(0.0, 1e5, (0.0, 4000.0), "cohesion that roots add"),
-    "root_loss": Quantity(0.0, 1.0, (0.0, 1.0), "share of the roots' cohesion that is lost"),
-    "depth_m": Quantity(0.05, 20.0, (0.5, 1.5), "thickness of the layer, normal to the slope"),
-    "wetness": Quantity(0.0, 1.0, (0.0, 1.0), "share of the thickness that is saturated"),
-    "density_kg_m3": Quantity(1000.0, 2600.0, (1600.0, 2000.0), "bulk density of the layer"),
+    "cohesion_Pa": Quantity(0.0, 1e6, "0:1000", "cohesion of the soil"),
+    "root_cohesion_Pa": Quantity(0.0, 1e5, "0:4000", "cohesion that roots add"),
+    "root_loss": Quantity(0.0, 1.0, "0:1", "share of the roots' cohesion that is lost"),
+    "depth_m": Quantity(0.05, 20.0, "0.5:1.5", "thickness of the layer, normal to the slope"),
+    "wetness": Quantity(0.0, 1.0, "0:1", "share of the thickness that is saturated"),
+    "density_kg_m3": Quantity(1000.0, 2600.0, "1600:2000", "bulk density of the layer"),
 }
-Priors = dict[str, dict[str, Any]]
-"""Of each quantity: ``kind`` uniform (low, high), normal (mean, sd) or fixed (value)."""
 
 
-def priors_of(given: Sequence[str]) -> Priors:
+def priors_of(given: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Prior of each of :data:`QUANTITIES`.
 
     Parameters
@@ -66,15 +64,18 @@ def priors_of(given: Sequence[str]) -> Priors:
         ``KEY=LOW:HIGH`` (uniform), ``KEY=MEAN+-SD`` (normal, cut off at the key's bounds) or
         ``KEY=VALUE``; the others are uniform over their usual range.
 
+    Returns
+    -------
+    dict
+        Of each quantity: ``kind`` uniform (``low``, ``high``), normal (``mean``, ``sd``) or fixed
+        (``value``).
+
     Raises
     ------
     InputError
         If a key is unknown, or a number cannot be read or is outside the bounds of the quantity.
     """
-    found: Priors = {
-        key: {"kind": "uniform", "low": one.usual[0], "high": one.usual[1]}
-        for key, one in QUANTITIES.items()
-    }
+    found = {key: _prior(one.usual) for key, one in QUANTITIES.items()}
     for text in given:
         key, _, value = text.partition("=")
         if key not in QUANTITIES:
@@ -82,10 +83,8 @@ def priors_of(given: Sequence[str]) -> Priors:
         try:
             found[key] = _prior(value)
         except ValueError:
-            raise InputError(
-                f"prior '{text}': expected KEY=LOW:HIGH with LOW below HIGH, KEY=MEAN+-SD with SD "
-                "above 0, or KEY=VALUE"
-            ) from None
+            expected = "KEY=LOW:HIGH, KEY=MEAN+-SD (SD above 0) or KEY=VALUE"
+            raise InputError(f"prior '{text}': expected {expected}") from None
         low, high = QUANTITIES[key][:2]
         ends = [number for name, number in found[key].items() if name not in ("kind", "sd")]
         if not all(low <= end <= high for end in ends):
@@ -140,7 +139,7 @@ class Sample:
     lightness: FloatArray
 
     @classmethod
-    def of(cls, priors: Priors, count: int, seed: int) -> Sample:
+    def of(cls, priors: Mapping[str, Mapping[str, Any]], count: int, seed: int) -> Sample:
         """Draw a scrambled Sobol sequence."""
         from scipy.stats.qmc import Sobol
 
@@ -180,8 +179,7 @@ def unstable(mean: Any, sd: Any, a: Any, b: Any) -> Any:
     """
     # Neutrally buoyant soil (b = 0) is unstable at every φ, or at none.
     critical = np.clip((1.0 - a) / np.maximum(b * STEEPEST, 1e-12), 1e-12, 1.0 - 1e-12)
-    z = np.log(critical / (1.0 - critical))
-    return ndtr((z - mean[:, None]) / sd[:, None]).mean(axis=1)
+    return ndtr((logit(critical) - mean[:, None]) / sd[:, None]).mean(axis=1)
 
 
 def spread(mean: Any, sd: Any, normal: FloatArray, a: Any, b: Any) -> tuple[Any, Any]:
@@ -192,6 +190,5 @@ def spread(mean: Any, sd: Any, normal: FloatArray, a: Any, b: Any) -> tuple[Any,
     """
     friction = tangent(mean[:, None] + sd[:, None] * normal)
     factor = a + b * friction
-    median = np.median(factor, axis=1)
-    alone = b.mean(axis=1) ** 2 * friction.var(axis=1)
-    return median, np.clip(alone / np.maximum(factor.var(axis=1), 1e-30), 0.0, 1.0)
+    share = b.mean(axis=1) ** 2 * friction.var(axis=1) / np.maximum(factor.var(axis=1), 1e-30)
+    return np.median(factor, axis=1), np.clip(share, 0.0, 1.0)
