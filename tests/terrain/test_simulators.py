@@ -1,7 +1,6 @@
 """Exported parameters yield at the intended friction angle.
 
-The return mappings here are written anew from the formulas that the simulators document;
-test_engines.py tries the engines themselves where they are installed.
+The return mappings here are written anew from the formulas that the simulators document.
 """
 
 from __future__ import annotations

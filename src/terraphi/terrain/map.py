@@ -162,10 +162,10 @@ def map_slopes(
         cell = rows[first : first + BLOCK], columns[first : first + BLOCK]
         x, y, terrain = ground.x[cell[1]], ground.y[cell[0]], covariates[cell]
         theta = ground.slope[cell].astype(np.float64)
-        cell_wetness = None if wet is None else wet[cell]
+        m = None if wet is None else wet[cell]
         weights = field.weights(x, y, terrain)
         mean, sd = field.at(weights)
-        a, b = sample.terms(theta, cell_wetness)
+        a, b = sample.terms(theta, m)
         median, layers["phi_share"][cell] = slopes.spread(mean, sd, sample.normal, a, b)
         layers["fs_median"][cell] = np.minimum(median, LARGEST)
         layers["p_unstable"][cell] = slopes.unstable(mean, sd, a, b)
@@ -173,7 +173,7 @@ def map_slopes(
         layers["phi_sd"][cell] = degrees_per_z(phi) * sd
         alone = tree.query(np.column_stack([x, y]), distance_upper_bound=far)[0] == np.inf
         layers["extrapolated"][cell] = alone | ((terrain < low) | (terrain > high)).any(axis=1)
-        a, b = joint.terms(theta, cell_wetness)
+        a, b = joint.terms(theta, m)
         area += (a + b * tangent(weights.astype(np.float32) @ drawn) < 1.0).sum(axis=0)
     progress(rows.size, rows.size)
 
