@@ -170,7 +170,7 @@ def test_landlab_has_the_same_slope_with_its_own_triangle() -> None:
     theirs.calculate_landslide_probability()
     node = grid.core_nodes[4]
     rng = np.random.default_rng(0)
-    # It draws the thickness too, from 30 % below what it is told to 10 % above.
+    # It draws the thickness too, from 30 % below the given one to 10 % above.
     depth = rng.triangular(0.7, 1.0, 1.1, 100_000)
     still = np.zeros_like(depth)
     sample = Sample(still, 2500.0 / (2000.0 * 9.81 * depth), still, still + 0.5)

@@ -21,8 +21,6 @@ from terraphi.terrain.simulators import Match, Simulator, in_words
 
 FORMATS = {".py": "python", ".json": "json", ".usda": "usda"}
 """Suffix of a file to what is written into it."""
-AGREE_DEG = 1e-6
-"""How closely a conversion has to give the answer's own plane-strain median [deg]."""
 PLATE = Foot(0.05, "disc")
 """Plate whose sinkage gives Bekker's parameters."""
 SINKAGE, DOWN = 0.02, 0.5 * np.pi
@@ -203,7 +201,7 @@ def in_plane_strain(read: Told) -> FloatArray:
         sine = np.tan(np.radians(every))
     with np.errstate(invalid="ignore"):
         median, *draws = np.degrees(np.arcsin(sine))
-    if not abs(median - wanted) < AGREE_DEG:
+    if not abs(median - wanted) < 1e-6:
         why = f"draws of '{angle['yield']}' cannot be converted to plane strain"
         raise InputError(f"{read.source}: {why}; leave out --draws")
     return np.array(draws)
