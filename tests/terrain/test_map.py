@@ -42,6 +42,8 @@ def test_dry_and_cohesionless_it_is_the_distribution_of_phi(hill, points) -> Non
         assert middle["phi_sd"] == pytest.approx(2.0, rel=0.03)
         ratio = np.tan(np.radians(31.0)) / np.tan(np.radians(slope_deg))
         assert middle["fs_median"] == pytest.approx(ratio, rel=0.01)
+        area = found.summary["unstable_area_share"]["median"]
+        assert area == pytest.approx(float(slope_deg > 31.0), abs=0.02)
     # Two strata on one slope.
     phi = np.where(x < 30.0, 26.0, 40.0) + np.random.default_rng(3).normal(0.0, 1.0, x.size)
     found = map_slopes(points(x, y, phi, 1.0), hill(33.0), prior=DRY)
@@ -104,15 +106,20 @@ def test_lattice_and_draws_are_those_of_scikit_learn(hill, points, monkeypatch) 
     assert np.cov(drawn[:, a], drawn[:, b]) == pytest.approx(wanted, rel=0.1)
 
 
+def test_slope_of_an_inclined_plane(hill) -> None:
+    heights = np.add.outer(0.4 * np.arange(20), 0.3 * np.arange(20))
+    assert np.tan(read_elevation(hill(heights=heights)).slope) == pytest.approx(0.5, rel=1e-5)
+
+
 def test_infinite_slope_against_arithmetic_by_hand() -> None:
-    # c = 2 kPa, ρ = 1800, h = 1 m normal to a slope of 30 deg, half saturated.
-    given = ("cohesion_Pa=1000", "root_cohesion_Pa=2000", "root_loss=0.5", "depth_m=1",
+    # c = 2.5 kPa, ρ = 1800, h = 1 m normal to a slope of 30 deg, half saturated.
+    given = ("cohesion_Pa=1000", "root_cohesion_Pa=2000", "root_loss=0.25", "depth_m=1",
              "wetness=0.5", "density_kg_m3=1800")  # fmt: skip
     a, b = Sample.of(priors_of(given), 2, 0).terms(np.radians([30.0]))
     # Duncan, Wright & Brandon: with vertical depth z and pore pressure m γw z cos² θ.
     z, theta = 1.0 / np.cos(np.radians(30.0)), np.radians(30.0)
     weight, u = 1800 * 9.81 * z, 0.5 * 1000 * 9.81 * z * np.cos(theta) ** 2
-    other = (2000.0 + (weight * np.cos(theta) ** 2 - u) * 0.6) / (
+    other = (2500.0 + (weight * np.cos(theta) ** 2 - u) * 0.6) / (
         weight * np.sin(theta) * np.cos(theta)
     )
     assert (a + b * 0.6)[0] == pytest.approx(other)
