@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
-from terraphi.inference.answer_file import Told
+from terraphi.inference.answer import StoredAnswer as Told
 from terraphi.terrain.export import bekker, export, in_plane_strain, text
 from terraphi.terrain.simulators import NAMES, simulator
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib.metadata
 import json
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.soil import cone_slope
 from terraphi.forward.foot_laws import LAWS, Foot
-from terraphi.inference.answer_file import Told
+from terraphi.inference.answer import StoredAnswer
 from terraphi.terrain.simulators import Match, Simulator, in_words
 
 FORMATS = {".py": "python", ".json": "json", ".usda": "usda"}
@@ -30,7 +28,7 @@ JANOSI = (0.010, 0.025)
 
 
 def export(
-    read: Told,
+    read: StoredAnswer,
     to: Simulator,
     *,
     match: Match = "plane-strain",
@@ -70,7 +68,7 @@ def export(
     if answer["phi_plane_strain_deg"] is None:
         reason = answer.get("phi_plane_strain_reason") or "it was not inferred"
         raise InputError(f"{read.source}: no friction angle in plane strain: {reason}")
-    caution = " ".join(answer.get("warnings", ()))
+    caution = " ".join(answer.get("questions", ()))
     if answer["verdict"] != "consistent":
         caution = f"the verdict is {answer['verdict'].replace('_', ' ')}: {answer['reason']}"
         if not anyway:
@@ -86,7 +84,9 @@ def export(
         density, assumed = answer["density_kg_m3"], answer.get("density_assumed", True)
         if density is None:
             density, assumed = answer["parameters"]["soil.density"]["median"], None
-        records = [one["source"] for one in answer.get("histories", ())]
+        records = [one["source"] for one in answer.get("records", ())]
+        inferred = answer.get("parameters", {}).get("leg.friction")
+        friction = inferred["median"] if inferred else answer.get("leg_friction")
         values = _summary(lambda angle: to.from_angle(angle, match), phi, chosen)
         found = {
             "made": f"{SIGNATURE} {importlib.metadata.version('terraphi')}",
@@ -106,7 +106,7 @@ def export(
             "phi_plane_strain_deg": phi,
             "density_kg_m3": float(density),
             "density_assumed": assumed,
-            "leg_friction_assumed": _leg_friction(answer),
+            "leg_friction_assumed": friction,
             "dilation_deg": 0.0,
             "cohesion_Pa": 0.0,
             "not_inferred": to.not_inferred,
@@ -182,7 +182,7 @@ def _summary(
     return {"median": round(of(float(phi["median"])), 6), **ends, "draws": draws}
 
 
-def in_plane_strain(read: Told) -> FloatArray:
+def in_plane_strain(read: StoredAnswer) -> FloatArray:
     """Draws of φ as plane-strain angles [deg], shape [draw]; not a number if there is none.
 
     Raises
@@ -191,7 +191,7 @@ def in_plane_strain(read: Told) -> FloatArray:
         If there are no draws, or the conversion does not reproduce the answer's own medians.
     """
     if not read.draws_deg.size:
-        where = "name the folder of 'terraphi invert --out', or its posterior.nc"
+        where = "name the folder of 'terraphi invert --out', or its answer.nc"
         raise InputError(f"{read.source}: has no draws of the posterior; {where}")
     angle, wanted = read.answer["phi_deg"], read.answer["phi_plane_strain_deg"]["median"]
     every = [angle["median"], *read.draws_deg.tolist()]
@@ -205,19 +205,6 @@ def in_plane_strain(read: Told) -> FloatArray:
         why = f"draws of '{angle['yield']}' cannot be converted to plane strain"
         raise InputError(f"{read.source}: {why}; leave out --draws")
     return np.array(draws)
-
-
-def _leg_friction(answer: Mapping[str, Any]) -> float | None:
-    """Friction of the leg: as inferred, else that of the library if the same one is installed."""
-    from terraphi.library.store import Library
-
-    if "leg.friction" in answer.get("parameters", {}):
-        return float(answer["parameters"]["leg.friction"]["median"])
-    with contextlib.suppress(InputError):
-        library = Library.load(Path(answer["library"]).name)
-        if library.hash == answer["provenance"]["library_hash"]:
-            return library.cases[0].scenario.leg.friction
-    return None
 
 
 def text(found: Mapping[str, Any], form: str) -> str:
