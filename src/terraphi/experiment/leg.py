@@ -15,21 +15,23 @@ import math
 from typing import Literal, NamedTuple, Self, get_args
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.documents import Strict
 
 LegShape = Literal["straight", "c", "reversed_c", "plate"]
 LEG_SHAPES: tuple[LegShape, ...] = get_args(LegShape)
-SOLID_SHAPES = ("sphere", "cylinder")
-"""Bodies that are no outline drawn out across the plane of motion: in three dimensions only."""
+"""Outlines, drawn out across the plane of motion; the other bodies are for 3-D only."""
 BodyShape = Literal["straight", "c", "reversed_c", "plate", "sphere", "cylinder"]
+CURVES = {"straight": 0.0, "c": 1.0, "reversed_c": -1.0}
+"""Legs of constant thickness with round ends to their curvature [1 / half the chord]."""
 
-FloatArray = NDArray[np.float64]
+Distance = tuple[float, float, float]
+"""Signed distance [m] and the components of the unit normal along s and m [-]."""
 
 
-def segment_distance(
-    s: float, m: float, chord: float, half_thickness: float
-) -> tuple[float, float, float]:
+def segment_distance(s: float, m: float, chord: float, half_thickness: float) -> Distance:
     """Distance from a straight leg with round ends, and the outward normal there.
 
     Parameters
@@ -40,11 +42,6 @@ def segment_distance(
         Length of the centre line [m].
     half_thickness
         Half thickness [m].
-
-    Returns
-    -------
-    tuple
-        Signed distance [m] and the components of the unit normal along s and m [-].
     """
     foot = min(max(s, 0.0), chord)
     ds = s - foot
@@ -56,7 +53,7 @@ def segment_distance(
 
 def arc_distance(
     s: float, m: float, chord: float, half_thickness: float, curvature: float
-) -> tuple[float, float, float]:
+) -> Distance:
     """Distance from a leg bent into a circular arc with round ends, and the outward normal.
 
     Parameters
@@ -70,21 +67,16 @@ def arc_distance(
     curvature
         Signed curvature of the centre line [1/m], positive if it bulges towards +m; at most
         2/chord in magnitude (a semicircle).
-
-    Returns
-    -------
-    tuple
-        Signed distance [m] and the components of the unit normal along s and m [-].
     """
     radius = 1.0 / abs(curvature)
     side = math.copysign(1.0, curvature)
     half = 0.5 * chord
-    # Mirrored so that the arc bulges towards +m; its centre then lies at m = -sagitta offset.
-    x = s - half
-    y = side * m + math.sqrt(max((radius - half) * (radius + half), 0.0))
+    # Mirrored so that the arc bulges towards +m; its center then lies at m = -offset.
+    offset = math.sqrt(max((radius - half) * (radius + half), 0.0))
+    x, y = s - half, side * m + offset
     r = math.hypot(x, y)
     # On the arc's own sector the nearest point is radial; elsewhere it is one of the two ends.
-    if r > 0.0 and y * radius >= r * math.sqrt(max((radius - half) * (radius + half), 0.0)):
+    if r > 0.0 and y * radius >= r * offset:
         outward = 1.0 if r >= radius else -1.0
         return abs(r - radius) - half_thickness, outward * x / r, outward * side * y / r
     end = 0.0 if x < 0.0 else chord
@@ -95,9 +87,7 @@ def arc_distance(
     return length - half_thickness, ds / length, m / length
 
 
-def rectangle_distance(
-    s: float, m: float, chord: float, half_thickness: float
-) -> tuple[float, float, float]:
+def rectangle_distance(s: float, m: float, chord: float, half_thickness: float) -> Distance:
     """Distance from a plate with sharp corners, and the outward normal.
 
     Parameters
@@ -108,23 +98,16 @@ def rectangle_distance(
         Length of the plate [m].
     half_thickness
         Half thickness [m].
-
-    Returns
-    -------
-    tuple
-        Signed distance [m] and the components of the unit normal along s and m [-].
     """
     x = s - 0.5 * chord
     dx = abs(x) - 0.5 * chord
     dm = abs(m) - half_thickness
-    sign_x = 1.0 if x >= 0.0 else -1.0
-    sign_m = 1.0 if m >= 0.0 else -1.0
     if dx > 0.0 and dm > 0.0:
         length = math.hypot(dx, dm)
-        return length, sign_x * dx / length, sign_m * dm / length
+        return length, math.copysign(dx / length, x), math.copysign(dm / length, m)
     if dx > dm:
-        return dx, sign_x, 0.0
-    return dm, 0.0, sign_m
+        return dx, math.copysign(1.0, x), 0.0
+    return dm, 0.0, math.copysign(1.0, m)
 
 
 class Panels(NamedTuple):
@@ -138,12 +121,8 @@ class Panels(NamedTuple):
     """Arc lengths [m]."""
 
 
-class Leg(BaseModel):
-    """A rigid leg or plate; the defaults are those of Li et al. (2013)."""
-
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
-    )
+class Leg(Strict):
+    """A rigid leg, plate or foot; the defaults are those of Li et al. (2013)."""
 
     shape: BodyShape = "straight"
     """``straight``; ``c``, a semicircle that bulges where it moves; ``reversed_c``, away from
@@ -159,9 +138,8 @@ class Leg(BaseModel):
     """Coulomb coefficient between leg and soil [-]."""
 
     @model_validator(mode="after")
-    def _thinner_than_long(self) -> Self:
-        line = self.shape not in ("plate", *SOLID_SHAPES)
-        if 2.0 * self.half_thickness >= self.chord and line:
+    def _is_thinner_than_long(self) -> Self:
+        if self.shape in CURVES and 2.0 * self.half_thickness >= self.chord:
             raise ValueError(
                 f"half_thickness = {self.half_thickness:g} m must stay below half the chord "
                 f"({0.5 * self.chord:g} m)"
@@ -171,8 +149,7 @@ class Leg(BaseModel):
     @property
     def curvature(self) -> float:
         """Signed curvature κ of the centre line [1/m]: 0, or ±1/R with R half the chord."""
-        sign = {"c": 1.0, "reversed_c": -1.0}.get(self.shape, 0.0)
-        return 2.0 * sign / self.chord
+        return 2.0 * CURVES.get(self.shape, 0.0) / self.chord
 
     @property
     def length(self) -> float:
@@ -259,23 +236,6 @@ class Leg(BaseModel):
         tangent = np.stack([np.sin(angle), -side * np.cos(angle)], axis=1)
         return Panels(centre, tangent, np.full(panels, math.pi * radius / panels))
 
-    def extremities(self) -> tuple[FloatArray, float]:
-        """Points that the leg lies between, whichever way it is turned.
-
-        Returns
-        -------
-        array
-            Points of the leg's frame (s, m) [m], shape [point, 2]: corners, or a centre line.
-        float
-            How far the leg extends around them [m].
-        """
-        if self.shape == "sphere":
-            return np.array([[0.5 * self.chord, 0.0]]), 0.5 * self.chord
-        if self.shape in ("plate", "cylinder"):
-            return self.outline(), 0.0
-        line = np.vstack([[0.0, 0.0], self.centre_line(60).centre, [self.chord, 0.0]])
-        return line, self.half_thickness
-
     def outline(self, panels: int = 60) -> FloatArray:
         """Corners of a polygon that follows the outline, in the leg's frame.
 
@@ -291,12 +251,11 @@ class Leg(BaseModel):
         ndarray
             (s, m) [m], shape [corner, 2], around the leg once; the last is not the first again.
         """
-        half = 0.5 * self.width if self.shape == "cylinder" else self.half_thickness
         if self.shape == "sphere":
-            circle = np.vstack(
-                [_half_circle((1.0, 0.0), panels), _half_circle((-1.0, 0.0), panels)]
-            )
-            return np.asarray(0.5 * self.chord * (circle + np.array([1.0, 0.0])))
+            angle = np.linspace(0.0, 2.0 * math.pi, 2 * panels, endpoint=False)
+            radius = 0.5 * self.chord
+            return radius * np.stack([1.0 + np.cos(angle), np.sin(angle)], axis=1)
+        half = 0.5 * self.width if self.shape == "cylinder" else self.half_thickness
         if self.shape in ("plate", "cylinder"):
             return np.array([[0.0, -half], [self.chord, -half], [self.chord, half], [0.0, half]])
         line = self.centre_line(panels)
@@ -316,11 +275,9 @@ class Leg(BaseModel):
 
     def reach(self) -> float:
         """Largest distance of the outline from the hip [m]."""
-        if self.shape == "sphere":
-            return self.chord
-        if self.shape in ("plate", "cylinder"):
-            return float(np.hypot(*self.outline().T).max())
-        return self.chord + self.half_thickness
+        if self.shape in CURVES:
+            return self.chord + self.half_thickness
+        return float(np.hypot(*self.outline().T).max())
 
 
 def _half_circle(direction: tuple[float, float], panels: int) -> FloatArray:

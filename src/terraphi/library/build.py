@@ -14,7 +14,6 @@ import logging
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -22,7 +21,7 @@ from types import MappingProxyType
 from pydantic import ValidationError
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import held, made_folder, replacing
+from terraphi.experiment.files import made_folder, replacing
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import Checkpoint, model_version, simulate, software
@@ -82,17 +81,16 @@ def cases_folder(path: Path) -> Path:
 def kept_cases(path: Path) -> Path | None:
     """Return the folder of cases that an ended build left behind, or ``None`` if there is none.
 
-    An empty folder is removed, unless a running build uses it.
+    An empty folder is removed.
     """
     folder = cases_folder(path)
     if folder.is_dir():
-        with suppress(InputError), held(folder):
-            _remove_if_empty(folder)
+        _remove_if_empty(folder)
     return folder if folder.is_dir() else None
 
 
 def _remove_if_empty(folder: Path) -> None:
-    """Remove a folder of cases if it is empty; the caller holds its lock."""
+    """Remove a folder of cases if it is empty."""
     if folder.is_dir() and not any(folder.iterdir()):
         folder.rmdir()
 
@@ -138,8 +136,7 @@ def build(
     Raises
     ------
     InputError
-        If the file cannot be written, another build of it is under way, a worker was killed, or no
-        case at all succeeded.
+        If the file cannot be written, a worker was killed, or no case at all succeeded.
     """
     path = Path(path)
     if path.exists() and not path.is_file():
@@ -147,27 +144,26 @@ def build(
     # A file that is not a library of ours is not for us to overwrite.
     before = Library.load(path) if path.exists() else None
     folder = cases_folder(path)
-    with held(folder):
-        finished, failures = simulate_cases(
-            plan,
-            folder,
-            known=_usable(before.cases) if before else {},
-            executor=executor,
-            begin=begin,
-            progress=progress,
-            checkpoint_every=checkpoint_every,
-            memory=memory,
-        )
-        if not finished:
-            reason = next(iter(failures.values()))
-            raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
-        cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in plan.cases()]
-        library = Library(plan, tuple(cases), software(plan.scenario))
-        if before is not None:
-            library = _with_what_was_learnt(library, before)
-            _keep_what_is_dropped(library, before, folder)
-        library.save(path)
-        _clear(folder, finished, failures)
+    finished, failures = simulate_cases(
+        plan,
+        folder,
+        known=_usable(before.cases) if before else {},
+        executor=executor,
+        begin=begin,
+        progress=progress,
+        checkpoint_every=checkpoint_every,
+        memory=memory,
+    )
+    if not finished:
+        reason = next(iter(failures.values()))
+        raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
+    cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in plan.cases()]
+    library = Library(plan, tuple(cases), software(plan.scenario))
+    if before is not None:
+        library = _with_what_was_learnt(library, before)
+        _keep_what_is_dropped(library, before, folder)
+    library.save(path)
+    _clear(folder, finished, failures)
     return library
 
 

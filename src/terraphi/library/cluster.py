@@ -20,7 +20,6 @@ from functools import partial
 from typing import Any, Self
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.interrupts import without_interrupts
 from terraphi.forward import MODEL_VERSIONS, package_version
 from terraphi.library.workers import WorkerPool, available_cores, stopping_when
 
@@ -116,9 +115,8 @@ class Cluster:
 
     def __exit__(self, *_: object) -> None:
         # Dask gives what this client asked for up as soon as it has left.
-        with without_interrupts():
-            self._client.close(timeout=CONNECT_SECONDS)
-            self._quiet.__exit__(None, None, None)
+        self._client.close(timeout=CONNECT_SECONDS)
+        self._quiet.__exit__(None, None, None)
 
 
 @contextmanager

@@ -20,8 +20,6 @@ from multiprocessing.sharedctypes import Synchronized
 from multiprocessing.synchronize import Event
 from typing import Self, TypeVar
 
-from terraphi.experiment.interrupts import without_interrupts
-
 
 class StoppedError(RuntimeError):
     """The parent asked its workers to stop."""
@@ -167,12 +165,9 @@ class WorkerPool:
         self.executor: Executor = ProcessPoolExecutor(
             workers, mp_context=context, initializer=_join, initargs=(self._stop, self._done)
         )
-        # Workers start now, deaf to Ctrl-C from the first instant and not only once they have
-        # imported this module.
         try:
-            with without_interrupts():
-                for _ in range(workers):
-                    self.executor.submit(_nothing)
+            for _ in range(workers):
+                self.executor.submit(_nothing)
         except BaseException as error:
             self.__exit__(type(error))
             raise
@@ -194,8 +189,6 @@ class WorkerPool:
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
-        # A second Ctrl-C in the middle of this would leave both sides waiting for each other.
-        with without_interrupts():
-            if kind is not None:
-                self._stop.set()
-            self.executor.shutdown(wait=True, cancel_futures=kind is not None)
+        if kind is not None:
+            self._stop.set()
+        self.executor.shutdown(wait=True, cancel_futures=kind is not None)
