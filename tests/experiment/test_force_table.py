@@ -50,8 +50,8 @@ def refusal(tmp_path: Path, content: str | bytes) -> str:
         ("theta_deg,Fx_N,Fx_N,Fz_N\n1,2,3,4\n", ["columns theta_deg,Fx_N,Fx_N,Fz_N"]),
         (NINE, ["line 1", "unexpected column '-80'", "theta_deg,Fx_N,Fz_N"]),
         ("# ours\n" + HEADER + "-80,1,2\n# no\n-60,x,2\n", ["line 5", "Fx_N = 'x'"]),
-        (HEADER + "-80,1_000,2\n", ["line 2", "Fx_N = '1_000' is not a finite number"]),
-        (HEADER + "-80,\uff11,2\n", ["line 2", "Fx_N = '\uff11' is not a finite number"]),
+        (HEADER + "-80,1_000,2\n", ["line 2", "Fx_N = '1_000' is not finite"]),
+        (HEADER + "-80,\uff11,2\n", ["line 2", "Fx_N = '\uff11' is not finite"]),
         (HEADER + "-80,1,2\n\n-60,,2\n", ["line 4", "Fx_N = ''"]),
         (HEADER + "-80,1,nan\n", ["line 2", "Fz_N = 'nan'", "remove the row"]),
         (HEADER + "-80,1e999,1\n", ["line 2", "Fx_N = '1e999'"]),
@@ -59,8 +59,8 @@ def refusal(tmp_path: Path, content: str | bytes) -> str:
         (HEADER + '-80,"1,2\n-60,1,2\n', ["line 2", "not a row of a CSV"]),
         (HEADER + "-80,1,2\n-60,1,2\n-70,1,2\n0,1,2\n", ["line 4", "= -70 after -60", "sort"]),
         (HEADER + "-80,1,2\n-60,1,2\n-60,1,2\n", ["line 4", "= -60 after -60", "average"]),
-        (HEADER + "80,1,2\n0,1,2\n-80,1,2\n", ["theta_deg decreases", "sort"]),
-        (HEADER + "-1.48,1,2\n0,1,2\n1.48,1,2\n", ["1.48", "radians", "degrees are expected"]),
+        (HEADER + "80,1,2\n0,1,2\n-80,1,2\n", ["line 3", "= 0 after 80", "change its sign"]),
+        (HEADER + "-1.48,1,2\n0,1,2\n1.48,1,2\n", ["1.48", "degrees are expected, not radians"]),
         (b"\x89HDF\r\n\x1a\n" + bytes(range(256)), ["not a text file", "UTF-8"]),
     ],
 )
@@ -143,7 +143,7 @@ def test_what_was_changed_by_hand_counts_as_measured(
         found = open_forces(file)
     assert found.history.provenance == {"file": "s.csv"}
     assert (found.leg, found.density_kg_m3) == ("straight", None)
-    assert "s.csv: the comment on where these forces come from does not fit" in caplog.text
+    assert "s.csv: the comment on the origin of these forces does not fit" in caplog.text
 
 
 def test_an_origin_of_another_version_ends_in_a_sentence(

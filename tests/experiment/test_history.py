@@ -137,11 +137,11 @@ def test_the_largest_force_of_a_path_keeps_its_sign() -> None:
     [
         (np.arange(-90.0, 1.0), "theta covers -90.0 to 0.0 deg"),
         (np.arange(-82.0, 91.0), "theta covers -82.0 to 90.0 deg"),
-        (np.linspace(-85.0, 85.0, 39), "39 angles within ±85 deg and gaps of up to 4.5 deg"),
+        (np.linspace(-85.0, 85.0, 39), "39 angles within ±85 deg, gaps up to 4.5 deg"),
         (np.array([-90.0, 90.0]), "0 angles within"),
         (np.array([3.0]), "1 angles within"),
-        (np.r_[-90.0:-29.0, 1.0:91.0], "gaps of up to 31.0 deg; all of ±85 deg, 40 angles and"),
-        (np.r_[-135.0, -90.0, -50.0:91.0], "gaps of up to 35.0 deg"),
+        (np.r_[-90.0:-29.0, 1.0:91.0], "gaps up to 31.0 deg; ±85 deg, 40 angles and"),
+        (np.r_[-135.0, -90.0, -50.0:91.0], "gaps up to 35.0 deg"),
     ],
 )
 def test_records_that_do_not_cover_the_window(theta_deg: np.ndarray, words: str) -> None:
@@ -244,7 +244,7 @@ def test_a_netcdf_that_lacks_something(tmp_path: Path, gone: list[str]) -> None:
         content = plain.load().drop_vars(gone, errors="ignore")
     content.attrs = {key: value for key, value in content.attrs.items() if key not in gone}
     content.to_netcdf(tmp_path / "y.nc", engine="h5netcdf")
-    with pytest.raises(InputError, match=r"y\.nc: not as terraphi writes a force history"):
+    with pytest.raises(InputError, match=r"y\.nc: not a whole force history"):
         ForceHistory.from_netcdf(tmp_path / "y.nc")
 
 

@@ -100,10 +100,10 @@ def test_the_rate_is_constant_outside_its_profile() -> None:
     turn = math.radians(60.0)
     # ∫dθ/ω: 60° at 1, 60° rising from 1 to 2, 60° at 2 rad/s.
     assert motion.duration == pytest.approx(turn * (1.0 + math.log(2.0) + 0.5))
-    assert motion.top_rate == 2.0
+    assert motion.top_coordinate_rate == 2.0
     assert motion.top_speed(0.08) == pytest.approx(0.16)
     inside = Rotation(start_deg=-90, stop_deg=0, rate_profile=((-30.0, 1.0), (30.0, 2.0)))
-    assert inside.top_rate == pytest.approx(1.5)
+    assert inside.top_coordinate_rate == pytest.approx(1.5)
 
 
 def test_a_translation() -> None:

@@ -30,9 +30,9 @@ def test_results_replace_earlier_ones_and_nothing_else(tmp_path: Path) -> None:
     fill(place, b="3", z="4")
     assert contents(place) == {"b.txt": "3", "z.txt": "4", "mine.md": "a note"}
     (place / "c.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"holds 'c\.txt', which terraphi did not write"):
+    with pytest.raises(InputError, match=r"holds 'c\.txt', not written by terraphi"):
         fill(place, a="5", c="6")
-    with pytest.raises(InputError, match=r"holds the results of another command \(test\)"):
+    with pytest.raises(InputError, match=r"holds results of 'test'"):
         check_folder(place, kind="another")
     assert contents(place)["c.txt"] == "mine"
     assert [path.name for path in place.parent.iterdir()] == ["folder"]
@@ -41,7 +41,7 @@ def test_results_replace_earlier_ones_and_nothing_else(tmp_path: Path) -> None:
 def test_a_folder_of_other_origin_is_left_alone(tmp_path: Path) -> None:
     check_folder(tmp_path, kind="test")  # an empty one is taken
     (tmp_path / MANIFEST).write_text('{"name": "an extension of a browser"}')
-    with pytest.raises(InputError, match=r"holds 'manifest\.json', which terraphi did not write"):
+    with pytest.raises(InputError, match=r"holds 'manifest\.json', not written by"):
         fill(tmp_path, a="1")
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="file: is a file; name a folder"):

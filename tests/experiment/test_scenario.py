@@ -42,7 +42,7 @@ def refusal(tmp_path: Path, text: str) -> str:
         ("[motion]\nkind = 'rotate'", ["motion.kind = 'rotate'", "did you mean 'rotation'?"]),
         ("[motion]\nkind = 'translation'", ["'motion.start' is missing"]),
         ("[leg]\nshape = 'C'", ["leg.shape = 'C'", "did you mean 'c'?"]),
-        ("[leg]\nhalf_thickness = 0.05", ["leg: half_thickness = 0.05 m", "0.0381 m"]),
+        ("[leg]\nhalf_thickness = 0.05", ["leg: half_thickness = 0.05 m"]),
         ("[numerics]\nparticle_volume = 'updated'", ["unknown key 'numerics.particle_volume'"]),
         ("[motion]\nstart_deg = 20\nstop_deg = 10", ["motion: start_deg = 20 must be below stop"]),
         ("[leg]\nshape = 'sphere'", ["leg.shape = 'sphere'", "dimensions = 3"]),
@@ -50,10 +50,10 @@ def refusal(tmp_path: Path, text: str) -> str:
         ("model = 'rft'\n[bed]\nsurcharge = 9.0", ["bed.surcharge = 9.0", "set it to 0.0"]),
         ("[motion]\nhip = [0.05, 0.19]", ["the leg leaves the domain", "x = -0.0", "motion.hip"]),
         ("[motion]\nhip = [0.15, 0.06]", ["the leg leaves the domain", "z = -0.0"]),
-        ("[bed]\nwidth = 0.299", ["bed.left + bed.width = 0.304 m", "0.3 m"]),
-        ("[bed]\nfloor = 0.0", ["bed.floor = 0 m", "a cell"]),
+        ("[bed]\nwidth = 0.299", ["the bed reaches from 0.005 to 0.304 m", "0.3 m"]),
+        ("[bed]\nfloor = 0.0", ["the bed reaches from 0 to 0.295 m", "a cell"]),
         ("[bed]\nheight = 0.001", ["bed.height = 0.001 m", "at least a cell"]),
-        ("[bed]\nsoil_left = 0.2\nsoil_width = 0.1", ["0.2 to 0.3 m", "between the walls"]),
+        ("[bed]\nsoil_left = 0.2\nsoil_width = 0.1", ["0.2 to 0.3 m", "outside the walls"]),
         ("[numerics]\nspeed_up = 1e4", ["numerics.time_step", "CFL"]),
     ],
 )
@@ -67,22 +67,22 @@ def test_a_scenario_is_refused_in_one_sentence(tmp_path: Path, text: str, words:
     ("changes", "words"),
     [
         ({"bed.breadth": None}, "needs bed.breadth"),
-        ({"bed.breadth": 0.02}, "leg.width = 0.0254 m is wider"),
-        (SPHERE | {"leg.chord": 0.07, "bed.breadth": 0.06}, "leg.chord = 0.07 m is wider"),
+        ({"bed.breadth": 0.02}, "the leg is 0.0254 m wide, more than bed.breadth = 0.02 m"),
+        (SPHERE | {"leg.chord": 0.07, "bed.breadth": 0.06}, "the leg is 0.07 m wide"),
         ({"soil.yield_criterion": "triaxial"}, "'matsuoka_nakai' needs yield_criterion"),
         (
             {"soil.yield_criterion": "triaxial", "soil.yield_surface": "mohr_coulomb"},
-            "soil.yield_criterion = 'triaxial': dimensions = 3 needs 'plane_strain'",
+            "dimensions = 3 needs soil.yield_criterion = 'plane_strain', not 'triaxial'",
         ),
         ({"soil.critical_friction_angle_deg": 36.0}, "= 36 exceeds friction_angle_deg = 35"),
         ({"numerics.remap_interval": 0.0}, "needs numerics.remap_interval"),
-        ({"numerics.remap_interval": 0.02}, "at most 2.5 mm, 0.5 cells, fit"),
-        ({"numerics.particles_per_cell_side": 4}, "take at most 3"),
+        ({"numerics.remap_interval": 0.02}, "lets the leg travel 0.61 cells, more than 0.5"),
+        ({"numerics.particles_per_cell_side": 4}, "particles_per_cell_side = 4 is more than 3"),
         ({"leg.shape": "sphere"}, "has no tip"),
-        ({"leg.chord": 0.004, "leg.half_thickness": 0.001}, "no less than the leg's length"),
-        ({"motion.hip.1": 0.12}, "the hip comes down to 0.12 m"),
+        ({"leg.chord": 0.004, "leg.half_thickness": 0.001}, "is more than the leg's length"),
+        ({"motion.hip.1": 0.12}, "needs the hip above the soil, not at z = 0.12 m"),
         ({"motion.hip.7": 0.1}, "motion.hip.7"),
-        ({"numerics.time_step": 1e-320}, "too large or too small to compute with"),
+        ({"numerics.time_step": 1e-320}, "a number is too large or too small"),
         ({"soil.densty": 1.0}, "soil.densty"),
         ({"soil.density.si": 1.0}, "soil.density.si"),
     ],
@@ -120,7 +120,7 @@ def test_a_key_is_refused_in_the_dimensions_that_do_not_have_it(key: str) -> Non
 
 def test_compaction_is_for_three_dimensions() -> None:
     assert Scenario.load("sand3d").replace(**{"soil.dilation_angle_deg": -5.0}).soil.softens
-    with pytest.raises(ValidationError, match="dilation_angle_deg = -5: below 0 it is for"):
+    with pytest.raises(ValidationError, match="dilation_angle_deg = -5 < 0 is for dimensions = 3"):
         Scenario().replace(**{"soil.dilation_angle_deg": -5.0})
 
 
@@ -218,7 +218,7 @@ def test_presets_are_plausible() -> None:
 @pytest.mark.parametrize(
     ("key", "value"),
     [("soil.friction_angle_deg", 0.6), ("soil.density", 1.65), ("leg.chord", 76.2),
-     ("leg.friction", 1e9), ("rft.scale", 1e5)],
+     ("leg.friction", 1e9)],
 )  # fmt: skip
 def test_a_number_in_another_unit(key: str, value: float) -> None:
     (first, *_) = doubts(Scenario.load("quick").replace(**{key: value}))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, get_args
@@ -80,7 +79,7 @@ def sentence_from_validation(error: ValidationError, source: str, model: type[Ba
     if kind == "union_tag_invalid":
         key, value, expected = f"{key}.kind", context["tag"], context["expected_tags"]
         message = f"should be {expected}"
-    hint = nearest(str(value), re.findall(r"'([^']*)'", str(expected)))
+    hint = nearest(str(value), expected.strip("'").replace("' or '", "', '").split("', '"))
     hint = f"; {hint}" if hint.startswith("did") else ""
     return f"{source}: {key} = {value!r:.60}: {message.replace('an object', 'a table')}{hint}"
 

@@ -54,8 +54,7 @@ def check_is_file(path: Path, expected: str = "a file") -> None:
     """
     if not path.is_file():
         found = "is a folder" if path.is_dir() else "no such file"
-        if is_there(path):
-            found = "a pipe, which is read only once; save it to a file first"
+        found = "is a pipe; save it to a file first" if is_there(path) else found
         raise InputError(f"{path}: {found}; expected {expected}")
 
 
@@ -105,10 +104,8 @@ def replacing(path: Path) -> Iterator[Path]:
         yield temporary
         temporary.replace(path)
     except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror or error}); free some space or choose "
-            "another place"
-        ) from error
+        reason = error.strerror or error
+        raise InputError(f"{path}: cannot be written ({reason}); try another place") from error
     finally:
         with suppress(OSError):
             temporary.unlink()
@@ -165,19 +162,14 @@ class Contents:
         Attributes of the file.
     variables
         All variables, in the order of the file.
-    coords
-        Names of the coordinates: variables named as a dimension, or by a ``coordinates`` attribute
-        (CF conventions 1.11, chapter 5).
+    data_vars
+        Names of those that are no coordinates, which are variables named as a dimension or by a
+        ``coordinates`` attribute (CF conventions 1.11, chapter 5).
     """
 
     attrs: dict[str, Any]
     variables: dict[str, Variable]
-    coords: set[str]
-
-    @property
-    def data_vars(self) -> list[str]:
-        """Names of the variables that are no coordinates."""
-        return [name for name in self.variables if name not in self.coords]
+    data_vars: list[str]
 
     def __getitem__(self, name: str) -> Variable:
         return self.variables[name]
@@ -198,8 +190,8 @@ def read_whole(path: Path) -> Contents:
         attributes = dict(file.attrs)
         named = [attributes.pop("coordinates", "")]
         named += [str(v.attrs.get("coordinates", "")) for v in file.variables.values()]
-        coordinates = {*file.dimensions, *" ".join(named).split()} & variables.keys()
-    return Contents(attributes, variables, coordinates)
+        coordinates = {*file.dimensions, *" ".join(named).split()}
+    return Contents(attributes, variables, [n for n in variables if n not in coordinates])
 
 
 @contextmanager
@@ -244,11 +236,8 @@ def open_netcdf(path: Path, *, kind: str, schema: int) -> Contents:
         contents = read_whole(path)
     found = contents.attrs.get("terraphi_file"), contents.attrs.get("terraphi_schema")
     if found != (kind, schema):
-        known = f"{found[0]} of schema version {found[1]}" if found[0] else "not of terraphi"
-        raise InputError(
-            f"{path}: {known}; expected a {kind} of schema version {schema}, as this version of "
-            "terraphi writes it"
-        )
+        known = f"{found[0]} of version {found[1]}" if found[0] else "not of terraphi"
+        raise InputError(f"{path}: {known}; expected a {kind} of version {schema}, build it again")
     return contents
 
 
@@ -283,6 +272,6 @@ def positions(contents: Contents) -> FloatArray:
     Raises KeyError if there are none.
     """
     coordinate = str(contents.attrs["coordinate"])
-    if coordinate == "theta" and "theta" not in contents.coords:
+    if coordinate == "theta" and "theta" not in contents:
         return np.radians(contents["theta_deg"].values.astype(np.float64))
     return np.asarray(contents[coordinate].values, dtype=np.float64)

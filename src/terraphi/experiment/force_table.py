@@ -92,15 +92,14 @@ def read_force_table(path: Path) -> ForceTable:
 
 def _order(place: str, header: list[str]) -> list[int]:
     """Position of each column in the header."""
+    expected = f"expected exactly {EXPECTED}, separated by commas"
     for name in header:
         if name not in CSV_COLUMNS:
-            hint = nearest(name, CSV_COLUMNS)
-            raise InputError(
-                f"{place}: unexpected column {name[:40]!r}{'; ' + hint if 'did' in hint else ''}; "
-                f"expected exactly {EXPECTED}, separated by commas"
-            )
+            near = nearest(name, CSV_COLUMNS)
+            hint = f"; {near}" if near.startswith("did") else ""
+            raise InputError(f"{place}: unexpected column {name[:40]!r}{hint}; {expected}")
     if sorted(header) != sorted(CSV_COLUMNS):
-        raise InputError(f"{place}: columns {','.join(header)}; expected exactly {EXPECTED}")
+        raise InputError(f"{place}: columns {','.join(header)}; {expected}")
     return [header.index(name) for name in CSV_COLUMNS]
 
 
@@ -110,29 +109,19 @@ def _number(place: str, name: str, cell: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(
-            f"{place}: {name} = {cell[:40]!r} is not a finite number; correct it or remove the row"
-        )
+        raise InputError(f"{place}: {name} = {cell[:40]!r} is not finite; remove the row")
     return value
 
 
 def _check_angles(path: Path, theta_deg: FloatArray, numbers: array[int]) -> None:
-    steps = np.diff(theta_deg)
-    if len(steps) and (steps < 0).all():
-        raise InputError(
-            f"{path}: theta_deg decreases; sort the rows by angle, or, if they are in the order of "
-            "time, change the signs of theta_deg and Fx_N (the leg moves down at negative angles)"
-        )
-    for i in np.flatnonzero(steps <= 0)[:1].tolist():
+    for i in np.flatnonzero(np.diff(theta_deg) <= 0)[:1].tolist():
         raise InputError(
             f"{path}, line {numbers[i + 1]}: theta_deg = {theta_deg[i + 1]:g} after "
-            f"{theta_deg[i]:g}; it must increase: sort the rows and average repeats"
+            f"{theta_deg[i]:g}; sort the rows and average repeats, or change its sign and Fx_N's"
         )
     largest = np.abs(theta_deg).max()
     if largest < LEAST_DEG:
-        raise InputError(
-            f"{path}: the largest |theta_deg| is {largest:.2f}, as of radians; degrees are expected"
-        )
+        raise InputError(f"{path}: |theta_deg| <= {largest:.2f}; degrees are expected, not radians")
 
 
 # -- origin --------------------------------------------------------------------------------------
@@ -175,9 +164,7 @@ def _provenance(path: Path, comment: str, values: FloatArray) -> dict[str, Any]:
             return provenance
     except (KeyError, RecursionError, TypeError, ValueError):
         pass
-    log.warning(
-        "%s: the comment on where these forces come from does not fit them, and is ignored", path
-    )
+    log.warning("%s: the comment on the origin of these forces does not fit them; ignored", path)
     return {}
 
 

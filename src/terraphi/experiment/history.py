@@ -230,9 +230,8 @@ class ForceHistory:
         high = np.minimum(centre + half_width, x[-1])
         if np.any(high <= low):
             raise ValueError("a window lies outside the recorded range")
-        integral = make_interp_spline(
-            x, self.force if values is None else values, k=1
-        ).antiderivative()
+        values = self.force if values is None else values
+        integral = make_interp_spline(x, values, k=1).antiderivative()
         return np.asarray(((integral(high) - integral(low)).T / (high - low)).T)
 
     def observation(self, *, angles: int = OBSERVATION_ANGLES) -> Observation:
@@ -260,15 +259,19 @@ class ForceHistory:
         if missing or inside.sum() < angles or gap > WIDEST_GAP_DEG:
             raise InputError(
                 f"{file}theta covers {low:.1f} to {high:.1f} deg with {inside.sum()} angles within "
-                f"±{WINDOW_DEG:g} deg and gaps of up to {gap:.1f} deg; all of ±{WINDOW_DEG:g} deg, "
-                f"{angles} angles and gaps of at most {WIDEST_GAP_DEG:g} deg are needed"
+                f"±{WINDOW_DEG:g} deg, gaps up to {gap:.1f} deg; ±{WINDOW_DEG:g} deg, {angles} "
+                f"angles and gaps of at most {WIDEST_GAP_DEG:g} deg are needed"
             )
         for axis, values in zip(self.axes, self.force[inside].T, strict=True):
             if not values.any():
                 raise InputError(f"{file}F{axis} is zero at every angle; is the sensor connected?")
         centre = np.linspace(-WINDOW_DEG, WINDOW_DEG, angles)
-        force = self.means(np.radians(centre), math.radians(half_deg))
-        return Observation(centre, force[:, self.axes.index("x")], force[:, self.axes.index("z")])
+        return Observation(centre, *self._means_xz(centre, half_deg).T)
+
+    def _means_xz(self, centre_deg: FloatArray, half_deg: float) -> FloatArray:
+        """Mean forces along x and z [N], shape [window, 2]."""
+        force = self.means(np.radians(centre_deg), math.radians(half_deg))
+        return force[:, [self.axes.index("x"), self.axes.index("z")]]
 
     def peaks(self) -> Peaks:
         """Peak thrust and lift on 1° means at whole degrees within |θ| ≤ window [deg].
@@ -279,15 +282,11 @@ class ForceHistory:
         theta = theta[(theta >= self.theta_deg[0]) & (theta <= self.theta_deg[-1])]
         if theta.size == 0:
             raise ValueError(f"the history has no whole degree within ±{WINDOW_DEG:g} deg")
-        force = self.means(np.radians(theta), math.radians(0.5))
-        x, z = self.axes.index("x"), self.axes.index("z")
+        force = self._means_xz(theta, 0.5)
         # The first of those that differ by round-off alone.
         slack = 1e-9 * np.abs(force).max(axis=0)
-        at = (force >= force.max(axis=0) - slack).argmax(axis=0)
-        return Peaks(
-            *(float(force[at[x], x]), float(force[at[z], z])),
-            *(float(theta[at[x]]), float(theta[at[z]])),
-        )
+        first = (force >= force.max(axis=0) - slack).argmax(axis=0)
+        return Peaks(*force[first, [0, 1]].tolist(), *theta[first].tolist())
 
     def summary(self) -> dict[str, Any]:
         """Peaks and provenance, JSON-able."""
@@ -297,7 +296,7 @@ class ForceHistory:
             shown |= {"peak_Fx_N": peaks.Fx, "theta_peak_Fx_deg": peaks.theta_Fx_deg}
             shown |= {"peak_Fz_N": peaks.Fz, "theta_peak_Fz_deg": peaks.theta_Fz_deg}
         except ValueError:  # no function of θ, or none within the window
-            for axis, values in zip(self.axes, self.force.T, strict=True):
+            for axis, values in (("x", self.Fx), ("z", self.Fz)):
                 shown[f"peak_F{axis}_N"] = float(values[np.abs(values).argmax()])
         if applied := self.applied():
             found = applied.summary().items()
@@ -343,18 +342,14 @@ class ForceHistory:
         if self.coordinate == "theta":
             coords[dim] = (dim, self.theta_deg, {"units": "degree"})
         variables = {
-            f"F{axis}": (dim, values, {"units": "N", "long_name": f"force, {axis}"})
+            f"F{axis}": (dim, values, {"units": "N"})
             for axis, values in zip(self.axes, self.force.T, strict=True)
         }
         if self.moment is not None:
-            names = {"units": "N m", "long_name": "moment about the hip"}
-            variables["M"] = (dim, self.moment, names)
-        attributes = {
-            "terraphi_file": KIND,
-            "terraphi_schema": SCHEMA,
-            "coordinate": self.coordinate,
-            "provenance": json.dumps(dict(self.provenance)),
-        }
+            variables["M"] = (dim, self.moment, {"units": "N m"})
+        known = json.dumps(dict(self.provenance))
+        attributes = {"terraphi_file": KIND, "terraphi_schema": SCHEMA}
+        attributes |= {"coordinate": self.coordinate, "provenance": known}
         write_netcdf(xr.Dataset(variables, coords, attributes), Path(path))
 
     @classmethod
@@ -376,9 +371,7 @@ class ForceHistory:
                 moment,
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                f"{path}: not as terraphi writes a force history ({error}); make it again"
-            ) from error
+            raise InputError(f"{path}: not a whole force history ({error})") from error
 
 
 # Degrees turned to radians and back may be off by a rounding error, hence the slack.

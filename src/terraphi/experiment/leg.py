@@ -140,10 +140,7 @@ class Leg(Strict):
     @model_validator(mode="after")
     def _is_thinner_than_long(self) -> Self:
         if self.shape in CURVES and 2.0 * self.half_thickness >= self.chord:
-            raise ValueError(
-                f"half_thickness = {self.half_thickness:g} m must stay below half the chord "
-                f"({0.5 * self.chord:g} m)"
-            )
+            raise ValueError(f"half_thickness = {self.half_thickness:g} m is not below chord / 2")
         return self
 
     @property

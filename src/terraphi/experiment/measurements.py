@@ -7,13 +7,13 @@ Shipped are the rotating-leg experiments of Li, Zhang & Goldman, *Science* 339:1
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 
-from terraphi.experiment.documents import Strict, parse_toml, shipped_file, shipped_names
+from terraphi.experiment.documents import shipped_file, shipped_names
 from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
 from terraphi.experiment.files import is_there
 from terraphi.experiment.history import ForceHistory
@@ -21,24 +21,10 @@ from terraphi.experiment.scenario import Scenario
 
 COLLECTION = "li2013"
 """Folder of the shipped measurements, and the first part of their names."""
-HALF_THICKNESS, WIDTH, HIP_ABOVE = 0.0032, 0.0254, 0.020
-"""Sizes of their legs, and the height of their hip above the soil [m]."""
+SIZES = (0.0032, 0.0254, 0.020)
+"""Half thickness and width of their legs, height of their hip above the soil [m]."""
 CHORDS = (0.072, 0.077)
 """Chords of scenarios of their legs, 76.2 mm or that less the round end [m]."""
-
-
-class _Medium(Strict):
-    """A row of the table of media; what the source does not report is left out."""
-
-    label: str
-    density: float | None = Field(None, gt=0)
-    assumed_density: float | None = Field(None, gt=0)
-    angle_of_repose_deg: float | None = Field(None, gt=0, lt=90)
-
-
-class _Media(Strict):
-    citation: str
-    media: Mapping[str, _Medium]
 
 
 @dataclass(frozen=True)
@@ -109,21 +95,21 @@ def measurement(name: str) -> Measurement:
     36.0
     """
     history = _shipped(name)
-    table = parse_toml(shipped_file(COLLECTION, "media", ".toml"), _Media)
+    table = tomllib.loads(shipped_file(COLLECTION, "media", ".toml").read_text(encoding="utf-8"))
     medium, leg = medium_and_leg(name)
-    known = table.media[medium]
-    provenance = {**history.provenance, "measurement": name, "source": table.citation}
-    if known.density is not None:
-        provenance["density_kg_m3"] = known.density
+    known, source = table["media"][medium], table["citation"]
+    provenance = {**history.provenance, "measurement": name, "source": source}
+    if "density" in known:
+        provenance["density_kg_m3"] = known["density"]
     return Measurement(
         name=name,
         history=replace(history, provenance=provenance),
         leg=leg,
-        medium=known.label,
-        density_kg_m3=known.density or known.assumed_density,
-        density_assumed=known.density is None and known.assumed_density is not None,
-        angle_of_repose_deg=known.angle_of_repose_deg,
-        source=table.citation,
+        medium=known["label"],
+        density_kg_m3=known.get("density", known.get("assumed_density")),
+        density_assumed="density" not in known,
+        angle_of_repose_deg=known.get("angle_of_repose_deg"),
+        source=source,
     )
 
 
@@ -226,10 +212,6 @@ def scenario_of(history: ForceHistory, *, name: str = "") -> Scenario | None:
 def is_of_their_apparatus(scenario: Scenario) -> bool:
     """Whether leg and hip height of a scenario are those of the shipped records, within 1 %."""
     leg = scenario.leg
-    pairs = (
-        (leg.half_thickness, HALF_THICKNESS),
-        (leg.width, WIDTH),
-        (scenario.hip_height, HIP_ABOVE),
-    )
-    same = all(math.isclose(size, own, rel_tol=0.01) for size, own in pairs)
+    found = (leg.half_thickness, leg.width, scenario.hip_height)
+    same = all(math.isclose(*pair, rel_tol=0.01) for pair in zip(found, SIZES, strict=True))
     return same and CHORDS[0] <= leg.chord <= CHORDS[1]

@@ -58,9 +58,8 @@ class Rotation(Strict):
     @model_validator(mode="after")
     def _turns_forward(self) -> Self:
         if not self.start_deg < self.stop_deg:
-            raise ValueError(
-                f"start_deg = {self.start_deg:g} must be below stop_deg = {self.stop_deg:g}"
-            )
+            ends = f"start_deg = {self.start_deg:g} must be below stop_deg = {self.stop_deg:g}"
+            raise ValueError(ends)
         if self.rate_profile is not None:
             angles = [angle for angle, _ in self.rate_profile]
             if len(angles) < 2 or any(b <= a for a, b in itertools.pairwise(angles)):
@@ -90,14 +89,9 @@ class Rotation(Strict):
         return float(self._knots()[2][-1])
 
     @property
-    def top_rate(self) -> float:
-        """Largest angular rate [rad/s]."""
-        return float(self._knots()[1].max())
-
-    @property
     def top_coordinate_rate(self) -> float:
         """Largest rate of change of the coordinate, that of θ [rad/s]."""
-        return self.top_rate
+        return float(self._knots()[1].max())
 
     @property
     def span(self) -> tuple[float, float]:
@@ -131,7 +125,7 @@ class Rotation(Strict):
 
     def top_speed(self, reach: float) -> float:
         """Largest speed of a point at a distance ``reach`` [m] from the hip [m/s]."""
-        return self.top_rate * reach
+        return self.top_coordinate_rate * reach
 
 
 class Translation(Strict):

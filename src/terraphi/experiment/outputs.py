@@ -35,10 +35,8 @@ def check_file(path: Path, *, kind: str = "") -> None:
         check_netcdf_name(path)
     writable(path)
     if path.exists() and not _is_ours(path, kind):
-        raise InputError(
-            f"{path}: is there, and not a {kind or 'file'} written by terraphi; name another file, "
-            "or move that one away"
-        )
+        what = f"{kind or 'file'} written by terraphi"
+        raise InputError(f"{path}: is there, and not a {what}; name another, or move it away")
 
 
 def check_netcdf_name(path: Path) -> None:
@@ -90,16 +88,11 @@ def check_folder(path: Path, *, kind: str, names: Iterable[str] = ()) -> set[str
         manifest |= json.loads(path.joinpath(MANIFEST).read_text(encoding="utf-8"))
     ours = {Path(name).name for name in manifest["files"]}
     if manifest["kind"] not in ("", kind):
-        raise InputError(
-            f"{path}: holds the results of another command ({manifest['kind']}); name another "
-            "folder"
-        )
+        raise InputError(f"{path}: holds results of '{manifest['kind']}'; name another folder")
     there = {file.name for file in path.iterdir()} if path.is_dir() else set()
     # In a folder without a manifest everything is of other origin.
     for name in sorted((there - ours) & {*names} if manifest["kind"] else there):
-        raise InputError(
-            f"{path}: holds '{name}', which terraphi did not write; name a new or an empty folder"
-        )
+        raise InputError(f"{path}: holds '{name}', not written by terraphi; name an empty folder")
     return ours
 
 

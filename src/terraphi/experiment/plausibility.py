@@ -12,20 +12,14 @@ LIMITS = {
     "soil.friction_angle_deg": (5.0, 60.0, "deg"),
     "soil.density": (500.0, 5000.0, "kg/m³"),
     "soil.youngs_modulus": (1e5, 1e10, "Pa"),
-    "soil.cohesion": (0.0, 1e6, "Pa"),
     "leg.chord": (5e-3, 2.0, "m"),
     "leg.half_thickness": (1e-4, 0.1, "m"),
     "leg.width": (1e-3, 1.0, "m"),
     "leg.friction": (0.0, 2.0, "-"),
     "motion.duration": (1e-3, 1e4, "s"),
-    "bed.width": (1e-2, 10.0, "m"),
     "bed.height": (1e-3, 10.0, "m"),
-    "bed.surcharge": (0.0, 1e6, "Pa"),
     "numerics.time_step": (1e-8, 1e-2, "s"),
     "numerics.speed_up": (0.1, 1e3, "-"),
-    "numerics.contact_band_cells": (0.0, 5.0, "-"),
-    "relief.distance": (0.0, 1.0, "m"),
-    "rft.scale": (1e-2, 1e2, "-"),
 }
 """Smallest and largest plausible value of a key, and its unit."""
 SHAKEN_DEG = {"mohr_coulomb": 31.0, "matsuoka_nakai": 36.0}

@@ -10,7 +10,6 @@ import functools
 import hashlib
 import json
 import math
-import sys
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -18,7 +17,6 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict, parse_toml, refuse, shipped_file, strictly
 from terraphi.experiment.files import is_there
 from terraphi.experiment.leg import LEG_SHAPES, Leg
@@ -59,6 +57,10 @@ ONLY_IN: dict[int, dict[str, Any]] = {
     },
 }
 """Dimensions of the material point method to the keys that no other has, with their value there."""
+NOT_IN_RFT: dict[str, Any] = {
+    "bed.breadth": None, "bed.soil_left": None, "bed.soil_width": None, "bed.surcharge": 0.0
+}  # fmt: skip
+"""Keys that resistive force theory does not have, with their value there."""
 DROPPED: dict[str, tuple[Any, ...]] = {
     "gradient": ("mls",),
     "particle_volume": ("fixed",),
@@ -101,14 +103,14 @@ class Bed(Strict):
 
     @model_validator(mode="after")
     def _holds_its_soil(self) -> Self:
-        low, high = self.soil_span
-        right, slack = self.left + self.width, 1e-9 * self.width
+        (low, high), right = self.soil_span, self.left + self.width
+        slack = 1e-9 * self.width
         inside = self.left - slack <= low < high <= right + slack
         weightless = self.surcharge > 0.0 and self.gravity == 0.0
         refuse(
             {
-                f"soil from x = {low:g} to {high:g} m does not lie between the walls at "
-                f"{self.left:g} and {right:g} m; change soil_left or soil_width": not inside,
+                f"soil from x = {low:g} to {high:g} m lies outside the walls at {self.left:g} and "
+                f"{right:g} m; change soil_left or soil_width": not inside,
                 f"surcharge = {self.surcharge:g} Pa has no weight; set gravity > 0": weightless,
             }
         )
@@ -243,37 +245,20 @@ class Scenario(Strict):
 
     @model_validator(mode="after")
     def _can_be_simulated(self) -> Self:
-        if self.model == "rft" or self.dimensions == 2:
-            known = ", ".join(LEG_SHAPES)
-            if self.leg.shape not in LEG_SHAPES:
-                raise ValueError(
-                    f"leg.shape = '{self.leg.shape}' needs the material point method in three "
-                    f"dimensions; set model = 'mpm' and dimensions = 3, or a shape of {known}"
-                )
-        if self.model == "rft":
-            self._refuse_keys(
-                {"bed.breadth": None, "bed.soil_left": None, "bed.soil_width": None}
-                | {"bed.surcharge": 0.0},
-                "model = 'mpm'",
-            )
-            return self
-        other = 5 - self.dimensions
-        self._refuse_keys(ONLY_IN[other], f"dimensions = {other}")
         try:
-            if self.dimensions == 3:
+            if self.model == "rft":
+                self._refuse_keys(NOT_IN_RFT, "model = 'mpm'")
+            else:
+                other = 5 - self.dimensions
+                self._refuse_keys(ONLY_IN[other], f"dimensions = {other}")
+                self._check_grid()
+                self._check_path()
+            if self.model == "mpm" and self.dimensions == 3:
                 self._check_3d()
-            elif self.soil.potential_angle_deg < 0.0:
-                raise ValueError(
-                    f"soil.dilation_angle_deg = {self.soil.dilation_angle_deg:g}: below 0 it is "
-                    "for dimensions = 3; set it to 0"
-                )
-            self._check_grid()
-            self._check_path()
-        except (ArithmeticError, MemoryError) as error:
-            raise ValueError(
-                f"some number is too large or too small to compute with ({error}); "
-                "'terraphi keys' lists what is usual"
-            ) from error
+            else:
+                self._check_2d()
+        except ArithmeticError as error:
+            raise ValueError(f"a number is too large or too small ({error})") from error
         return self
 
     def _refuse_keys(self, keys: dict[str, Any], needs: str) -> None:
@@ -284,91 +269,86 @@ class Scenario(Strict):
                 instead = "leave it out" if nothing is None else f"set it to {json.dumps(nothing)}"
                 raise ValueError(f"{key} = {json.dumps(value)} is for {needs}; {instead}")
 
-    def _check_3d(self) -> None:
-        soil, leg, numerics = self.soil, self.leg, self.numerics
-        key = "chord" if leg.shape == "sphere" else "width"  # a sphere is as wide as long
-        across, breadth = getattr(leg, key), self.bed.breadth
-        travel = numerics.steps_per_phase * numerics.time_step * self.sped_up_leg_speed
-        farthest = LONGEST_TRAVEL * numerics.cell_size
+    def _check_2d(self) -> None:
+        shape, psi = self.leg.shape, self.soil.potential_angle_deg
         refuse(
             {
-                f"soil.yield_criterion = '{soil.yield_criterion}': dimensions = 3 needs "
-                "'plane_strain'": soil.yield_criterion != "plane_strain",
-                "dimensions = 3 needs bed.breadth, the extent of the box across the plane of "
-                "motion; 0.2 m hardly disturbs a leg of 25 mm": breadth is None,
-                f"leg.{key} = {across:g} m is wider than the box, bed.breadth = {breadth} m; widen "
-                "the box": breadth is not None and across > breadth * (1.0 + 1e-9),
-                "dimensions = 3 needs numerics.remap_interval, such as 100 "
-                "time steps": numerics.remap_interval == 0.0,
+                f"leg.shape = '{shape}' is for model = 'mpm' in dimensions = 3; take one of "
+                f"{', '.join(LEG_SHAPES)}": shape not in LEG_SHAPES,
+                f"soil.dilation_angle_deg = {psi:g} < 0 is for dimensions = 3": psi < 0.0,
+            }
+        )
+
+    def _check_3d(self) -> None:
+        leg, numerics, criterion = self.leg, self.numerics, self.soil.yield_criterion
+        across = leg.chord if leg.shape == "sphere" else leg.width
+        breadth = self.bed.breadth or 0.0
+        travel = numerics.steps_per_phase * numerics.time_step * self.sped_up_leg_speed
+        cells, side = travel / numerics.cell_size, numerics.particles_per_cell_side
+        tipless = leg.shape not in LEG_SHAPES
+        # Contact begins at the hip, so that the soil must not reach it.
+        hip = self.motion.poses_at(np.array(self.motion.span)).hip[:, 1].min()
+        inset = f"numerics.tip_inset_cells = {numerics.tip_inset_cells:g}"
+        refuse(
+            {
+                "dimensions = 3 needs bed.breadth, such as 0.2 m": not breadth,
+                "dimensions = 3 needs numerics.remap_interval": numerics.remap_interval == 0.0,
+                "dimensions = 3 needs soil.yield_criterion = 'plane_strain', not "
+                f"'{criterion}'": criterion != "plane_strain",
+                f"the leg is {across:g} m wide, more than bed.breadth = {breadth:g} m": across
+                > breadth * (1.0 + 1e-9),
                 f"numerics.remap_interval = {numerics.remap_interval:g} s lets the leg travel "
-                f"{1e3 * travel:.3g} mm while the grid keeps its velocities; at most "
-                f"{1e3 * farthest:.3g} mm, {LONGEST_TRAVEL:g} cells, fit": travel > farthest,
-                f"numerics.particles_per_cell_side = {numerics.particles_per_cell_side} is "
-                "unstable; take at most 3": numerics.particles_per_cell_side > 3,
+                f"{cells:.2g} cells, more than {LONGEST_TRAVEL:g}": cells > LONGEST_TRAVEL,
+                f"numerics.particles_per_cell_side = {side} is more than 3": side > 3,
             }
         )
         if self.tip_inset > 0.0:
-            _, z = self.motion.poses(_times(self.motion)).hip.T
-            inset = f"numerics.tip_inset_cells = {numerics.tip_inset_cells:g}"
             refuse(
                 {
-                    f"{inset}, but leg.shape = '{leg.shape}' has no tip; set it to 0": leg.shape
-                    not in LEG_SHAPES,
-                    f"{inset} is {self.tip_inset:g} m, no less than the leg's length of "
-                    f"{leg.length:g} m; lower it or refine the grid": self.tip_inset >= leg.length,
-                    f"{inset} needs the other end above the soil, and the hip comes down to "
-                    f"{z.min():g} m; raise motion.hip, or set it to 0": z.min() < self.bed.surface,
+                    f"{inset}, but a {leg.shape} has no tip; set it to 0": tipless,
+                    f"{inset} is more than the leg's length": self.tip_inset >= leg.length,
+                    f"{inset} needs the hip above the soil, not at z = {hip:g} m": hip
+                    < self.bed.surface,
                 }
             )
 
     def _check_grid(self) -> None:
-        bed, numerics = self.bed, self.numerics
+        bed, numerics, motion = self.bed, self.numerics, self.motion
+        step, domain = numerics.time_step, numerics.domain
         # Two rows of nodes outside the soil hold it: with one, particles creep through the wall.
         cell = numerics.cell_size * (1.0 - 1e-9)
         left, right = bed.soil_span
-        wall, room = bed.left + bed.width, numerics.domain - cell
+        low, wall = min(bed.left, bed.floor), max(bed.left + bed.width, bed.surface)
         limit, top = self.time_step_limit, self.sped_up_leg_speed
         # No step may pass over a whole bin of the history.
-        low, high = self.motion.span
-        rate = self.motion.top_coordinate_rate * numerics.speed_up
-        visit = (high - low) / bin_count(self.motion) / rate
-        step = f"numerics.time_step = {numerics.time_step:g} s"
+        bin_width = (motion.span[1] - motion.span[0]) / bin_count(motion)
+        visit = bin_width / (motion.top_coordinate_rate * numerics.speed_up)
         refuse(
             {
                 f"bed.width = {right - left:g} m of soil and bed.height = {bed.height:g} m must "
                 f"be at least a cell, {cell:g} m": min(right - left, bed.height) < cell,
-                f"bed.left + bed.width = {wall:g} m must stay a cell below numerics.domain = "
-                f"{numerics.domain:g} m; refine the grid or move the bed": wall > room,
-                f"bed.floor + bed.height = {bed.surface:g} m must stay a cell below numerics.domain"
-                f" = {numerics.domain:g} m; refine the grid or move the bed": bed.surface > room,
-                f"bed.left = {bed.left:g} m and bed.floor = {bed.floor:g} m must be at least a "
-                f"cell, {cell:g} m; refine the grid or move the bed": min(bed.left, bed.floor)
-                < cell,
-                f"{step} is above the CFL limit of {limit:.3g} s for this grid, soil and a leg at "
-                f"{top:.3g} m/s": numerics.time_step > limit,
-                f"{step} passes over whole bins of the history at numerics.speed_up = "
-                f"{numerics.speed_up:g}; at most {visit:.3g} s fits": numerics.time_step > visit,
+                f"the bed reaches from {low:g} to {wall:g} m and must stay a cell, {cell:g} m, "
+                f"inside numerics.domain = {domain:g} m": low < cell or wall > domain - cell,
+                f"numerics.time_step = {step:g} s is above the CFL limit of {limit:.3g} s for this "
+                f"grid, soil and a leg at {top:.3g} m/s": step > limit,
+                f"numerics.time_step = {step:g} s passes over bins of the history; at most "
+                f"{visit:.3g} s fits": step > visit,
             }
         )
 
     def _check_path(self) -> None:
         """Refuse a leg that leaves the box."""
-        bed, domain = self.bed, self.numerics.domain
-        room = [[bed.left, bed.left + bed.width], [bed.floor, domain]]
-        if self.motion.kind == "translation":
+        bed, grid = self.bed, (0.0, self.numerics.domain)
+        room = [(bed.left, bed.left + bed.width), (bed.floor, grid[1])]
+        moves = self.motion.velocity if self.motion.kind == "translation" else (1.0, 1.0)
+        paths = _extent_of_path(self.motion, self.leg)
+        for name, path, box, moving in zip("xz", paths, room, moves, strict=True):
             # What slides along a wall may reach into it, such as a half of a symmetric plate.
-            room = [
-                ends if speed else [0.0, domain]
-                for ends, speed in zip(room, self.motion.velocity, strict=True)
-            ]
-        for name, path, (low, high) in zip(
-            "xz", _extent_of_path(self.motion, self.leg), room, strict=True
-        ):
+            low, high = box if moving else grid
             if path[0] < low or path[1] > high:
                 raise ValueError(
-                    f"the leg leaves the domain: its path covers {name} = {path[0]:.4f} to "
-                    f"{path[1]:.4f} m, the room is {low:.4f} to {high:.4f} m; move motion.hip or "
-                    "shorten leg.chord"
+                    f"the leg leaves the domain: {name} = {path[0]:.4f} to {path[1]:.4f} m, the "
+                    f"room is {low:.4f} to {high:.4f} m; move motion.hip or shorten leg.chord"
                 )
 
     @property
@@ -468,14 +448,9 @@ class Scenario(Strict):
         return parse_toml(Path(source), cls)
 
 
-def _times(motion: Motion) -> FloatArray:
-    """Moments of a motion close enough for its extent [s]."""
-    return np.linspace(0.0, min(motion.duration, sys.float_info.max), 541)
-
-
 @functools.lru_cache(maxsize=64)
 def _extent_of_path(motion: Motion, leg: Leg) -> tuple[tuple[float, float], ...]:
     """Least and largest x and z [m] that a leg covers; the cases of a library mostly share it."""
-    points = motion.poses(_times(motion)).placed(leg.outline())
+    points = motion.poses_at(np.linspace(*motion.span, 541)).placed(leg.outline())
     low, high = points.min(axis=(0, 1)).tolist(), points.max(axis=(0, 1)).tolist()
     return tuple(zip(low, high, strict=True))

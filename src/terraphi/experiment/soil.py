@@ -101,8 +101,7 @@ def plane_strain_friction_angle_deg(
     if not 0.0 <= sine <= 1.0:
         raise InputError(
             f"a triaxial friction angle of {friction_angle_deg:.2f} deg (dilation "
-            f"{dilation_angle_deg:.2f} deg) has no equivalent in plane strain: "
-            "it is stronger than any Mohr-Coulomb angle below 90 deg"
+            f"{dilation_angle_deg:.2f} deg) has no equivalent in plane strain"
         )
     return math.degrees(math.asin(sine))
 
