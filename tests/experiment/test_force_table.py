@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import logging
-import os
-import threading
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings
@@ -86,16 +83,6 @@ def test_columns_come_in_any_order_with_quotes_spaces_and_a_byte_order_mark(
     assert read_force_table(file).values.tolist() == [[-10.0, 2.0, 3.0], [10.0, 4.0, 5.0]]
     file.write_text('# "my\n #leg, {}\n\n,,\n' + HEADER + "# half way\n-10,2,3\n10,4,5\n")
     assert read_force_table(file).values.tolist() == [[-10.0, 2.0, 3.0], [10.0, 4.0, 5.0]]
-
-
-def test_a_pipe_is_read_like_a_file(tmp_path: Path) -> None:
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    writer = threading.Thread(target=lambda: pipe.write_text(HEADER + NINE))
-    writer.start()
-    found = open_forces(pipe).history
-    writer.join()
-    assert found.theta_deg == pytest.approx(np.arange(-80.0, 81.0, 20.0))
 
 
 # -- where forces come from ----------------------------------------------------------------------

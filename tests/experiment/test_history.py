@@ -41,15 +41,6 @@ def test_a_line_is_its_value_at_the_angles_of_the_paper() -> None:
     assert (seen.vector == np.concatenate([seen.Fx, seen.Fz])).all()
 
 
-def test_the_mean_of_a_parabola() -> None:
-    """Over c ± h it is c² + h²/3; chords of 0.1° add (0.1)²/6."""
-    seen = history_of(lambda t: t**2, lambda t: t**3).observation()
-    half = 85.0 / 39.0
-    assert seen.Fx == pytest.approx(seen.theta_deg**2 + half**2 / 3.0 + 0.01 / 6.0, abs=1e-3)
-    # And of a cubic c³ + c h².
-    assert seen.Fz == pytest.approx(seen.theta_deg**3 + seen.theta_deg * half**2, abs=1.0)
-
-
 @settings(max_examples=30, deadline=None)
 @given(
     steps=st.lists(st.floats(0.01, 5.0), min_size=60, max_size=80),
@@ -86,15 +77,6 @@ def test_windows_are_cut_at_both_ends_of_the_record() -> None:
     assert seen.Fx[1:-1] == pytest.approx(seen.theta_deg[1:-1], abs=1e-10)
     with pytest.raises(ValueError, match="outside the recorded range"):
         history.means(np.array([10.0]), 0.1)
-
-
-def test_sampling_hardly_matters() -> None:
-    """Ten times coarser, and at random angles: the same vector to a part in a thousand."""
-    fine = history_of(bumps, bumps).observation().vector
-    coarse = history_of(bumps, bumps, np.arange(-134.5, 135.0, 1.0)).observation().vector
-    angles = np.sort(np.random.default_rng(1).uniform(-135.0, 135.0, 2000))
-    assert coarse == pytest.approx(fine, abs=0.01)
-    assert history_of(bumps, bumps, angles).observation().vector == pytest.approx(fine, abs=0.01)
 
 
 def test_peaks_on_one_degree_means() -> None:
@@ -159,12 +141,6 @@ def test_a_record_that_ends_anywhere_near_the_window_s_end_is_refused_or_used() 
                 history.observation()
         else:
             assert np.isfinite(history.observation().vector).all()
-
-
-def test_forces_that_are_all_zero(tmp_path: Path) -> None:
-    history_of(bumps, lambda t: 1.0 * (np.abs(t) > 90.0)).to_csv(tmp_path / "zero.csv")
-    with pytest.raises(InputError, match=r"^zero\.csv: Fz is zero at every angle"):
-        ForceHistory.from_csv(tmp_path / "zero.csv").observation()
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import solve_ivp
 
 from terraphi.experiment.motion import Motion, Rotation, Translation, bin_centres
 
@@ -61,26 +60,6 @@ def test_a_profile_solves_its_differential_equation(motion: Rotation) -> None:
     assert poses.theta == pytest.approx(solution.y[0], abs=5e-4)
     assert poses.theta[-1] == pytest.approx(math.radians(motion.stop_deg), abs=1e-9)
     assert poses.rate == pytest.approx([omega(motion, theta) for theta in poses.theta], rel=1e-9)
-
-
-@settings(max_examples=25, deadline=None)
-@given(motion=profiles(), share=st.floats(0.01, 1.0))
-def test_an_angle_is_reached_after_the_integral_of_one_over_the_rate(
-    motion: Rotation, share: float
-) -> None:
-    """Quadrature between the knots, so to nearly all digits."""
-    assert motion.rate_profile is not None
-    start, stop = math.radians(motion.start_deg), math.radians(motion.stop_deg)
-    theta = start + share * (stop - start)
-    knots = [math.radians(angle) for angle, _ in motion.rate_profile]
-    places = [start, *(knot for knot in knots if start < knot < theta), theta]
-    elapsed = sum(
-        quad(lambda at: 1.0 / omega(motion, at), low, high, epsabs=1e-12, epsrel=1e-10)[0]
-        for low, high in itertools.pairwise(places)
-    )
-    assert motion.poses(np.array([elapsed])).theta == pytest.approx([theta], abs=1e-8)
-    if share == 1.0:
-        assert motion.duration == pytest.approx(elapsed, rel=1e-9)
 
 
 @pytest.mark.parametrize("difference", [0.0, 1e-15, 1e-13, 1e-11, 1e-9, 1e-6])

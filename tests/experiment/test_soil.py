@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
@@ -32,12 +30,6 @@ def test_the_papers_angles_are_these_in_plane_strain(paper: float, plane_strain:
 )
 def test_triaxial_without_dilation(triaxial: float, plane_strain: float) -> None:
     found = plane_strain_friction_angle_deg(triaxial, "triaxial")
-    assert found == pytest.approx(plane_strain, abs=0.05)
-
-
-@pytest.mark.parametrize(("triaxial", "plane_strain"), [(25, 37.0), (30, 49.1), (35, 68.3)])
-def test_triaxial_associated(triaxial: float, plane_strain: float) -> None:
-    found = plane_strain_friction_angle_deg(triaxial, "triaxial", dilation_angle_deg=triaxial)
     assert found == pytest.approx(plane_strain, abs=0.05)
 
 
@@ -109,9 +101,7 @@ def sheared_to_its_limit(alpha: float, beta: float, poisson_ratio: float) -> flo
     return math.degrees(math.asin((z - x) / -(x + z)))
 
 
-@pytest.mark.parametrize(
-    ("phi", "psi"), [(25.0, 0.0), (30.0, 10.0), (30.0, 30.0), (35.0, 5.0), (35.0, 20.0)]
-)
+@pytest.mark.parametrize(("phi", "psi"), [(25.0, 0.0), (30.0, 10.0), (30.0, 30.0)])
 def test_triaxial_is_the_limit_state_of_a_sheared_element(phi: float, psi: float) -> None:
     alpha, beta = cone_slope(phi, "triaxial"), cone_slope(psi, "triaxial")
     expected = plane_strain_friction_angle_deg(phi, "triaxial", dilation_angle_deg=psi)
@@ -127,13 +117,6 @@ def test_the_triaxial_cone_goes_through_triaxial_compression() -> None:
         assert root + cone_slope(phi, "triaxial") * (high + 2.0 * low) == pytest.approx(
             0, abs=1e-12
         )
-
-
-@given(angle=st.floats(0.1, 34.9))
-def test_the_paper_s_angles_are_weaker_and_triaxial_ones_stronger(angle: float) -> None:
-    assert plane_strain_friction_angle_deg(angle, "paper") < angle
-    assert plane_strain_friction_angle_deg(angle, "plane_strain") == pytest.approx(angle)
-    assert plane_strain_friction_angle_deg(angle, "triaxial") > angle
 
 
 def test_elastic_constants_by_hand() -> None:
@@ -166,13 +149,6 @@ def test_the_apex_of_the_cohesive_cone_is_mohr_coulombs() -> None:
     assert apex == pytest.approx(500.0 / math.tan(math.radians(33.0)))
 
 
-def test_flow_decides_the_potential() -> None:
-    assert Soil(friction_angle_deg=35.0, dilation_angle_deg=8.0).potential_angle_deg == 8.0
-    associated = Soil(friction_angle_deg=35.0, flow="associated", yield_criterion="triaxial")
-    assert associated.potential_angle_deg == 35.0
-    assert associated.plane_strain_friction_angle_deg == pytest.approx(68.3, abs=0.05)
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -190,9 +166,3 @@ def test_flow_decides_the_potential() -> None:
 def test_soils_that_cannot_be(content: dict[str, object], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         Soil.model_validate(content)
-
-
-def test_compacted_soil_softens() -> None:
-    assert Soil(dilation_angle_deg=-20.0).softens
-    assert Soil(critical_friction_angle_deg=30.0).softens
-    assert not Soil(dilation_angle_deg=20.0).softens
