@@ -117,7 +117,7 @@ def writable(path: Path) -> None:
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():
         raise InputError(f"{path.parent}: no such folder; make it first")
-    _check_permission(path.parent)
+    makeable(path.parent)
 
 
 def makeable(path: Path) -> None:
@@ -125,7 +125,8 @@ def makeable(path: Path) -> None:
     there = next(place for place in (path, *path.absolute().parents) if place.exists())
     if not there.is_dir():
         raise InputError(f"{there}: is a file; name a folder")
-    _check_permission(there)
+    if not os.access(there, os.W_OK):
+        raise InputError(f"{there}: no permission to write; choose another place")
 
 
 def made_folder(path: Path) -> Path:
@@ -135,11 +136,6 @@ def made_folder(path: Path) -> Path:
     except OSError as error:
         raise InputError(f"{path}: cannot be made a folder ({error.strerror})") from error
     return path
-
-
-def _check_permission(folder: Path) -> None:
-    if not os.access(folder, os.W_OK):
-        raise InputError(f"{folder}: no permission to write; choose another place")
 
 
 # -- NetCDF --------------------------------------------------------------------------------------

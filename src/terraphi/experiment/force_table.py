@@ -145,7 +145,7 @@ def write_force_table(path: Path, values: FloatArray, provenance: Mapping[str, A
         If the place cannot be written.
     """
     provenance = json.loads(json.dumps(dict(provenance)))  # as it will be read
-    # Twelve digits keep neighbouring angles apart and hide the round-off of radians.
+    # Twelve digits keep neighboring angles apart and hide the round-off of radians.
     rows = [(f"{t:.12g}", f"{x:.6g}", f"{z:.6g}") for t, x, z in values.tolist()]
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         if provenance:

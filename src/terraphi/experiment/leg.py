@@ -1,8 +1,8 @@
 r"""Outlines of rigid intruders: straight leg, C, reversed C, plate; and a ball and a cylinder.
 
 A leg lives in its own frame: the origin is the hip, the first axis :math:`s` runs along the chord
-towards the tip, the second axis :math:`m` points where the tip moves when θ grows. An outline is
-the set of points within ``half_thickness`` of a centre line (straight or a circular arc), or, for
+toward the tip, the second axis :math:`m` points where the tip moves when θ grows. An outline is
+the set of points within ``half_thickness`` of a center line (straight or a circular arc), or, for
 the plate, a rectangle with sharp corners. It is given as a signed distance, negative inside.
 
 The three ``*_distance`` functions are written for one point in plain Python, so that the same
@@ -39,7 +39,7 @@ def segment_distance(s: float, m: float, chord: float, half_thickness: float) ->
     s, m
         Point in the leg's frame [m].
     chord
-        Length of the centre line [m].
+        Length of the center line [m].
     half_thickness
         Half thickness [m].
     """
@@ -65,13 +65,13 @@ def arc_distance(
     half_thickness
         Half thickness [m].
     curvature
-        Signed curvature of the centre line [1/m], positive if it bulges towards +m; at most
+        Signed curvature of the center line [1/m], positive if it bulges toward +m; at most
         2/chord in magnitude (a semicircle).
     """
     radius = 1.0 / abs(curvature)
     side = math.copysign(1.0, curvature)
     half = 0.5 * chord
-    # Mirrored so that the arc bulges towards +m; its center then lies at m = -offset.
+    # Mirrored so that the arc bulges toward +m; its center then lies at m = -offset.
     offset = math.sqrt(max((radius - half) * (radius + half), 0.0))
     x, y = s - half, side * m + offset
     r = math.hypot(x, y)
@@ -111,7 +111,7 @@ def rectangle_distance(s: float, m: float, chord: float, half_thickness: float) 
 
 
 class Panels(NamedTuple):
-    """Straight elements along a centre line, in the leg's frame, shape [panel, 2] and [panel]."""
+    """Straight elements along a center line, in the leg's frame, shape [panel, 2] and [panel]."""
 
     centre: FloatArray
     """Midpoints (s, m) [m]."""
@@ -145,28 +145,28 @@ class Leg(Strict):
 
     @property
     def curvature(self) -> float:
-        """Signed curvature κ of the centre line [1/m]: 0, or ±1/R with R half the chord."""
+        """Signed curvature κ of the center line [1/m]: 0, or ±1/R with R half the chord."""
         return 2.0 * CURVES.get(self.shape, 0.0) / self.chord
 
     @property
     def length(self) -> float:
-        """Length of the centre line [m]."""
+        """Length of the center line [m]."""
         return 0.5 * math.pi * self.chord if self.curvature else self.chord
 
     def chord_without(self, inset: float) -> tuple[float, float]:
-        """Chord of the leg whose centre line ends before the tip, on the same line.
+        """Chord of the leg whose center line ends before the tip, on the same line.
 
         Parameters
         ----------
         inset
-            How much of the centre line is left out at the tip [m], less than its length.
+            How much of the center line is left out at the tip [m], less than its length.
 
         Returns
         -------
         chord
             From hip to the new end [m].
         lean
-            Angle of that chord from the leg's own towards +m [rad]; 0 of a straight line.
+            Angle of that chord from the leg's own toward +m [rad]; 0 of a straight line.
         """
         if not self.curvature:
             return self.chord - inset, 0.0
@@ -184,7 +184,7 @@ class Leg(Strict):
         points
             (s, m) [m], shape [point, 2].
         inset
-            As for :meth:`chord_without`: the outline about what is left of the centre line.
+            As for :meth:`chord_without`: the outline about what is left of the center line.
 
         Returns
         -------
@@ -207,7 +207,7 @@ class Leg(Strict):
         return table[:, 0], table[:, 1:] @ turn.T
 
     def centre_line(self, panels: int = 200) -> Panels:
-        """Cut the centre line into equal elements along its true arc.
+        """Cut the center line into equal elements along its true arc.
 
         Parameters
         ----------
@@ -227,9 +227,8 @@ class Leg(Strict):
         radius = 1.0 / abs(self.curvature)
         side = math.copysign(1.0, self.curvature)
         angle = math.pi * (1.0 - fraction)
-        centre = np.stack(
-            [0.5 * self.chord + radius * np.cos(angle), side * radius * np.sin(angle)], axis=1
-        )
+        middle, arc = [0.5 * self.chord, 0.0], [np.cos(angle), side * np.sin(angle)]
+        centre = middle + radius * np.stack(arc, axis=1)
         tangent = np.stack([np.sin(angle), -side * np.cos(angle)], axis=1)
         return Panels(centre, tangent, np.full(panels, math.pi * radius / panels))
 
@@ -241,7 +240,7 @@ class Leg(Strict):
         Parameters
         ----------
         panels
-            Number of elements along the centre line; each round end has a third as many.
+            Number of elements along the center line; each round end has a third as many.
 
         Returns
         -------
@@ -256,12 +255,15 @@ class Leg(Strict):
         if self.shape in ("plate", "cylinder"):
             return np.array([[0.0, -half], [self.chord, -half], [self.chord, half], [0.0, half]])
         line = self.centre_line(panels)
-        # Tangents at hip and tip: along the chord or, of a semicircle, across it.
-        side = math.copysign(1.0, self.curvature)
-        first, last = ((0.0, side), (0.0, -side)) if self.curvature else ((1.0, 0.0), (1.0, 0.0))
         normal = half * np.stack([-line.tangent[:, 1], line.tangent[:, 0]], axis=1)
-        tip = np.array([self.chord, 0.0]) + half * _half_circle(last, panels // 3)
-        hip = -half * _half_circle(first, panels // 3)
+        # The round ends point along the chord or, of a semicircle, across it.
+        aside = -0.5 * math.pi * CURVES[self.shape]
+        ends = ((self.chord, aside), (0.0, aside or math.pi))
+        turn = np.linspace(-0.5 * math.pi, 0.5 * math.pi, panels // 3 + 1)
+        tip, hip = (
+            np.stack([at + half * np.cos(angle + turn), half * np.sin(angle + turn)], axis=1)
+            for at, angle in ends
+        )
         return np.concatenate([line.centre - normal, tip, (line.centre + normal)[::-1], hip])
 
     def depth(self, theta: FloatArray) -> FloatArray:
@@ -275,13 +277,6 @@ class Leg(Strict):
         if self.shape in CURVES:
             return self.chord + self.half_thickness
         return float(np.hypot(*self.outline().T).max())
-
-
-def _half_circle(direction: tuple[float, float], panels: int) -> FloatArray:
-    """Points of a half circle of radius 1 about a direction, its right hand first; [point, 2]."""
-    angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, panels + 1)[:, None]
-    left = np.array([-direction[1], direction[0]])
-    return np.asarray(np.cos(angle) * np.array(direction) + np.sin(angle) * left)
 
 
 def frame_axes(theta: float | FloatArray) -> tuple[FloatArray, FloatArray]:

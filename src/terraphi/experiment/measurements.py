@@ -162,10 +162,10 @@ def open_forces(source: str | Path) -> Measurement:
         history = ForceHistory.from_csv(path)
     if history.coordinate != "theta":
         raise InputError(f"{path}: forces over {history.coordinate}, expected over theta")
-    return told_by(history, "standard input" if text == "-" else text)
+    return measurement_of(history, "standard input" if text == "-" else text)
 
 
-def told_by(history: ForceHistory, name: str = "") -> Measurement:
+def measurement_of(history: ForceHistory, name: str = "") -> Measurement:
     """A history with what its provenance says of its leg and its soil.
 
     Parameters

@@ -210,7 +210,7 @@ def bin_count(motion: Motion) -> int:
 
 
 def bin_centres(motion: Motion) -> FloatArray:
-    """Centres of the history bins of a motion [rad or m], shape [bin]."""
+    """Centers of the history bins of a motion [rad or m], shape [bin]."""
     low, high = motion.span
     count = bin_count(motion)
     return low + (np.arange(count) + 0.5) * (high - low) / count

@@ -16,7 +16,7 @@ from typing import Any
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.measurements import Measurement, medium_and_leg, told_by
+from terraphi.experiment.measurements import Measurement, measurement_of, medium_and_leg
 from terraphi.inference import friction_angle, several_parameters
 from terraphi.inference.answer import PHI, Inversion
 from terraphi.inference.discrepancy import Learnt, default_library, learnt_for
@@ -291,7 +291,7 @@ def _trial(one: ForceHistory | Measurement, leg: str | None, source: str) -> Tri
         return Trial.of(replace(one, name=source or one.name), leg)
     if one.coordinate != "theta":
         raise InputError(f"forces over {one.coordinate}, expected forces over the leg angle theta")
-    return Trial.of(told_by(one, source), leg)
+    return Trial.of(measurement_of(one, source), leg)
 
 
 def _known(
