@@ -134,9 +134,9 @@ def test_a_damaged_netcdf_is_refused(tmp_path: Path, spoil: object) -> None:
 @pytest.mark.parametrize(
     ("attributes", "words"),
     [
-        ({"terraphi_file": ""}, "not of terraphi; expected a thing"),
-        ({"terraphi_file": "library"}, "library of version 3; expected a thing"),
-        ({"terraphi_schema": 4}, "thing of version 4; expected a thing of version 3"),
+        ({"terraphi_file": ""}, "not a thing written by terraphi"),
+        ({"terraphi_file": "library"}, "not a thing written by terraphi"),
+        ({"terraphi_schema": 4}, "schema version 4, not 3; build the thing again"),
     ],
 )
 def test_a_netcdf_of_another_kind_is_refused(

@@ -230,10 +230,11 @@ def open_netcdf(path: Path, *, kind: str, schema: int) -> Contents:
     check_is_file(path)
     with damage_told(f"{path}: not a whole NetCDF file; build or copy it again"):
         contents = read_whole(path)
-    found = contents.attrs.get("terraphi_file"), contents.attrs.get("terraphi_schema")
-    if found != (kind, schema):
-        known = f"{found[0]} of version {found[1]}" if found[0] else "not of terraphi"
-        raise InputError(f"{path}: {known}; expected a {kind} of version {schema}, build it again")
+    if contents.attrs.get("terraphi_file") != kind:
+        raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi")
+    version = contents.attrs.get("terraphi_schema")
+    if version != schema:
+        raise InputError(f"{path}: schema version {version}, not {schema}; build the {kind} again")
     return contents
 
 
