@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import ForceHistory, is_dense, shares
+from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 
 BINS_DEG = np.arange(-134.95, 135.0, 0.1)
@@ -253,48 +253,13 @@ def test_observation_and_moment_are_linear_in_the_force(factor: float, sign: flo
     assert scaled.moment == pytest.approx(0.1 * scaled.Fx)
 
 
-def test_engaged_window_keeps_its_ends() -> None:
+def test_a_part_of_a_history_keeps_its_ends() -> None:
     theta = np.arange(-90.0, 91.0)
-    kept = ForceHistory(np.radians(theta), np.stack([theta, -theta], axis=1), moment=theta)
-    kept = kept.engaged()
+    whole = ForceHistory(np.radians(theta), np.stack([theta, -theta], axis=1), moment=theta)
+    kept = whole.between(*np.radians([-85.0, 85.0]))
     assert kept.theta_deg == pytest.approx(np.arange(-85.0, 86.0))
     assert kept.Fx == pytest.approx(kept.theta_deg)
     assert kept.moment == pytest.approx(kept.theta_deg)
-
-
-def test_a_reading_is_the_mean_over_its_share_of_the_path() -> None:
-    theta = np.arange(-90.0, 90.0, 0.1) + 0.05
-    force = np.stack([np.exp(theta / 20), theta**2], axis=1)
-    history = ForceHistory(np.radians(theta), force, moment=2.0 * force[:, 0])
-    # Two readings 0.6° apart after a gap of 3°: their shares are 0.6° wide, the others' 1°.
-    readings = np.radians(np.r_[-88.0:-1.0:3.0, 0.0, 3.0, 3.6, 6.0:88.0:2.0])
-    seen = history.as_read_at(readings)
-    assert seen.position == pytest.approx(readings)
-    assert seen.moment == pytest.approx(2.0 * seen.Fx)
-    at = int(np.argmin(np.abs(readings)))
-    for i, half in ((at, 0.5), (at + 1, 0.3), (at + 2, 0.3), (at + 3, 0.5)):
-        x = np.degrees(readings[i])
-        exact = 20 * (np.exp((x + half) / 20) - np.exp((x - half) / 20)) / (2 * half)
-        assert seen.Fx[i] == pytest.approx(exact, rel=1e-4)
-    # Dense records leave the curve as it is, and so does one's own sampling.
-    whole = history.as_read_at(np.radians(np.arange(-80.0, 80.01, 0.5)))
-    assert np.array_equal(whole.position, history.between(*whole.position[[0, -1]]).position)
-    assert np.abs(whole.theta_deg).max() == pytest.approx(79.95)
-    assert np.array_equal(seen.as_read_at(readings).force, seen.force)
-    assert history.as_read_at(None) is history
-    # Beyond its own ends there is nothing to be read.
-    assert history.as_read_at(np.radians(np.arange(-120.0, 121.0))).theta_deg[0] > -90.5
-
-
-def test_a_share_ends_at_the_nearer_neighbor_and_at_one_degree() -> None:
-    readings = np.radians([-10.0, -7.0, -6.6, -6.4, -5.0, 0.0])
-    assert np.degrees(shares(readings)) == pytest.approx([1.0, 0.4, 0.2, 0.2, 1.0, 1.0])
-
-
-def test_records_of_half_a_degree_are_dense_whatever_their_rounding() -> None:
-    for start in np.linspace(-90.0, -85.0, 23):
-        assert is_dense(np.radians(start + 0.5 * np.arange(300)))
-    assert not is_dense(np.radians(np.r_[-90.0:0.0:0.1, 0.7:90.0:0.1]))
 
 
 def test_what_was_applied_goes_with_the_history(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import (
-    is_of_their_apparatus,
     measurement,
     names,
     open_forces,
@@ -99,10 +98,3 @@ def test_forces_open_with_what_is_known_of_them(tmp_path: Path) -> None:
     ForceHistory(np.array([0.0, 0.1]), np.ones((2, 2)), "displacement").to_netcdf(tmp_path / "p.nc")
     with pytest.raises(InputError, match="forces over displacement, expected over theta"):
         open_forces(tmp_path / "p.nc")
-
-
-def test_whether_a_scenario_is_of_the_apparatus_of_the_measurements() -> None:
-    scenario = Scenario.load("sand3d")
-    assert is_of_their_apparatus(scenario)
-    for changes in ({"leg.chord": 0.07}, {"leg.width": 0.03}, {"motion.hip.1": 0.151}):
-        assert not is_of_their_apparatus(scenario.replace(**changes))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import io
 import os
 import re
@@ -136,6 +137,22 @@ def made_folder(path: Path) -> Path:
     except OSError as error:
         raise InputError(f"{path}: cannot be made a folder ({error.strerror})") from error
     return path
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Lock a folder, made if needed, during the block; raises InputError if another process has it.
+
+    A process that is killed gives the lock up.
+    """
+    handle = os.open(made_folder(folder), os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError as error:
+        raise InputError(f"{folder}: another process works here; wait for it") from error
+    finally:
+        os.close(handle)
 
 
 # -- NetCDF --------------------------------------------------------------------------------------

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
@@ -28,10 +27,6 @@ OBSERVATION_ANGLES = 40
 """Number M of angles in the paper's observation vector."""
 WIDEST_GAP_DEG = 20.0
 """Widest gap between readings within the window [deg]."""
-DENSE_DEG = 0.5
-"""Widest gap between readings at which window means equal those of the whole curve [deg]."""
-READING_DEG = 1.0
-"""Largest part of the path that one reading stands for [deg]."""
 SCHEMA = 1
 KIND = "force history"
 _SHOWN = (
@@ -156,42 +151,13 @@ class ForceHistory:
         force = np.stack([kept[f"{axis}_N"] for axis in self.axes], axis=1).astype(np.float64)
         return ForceHistory(np.array(kept["position"]), force, self.coordinate, self.axes)
 
-    def engaged(self, *, window_deg: float = WINDOW_DEG) -> ForceHistory:
-        """Samples of this history within |θ| ≤ window [deg], the engaged window of the paper."""
-        return self.between(-math.radians(window_deg), math.radians(window_deg))
-
     def between(self, low: float, high: float) -> ForceHistory:
-        """Samples of this history at positions from low to high, in the unit of ``position``."""
-        inside = between(self.position, low, high)
+        """Samples at positions from low to high, both included, in the unit of ``position``."""
+        # Degrees turned to radians and back may be off by a rounding error.
+        slack = 1e-9 * (1.0 + np.abs(self.position))
+        inside = (self.position >= low - slack) & (self.position <= high + slack)
         kept = self._changed(lambda values: values[inside])
         return replace(self, position=self.position[inside], **kept)
-
-    def as_read_at(self, readings: FloatArray | None) -> ForceHistory:
-        """Resample this history as a sensor with other reading angles would have recorded it.
-
-        Window means of a record with a reading every few degrees are those of lines between the
-        readings, and so must be those of the curves that it is compared with.
-
-        Parameters
-        ----------
-        readings
-            Leg angles of that record [rad], increasing, shape [sample]; ``None`` leaves all as it
-            is.
-
-        Returns
-        -------
-        ForceHistory
-            Its own samples between the first and the last reading if no gap between readings is
-            wider than 0.5°. Otherwise one at each reading, the mean over :func:`shares`.
-        """
-        if readings is None:
-            return self
-        if not is_read_again(self.position, readings):
-            return self.between(readings[0], readings[-1])
-        inside = (readings >= self.position[0]) & (readings <= self.position[-1])
-        at, half = readings[inside], 0.5 * shares(readings)[inside]
-        seen = self._changed(lambda values: self.means(at, half, values=values))
-        return replace(self, position=at, **seen)
 
     # -- means -----------------------------------------------------------------------------------
 
@@ -372,45 +338,3 @@ class ForceHistory:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{path}: not a whole force history ({error})") from error
-
-
-# Degrees turned to radians and back may be off by a rounding error, hence the slack.
-
-
-def is_dense(readings: FloatArray) -> bool:
-    """Whether window means of a record read at these angles [rad] are those of the whole curve."""
-    return bool(np.degrees(np.diff(readings).max()) <= DENSE_DEG + 1e-9)
-
-
-def between(position: FloatArray, low: float, high: float) -> NDArray[np.bool_]:
-    """Mask of the positions from low to high, both included; all in one unit, shape [sample]."""
-    slack = 1e-9 * (1.0 + np.abs(position))
-    return np.asarray((position >= low - slack) & (position <= high + slack))
-
-
-def is_read_again(position: FloatArray, readings: FloatArray) -> bool:
-    """Whether curves must be resampled to be compared with a record of these readings.
-
-    Parameters
-    ----------
-    position, readings
-        Leg angles [rad], increasing, shape [sample] each.
-    """
-    own = position[between(position, readings[0], readings[-1])]
-    return not (is_dense(readings) or np.array_equal(own, readings))
-
-
-def shares(readings: FloatArray) -> FloatArray:
-    """Part of the path that each reading stands for [rad], shape [sample].
-
-    As far as the nearer neighbor, and 1° at most: what a sensor averages over is not known, and few
-    sensors read a point.
-
-    Parameters
-    ----------
-    readings
-        Leg angles [rad], increasing, shape [sample].
-    """
-    gaps = np.diff(readings)
-    nearer = np.minimum(np.append(gaps, np.inf), np.append(np.inf, gaps))
-    return np.minimum(nearer, np.radians(READING_DEG))

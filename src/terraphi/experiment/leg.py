@@ -266,12 +266,6 @@ class Leg(Strict):
         )
         return np.concatenate([line.centre - normal, tip, (line.centre + normal)[::-1], hip])
 
-    def depth(self, theta: FloatArray) -> FloatArray:
-        """How far the lowest point lies below the hip [m], at leg angles [rad], shape [angle]."""
-        along, motion = frame_axes(np.asarray(theta))
-        height = np.stack([along[..., 1], motion[..., 1]], axis=-1) @ self.outline().T
-        return np.asarray(-height.min(axis=-1))
-
     def reach(self) -> float:
         """Largest distance of the outline from the hip [m]."""
         if self.shape in CURVES:

@@ -6,7 +6,6 @@ Shipped are the rotating-leg experiments of Li, Zhang & Goldman, *Science* 339:1
 
 from __future__ import annotations
 
-import math
 import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,10 +20,6 @@ from terraphi.experiment.scenario import Scenario
 
 COLLECTION = "li2013"
 """Folder of the shipped measurements, and the first part of their names."""
-SIZES = (0.0032, 0.0254, 0.020)
-"""Half thickness and width of their legs, height of their hip above the soil [m]."""
-CHORDS = (0.072, 0.077)
-"""Chords of scenarios of their legs, 76.2 mm or that less the round end [m]."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +65,6 @@ def names() -> tuple[str, ...]:
     return tuple(f"{COLLECTION}:{s.replace('-', '/')}" for s in stems if not s.endswith("-rft"))
 
 
-def medium_and_leg(name: str) -> tuple[str, str]:
-    """The two parts of a shipped measurement's name: ``yuma`` and ``straight``."""
-    medium, _, leg = name.partition(":")[2].partition("/")
-    return medium, leg
-
-
 def measurement(name: str) -> Measurement:
     """One of the shipped measurements.
 
@@ -96,7 +85,7 @@ def measurement(name: str) -> Measurement:
     """
     history = _shipped(name)
     table = tomllib.loads(shipped_file(COLLECTION, "media", ".toml").read_text(encoding="utf-8"))
-    medium, leg = medium_and_leg(name)
+    medium, _, leg = name.partition(":")[2].partition("/")
     known, source = table["media"][medium], table["citation"]
     provenance = {**history.provenance, "measurement": name, "source": source}
     if "density" in known:
@@ -124,7 +113,7 @@ def reference_rft(name: str) -> ForceHistory:
 def _shipped(name: str, kind: str = "") -> ForceHistory:
     if name not in names():
         raise InputError(f"no shipped measurement '{name}'; {nearest(name, names())}")
-    file = "-".join(medium_and_leg(name)) + kind
+    file = name.partition(":")[2].replace("/", "-") + kind
     return ForceHistory.from_csv(shipped_file(COLLECTION, file, ".csv"))
 
 
@@ -207,11 +196,3 @@ def scenario_of(history: ForceHistory, *, name: str = "") -> Scenario | None:
     except ValidationError as error:
         what = sentence_from_validation(error, f"{name or 'the history'}, scenario", Scenario)
         raise InputError(f"{what}; simulate it again, or give its forces alone") from error
-
-
-def is_of_their_apparatus(scenario: Scenario) -> bool:
-    """Whether leg and hip height of a scenario are those of the shipped records, within 1 %."""
-    leg = scenario.leg
-    found = (leg.half_thickness, leg.width, scenario.hip_height)
-    same = all(math.isclose(*pair, rel_tol=0.01) for pair in zip(found, SIZES, strict=True))
-    return same and CHORDS[0] <= leg.chord <= CHORDS[1]

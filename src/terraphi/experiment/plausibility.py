@@ -31,15 +31,6 @@ ENOUGH = 0.1
 """Least `stiffness_damping` that was seen to stop it [-]."""
 
 
-def soil_shakes(scenario: Scenario) -> bool:
-    """Whether soil in three dimensions shakes, so that it carries less than its strength."""
-    return (
-        (scenario.model, scenario.dimensions) == ("mpm", 3)
-        and scenario.soil.friction_angle_deg > SHAKEN_DEG[scenario.soil.yield_surface]
-        and scenario.numerics.stiffness_damping < ENOUGH
-    )
-
-
 def doubts(scenario: Scenario) -> list[str]:
     """Warnings about values that can be simulated and are probably a mistake, a sentence each."""
     found = []
@@ -47,10 +38,12 @@ def doubts(scenario: Scenario) -> list[str]:
         value = attrgetter(key)(scenario)
         if not least <= value <= most:
             found.append(f"{key} = {value:g} is unusual: in {unit}, mostly {least:g} to {most:g}")
-    if soil_shakes(scenario):
+    soil, damping = scenario.soil, scenario.numerics.stiffness_damping
+    in_3d = (scenario.model, scenario.dimensions) == ("mpm", 3)
+    if in_3d and damping < ENOUGH and soil.friction_angle_deg > SHAKEN_DEG[soil.yield_surface]:
         found.append(
-            f"undamped soil of {scenario.soil.friction_angle_deg:g}° shakes and carries less than "
-            "its strength; set numerics.stiffness_damping = 0.25"
+            f"undamped soil of {soil.friction_angle_deg:g}° shakes and carries less than its "
+            "strength; set numerics.stiffness_damping = 0.25"
         )
     poses = scenario.motion.poses(np.linspace(0.0, scenario.motion.duration, 361))
     height = poses.placed(scenario.leg.outline())[..., 1] - scenario.bed.surface
