@@ -81,19 +81,10 @@ def parse_toml(path: Path, model: type[Model]) -> Model:
     InputError
         With file, key, what was found and what is expected.
     """
-    content = toml_content(read_text(path), path)
+    text = read_text(path)
     try:
-        return strictly(content, model)
+        return strictly(tomllib.loads(text), model)
     except ValidationError as error:
         raise InputError(sentence_from_validation(error, str(path), model)) from error
-    except RecursionError as error:
-        raise InputError(f"{path}: tables or arrays are nested too deeply") from error
-
-
-def toml_content(text: str, path: Path) -> dict[str, Any]:
-    """Content of a TOML document; raises InputError with the name of its file if it has none."""
-    try:
-        return tomllib.loads(text)
     except (RecursionError, ValueError) as error:
-        # Of an integer with thousands of digits, the first half of the message.
-        raise InputError(f"{path}: not valid TOML: {str(error).partition(';')[0]}") from error
+        raise InputError(f"{path}: not valid TOML: {error}") from error

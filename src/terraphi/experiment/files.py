@@ -191,42 +191,6 @@ class Contents:
         return name in self.variables
 
 
-def read_whole(path: Path) -> Contents:
-    """Load a whole NetCDF-4 file; scale, offset and calendar attributes are not applied.
-
-    Raises whatever the HDF5 library does if it is missing, cut short or of another format.
-    """
-    import h5netcdf
-
-    with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
-        variables = {name: Variable(np.asarray(v[...])) for name, v in file.variables.items()}
-        attributes = dict(file.attrs)
-        named = [attributes.pop("coordinates", "")]
-        named += [str(v.attrs.get("coordinates", "")) for v in file.variables.values()]
-        coordinates = {*file.dimensions, *" ".join(named).split()}
-    return Contents(attributes, variables, [n for n in variables if n not in coordinates])
-
-
-@contextmanager
-def damage_told(sentence: str, *more: type[Exception]) -> Iterator[None]:
-    """Raise InputError with a sentence for whatever HDF5 raises on a damaged file.
-
-    Parameters
-    ----------
-    sentence
-        What to say.
-    *more
-        What is raised besides, where a file is whole and its content is not what is expected.
-    """
-    damage = (EOFError, LookupError, OSError, RuntimeError, ValueError)
-    try:
-        yield
-    except InputError:
-        raise
-    except damage + more as error:
-        raise InputError(sentence) from error
-
-
 def open_netcdf(path: Path, *, kind: str, schema: int) -> Contents:
     """Load a NetCDF file that terraphi wrote.
 
@@ -245,14 +209,29 @@ def open_netcdf(path: Path, *, kind: str, schema: int) -> Contents:
         If the file is missing, not a NetCDF, truncated, of another kind or schema.
     """
     check_is_file(path)
-    with damage_told(f"{path}: not a whole NetCDF file; build or copy it again"):
-        contents = read_whole(path)
+    try:
+        contents = _read(path)
+    except (EOFError, LookupError, OSError, RuntimeError, ValueError) as error:
+        raise InputError(f"{path}: not a whole NetCDF file; build or copy it again") from error
     if contents.attrs.get("terraphi_file") != kind:
         raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi")
     version = contents.attrs.get("terraphi_schema")
     if version != schema:
         raise InputError(f"{path}: schema version {version}, not {schema}; build the {kind} again")
     return contents
+
+
+def _read(path: Path) -> Contents:
+    """Load a NetCDF-4 file; scale, offset and calendar attributes are not applied."""
+    import h5netcdf
+
+    with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
+        variables = {name: Variable(np.asarray(v[...])) for name, v in file.variables.items()}
+        attributes = dict(file.attrs)
+        named = [attributes.pop("coordinates", "")]
+        named += [str(v.attrs.get("coordinates", "")) for v in file.variables.values()]
+        coordinates = {*file.dimensions, *" ".join(named).split()}
+    return Contents(attributes, variables, [n for n in variables if n not in coordinates])
 
 
 def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:

@@ -172,10 +172,3 @@ def _digest(values: FloatArray, provenance: Mapping[str, Any]) -> str:
     """SHA-256 of numbers and their provenance, hexadecimal."""
     content = json.dumps(provenance, sort_keys=True).encode()
     return hashlib.sha256(content + np.ascontiguousarray(values, "<f8").tobytes()).hexdigest()
-
-
-def column_names(path: Path) -> list[str]:
-    """Column names in the first line of a CSV that is no comment; raises OSError."""
-    with path.open(encoding="utf-8-sig", errors="replace") as stream:
-        line = next((line for line in stream if not line.lstrip().startswith("#")), "")
-    return [name.strip() for name in line.split(",")]

@@ -264,9 +264,6 @@ class ForceHistory:
         except ValueError:  # no function of θ, or none within the window
             for axis, values in (("x", self.Fx), ("z", self.Fz)):
                 shown[f"peak_F{axis}_N"] = float(values[np.abs(values).argmax()])
-        if applied := self.applied():
-            found = applied.summary().items()
-            shown |= {f"applied_{key}": value for key, value in found if key.startswith("peak_")}
         return shown | {key: self.provenance[key] for key in _SHOWN if key in self.provenance}
 
     # -- files -----------------------------------------------------------------------------------
