@@ -14,6 +14,7 @@ import xarray as xr
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import (
+    held,
     number_with_sd,
     open_netcdf,
     plain_number,
@@ -65,6 +66,16 @@ def test_unwritable_places(tmp_path: Path, place: str) -> None:
     ):
         temporary.write_text("ha")
     assert names(tmp_path) == ["file", "folder"]
+
+
+def test_a_folder_is_held_by_one_at_a_time(tmp_path: Path) -> None:
+    def enter() -> None:
+        with held(tmp_path / "o"):
+            pass
+
+    with held(tmp_path / "o"), pytest.raises(InputError, match="another process works here"):
+        enter()
+    enter()
 
 
 def test_numbers() -> None:

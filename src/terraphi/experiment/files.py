@@ -147,10 +147,13 @@ def held(folder: Path) -> Iterator[None]:
     """
     handle = os.open(made_folder(folder), os.O_RDONLY)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise InputError(f"{folder}: another process works here; wait for it") from error
+        except OSError:  # a file system without locks
+            pass
         yield
-    except BlockingIOError as error:
-        raise InputError(f"{folder}: another process works here; wait for it") from error
     finally:
         os.close(handle)
 
