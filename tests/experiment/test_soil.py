@@ -96,7 +96,7 @@ def sheared_to_its_limit(alpha: float, beta: float, poisson_ratio: float) -> flo
     start = np.array([-1.0, -1.0, -1.0])
     elastic = solve_ivp(rate, (0.0, 10.0), start, events=yields, rtol=1e-10, atol=1e-12)
     on_cone = elastic.y[:, -1] - 1e-12 * np.sign(elastic.y[:, -1])  # a hair beyond
-    plastic = solve_ivp(rate, (0.0, 30.0), on_cone, rtol=1e-9, atol=1e-11)
+    plastic = solve_ivp(rate, (0.0, 30.0), on_cone, rtol=1e-7, atol=1e-9)
     x, z, _ = plastic.y[:, -1]
     return math.degrees(math.asin((z - x) / -(x + z)))
 
