@@ -46,7 +46,7 @@ def test_intervals_hold_truths_drawn_from_the_library(sand3d: Library, leg: str)
         values, vectors = np.linalg.eigh(scatter)
         error = vectors @ (np.sqrt(values.clip(0.0)) * rng.standard_normal(len(values)))
         force = emulator(x[None])[0] + error.reshape(2, -1)
-        one = replace(record, leg=leg, scenario=scenario, noise_N=(0.0, 0.0),
+        one = replace(record, leg=leg, simulated=True, noise_N=(0.0, 0.0),
                       history=replace(record.history, force=force.T))  # fmt: skip
         likelihood = Likelihood([one], sand3d)
         best = likelihood.least_squares

@@ -115,7 +115,7 @@ def test_calibration_is_the_posterior_of_its_normal_model() -> None:
 def test_quadrature_resolves_a_narrow_peak(history_at: Callable[..., ForceHistory]) -> None:
     library = Library.load("rft3d")
     record = open_record(history_at(31.234), simulated=True, noise=1e-3)
-    likelihood = Likelihood([replace(record, scenario=library.cases[0].scenario)], library)
+    likelihood = Likelihood([record], library)
     grid, density = quadrature(likelihood)
     best = grid[density.argmax()]
     sd = float(likelihood.sd(np.array([best]))[0])
@@ -136,12 +136,13 @@ def test_draws_of_two_parameters_agree_with_a_grid(rft3d: Library) -> None:
     points = np.column_stack([rng.uniform(20.0, 45.0, 30), rng.uniform(0.2, 0.6, 30)])
     library = Library("two", tuple(case(*point) for point in points))
     truth = case(33.0, 0.4)
-    record = replace(open_record(truth.history, noise=0.5), scenario=truth.scenario)
+    record = replace(open_record(truth.history, noise=0.5), simulated=True)
     likelihood = Likelihood([record], library)
-    drawn = sample(likelihood, seed=1)
-    phi, friction = np.meshgrid(np.linspace(20.0, 45.0, 161), np.linspace(0.2, 0.6, 121))
-    inside = np.column_stack([phi.ravel(), friction.ravel()])
-    inside = np.clip(inside, likelihood.low, likelihood.high)
+    drawn = sample(likelihood, seed=1, steps=500)
+    best, reach = likelihood.least_squares, 6.0 * likelihood.sd(likelihood.least_squares)
+    low, high = np.maximum(best - reach, likelihood.low), np.minimum(best + reach, likelihood.high)
+    sides = [np.linspace(*ends, 81) for ends in zip(low, high, strict=True)]
+    inside = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
     log_p = likelihood(inside)
     p = np.exp(log_p - log_p.max())
     p /= p.sum()

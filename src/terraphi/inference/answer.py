@@ -64,7 +64,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class RecordFit:
-    """One record beside the library's curve at the median.
+    """One record and the library's curve at the median.
 
     Attributes
     ----------
@@ -90,11 +90,11 @@ class RecordFit:
     simulated: bool
     n_readings: int
     n_left_out: int
-    theta_deg: FloatArray
-    data: FloatArray
-    curve: FloatArray
-    expected: FloatArray | None
-    band: FloatArray
+    theta_deg: FloatArray = field(repr=False)
+    data: FloatArray = field(repr=False)
+    curve: FloatArray = field(repr=False)
+    expected: FloatArray | None = field(repr=False)
+    band: FloatArray = field(repr=False)
     nrmsd: Mapping[str, float]
 
     def as_dict(self) -> dict[str, Any]:

@@ -318,9 +318,11 @@ class Library:
         for i, failure in enumerate(map(str, data["failure"].values)):
             scenario = Scenario.model_validate_json(str(data["scenario"].values[i]))
             known = json.loads(str(data["provenance"].values[i]))
-            turned = None if moment is None else moment[i]
-            history = ForceHistory(where, force[i], coordinate, axes, known, moment=turned)
-            case = Case(scenario, None if failure else history, failure)
+            history = None
+            if not failure:
+                turned = None if moment is None else moment[i]
+                history = ForceHistory(where, force[i], coordinate, axes, known, moment=turned)
+            case = Case(scenario, history, failure)
             (replicates if again[i] else cases).append(case)
         corrections = {}
         for leg in ("straight", "c", "reversed_c"):
