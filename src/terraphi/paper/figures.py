@@ -51,16 +51,11 @@ def panels(
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-def legend(figure: Figure, ncols: int, loc: str = "outside lower center") -> Figure:
-    """One legend for all panels, with each label once."""
-    entries = {
-        label: line
-        for axes in figure.axes
-        for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    options: dict[str, Any] = {"loc": loc, "ncols": ncols, "frameon": False}
-    figure.legend(list(entries.values()), list(entries), **options)
-    return figure
+def legend(axes: Axes, ncols: int) -> None:
+    """A legend below all panels, of one of them."""
+    figure = cast("Figure", axes.figure)
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=ncols, frameon=False)
 
 
 def curve(axes: Axes, history: ForceHistory, force: str, **look: Any) -> None:
@@ -92,7 +87,8 @@ def peaks(data: Mapping[str, Any], printed: Mapping[float, tuple[float, float]])
         left.plot(list(printed), ends, style[:2], mfc="none", ms=7, label=f"{force}, Xu & Wang")
     left.set(xlabel=PHI, ylabel="peak force [N]", ylim=(0.0, None))
     right.set(xlabel=PHI, ylabel="leg angle of the peak [deg]")
-    return legend(figure, 4)
+    legend(left, 4)
+    return figure
 
 
 def legs(found: Mapping[str, Mapping[str, ForceHistory]]) -> Figure:
@@ -105,7 +101,8 @@ def legs(found: Mapping[str, Mapping[str, ForceHistory]]) -> Figure:
                 curve(axes, models[model], force, color=color, ls=style, label=label, **marker)
             axes.label_outer()
         column[0].set_title(leg.replace("_", " "), fontsize=10)
-    return legend(figure, 3)
+    legend(grid[0, 0], 3)
+    return figure
 
 
 def surfaces(surrogate: Surrogate, held_out_deg: FloatArray) -> Figure:
@@ -123,7 +120,8 @@ def surfaces(surrogate: Surrogate, held_out_deg: FloatArray) -> Figure:
         axes.set(xlabel=f"{THETA} (white: no force)", ylabel=PHI, xticks=range(-80, 81, 40))
         ticks = MaxNLocator(8, steps=[1, 2, 5, 10])
         figure.colorbar(shown, ax=axes, format="%g", ticks=ticks).set_label(FORCE[force])
-    return legend(figure, 2)
+    legend(row[0], 2)
+    return figure
 
 
 def slices(
@@ -156,7 +154,8 @@ def slices(
             axes.set(title=f"θ = {theta[i]:.0f}°")
         row[0].set_ylabel(FORCE[force])
     figure.supxlabel(PHI, fontsize=10)
-    return legend(figure, 3, "outside upper center")
+    legend(grid[0, 0], 3)
+    return figure
 
 
 def residuals(lags_deg: FloatArray, rho: FloatArray, length_deg: float) -> Figure:
@@ -186,7 +185,8 @@ def walkers(steps_deg: FloatArray, truth_deg: float, exact: Posterior, burn_in: 
     right.axvline(truth_deg, color=ORANGE, lw=1.2, ls="--", label="truth")
     right.axvspan(*exact.interval(0.68), color=GREY, alpha=0.25, lw=0, label="68 % interval")
     right.set(xlim=exact.interval(0.998), yticks=[], xlabel=PHI, ylabel="posterior density")
-    return legend(figure, 4)
+    legend(right, 4)
+    return figure
 
 
 def recovery(cases: Sequence[Mapping[str, Any]]) -> Figure:
@@ -201,7 +201,8 @@ def recovery(cases: Sequence[Mapping[str, Any]]) -> Figure:
             axes.vlines(truth, low, high, color=BLUE, lw=width, alpha=0.5, label=label)
         axes.plot(truth, median - base, "o", color=ORANGE, ms=4, label="median")
         axes.set(xlabel=f"true {PHI}", ylabel=f"inferred {name} [deg]")
-    return legend(figure, 3)
+    legend(row[0], 3)
+    return figure
 
 
 # -- the soil around the legs ----------------------------------------------------------------------

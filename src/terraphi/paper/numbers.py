@@ -281,9 +281,8 @@ def recovery(
     fitted, truths = surrogate_of(library), held_out(library)
     cases: list[Json] = []
     figures = {"recovery": partial(draw.recovery, cases)}
-    for i, (phi, exact) in enumerate(
-        zip(truths.phi_deg.tolist(), posteriors(library), strict=True)
-    ):
+    every = zip(truths.phi_deg.tolist(), truths.data, posteriors(library), strict=True)
+    for phi, data, exact in every:
         case = {"phi_true_deg": phi, "phi_median_deg": exact.median}
         case |= {"ci68": exact.interval(0.68), "ci95": exact.interval(0.95)}
         case["verdict"] = verdict(exact, data, fitted)
