@@ -99,8 +99,9 @@ def legs(found: Mapping[str, Mapping[str, ForceHistory]]) -> Figure:
             for model, (label, color, style) in IN_YUMA.items():
                 marker = {"marker": ".", "ms": 3} if style == "none" else {}
                 curve(axes, models[model], force, color=color, ls=style, label=label, **marker)
-            axes.label_outer()
         column[0].set_title(leg.replace("_", " "), fontsize=10)
+    for axes in grid[:, 1:].flat:
+        axes.set_ylabel("")
     legend(grid[0, 0], 3)
     return figure
 
@@ -151,9 +152,9 @@ def slices(
             axes.plot(phi, mean[:, i], color="black", lw=1.0, label="surrogate")
             for (name, (angles, vectors)), style in zip(points.items(), ("bo", "rD"), strict=True):
                 axes.plot(angles, vectors[:, i + shift], style, ms=4, label=name)
-            axes.set(title=f"θ = {theta[i]:.0f}°")
+            axes.set_title(f"θ = {theta[i]:.0f}°", fontsize=10)
         row[0].set_ylabel(FORCE[force])
-    figure.supxlabel(PHI, fontsize=10)
+    grid[-1, 1].set_xlabel(PHI)
     legend(grid[0, 0], 3)
     return figure
 
