@@ -95,6 +95,7 @@ class ForceHistory:
     coordinate: str = "theta"
     axes: tuple[str, ...] = ("x", "z")
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    moment: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Raise ValueError if axes, shapes or order are wrong."""
