@@ -148,7 +148,7 @@ def slices(
         process = getattr(surrogate, force)
         mean, spread = process.predict(phi), 2.0 * np.sqrt(process.variance(phi))
         for axes, i in zip(row, places, strict=True):
-            axes.fill_between(phi, *(mean + [[[-1.0]], [[1.0]]] * spread)[:, :, i], alpha=0.3)
+            axes.fill_between(phi, (mean - spread)[:, i], (mean + spread)[:, i], alpha=0.3)
             axes.plot(phi, mean[:, i], color="black", lw=1.0, label="surrogate")
             for (name, (angles, vectors)), style in zip(points.items(), ("bo", "rD"), strict=True):
                 axes.plot(angles, vectors[:, i + shift], style, ms=4, label=name)
