@@ -38,6 +38,7 @@ IN_YUMA = {
     "paper_code_applied": ("applied by its code", PURPLE, ":"),
 }
 """Label, color and line; RFT 3-D is five times the measured force, and left out."""
+Points = Mapping[str, tuple[FloatArray, FloatArray]]
 SNAPSHOTS_DEG = (-60.0, -30.0, 0.0, 40.0)
 SPEED_UP = 10.0
 """Of the simulations for the snapshots: forces differ by 3 to 4 % from those at the true speed."""
@@ -125,11 +126,7 @@ def surfaces(surrogate: Surrogate, held_out_deg: FloatArray) -> Figure:
     return figure
 
 
-def slices(
-    surrogate: Surrogate,
-    points: Mapping[str, tuple[FloatArray, FloatArray]],
-    places: Sequence[int],
-) -> Figure:
+def slices(surrogate: Surrogate, points: Points, places: Sequence[int]) -> Figure:
     """Forces at some leg angles over φ: the surrogate's mean ± 2 standard deviations, simulations.
 
     Parameters
