@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from terraphi.paper.gaussian_process import Surrogate
     from terraphi.paper.likelihood import Posterior
 
-# Of Okabe & Ito: told apart by colour-blind readers.
+# Of Okabe & Ito: distinct for color-blind readers.
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
-COLOURS = "viridis"
+COLORMAP = "viridis"
 PHI, THETA = "friction angle φ of the paper [deg]", "leg angle θ [deg]"
 FORCE = {"Fx": "$F_x$ [N], forward", "Fz": "$F_z$ [N], up"}
 IN_YUMA = {
@@ -73,8 +73,8 @@ def histories(by_phi: Mapping[float, ForceHistory]) -> Figure:
     scale = Normalize(min(by_phi), max(by_phi))
     for axes, force in zip(row, FORCE, strict=True):
         for phi, history in by_phi.items():
-            curve(axes, history, force, color=colormaps[COLOURS](scale(phi)), lw=1.1)
-    figure.colorbar(ScalarMappable(scale, COLOURS), ax=row, pad=0.02).set_label(PHI)
+            curve(axes, history, force, color=colormaps[COLORMAP](scale(phi)), lw=1.1)
+    figure.colorbar(ScalarMappable(scale, COLORMAP), ax=row, pad=0.02).set_label(PHI)
     return figure
 
 
@@ -108,13 +108,13 @@ def legs(found: Mapping[str, Mapping[str, ForceHistory]]) -> Figure:
 
 
 def surfaces(surrogate: Surrogate, held_out_deg: FloatArray) -> Figure:
-    """Mean forces of the surrogate over both angles, with the φ [deg] that it has seen and not."""
+    """Mean forces of the surrogate over both angles, with the φ [deg] of both sets of cases."""
     figure, (row,) = panels(1, 2, (8.8, 3.9))
     phi = np.linspace(*surrogate.phi_bounds_deg, 201)
     for axes, force in zip(row, FORCE, strict=True):
         process = getattr(surrogate, force)
         grid = process.theta_deg, phi, process.predict(phi)
-        shown = axes.contourf(*grid, 24, cmap=COLOURS)
+        shown = axes.contourf(*grid, 24, cmap=COLORMAP)
         axes.contour(*grid, [0.0], colors="white", linewidths=1.2)
         axes.hlines(held_out_deg, -WINDOW_DEG, WINDOW_DEG, color=ORANGE, lw=1, label="held out")
         edge = np.full(process.phi_deg.size, -WINDOW_DEG)
@@ -250,7 +250,7 @@ def snapshots(found: Mapping[str, tuple[Scenario, Sequence[Moment]]]) -> Figure:
     for row, (leg, (scenario, kept)) in zip(grid, found.items(), strict=True):
         tip, bed = scenario.motion.top_speed(scenario.leg.reach()), scenario.bed
         for axes, one in zip(row, kept, strict=True):
-            look: dict[str, Any] = {"cmap": COLOURS, "vmin": 0.0, "vmax": 1.0, "lw": 0, "s": 0.6}
+            look: dict[str, Any] = {"cmap": COLORMAP, "vmin": 0.0, "vmax": 1.0, "lw": 0, "s": 0.6}
             faded: Any = np.maximum(one.weight, 0.25)
             place = 1e3 * one.points.T
             shown = axes.scatter(*place, c=one.speed / tip, alpha=faded, rasterized=True, **look)

@@ -1,7 +1,7 @@
 """The surrogate of the paper: a Gaussian process for each force over friction angle and leg angle.
 
 A force Y(φ_i, θ_j) is known on a full grid of n friction angles and M leg angles, 11 × 40 in the
-paper. Centred and scaled to unit variance, it has the anisotropic squared exponential covariance
+paper. Centered and scaled to unit variance, it has the anisotropic squared exponential covariance
 with white noise,
 
     K = σ_f² K_φ ⊗ K_θ + σ_n² I,      K_φ = exp(-(φ - φ')² / 2 ℓ_φ²),  K_θ likewise.
@@ -154,9 +154,9 @@ class GaussianProcess:
             return at(min(optima, key=lambda optimum: float(optimum.fun)).x)
 
     def log_marginal_likelihood(self) -> float:
-        """Log p(Y) [-] of the centred and scaled forces."""
-        normalisation = np.sum(np.log(self.e)) + self.Z.size * np.log(2.0 * np.pi)
-        return float(-0.5 * (np.sum(self.Z * self.W) + normalisation))
+        """Log p(Y) [-] of the centered and scaled forces."""
+        normalization = np.sum(np.log(self.e)) + self.Z.size * np.log(2.0 * np.pi)
+        return float(-0.5 * (np.sum(self.Z * self.W) + normalization))
 
     def gradient(self) -> FloatArray:
         """Derivative of log p by the logarithm of each hyperparameter, in their order."""

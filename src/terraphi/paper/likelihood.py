@@ -5,7 +5,7 @@ covariance s Σ, block-diagonal, where each force has the block
 
     Σ_jk = σ_g² exp(-(θ_j - θ_k)² / 2 ℓ²),    σ_g = 0.01 peak-to-peak,  ℓ = 6°.
 
-Marginalising the scale s under the prior 1/s leaves, with n = 2 M,
+Marginalizing the scale s under the prior 1/s leaves, with n = 2 M,
 
     log p(d | φ) = -(n / 2) log(rᵀ Σ⁻¹ r) + const,
 
@@ -205,7 +205,7 @@ def autocorrelation_time(draws: FloatArray) -> FloatArray:
     """Integrated autocorrelation time τ of each ensemble [step] (Goodman & Weare 2010), [ensemble].
 
     The autocorrelation is averaged over walkers and summed over Sokal's window of five τ. A walker
-    that never moved makes it the number of steps: such an ensemble is worth one draw a walker.
+    that never moved makes it the number of steps: such an ensemble counts as one draw a walker.
     """
     from emcee.autocorr import integrated_time
 
@@ -223,7 +223,7 @@ def effective_sample_size(draws: FloatArray) -> float:
 
 
 def split_rhat(draws: FloatArray) -> float:
-    """Rank-normalised split-R̂ between ensembles [-] (Vehtari et al., Bayesian Anal. 16:667, 2021).
+    """Rank-normalized split-R̂ between ensembles [-] (Vehtari et al., Bayesian Anal. 16:667, 2021).
 
     The early and the late half of an ensemble, each pooled over its walkers, count as two chains.
     The larger of the bulk and the folded value is returned: ensembles that agree in location but

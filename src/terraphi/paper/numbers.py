@@ -264,7 +264,7 @@ def posteriors(library: str) -> list[Posterior]:
 
 
 def verdict(exact: Posterior, data: FloatArray, fitted: Surrogate) -> str:
-    """Whether an answer can be believed: ``consistent``, ``misfit`` or ``out_of_range``."""
+    """Verdict on an answer: ``consistent``, ``misfit`` or ``out_of_range``."""
     low, high = fitted.phi_bounds_deg
     margin = 0.5 * float(np.diff(fitted.Fx.phi_deg).max())
     if max(exact.mass(low, low + margin), exact.mass(high - margin, high)) > EDGE_MASS:
@@ -296,15 +296,19 @@ def recovery(
     low, high = np.transpose([[case["ci68"], case["ci95"]] for case in cases])
     inside = ((low <= truths.phi_deg) & (truths.phi_deg <= high)).sum(axis=1).tolist()
     summary: Json = dict(zip(("inside68", "inside95"), inside, strict=True))
-    errors = np.abs([case["phi_median_deg"] - case["phi_true_deg"] for case in cases])
-    for name, some in (("abs_error", errors), ("ci68_half_width", 0.5 * (high - low)[0])):
+    off = np.abs([case["phi_median_deg"] - case["phi_true_deg"] for case in cases])
+    for name, some in (("abs_error", off), ("ci68_half_width", 0.5 * (high - low)[0])):
         summary[f"{name}_deg"] = {"median": float(np.median(some)), "max": float(some.max())}
-    note = "emcee: split-R̂ at most {:.4f}, medians within {:.1f} Monte Carlo errors of quadrature."
-    told = ("emcee_rhat", "medians_apart_in_errors")
+    notes = []
+    if draws:
+        rhat, errors = (max(c[k] for c in cases) for k in ("emcee_rhat", "medians_apart_in_errors"))
+        notes = [
+            f"emcee: split-R̂ <= {rhat:.4f}, medians {errors:.1f} Monte Carlo errors off or less."
+        ]
     return Result(
         {"library": library, "yield": "paper", **summary, "cases": cases},
         (cases, "phi_true_deg phi_median_deg ci68 ci95 verdict"),
-        [note.format(*(max(case[key] for case in cases) for key in told))] if draws else [],
+        notes,
         [(what, ours.format_map(summary), printed) for what, ours, printed in RECOVERED],
         figures,
     )
@@ -324,7 +328,7 @@ def by_emcee(draws: FloatArray, exact_deg: float) -> Json:
 
 
 def surrogate(library: str = TEXT) -> Result:
-    """The surrogate on the truths, which it has not seen: errors, and their correlation length."""
+    """The surrogate on cases held out: its errors, and their correlation length."""
     fitted, truths = surrogate_of(library), held_out(library)
     theta, processes = fitted.Fx.theta_deg, fitted._asdict()
     residuals = truths.residuals.reshape(-1, theta.size)
