@@ -672,12 +672,14 @@ def lines_over_speed(group: Sequence[Json]) -> list[Json]:
 def figures(*, progress: Progress = lambda _: None) -> Result:
     """The figures of the paper's simulations and inversions; the snapshots take ten minutes."""
     parts = {name: run(name) for name in ("phi_sensitivity", "benchmark", "surrogate", "recovery")}
+    whole = ("study", "about")
+    data = {n: {k: v for k, v in p.data.items() if k not in whole} for n, p in parts.items()}
     drawn = {name: made for part in parts.values() for name, made in part.figures.items()}
     library = Library.load(TEXT).cases
     straight = next(c.scenario for c in library if c.scenario.soil.friction_angle_deg == PHI_DEG)
     drawn["snapshots"] = partial(draw.snapshots, draw.soil_around(straight, NRMSD_MPM, progress))
     return Result(
-        {"library": TEXT, **{name: part.data for name, part in parts.items()}},
+        {"library": TEXT, **data},
         ([{"figure": f"{name}.png"} for name in drawn], "figure"),
         [note for part in parts.values() for note in part.notes],
         [line for part in parts.values() for line in part.compared],
