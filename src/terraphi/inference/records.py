@@ -25,7 +25,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.leg import LEG_SHAPES
-from terraphi.experiment.measurements import Measurement, open_forces, scenario_of, told_by
+from terraphi.experiment.measurements import Measurement, measurement_of, open_forces, scenario_of
 from terraphi.experiment.scenario import Scenario
 
 WINDOW_DEG, WINDOWS = 85.0, 40
@@ -261,7 +261,7 @@ def _measurement(forces: Any) -> Measurement:
     if isinstance(forces, ForceHistory):
         if forces.coordinate != "theta":
             raise InputError(f"forces over {forces.coordinate}; forces over theta are needed")
-        return told_by(forces, "forces" if "file" not in forces.provenance else "")
+        return measurement_of(forces, "forces" if "file" not in forces.provenance else "")
     if isinstance(forces, str | Path):
         return open_forces(forces)
     columns = ("theta_deg", "Fx_N", "Fz_N")
@@ -274,7 +274,7 @@ def _measurement(forces: Any) -> Measurement:
     theta, fx, fz = (np.asarray(forces[name], dtype=np.float64) for name in columns)
     order = np.argsort(theta, kind="stable")
     history = ForceHistory(np.radians(theta[order]), np.stack([fx, fz], axis=1)[order])
-    return told_by(history, "DataFrame")
+    return measurement_of(history, "DataFrame")
 
 
 def _binned(history: ForceHistory) -> ForceHistory:
