@@ -32,20 +32,6 @@ class Outline(NamedTuple):
 
 
 STUDIES = {
-    "benchmark": Outline(
-        "three legs: our models beside the forces measured in Yuma sand", "seconds"
-    ),
-    "phi_sensitivity": Outline("forces and their peaks against the friction angle", "seconds"),
-    "k0": Outline("what the stress at rest does to a history", "seconds"),
-    "surrogate": Outline(
-        "the surrogate between the library's angles, and its residuals", "seconds"
-    ),
-    "recovery": Outline(
-        "friction angles of fresh simulations, inferred with a library", "half a minute"
-    ),
-    "figures": Outline(
-        "the figures of the paper's simulations and inversions, ready to print", "13 minutes"
-    ),
     "measured": Outline(
         "friction angles of the measured sands, by every library, and the verdicts",
         "half a minute",
@@ -66,12 +52,6 @@ STUDIES = {
     "design": Outline("libraries built evenly, and in the order that is suggested", "a minute"),
     "reading": Outline(
         "what the paper's text leaves open, against the forces that it prints", "seconds"
-    ),
-    "prototype": Outline(
-        "what the contact of the paper's prototype counts, and what it applies", "seconds"
-    ),
-    "sensitivity": Outline(
-        "what moves the simulated forces: one setting changed at a time", "seconds"
     ),
     "resolution": Outline(
         "from preset paper-1 to resolved, and whether that has arrived", "seconds"

@@ -19,6 +19,7 @@ from terraphi.cli.invert import KIND, MADE, invert, save_inversion
 from terraphi.cli.keys import keys
 from terraphi.cli.library import library
 from terraphi.cli.options import PATH, json_option, tells_as_much_as_asked
+from terraphi.cli.paper import paper
 from terraphi.cli.report import report
 from terraphi.cli.simulate import simulate
 from terraphi.cli.study import study
@@ -116,7 +117,7 @@ def demo(out: Path, as_json: bool) -> None:
 
 
 for command in (
-    *(invert, calibrate, simulate, library, study, report, app, keys, doctor),
+    *(invert, calibrate, simulate, library, paper, study, report, app, keys, doctor),
     *(export, convert, slope_map, forces, footfalls, friction),
 ):
     cli.add_command(command)
