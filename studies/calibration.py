@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pages
 from matplotlib.figure import Figure
 
+import pages
 import terraphi
 
 LIBRARY = "sand3d"
@@ -172,9 +172,11 @@ def main() -> None:
         for kind, verdicts in strangers().items()
     ]
     parts = [
-        f"Simulations off the grid of library `{LIBRARY}`, inverted with it: how far medians are "
-        "from the truth, and how many intervals hold it. Noise is white, as a part of the peak "
-        "force.",
+        (
+            f"Simulations off the grid of library `{LIBRARY}`, inverted with it: how far medians "
+            "are from the truth, and how many intervals hold it. Noise is white, as a part of the "
+            "peak force."
+        ),
         pages.table(header, rows),
         "Records that the model must not explain, and how many were called consistent:",
         pages.table(("record", "consistent"), believed),

@@ -14,11 +14,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import pages
 from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
+import pages
 import terraphi
 from terraphi.forward.foot_laws import LAWS, Foot
 
@@ -79,8 +79,8 @@ def measured() -> list[Test]:
 def simulated() -> Law:
     """The simulated discs as a law.
 
-    Forces swing as particles pass through cells of 6 mm, so each curve is taken as the parabola over
-    sinkage that fits it best. Between curves ln F is a cubic over φ and linear in ln diameter.
+    Forces swing as particles pass through cells of 6 mm, so each curve is taken as the parabola
+    over sinkage that fits it best. Between curves ln F is a cubic over φ and linear in ln diameter.
     """
     table = {key: np.array(values, float) for key, values in columns("simulated.csv").items()}
     diameters, angles = np.unique(table["diameter_mm"]) / 1e3, np.unique(table["phi_deg"])
@@ -230,18 +230,22 @@ def main() -> None:
             )
         )
     spread = law_spread({name: by_window[name] for name in LAWS})
-    header = ("law", "φ, mean of the tests", "between repeats",
-              *(f"{a:g} to {b:g} mm" for a, b in WINDOWS_MM), "misfit", "one φ for all")  # fmt: skip
-    compared = ("plate of 38 × 25 mm", "φ", "`sand3d`", "resistive force theory", "ratio")
+    windows = [f"{a:g} to {b:g} mm" for a, b in WINDOWS_MM]
+    header = ("law", "φ, mean of tests", "between repeats", *windows, "misfit", "one φ for all")
+    compared = ("plate of 38 × 25 mm", "φ", "`sand3d`", "theory", "ratio")
     parts = [
-        f"{len(tests)} tests with plates of 60 and 100 mm in sand with an angle of repose of "
-        f"{REPOSE_DEG:g}°; there was no shear test. φ is fitted with the first contact unknown, to "
-        "whole tests and in windows of sinkage; misfits are over peak-to-peak.",
+        (
+            f"{len(tests)} tests with plates of 60 and 100 mm in sand with an angle of repose of "
+            f"{REPOSE_DEG:g}°; there was no shear test. φ is fitted with the first contact "
+            "unknown, to whole tests and in windows of sinkage; misfits are over peak-to-peak."
+        ),
         pages.table(header, rows),
         f"Over laws and depths φ of one test scatters by {spread:.1f}°: the error of a law.",
-        "Resistive force theory was fitted to plates pressed and dragged in granular media. The "
-        "soil of `sand3d` resists the same plate with these forces, means over 25 to 50 mm of its "
-        "path:",
+        (
+            "Resistive force theory was fitted to plates pressed and dragged in granular media. "
+            "The soil of `sand3d` resists the same plate with these forces, means over 25 to 50 mm "
+            "of its path:"
+        ),
         pages.table(compared, of_sand3d()),
     ]
     alt = "forces on plates by each law, and φ by test and by depth"

@@ -10,9 +10,9 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-import pages
 from matplotlib.figure import Figure
 
+import pages
 import terraphi
 from terraphi.experiment.measurements import measurement, names
 
@@ -54,10 +54,12 @@ def summary(answers: list[dict[str, Any]]) -> list[str]:
     width = np.median([0.5 * (a["ci68"][1] - a["ci68"][0]) for a in answers])
     return [
         "Verdicts: " + ", ".join(f"{n} {verdict}" for verdict, n in verdicts.items()) + ".",
-        f"Median less angle of repose: {off.mean():+.1f}° on average, root mean square "
-        f"{np.sqrt(np.mean(off**2)):.1f}°. Of {len(known)} records the 68 % interval holds repose "
-        f"in {held['ci68']}, the 95 % interval in {held['ci95']}. Median half-width of 68 %: "
-        f"{width:.1f}°.",
+        (
+            f"Median less angle of repose: {off.mean():+.1f}° on average, root mean square "
+            f"{np.sqrt(np.mean(off**2)):.1f}°. Of {len(known)} records the 68 % interval holds "
+            f"repose in {held['ci68']}, the 95 % interval in {held['ci95']}. Median half-width of "
+            f"68 %: {width:.1f}°."
+        ),
         f"{sum(pairs)} of {len(pairs)} pairs of media on one leg come out in the order of repose.",
         "Legs in one medium differ by "
         + ", ".join(f"{value:.1f}° ({medium})" for medium, value in apart.items())
@@ -108,8 +110,10 @@ def main() -> None:
     ]
     header = ("medium", "leg", "repose", "φ", "68 %", "95 %", "NRMSD Fx / Fz", "verdict")
     parts = [
-        f"`terraphi invert` on every record of Li et al. (2013), library `{LIBRARY}`. These media "
-        "are among the soils that its model error was learnt from.",
+        (
+            f"`terraphi invert` on every record of Li et al. (2013), library `{LIBRARY}`. These "
+            "media are among the soils that its model error was learnt from."
+        ),
         "\n".join(f"- {line}" for line in summary(answers)),
         pages.table(header, rows),
     ]

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import pages
 from matplotlib.figure import Figure
 
+import pages
 import terraphi
 
 BASE = "sand3d-cells-60.nc"
@@ -141,13 +141,17 @@ def main() -> None:
     ]
     header = ("changed", "leg", "φ", "mean |Fx| / |Fz|", "as φ", "apart, of peak-to-peak")
     parts = [
-        "Library `sand3d` has cells of 5 mm, 8 particles in each, and a speed-up of 10. Its cases "
-        "are compared with the same on other numerics: the change of the mean |force| over "
-        "|θ| < 85°, by how much more friction the library would have that mean, and how far the "
-        "curves are apart.",
+        (
+            "Library `sand3d` has cells of 5 mm, 8 particles in each, and a speed-up of 10. Its "
+            "cases are compared with the same on other numerics: the change of the mean |force| "
+            "over |θ| < 85°, by how much more friction the library would have that mean, and how "
+            "far the curves are apart."
+        ),
         pages.table(header, rows),
-        "The straight leg at φ = 35°, -80° to 15°, on cells of 7 mm and less, with one thing "
-        "changed at a time. Particle seeds alone move means by 2 % and peaks by 7 %.",
+        (
+            "The straight leg at φ = 35°, -80° to 15°, on cells of 7 mm and less, with one thing "
+            "changed at a time. Particle seeds alone move means by 2 % and peaks by 7 %."
+        ),
         pages.table(("case", "compared with", "mean Fx / Fz", "peak Fx / Fz"), numerics()),
     ]
     alt = "change of the mean force in degrees of φ, by leg and force, for each change of numerics"

@@ -69,7 +69,7 @@ class Page:
             self.failed.add(file)
         if report.when == "teardown":
             found = [cells for name, cells in report.user_properties if name == "check"]
-            self.rows.setdefault(file, {})[report.nodeid] = found
+            self.rows.setdefault(file, {})[report.location[1], report.nodeid] = found
             function = report.nodeid.split("::")[1].split("[")[0]
             self.ran.setdefault(file, set()).add(function)
 
@@ -94,7 +94,7 @@ class Page:
         self.path.write_text(text.rstrip() + "\n", encoding="utf-8")
 
     def _section(self, file, title, text):
-        rows = [cells for found in self.rows[file].values() for cells in found]
+        rows = [cells for _, found in sorted(self.rows[file].items()) for cells in found]
         reasons = list(dict.fromkeys(cells[-1] for cells in rows))
         lines = [f"## {title.rstrip('.')}", "", " ".join(text.split()), "", COLUMNS]
         lines.append("| --- " * 6 + "|")

@@ -14,12 +14,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize
 
-N_GAMMA_30 = {"strip, smooth": 7.653, "strip, rough": 14.75}
-"""N_γ at φ = 30° by the method of characteristics (C. M. Martin 2004, program ABC)."""
-
 
 def davis(phi_deg: float) -> float:
-    """Friction angle that soil without dilation seems to have, tan φ* = sin φ (Davis 1968) [deg]."""
+    """Angle that soil without dilation seems to have, tan φ* = sin φ (Davis 1968) [deg]."""
     return math.degrees(math.atan(math.sin(math.radians(phi_deg))))
 
 
@@ -46,7 +43,8 @@ def surcharge_factor(phi_deg: float) -> float:
 def ovesen(phi_deg: float, ratio: float) -> float:
     """Force on an anchor b wide and h deep over that on as much of a wide one, by b/h.
 
-    Ovesen (1964), Danish Geotechnical Institute, Bulletin 16: 1 + (K_p - K_a)^(2/3) 1.6/(1 + 5 b/h).
+    Ovesen (1964), Danish Geotechnical Institute, Bulletin 16:
+    1 + (K_p - K_a)^(2/3) 1.6/(1 + 5 b/h).
     """
     gap = rankine(phi_deg) - 1.0 / rankine(phi_deg)
     return 1.0 + math.pow(gap, 2.0 / 3.0) * 1.6 / (1.0 + 5.0 * ratio)
@@ -176,7 +174,8 @@ def circular_footing(
     """Mean pressure that a smooth rigid round footing bears, in the unit of its arguments.
 
     In soil that flows outwards the hoop stress is the least one (Haar and von Karman; Cox, Eason
-    and Hopkins 1961, Phil. Trans. R. Soc. A 254, 1). On the lines of slope tan(ψ ± μ), μ = 45° - φ/2,
+    and Hopkins 1961, Phil. Trans. R. Soc. A 254, 1). On the lines of slope tan(ψ ± μ),
+    μ = 45° - φ/2,
 
         ds ± 2 s tan φ dψ = (f_r cos(ψ ± ν) + f_z sin(ψ ± ν)) dl / cos φ,
 

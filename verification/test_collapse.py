@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 import pytest
-from runs import PARKED, sand3d
 
+from runs import PARKED, sand3d
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.mpm.bed import Soil, geostatic_bed
 from terraphi.forward.mpm.lattice import positions
@@ -29,7 +29,7 @@ LABORATORY = "fits of different laboratories, sands and floors differ by some 10
 
 
 def column_of(aspect, across):
-    """A quarter of an upright cylinder between a smooth wall and a mirror; its leg is never used."""
+    """A quarter of an upright cylinder between a smooth wall and a mirror; its leg is unused."""
     cell = RADIUS / across
     edge = (3 + 1e-6) * cell
     reach = math.ceil((1.5 + 1.5 * 1.24 * aspect) * across)

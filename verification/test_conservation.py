@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from runs import advance, block_of, elastic, follow, rig_of, sand3d
 
+from runs import advance, block_of, elastic, follow, rig_of, sand3d
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.forward.plane.bed import geostatic_bed

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 import pytest
+
 from exact import (
     davis,
     lower_bound,
@@ -23,7 +24,6 @@ from exact import (
     upper_bound,
 )
 from runs import ON_NODES, advance, at_end, benchmark, block_of, loaded, rig_of
-
 from terraphi.experiment.leg import Leg
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.plane.contact import intruder_of
@@ -215,8 +215,9 @@ def test_strip_footing_meets_prandtl(check, phi, base):
 def test_strip_footing_under_dead_weight_meets_prandtl(check):
     check(
         "Strip footing between dead weights, φ = 25°, smooth, associated, B/Δx = 10", "N_q",
-        expected=surcharge_factor(25.0), found=at_end(footing(25.0, "smooth", 10, dead_weight=True)),
-        within=0.10, why="the edge, as above, on cells twice as large",
+        expected=surcharge_factor(25.0), within=0.10,
+        found=at_end(footing(25.0, "smooth", 10, dead_weight=True)),
+        why="the edge, as above, on cells twice as large",
     )  # fmt: skip
 
 

@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 import pytest
-from runs import advance, block_of, elastic, lame_mode, rig_of
 
+from runs import advance, block_of, elastic, lame_mode, rig_of
 from terraphi.forward.plane.bed import Particles, geostatic_bed
 
 pytestmark = pytest.mark.slow

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 import pytest
-from runs import ELASTIC, ON_NODES, advance, benchmark, elastic, lame_mode, rig_of
 
+from runs import ELASTIC, ON_NODES, advance, benchmark, elastic, lame_mode, rig_of
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.forward.plane.bed import geostatic_bed
 from terraphi.forward.plane.scalar import LEDGER_ROWS
@@ -144,7 +144,8 @@ def test_shear_wave_has_its_speed(check, cells, within):
     speed = math.sqrt(scenario.soil.shear_modulus / scenario.soil.density)
     path = math.sqrt(2.0) * side
     check(
-        f"Lamé's mode of a free square block, Δx {300.0 / cells:g} mm", "c_s = √2 side/period [m/s]",
+        f"Lamé's mode of a free square block, Δx {300.0 / cells:g} mm",
+        "c_s = √2 side/period [m/s]",
         expected=speed, found=path / period_of(soil, rig, mode, path / speed), within=within,
         why="of second order in Δx: 0.22 % at 5 mm, a quarter of it at 2.5 mm",
     )  # fmt: skip

@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 import pytest
+
 from exact import circular_footing, ovesen, surcharge_factor
 from runs import at_end, loaded, sand3d
-
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.mpm.solver import Blocks
 
