@@ -14,6 +14,7 @@ import numpy as np
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.forward.driver import KERNELS, path_of_steps, step_count
+from terraphi.forward.mpm import bed, lattice, phase
 from terraphi.forward.plane.bed import Grid, Particles, empty_grid
 from terraphi.forward.plane.contact import Intruder, intruder_of
 from terraphi.forward.plane.plasticity import Material, material_of
@@ -182,6 +183,53 @@ def lame_mode(scenario, side):
     cx, cz = np.cos(k * (soil.start - 0.5 * numerics.domain)).T
     mode = np.stack([sx * cz, -cx * sz], axis=1)
     return soil, mode, k * np.stack([cx * cz, -sx * sz, sx * sz, -cx * cz], axis=1)
+
+
+class Solid:
+    """Soil in three dimensions, by the fast kernel.
+
+    Parameters
+    ----------
+    scenario
+        Gives bed, leg and numerics.
+    kept
+        From places (x, y, z) [m] to which particles there are.
+    """
+
+    def __init__(self, scenario, kept=None):
+        self.scenario, self._phases = scenario, phase.Phases(scenario)
+        soil = bed.geostatic_bed(scenario, np.float32)
+        if kept is not None:
+            inside, count = kept(self._places_of(soil)), len(soil.mass)
+            soil = soil._replace(
+                **{k: v[inside] for k, v in soil._asdict().items() if len(v) == count}
+            )
+        self._phases.weigh_first(soil)
+        self.soil, self._audit = soil, empty_audit()
+
+    def _places_of(self, soil):
+        return lattice.positions(self._phases.lattice, soil.cell, soil.offset)
+
+    def places(self):
+        """Places (x, y, z) [m] of the particles."""
+        return self._places_of(self.soil)
+
+    def velocities(self):
+        """Velocities (x, y, z) [m/s] of the particles."""
+        return phase.velocities(self.soil, self._phases.lattice)
+
+    def rest(self, steps):
+        """Take some steps, a number of whole phases, with a leg that is far away."""
+        self._take(np.tile(PARKED, (steps, 1)), np.zeros(steps, np.int64))
+
+    def follow(self, first, steps):
+        """Take some steps of the scenario's own motion from the first, whole phases."""
+        poses, _, bins = path_of_steps(self.scenario, np.arange(first, first + steps), 1)
+        self._take(poses, bins)
+
+    def _take(self, poses, bins):
+        lost = self._phases.take(self.soil, poses, bins, empty_reaction(1), self._audit)
+        assert lost < 0, f"particle {lost} left the grid"
 
 
 def loaded(scenario):

@@ -12,12 +12,8 @@ import math
 import numpy as np
 import pytest
 
-from runs import PARKED, sand3d
+from runs import Solid, sand3d
 from terraphi.experiment.scenario import GRAVITY, Scenario
-from terraphi.forward.mpm.bed import Soil, geostatic_bed
-from terraphi.forward.mpm.lattice import positions
-from terraphi.forward.mpm.phase import Phases, velocities
-from terraphi.forward.plane.scalar import empty_audit, empty_reaction
 
 pytestmark = pytest.mark.slow
 
@@ -51,26 +47,18 @@ def column_of(aspect, across):
         "remap_interval": PHASE * time_step, "tip_inset_cells": 0.0,
     }  # fmt: skip
     scenario = Scenario.model_validate(content)
-    soil = geostatic_bed(scenario, np.float32)
-    place = positions(Phases(scenario).lattice, soil.cell, soil.offset)
-    inside = np.hypot(place[:, 0] - edge, place[:, 1]) < RADIUS
-    parts = {name: getattr(soil, name)[inside] for name in Soil._fields[:6]}
-    return scenario, soil._replace(**parts)
+    return Solid(scenario, lambda place: np.hypot(place[:, 0] - edge, place[:, 1]) < RADIUS)
 
 
 @pytest.mark.parametrize("aspect", [0.6, 1.0, 1.5])
 def test_round_column_runs_out_as_in_the_laboratory(check, aspect):
-    scenario, soil = column_of(aspect, 12)
-    phases, height = Phases(scenario), scenario.bed.height
-    phases.weigh_first(soil)
+    column = column_of(aspect, 12)
+    scenario, height = column.scenario, column.scenario.bed.height
     steps = math.ceil(8.0 * math.sqrt(height / GRAVITY) / scenario.numerics.time_step)
-    impulse, audit = empty_reaction(1), empty_audit()
-    for _ in range(0, steps, 10 * PHASE):
-        poses, bins = np.tile(PARKED, (10 * PHASE, 1)), np.zeros(10 * PHASE, np.int64)
-        assert phases.take(soil, poses, bins, impulse, audit) < 0, "a particle left the grid"
-    place = positions(phases.lattice, soil.cell, soil.offset) - [scenario.bed.left, 0.0, 0.0]
+    column.rest(steps - steps % -PHASE)
+    place = column.places() - [scenario.bed.left, 0.0, 0.0]
     radius = np.hypot(place[:, 0], place[:, 1])
-    speed = float(np.linalg.norm(velocities(soil, phases.lattice), axis=1).mean())
+    speed = float(np.linalg.norm(column.velocities(), axis=1).mean())
     middle = place[radius < 0.15 * RADIUS, 2] - scenario.bed.floor
     # The uppermost particles lie half their spacing below the surface.
     top = float(np.quantile(middle, 0.99)) + 0.25 * scenario.numerics.cell_size
