@@ -34,7 +34,7 @@ def check(request, record_property):
         sign = {"equal": "±", "at_most": "up to +", "at_least": "down to −"}[sense]
         cells = [
             problem, quantity, f"{expected:.4g}", f"{found:.4g}", share,
-            sign + (f"{within:g}" if absolute else f"{100.0 * within:g} %"), why,
+            sign + (f"{within:.3g}" if absolute else f"{100.0 * within:.3g} %"), why,
         ]  # fmt: skip
         record_property("check", cells)
         if not passed:
@@ -90,7 +90,7 @@ class Page:
         count = len(rows) - 2 * len(sections)
         made = f"{count} checks, {len(sections)} files; {versions}, {platform.machine()}.\n"
         order = sorted(sections.items(), key=lambda item: ORDER.index(item[0]))
-        text = "\n".join([HEAD, made, *(part for _, part in order)])
+        text = "\n".join([HEAD, made, *(part.strip() + "\n" for _, part in order)])
         self.path.write_text(text.rstrip() + "\n", encoding="utf-8")
 
     def _section(self, file, title, text):

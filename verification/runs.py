@@ -7,28 +7,21 @@ stresses and velocities, in other boxes, and often without a leg.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
+from terraphi.forward.ledger import empty_audit, empty_reaction
+from terraphi.forward.plane.solver import PlaneSolver
 
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
-from terraphi.forward.driver import KERNELS, path_of_steps, step_count
-from terraphi.forward.mpm import bed, lattice, phase
-from terraphi.forward.plane.bed import Grid, Particles, empty_grid
-from terraphi.forward.plane.contact import Intruder, intruder_of
-from terraphi.forward.plane.plasticity import Material, material_of
-from terraphi.forward.plane.relief import Fading, fading_of
-from terraphi.forward.plane.scalar import (
-    Audit,
-    Stepping,
-    empty_audit,
-    empty_reaction,
-    stepping_of,
-)
+from terraphi.forward.driver import Path, path_of_steps, step_count
+from terraphi.forward.mpm.lattice import lattice_of
+from terraphi.forward.mpm.solver import MpmSolver, settle
+from terraphi.forward.plane.bed import Particles
 from terraphi.library.plan import Plan
 
 BLOCK = 1000
+"""Steps that a solver is asked for at a time; in three dimensions whole phases near it."""
 ELASTIC = 1e9
 """Cohesion with which soil never yields [Pa]."""
 PARKED = (-9.0, -9.0, 0.0, 0.0, 0.0, 0.0)
@@ -74,64 +67,93 @@ def elastic(cells, *, per_side=2, **changes):
     return benchmark(cells, courant=0.4, **{**constants, **changes})
 
 
-class Rig(NamedTuple):
-    """Everything that the kernels of the plane take besides the soil."""
-
-    grid: Grid
-    material: Material
-    intruder: Intruder
-    fading: Fading
-    stepping: Stepping
-    audit: Audit
-
-    def changed(self, **stepping):
-        """Copy with other constants of a step, such as `gravity=0.0`."""
-        return self._replace(stepping=self.stepping._replace(**stepping))
-
-    def floating(self):
-        """Copy without walls, floor and gravity."""
-        return self.changed(left=-9.0, right=9.0, floor=-9.0, gravity=0.0)
+def sand3d(cells=60, **changes):
+    """Scenario of library `sand3d` on another grid, with steps and phases longer as cells are."""
+    base = Plan.load("sand3d").scenario
+    scale = base.numerics.cells / cells
+    grid = {
+        "numerics.cells": cells,
+        "numerics.time_step": base.numerics.time_step * scale,
+        "numerics.remap_interval": base.numerics.remap_interval * scale,
+    }
+    return base.replace(**{**grid, **changes})
 
 
-def rig_of(scenario):
-    """Rig of a scenario, with an empty ledger."""
-    return Rig(
-        empty_grid(scenario),
-        material_of(scenario.soil),
-        intruder_of(scenario.leg),
-        fading_of(scenario),
-        stepping_of(scenario),
-        empty_audit(),
-    )
+def unchecked(scenario, section, **changes):
+    """Copy with entries of a section that no scenario of a person may have."""
+    copy = getattr(scenario, section).model_copy(update=changes)
+    return scenario.model_copy(update={section: copy})
 
 
-def advance(soil, rig, steps, *, pose=PARKED, kernel="packets", body_force=None):
-    """Take some steps with a leg that keeps its pose, changing soil, grid and ledger in place.
+def floating(scenario):
+    """Copy without gravity, and with walls and floor far away."""
+    return unchecked(scenario, "bed", left=-9.0, width=18.0, floor=-9.0, gravity=0.0)
 
-    `body_force` gives the acceleration of each particle [m/s²] from the time of a step's start [s];
-    particles get it before the step, which takes it to the grid with their momentum.
+
+class Run:
+    """Soil and the solver that moves it.
+
+    Parameters
+    ----------
+    scenario
+        Gives soil, leg and numerics.
+    soil
+        The solver's bed if it is not given.
+    kernel
+        `packets` or `scalar`.
     """
-    block = BLOCK if body_force is None else 1
-    for done in range(0, steps, block):
-        count = min(block, steps - done)
-        if body_force is not None:
-            time_step = rig.stepping.time_step
-            soil.velocity[:] += time_step * body_force(done * time_step)
-        still = np.zeros(count)
-        _take(soil, rig, kernel, np.tile(pose, (count, 1)), still, still.astype(np.int64))
+
+    def __init__(self, scenario, soil=None, kernel="packets"):
+        kind = PlaneSolver if scenario.dimensions == 2 else MpmSolver
+        self.scenario, self._solver = scenario, kind(scenario, kernel)
+        self.soil = self._solver.bed() if soil is None else soil
+        self.audit = empty_audit()
+        phase = max(1, scenario.numerics.steps_per_phase)
+        self._block = max(phase, BLOCK // phase * phase)
+
+    def advance(self, steps, *, pose=PARKED, body_force=None):
+        """Take some steps with a leg that keeps its pose.
+
+        `body_force` gives the acceleration of each particle [m/s²] from the time of a step's start
+        [s]; particles get it before the step, which takes it to the grid with their momentum.
+        """
+        time_step = self.scenario.numerics.time_step
+        block = self._block if body_force is None else 1
+        for done in range(0, steps, block):
+            count = min(block, steps - done)
+            if body_force is not None:
+                self.soil.velocity[:] += time_step * body_force(done * time_step)
+            still = np.zeros(count)
+            self._take(Path(np.tile(pose, (count, 1)), still, still.astype(np.int64)))
+
+    def follow(self, first=0, steps=None):
+        """Take some steps of the scenario's own motion, from the first; all if not given."""
+        last = step_count(self.scenario) if steps is None else first + steps
+        for begin in range(first, last, self._block):
+            steps = np.arange(begin, min(begin + self._block, last))
+            self._take(path_of_steps(self.scenario, steps, 1))
+
+    def _take(self, path):
+        lost = self._solver.advance(self.soil, path, empty_reaction(1), self.audit)
+        assert lost < 0, f"particle {lost} left the grid"
+
+    def fields(self):
+        """Places (x, y, z) [m] of the particles, and their fields by name."""
+        return self._solver.fields(self.soil)
 
 
-def follow(scenario, soil, rig, *, kernel="packets"):
-    """Take all steps of a scenario's own motion, changing soil, grid and ledger in place."""
-    for begin in range(0, step_count(scenario), BLOCK):
-        steps = np.arange(begin, min(begin + BLOCK, step_count(scenario)))
-        _take(soil, rig, kernel, *path_of_steps(scenario, steps, 1))
+def part_of_bed(scenario, kept):
+    """The bed of a scenario in three dimensions, less what is not to be kept of it.
 
-
-def _take(soil, rig, kernel, poses, turned, bins):
-    take = KERNELS[kernel][0]
-    lost = take(soil, *rig[:5], poses, turned, bins, empty_reaction(1), rig.audit)
-    assert lost < 0, f"particle {lost} left the grid"
+    `kept` tells from places (x, y, z) [m] which particles there are.
+    """
+    solver, lattice = MpmSolver(scenario), lattice_of(scenario)
+    soil = solver.bed()
+    inside, count = kept(solver.fields(soil)[0]), len(soil.mass)
+    parts = {k: v[inside] for k, v in soil._asdict().items() if len(v) == count}
+    soil = soil._replace(**parts)
+    settle(soil, lattice, np.zeros_like(soil.velocity), np.zeros((4, lattice.nodes)))
+    return soil
 
 
 def block_of(corner, size, spacing, density, *, tilt=0.0):
@@ -161,11 +183,11 @@ def block_of(corner, size, spacing, density, *, tilt=0.0):
         "stress": np.zeros((count, 4)),
         "mass": np.full(count, density * volume),
         "volume": np.full(count, volume),
-        "stretch": np.ones(count),
         "weight": np.ones(count),
-        "slip": np.zeros(count),
     }
-    return Particles(**{name: fields[name] for name in Particles._fields})
+    # Whatever else particles have is 1 at first, or 0 for a slip.
+    others = {k: np.zeros(count) if k == "slip" else np.ones(count) for k in Particles._fields}
+    return Particles(**{name: fields.get(name, others[name]) for name in Particles._fields})
 
 
 def lame_mode(scenario, side):
@@ -185,53 +207,6 @@ def lame_mode(scenario, side):
     return soil, mode, k * np.stack([cx * cz, -sx * sz, sx * sz, -cx * cz], axis=1)
 
 
-class Solid:
-    """Soil in three dimensions, by the fast kernel.
-
-    Parameters
-    ----------
-    scenario
-        Gives bed, leg and numerics.
-    kept
-        From places (x, y, z) [m] to which particles there are.
-    """
-
-    def __init__(self, scenario, kept=None):
-        self.scenario, self._phases = scenario, phase.Phases(scenario)
-        soil = bed.geostatic_bed(scenario, np.float32)
-        if kept is not None:
-            inside, count = kept(self._places_of(soil)), len(soil.mass)
-            soil = soil._replace(
-                **{k: v[inside] for k, v in soil._asdict().items() if len(v) == count}
-            )
-        self._phases.weigh_first(soil)
-        self.soil, self._audit = soil, empty_audit()
-
-    def _places_of(self, soil):
-        return lattice.positions(self._phases.lattice, soil.cell, soil.offset)
-
-    def places(self):
-        """Places (x, y, z) [m] of the particles."""
-        return self._places_of(self.soil)
-
-    def velocities(self):
-        """Velocities (x, y, z) [m/s] of the particles."""
-        return phase.velocities(self.soil, self._phases.lattice)
-
-    def rest(self, steps):
-        """Take some steps, a number of whole phases, with a leg that is far away."""
-        self._take(np.tile(PARKED, (steps, 1)), np.zeros(steps, np.int64))
-
-    def follow(self, first, steps):
-        """Take some steps of the scenario's own motion from the first, whole phases."""
-        poses, _, bins = path_of_steps(self.scenario, np.arange(first, first + steps), 1)
-        self._take(poses, bins)
-
-    def _take(self, poses, bins):
-        lost = self._phases.take(self.soil, poses, bins, empty_reaction(1), self._audit)
-        assert lost < 0, f"particle {lost} left the grid"
-
-
 def loaded(scenario):
     """Force history of a plate: displacement [m], force (x, z) [N]."""
     history = simulate(scenario)
@@ -241,15 +216,3 @@ def loaded(scenario):
 def at_end(values):
     """Mean over the last quarter of a path."""
     return float(values[-len(values) // 4 :].mean())
-
-
-def sand3d(cells=60, **changes):
-    """Scenario of library `sand3d` on another grid, with steps and phases longer as cells are."""
-    base = Plan.load("sand3d").scenario
-    scale = base.numerics.cells / cells
-    grid = {
-        "numerics.cells": cells,
-        "numerics.time_step": base.numerics.time_step * scale,
-        "numerics.remap_interval": base.numerics.remap_interval * scale,
-    }
-    return base.replace(**{**grid, **changes})

@@ -23,10 +23,9 @@ from exact import (
     surcharge_factor,
     upper_bound,
 )
-from runs import ON_NODES, advance, at_end, benchmark, block_of, loaded, rig_of
+from runs import ELASTIC, ON_NODES, Run, at_end, benchmark, block_of, loaded, unchecked
 from terraphi.experiment.leg import Leg
 from terraphi.experiment.scenario import GRAVITY, Scenario
-from terraphi.forward.plane.contact import intruder_of
 
 pytestmark = pytest.mark.slow
 
@@ -101,7 +100,7 @@ def wall(phi_deg, friction, across, *, flow="associated", floor="rough", far=Fal
     return place / SIZE, -force[:, 0] / (0.5 * DENSITY * GRAVITY * SIZE**2)
 
 
-@pytest.mark.parametrize("phi", [25.0, 30.0, 35.0, 40.0])
+@pytest.mark.parametrize("phi", [25.0, 35.0])
 def test_smooth_wall_meets_rankine(check, phi):
     check(
         f"Passive wall, φ = {phi:g}°, smooth, on a smooth floor, associated, h/Δx = 20", "K_p",
@@ -110,11 +109,11 @@ def test_smooth_wall_meets_rankine(check, phi):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("phi", "across"), [(25.0, 10), (25.0, 20), (35.0, 10), (35.0, 20)])
-def test_rough_wall_meets_slip_lines(check, phi, across):
+@pytest.mark.parametrize("phi", [25.0, 35.0])
+def test_rough_wall_meets_slip_lines(check, phi):
     check(
-        f"Passive wall, φ = {phi:g}°, μ = 0.35, on a rough floor, associated, h/Δx = {across}",
-        "K_p", expected=rough_wall(phi, 0.35), found=at_end(wall(phi, 0.35, across)[1]),
+        f"Passive wall, φ = {phi:g}°, μ = 0.35, on a rough floor, associated, h/Δx = 20",
+        "K_p", expected=rough_wall(phi, 0.35), found=at_end(wall(phi, 0.35, 20)[1]),
         within=0.03, why=EDGE,
     )  # fmt: skip
 
@@ -143,17 +142,16 @@ def test_wall_that_moves_far_carries_what_its_toe_takes_in(check):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("friction", [0.1, 0.35, 0.6])
-def test_slip_lines_lie_between_published_bounds(check, friction):
-    exact, problem = rough_wall(35.0, friction), f"Slip lines, φ = 35°, μ = {friction:g}"
+def test_slip_lines_lie_between_published_bounds(check):
+    exact, problem = rough_wall(35.0, 0.35), "Slip lines, φ = 35°, μ = 0.35"
     why = "a bound holds exactly; the integration is good to a millionth"
     check(
         problem, "K_p over Lancellotta's lower bound", expected=1.0, within=1e-6, why=why,
-        found=exact / lower_bound(35.0, friction), sense="at_least",
+        found=exact / lower_bound(35.0, 0.35), sense="at_least",
     )  # fmt: skip
     check(
         problem, "K_p over Soubra and Macuh's upper bound", expected=1.0, within=1e-6, why=why,
-        found=exact / upper_bound(35.0, friction), sense="at_most",
+        found=exact / upper_bound(35.0, 0.35), sense="at_most",
     )  # fmt: skip
 
 
@@ -202,8 +200,7 @@ def footing(phi_deg, base, across, *, dead_weight=False):
 
 
 @pytest.mark.parametrize(
-    ("phi", "base"), [(25.0, "smooth"), (30.0, "smooth"), (35.0, "smooth"), (40.0, "smooth"),
-                      (25.0, "rough"), (35.0, "rough")],
+    ("phi", "base"), [(30.0, "smooth"), (40.0, "smooth"), (25.0, "rough")],
 )  # fmt: skip
 def test_strip_footing_meets_prandtl(check, phi, base):
     check(
@@ -221,14 +218,12 @@ def test_strip_footing_under_dead_weight_meets_prandtl(check):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("slope_deg", "friction"), [(25.0, 0.0), (22.0, 0.35), (45.0, 0.35), (19.0, 0.35)]
-)
+@pytest.mark.parametrize(("slope_deg", "friction"), [(22.0, 0.35), (45.0, 0.35), (19.0, 0.35)])
 def test_block_slides_and_sticks_as_coulomb_says(check, slope_deg, friction):
     """An elastic block of soil on a tilted plate, put down with damping, then let go."""
     changes = {
         **ON_NODES, "numerics.contact_band_cells": 0.5, "numerics.damping_rate": 500.0,
-        "soil.cohesion": 1e9,
+        "soil.cohesion": ELASTIC,
     }  # fmt: skip
     scenario = benchmark(64, courant=0.4, **changes)
     slope, cell = math.radians(slope_deg), scenario.numerics.cell_size
@@ -242,14 +237,14 @@ def test_block_slides_and_sticks_as_coulomb_says(check, slope_deg, friction):
     # Soil touches a node from one and a half cells off, and the band holds nodes off the plate.
     corner = foot + cell * outward
     soil = block_of(corner.tolist(), (0.080, 0.040), cell / 2, scenario.soil.density, tilt=-slope)
-    rig = rig_of(scenario).changed(left=-9.0, right=9.0, floor=-9.0)
-    rig = rig._replace(intruder=intruder_of(plate))
+    scenario = unchecked(scenario, "bed", left=-9.0, width=18.0, floor=-9.0)
+    scenario = scenario.model_copy(update={"leg": plate})
     time_step = scenario.numerics.time_step
-    advance(soil, rig, round(0.03 / time_step), pose=pose)
-    rig, between = rig.changed(damping_before=1.0, damping_after=1.0), round(0.004 / time_step)
-    speed = []
+    Run(scenario, soil).advance(round(0.03 / time_step), pose=pose)
+    run = Run(unchecked(scenario, "numerics", damping_rate=0.0), soil)
+    between, speed = round(0.004 / time_step), []
     for _ in range(30):
-        advance(soil, rig, between, pose=pose)
+        run.advance(between, pose=pose)
         speed.append(float(soil.mass @ (soil.velocity @ down) / soil.mass.sum()))
     found = float(np.polyfit(between * time_step * np.arange(1, 31), speed, 1)[0])
     expected = max(0.0, GRAVITY * (math.sin(slope) - friction * math.cos(slope)))

@@ -10,11 +10,10 @@ import math
 
 import numpy as np
 import pytest
+from terraphi.forward.ledger import LEDGER_ROWS
 
-from runs import ELASTIC, ON_NODES, advance, benchmark, elastic, lame_mode, rig_of
+from runs import ELASTIC, ON_NODES, Run, benchmark, elastic, floating, lame_mode
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.forward.plane.bed import geostatic_bed
-from terraphi.forward.plane.scalar import LEDGER_ROWS
 
 pytestmark = pytest.mark.slow
 
@@ -40,15 +39,13 @@ def pressure_gradient(scenario, soil):
     return float(slope / (scenario.soil.density * GRAVITY))
 
 
-@pytest.mark.parametrize("criterion", ["plane_strain", "paper"])
-def test_bed_bears_its_weight_and_rests(check, criterion):
-    scenario = benchmark(64, courant=0.8, **{"soil.yield_criterion": criterion})
-    soil, rig = geostatic_bed(scenario), rig_of(scenario)
-    time_step = scenario.numerics.time_step
-    steps = round(1.0 / time_step)
-    advance(soil, rig, steps)
-    impulse = rig.audit.ledger[LEDGER_ROWS.index("walls"), 1]
-    problem = f"Bed at rest for 1 s, `{criterion}`, φ = 35°, Δx 4.69 mm"
+def test_bed_bears_its_weight_and_rests(check):
+    scenario = benchmark(64, courant=0.8, **{"soil.yield_criterion": "plane_strain"})
+    run, time_step = Run(scenario), scenario.numerics.time_step
+    soil, steps = run.soil, round(1.0 / time_step)
+    run.advance(steps)
+    impulse = run.audit.ledger[LEDGER_ROWS.index("walls"), 1]
+    problem = "Bed at rest for 1 s, φ = 35°, Δx 4.69 mm"
     check(
         problem, f"dσ_v/d(depth)/ρg, {INSIDE}", expected=1.0,
         found=pressure_gradient(scenario, soil), within=0.01, why=QUADRATURE,
@@ -74,11 +71,12 @@ def test_elastic_bed_settles_as_in_an_oedometer(check):
         "bed.floor_friction": "smooth",
     }
     scenario = benchmark(120, courant=0.8, **changes)
-    soil, rig = geostatic_bed(scenario), rig_of(scenario)
+    run = Run(scenario)
+    soil = run.soil
     soil.stress[:] = 0.0
-    advance(soil, rig, round(0.04 / scenario.numerics.time_step))
+    run.advance(round(0.04 / scenario.numerics.time_step))
     height, poisson = scenario.bed.height, scenario.soil.poisson_ratio
-    stiffness = rig.material.lame_lambda + 2.0 * rig.material.shear_modulus
+    stiffness = scenario.soil.density * scenario.soil.p_wave_speed**2
     full = scenario.soil.density * GRAVITY * height**2 / (2.0 * stiffness)
     above = soil.start[:, 1] - scenario.bed.floor
     expected = full * (1.0 - (1.0 - above / height) ** 2)
@@ -101,15 +99,16 @@ def test_elastic_bed_settles_as_in_an_oedometer(check):
     )  # fmt: skip
 
 
-def period_of(soil, rig, mode, expected):
+def period_of(run, mode, expected):
     """Period of a mode over three of them: twice the mean distance of its zeros [s]."""
-    between = max(1, round(expected / 120.0 / rig.stepping.time_step))
+    soil, time_step = run.soil, run.scenario.numerics.time_step
+    between = max(1, round(expected / 120.0 / time_step))
     weighed = soil.mass[:, None] * mode / float(soil.mass @ (mode**2).sum(axis=1))
     swing = []
     for _ in range(360):
-        advance(soil, rig, between)
+        run.advance(between)
         swing.append(float((weighed * soil.velocity).sum()))
-    swing, times = np.array(swing), between * rig.stepping.time_step * np.arange(1.0, 361.0)
+    swing, times = np.array(swing), between * time_step * np.arange(1.0, 361.0)
     before = np.flatnonzero(swing[:-1] * swing[1:] < 0.0)
     share = swing[before] / (swing[before] - swing[before + 1])
     zeros = times[before] + share * (times[before + 1] - times[before])
@@ -119,7 +118,8 @@ def period_of(soil, rig, mode, expected):
 @pytest.mark.parametrize(("cells", "within"), [(60, 0.01), (120, 0.005)])
 def test_compression_wave_has_its_speed(check, cells, within):
     scenario = elastic(cells, **{"bed.floor_friction": "smooth"})
-    soil, rig, material = geostatic_bed(scenario), rig_of(scenario), scenario.soil
+    run, material = Run(scenario), scenario.soil
+    soil = run.soil
     ratio, height = material.poisson_ratio, scenario.bed.height
     # c_p² = (λ + 2G)/ρ from E, ν and ρ alone.
     modulus = material.youngs_modulus * (1.0 - ratio) / ((1.0 + ratio) * (1.0 - 2.0 * ratio))
@@ -130,7 +130,7 @@ def test_compression_wave_has_its_speed(check, cells, within):
     soil.velocity[:], soil.gradient[:, 3] = top_speed * mode, top_speed * k * np.cos(k * above)
     check(
         f"Standing compression wave in a bed, Δx {300.0 / cells:g} mm", "c_p = 4h/period [m/s]",
-        expected=speed, found=4.0 * height / period_of(soil, rig, mode, 4.0 * height / speed),
+        expected=speed, found=4.0 * height / period_of(run, mode, 4.0 * height / speed),
         within=within, why="the wall is of first order in Δx: 0.56 % at 5 mm, 0.27 % at 2.5 mm",
     )  # fmt: skip
 
@@ -139,13 +139,12 @@ def test_compression_wave_has_its_speed(check, cells, within):
 def test_shear_wave_has_its_speed(check, cells, within):
     scenario, side = elastic(cells), 0.16
     soil, mode, gradient = lame_mode(scenario, side)
-    rig = rig_of(scenario).floating()
     soil.velocity[:], soil.gradient[:] = 1e-3 * mode, 1e-3 * gradient
     speed = math.sqrt(scenario.soil.shear_modulus / scenario.soil.density)
-    path = math.sqrt(2.0) * side
+    path, run = math.sqrt(2.0) * side, Run(floating(scenario), soil)
     check(
         f"Lamé's mode of a free square block, Δx {300.0 / cells:g} mm",
         "c_s = √2 side/period [m/s]",
-        expected=speed, found=path / period_of(soil, rig, mode, path / speed), within=within,
+        expected=speed, found=path / period_of(run, mode, path / speed), within=within,
         why="of second order in Δx: 0.22 % at 5 mm, a quarter of it at 2.5 mm",
     )  # fmt: skip

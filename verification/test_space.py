@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from exact import circular_footing, ovesen, surcharge_factor
-from runs import Solid, at_end, loaded, sand3d
+from runs import Run, at_end, loaded, sand3d
 from terraphi.experiment.scenario import GRAVITY, Scenario
 
 pytestmark = pytest.mark.slow
@@ -29,26 +29,17 @@ CONTACT = (
 )
 
 
-@pytest.mark.parametrize(
-    ("phi", "strip", "published", "where"),
-    [
-        (20.0, False, 20.1, "Cox, Eason and Hopkins (1961)"),
-        (35.0, False, 85.8, "Cox, Eason and Hopkins (1961)"),
-    ],
-)
-def test_slip_lines_give_published_loads(check, phi, strip, published, where):
+def test_slip_lines_give_published_loads(check):
+    why = "three digits are printed, and the lines are some hundredths of R apart"
     check(
-        f"Slip lines of a smooth circle, weightless soil, φ = {phi:g}°", f"N_c, {where}",
-        expected=published, found=circular_footing(phi, 1.0, 0.0, 0.0, strip=strip), within=3e-3,
-        why="three digits are printed, and the lines are some hundredths of R apart",
+        "Slip lines of a smooth circle, weightless soil, φ = 35°",
+        "N_c, Cox, Eason and Hopkins (1961)", expected=85.8,
+        found=circular_footing(35.0, 1.0, 0.0, 0.0), within=3e-3, why=why,
     )  # fmt: skip
-
-
-def test_slip_lines_of_heavy_soil_give_published_loads(check):
     check(
         "Slip lines of a smooth circle, γR/c = 10, φ = 30°", "q_u/c, Cox (1962)", expected=141.0,
         found=circular_footing(30.0, 1.0, 0.0, 10.0), within=5e-3,
-        why="three digits are printed, and the lines are some hundredths of R apart",
+        why=why,
     )  # fmt: skip
     check(
         "Slip lines of a smooth strip, weightless soil, φ = 30°", "N_q",
@@ -97,7 +88,7 @@ def footing(phi_deg, pressure, cohesion, gravity, across, short):
     return loaded(Scenario.model_validate(content))[1][:, 1] / (0.25 * math.pi * DIAMETER**2)
 
 
-@pytest.mark.parametrize(("phi", "short"), [(25.0, 0.0), (30.0, 0.0), (35.0, 0.0), (30.0, 0.5)])
+@pytest.mark.parametrize(("phi", "short"), [(30.0, 0.0), (35.0, 0.0), (30.0, 0.5)])
 def test_round_footing_on_weightless_soil_meets_slip_lines(check, phi, short):
     exact = circular_footing(phi, 0.0, 1.0, 0.0)
     cohesion = CONFINEMENT * math.tan(math.radians(phi))
@@ -160,19 +151,19 @@ def strength_borne(scenario, first_deg):
     under more than 200 Pa, at the end of each phase. φ of a stress state is that of plane strain,
     I₁ I₂/I₃ = 9 + 6 tan² φ.
     """
-    solid, numerics = Solid(scenario), scenario.numerics
+    run, numerics = Run(scenario), scenario.numerics
     steps, done = numerics.steps_per_phase, 0
     own_time = steps * numerics.time_step * numerics.speed_up
     theta, borne, due = scenario.motion.start_deg, 0.0, 0.0
     while theta < scenario.motion.stop_deg:
-        before = solid.soil.strain.astype(np.float64)
-        solid.follow(done, steps)
+        before = run.soil.strain.astype(np.float64)
+        run.follow(done, steps)
         done += steps
         theta += math.degrees(scenario.motion.top_coordinate_rate * own_time)
         if theta < first_deg:
             continue
-        sheared = (solid.soil.strain - before) / own_time > 0.3
-        xx, yy, zz, xy, xz, yz = -solid.soil.stress[sheared].astype(np.float64).T
+        sheared = (run.soil.strain - before) / own_time > 0.3
+        xx, yy, zz, xy, xz, yz = -run.soil.stress[sheared].astype(np.float64).T
         rows = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
         low, middle, high = np.linalg.eigvalsh(np.moveaxis(np.array(rows), -1, 0)).T
         mean, product = (low + middle + high) / 3.0, low * middle * high
