@@ -109,7 +109,9 @@ def draw(found: list[Change]) -> Figure:
     """Changes in degrees over φ, by leg, a panel a variant."""
     figure = Figure(figsize=(11.0, 3.4), layout="constrained")
     names = list(dict.fromkeys(change.variant for change in found))
-    for axes, name in zip(figure.subplots(1, len(names), sharey=True), names, strict=True):
+    for axes, name in zip(
+        figure.subplots(1, len(names), sharex=True, sharey=True), names, strict=True
+    ):
         for leg, colour in COLOURS.items():
             own = [c for c in found if c.variant == name and c.leg == leg]
             for axis, marker in ((0, "x"), (1, "o")):
