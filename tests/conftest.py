@@ -53,14 +53,14 @@ def terraphi(
     A shipped library is read once for all tests, and so made ready once for its inversions.
     """
     from terraphi.cli.main import main
-    from terraphi.experiment.documents import shipped_folder
+    from terraphi.experiment.documents import DATA
     from terraphi.library.store import Library
 
     monkeypatch.chdir(tmp_path)
     read = Library.load
 
     def recalled(source: Path | str) -> Library:
-        place = shipped_folder("libraries", f"{source}.nc")
+        place = DATA / "libraries" / f"{source}.nc"
         if Path(source).exists() or not place.is_file():
             return read(source)
         if place not in _READ:

@@ -1,50 +1,40 @@
-"""A library over two parameters, by resistive force theory on few panels."""
+"""Libraries and curves that the tests of inference share."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from terraphi.forward import simulate
-from terraphi.inference.trials import Trial
-from terraphi.library.plan import Plan
-from terraphi.library.store import Case, Library
-
-TRUTH = {"soil.friction_angle_deg": 32.7, "leg.friction": 0.37}
-NOISE_N = 0.5
-"""Of a reading; some 40 readings make a window mean."""
-PLAN = {
-    "name": "two",
-    "scenario": {
-        "model": "rft",
-        "dimensions": 3,
-        "motion": {"start_deg": -88.0, "stop_deg": 88.0},
-        "rft": {"panels": 40},
-    },
-    "sweep": {"leg.shape": ["straight", "c"]},
-    "sample": {
-        "keys": {"soil.friction_angle_deg": (20.0, 45.0), "leg.friction": (0.2, 0.6)},
-        "count": 32,
-    },
-}
+from terraphi.experiment.history import ForceHistory
+from terraphi.inference.emulator import Emulator
+from terraphi.library.store import Library
 
 
 @pytest.fixture(scope="session")
-def two_parameters() -> Library:
-    plan = Plan.model_validate(PLAN)
-    return Library(plan, tuple(Case(s, simulate(s), "") for s in plan.cases()))
+def sand3d() -> Library:
+    return Library.load("sand3d")
 
 
 @pytest.fixture(scope="session")
-def trial(two_parameters):
-    """A noisy history of a leg at the truth, anew for each seed."""
-    scenario = two_parameters.cases[0].scenario
+def rft3d() -> Library:
+    return Library.load("rft3d")
 
-    def made(leg: str, seed: int = 0, noise: float = NOISE_N) -> Trial:
-        history = simulate(scenario.replace(**{"leg.shape": leg, **TRUTH}))
-        errors = np.random.default_rng(seed).standard_normal(history.force.shape)
-        return Trial(replace(history, force=history.force + noise * errors), leg, f"{leg} {seed}")
 
-    return made
+@pytest.fixture(scope="session")
+def history_at(rft3d: Library) -> Callable[..., ForceHistory]:
+    """A record as resistive force theory has it, read every so many degrees, with noise."""
+
+    def make(
+        phi_deg: float, leg: str = "straight", *, every: float = 0.5, noise: float = 0.0,
+        seed: int = 0, span: tuple[float, float] = (-90.0, 90.0), density: float = 1650.0,
+    ) -> ForceHistory:  # fmt: skip
+        emulator = Emulator(rft3d.curves(leg))
+        theta = np.arange(span[0], span[1] + 1e-9, every)
+        curve = emulator(np.array([[phi_deg]]))[0] * density / 1650.0
+        force = np.stack([np.interp(theta, emulator.curves.theta_deg, row) for row in curve], 1)
+        force += noise * np.random.default_rng(seed).standard_normal(force.shape)
+        return ForceHistory(np.radians(theta), force)
+
+    return make

@@ -13,7 +13,7 @@ import numba
 import pytest
 
 from terraphi.experiment import documents
-from terraphi.experiment.documents import shipped_folder, shipped_names
+from terraphi.experiment.documents import DATA, shipped_names
 from terraphi.view import doctor
 
 
@@ -58,10 +58,10 @@ def test_people_are_told_in_words(terraphi) -> None:
 def own_libraries(tmp_path, monkeypatch) -> Path:
     """A copy of the shipped libraries, to break."""
     place = tmp_path / "terraphi" / "data"
-    shutil.copytree(shipped_folder("libraries"), place / "libraries")
+    shutil.copytree(DATA / "libraries", place / "libraries")
     for kind in ("scenarios", "plans", "li2013"):
-        (place / kind).symlink_to(shipped_folder(kind))
-    monkeypatch.setattr(documents, "data_folders", lambda: (place,))
+        (place / kind).symlink_to(DATA / kind)
+    monkeypatch.setattr(documents, "DATA", place)
     return place / "libraries"
 
 

@@ -21,7 +21,6 @@ from terraphi.cli.options import (
     shipped,
 )
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.interrupts import ignore_interrupts
 from terraphi.view.console import (
     note,
     print_json,
@@ -107,7 +106,6 @@ def library_build(
                 memory=running.memory,
             )
     except KeyboardInterrupt:
-        ignore_interrupts()
         kept = kept_cases(out)
         raise InputError(
             f"{out}: interrupted before it was whole; what was done is kept in {kept}, and the "
@@ -126,10 +124,9 @@ def library_build(
 
 def warn_of(cases: list[Scenario]) -> None:
     """Log each doubt about a plan's cases, once."""
-    from terraphi.experiment.plausibility import doubts, doubts_between
+    from terraphi.experiment.plausibility import doubts
 
-    of_each = (doubt for case in cases for doubt in doubts(case))
-    for doubt in dict.fromkeys([*of_each, *doubts_between(cases)]):
+    for doubt in dict.fromkeys(doubt for case in cases for doubt in doubts(case)):
         log.warning(doubt)
 
 

@@ -25,7 +25,6 @@ from terraphi.cli.study import study
 from terraphi.cli.suggest import library_suggest
 from terraphi.cli.terrain import convert, export, slope_map
 from terraphi.experiment.errors import InputError, SimulationError
-from terraphi.experiment.interrupts import ignore_interrupts
 from terraphi.view.console import listen, print_json
 
 UNUSABLE = 2
@@ -153,7 +152,6 @@ def told(error: BaseException) -> tuple[str, int]:
     if isinstance(error, InputError | SimulationError):
         return str(error), UNUSABLE
     if isinstance(error, click.Abort | KeyboardInterrupt):
-        ignore_interrupts()
         return (
             "interrupted; files that were finished before stay, and nothing else was written",
             UNUSABLE,

@@ -196,9 +196,7 @@ def studies_package() -> Any:
     """
     from importlib.metadata import entry_points
 
-    from terraphi.experiment.documents import STUDIES
-
-    for found in entry_points(group=STUDIES):
+    for found in entry_points(group="terraphi.studies"):
         return found.load()
     raise InputError("no studies are installed; install terraphi again, by 'make install' or pip")
 

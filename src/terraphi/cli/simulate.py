@@ -10,7 +10,6 @@ import click
 
 from terraphi.cli.options import PATH, IntRange, checkpoint_every_option, json_option, shipped
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.interrupts import ignore_interrupts
 from terraphi.view.console import note, print_json, print_pairs, progress_bar
 
 if TYPE_CHECKING:
@@ -169,7 +168,6 @@ def run(scenario: Scenario, kept: Checkpoint | None, series: FieldSeries | None)
                 observe=series,
             )
     except KeyboardInterrupt:
-        ignore_interrupts()
         raise InputError(
             f"interrupted; the state so far is kept in {kept.path}, and the same command goes on "
             "from there"
@@ -192,7 +190,6 @@ def draw(path: Path, history: ForceHistory, scenario: Scenario, series: FieldSer
                 progress=lambda fraction: report(fraction, 1.0),
             )
     except KeyboardInterrupt:
-        ignore_interrupts()
         raise InputError(
             f"{path}: interrupted before it was drawn; its frames are kept in "
             f"{series.particles.parent}, and the same command goes on from there"

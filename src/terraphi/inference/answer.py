@@ -1,36 +1,29 @@
-"""The answer of an inversion: what was inferred from one history or several, and the verdict."""
+"""The answer of an inversion: the friction angle, its interval, a verdict, and what they rest on."""
 
 from __future__ import annotations
 
+import html
+import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import Observation
-from terraphi.experiment.scenario import Scenario
-from terraphi.experiment.soil import plane_strain_friction_angle_deg
-from terraphi.inference.budget import Budget
-from terraphi.inference.findings import Doubt, Verdict
-from terraphi.inference.identifiability import Identifiability, axis_label, label
-from terraphi.inference.known_soils import Compared
-from terraphi.inference.posterior import Posterior
-from terraphi.inference.prior import Marginal
-from terraphi.inference.sampler import Draws
-from terraphi.inference.words import of_doubt, reason
+from terraphi.experiment.files import read_bytes, replacing
+from terraphi.experiment.outputs import filling
+from terraphi.library.store import PHI
 
-PHI = "soil.friction_angle_deg"
-NARROW_DEG = 0.1
-"""Width of the 68 % interval below which angles are shown with another digit [deg]."""
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
 QUANTILES = 4000
-"""Quantiles that stand for a posterior by quadrature where draws are wanted."""
-MOST_NAMED = 5
-"""Parameters that a representation has room for."""
+"""Equally probable values that stand for a posterior by quadrature where draws are wanted."""
 
 
 def decimals(ci68: Sequence[float]) -> int:
@@ -39,434 +32,461 @@ def decimals(ci68: Sequence[float]) -> int:
     return min(max(math.ceil(-math.log10(half)), 0), 3)
 
 
-def decimals_of_sd(sd: float) -> int:
-    """Decimals of any parameter for its standard deviation, in its unit: two digits of that."""
-    places = -math.floor(math.log10(0.5 * sd)) if sd > 0.0 else 2
-    return min(max(places, 0), 12)
-
-
 @dataclass(frozen=True)
-class AngleSummary:
-    """Median and equal-tailed intervals of a friction angle [deg]."""
+class Estimate:
+    """Median, standard deviation and equal-tailed intervals of a parameter, in its unit."""
 
     median: float
+    sd: float
     ci68: tuple[float, float]
     ci95: tuple[float, float]
 
-    def __str__(self) -> str:
-        """Median and intervals [deg], with the digits that the narrower one deserves."""
-        width = self.ci68[1] - self.ci68[0]
-        digits = 3 if width < NARROW_DEG else 2
-        spans = (f"{low:.{digits}f} to {high:.{digits}f}" for low, high in (self.ci68, self.ci95))
-        return "{:.{}f} deg, 68 %: {}, 95 %: {}".format(self.median, digits, *spans)
+    @classmethod
+    def of(cls, draws: FloatArray) -> Estimate:
+        """From equally probable values of any shape."""
+        q = np.quantile(draws, [0.5, 0.16, 0.84, 0.025, 0.975]).tolist()
+        return cls(q[0], float(np.std(draws)), (q[1], q[2]), (q[3], q[4]))
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
-        return asdict(self)
+        return {
+            "median": self.median, "sd": self.sd, "ci68": list(self.ci68), "ci95": list(self.ci95),
+        }  # fmt: skip
 
-
-@dataclass(frozen=True)
-class Summary(AngleSummary):
-    """The same of any parameter, in its unit, with its standard deviation."""
-
-    sd: float
-
-    @classmethod
-    def of(cls, draws: FloatArray) -> Summary:
-        """From draws of any shape."""
-        q = np.quantile(draws, [0.5, 0.16, 0.84, 0.025, 0.975]).tolist()
-        return cls(q[0], (q[1], q[2]), (q[3], q[4]), float(draws.std()))
-
-    @classmethod
-    def of_posterior(cls, posterior: Posterior) -> Summary:
-        """From a posterior of the friction angle [deg]."""
-        ends = posterior.interval(0.68), posterior.interval(0.95)
-        return cls(posterior.median, *ends, posterior.sd)
+    def __str__(self) -> str:
+        """Median ± half the 68 % interval, and the 95 % interval [deg]."""
+        digits = decimals(self.ci68)
+        half = 0.5 * (self.ci68[1] - self.ci68[0])
+        low, high = self.ci95
+        shown = f"{self.median:.{digits}f}° ± {half:.{max(digits, 1)}f}°"
+        return f"{shown}    95 %: {low:.{digits}f} to {high:.{digits}f}°"
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
-    """One of the histories that were inverted.
+class RecordFit:
+    """One record beside the library's curve at the median.
 
     Attributes
     ----------
-    source
-        Where the forces come from.
-    leg, leg_assumed
-        Shape of the leg, and whether nobody said so.
-    observation
-        The data d.
-    readings
-        Leg angles at which the record was read [rad], shape [sample].
-    best
-        Curve at the median of φ alone, or at the best draw of several parameters [N], shape [2M].
-    nrmsd
-        Misfit of that curve by force, fractions of peak-to-peak.
-    data
-        What was found in the record before the inversion: readings (``rows``), how many were
-        ``left_out``, and the ``defects`` that they show; JSON-able.
-    simulation
-        What a history that was simulated says of its simulation; empty for any other.
-    left_out_deg
-        Leg angles of the readings that were left out [deg], shape [sample].
-    band
-        Smallest and largest force over the 95 % interval of φ alone [N], shape [2, 2M].
+    source, leg, leg_assumed, simulated
+        Where it comes from, and the leg.
+    n_readings, n_left_out
+        Readings that were used, and left out as faulty.
+    theta_deg
+        Leg angles of the window means [deg], shape [m].
+    data, curve
+        (Fx, Fz) of the record and of the model [N], shape [2, m].
     expected
-        Measured forces as real soils would have them: ``best`` and their mean deviation from the
-        model [N], shape [2M]; ``None`` where no deviation was learnt.
+        The curve with the mean residual of real soils [N], shape [2, m]; ``None`` where unknown.
+    band
+        Smallest and largest curve over the 95 % interval [N], shape [2, 2, m].
+    nrmsd
+        Root mean square of data less curve over the data's peak-to-peak, by force [-].
     """
 
     source: str
     leg: str
-    observation: Observation
-    readings: FloatArray
-    best: FloatArray
+    leg_assumed: bool
+    simulated: bool
+    n_readings: int
+    n_left_out: int
+    theta_deg: FloatArray
+    data: FloatArray
+    curve: FloatArray
+    expected: FloatArray | None
+    band: FloatArray
     nrmsd: Mapping[str, float]
-    data: Mapping[str, Any] = field(default_factory=dict)
-    simulation: Mapping[str, Any] = field(default_factory=dict)
-    left_out_deg: FloatArray = field(default_factory=lambda: np.empty(0))
-    band: FloatArray | None = None
-    expected: FloatArray | None = None
-    leg_assumed: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words, without the forces."""
-        return {
-            "source": self.source,
-            "leg": self.leg,
-            "leg_assumed": self.leg_assumed,
-            "nrmsd": dict(self.nrmsd),
-            "data": dict(self.data),
-        }
+        names = ("source", "leg", "leg_assumed", "simulated", "n_readings", "n_left_out")
+        return {**{name: getattr(self, name) for name in names}, "nrmsd": dict(self.nrmsd)}
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
-    """What is to be said of several histories or parameters beside their posterior.
-
-    Attributes
-    ----------
-    conditional
-        Summary of each parameter with all others held at the best point.
-    point
-        The best point, all parameters: where the curves are drawn.
-    identifiability
-        Which parameters are fixed, which bound up with each other.
-    expected_sd
-        What each leg alone, and all together, would leave of each parameter: leg, or ``all``, to
-        standard deviations, shape [d].
-    noise_N, amplitude
-        Draws of the noise of a window mean of the noisier force [N], and of the relative size of
-        the discrepancy [-], shape [draw] or that of the draws.
-    discrepancy
-        ``none``, ``gp`` or ``soils``.
-    """
-
-    conditional: Mapping[str, Summary]
-    point: Mapping[str, float]
-    identifiability: Identifiability
-    expected_sd: Mapping[str, FloatArray]
-    noise_N: FloatArray
-    amplitude: FloatArray
-    discrepancy: str
-
-    def as_dict(self, keys: tuple[str, ...]) -> dict[str, Any]:
-        """Plain numbers, lists and words."""
-        return {
-            "best": dict(self.point),
-            "identifiability": self.identifiability.as_dict(),
-            "expected_sd": {
-                name: dict(zip(keys, map(float, sd), strict=True))
-                for name, sd in self.expected_sd.items()
-            },
-            "noise_N": Summary.of(self.noise_N).as_dict(),
-            "discrepancy": self.discrepancy,
-            "discrepancy_of_peak": Summary.of(self.amplitude).as_dict(),
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class Inversion:
+class Answer:
     """What an inversion found.
 
     Attributes
     ----------
-    records
-        The histories.
-    library, convention
-        Name of the library, and what φ means there: a yield criterion, or ``rft3d``.
-    likelihood, sampler, seed
-        How: ``calibrated``, ``paper`` or ``joint``; ``quadrature`` or ``emcee``.
-    marginal
-        Summary of each parameter that was inferred, by its dotted scenario key.
-    priors
-        Of every parameter, fixed ones too.
-    of_phi
-        Posterior of φ by quadrature, if it alone was inferred.
-    draws
-        By emcee: of the parameters, and then of noise and discrepancy as far as they were inferred.
-    phi_plane_strain
-        The friction angle as one of plane strain [deg]; ``None`` where there is no equivalent or
-        the angle was not inferred.
-    plane_strain_reason
-        Why there is none; empty if there is one.
-    density
-        Bulk density that the curves were scaled to [kg/m³]; ``None`` if it was inferred.
-    density_assumed
-        Whether it was taken from the library for want of a better one, or is a guess.
+    parameters
+        Estimate of each parameter that was inferred, by its dotted scenario key.
+    convention
+        What φ means in the library: a yield criterion, or ``rft3d``.
+    phi_plane_strain, phi_plane_strain_reason
+        φ as that of Mohr-Coulomb soil in plane strain [deg], or ``None`` and the reason.
     verdict
-        Whether to believe it.
-    warnings
-        Why the answer may not be what was asked for.
-    budget
-        Where the interval comes from; ``None`` but for one history, φ alone without a normal
-        prior, and the calibrated likelihood.
-    together
-        What there is to say of several histories or parameters; ``None`` for one history and φ.
-    library_reason
-        Why the library was taken, if nobody named it.
-    compared
-        The forces beside those of known soils in the same apparatus, without any library;
-        ``None`` if they cannot be compared.
+        ``consistent``, ``misfit`` or ``out_of_range``.
+    reason
+        Why, in one or two sentences.
+    edge
+        End of the library's range beyond which φ lies: ``low``, ``high`` or ``None``.
+    budget_deg
+        Standard deviation of φ by term of the likelihood, the largest first [deg].
+    density_kg_m3, density_sd_kg_m3, density_assumed
+        Bulk density that the curves were scaled to.
+    library, library_reason
+        Its name, and why it was taken if nobody named it.
+    second_opinion
+        Library, median and standard deviation of the answer by other physics, or ``None``.
+    questions
+        Warnings, a sentence each.
+    records
+        The records and how the model fits them.
+    grid_deg, density
+        Posterior density of φ [1/deg] on a grid, shape [k]; empty if it was sampled.
+    draws
+        Draws by parameter, shape [chain, draw]; empty if the posterior is by quadrature.
+    diagnostics
+        Split-R̂, effective sample size and autocorrelation time of each parameter, if drawn.
+    leg_friction
+        Friction of the leg in the library's model [-], where it was not inferred.
+    seed
+        Of the draws.
     provenance
-        Versions of the software, hash and versions of the library, time taken [s]; JSON-able.
+        Versions, library hash, time; JSON-able.
     """
 
-    records: tuple[Record, ...]
-    library: str
+    parameters: Mapping[str, Estimate]
     convention: str
-    likelihood: str
-    sampler: str
-    seed: int | None
-    marginal: Mapping[str, Summary]
-    priors: Mapping[str, Marginal]
-    of_phi: Posterior | None
-    phi_plane_strain: AngleSummary | None
-    plane_strain_reason: str
-    density: float | None
+    phi_plane_strain: Estimate | None
+    phi_plane_strain_reason: str
+    verdict: str
+    reason: str
+    edge: str | None
+    budget_deg: Mapping[str, float]
+    density_kg_m3: float
+    density_sd_kg_m3: float
     density_assumed: bool
-    verdict: Verdict
-    warnings: tuple[Doubt, ...] = ()
-    budget: Budget | None = None
-    together: Together | None = None
-    library_reason: str = ""
-    compared: Compared | None = None
-    draws: Draws | None = None
+    library: str
+    library_reason: str
+    second_opinion: Mapping[str, Any] | None
+    questions: tuple[str, ...]
+    records: tuple[RecordFit, ...]
+    grid_deg: FloatArray
+    density: FloatArray
+    draws: Mapping[str, FloatArray] = field(default_factory=dict)
+    diagnostics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    leg_friction: float | None = None
+    seed: int | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def keys(self) -> tuple[str, ...]:
-        """Parameters that were inferred, dotted scenario keys."""
-        return tuple(self.marginal)
-
-    @property
-    def phi(self) -> Summary:
-        """Summary of φ [deg]; ValueError if it was not inferred."""
-        if PHI not in self.marginal:
+    def phi(self) -> Estimate:
+        """Friction angle [deg], in the library's convention; raises ValueError if not inferred."""
+        if PHI not in self.parameters:
             raise ValueError("the friction angle was not inferred")
-        return self.marginal[PHI]
-
-    @property
-    def posterior(self) -> Posterior:
-        """Posterior of φ by quadrature; ValueError if it was not inferred alone."""
-        if self.of_phi is None:
-            raise ValueError("the friction angle was not inferred alone")
-        return self.of_phi
-
-    @property
-    def reason(self) -> str:
-        """The verdict and all warnings, in words."""
-        return reason(self.verdict, self.warnings)
-
-    @property
-    def record(self) -> Record:
-        """The history, if there is one alone; ValueError if there are several."""
-        if len(self.records) != 1:
-            raise ValueError(f"there are {len(self.records)} histories; take .records")
-        return self.records[0]
+        return self.parameters[PHI]
 
     @property
     def source(self) -> str:
-        """Where the forces of the only history come from, or of each."""
+        """Where the forces come from."""
         return ", ".join(record.source for record in self.records)
 
     @property
-    def origin(self) -> str:
-        """What its forces are, in a word: ``measured`` or ``simulated``."""
-        return "simulated" if all(r.simulation for r in self.records) else "measured"
+    def leg(self) -> str:
+        """Shape of the leg, or of each."""
+        return ", ".join(dict.fromkeys(record.leg for record in self.records))
 
     @property
-    def drawn(self) -> FloatArray:
-        """Draws of all parameters, or quantiles of equal probability of one, [draw, parameter]."""
-        if self.draws is not None:
-            return self.draws.flat[:, : len(self.keys)]
-        shares = (np.arange(QUANTILES) + 0.5) / QUANTILES
-        return np.array([self.posterior.quantile(share) for share in shares])[:, None]
+    def nrmsd(self) -> dict[str, float]:
+        """Residual of the worst record by force, of peak-to-peak [-]."""
+        return {name: max(record.nrmsd[name] for record in self.records) for name in ("Fx", "Fz")}
 
-    @property
-    def legs(self) -> list[str]:
-        """Legs of the histories, with a word on those that are assumed."""
-        assumed = {r.leg for r in self.records if r.leg_assumed}
-        return [f"{leg}, assumed" if leg in assumed else leg for leg in self.by_leg]
+    def phi_draws(self) -> FloatArray:
+        """Equally probable values of φ [deg], shape [draw]."""
+        if self.draws:
+            return self.draws[PHI].ravel()
+        steps = 0.5 * (self.density[1:] + self.density[:-1]) * np.diff(self.grid_deg)
+        cumulated = np.concatenate([[0.0], np.cumsum(steps)])
+        share = (np.arange(QUANTILES) + 0.5) / QUANTILES
+        return np.interp(share, cumulated / cumulated[-1], self.grid_deg)
 
-    @property
-    def by_leg(self) -> dict[str, list[Record]]:
-        """The histories of each leg."""
-        found: dict[str, list[Record]] = {}
-        for record in self.records:
-            found.setdefault(record.leg, []).append(record)
-        return found
-
-    def __repr__(self) -> str:
-        """What a person at a prompt wants to see; :meth:`as_dict` has all numbers."""
-        assumed = ", assumed" if self.density_assumed else ""
-        density = "" if self.density is None else f", density {self.density:g} kg/m³{assumed}"
-        named = [
-            f"  {self.axis_name(key)}: {one.median:{self.digits(key)}}, 68 %: "
-            f"{self.span(key, one.ci68)}, 95 %: {self.span(key, one.ci95)}"
-            for key, one in self.marginal.items()
-        ]
-        if len(named) > MOST_NAMED:
-            named[MOST_NAMED - 1 :] = [f"  and {len(named) - MOST_NAMED + 1} more, in .marginal"]
-        equal = self.phi_plane_strain if self.convention != "plane_strain" else None
-        what = self.records[0].source or "a force history"
-        if len(self.records) > 1:
-            what = f"{len(self.records)} histories"
-        leg = "legs" if len(self.by_leg) > 1 else "leg"
-        lines = (
-            f"Inversion of {what}",
-            f"  {leg} {', '.join(self.legs)}, library {self.library}{density}",
-            f"  {self.likelihood} likelihood, {self.sampler}",
-            *named,
-            f"  φ, equivalent in plane strain: {equal}" if equal else "",
-            f"  verdict: {self.verdict.verdict}; why: .reason",
-        )
-        return "\n".join(filter(None, lines))
-
-    def axis_name(self, key: str) -> str:
-        """Name of a parameter for people, with its unit, and φ with its convention."""
-        return f"φ, {self.convention} [deg]" if key == PHI else axis_label(key)
-
-    def digits(self, key: str) -> str:
-        """Format that gives the numbers of a parameter the digits they deserve."""
-        one = self.marginal[key]
-        if self.together is None or self.of_phi is not None:
-            return f".{decimals(one.ci68)}f"
-        return f".{decimals_of_sd(min(one.sd, self.together.conditional[key].sd))}f"
-
-    def span(self, key: str, ends: tuple[float, float]) -> str:
-        """An interval of a parameter, in words."""
-        form = self.digits(key)
-        return f"{ends[0]:{form}} to {ends[1]:{form}}"
-
-    def convergence_of(self, key: str) -> dict[str, float]:
-        """Diagnostics of a parameter."""
-        if self.draws is None:
-            return self.posterior.convergence
-        told = self.draws.diagnostics[self.keys.index(key)].as_dict()
-        if self.of_phi is None:
-            return told
-        return {**told, "acceptance_fraction": self.draws.acceptance_fraction}
+    # -- showing ---------------------------------------------------------------------------------
 
     def as_dict(self) -> dict[str, Any]:
-        """Answer as the command line prints it with ``--json``."""
-        phi, equivalent = self.marginal.get(PHI), self.phi_plane_strain
-        told: dict[str, Any] = {
-            "phi_deg": {**phi.as_dict(), "yield": self.convention} if phi else None,
-            "phi_plane_strain_deg": equivalent.as_dict() if equivalent else None,
-            "phi_plane_strain_reason": self.plane_strain_reason,
-            "verdict": self.verdict.verdict,
-            "reason": self.reason,
-            "edge": self.verdict.edge,
-            "warnings": list(map(of_doubt, self.warnings)),
-            "measures": [measure.as_dict() for measure in self.verdict.measures],
-            "density_kg_m3": self.density,
-            "density_assumed": self.density_assumed,
-            "n_angles": len(self.records[0].observation.theta_deg),
-            "histories": [record.as_dict() for record in self.records],
-            "parameters": {key: self._parameter(key) for key in self.keys},
-            "fixed": {k: p.low for k, p in self.priors.items() if p.fixed},
-            "library": self.library,
-            "library_reason": self.library_reason,
-            "compared_with_known_soils": self.compared.as_dict() if self.compared else None,
-            "likelihood": self.likelihood,
-            "sampler": self.sampler,
-            "seed": self.seed,
-            "error_budget": self.budget.as_dict() if self.budget else None,
-        }
-        if len(self.records) == 1:
-            told |= told["histories"][0]
-        if self.together is not None:
-            told |= self.together.as_dict(self.keys)
-            told["converged"] = self.draws is None or self.draws.converged
-        if self.of_phi is not None:
-            told["convergence"] = self.convergence_of(PHI)
-        elif self.draws is not None:
-            told["acceptance_fraction"] = self.draws.acceptance_fraction
-        return {**told, "provenance": dict(self.provenance)}
-
-    def _parameter(self, key: str) -> dict[str, Any]:
-        """One parameter, as plain numbers and words."""
-        alone = self.marginal[key]
-        known = alone if self.together is None else self.together.conditional[key]
+        """What ``terraphi invert --json`` prints."""
+        phi, plane = self.parameters.get(PHI), self.phi_plane_strain
+        names = (
+            "verdict", "reason", "edge", "source", "leg", "library", "library_reason",
+            "density_kg_m3", "density_sd_kg_m3", "density_assumed", "leg_friction", "seed",
+        )  # fmt: skip
         return {
-            "name": label(key)[0],
-            "unit": label(key)[1],
-            **alone.as_dict(),
-            "conditional": known.as_dict(),
-            "prior": self.priors[key].as_dict(),
-            "convergence": self.convergence_of(key),
+            "phi_deg": {**phi.as_dict(), "yield": self.convention} if phi else None,
+            "phi_plane_strain_deg": plane.as_dict() if plane else None,
+            "phi_plane_strain_reason": self.phi_plane_strain_reason,
+            **{name: getattr(self, name) for name in names},
+            "nrmsd": self.nrmsd,
+            "budget_deg": dict(self.budget_deg),
+            "n_angles": self.records[0].theta_deg.size,
+            "second_opinion": dict(self.second_opinion) if self.second_opinion else None,
+            "questions": list(self.questions),
+            "records": [record.as_dict() for record in self.records],
+            "parameters": {key: one.as_dict() for key, one in self.parameters.items()},
+            "diagnostics": {key: dict(one) for key, one in self.diagnostics.items()},
+            "provenance": dict(self.provenance),
         }
 
-    def to_netcdf(self, path: Path | str) -> None:
-        """Write the posterior in the layout of ArviZ, which can open it: see `answer_file`.
+    def summary(self) -> pd.DataFrame:
+        """A row for each parameter; of several, their correlations too."""
+        import pandas as pd
+
+        rows = {}
+        for key, one in self.parameters.items():
+            rows[key] = {
+                "median": one.median, "sd": one.sd, "ci68_low": one.ci68[0], "ci68_high": one.ci68[1],
+                "ci95_low": one.ci95[0], "ci95_high": one.ci95[1], **self.diagnostics.get(key, {}),
+            }  # fmt: skip
+        table = pd.DataFrame.from_dict(rows, orient="index")
+        if len(self.draws) > 1:
+            correlation = np.corrcoef([self.draws[key].ravel() for key in self.parameters])
+            for key, column in zip(self.parameters, correlation.T, strict=True):
+                table[f"corr {key.rsplit('.', 1)[-1]}"] = column
+        return table
+
+    def __repr__(self) -> str:
+        """Five lines for a prompt."""
+        assumed = ", assumed" if self.density_assumed else ""
+        plane = self.phi_plane_strain if self.convention != "plane_strain" else None
+        found = [f"φ = {self.phi} ({self.convention})"] if PHI in self.parameters else []
+        lines = [
+            f"Answer for {self.source}: leg {self.leg}, {self.density_kg_m3:g} kg/m³{assumed}, "
+            f"library {self.library}",
+            *found,
+            *(
+                [f"  as plane strain: {plane}"] if plane
+                else [f"  {k} = {e.median:.4g} ± {e.sd:.2g}" for k, e in self.parameters.items() if k != PHI][:1]
+            ),
+            f"  {self.reason}",
+            f"  {len(self.questions)} warnings in .questions" if self.questions else "",
+        ]  # fmt: skip
+        return "\n".join(line for line in lines if line)
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook."""
+        return f"<pre>{html.escape(repr(self))}</pre>{self.summary().to_html()}"
+
+    def plot(self, figure: Figure | None = None) -> Figure:
+        """Forces with the model's curve, and the posterior of φ; needs nothing but Matplotlib.
 
         Parameters
         ----------
-        path
-            The file.
+        figure
+            Where to draw; ``None`` makes a figure.
+        """
+        from matplotlib.figure import Figure as NewFigure
+
+        figure = figure or NewFigure(figsize=(10.0, 3.4), layout="constrained")
+        fx, fz, of_phi = figure.subplots(1, 3)
+        for i, (axes, name) in enumerate(((fx, "$F_x$"), (fz, "$F_z$"))):
+            for record in self.records:
+                theta = record.theta_deg
+                axes.fill_between(theta, *record.band[:, i], color="C0", alpha=0.2, lw=0)
+                fit = record.curve if record.expected is None else record.expected
+                axes.plot(theta, fit[i], color="C0", label="model")
+                if record.expected is not None:
+                    axes.plot(theta, record.curve[i], "--", color="C0", lw=1, label="bare model")
+                axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
+            axes.set(xlabel="leg angle θ [deg]", ylabel=f"{name} [N]")
+            axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
+        fx.legend(*_first_of_each(fx), frameon=False, fontsize="small")
+        grid, density = self.grid_deg, self.density
+        if not grid.size:
+            density, edges = np.histogram(self.phi_draws(), bins=60, density=True)
+            grid = 0.5 * (edges[1:] + edges[:-1])
+        of_phi.plot(grid, density, color="C0")
+        low, high = self.phi.ci68
+        inside = (grid >= low) & (grid <= high)
+        of_phi.fill_between(grid[inside], density[inside], color="C0", alpha=0.3, lw=0)
+        seen = grid[density > 1e-4 * density.max()]
+        of_phi.set(
+            xlabel=f"φ [deg], {self.convention}", ylabel="posterior density [1/deg]",
+            xlim=(seen[0], seen[-1]), ylim=(0.0, None), title=f"φ = {str(self.phi).split('    ')[0]}",
+        )  # fmt: skip
+        return figure
+
+    # -- files -----------------------------------------------------------------------------------
+
+    def _groups(self) -> dict[str, Any]:
+        """Datasets in the layout of ArviZ, by group."""
+        import xarray as xr
+
+        draws = self.draws
+        if not draws:
+            shuffled = np.random.default_rng(self.seed or 0).permutation(self.phi_draws())
+            draws = {PHI: shuffled.reshape(4, -1)}
+        posterior = xr.Dataset({key: (("chain", "draw"), value) for key, value in draws.items()})
+        data, constant = {}, {}
+        for i, record in enumerate(self.records):
+            dims = (f"force_{i}", f"theta_{i}")
+            data[f"force_{i}"] = (dims, record.data)
+            constant[f"theta_deg_{i}"] = (dims[1], record.theta_deg)
+            constant[f"curve_{i}"] = (dims, record.curve)
+            constant[f"band_{i}"] = (("bound", *dims), record.band)
+            if record.expected is not None:
+                constant[f"expected_{i}"] = (dims, record.expected)
+        constant["grid_deg"] = ("grid", self.grid_deg)
+        constant["density"] = ("grid", self.density)
+        return {
+            "posterior": posterior,
+            "observed_data": xr.Dataset(data),
+            "constant_data": xr.Dataset(constant),
+        }
+
+    def to_inference_data(self) -> Any:
+        """Draws and data for ArviZ: an ``InferenceData`` (ArviZ 0.x) or a ``DataTree`` (1.x)."""
+        import xarray as xr
+
+        try:
+            import arviz
+        except ImportError:
+            return xr.DataTree.from_dict(self._groups())
+        if hasattr(arviz, "InferenceData"):
+            return arviz.InferenceData(**self._groups())
+        return xr.DataTree.from_dict(self._groups())
+
+    def to_netcdf(self, path: Path | str) -> None:
+        """Write the answer in the layout of ArviZ, which can open it.
 
         Raises
         ------
         InputError
             If the place cannot be written.
         """
-        from terraphi.inference.answer_file import write
+        import xarray as xr
 
-        write(self, Path(path))
+        root = xr.Dataset(
+            attrs={"terraphi_file": "answer", "answer": json.dumps(self.as_dict(), default=str)}
+        )
+        tree = xr.DataTree.from_dict({"/": root, **self._groups()})
+        with replacing(Path(path)) as temporary:
+            tree.to_netcdf(temporary, engine="h5netcdf")
+
+    @classmethod
+    def load(cls, path: Path | str) -> Answer:
+        """Read an answer from its NetCDF, or from the folder of ``invert --out``.
+
+        Raises
+        ------
+        InputError
+            If there is none, or it is not one of this version.
+        """
+        import xarray as xr
+
+        path = Path(path)
+        file = path / "answer.nc" if path.is_dir() else path
+        if not file.is_file():
+            raise InputError(
+                f"{file}: no such file; give an answer.nc or the folder of invert --out"
+            )
+        try:
+            tree = xr.open_datatree(file, engine="h5netcdf")
+            known = json.loads(tree.attrs["answer"])
+            return cls._of(known, tree)
+        except (KeyError, TypeError, ValueError, OSError) as error:
+            raise InputError(f"{file}: not an answer of this version; invert again") from error
+
+    @classmethod
+    def _of(cls, known: dict[str, Any], tree: Any) -> Answer:
+        def estimate(one: dict[str, Any] | None) -> Estimate | None:
+            if one is None:
+                return None
+            return Estimate(one["median"], one["sd"], tuple(one["ci68"]), tuple(one["ci95"]))
+
+        constant, observed = tree["constant_data"], tree["observed_data"]
+        records = []
+        for i, one in enumerate(known["records"]):
+            expected = constant[f"expected_{i}"].values if f"expected_{i}" in constant else None
+            records.append(
+                RecordFit(
+                    **{key: value for key, value in one.items() if key != "nrmsd"},
+                    theta_deg=constant[f"theta_deg_{i}"].values,
+                    data=observed[f"force_{i}"].values,
+                    curve=constant[f"curve_{i}"].values,
+                    expected=expected,
+                    band=constant[f"band_{i}"].values,
+                    nrmsd=one["nrmsd"],
+                )
+            )
+        parameters = {key: estimate(one) for key, one in known["parameters"].items()}
+        drawn = known["diagnostics"] or len(parameters) > 1
+        draws = {key: tree["posterior"][key].values for key in parameters} if drawn else {}
+        same = (
+            "verdict", "reason", "edge", "library", "library_reason", "density_kg_m3",
+            "density_sd_kg_m3", "density_assumed", "second_opinion", "leg_friction", "seed", "diagnostics",
+            "provenance", "budget_deg", "phi_plane_strain_reason",
+        )  # fmt: skip
+        phi = known["phi_deg"]
+        return cls(
+            parameters={key: one for key, one in parameters.items() if one is not None},
+            convention=phi["yield"] if phi else "",
+            phi_plane_strain=estimate(known["phi_plane_strain_deg"]),
+            questions=tuple(known["questions"]),
+            records=tuple(records),
+            grid_deg=constant["grid_deg"].values,
+            density=constant["density"].values,
+            draws=draws,
+            **{name: known[name] for name in same},
+        )
+
+    def save(self, folder: Path | str) -> None:
+        """Write ``answer.json``, ``answer.nc`` and ``answer.png`` into a folder, whole or not at all.
+
+        Raises
+        ------
+        InputError
+            If the folder cannot be written, or holds other things.
+        """
+        with filling(Path(folder), kind="answer", last="answer.json") as place:
+            self.to_netcdf(place / "answer.nc")
+            self.plot().savefig(place / "answer.png", dpi=150)
+            text = json.dumps(self.as_dict(), indent=1, ensure_ascii=False, default=str)
+            (place / "answer.json").write_text(text + "\n", encoding="utf-8")
 
 
-def plane_strain_summary(phi: AngleSummary, scenario: Scenario) -> tuple[AngleSummary | None, str]:
-    """The same strength as plane-strain Mohr-Coulomb angles; quantiles map one to one.
+class StoredAnswer(NamedTuple):
+    """What a file or folder says about an inversion."""
+
+    source: str
+    """Its name."""
+    answer: dict[str, Any]
+    """As :meth:`Answer.as_dict` has it."""
+    draws_deg: FloatArray
+    """Draws of φ in the answer's convention [deg], shape [draw]; empty if the file has none."""
+
+
+def read_answer(path: Path | str) -> StoredAnswer:
+    """Read what ``terraphi invert`` wrote or printed, without its curves.
 
     Parameters
     ----------
-    phi
-        Summary in the scenario's convention [deg].
-    scenario
-        Its convention and flow rule.
+    path
+        Folder of ``--out``, its ``answer.nc``, or the output of ``--json`` (``-``: standard input),
+        which has no draws.
 
-    Returns
-    -------
-    tuple
-        The summary, or ``None`` and the reason why there is none.
+    Raises
+    ------
+    InputError
+        If it is missing, damaged or no answer.
     """
-    if scenario.convention == "rft3d":
-        return None, (
-            "the angle of resistive force theory is the parameter of an empirical law, "
-            "not of a yield criterion"
-        )
-    soil = scenario.soil
-
-    def convert(angle_deg: float) -> float:
-        return plane_strain_friction_angle_deg(
-            angle_deg,
-            soil.yield_criterion,
-            dilation_angle_deg=angle_deg if soil.flow == "associated" else soil.dilation_angle_deg,
-        )
-
+    path = Path(path)
+    if path.is_dir() or path.suffix == ".nc":
+        found = Answer.load(path)
+        draws = found.phi_draws() if PHI in found.parameters else np.zeros(0)
+        return StoredAnswer(str(path), found.as_dict(), draws)
     try:
-        low68, high68, low95, high95 = map(convert, (*phi.ci68, *phi.ci95))
-        return AngleSummary(convert(phi.median), (low68, high68), (low95, high95)), ""
-    except InputError as error:
-        return None, str(error)
+        known = json.loads(read_bytes(path))
+        if not isinstance(known, dict) or not {"phi_deg", "verdict", "library"} <= known.keys():
+            raise ValueError("keys are missing")
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"{path}: not an answer of 'terraphi invert --out' or --json; invert again"
+        ) from error
+    return StoredAnswer(str(path), known, np.zeros(0))
+
+
+def _first_of_each(axes: Any) -> tuple[list[Any], list[str]]:
+    """Handles and labels of a legend, each label once."""
+    handles, labels = axes.get_legend_handles_labels()
+    found = dict(zip(labels[::-1], handles[::-1], strict=True))
+    return list(found.values())[::-1], list(found)[::-1]

@@ -1,354 +1,473 @@
-"""The inversion from end to end: force histories and a library in, an answer out.
-
-One history is the special case of several, and the friction angle alone that of several parameters:
-that one is inferred by quadrature (`friction_angle`), several from draws (`several_parameters`).
-"""
+"""The front door: forces in, the friction angle out."""
 
 from __future__ import annotations
 
 import functools
 import importlib.metadata
+import math
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.measurements import Measurement, medium_and_leg, told_by
-from terraphi.inference import friction_angle, several_parameters
-from terraphi.inference.answer import PHI, Inversion
-from terraphi.inference.discrepancy import Learnt, default_library, learnt_for
-from terraphi.inference.explanation import OFFSETS, SLIPS, USUAL_DEG
-from terraphi.inference.findings import Doubt
-from terraphi.inference.known_soils import Calibration, Compared, compared
-from terraphi.inference.noise import Noise
-from terraphi.inference.prior import Marginal, is_on, priors
-from terraphi.inference.trials import Looked, Trial, Ways, check_origin, common_density, look
-from terraphi.library.finer import CAUSES, untold
-from terraphi.library.shipped import is_there_to_try_others
-from terraphi.library.store import Library
-from terraphi.surrogate.training import DENSITY, is_of_several, parameters
+import numpy as np
 
-History = ForceHistory | Measurement | Trial
-"""What can be inverted."""
-LIKELIHOODS = ("calibrated", "paper")
-SAMPLERS = ("quadrature", "emcee")
-DISCREPANCIES = ("none", "gp", "soils")
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.scenario import Scenario
+from terraphi.experiment.soil import plane_strain_friction_angle_deg
+from terraphi.inference.answer import Answer, Estimate, RecordFit
+from terraphi.inference.checks import (
+    LATE_DEG,
+    USUAL_DEG,
+    doubts,
+    in_air,
+    shift_of_theta,
+    without_faults,
+)
+from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.records import Record, open_record
+from terraphi.inference.sampling import Drawn, quadrature, sample
+from terraphi.inference.soils import Calibration, KnownSoil
+from terraphi.library.store import PHI, Library, nearest_library
 
-ALL_ONE = ("damaged", "against_prior")
-"""Misfits of which no history more than another is the reason."""
-_SOFTWARE = ("terraphi", "numpy", "scipy", "emcee")
+DEFAULT = "sand3d"
+"""Library for measured forces."""
+SECOND = "rft3d"
+"""Library of the second opinion."""
+FAR = 4.0
+"""Standard normal deviate of chi-square above which a simulated record is a misfit."""
+OUTSIDE = 0.3
+"""Probability that φ lies beyond the library's range above which the answer says so."""
+UNINFORMED = 0.9
+"""Share of the prior's standard deviation above which the forces say nothing about φ."""
 
 
 def invert(
-    histories: History | Sequence[History],
+    forces: Any,
     *,
-    library: Library | Path | str | None = None,
-    prior: Sequence[str] = (),
     leg: str | None = None,
-    density: float | None = None,
-    density_assumed: bool = False,
-    likelihood: str | None = None,
-    noise: float | str | Path | None = None,
-    discrepancy: str | Learnt | None = None,
-    sampler: str | None = None,
-    seed: int = 0,
-    source: str = "",
-    steps: int | None = None,
+    density: float | str | None = None,
+    library: Library | Path | str | None = None,
+    noise: float | tuple[float, float] | None = None,
     calibration: Calibration | Path | str | None = None,
-) -> Inversion:
-    """Infer the friction angle, and what else a library varies, from one history or several.
-
-    With c = 0 and a fixed stiffness the forces are proportional to the density, so the library's
-    curves are multiplied by ρ / ρ_library.
+    simulated: bool | None = None,
+    seed: int = 0,
+) -> Answer:
+    """Infer the friction angle, and whatever else a library varies, from forces on a leg.
 
     Parameters
     ----------
-    histories
-        Forces over the whole window |θ| ≤ 85°: of one trial, or of several in one soil. One that
-        was simulated, or shipped, knows its leg and its density.
-    library
-        Simulations over φ, or over several parameters, with every leg of the histories; or their
-        file, or the name of a shipped one. ``None``: the one that
-        :func:`~terraphi.inference.discrepancy.default_library` names.
-    prior
-        As in :func:`~terraphi.inference.prior.priors`; parameters without one are uniform over the
-        library. A prior on ``soil.density`` makes the density a parameter whether the library
-        varies it or not.
-    leg, source
-        Shape of the leg that was moved, and where the forces come from, of histories that are no
-        :class:`~terraphi.inference.trials.Trial`, which says so itself. ``None``: as a measurement,
-        or a history, says itself; else a straight leg is assumed.
+    forces
+        A CSV (``theta_deg,Fx_N,Fz_N``) or NetCDF file, a shipped measurement such as
+        ``"li2013:yuma/c"``, a force history, a DataFrame; or a list of these, of one soil.
+    leg
+        Shape of the leg: ``straight``, ``c`` or ``reversed_c``; ``None``: as the forces say.
     density
-        Bulk density of the soil [kg/m³]. ``None`` infers it if the library varies it, and else
-        takes that of the trials, or assumes the library's.
-    density_assumed
-        Whether a density given is itself a guess.
-    likelihood
-        Of φ alone: ``calibrated``, the default, or ``paper``: as printed by Xu & Wang.
+        Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: as the forces say,
+        else the library's.
+    library
+        Library, file or shipped name; ``None``: ``sand3d`` for measured forces, for simulated ones
+        the library whose scenario is nearest.
     noise
-        Standard deviation of a force reading [N], or a TOML file with ``sigma_Fx_N`` and
-        ``sigma_Fz_N``; ``None`` or ``inferred`` infers it. Not of the paper's likelihood. Of
-        several parameters, noise that is inferred is of one size in newtons for both forces.
-    discrepancy
-        ``soils``: the model is wrong as it is for real soils, by what was learnt of the library
-        from measured media (`discrepancy`; or an object of that kind); ``gp``: it may be wrong by
-        a Gaussian process over θ; ``none``: it is right. ``None`` takes ``none`` for histories
-        simulated as the library was, ``soils`` for measured ones if it was learnt, and ``gp`` for
-        any other. Likewise.
-    sampler
-        Of φ alone: ``quadrature`` (exact, the default) or ``emcee`` (for comparison).
-    seed
-        Of all draws.
-    steps
-        Of each ensemble to begin with, of several parameters; ``None``: 1500. They double until the
-        draws have converged.
+        Standard deviation of one reading [N], of both forces or of each; ``None``: from the
+        readings' roughness.
     calibration
-        The library compared with soils of known friction angle, or its file: of φ alone.
+        Soils of known friction angle in the same apparatus, or their file.
+    simulated
+        Whether the forces are simulated, so that the library's model is exact; ``None``: as they
+        say.
+    seed
+        Of the draws, where several parameters are inferred.
 
     Returns
     -------
-    Inversion
+    Answer
 
     Raises
     ------
     InputError
-        If a history, the leg, the density, a prior or an option cannot be used.
+        If forces, leg, density, library or calibration cannot be used.
+
+    Examples
+    --------
+    >>> terraphi.invert("li2013:poppy_loose/straight").verdict
+    'consistent'
     """
-    _check_options(likelihood, sampler, noise, discrepancy)
-    if seed < 0:
-        raise InputError(f"seed = {seed}: expected a whole number, 0 or more")
     began = time.perf_counter()
-    trials, why = _trials(histories, leg, source), ""
-    check_origin(trials)
-    if library is None:
-        name, why = default_library([trial.history for trial in trials])
-        library = _shipped(name)
-    elif not isinstance(library, Library):
-        library = Library.load(library)
-    by_soils = _by_soils(calibration, library, trials, likelihood, discrepancy)
-    phi_alone, marginals, density, assumed = _known(
-        trials, library, prior, density, density_assumed
-    )
-    looked = look(trials, library)
-    ways = Ways(
-        likelihood=likelihood,
-        noise=Noise.parse(noise),
-        discrepancy=discrepancy,
-        sampler=sampler,
-        seed=seed,
-        steps=steps,
-        calibration=by_soils,
-        priors=marginals,
-        density=density,
-        density_assumed=assumed,
-    )
-    if library.fine and (likelihood == "paper" or not phi_alone):
-        raise InputError(
-            f"library '{library.name}' is refined, and only the calibrated likelihood of φ alone "
-            "knows the correction; infer φ alone with that, or take a library that is not refined"
-        )
-    infer = friction_angle.infer if phi_alone else several_parameters.infer
-    found = infer(looked, library, ways)
-    return replace(
-        found,
-        warnings=_warnings(looked, found, library),
-        library_reason=why if phi_alone else "",
-        compared=_compared(looked, found, library),
-        provenance=_provenance(found, library, by_soils, time.perf_counter() - began),
-    )
+    every = list(forces) if isinstance(forces, list | tuple) else [forces]
+    options = {"leg": leg, "density": density, "noise": noise, "simulated": simulated}
+    records = [without_faults(open_record(one, **options)) for one in every]
+    library, reason = _library_for(records, library)
+    known = Calibration.load(calibration) if isinstance(calibration, str | Path) else calibration
+    if known is not None:
+        known.check(library)
+    likelihood = Likelihood(records, library, known)
+    return _answer(likelihood, library, reason, seed, began)
 
 
-def _provenance(
-    found: Inversion, library: Library, by_soils: Calibration | None, seconds: float
-) -> dict[str, Any]:
-    """Where an answer comes from."""
-    about: dict[str, Any] = {
-        **_versions(),
-        "library": dict(library.provenance),
-        "library_hash": library.hash,
-    }
-    if library.fine:
-        about["refined"] = True
-    if len(found.records) == 1 and found.records[0].simulation:
-        about["simulation"] = dict(found.records[0].simulation)
-    about |= {"seconds": seconds, **found.provenance}
-    if by_soils is not None:
-        about["calibration"] = by_soils.model_dump(mode="json")
-    return about
+def calibrate(
+    forces: Any,
+    phi_deg: float,
+    phi_sd_deg: float,
+    *,
+    library: Library | str | None = None,
+    **options: Any,
+) -> Calibration:
+    """Compare a library with soils of known friction angle in one's own apparatus.
+
+    Parameters
+    ----------
+    forces
+        As of :func:`invert`; each record of a list counts as a soil of this angle.
+    phi_deg, phi_sd_deg
+        Friction angle in the library's convention and its standard deviation [deg].
+    library, options
+        As of :func:`invert`.
+
+    Raises
+    ------
+    InputError
+        As :func:`invert` does.
+    """
+    every = list(forces) if isinstance(forces, list | tuple) else [forces]
+    soils = []
+    found: Library | None = None
+    for one in every:
+        record = without_faults(open_record(one, **options))
+        found, _ = _library_for([record], library)
+        likelihood = Likelihood([record], found)
+        if not likelihood.measured:
+            raise InputError(f"{record.source}: simulated forces calibrate nothing")
+        offset = likelihood.offset(record.leg)
+        soils.append(
+            KnownSoil(
+                source=record.source, leg=record.leg, phi_deg=phi_deg, phi_sd_deg=phi_sd_deg,
+                read_deg=float(likelihood.least_squares[0]) + offset,
+                read_sd_deg=_sd_without(likelihood, ("model: offset", "model: leg")),
+            )
+        )  # fmt: skip
+    assert found is not None
+    return Calibration(library=found.name, library_hash=found.hash, soils=soils)
 
 
-def _by_soils(
-    given: Calibration | Path | str | None,
-    library: Library,
-    trials: Sequence[Trial],
-    likelihood: str | None,
-    discrepancy: str | Learnt | None,
-) -> Calibration | None:
-    """A calibration, or that of a file; refused if it is for another kind of inversion."""
-    if given is None:
-        return None
-    found = given if isinstance(given, Calibration) else Calibration.load(given)
-    found.check(library)
-    if likelihood == "paper" or discrepancy is not None:
-        raise InputError(
-            "a calibration is for the likelihood and the discrepancy that it was made with, the "
-            "defaults; drop --likelihood and --discrepancy, or the calibration"
-        )
-    if any(trial.simulation for trial in trials):
-        raise InputError("a calibration is for measured forces; drop it for simulated ones")
-    return found
+def invert_many(
+    rows: Sequence[dict[str, Any]], *, map_: Callable[..., Any] = map
+) -> list[Answer | InputError]:
+    """Invert many records, each by itself; what cannot be used gives its error, in the same order.
+
+    Parameters
+    ----------
+    rows
+        Arguments of :func:`invert` by name, ``forces`` among them.
+    map_
+        Applies a function to each row, such as that of an executor.
+    """
+    return list(map_(_attempt, rows))
 
 
-def _compared(looked: Looked, found: Inversion, library: Library) -> Compared | None:
-    """Measured forces beside those of known soils in the same apparatus."""
-    if found.origin == "simulated" or found.density is None:
-        return None
-    forces = [
-        (r.leg, r.observation.vector, str(t.history.provenance.get("measurement", "")))
-        for r, t in zip(found.records, looked.trials, strict=True)
-    ]
-    return compared(forces, found.density, library.cases[0].scenario)
-
-
-def _two_soils(found: Inversion) -> list[Doubt]:
-    """A doubt if histories together are a misfit, and no slip is asked about that explains it."""
-    asked = {*SLIPS, *OFFSETS} & {doubt.code for doubt in found.warnings}
-    if found.verdict.verdict != "misfit" or asked or found.verdict.code in ALL_ONE:
-        return []
-    every = [one for one in found.verdict.measures if one.source]
-    of_each = [one for one in every if one.code == "soil_deviation"]
-    of_each = of_each or [one for one in every if one.code == "nrmsd"]
-    if not of_each:
-        return []
-    worst = max(of_each, key=lambda one: one.value)
-    return [Doubt("two_soils", {"worst": worst.source})]
-
-
-def _warnings(looked: Looked, found: Inversion, library: Library) -> tuple[Doubt, ...]:
-    """Doubts about the library, then what was found in the records, then about these."""
-    return (*_of_library(found, library), *found.warnings, *_doubts(looked, found, library))
-
-
-def _of_library(found: Inversion, library: Library) -> list[Doubt]:
-    """What everyone who inverts with a library should know of it."""
-    name, doubts = library.name, []
-    if library.caveat:
-        doubts.append(Doubt("caveat", {"name": name, "caveat": library.caveat}))
-    if is_there_to_try_others(name):
-        doubts.append(Doubt("tries_others", {"name": name}))
-    for cause, legs in (untold(library) if library.fine else {}).items():
-        if legs == library.legs:
-            doubts.append(Doubt("refined_in_part", {"name": name, "cause": CAUSES[cause]}))
-    if found.likelihood == "calibrated" and not _as_soil(found):
-        for leg, held in library.unheld.items():
-            if leg in found.legs:
-                told = {"name": name, "leg": leg, "held": held}
-                doubts.append(Doubt("intervals_do_not_hold", told))
-    return doubts
-
-
-def _as_soil(found: Inversion) -> bool:
-    """Whether it is judged by how real soils deviate."""
-    return any(one.code == "soil_deviation" for one in found.verdict.measures)
-
-
-def _doubts(looked: Looked, found: Inversion, library: Library) -> list[Doubt]:
-    """Doubts about records, and an angle that hardly any dry soil has."""
-    doubts = _two_soils(found)
-    learnt, plane = learnt_for(library), found.phi_plane_strain
-    if learnt is not None and _as_soil(found):
-        shipped = (str(t.history.provenance.get("measurement", "")) for t in looked.trials)
-        # It was learnt from the very medium that is judged by it.
-        known = {medium_and_leg(name)[0] for name in shipped} & set(learnt.media)
-        doubts += [Doubt("known_soil", {"medium": medium}) for medium in sorted(known)]
-    if learnt is not None and found.of_phi is None and found.origin == "measured":
-        doubts.append(Doubt("with_others", {}))
-    if library.fine and found.origin == "measured" and not _as_soil(found):
-        doubts.append(Doubt("refined_without_soils", {"name": library.name}))
-    low, high = USUAL_DEG
-    if plane is not None and found.origin == "measured" and not low <= plane.median <= high:
-        doubts.append(Doubt("unusual", {"median": plane.median, "low": low, "high": high}))
-    return doubts
-
-
-def _trials(histories: History | Sequence[History], leg: str | None, source: str) -> list[Trial]:
-    """Each history with its leg and, of several, a name."""
-    given = [histories] if isinstance(histories, History) else list(histories)
-    found = []
-    for number, one in enumerate(given, start=1):
-        trial = one if isinstance(one, Trial) else _trial(one, leg, source)
-        if len(given) > 1 and not trial.source:
-            trial = replace(trial, source=f"history {number}")
-        found.append(trial)
-    return found
-
-
-def _trial(one: ForceHistory | Measurement, leg: str | None, source: str) -> Trial:
-    if isinstance(one, Measurement):
-        return Trial.of(replace(one, name=source or one.name), leg)
-    if one.coordinate != "theta":
-        raise InputError(f"forces over {one.coordinate}, expected forces over the leg angle theta")
-    return Trial.of(told_by(one, source), leg)
-
-
-def _known(
-    trials: Sequence[Trial],
-    library: Library,
-    prior: Sequence[str],
-    density: float | None,
-    guessed: bool,
-) -> tuple[bool, dict[str, Marginal], float | None, bool]:
-    """Whether φ alone is to be inferred, priors, and the density, and whether that is a guess."""
-    varied = parameters(library) if prior or is_of_several(library) else {}
-    said = any(is_on(text, DENSITY) for text in prior)
-    if said and density is not None:
-        raise InputError(f"the density is given twice, as {density:g} kg/m³ and as a prior")
-    if density is None and not said and DENSITY not in varied:
-        density, guessed = common_density(trials)
-    if not varied:
-        return True, {}, density, guessed
-    marginals = priors(varied, prior, density=density)
-    free = [key for key, marginal in marginals.items() if not marginal.fixed]
-    if not free:
-        raise InputError("every parameter is fixed; there is nothing to infer")
-    fixed = marginals.get(DENSITY)
-    if fixed is not None and fixed.fixed:
-        density = fixed.low
-    # Where other parameters are held, only the surrogate over all of them knows the curves.
-    return free == [PHI] and set(varied) == {PHI}, marginals, density, guessed
-
-
-def _check_options(
-    likelihood: str | None,
-    sampler: str | None,
-    noise: float | str | Path | None,
-    discrepancy: str | Learnt | None,
-) -> None:
-    """Refuse options that do not exist, or not together."""
-    for name, given, known in (
-        ("likelihood", likelihood, (*LIKELIHOODS, "joint")),
-        ("sampler", sampler, SAMPLERS),
-        ("discrepancy", None if isinstance(discrepancy, Learnt) else discrepancy, DISCREPANCIES),
-    ):
-        if given is not None and given not in known:
-            raise InputError(f"unknown {name} '{given}'; {nearest(given, known)}")
-    if likelihood == "paper" and (noise is not None or discrepancy is not None):
-        raise InputError(
-            "the paper's likelihood has neither noise nor discrepancy; take 'calibrated', or drop "
-            "them"
-        )
+def _attempt(row: dict[str, Any]) -> Answer | InputError:
+    """An answer, or why there is none."""
+    try:
+        return invert(**row)
+    except InputError as error:
+        return error
 
 
 @functools.cache
 def _shipped(name: str) -> Library:
-    """A library that ships; kept, for many records are inverted one after another."""
+    """A shipped library, kept for the next record."""
     return Library.load(name)
 
 
-@functools.cache
-def _versions() -> dict[str, str]:
-    """Versions of the software at work here."""
-    return {name: importlib.metadata.version(name) for name in _SOFTWARE}
+def _library_for(
+    records: Sequence[Record], library: Library | Path | str | None
+) -> tuple[Library, str]:
+    """The library to take, and why, if nobody named one."""
+    if isinstance(library, Library):
+        return library, ""
+    if library is not None:
+        named = str(library)
+        return (_shipped(named) if named in Library.names() else Library.load(library)), ""
+    scenarios = [record.scenario for record in records]
+    if all(scenario is not None for scenario in scenarios):
+        assert scenarios[0] is not None
+        found = nearest_library(scenarios[0])
+        return _shipped(found.name), "the nearest to the simulation"
+    return _shipped(DEFAULT), "the default for measured forces"
+
+
+def _answer(
+    likelihood: Likelihood, library: Library, reason: str, seed: int, began: float
+) -> Answer:
+    """Posterior, verdict and all that goes with them."""
+    records, keys = likelihood.records, likelihood.keys
+    drawn = Drawn({}, {})
+    grid = density = np.zeros(0)
+    if keys == (PHI,):
+        grid, density = quadrature(likelihood)
+        parameters = {PHI: _estimate(grid, density)}
+    else:
+        drawn = sample(likelihood, seed=seed)
+        parameters = {key: Estimate.of(values) for key, values in drawn.draws.items()}
+    middle = np.array([parameters[key].median for key in keys])
+    fits = _fits(likelihood, middle, parameters)
+    air = in_air(likelihood)
+    verdict, why, edge = _verdict(likelihood, fits, middle, library, damaged=bool(air))
+    questions = [
+        *(note if len(records) == 1 else f"{record.source}: {note}"
+          for record in records for note in record.notes),
+        *air,
+        *doubts(likelihood, library, misfit=verdict == "misfit"),
+        *_about(likelihood, fits, parameters, verdict),
+    ]  # fmt: skip
+    if library.caveat:
+        questions.append(f"Library {library.name}: {library.caveat}")
+    phi, scenario = parameters.get(PHI), library.cases[0].scenario
+    plane, no_plane = _plane_strain(phi, scenario) if phi else (None, "φ was not inferred")
+    sd = [0.0 if r.density_kg_m3 is None else r.density_sd_kg_m3 for r in records]
+    return Answer(
+        parameters=parameters,
+        convention=scenario.convention,
+        phi_plane_strain=plane,
+        phi_plane_strain_reason=no_plane,
+        verdict=verdict,
+        reason=why,
+        edge=edge,
+        budget_deg=likelihood.budget(_within(likelihood, middle)) if PHI in keys else {},
+        density_kg_m3=likelihood.density[0],
+        density_sd_kg_m3=sd[0],
+        density_assumed=records[0].density_kg_m3 is None or records[0].density_assumed,
+        library=library.name,
+        library_reason=reason,
+        second_opinion=_second_opinion(likelihood) if library.name != SECOND else None,
+        questions=tuple(questions),
+        records=tuple(fits),
+        grid_deg=grid,
+        density=density,
+        draws=drawn.draws,
+        diagnostics=drawn.diagnostics,
+        leg_friction=None if "leg.friction" in keys else scenario.leg.friction,
+        seed=seed if drawn.draws else None,
+        provenance={
+            "terraphi": importlib.metadata.version("terraphi"),
+            "library_hash": library.hash,
+            "seconds": round(time.perf_counter() - began, 3),
+            **({"calibration": likelihood.calibration.model_dump(mode="json")}
+               if likelihood.calibration else {}),
+        },
+    )  # fmt: skip
+
+
+def _within(likelihood: Likelihood, x: FloatArray) -> FloatArray:
+    """A point within the library, where slopes are those of simulations."""
+    return np.clip(x, likelihood.low, likelihood.high)
+
+
+def _estimate(grid: FloatArray, density: FloatArray) -> Estimate:
+    """Quantiles and standard deviation of a density on a grid."""
+    cumulated = np.concatenate(
+        [[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(grid))]
+    )
+    q = np.interp([0.5, 0.16, 0.84, 0.025, 0.975], cumulated / cumulated[-1], grid).tolist()
+    mean = float(np.trapezoid(grid * density, grid))
+    sd = math.sqrt(float(np.trapezoid((grid - mean) ** 2 * density, grid)))
+    return Estimate(q[0], sd, (q[1], q[2]), (q[3], q[4]))
+
+
+def _fits(
+    likelihood: Likelihood, middle: FloatArray, parameters: dict[str, Estimate]
+) -> list[RecordFit]:
+    """Each record with the curve at the median, and the curves at the ends of the 95 % interval."""
+    best = likelihood.least_squares if likelihood.measured else middle
+    points = np.stack([middle, middle, best])
+    if PHI in parameters:
+        points[:2, likelihood.keys.index(PHI)] = parameters[PHI].ci95
+    points[:2] = np.clip(points[:2], likelihood.low, likelihood.high)
+    curves = likelihood.curves(points)
+    found = []
+    for record, part in zip(likelihood.records, likelihood.parts, strict=True):
+        low, high, curve = (one.reshape(2, -1) for one in curves[:, part])
+        residual = likelihood.errors[record.leg].mean_residual(curve, record.theta_deg)
+        expected = None if record.simulated or residual is None else curve + residual
+        size = np.sqrt(np.square(record.data - curve).mean(axis=1)) / record.span
+        found.append(
+            RecordFit(
+                source=record.source, leg=record.leg, leg_assumed=record.leg_assumed,
+                simulated=record.simulated, n_readings=len(record.history.position),
+                n_left_out=record.n_left_out, theta_deg=record.theta_deg, data=record.data,
+                curve=curve, expected=expected,
+                band=np.stack([np.minimum(low, high), np.maximum(low, high)]),
+                nrmsd={"Fx": float(size[0]), "Fz": float(size[1])},
+            )
+        )  # fmt: skip
+    return found
+
+
+def _verdict(
+    likelihood: Likelihood,
+    fits: Sequence[RecordFit],
+    middle: FloatArray,
+    library: Library,
+    *,
+    damaged: bool,
+) -> tuple[str, str, str | None]:
+    """Verdict, reason, and the end of the library beyond which φ lies."""
+    if damaged or any(record.damaged for record in likelihood.records):
+        return "misfit", "Misfit: the record is damaged. Do not use the angle.", None
+    misfit = (
+        _misfit_of_soil(likelihood, fits) if likelihood.measured else _misfit(likelihood, middle)
+    )
+    edge = _edge(likelihood)
+    if edge is not None:
+        low, high = likelihood.low[0], likelihood.high[0]
+        end, word = (low, "below") if edge == "low" else (high, "above")
+        why = (
+            f"Out of range: φ lies {word} {end:g}°, the {'lower' if edge == 'low' else 'upper'} end "
+            f"of library {library.name}."
+        )
+        return "out_of_range", f"{why} {misfit}".rstrip(), edge
+    if misfit:
+        return "misfit", misfit, None
+    if not likelihood.measured:
+        return "consistent", "Consistent: noise and scatter explain the residual.", None
+    worst = {name: max(fit.nrmsd[name] for fit in fits) for name in ("Fx", "Fz")}
+    why = (
+        f"Consistent: the model follows Fx within {worst['Fx']:.0%} and Fz within "
+        f"{worst['Fz']:.0%} of their range, usual for sand."
+    )
+    return "consistent", why, None
+
+
+def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
+    """A sentence if a record differs from the model by more than real soils do."""
+    for fit in fits:
+        error = likelihood.errors[fit.leg]
+        sizes = [max(fit.nrmsd.values())]
+        spans = np.ptp(fit.data, axis=1)
+        if fit.expected is not None:
+            apart = np.sqrt(np.square(fit.data - fit.expected).mean(axis=1)) / spans
+            sizes.append(float(apart.max()))
+        if min(sizes) > error.nrmsd_limit:
+            residual = (fit.data - fit.curve) / spans[:, None]
+            i, j = np.unravel_index(np.abs(residual).argmax(), residual.shape)
+            return (
+                f"Misfit: {('Fx', 'Fz')[i]} differs from the model by {residual[i, j]:+.0%} of its "
+                f"range at {fit.theta_deg[j]:.0f}°. The residual is {min(sizes):.0%} where training "
+                f"soils stay within {error.nrmsd_limit:.0%}. Do not use the angle."
+            )
+    return ""
+
+
+def _misfit(likelihood: Likelihood, middle: FloatArray) -> str:
+    """A sentence if noise and scatter do not explain a simulated record."""
+    free = likelihood.data.size - len(likelihood.keys)
+    ratio = likelihood.chi2(middle) / free
+    # Wilson & Hilferty 1931: the cube root of chi-square is nearly normal.
+    deviate = (ratio ** (1.0 / 3.0) - 1.0 + 2.0 / (9.0 * free)) / math.sqrt(2.0 / (9.0 * free))
+    if deviate <= FAR:
+        return ""
+    return (
+        f"Misfit: chi-square is {ratio:.1f} times its degrees of freedom; noise and scatter do not "
+        "explain the residual. Do not use the angle."
+    )
+
+
+def _edge(likelihood: Likelihood) -> str | None:
+    """End of the library's range beyond which φ lies, by the forces alone."""
+    if PHI not in likelihood.keys:
+        return None
+    i = likelihood.keys.index(PHI)
+    read = float(likelihood.least_squares[i])
+    sd = _sd_without(likelihood, ("model: offset", "model: leg", "density"))
+    offset = [likelihood.offset(leg) for leg in likelihood.emulators]
+    low, high = likelihood.low[i] - min(offset), likelihood.high[i] - max(offset)
+    for edge, beyond in (("low", low - read), ("high", read - high)):
+        if 0.5 * math.erfc(-beyond / (math.sqrt(2.0) * max(sd, 1e-6))) > OUTSIDE:
+            return edge
+    return None
+
+
+def _sd_without(likelihood: Likelihood, names: Sequence[str]) -> float:
+    """Standard deviation of φ from all terms but some [deg]."""
+    shares = likelihood.budget(_within(likelihood, likelihood.least_squares))
+    return math.sqrt(sum(share**2 for name, share in shares.items() if name not in names))
+
+
+def _about(
+    likelihood: Likelihood,
+    fits: Sequence[RecordFit],
+    parameters: dict[str, Estimate],
+    verdict: str,
+) -> list[str]:
+    """Warnings about the answer."""
+    found = []
+    phi = parameters.get(PHI)
+    if likelihood.measured and verdict != "misfit":
+        for record, fit in zip(likelihood.records, fits, strict=True):
+            shift = shift_of_theta(record, fit.curve)
+            if abs(shift) > LATE_DEG:
+                found.append(
+                    f"{record.source}: the forces come {abs(shift):.0f}° "
+                    f"{'later' if shift > 0 else 'earlier'} than the model's; check the zero of "
+                    "theta and the height of the hip."
+                )
+    trained = {name for fit in fits for name in likelihood.errors[fit.leg].training}
+    shared = [r.measurement for r in likelihood.records if r.measurement in trained]
+    if shared and likelihood.measured:
+        found.append(
+            f"{shared[0]} is a training record of the model error; the verdict is optimistic."
+        )
+    if phi is not None:
+        span = float(likelihood.high[0] - likelihood.low[0]) + 24.0
+        if likelihood.keys == (PHI,) and phi.sd > UNINFORMED * span / math.sqrt(12.0):
+            found.append(
+                "The forces carry almost no information on φ: the posterior equals the prior."
+            )
+        low, high = USUAL_DEG
+        if likelihood.measured and not low <= phi.median <= high:
+            found.append(
+                f"φ = {phi.median:.0f}° is unusual for dry soil ({low:g} to {high:g}°): check density, "
+                "unit of force and leg."
+            )
+    return found
+
+
+def _plane_strain(phi: Estimate, scenario: Scenario) -> tuple[Estimate | None, str]:
+    """φ as that of Mohr-Coulomb soil in plane strain; quantiles map one to one."""
+    soil = scenario.soil
+
+    def convert(angle: float) -> float:
+        if scenario.convention == "rft3d":
+            if angle >= 45.0:
+                raise InputError(
+                    "resistive force theory yields at √J₂ = p tan φ, which has no plane-strain "
+                    "equivalent from φ = 45°"
+                )
+            return math.degrees(math.asin(math.tan(math.radians(angle))))
+        dilation = angle if soil.flow == "associated" else soil.dilation_angle_deg
+        return plane_strain_friction_angle_deg(
+            angle, soil.yield_criterion, dilation_angle_deg=dilation
+        )
+
+    try:
+        ends = [convert(one) for one in (*phi.ci68, *phi.ci95)]
+        sd = phi.sd * (ends[1] - ends[0]) / (phi.ci68[1] - phi.ci68[0])
+        return Estimate(convert(phi.median), sd, (ends[0], ends[1]), (ends[2], ends[3])), ""
+    except InputError as error:
+        return None, str(error)
+
+
+def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
+    """Angle by three-dimensional resistive force theory, as one of plane strain, of measured forces."""
+    if not likelihood.measured or SECOND not in Library.names():
+        return None
+    other = Likelihood(likelihood.records, _shipped(SECOND))
+    read = float(other.least_squares[0])
+    estimate = Estimate(read, 0.0, (read - 1.0, read + 1.0), (read - 2.0, read + 2.0))
+    plane, _ = _plane_strain(estimate, _shipped(SECOND).cases[0].scenario)
+    if plane is None:
+        return None
+    ratio = (plane.ci68[1] - plane.ci68[0]) / 2.0
+    sd = float(other.sd(_within(other, other.least_squares))[0])
+    return {"library": SECOND, "median": plane.median, "sd": sd * ratio}

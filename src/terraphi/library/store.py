@@ -1,22 +1,15 @@
-"""A library of simulations: a plan in, one self-describing NetCDF out.
-
-Finished cases are kept beside the file to be (``FILE.nc.cases``, one force history each, named by
-its scenario's hash) until the library is whole, so an interrupted build goes on where it stopped
-and computes nothing twice.
-"""
+"""A library: simulations over the friction angle, and what else inference needs, in one NetCDF."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_file, shipped_names
@@ -24,17 +17,15 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import is_there, open_netcdf, positions, write_netcdf
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
-from terraphi.library.plan import Plan, describe, unseeded, value_of
 
 SCHEMA = 1
 """Version of the layout of a library file."""
-HELD_AT_LEAST = 0.85
-"""Share of simulated truths in 95 % intervals below which these are not to be believed [-]."""
-COUNTED = (
-    "its contact counts another force than it applies to the soil, so that angles of measured "
-    "forces mean nothing; see docs/explanation/prototype.md."
-)
-"""Caveat of libraries with the contact ``unbalanced``."""
+PHI = "soil.friction_angle_deg"
+"""Dotted scenario key of the friction angle."""
+ORDER = ("sand3d", "rft3d", "paper", "paper-code")
+"""Shipped libraries, the most useful first."""
+THETA_DEG = np.arange(-90.0, 91.0)
+"""Leg angles [deg] of the curves that inference uses: means over 1° about whole degrees."""
 
 
 class Case(NamedTuple):
@@ -43,388 +34,259 @@ class Case(NamedTuple):
     scenario: Scenario
     """What was simulated."""
     history: ForceHistory | None
-    """Its forces; ``None`` if it failed."""
-    failure: str
+    """Its forces; ``None`` if the simulation failed."""
+    failure: str = ""
     """Why it failed; empty if it did not."""
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of positions and forces, to the last bit, hexadecimal; empty if it failed."""
-        if self.history is None:
-            return ""
-        parts = (
-            np.ascontiguousarray(a, "<f8") for a in (self.history.position, self.history.force)
-        )
-        return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
 
 
 class Curves(NamedTuple):
-    """What an inversion takes from a library: observation vectors over the friction angle."""
+    """Force curves of one leg over the parameters that a library varies."""
+
+    keys: tuple[str, ...]
+    """Dotted scenario keys of the parameters."""
+    x: FloatArray
+    """Their values, shape [case, key]; replicates repeat a row."""
+    theta_deg: FloatArray
+    """Leg angles [deg], shape [theta]."""
+    force: FloatArray
+    """(Fx, Fz) [N], shape [case, 2, theta]."""
+    scenario: Scenario
+    """Scenario of the first case: density, yield criterion and all that is not varied."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What finer simulations say about the curves of one leg.
+
+    Attributes
+    ----------
+    phi_deg
+        Friction angles [deg], increasing, shape [angle].
+    theta_deg
+        Leg angles [deg], shape [theta].
+    force
+        To be added to the simulated (Fx, Fz) [N], shape [angle, 2, theta].
+    modes
+        What remains uncertain: cause to independent patterns of one standard deviation [N], shape
+        [mode, angle, 2, theta].
+    """
 
     phi_deg: FloatArray
-    """Friction angles [deg], increasing, shape [case]."""
     theta_deg: FloatArray
-    """Leg angles [deg], shape [M]."""
-    Fx: FloatArray
-    """Forward force [N], shape [case, M]."""
-    Fz: FloatArray
-    """Vertical force [N], shape [case, M]."""
-    scenario: Scenario
-    """Scenario of the first case: density, convention and all that is not swept."""
+    force: FloatArray
+    modes: Mapping[str, FloatArray]
 
-    @property
-    def vectors(self) -> FloatArray:
-        """Observation vectors [Fx, Fz] [N], shape [case, 2 M]."""
-        return np.hstack([self.Fx, self.Fz])
+    def _between(self, values: FloatArray, phi_deg: float) -> FloatArray:
+        """Values at a friction angle, linear between those known; axis 0 of values is the angle."""
+        angles = self.phi_deg
+        i = int(np.clip(np.searchsorted(angles, phi_deg) - 1, 0, len(angles) - 2))
+        share = np.clip((phi_deg - angles[i]) / (angles[i + 1] - angles[i]), 0.0, 1.0)
+        return np.asarray((1.0 - share) * values[i] + share * values[i + 1])
+
+    def at(self, phi_deg: float) -> FloatArray:
+        """Correction of the curves at a friction angle [N], shape [2, theta]."""
+        return self._between(self.force, phi_deg)
+
+    def modes_at(self, phi_deg: float) -> dict[str, FloatArray]:
+        """The modes at a friction angle [N], shape [mode, 2, theta] each."""
+        return {
+            cause: self._between(modes.swapaxes(0, 1), phi_deg)
+            for cause, modes in self.modes.items()
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """The simulations of a plan.
+    """Simulations of a plan, with what was learnt about them.
 
     Attributes
     ----------
-    plan
-        What was to be simulated.
+    name, description, caveat
+        As in the plan.
     cases
-        What came of it, in the plan's order.
-    provenance
-        Versions; JSON-able.
-    calibration
-        What inversions have learnt of it: particle scatter and hyperparameters by leg, and the
-        certificate of its coverage; JSON-able, empty if nobody looked.
+        The simulations.
     replicates
-        Some of the cases again under other particle seeds: what the scatter was learnt from.
-    fine
-        Some of the cases again with smaller cells or speed-up (`finer`): what the library's forces
-        are corrected by; empty if it is not refined.
-    refinement
-        Hyperparameters of that correction by leg and cause; JSON-able.
+        Some of them again, with other particle seeds.
+    corrections
+        By leg, how the curves change with smaller cells and a slower motion; empty if unknown.
+    model_error
+        By leg, how real soils differ from the library's model (`inference.soils`); JSON-able.
+    provenance
+        Plan and versions; JSON-able.
     """
 
-    plan: Plan
+    name: str
     cases: tuple[Case, ...]
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-    calibration: Mapping[str, Any] = field(default_factory=dict)
+    description: str = ""
+    caveat: str = ""
     replicates: tuple[Case, ...] = ()
-    fine: tuple[Case, ...] = ()
-    refinement: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def name(self) -> str:
-        """Name of the library."""
-        return self.plan.name
-
-    @property
-    def failures(self) -> dict[str, str]:
-        """Case to why it failed."""
-        return {describe(self.plan, c.scenario): c.failure for c in self.cases if c.failure}
-
-    @property
-    def hash(self) -> str:
-        """SHA-256 of the hashes of all cases, and of finer ones if there are, hexadecimal."""
-        return hash_of((*self.cases, *self.fine))
-
-    @cached_property
-    def as_simulated(self) -> Library:
-        """The same without finer cases."""
-        return replace(self, fine=(), refinement={}) if self.fine else self
-
-    @property
-    def certificate(self) -> Mapping[str, Mapping[str, Any]]:
-        """How often its intervals held simulated truths, by leg; empty if nobody tried."""
-        told = self.calibration.get("certificate")
-        legs = told.get("legs") if isinstance(told, Mapping) else None
-        if not isinstance(legs, Mapping):
-            return {}
-        return {str(leg): found for leg, found in legs.items() if isinstance(found, Mapping)}
-
-    @property
-    def unheld(self) -> dict[str, float]:
-        """Legs whose 95 % intervals held too few simulated truths, and the share of these [-]."""
-        held = {leg: found.get("coverage95") for leg, found in self.certificate.items()}
-        return {
-            leg: float(share)
-            for leg, share in held.items()
-            if isinstance(share, int | float) and share < HELD_AT_LEAST
-        }
-
-    def guesses_scatter(self, leg: str) -> bool:
-        """Whether it can but guess what particle seeds do to a leg's forces."""
-        again = {case.scenario.leg.shape for case in self.replicates}
-        return self.cases[0].scenario.model == "mpm" and leg not in again
-
-    @property
-    def caveat(self) -> str:
-        """What everyone who inverts with it should know: of its contact, and its plan's."""
-        own = self.plan.caveat
-        contacts = {case.scenario.numerics.contact for case in self.cases}
-        if "unbalanced" not in contacts or "contact" in own:
-            return own
-        return f"{COUNTED} {own}".rstrip()
+    corrections: Mapping[str, Correction] = field(default_factory=dict)
+    model_error: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def legs(self) -> list[str]:
-        """Shapes of the legs that it has, sorted."""
+        """Shapes of its legs, sorted."""
         return sorted({case.scenario.leg.shape for case in self.cases if case.history})
 
     @property
-    def phi_deg_by_leg(self) -> dict[str, list[float]]:
-        """Least and largest friction angle that it has of each leg [deg]."""
-        found: dict[str, list[float]] = {leg: [] for leg in self.legs}
-        for case in self.cases:
-            if case.history:
-                found[case.scenario.leg.shape].append(case.scenario.soil.friction_angle_deg)
-        return {leg: [min(angles), max(angles)] for leg, angles in found.items()}
+    def hash(self) -> str:
+        """SHA-256 of the scenarios of all cases, hexadecimal."""
+        joined = "".join(case.scenario.hash for case in self.cases)
+        return hashlib.sha256(joined.encode()).hexdigest()
+
+    @property
+    def phi_deg_by_leg(self) -> dict[str, tuple[float, float]]:
+        """Smallest and largest friction angle of each leg [deg]."""
+        angles = {
+            leg: [c.scenario.soil.friction_angle_deg for c in self.cases if _moved(c, leg)]
+            for leg in self.legs
+        }
+        return {leg: (min(all_), max(all_)) for leg, all_ in angles.items()}
 
     def summary(self) -> dict[str, Any]:
-        """What it holds and where it comes from, JSON-able."""
-        first, ranges = self.cases[0].scenario, self.phi_deg_by_leg
-        ends = [end for both in ranges.values() for end in both]
+        """Contents and origin, JSON-able."""
+        first = self.cases[0].scenario
+        ranges = self.phi_deg_by_leg
         return {
             "name": self.name,
-            "description": self.plan.description,
+            "description": self.description,
             "caveat": self.caveat,
             "convention": first.convention,
-            "phi_deg": [min(ends), max(ends)],
-            "phi_deg_by_leg": ranges,
+            "phi_deg": [min(r[0] for r in ranges.values()), max(r[1] for r in ranges.values())],
+            "phi_deg_by_leg": {leg: list(ends) for leg, ends in ranges.items()},
             "legs": self.legs,
             "cases": len(self.cases),
-            "failures": self.failures,
-            "density_kg_m3": first.soil.density,
-            "settings": self.settings,
-            "sweep": self.plan.sweep or self.plan.one_at_a_time,
-            **({"steps": [s.model_dump() for s in self.plan.steps]} if self.plan.steps else {}),
-            **({"presets": self.plan.presets} if self.plan.presets else {}),
-            **({"more": [m.model_dump() for m in self.plan.more]} if self.plan.more else {}),
-            **({"sample": self.plan.sample.model_dump()} if self.plan.sample else {}),
             "replicates": len(self.replicates),
-            **({"finer_cases": self._fine_by_leg} if self.fine else {}),
-            "certificate": self.calibration.get("certificate"),
+            "corrected": sorted(self.corrections),
+            "failures": {c.scenario.hash: c.failure for c in self.cases if c.failure},
+            "density_kg_m3": first.soil.density,
+            "model": first.model,
+            "dimensions": first.dimensions,
+            "leg_friction": first.leg.friction,
+            "cell_mm": 1e3 * first.numerics.cell_size if first.model == "mpm" else None,
+            "speed_up": first.numerics.speed_up if first.model == "mpm" else None,
             "provenance": dict(self.provenance),
         }
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What all cases were simulated with, by keys that name their unit, JSON-able.
-
-        What differs between them is left out.
-        """
-        first, *others = (_settings_of(case.scenario) for case in self.cases)
-        return {
-            key: value
-            for key, value in first.items()
-            if all(other.get(key) == value for other in others)
-        }
-
-    @property
-    def _fine_by_leg(self) -> dict[str, list[str]]:
-        found: dict[str, list[str]] = {}
-        # By size, then angle.
-        order = sorted(
-            (case.scenario for case in self.fine),
-            key=lambda s: (s.numerics.cell_size, s.numerics.speed_up, s.soil.friction_angle_deg),
-        )
-        for scenario in order:
-            size, k = 1e3 * scenario.numerics.cell_size, scenario.numerics.speed_up
-            told = f"{scenario.soil.friction_angle_deg:g}° (cells {size:.3g} mm, k = {k:g})"
-            found.setdefault(scenario.leg.shape, []).append(told)
-        return found
-
-    def rotations(self, leg: str, *, over_phi: bool = True) -> list[Case]:
-        """Finished cases of one leg.
-
-        Parameters
-        ----------
-        leg
-            Its shape.
-        over_phi
-            Whether a friction angle is to be inferred from them.
-
-        Raises
-        ------
-        InputError
-            If there is none, the leg does not rotate, or its forces know no friction angle.
-        """
-        chosen = [c for c in self.cases if c.history and c.scenario.leg.shape == leg]
-        if not chosen:
-            raise InputError(
-                f"library '{self.name}' has no leg '{leg}'; it has {', '.join(self.legs)}"
-            )
-        first = chosen[0].scenario
-        if over_phi and (first.model, first.dimensions) == ("rft", 2):
-            raise InputError(
-                f"library '{self.name}': two-dimensional resistive force theory has no friction "
-                "angle to infer; build it with dimensions = 3"
-            )
-        if first.motion.kind != "rotation":
-            raise InputError(
-                f"library '{self.name}' is one of translations; an inversion needs rotations"
-            )
-        return chosen
-
-    def curves(self, leg: str, *, readings: FloatArray | None = None) -> Curves:
-        """Observation vectors of one leg over the friction angle.
+    def curves(self, leg: str, *, corrected: bool = False) -> Curves:
+        """Force curves of one leg over the parameters that vary, replicates included.
 
         Parameters
         ----------
         leg
             Shape of the leg.
-        readings
-            Leg angles at which the measured record was read [rad], so that windows at its ends
-            are cut alike and gaps bridged alike (:meth:`ForceHistory.as_read_at`); ``None`` takes
-            the whole curves.
-
-        Returns
-        -------
-        Curves
+        corrected
+            Whether to add the correction for cells and speed-up, if there is one.
 
         Raises
         ------
         InputError
-            If the library lacks the leg, has fewer than three friction angles for it or several
-            cases of one, or varies anything else.
+            If the library lacks the leg, has too few cases of it, or is not one of rotating legs.
         """
-        chosen = self.rotations(leg)
-        if self.plan.sample and len(self.plan.sample.keys) > 1:
+        chosen = [case for case in self.cases if _moved(case, leg)]
+        if not chosen:
             raise InputError(
-                f"library '{self.name}' varies {', '.join(self.plan.sample.keys)} together, not "
-                "the friction angle alone; this inversion knows one parameter"
+                f"library '{self.name}' has no leg '{leg}'; it has {', '.join(self.legs)}"
             )
-        chosen.sort(key=lambda case: case.scenario.soil.friction_angle_deg)
-        phi = np.array([case.scenario.soil.friction_angle_deg for case in chosen])
-        if len(phi) < 3 or np.any(np.diff(phi) <= 0):
+        first = chosen[0].scenario
+        if (first.model, first.dimensions) == ("rft", 2) or first.motion.kind != "rotation":
             raise InputError(
-                f"library '{self.name}' has the friction angles {phi.tolist()} for leg '{leg}'; "
-                "an inversion needs at least three, each once"
+                f"library '{self.name}' has no friction angle to infer: it needs rotating legs in "
+                "a material point method or in three-dimensional resistive force theory"
             )
-        if differ_beyond(chosen, ["soil.friction_angle_deg"]):
+        keys = _varied(chosen)
+        if len(chosen) < 2 * len(keys) + 1 or not keys:
             raise InputError(
-                f"library '{self.name}' varies more than the friction angle of leg '{leg}'; this "
-                "inversion knows one parameter"
+                f"library '{self.name}' has {len(chosen)} cases of leg '{leg}', too few to "
+                f"interpolate over {', '.join(keys) or 'the friction angle'}"
             )
-        seen = [case.history.as_read_at(readings).observation() for case in chosen if case.history]
-        return Curves(
-            phi,
-            seen[0].theta_deg,
-            np.stack([o.Fx for o in seen]),
-            np.stack([o.Fz for o in seen]),
-            chosen[0].scenario,
-        )
-
-    def repeated(
-        self, leg: str, *, readings: FloatArray | None = None
-    ) -> list[tuple[float, FloatArray]]:
-        """Observations of simulations that differ by their particle seed alone, of one leg.
-
-        Parameters
-        ----------
-        leg, readings
-            As in :meth:`curves`.
-
-        Returns
-        -------
-        list
-            Friction angle [deg] of each case that was repeated, and its observation vectors [N],
-            the case's own first, shape [simulation, 2 theta].
-        """
-        again = [c for c in self.replicates if c.scenario.leg.shape == leg]
-        found = []
-        for phi in dict.fromkeys(c.scenario.soil.friction_angle_deg for c in again):
-            vectors = [
-                case.history.as_read_at(readings).observation().vector
-                for case in (*self.cases, *again)
-                if case.scenario.soil.friction_angle_deg == phi
-                and case.scenario.leg.shape == leg
-                and case.history
-            ]
-            found.append((phi, np.stack(vectors)))
-        return found
+        chosen += [case for case in self.replicates if _moved(case, leg)]
+        x = np.array([[value_of(case.scenario, key) for key in keys] for case in chosen], float)
+        order = np.lexsort(x.T[::-1])
+        span = chosen[0].history
+        assert span is not None
+        low, high = np.degrees(span.position[[0, -1]])
+        theta = THETA_DEG[(low - 1e-9 <= THETA_DEG) & (high + 1e-9 >= THETA_DEG)]
+        force = np.stack([_one_degree_means(chosen[i].history, theta) for i in order])
+        if corrected and leg in self.corrections and PHI in keys:
+            angles = x[order, keys.index(PHI)]
+            force = force + np.stack([self.corrections[leg].at(phi) for phi in angles])
+        return Curves(keys, x[order], theta, force, first)
 
     # -- files -----------------------------------------------------------------------------------
 
+    @staticmethod
+    def names() -> tuple[str, ...]:
+        """Names of the shipped libraries, the most useful first."""
+        found = shipped_names("libraries", ".nc")
+        return tuple(sorted(found, key=lambda n: (ORDER.index(n) if n in ORDER else 99, n)))
+
     def save(self, path: Path | str) -> None:
-        """Write one NetCDF-4 file.
-
-        Parameters
-        ----------
-        path
-            The file.
-
-        Raises
-        ------
-        InputError
-            If the place cannot be written; a file that was there stays as it is.
-        """
+        """Write one NetCDF-4 file; raises InputError if the place cannot be written."""
         import xarray as xr
 
+        every = (*self.cases, *self.replicates)
         whole = next(case.history for case in self.cases if case.history)
-        kinds = (self.cases, self.replicates, self.fine)
-        everything = tuple(case for kind in kinds for case in kind)
-        for case in everything:
-            if case.history and not _alike(case.history, whole):
-                raise InputError(
-                    f"library '{self.name}': the forces at {describe(self.plan, case.scenario)} "
-                    "are taken at other positions than those of the first case; sweep neither the "
-                    "span of the motion nor the dimensions"
-                )
-        coordinate = "theta_deg" if whole.coordinate == "theta" else whole.coordinate
-        position = whole.theta_deg if whole.coordinate == "theta" else whole.position
+        if any(c.history and not _alike(c.history, whole) for c in every):
+            raise InputError(
+                f"library '{self.name}': the cases have forces at different positions; sweep "
+                "neither the span of the motion nor the dimensions"
+            )
+        angular = whole.coordinate == "theta"
+        name = "theta_deg" if angular else whole.coordinate
+        values = whole.theta_deg if angular else whole.position
         nothing = np.full(whole.force.shape, np.nan)
-        force = np.stack([c.history.force if c.history else nothing for c in everything])
-        units = {"theta_deg": "degree", "displacement": "m"}[coordinate]
-
-        def text(values: list[str]) -> tuple[str, NDArray[np.object_]]:
-            return "case", np.array(values, dtype=object)
-
+        force = np.stack([c.history.force if c.history else nothing for c in every])
+        data: dict[str, Any] = {
+            f"F{axis}": (("case", name), force[:, :, i], {"units": "N"})
+            for i, axis in enumerate(whole.axes)
+        }
+        if all(c.history is None or c.history.moment is not None for c in every):
+            moment = [c.history.moment if c.history else nothing[:, 0] for c in every]
+            data["M"] = (("case", name), np.stack(moment), {"units": "N m"})
+        texts = {
+            "scenario": [c.scenario.model_dump_json() for c in every],
+            "failure": [c.failure for c in every],
+            "provenance": [
+                json.dumps(dict(c.history.provenance) if c.history else {}) for c in every
+            ],
+        }
+        coordinates: dict[str, Any] = {
+            name: (name, values, {"units": "degree" if angular else "m"}),
+            "replicate": ("case", [i >= len(self.cases) for i in range(len(every))]),
+            **{key: ("case", np.array(text, dtype=object)) for key, text in texts.items()},
+        }
+        for leg, correction in self.corrections.items():
+            along = (f"{leg}_phi_deg", "correction_theta_deg")
+            dims = (along[0], "axis", along[1])
+            coordinates[along[0]] = (along[0], correction.phi_deg)
+            coordinates[along[1]] = (along[1], correction.theta_deg)
+            data[f"correction_{leg}"] = (dims, correction.force, {"units": "N"})
+            for cause, modes in correction.modes.items():
+                data[f"modes_{leg}_{cause}"] = (
+                    (f"{leg}_{cause}_mode", *dims), modes, {"units": "N"},
+                )  # fmt: skip
         dataset = xr.Dataset(
-            {
-                f"F{axis}": (("case", coordinate), force[:, :, i], {"units": "N"})
-                for i, axis in enumerate(whole.axes)
-            },
-            coords={
-                whole.coordinate: (coordinate, whole.position, {"units": "rad"}),
-                coordinate: (coordinate, position, {"units": units}),
-                "scenario": text([c.scenario.model_dump_json() for c in everything]),
-                "scenario_hash": text([c.scenario.hash for c in everything]),
-                "failure": text([c.failure for c in everything]),
-                "digest": text([c.digest for c in everything]),
-                # 0 of the plan, 1 a replicate, 2 a finer one.
-                "replicate": ("case", [i for i, kind in enumerate(kinds) for _ in kind]),
-                "provenance": text(
-                    [
-                        json.dumps(dict(c.history.provenance) if c.history else {})
-                        for c in everything
-                    ]
-                ),
-            },
+            data,
+            coordinates,
             attrs={
                 "terraphi_file": "library",
                 "terraphi_schema": SCHEMA,
                 "name": self.name,
-                "description": self.plan.description,
-                "plan": self.plan.model_dump_json(),
+                "description": self.description,
+                "caveat": self.caveat,
                 "coordinate": whole.coordinate,
                 "provenance": json.dumps(dict(self.provenance)),
-                "calibration": json.dumps(dict(self.calibration)),
-                **({"refinement": json.dumps(dict(self.refinement))} if self.fine else {}),
+                "model_error": json.dumps(dict(self.model_error)),
             },
         )
-        packing = {f"F{axis}": {"zlib": True, "shuffle": True} for axis in whole.axes}
+        packing = {key: {"zlib": True, "shuffle": True, "dtype": "float32"} for key in data}
         write_netcdf(dataset, Path(path), encoding=packing)
 
     @classmethod
     def load(cls, source: Path | str) -> Library:
         """Read a library file, or a shipped library by its name.
-
-        Parameters
-        ----------
-        source
-            A path ending in ``.nc``, or the name of a shipped library.
-
-        Returns
-        -------
-        Library
 
         Raises
         ------
@@ -433,108 +295,123 @@ class Library:
         """
         path = Path(source)
         if path.suffix != ".nc" and not is_there(path):
-            _refuse_if_only_planned(str(source))
             path = shipped_file("libraries", str(source), ".nc")
         data = open_netcdf(path, kind="library", schema=SCHEMA)
         try:
-            return cls._from_dataset(data)
+            return cls._of(data)
         except (KeyError, TypeError, ValueError) as error:
-            # A scenario of another version fails in many lines; the first says what it is.
             reason = str(error).splitlines()[0]
             raise InputError(
-                f"{path}: not as this version writes a library ({reason}); build it again under "
-                "another name"
+                f"{path}: not a library as this version writes it ({reason}); build it again"
             ) from error
 
     @classmethod
-    def _from_dataset(cls, data: Any) -> Library:
-        coordinate, position = str(data.attrs["coordinate"]), positions(data)
-        axes = tuple(str(name)[1:] for name in data.data_vars)
-        force = np.stack([data[f"F{axis}"].values.astype(np.float64) for axis in axes], axis=2)
-        cases = []
-        for i, failure in enumerate(data["failure"].values.tolist()):
+    def _of(cls, data: Any) -> Library:
+        """A library from an open file."""
+        attrs, coordinate = data.attrs, str(data.attrs["coordinate"])
+        names = set(data.data_vars)
+        axes = tuple(axis for axis in "xyz" if f"F{axis}" in names)
+        force = np.stack([data[f"F{a}"].values.astype(np.float64) for a in axes], axis=2)
+        moment = data["M"].values.astype(np.float64) if "M" in names else None
+        where, cases, replicates = positions(data), [], []
+        again = data["replicate"].values if "replicate" in data else np.zeros(len(force))
+        for i, failure in enumerate(map(str, data["failure"].values)):
             scenario = Scenario.model_validate_json(str(data["scenario"].values[i]))
-            provenance = json.loads(str(data["provenance"].values[i]))
-            history = (
-                None if failure else ForceHistory(position, force[i], coordinate, axes, provenance)
+            known = json.loads(str(data["provenance"].values[i]))
+            turned = None if moment is None else moment[i]
+            history = ForceHistory(where, force[i], coordinate, axes, known, moment=turned)
+            case = Case(scenario, None if failure else history, failure)
+            (replicates if again[i] else cases).append(case)
+        corrections = {}
+        for leg in ("straight", "c", "reversed_c"):
+            if f"correction_{leg}" not in names:
+                continue
+            start = f"modes_{leg}_"
+            modes = {n[len(start) :]: data[n].values for n in names if n.startswith(start)}
+            corrections[leg] = Correction(
+                data[f"{leg}_phi_deg"].values,
+                data["correction_theta_deg"].values,
+                data[f"correction_{leg}"].values.astype(np.float64),
+                {cause: mode.astype(np.float64) for cause, mode in modes.items()},
             )
-            cases.append(Case(scenario, history, str(failure)))
-            if "digest" in data and str(data["digest"].values[i]) != cases[-1].digest:
-                raise ValueError(f"the forces of case {i + 1} are not those that were written")
-        plan = Plan.model_validate_json(str(data.attrs["plan"]))
-        provenance, calibration, refinement = (
-            json.loads(data.attrs.get(name, "{}"))
-            for name in ("provenance", "calibration", "refinement")
-        )
-        kinds = kinds_in(data)
-        own, again, fine = (
-            tuple(case for case, of in zip(cases, kinds, strict=True) if of == kind)
-            for kind in range(3)
-        )
-        return cls(plan, own, provenance, calibration, again, fine, refinement)
-
-
-def _refuse_if_only_planned(name: str) -> None:
-    """Raise InputError if a plan of that name is shipped, and the library itself is not yet."""
-    if name in shipped_names("libraries", ".nc") or name not in shipped_names("plans", ".toml"):
-        return
-    plan = Plan.load(name)
-    if plan.combined_keys:  # others are those of studies
-        raise InputError(
-            f"library '{name}' is planned, and its {plan.count} simulations are not all finished "
-            f"yet: 'terraphi library build {name} --out {name}.nc' computes what is missing"
+        return cls(
+            str(attrs["name"]),
+            tuple(cases),
+            str(attrs.get("description", "")),
+            str(attrs.get("caveat", "")),
+            tuple(replicates),
+            corrections,
+            json.loads(attrs.get("model_error", "{}")),
+            json.loads(attrs.get("provenance", "{}")),
         )
 
 
-def hash_of(cases: Sequence[Case]) -> str:
-    """SHA-256 of the hashes of some cases, hexadecimal."""
-    return hashlib.sha256("".join(case.scenario.hash for case in cases).encode()).hexdigest()
-
-
-def differ_beyond(cases: Sequence[Case], keys: Iterable[str]) -> bool:
-    """Whether the scenarios of some cases differ in more than these keys and the particle seed."""
-    same = {key: value_of(cases[0].scenario, key) for key in keys}
-    return len({unseeded(case.scenario.replace(**same)) for case in cases}) > 1
-
-
-def kinds_in(data: Any) -> list[int]:
-    """Of each case in an open library file: 0 of its plan, 1 a replicate, 2 a finer one.
-
-    Files that were written before libraries kept the others have none.
-    """
-    if "replicate" not in data:
-        return [0] * len(data["failure"].values)
-    return [int(kind) for kind in data["replicate"].values]
+def _moved(case: Case, leg: str) -> bool:
+    """Whether a case succeeded and is of a leg."""
+    return case.history is not None and case.scenario.leg.shape == leg
 
 
 def _alike(one: ForceHistory, other: ForceHistory) -> bool:
-    """Whether two histories have the same axes and positions."""
-    return one.axes == other.axes and np.array_equal(one.position, other.position)
+    """Whether two histories have their forces at the same positions."""
+    return one.position.shape == other.position.shape and np.allclose(
+        one.position, other.position, rtol=0.0, atol=1e-9
+    )
 
 
-def _settings_of(scenario: Scenario) -> dict[str, Any]:
-    """What a case was simulated with, by keys that name their unit, JSON-able."""
-    leg, soil, numerics = scenario.leg, scenario.soil, scenario.numerics
-    lengths = {
-        "leg_chord_mm": leg.chord,
-        "leg_width_mm": leg.width,
-        "hip_above_surface_mm": scenario.hip_height,
-    }
-    found: dict[str, Any] = {
-        "model": scenario.model,
-        "dimensions": scenario.dimensions,
-        # To the nanometre: 19.99999999999999 is the rounding of a difference.
-        **{key: round(1e3 * length, 6) for key, length in lengths.items()},
-    }
-    if scenario.model == "mpm":
-        found |= {
-            "leg_friction": leg.friction,
-            "youngs_modulus_mpa": round(1e-6 * soil.youngs_modulus, 9),
-            "dilation_angle_deg": soil.potential_angle_deg,
-            **({"yield_surface": soil.yield_surface} if scenario.dimensions == 3 else {}),
-            "cell_mm": round(1e3 * numerics.cell_size, 6),
-            "particles_per_cell_side": numerics.particles_per_cell_side,
-            "speed_up": numerics.speed_up,
-            "contact": numerics.contact,
-        }
+def _one_degree_means(history: ForceHistory | None, theta_deg: FloatArray) -> FloatArray:
+    """Mean (Fx, Fz) over 1° about leg angles [N], shape [2, theta]."""
+    assert history is not None
+    columns = [history.axes.index("x"), history.axes.index("z")]
+    return history.means(np.radians(theta_deg), np.radians(0.5))[:, columns].T
+
+
+def _varied(cases: list[Case]) -> tuple[str, ...]:
+    """Dotted keys of numbers in which cases differ, but for the particle seed."""
+    flat = [_flat(case.scenario.model_dump(mode="json")) for case in cases]
+    return tuple(
+        key
+        for key, value in flat[0].items()
+        if key != "numerics.seed"
+        and isinstance(value, int | float)
+        and any(other.get(key) != value for other in flat)
+    )
+
+
+def _flat(value: Any, name: str = "") -> dict[str, Any]:
+    """Leaves of nested dictionaries and lists by dotted key."""
+    items = value.items() if isinstance(value, dict) else None
+    if items is None and isinstance(value, list):
+        items = [(str(i), one) for i, one in enumerate(value)]
+    if items is None:
+        return {name: value}
+    found: dict[str, Any] = {}
+    for key, one in items:
+        found |= _flat(one, f"{name}.{key}" if name else key)
     return found
+
+
+def value_of(scenario: Scenario, key: str) -> Any:
+    """Value of a dotted key of a scenario; raises KeyError if there is no such key."""
+    return _flat(scenario.model_dump(mode="json"))[key]
+
+
+def differences(one: Scenario, other: Scenario) -> list[str]:
+    """Dotted keys in which two scenarios differ, apart from φ, density, leg shape and seed."""
+    ours, theirs = (_flat(scenario.model_dump(mode="json")) for scenario in (one, other))
+    ignored = {PHI, "soil.density", "leg.shape", "numerics.seed", "name"}
+    return [k for k in {**ours, **theirs} if ours.get(k) != theirs.get(k) and k not in ignored]
+
+
+def nearest_library(scenario: Scenario) -> Library:
+    """The shipped library whose scenario differs least from a simulation's, as simulated."""
+    loaded = [Library.load(name) for name in Library.names()]
+    same_model = [
+        one
+        for one in loaded
+        if (one.cases[0].scenario.model, one.cases[0].scenario.dimensions)
+        == (scenario.model, scenario.dimensions)
+        and one.cases[0].scenario.convention == scenario.convention
+    ]
+    return min(
+        same_model or loaded, key=lambda one: len(differences(scenario, one.cases[0].scenario))
+    )

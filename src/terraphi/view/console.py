@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from terraphi.experiment.interrupts import raise_swallowed_interrupt
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
@@ -285,7 +284,7 @@ def progress_bar(
     Yields
     ------
     Callable[[float, float], None]
-        To be called with the work done and the work of all; raises an interrupt that was swallowed.
+        To be called with the work done and the work of all.
     """
     from rich.console import Console
     from rich.progress import (
@@ -297,7 +296,7 @@ def progress_bar(
     )
 
     if quiet() or not sys.stderr.isatty():
-        yield lambda _done, _total: raise_swallowed_interrupt()
+        yield lambda _done, _total: None
         return
     from terraphi.forward import forecast
 
@@ -315,7 +314,6 @@ def progress_bar(
         task = bar.add_task("compiling, once" if compiling else "starting", total=None)
 
         def report(done: float, total: float) -> None:
-            raise_swallowed_interrupt()
             if done:
                 bar.update(task, completed=done, total=total, description=description)
 

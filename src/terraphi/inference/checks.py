@@ -1,0 +1,311 @@
+"""What looks wrong with a record: sensor faults before inference, doubts about units and signs after.
+
+Faults that hide a few readings (dropouts, held values, spikes) are left out. Faults that shift many
+readings (a clipped top, a step, a force in air) are left in, since nobody knows which readings are
+right, and make any answer a misfit. A doubt is a sentence with one remedy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import InputError
+from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.records import Record
+from terraphi.library.store import PHI, Library, differences
+
+Mask = NDArray[np.bool_]
+
+LOADED = 0.05
+"""Force over the largest above which an exact zero is a dropout [-]."""
+HELD, JUMP = 5, 5.0
+"""Equal readings in a row, under load, that are a held value, and the jump after them in steps of the
+record's resolution."""
+SPIKE = 8.0
+"""Distance from the running median of a spike, over the usual one [-]."""
+LARGE_SPIKE = 0.15
+"""The same over the force's peak-to-peak [-]."""
+CLIPPED, SLOPE_DEG, HIDDEN = 3, 5.0, 0.02
+"""Equal largest readings in a row that may be a clipped top; path on either side of it [deg]; rise that
+it must hide, of peak-to-peak [-]."""
+STEP = 0.2
+"""Jump between neighbouring readings that is a step, of peak-to-peak [-]."""
+STEP_SPACING_DEG = 1.5
+"""Spacing of readings above which no steps are looked for [deg]."""
+IN_AIR, MARGIN_DEG, OFFSET = 0.005, 5.0, 0.04
+"""Force of the model, over its largest, below which the leg is in the air [-]; distance from the soil
+that is sure to be air [deg]; force there that is an offset, of peak-to-peak [-]."""
+MOST_LEFT_OUT = 0.5
+"""Share of the readings that may be left out [-]."""
+BETTER = 0.6
+"""Residual of a record read differently, over that as given, at which the reading is proposed [-]."""
+USUAL_DEG = (15.0, 50.0)
+"""Friction angles of dry soils in plane strain [deg]."""
+LATE_DEG = 4.0
+"""Shift of θ above which the zero of the angle is doubted [deg]."""
+UNITS = {
+    "pounds-force": 4.448,
+    "kilograms-force": 9.807,
+    "grams-force": 9.807e-3,
+    "kilonewtons": 1e3,
+    "millinewtons": 1e-3,
+}
+"""Newtons in other units of force."""
+
+
+def without_faults(record: Record) -> Record:
+    """A record without readings that no leg in soil makes, with a note on each kind.
+
+    Raises
+    ------
+    InputError
+        If more than half of the readings are faulty.
+    """
+    theta, notes, damaged = record.history.theta_deg, [], False
+    forces = {"Fx": record.history.Fx, "Fz": record.history.Fz}
+    largest = max(float(np.abs(f).max()) for f in forces.values())
+    bad = np.zeros(len(theta), dtype=bool)
+    both_zero = (forces["Fx"] == 0.0) & (forces["Fz"] == 0.0)
+    for name, force in forces.items():
+        span = float(np.ptp(force))
+        zero = _dropouts(force, both_zero, largest)
+        faults = {
+            "dropouts": zero,
+            "held values": _held(force, span),
+            "spikes": _spikes(force, span),
+        }
+        for what, found in faults.items():
+            if found.any():
+                notes.append(
+                    f"{_count(found)} of {name} left out as {what} {_where(theta, found)}."
+                )
+                bad |= found
+    if bad.mean() > MOST_LEFT_OUT:
+        raise InputError(
+            f"{record.source}: {bad.mean():.0%} of the readings are faulty ({' '.join(notes)}); "
+            "check the sensor and record again"
+        )
+    for name, force in forces.items():
+        kept, where = force[~bad], theta[~bad]
+        for sentence in (_clipped(name, kept, where), _step(name, kept, where)):
+            if sentence:
+                notes.append(sentence)
+                damaged = True
+    return record.without(bad, notes, damaged=damaged)
+
+
+def _dropouts(force: FloatArray, both_zero: Mask, largest: float) -> Mask:
+    """Exact zeros amid load: of this force, or of both."""
+    rows = np.arange(len(force))
+    loaded = rows[(force != 0.0) & ~both_zero]
+    if loaded.size < 3:
+        return np.zeros(len(force), dtype=bool)
+    around = np.minimum(
+        np.abs(force[loaded[np.clip(np.searchsorted(loaded, rows) - 1, 0, None)]]),
+        np.abs(force[loaded[np.clip(np.searchsorted(loaded, rows), None, loaded.size - 1)]]),
+    )
+    return np.asarray((force == 0.0) & (around > LOADED * largest))
+
+
+def _held(force: FloatArray, span: float) -> Mask:
+    """Runs of equal readings under load that end with a jump, as of a value that was held."""
+    changes = np.abs(np.diff(force))
+    found = np.zeros(len(force), dtype=bool)
+    some = changes[changes > 1e-12 * span]
+    quantum = float(some.min()) if some.size else span
+    ends = np.flatnonzero(np.append(changes, np.inf) > 0.0)
+    for first, last in zip(np.append(-1, ends[:-1]) + 1, ends, strict=True):
+        long = last - first + 1 >= HELD and last + 1 < len(force)
+        if long and abs(force[first]) > LOADED * span and changes[last] > JUMP * quantum:
+            found[first + 1 : last + 1] = True
+    return found
+
+
+def _spikes(force: FloatArray, span: float) -> Mask:
+    """Readings far from the median of their neighbours."""
+    padded = np.pad(force, 3, mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 7)
+    apart = np.abs(force - np.median(windows, axis=1))
+    usual = max(float(1.4826 * np.median(apart)), 1e-9 * span)
+    scale = np.maximum(usual, 0.5 * np.median(np.abs(np.diff(windows, axis=1)), axis=1))
+    return np.asarray((apart > SPIKE * scale) & (apart > LARGE_SPIKE * span))
+
+
+def _clipped(name: str, force: FloatArray, theta: FloatArray) -> str:
+    """A sentence if the record is cut off flat at its largest readings.
+
+    A round top has equal readings too, if the sensor is coarse. The slopes on either side of a
+    clipped one meet well above it.
+    """
+    for end in (force.max(), force.min()):
+        at = np.flatnonzero(force == end)
+        if at.size < CLIPPED or abs(end) < 0.2 * np.ptp(force) or np.any(np.diff(at) > 1):
+            continue
+        first, last = theta[at[0]], theta[at[-1]]
+        rise = (theta >= first - SLOPE_DEG) & (theta <= first)
+        fall = (theta >= last) & (theta <= last + SLOPE_DEG)
+        if rise.sum() < 3 or fall.sum() < 3:
+            continue
+        up = abs(np.polyfit(theta[rise], force[rise], 1)[0])
+        down = abs(np.polyfit(theta[fall], force[fall], 1)[0])
+        hidden = (last - first) * up * down / max(up + down, 1e-12)
+        if hidden > HIDDEN * np.ptp(force):
+            return (
+                f"{name} is cut off at {end:.3g} N between {first:.0f} and {last:.0f}°: check whether "
+                "the sensor saturated."
+            )
+    return ""
+
+
+def _step(name: str, force: FloatArray, theta: FloatArray) -> str:
+    """A sentence if the force jumps and stays there."""
+    if len(force) < 20 or np.median(np.diff(theta)) > STEP_SPACING_DEG:
+        return ""
+    width = max(3, int(2.0 / np.median(np.diff(theta))))
+    means = np.convolve(force, np.ones(width) / width, "valid")
+    jumps = means[width:] - means[:-width]
+    sharp = np.abs(np.diff(force))[width - 1 : width - 1 + len(jumps)]
+    usual = np.median(np.abs(np.diff(force)))
+    at = int(np.argmax(sharp))
+    size = float(np.diff(force)[width - 1 + at])
+    if (
+        abs(size) > STEP * np.ptp(force)
+        and abs(jumps[at]) > 0.7 * abs(size)
+        and abs(size) > 20 * usual
+    ):
+        place = theta[width - 1 + at]
+        return f"{name} jumps by {size:.2g} N at {place:.0f}°: repair the record or use another."
+    return ""
+
+
+def _count(mask: Mask) -> str:
+    count = int(mask.sum())
+    return "1 reading" if count == 1 else f"{count} readings"
+
+
+def _where(theta: FloatArray, mask: Mask) -> str:
+    low, high = theta[mask][[0, -1]]
+    return f"between {low:.1f} and {high:.1f}°" if high > low else f"at {low:.1f}°"
+
+
+# -- after the fit -------------------------------------------------------------------------------
+
+
+def in_air(likelihood: Likelihood) -> list[str]:
+    """A sentence for each measured force that is not zero where the leg is in the air."""
+    found = []
+    inside = np.clip(likelihood.least_squares, likelihood.low, likelihood.high)
+    for record in likelihood.records:
+        emulator = likelihood.emulators[record.leg]
+        force = np.abs(emulator(inside[None])[0])
+        touching = emulator.curves.theta_deg[np.any(force > IN_AIR * force.max(), axis=0)]
+        theta = record.history.theta_deg
+        for side, air in (
+            ("before the leg meets the soil", theta < touching[0] - MARGIN_DEG),
+            ("after it has left the soil", theta > touching[-1] + MARGIN_DEG),
+        ):
+            for name, values in (("Fx", record.history.Fx), ("Fz", record.history.Fz)):
+                if air.sum() < 3 or record.simulated:
+                    continue
+                # Soil that is met early is met more and more; an offset is there all the way.
+                size = float(np.quantile(np.abs(values[air]), 0.2))
+                size *= float(np.sign(np.median(values[air])))
+                if abs(size) > OFFSET * np.ptp(values):
+                    found.append(
+                        f"{record.source}: {name} is {size:.2g} N {side}; tare the sensor, or check "
+                        "the leg."
+                    )
+    return found
+
+
+def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterator[str]:
+    """Warnings about records after the fit, a sentence each.
+
+    Parameters
+    ----------
+    likelihood
+        Of the records.
+    library
+        That they were inverted with.
+    misfit
+        Whether the model describes them badly; only then other readings of them are proposed.
+    """
+    several = len(likelihood.records) > 1
+    for record, density in zip(likelihood.records, likelihood.density, strict=True):
+        name = f"{record.source}: " if several else ""
+        if record.leg_assumed:
+            yield f"{name}The leg is assumed to be straight; give --leg."
+        if record.density_kg_m3 is None or record.density_assumed:
+            yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 2°."
+        if record.scenario is not None:
+            apart = differences(record.scenario, library.cases[0].scenario)
+            if apart:
+                listed = ", ".join(apart[:3]) + (", …" if len(apart) > 3 else "")
+                yield (
+                    f"{name}The simulation differs from library {library.name} in {listed}: the "
+                    "angle may be off."
+                )
+        elif misfit and PHI in likelihood.keys:
+            yield from (
+                f"{name}{sentence}" for sentence in _other_readings(likelihood, record, library)
+            )
+
+
+def _other_readings(likelihood: Likelihood, record: Record, library: Library) -> Iterator[str]:
+    """Another leg, sign, unit or order that would describe a misfit much better."""
+    best, proposal = BETTER * _residual(record.data, record, likelihood, record.leg), ""
+    fx, fz = record.data
+    options: dict[str, FloatArray] = {
+        "the sign of Fx is turned (Fx points forward)": np.stack([-fx, fz]),
+        "the sign of Fz is turned (Fz points up)": np.stack([fx, -fz]),
+        "these are the forces of the leg on the soil (turn both signs)": -record.data,
+        "Fx and Fz are exchanged": np.stack([fz, fx]),
+    }
+    theta = record.theta_deg
+    if np.allclose(theta, -theta[::-1], atol=1.0):
+        options["theta runs backwards (it grows as the leg moves)"] = record.data[:, ::-1]
+        options["theta and Fx are turned (mirror the record)"] = np.stack([-fx, fz])[:, ::-1]
+    for unit, newtons in UNITS.items():
+        options[f"the forces are in {unit} (newtons are needed)"] = newtons * record.data
+    for what, data in options.items():
+        size = _residual(data, record, likelihood, record.leg)
+        if size < best:
+            best, proposal = size, f"Check whether {what}: the record would fit."
+    for leg in library.legs:
+        if leg != record.leg and (size := _residual(record.data, record, likelihood, leg)) < best:
+            best, proposal = size, f"Check the leg: the record would fit leg {leg}."
+    if proposal:
+        yield proposal
+
+
+def _residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str) -> float:
+    """Smallest residual of data over the library's angles, of peak-to-peak [-]."""
+    from terraphi.inference.emulator import Emulator
+
+    emulator = likelihood.emulators.get(leg)
+    if emulator is None:
+        emulator = Emulator(likelihood.library.curves(leg, corrected=likelihood.measured))
+    own = emulator.curves.scenario.soil.density
+    ratio = (record.density_kg_m3 or own) / own
+    x = np.linspace(*emulator.bounds, 71)
+    curves = ratio * emulator(x) @ record.operator(emulator.curves.theta_deg).T
+    spans = np.ptp(data, axis=1)[:, None]
+    apart = np.sqrt(np.square((data - curves) / spans).mean(axis=2)).max(axis=1)
+    return float(apart.min())
+
+
+def shift_of_theta(record: Record, curve: FloatArray) -> float:
+    """Shift of θ that aligns the curve with the data best [deg]; the curve has the shape [2, m]."""
+    theta, spans = record.theta_deg, record.span[:, None]
+    best, found = np.inf, 0.0
+    for shift in np.arange(-15.0, 15.1, 0.5):
+        moved = np.stack([np.interp(theta - shift, theta, row) for row in curve])
+        scale = float((moved * record.data / spans**2).sum() / (moved * moved / spans**2).sum())
+        size = float(np.square((record.data - scale * moved) / spans).sum())
+        if size < best:
+            best, found = size, float(shift)
+    return found

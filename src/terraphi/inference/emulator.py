@@ -1,0 +1,283 @@
+r"""Force curves between the cases of a library: principal components, a Gaussian process each.
+
+With y(x) the curves (Fx, Fz) of a leg as one vector over the leg angle, and x the parameters,
+
+    y(x) = a(x) [ z0 + sum_k w_k(x) u_k + b(x) e ],
+
+a(x) is the size of the forces and b(x) that of their scatter, exponentials of polynomials; z0 and u_k are mean and principal
+components of the curves over their size. Each weight w_k is a Gaussian process with a quadratic mean,
+a Matérn 5/2 kernel and a nugget, n_k, the scatter between particle seeds; hyperparameters
+maximise the restricted likelihood (Rasmussen & Williams 2006, section 2.7). e is scatter outside the
+components, seen in the part of each curve that the others cannot describe: its size is smooth over θ, and
+its correlation a function of the distance in θ, from the mean periodogram.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.library.store import PHI, Curves
+
+LENGTHS = np.geomspace(0.15, 8.0, 16)
+"""Correlation lengths that are tried, in units of the half range of a parameter [-]."""
+NUGGETS = np.geomspace(1e-8, 1e2, 24)
+"""Nuggets that are tried, over the variance of the process [-]."""
+SMOOTH_DEG = 5.0
+"""Width of the mean by which the size of scatter is smoothed over the leg angle [deg]."""
+LEAST = 1e-9
+"""Share of the variance that a component must have [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Emulator:
+    """Forces of one leg over the parameters that a library varies.
+
+    Attributes
+    ----------
+    curves
+        What it was made from.
+    """
+
+    curves: Curves
+
+    # -- fitting ---------------------------------------------------------------------------------
+
+    @cached_property
+    def _scale(self) -> tuple[FloatArray, FloatArray]:
+        """Centre and half range of each parameter."""
+        low, high = self.bounds
+        return 0.5 * (low + high), 0.5 * (high - low)
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Smallest and largest value of each parameter."""
+        return self.curves.x.min(axis=0), self.curves.x.max(axis=0)
+
+    @property
+    def phi_bounds_deg(self) -> tuple[float, float]:
+        """Smallest and largest friction angle [deg]."""
+        column = self.curves.x[:, self.curves.keys.index(PHI)]
+        return float(column.min()), float(column.max())
+
+    def _basis(self, x: FloatArray) -> FloatArray:
+        """Polynomials of the mean: constant, linear and, with cases enough, quadratic, [k, q]."""
+        t = (x - self._scale[0]) / self._scale[1]
+        enough = len(self.curves.x) > 3 * (1 + 2 * t.shape[1])
+        return np.hstack([np.ones((len(t), 1)), t, *([t * t] if enough else [])])
+
+    @cached_property
+    def _size(self) -> FloatArray:
+        """Coefficients of ln a(x)."""
+        rms = np.sqrt(np.square(self.curves.force).mean(axis=(1, 2)))
+        found, *_ = np.linalg.lstsq(self._basis(self.curves.x), np.log(rms), rcond=None)
+        return np.asarray(found)
+
+    def size(self, x: FloatArray) -> FloatArray:
+        """Size a(x) of the forces [N], shape [k, key] -> [k]."""
+        return np.exp(self._basis(x) @ self._size)
+
+    @cached_property
+    def _components(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Mean z0 [2 theta], components u [k, 2 theta] and weights w of the cases [case, k]."""
+        z = self.curves.force.reshape(len(self.curves.x), -1) / self.size(self.curves.x)[:, None]
+        mean = z.mean(axis=0)
+        left, values, u = np.linalg.svd(z - mean, full_matrices=False)
+        kept = np.square(values) > LEAST * np.square(values).sum()
+        return mean, u[kept], (left * values)[:, kept]
+
+    @cached_property
+    def _processes(self) -> list[_Process]:
+        """A fitted process for each component."""
+        weights = self._components[2]
+        t = (self.curves.x - self._scale[0]) / self._scale[1]
+        rough = self.roughness(self.curves.x) if self._scatters else np.ones(len(t))
+        return _fitted(t, self._basis(self.curves.x), weights, rough)
+
+    @property
+    def _scatters(self) -> bool:
+        """Whether simulations differ by their particle seed."""
+        return self.curves.scenario.model == "mpm"
+
+    @cached_property
+    def _rest(self) -> FloatArray:
+        """What the other curves cannot describe of each, over a(x) [-], shape [case, 2 theta]."""
+        count = len(self.curves.x)
+        z = self.curves.force.reshape(count, -1) / self.size(self.curves.x)[:, None]
+        rest = np.empty_like(z)
+        for i in range(count):
+            others = np.delete(z, i, axis=0)
+            _, values, u = np.linalg.svd(others - others.mean(axis=0), full_matrices=False)
+            apart = z[i] - others.mean(axis=0)
+            u = u[values > 1e-6 * values[0]]
+            rest[i] = apart - (apart @ u.T) @ u
+        return rest
+
+    @cached_property
+    def _roughness(self) -> FloatArray:
+        """Coefficients of ln b(x)."""
+        rms = np.sqrt(np.square(self._rest).mean(axis=1))
+        found, *_ = np.linalg.lstsq(self._basis(self.curves.x), np.log(rms + 1e-12), rcond=None)
+        return np.asarray(found)
+
+    def roughness(self, x: FloatArray) -> FloatArray:
+        """Size b(x) of the scatter over that of the forces [-], shape [k, key] -> [k]."""
+        return np.exp(self._basis(x) @ self._roughness)
+
+    @cached_property
+    def _outside(self) -> FloatArray:
+        """Covariance of the scatter outside the components, over (a b)² [-], [2 theta, 2 theta]."""
+        theta = self.curves.theta_deg
+        rest = self._rest / self.roughness(self.curves.x)[:, None]
+        rest = rest.reshape(len(rest), 2, theta.size)
+        near = np.exp(-0.5 * np.square((theta[:, None] - theta) / SMOOTH_DEG))
+        near /= near.sum(axis=1, keepdims=True)
+        sd = np.sqrt(np.square(rest).mean(axis=0) @ near.T)
+        sd = np.maximum(sd, 1e-3 * sd.max())
+        # Zeros behind each row, so that its end is not taken for the neighbour of its beginning.
+        spectrum = np.square(np.abs(np.fft.rfft(rest / sd, 2 * theta.size)))
+        correlation = np.fft.irfft(spectrum.mean(axis=(0, 1)))[: theta.size]
+        lag = np.abs(np.subtract.outer(np.arange(theta.size), np.arange(theta.size)))
+        toeplitz = (correlation / correlation[0])[lag]
+        return np.kron(np.eye(2), toeplitz) * np.outer(sd.ravel(), sd.ravel())
+
+    # -- prediction ------------------------------------------------------------------------------
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """Forces (Fx, Fz) at parameters [N], shape [k, key] -> [k, 2, theta].
+
+        Beyond the range of a parameter the forces continue in proportion to exp(ln a) and with the
+        mean of each weight, which grows uncertain there.
+        """
+        mean, u, _ = self._components
+        t = (x - self._scale[0]) / self._scale[1]
+        basis = self._basis(x)
+        weights = np.column_stack([process.mean(t, basis) for process in self._processes])
+        force = self.size(x)[:, None] * (mean + weights @ u)
+        return force.reshape(len(x), 2, -1)
+
+    def interpolation(self, x: FloatArray) -> FloatArray:
+        """Factor F of the emulator's own covariance F F' at one point [N], shape [2 theta, k]."""
+        t = (x[None] - self._scale[0]) / self._scale[1]
+        variance = [process.variance(t, self._basis(x[None]))[0] for process in self._processes]
+        return np.asarray((self.size(x[None])[0] * np.sqrt(variance)) * self._components[1].T)
+
+    def scatter(self, x: FloatArray) -> FloatArray:
+        """Covariance of the scatter of one simulation at a point [N²], [2 theta, 2 theta]."""
+        if not self._scatters:
+            return np.zeros((2 * self.curves.theta_deg.size,) * 2)
+        u = self._components[1]
+        nugget = np.array([process.nugget for process in self._processes])
+        size = self.size(x[None])[0] * self.roughness(x[None])[0]
+        return np.asarray(np.square(size) * ((u.T * nugget) @ u + self._outside))
+
+
+@dataclass(frozen=True, eq=False)
+class _Process:
+    """A Gaussian process with a polynomial mean, fitted to one weight.
+
+    With A = K + λ diag(b²), K of unit variance, F the polynomials at the cases and β their coefficients,
+    ``solved`` is A⁻¹(w − Fβ), ``inverse`` A⁻¹ and ``spread`` (F'A⁻¹F)⁻¹.
+    """
+
+    t: FloatArray
+    lengths: FloatArray
+    beta: FloatArray
+    solved: FloatArray
+    inverse: FloatArray
+    basis: FloatArray
+    spread: FloatArray
+    sigma2: float
+    noise: float
+
+    @property
+    def nugget(self) -> float:
+        """Variance between particle seeds, over b²."""
+        return self.sigma2 * self.noise
+
+    def mean(self, t: FloatArray, basis: FloatArray) -> FloatArray:
+        """Expected weight, shape [k, key] -> [k]."""
+        return np.asarray(basis @ self.beta + _kernel(t, self.t, self.lengths) @ self.solved)
+
+    def variance(self, t: FloatArray, basis: FloatArray) -> FloatArray:
+        """Variance of the weight, without the nugget, shape [k, key] -> [k]."""
+        cross = _kernel(t, self.t, self.lengths)
+        lack = basis - cross @ self.inverse @ self.basis
+        known = np.einsum("ki,ij,kj->k", cross, self.inverse, cross)
+        of_mean = np.einsum("ki,ij,kj->k", lack, self.spread, lack)
+        return self.sigma2 * np.maximum(1.0 - known + of_mean, 0.0)
+
+
+def _kernel(one: FloatArray, other: FloatArray, lengths: FloatArray) -> FloatArray:
+    """Matérn correlation of order 5/2, shape [k, n]: smooth, but not infinitely so."""
+    squared = np.square((one[:, None] - other) / lengths).sum(axis=2)
+    lag = np.sqrt(5.0 * squared)
+    return (1.0 + lag + 5.0 / 3.0 * squared) * np.exp(-lag)
+
+
+def _fitted(
+    t: FloatArray, basis: FloatArray, weights: FloatArray, rough: FloatArray
+) -> list[_Process]:
+    """A process for each column of weights: restricted likelihood over a grid, then refined.
+
+    The nugget of a case goes with the square of its roughness b; dividing everything by b makes it
+    the same for all. For one parameter the grid over (length, nugget) is enough; for several, the
+    best isotropic length is where the length of each is looked for.
+    """
+    f, w, scale = basis / rough[:, None], weights / rough[:, None], np.outer(rough, rough)
+    best = np.full(weights.shape[1], -np.inf)
+    chosen = np.zeros((weights.shape[1], 1 + t.shape[1]))
+    for length in LENGTHS:
+        roots, vectors = np.linalg.eigh(_kernel(t, t, np.full(t.shape[1], length)) / scale)
+        for noise in NUGGETS / np.median(rough) ** 2:
+            value = _restricted(np.maximum(roots, 0.0) + noise, vectors, f, w)
+            better = value > best
+            best = np.where(better, value, best)
+            chosen[better] = np.log([*[length] * t.shape[1], noise])
+    found = []
+    for column, start in enumerate(chosen):
+        own = w[:, column : column + 1]
+        end = start if t.shape[1] == 1 else _refined(t, f, own, scale, start)
+        lengths, noise = np.exp(end[:-1]), float(np.exp(end[-1]))
+        inverse = np.linalg.inv(_kernel(t, t, lengths) + noise * np.diag(rough**2))
+        spread = np.linalg.inv(basis.T @ inverse @ basis)
+        beta = spread @ basis.T @ inverse @ weights[:, column]
+        rest = weights[:, column] - basis @ beta
+        sigma2 = float(rest @ inverse @ rest) / max(len(t) - basis.shape[1], 1)
+        found.append(
+            _Process(t, lengths, beta, inverse @ rest, inverse, basis, spread, sigma2, noise)
+        )
+    return found
+
+
+def _restricted(
+    roots: FloatArray, vectors: FloatArray, basis: FloatArray, weights: FloatArray
+) -> FloatArray:
+    """Restricted log-likelihood of each column, with its variance profiled out, [column]."""
+    f, w = vectors.T @ basis, vectors.T @ weights
+    normal = f.T @ (f / roots[:, None])
+    beta = np.linalg.solve(normal, f.T @ (w / roots[:, None]))
+    free = len(w) - f.shape[1]
+    sigma2 = (np.square(w - f @ beta) / roots[:, None]).sum(axis=0) / free
+    volume = np.log(roots).sum() + np.linalg.slogdet(normal)[1]
+    return -0.5 * (free * np.log(sigma2 + 1e-300) + volume)
+
+
+def _refined(
+    t: FloatArray, basis: FloatArray, w: FloatArray, scale: FloatArray, start: FloatArray
+) -> FloatArray:
+    """Log lengths and log nugget of the largest restricted likelihood, from a start."""
+    from scipy.optimize import minimize
+
+    def loss(p: FloatArray) -> float:
+        roots, vectors = np.linalg.eigh(_kernel(t, t, np.exp(p[:-1])) / scale)
+        return -float(_restricted(np.maximum(roots, 0.0) + np.exp(p[-1]), vectors, basis, w)[0])
+
+    low = np.full_like(start, np.log(LENGTHS[0]))
+    high = np.full_like(start, np.log(20.0 * LENGTHS[-1]))
+    low[-1], high[-1] = start[-1] - 10.0, start[-1] + 10.0
+    found = minimize(loss, start, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)))
+    return np.asarray(found.x)

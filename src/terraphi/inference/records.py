@@ -1,0 +1,300 @@
+r"""Records: measured or simulated forces as window means, and how a library's curve becomes alike.
+
+A record is compared with the library through m window means of each force: 40 windows over
+|θ| ≤ 85°, as Xu & Wang have it, or those of them that the record covers. With x the readings, taken to
+be linear in between, the means are W x; a curve y known as means over 1° is read at the angles of the
+readings, R y, so that
+
+    d = W x,    g = W R y,    cov(noise) = σ² W W'.
+
+Whatever the readings' spacing, both sides are averaged alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import number_with_sd
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.leg import LEG_SHAPES
+from terraphi.experiment.measurements import Measurement, measurement_of, open_forces, scenario_of
+from terraphi.experiment.scenario import Scenario
+
+WINDOW_DEG, WINDOWS = 85.0, 40
+"""Largest |θ| of a window's centre [deg], and windows over the whole range."""
+FEWEST_WINDOWS = 10
+"""Windows that a record must have: about 40° of its path."""
+WIDEST_GAP_DEG = 20.0
+"""Widest gap between readings [deg]."""
+MOST_READINGS = 4000
+"""Readings above which a record is averaged in bins of 0.05°, or wider."""
+DENSITY_SD = 0.05
+"""Relative standard deviation of a density that comes without one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One force history, ready to be compared with a library.
+
+    Attributes
+    ----------
+    source
+        File, or name of a shipped measurement.
+    history
+        Readings that can be used.
+    leg, leg_assumed
+        Shape of the leg, and whether it is a guess.
+    density_kg_m3, density_sd_kg_m3, density_assumed
+        Bulk density of the soil [kg/m³], its standard deviation, and whether it is a guess; the
+        density is ``None`` if nothing is known.
+    scenario
+        Of a simulated history; ``None`` if measured.
+    measurement
+        Name of the shipped measurement that it is; empty for any other.
+    n_left_out
+        Readings that were left out as damaged.
+    notes
+        What is wrong with the readings, a sentence each.
+    damaged
+        Whether it is too damaged for any answer to be believed.
+    noise_N
+        Standard deviation of a reading of Fx and Fz [N].
+    """
+
+    source: str
+    history: ForceHistory
+    leg: str
+    leg_assumed: bool = False
+    density_kg_m3: float | None = None
+    density_sd_kg_m3: float = 0.0
+    density_assumed: bool = False
+    scenario: Scenario | None = None
+    measurement: str = ""
+    n_left_out: int = 0
+    notes: tuple[str, ...] = ()
+    damaged: bool = False
+    noise_N: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the forces come from a simulation."""
+        return self.scenario is not None
+
+    @cached_property
+    def _windows(self) -> tuple[FloatArray, FloatArray]:
+        """Centres of the windows that the record covers [deg], and their weights W [m, reading]."""
+        theta = self.history.theta_deg
+        centre = np.linspace(-WINDOW_DEG, WINDOW_DEG, WINDOWS)
+        half = WINDOW_DEG / (WINDOWS - 1)
+        low, high = np.maximum(centre - half, theta[0]), np.minimum(centre + half, theta[-1])
+        first, last = np.searchsorted(theta, low), np.searchsorted(theta, high, side="right")
+        kept = (high - low > 0.999 * half) & (last > first)
+        if kept.sum() < FEWEST_WINDOWS:
+            raise InputError(
+                f"{self.source}: theta covers {theta[0]:.1f} to {theta[-1]:.1f} deg with "
+                f"{len(theta)} readings; at least 40 deg within |theta| <= {WINDOW_DEG:g} deg, "
+                f"read every {2 * half:.1f} deg, are needed"
+            )
+        inside = theta[(theta >= low[kept][0]) & (theta <= high[kept][-1])]
+        gaps = np.diff(inside)
+        if gaps.size and gaps.max() > WIDEST_GAP_DEG:
+            at = int(gaps.argmax())
+            raise InputError(
+                f"{self.source}: no reading between {inside[at]:.1f} and {inside[at + 1]:.1f} deg; "
+                f"gaps of at most {WIDEST_GAP_DEG:g} deg are accepted"
+            )
+        weights = (_hats(high[kept], theta) - _hats(low[kept], theta)) / (high - low)[kept, None]
+        return centre[kept], weights
+
+    @property
+    def theta_deg(self) -> FloatArray:
+        """Centres of the windows [deg], shape [m]."""
+        return self._windows[0]
+
+    @cached_property
+    def data(self) -> FloatArray:
+        """Window means of (Fx, Fz) [N], shape [2, m]."""
+        return np.stack([self._windows[1] @ self.history.Fx, self._windows[1] @ self.history.Fz])
+
+    @property
+    def span(self) -> FloatArray:
+        """Peak-to-peak of the data of Fx and Fz [N], shape [2]."""
+        return np.asarray(np.ptp(self.data, axis=1))
+
+    @cached_property
+    def noise_covariance(self) -> FloatArray:
+        """Covariance of the data from the noise of the readings [N²], shape [2 m, 2 m]."""
+        weights = self._windows[1]
+        return np.kron(np.diag(np.square(self.noise_N)), weights @ weights.T)
+
+    def operator(self, theta_deg: FloatArray) -> FloatArray:
+        """W R: what turns a curve of means over 1° at leg angles [deg] into window means, [m, n]."""
+        return self._windows[1] @ _interpolation(self.history.theta_deg, theta_deg)
+
+    def without(self, mask: FloatArray, notes: Sequence[str], *, damaged: bool = False) -> Record:
+        """The same record without some readings (a mask of those to drop), with notes on why."""
+        history = self.history
+        if mask.any():
+            kept = ~mask
+            history = replace(history, position=history.position[kept], force=history.force[kept])
+        return replace(
+            self,
+            history=history,
+            n_left_out=int(mask.sum()),
+            notes=(*self.notes, *notes),
+            damaged=self.damaged or damaged,
+        )
+
+
+def _hats(at: FloatArray, x: FloatArray) -> FloatArray:
+    """Integral from x[0] to some places of each reading's hat function, shape [place, reading]."""
+    width = np.diff(x)
+    passed = np.clip((at[:, None] - x[:-1]) / width, 0.0, 1.0)
+    rising, falling = 0.5 * width * passed**2, width * (passed - 0.5 * passed**2)
+    total = np.zeros((at.size, x.size))
+    total[:, 1:] += rising
+    total[:, :-1] += falling
+    return total
+
+
+def _interpolation(at: FloatArray, x: FloatArray) -> FloatArray:
+    """Weights of samples at x in their linear interpolation at some places, constant beyond."""
+    i = np.clip(np.searchsorted(x, at) - 1, 0, len(x) - 2)
+    share = np.clip((at - x[i]) / (x[i + 1] - x[i]), 0.0, 1.0)
+    found = np.zeros((len(at), len(x)))
+    found[np.arange(len(at)), i] = 1.0 - share
+    found[np.arange(len(at)), i + 1] += share
+    return found
+
+
+def open_record(
+    forces: Any,
+    *,
+    leg: str | None = None,
+    density: float | str | None = None,
+    noise: float | tuple[float, float] | None = None,
+    simulated: bool | None = None,
+) -> Record:
+    """A record from whatever forces come in.
+
+    Parameters
+    ----------
+    forces
+        Path of a CSV or NetCDF, ``li2013:MEDIUM/LEG``, a measurement, a force history, or a
+        DataFrame with the columns ``theta_deg``, ``Fx_N``, ``Fz_N``.
+    leg
+        Shape of the leg; ``None``: as the forces say, else straight.
+    density
+        Bulk density [kg/m³], as a number or as ``"1600±80"``; ``None``: as the forces say. Without
+        a standard deviation 5 % are assumed.
+    noise
+        Standard deviation of a reading [N], of both forces or of each; ``None``: from the readings'
+        roughness for measured forces, none for simulated ones.
+    simulated
+        Whether the forces are a simulation's; ``None``: as they say.
+
+    Raises
+    ------
+    InputError
+        If the forces, the leg or the density cannot be used.
+    """
+    known = _measurement(forces)
+    if leg is not None and leg not in LEG_SHAPES:
+        from terraphi.experiment.errors import nearest
+
+        raise InputError(f"leg '{leg}' is not known; {nearest(leg, LEG_SHAPES)}")
+    history = known.history
+    for axis in "xz":
+        if axis not in history.axes:
+            raise InputError(f"{known.name}: no force F{axis}; Fx and Fz are needed")
+    made_by = scenario_of(history, name=known.name)
+    mean, sd, assumed = known.density_kg_m3, None, known.density_assumed
+    if density is not None:
+        mean, sd = number_with_sd(density) if isinstance(density, str) else (float(density), None)
+        assumed = False
+    if mean is not None and not 100.0 <= mean <= 10_000.0:
+        raise InputError(f"density = {mean:g} kg/m³; 100 to 10000 kg/m³ are accepted")
+    if made_by is not None and density is None:
+        sd = 0.0
+    if mean is not None and sd is None:
+        sd = DENSITY_SD * mean
+    sensor = _noise_N(history)
+    if noise is not None:
+        sensor = (noise, noise) if isinstance(noise, int | float) else noise
+    elif made_by is not None or simulated:
+        sensor = (0.0, 0.0)
+    if min(sensor) < 0.0 or max(sensor) > np.ptp(history.force):
+        raise InputError(
+            f"noise = {max(sensor):g} N; 0 N to {np.ptp(history.force):.3g} N, the range of the "
+            "forces, is accepted"
+        )
+    record = Record(
+        source=known.name,
+        history=_binned(history),
+        leg=leg or known.leg,
+        leg_assumed=known.leg_assumed and leg is None,
+        density_kg_m3=mean,
+        density_sd_kg_m3=sd or 0.0,
+        density_assumed=assumed,
+        scenario=made_by if simulated is not False else None,
+        measurement=str(history.provenance.get("measurement", "")),
+        noise_N=sensor,
+    )
+    for axis, name in zip(record.data, ("Fx", "Fz"), strict=True):
+        if not np.any(axis):
+            raise InputError(f"{known.name}: {name} is zero at every angle; check the sensor")
+    return record
+
+
+def _measurement(forces: Any) -> Measurement:
+    """What the forces say about themselves."""
+    if isinstance(forces, Measurement):
+        return forces
+    if isinstance(forces, ForceHistory):
+        if forces.coordinate != "theta":
+            raise InputError(f"forces over {forces.coordinate}; forces over theta are needed")
+        return measurement_of(forces, "forces" if "file" not in forces.provenance else "")
+    if isinstance(forces, str | Path):
+        return open_forces(forces)
+    columns = ("theta_deg", "Fx_N", "Fz_N")
+    missing = [name for name in columns if name not in getattr(forces, "columns", ())]
+    if missing:
+        raise InputError(
+            f"forces of type {type(forces).__name__} without {', '.join(missing)}; give a path, a "
+            "shipped name, a ForceHistory or a DataFrame with the columns theta_deg, Fx_N, Fz_N"
+        )
+    theta, fx, fz = (np.asarray(forces[name], dtype=np.float64) for name in columns)
+    order = np.argsort(theta, kind="stable")
+    history = ForceHistory(np.radians(theta[order]), np.stack([fx, fz], axis=1)[order])
+    return measurement_of(history, "DataFrame")
+
+
+def _binned(history: ForceHistory) -> ForceHistory:
+    """A long record averaged in equal bins of the leg angle."""
+    if len(history.position) <= MOST_READINGS:
+        return history
+    low, high = history.position[[0, -1]]
+    count = min(MOST_READINGS, int(np.ceil(np.degrees(high - low) / 0.05)))
+    at = np.minimum(((history.position - low) / (high - low) * count).astype(int), count - 1)
+    number = np.bincount(at, minlength=count)
+    sums = [np.bincount(at, c, count) for c in (history.position, *history.force.T)]
+    means = np.stack(sums)[:, number > 0] / number[number > 0]
+    return replace(history, position=means[0], force=means[1:].T, moment=None)
+
+
+def _noise_N(history: ForceHistory) -> tuple[float, float]:
+    """Noise of a reading of Fx and Fz [N]: from second differences, of which it leaves √6."""
+    second = np.diff(history.force, n=2, axis=0)
+    if len(second) < 10:
+        return 0.0, 0.0
+    sigma = 1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0)
+    x, z = history.axes.index("x"), history.axes.index("z")
+    return float(sigma[x]), float(sigma[z])

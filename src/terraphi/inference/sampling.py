@@ -1,0 +1,106 @@
+"""The posterior of a likelihood: by quadrature over φ, by ensemble MCMC over several parameters."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.inference.likelihood import BEYOND_DEG, Likelihood
+
+NODES = 1601
+"""Nodes of the quadrature, over eight standard deviations to either side."""
+LIMITS_DEG = (0.5, 80.0)
+"""Friction angles that can be answered [deg]."""
+ENSEMBLES, WALKERS, STEPS = 4, 24, 2000
+"""Independent ensembles, their walkers (at least twice the parameters), and steps of each."""
+
+
+class Drawn(NamedTuple):
+    """Draws of several parameters."""
+
+    draws: dict[str, FloatArray]
+    """By dotted key, shape [ensemble, draw]."""
+    diagnostics: dict[str, dict[str, float]]
+    """Split-R̂, effective sample size and autocorrelation time by key."""
+
+
+def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:
+    """Posterior density of φ under a uniform prior, on a grid that resolves its peak.
+
+    The prior reaches from 12° below the library's smallest angle to 12° above its largest.
+
+    Parameters
+    ----------
+    likelihood
+        Of φ alone.
+
+    Returns
+    -------
+    grid, density
+        [deg] and [1/deg], shape [node] each.
+    """
+    low = max(float(likelihood.low[0]) - BEYOND_DEG, LIMITS_DEG[0])
+    high = min(float(likelihood.high[0]) + BEYOND_DEG, LIMITS_DEG[1])
+    # A coarse grid can miss a narrow peak by hundreds of log units; least squares is close to it.
+    grid = np.union1d(np.linspace(low, high, 257), likelihood.least_squares)
+    for _ in range(3):
+        value = likelihood(grid[:, None])
+        best = float(grid[value.argmax()])
+        sd = float(likelihood.sd(np.array([best]))[0])
+        fine = np.linspace(max(low, best - 8.0 * sd), min(high, best + 8.0 * sd), NODES)
+        grid = np.union1d(np.linspace(low, high, 257), fine)
+    value = likelihood(grid[:, None])
+    density = np.exp(value - value.max())
+    return grid, density / np.trapezoid(density, grid)
+
+
+def sample(likelihood: Likelihood, *, seed: int = 0) -> Drawn:
+    """Draws of several parameters under a uniform prior over the library, by emcee.
+
+    Walkers of one ensemble depend on each other, so that R̂ compares several ensembles.
+    """
+    import emcee
+
+    count, walkers = len(likelihood.keys), max(WALKERS, 2 * len(likelihood.keys) + 2)
+    low, high, start = likelihood.low, likelihood.high, likelihood.least_squares
+
+    def log_posterior(x: FloatArray) -> FloatArray:
+        inside = np.all((x >= low) & (x <= high), axis=1)
+        found = np.full(len(x), -np.inf)
+        if inside.any():
+            found[inside] = likelihood(x[inside])
+        return found
+
+    chains, taus = [], []
+    spread = np.minimum(likelihood.sd(start), 0.3 * (high - low))
+    for child in np.random.SeedSequence(seed).spawn(ENSEMBLES):
+        rng = np.random.default_rng(child)
+        first = np.clip(start + spread * rng.standard_normal((walkers, count)), low, high)
+        first += 1e-6 * (high - low) * (rng.random(first.shape) - 0.5)
+        first = np.clip(first, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+        sampler = emcee.EnsembleSampler(walkers, count, log_posterior, vectorize=True)
+        sampler.random_state = np.random.RandomState(rng.integers(2**31)).get_state()
+        sampler.run_mcmc(first, STEPS)
+        taus.append(sampler.get_autocorr_time(quiet=True, tol=0))
+        chains.append(sampler.get_chain(discard=STEPS // 4, thin=5))
+    tau = np.max(taus, axis=0)
+    # [ensemble, draw, walker, key]
+    every = np.stack(chains)
+    draws, diagnostics = {}, {}
+    for i, key in enumerate(likelihood.keys):
+        values = every[..., i]
+        flat = values.reshape(ENSEMBLES, -1)
+        halves = values.reshape(2 * ENSEMBLES, -1)
+        within = halves.var(axis=1, ddof=1).mean()
+        # An ensemble of correlated walkers counts as one chain.
+        between = halves.mean(axis=1).var(ddof=1)
+        ess = ENSEMBLES * walkers * (STEPS - STEPS // 4) / float(tau[i])
+        draws[key] = flat
+        diagnostics[key] = {
+            "rhat": float(np.sqrt(1.0 + between / within)),
+            "ess": ess,
+            "tau": float(tau[i]),
+        }
+    return Drawn(draws, diagnostics)

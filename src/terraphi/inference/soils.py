@@ -1,0 +1,134 @@
+r"""How real soils differ from a library's model, and soils of known angle in one's own apparatus.
+
+The angle that a library reads off a record of measured forces is
+
+    φ_read = φ + offset + b + s + l,
+
+b common to all soils in one apparatus, s of the soil, l of the leg, each normal about zero. Forces
+show none of them: they look like another angle. They are learnt from soils whose angle was measured
+otherwise, and stand in the library's file.
+
+A calibration is such a soil in the user's own apparatus. With n of them, each with y_i = φ_read,i −
+φ_i − offset and variance v_i = s² + var(φ_i) + var(φ_read,i),
+
+    1/var(b) = 1/b² + Σ 1/v_i,    E(b) = var(b) Σ y_i / v_i,
+
+so that an interval can only become narrower.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.documents import Strict, parse_toml
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import replacing
+from terraphi.library.store import Library
+
+
+class ModelError(Strict):
+    """How real soils differ from a library's model of one leg."""
+
+    offset_deg: float = 0.0
+    """Mean of φ_read − φ [deg]."""
+    common_sd_deg: float = Field(3.0, ge=0)
+    """Standard deviation of b, common to all soils of one apparatus [deg]."""
+    soil_sd_deg: float = Field(4.0, ge=0)
+    """Standard deviation of s, between soils [deg]."""
+    leg_sd_deg: float = Field(2.0, ge=0)
+    """Standard deviation of l, between legs in one soil [deg]."""
+    nrmsd: float = Field(0.15, gt=0)
+    """Usual residual of a real soil, of peak-to-peak [-]."""
+    nrmsd_limit: float = Field(0.25, gt=0)
+    """Residual above which a record is a misfit [-]."""
+    theta_deg: list[float] = []
+    """Leg angles of the mean residual [deg]."""
+    residual: list[list[float]] = []
+    """Mean residual of Fx and Fz in real soils, over the model's peak-to-peak [-], [2, theta]."""
+    training: list[str] = []
+    """Records that this was learnt from."""
+
+    def mean_residual(self, curve: FloatArray, theta_deg: FloatArray) -> FloatArray | None:
+        """Expected residual of a record [N]; the curve and it have the shape [2, m]."""
+        if not self.residual:
+            return None
+        spans = np.ptp(curve, axis=1)
+        rows = [np.interp(theta_deg, self.theta_deg, row) for row in self.residual]
+        return np.asarray(spans[:, None] * np.array(rows))
+
+
+def model_error(library: Library, leg: str) -> ModelError:
+    """What a library knows of real soils on a leg; cautious defaults where it knows nothing."""
+    return ModelError.model_validate(library.model_error.get(leg, {}))
+
+
+class KnownSoil(Strict):
+    """A record in a soil of known friction angle."""
+
+    source: str
+    """Its file."""
+    leg: str
+    """Shape of the leg."""
+    phi_deg: float = Field(gt=0, lt=90)
+    """Friction angle that was measured otherwise [deg], in the library's convention."""
+    phi_sd_deg: float = Field(ge=0)
+    """Its standard deviation [deg]."""
+    read_deg: float
+    """Angle that the library reads off the record, without its offset [deg]."""
+    read_sd_deg: float = Field(ge=0)
+    """Standard deviation of that from noise, density and the library [deg]."""
+
+
+class Calibration(Strict):
+    """Soils of known friction angle in one apparatus, read through one library."""
+
+    library: str
+    """Name of the library."""
+    library_hash: str
+    """Its hash."""
+    soils: list[KnownSoil] = Field(min_length=1)
+    """The records."""
+
+    def check(self, library: Library) -> None:
+        """Refuse another library than that of the calibration.
+
+        Raises
+        ------
+        InputError
+            If the library is another, or has changed.
+        """
+        if (library.name, library.hash) != (self.library, self.library_hash):
+            raise InputError(
+                f"the calibration is for library '{self.library}' as it was then, and this is "
+                f"'{library.name}'; invert with that library, or calibrate again"
+            )
+
+    def common(self, error: ModelError) -> tuple[float, float]:
+        """Mean and standard deviation of b, given the known soils [deg]."""
+        precision, total = 1.0 / max(error.common_sd_deg, 1e-6) ** 2, 0.0
+        for soil in self.soils:
+            variance = error.soil_sd_deg**2 + soil.phi_sd_deg**2 + soil.read_sd_deg**2
+            precision += 1.0 / max(variance, 1e-6)
+            total += (soil.read_deg - soil.phi_deg - error.offset_deg) / max(variance, 1e-6)
+        return total / precision, math.sqrt(1.0 / precision)
+
+    def save(self, path: Path | str) -> None:
+        """Write it as TOML; raises InputError if the place cannot be written."""
+        lines = [f'library = "{self.library}"', f'library_hash = "{self.library_hash}"']
+        for soil in self.soils:
+            lines += ["", "[[soils]]"]
+            for key, value in soil.model_dump().items():
+                quoted = f'"{value}"'.replace("\\", "/") if isinstance(value, str) else value
+                lines.append(f"{key} = {quoted}")
+        with replacing(Path(path)) as temporary:
+            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path | str) -> Calibration:
+        """Read one that :meth:`save` wrote; raises InputError if it is none."""
+        return parse_toml(Path(path), cls)

@@ -1,1 +1,0 @@
-"""Forces between the simulations of a library: Gaussian processes over its parameters."""

@@ -1,0 +1,107 @@
+"""The emulator against simulations that it has not seen, a rival library and its own definition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern
+
+from terraphi.forward import simulate
+from terraphi.inference.emulator import Emulator, _fitted
+from terraphi.library.store import Case, Curves, Library
+
+
+@pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
+def test_unseen_simulations_of_an_exact_model_are_predicted(rft3d: Library, leg: str) -> None:
+    emulator = Emulator(rft3d.curves(leg))
+    for phi in (16.1, 28.7, 41.3):
+        scenario = rft3d.cases[0].scenario.replace(
+            **{"soil.friction_angle_deg": phi, "leg.shape": leg}
+        )
+        unseen = Library("one", (Case(scenario, simulate(scenario)),) * 1)
+        theta = emulator.curves.theta_deg
+        truth = unseen.cases[0].history.means(np.radians(theta), np.radians(0.5)).T
+        apart = emulator(np.array([[phi]]))[0] - truth
+        assert np.abs(apart).max() < 2e-3 * np.ptp(truth)
+
+
+def test_two_parameters_are_predicted(rft3d: Library) -> None:
+    rng = np.random.default_rng(3)
+    base = rft3d.cases[0].scenario
+    points = np.column_stack([rng.uniform(20.0, 45.0, 30), rng.uniform(0.2, 0.6, 30)])
+
+    def case(phi: float, friction: float) -> Case:
+        scenario = base.replace(
+            **{"soil.friction_angle_deg": float(phi), "leg.friction": float(friction)}
+        )
+        return Case(scenario, simulate(scenario))
+
+    library = Library("two", tuple(case(*point) for point in points))
+    curves = library.curves("straight")
+    assert curves.keys == ("soil.friction_angle_deg", "leg.friction")
+    emulator = Emulator(curves)
+    truth = Library("one", (*library.cases, case(32.0, 0.4))).cases[-1].history
+    means = truth.means(np.radians(curves.theta_deg), np.radians(0.5)).T
+    apart = emulator(np.array([[32.0, 0.4]]))[0] - means
+    assert np.sqrt(np.square(apart).mean()) < 0.01 * np.ptp(means)
+
+
+def test_process_is_that_of_scikit_learn() -> None:
+    """Universal kriging is the limit of a process whose polynomial has a large prior variance."""
+    rng = np.random.default_rng(0)
+    t = np.linspace(-1.0, 1.0, 14)[:, None]
+    w = np.sin(2.0 * t) + 0.05 * rng.standard_normal(t.shape)
+    basis = np.hstack([np.ones_like(t), t])
+    (process,) = _fitted(t, basis, w, np.ones(len(t)))
+    new = np.array([[-0.77], [0.03], [0.61]])
+    f = np.hstack([np.ones_like(new), new])
+    # The residual about our polynomial is an ordinary process; scikit-learn predicts it.
+    kernel = ConstantKernel(process.sigma2, "fixed") * Matern(process.lengths, "fixed", nu=2.5)
+    rival = GaussianProcessRegressor(kernel, alpha=process.sigma2 * process.noise, optimizer=None)
+    rival.fit(t, w[:, 0] - basis @ process.beta)
+    mean, sd = rival.predict(new, return_std=True)
+    np.testing.assert_allclose(process.mean(new, f), f @ process.beta + mean, atol=1e-8)
+    assert np.all(process.variance(new, f) > np.square(sd) - 1e-12)
+    # And with a prior of large variance on the polynomial the variance is the same.
+    big = 1e6 * process.sigma2
+
+    def k(a: np.ndarray, b: np.ndarray, fa: np.ndarray, fb: np.ndarray) -> np.ndarray:
+        return kernel(a, b) + big * fa @ fb.T
+
+    total = k(t, t, basis, basis) + process.sigma2 * process.noise * np.eye(len(t))
+    across = k(new, t, f, basis)
+    limit = np.diag(k(new, new, f, f)) - np.einsum(
+        "ki,ki->k", across, np.linalg.solve(total, across.T).T
+    )
+    np.testing.assert_allclose(process.variance(new, f), limit, rtol=1e-3, atol=1e-9)
+
+
+def test_scatter_and_intervals_hold_in_drawn_worlds() -> None:
+    """Curves drawn from a smooth law with scatter: the truth between the cases is covered."""
+    theta, rng = np.arange(-60.0, 61.0), np.random.default_rng(1)
+    phi = np.linspace(15.0, 50.0, 15)
+    base = Library.load("sand3d").cases[0].scenario
+    inside = []
+
+    def law(angle: float) -> np.ndarray:
+        lift = np.exp(0.05 * angle) * np.exp(-0.5 * np.square((theta + 40.0 - 0.3 * angle) / 25.0))
+        return np.stack([lift, 0.7 * np.roll(lift, 20)])
+
+    for _ in range(60):
+        noise = [0.02 * law(a) * np.convolve(rng.standard_normal(125), np.ones(5) / 5**0.5, "valid")
+                 for a in phi]  # fmt: skip
+        force = np.stack([law(a) + e for a, e in zip(phi, noise, strict=True)])
+        curves = Curves(("soil.friction_angle_deg",), phi[:, None], theta, force, base)
+        emulator = Emulator(curves)
+        x = np.array([rng.uniform(18.0, 47.0)])
+        apart = (law(x[0]) - emulator(x[None])[0]).ravel()
+        factor = emulator.interpolation(x)
+        # Along the leading direction of its own uncertainty.
+        u, s, _ = np.linalg.svd(factor, full_matrices=False)
+        inside.append(abs(u[:, 0] @ apart) < 1.96 * s[0])
+        scatter = emulator.scatter(x)
+        new = 0.02 * law(x[0]) * np.convolve(rng.standard_normal(125), np.ones(5) / 5**0.5, "valid")
+        ratio = np.sum(new**2) / np.trace(scatter)
+        assert 0.1 < ratio < 10.0
+    assert np.mean(inside) > 0.8

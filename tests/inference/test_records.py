@@ -1,0 +1,102 @@
+"""Window means, noise and reading angles against quadrature and simulation of noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import quad
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.inference.records import Record, _binned, _noise_N, open_record
+
+
+def record(theta_deg: np.ndarray, force: np.ndarray, **more: object) -> Record:
+    return Record("test", ForceHistory(np.radians(theta_deg), force), "straight", **more)
+
+
+def test_means_are_integrals_of_the_line_between_readings() -> None:
+    rng = np.random.default_rng(0)
+    theta = np.sort(rng.uniform(-90.0, 90.0, 150))
+    one = record(theta, rng.standard_normal((150, 2)))
+    half = 85.0 / 39.0
+    for i in (3, 20, 35):
+        centre = one.theta_deg[i]
+        low, high = max(centre - half, theta[0]), min(centre + half, theta[-1])
+        kinks = theta[(theta > low) & (theta < high)]
+        integral = quad(lambda t: np.interp(t, theta, one.history.Fx), low, high,
+                        points=kinks, limit=200)[0]  # fmt: skip
+        assert one.data[0, i] == pytest.approx(integral / (high - low), abs=1e-7)
+
+
+def test_a_curve_is_read_as_the_record_was() -> None:
+    theta = np.arange(-90.0, 90.1, 0.4)
+    curve_theta = np.arange(-90.0, 91.0)
+    curve = np.stack([3.0 + 0.02 * curve_theta, np.cos(np.radians(curve_theta))])
+    force = np.stack([np.interp(theta, curve_theta, row) for row in curve], axis=1)
+    one = record(theta, force)
+    np.testing.assert_allclose(curve @ one.operator(curve_theta).T, one.data, atol=1e-10)
+
+
+def test_covariance_of_noise_is_that_of_noisy_readings() -> None:
+    theta, rng = np.arange(-88.0, 88.1, 0.8), np.random.default_rng(2)
+    one = record(theta, np.zeros((len(theta), 2)) + 1.0, noise_N=(0.3, 0.1))
+    seen = []
+    for _ in range(4000):
+        noise = rng.standard_normal((len(theta), 2)) * [0.3, 0.1]
+        seen.append(replace(one, history=replace(one.history, force=noise)).data.ravel())
+    sample = np.cov(np.array(seen).T)
+    np.testing.assert_allclose(np.diag(sample), np.diag(one.noise_covariance), rtol=0.12)
+    assert np.abs(sample - one.noise_covariance).max() < 0.1 * np.diag(sample).max()
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.2])
+def test_noise_is_estimated_from_roughness(sigma: float) -> None:
+    theta, rng = np.arange(-90.0, 90.1, 0.25), np.random.default_rng(1)
+    smooth = np.stack([5.0 * np.cos(np.radians(theta)), np.sin(np.radians(2.0 * theta))], axis=1)
+    noisy = ForceHistory(np.radians(theta), smooth + sigma * rng.standard_normal(smooth.shape))
+    assert _noise_N(noisy) == pytest.approx((sigma, sigma), rel=0.15)
+
+
+def test_long_records_keep_their_means() -> None:
+    theta, rng = np.linspace(-90.0, 90.0, 50_000), np.random.default_rng(4)
+    force = np.stack([np.cos(np.radians(theta)), np.sin(np.radians(theta))], axis=1)
+    force += 0.1 * rng.standard_normal(force.shape)
+    whole = ForceHistory(np.radians(theta), force)
+    short = _binned(whole)
+    assert len(short.position) <= 4000
+    one, other = (Record("x", h, "straight").data for h in (whole, short))
+    np.testing.assert_allclose(one, other, atol=2e-3)
+
+
+def test_partial_records_use_the_windows_that_they_cover() -> None:
+    theta = np.arange(-60.0, 0.1, 0.5)
+    one = record(theta, np.ones((len(theta), 2)))
+    assert -62.0 <= one.theta_deg[0] < one.theta_deg[-1] <= 2.0
+    assert 12 <= one.theta_deg.size <= 15
+    with pytest.raises(InputError, match="40 deg"):
+        _ = record(np.arange(-20.0, 0.1, 0.5), np.ones((41, 2))).theta_deg
+    gap = np.concatenate([np.arange(-80.0, -50.0, 0.5), np.arange(-20.0, 60.0, 0.5)])
+    with pytest.raises(InputError, match="no reading between -50"):
+        _ = record(gap, np.ones((len(gap), 2))).theta_deg
+
+
+def test_a_table_is_a_record_and_rows_need_no_order() -> None:
+    theta = np.arange(-90.0, 90.1, 1.0)
+    table = pd.DataFrame({"theta_deg": theta, "Fx_N": np.cos(np.radians(theta)), "Fz_N": 1.0})
+    one, other = open_record(table), open_record(table.iloc[::-1])
+    np.testing.assert_allclose(one.data, other.data)
+    with pytest.raises(InputError, match="Fz_N"):
+        open_record(table.drop(columns="Fz_N"))
+
+
+@pytest.mark.parametrize(
+    ("given", "mean", "sd"),
+    [(1500.0, 1500.0, 75.0), ("1500±30", 1500.0, 30.0), ("1500", 1500.0, 75.0)],
+)
+def test_density_has_five_percent_unless_said(given: float | str, mean: float, sd: float) -> None:
+    one = open_record("li2013:poppy_loose/c", density=given)
+    assert (one.density_kg_m3, one.density_sd_kg_m3) == pytest.approx((mean, sd))
