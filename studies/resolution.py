@@ -2,14 +2,18 @@
 
 None of these is a property of the soil, so forces should stay where they change. Two comparisons:
 cases of the library again with other cells, speed-up or particles, of each leg and several φ; and
-the straight leg at 35° with everything else that is numerical changed too (plan `space`).
+the straight leg at 35° with everything else that is numerical changed too (`plans/space.toml`; its
+cases are simulated again by `--simulate`, in three hours).
 """
 
 from __future__ import annotations
 
+import argparse
 import csv
 import math
+import tomllib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +22,7 @@ from matplotlib.figure import Figure
 import pages
 import terraphi
 
-BASE = "sand3d-cells-60.nc"
-"""The library as it was simulated, without corrections."""
+BASE = "sand3d"
 VARIANTS = {
     "cells of 3.5 mm": "sand3d-cells-86.nc",
     "cells of 2.5 mm": "sand3d-cells-120.nc",
@@ -29,6 +32,7 @@ VARIANTS = {
 }
 WINDOW_DEG = 85.0
 COLOURS = {"straight": "#0072b2", "c": "#d55e00", "reversed_c": "#009e73"}
+SPACE = pages.ROOT / "data" / "space.csv"
 ANGLES = np.radians(np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG))
 
 
@@ -46,10 +50,10 @@ class Change(NamedTuple):
     """Root mean square of the difference over the base's peak-to-peak [%]."""
 
 
-def curves_of(name: str) -> dict[tuple[str, float], np.ndarray]:
-    """Means over 1°, shape [angle, 2], by leg and φ; of several cases the mean."""
+def curves_of(library: Path | str) -> dict[tuple[str, float], np.ndarray]:
+    """Means over 1° as simulated, shape [angle, 2], by leg and φ; of several cases the mean."""
     found: dict[tuple[str, float], list[np.ndarray]] = {}
-    for case in terraphi.Library.load(pages.LIBRARIES / name).cases:
+    for case in terraphi.Library.load(library).cases:
         if case.history is not None:
             key = case.scenario.leg.shape, case.scenario.soil.friction_angle_deg
             means = case.history.means(ANGLES, math.radians(0.5))
@@ -62,7 +66,7 @@ def changes() -> Iterator[Change]:
     base = curves_of(BASE)
     size = {key: np.abs(curve).mean(axis=0) for key, curve in base.items()}
     for variant, name in VARIANTS.items():
-        for (leg, phi), curve in sorted(curves_of(name).items()):
+        for (leg, phi), curve in sorted(curves_of(pages.LIBRARIES / name).items()):
             if (leg, phi) not in base:
                 continue
             angles = sorted(p for shape, p in size if shape == leg)
@@ -85,9 +89,36 @@ def pair(values: np.ndarray, digits: str = "+.1f", unit: str = "") -> str:
     return " / ".join(f"{value:{digits}}" for value in values) + unit
 
 
+def simulate_numerics() -> None:
+    """Simulate the cases of `plans/space.toml`, and write their mean and peak forces.
+
+    Each step changes the base, the step before it, or one that it names.
+    """
+    with (pages.ROOT / "plans" / "space.toml").open("rb") as file:
+        plan = tomllib.load(file)
+    base = terraphi.Scenario.model_validate(plan["scenario"])
+    cases, rows = {base.name: (base, "")}, []
+    for step in plan["steps"]:
+        before = {None: list(cases)[-1], "base": base.name}.get(
+            step.get("after"), step.get("after")
+        )
+        cases[step["name"]] = (cases[before][0].replace(**step["changes"]), before)
+    for name, (scenario, before) in cases.items():
+        history = terraphi.simulate(scenario)
+        peaks, numerics = history.peaks(), scenario.numerics
+        forces = history.Fx.mean(), history.Fz.mean(), peaks.Fx, peaks.Fz
+        rows.append([name, before, numerics.cells, numerics.seed, *(f"{f:.4f}" for f in forces)])
+        print(*rows[-1])
+    with SPACE.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["case", "changes", "cells", "seed", "mean_Fx_N", "mean_Fz_N",
+                         "peak_Fx_N", "peak_Fz_N"])  # fmt: skip
+        writer.writerows(rows)
+
+
 def numerics() -> list[tuple[str, ...]]:
-    """Rows of plan `space`: what each change does to the mean and the peak of the forces."""
-    with (pages.ROOT / "data" / "space.csv").open(encoding="utf-8", newline="") as file:
+    """Rows of `plans/space.toml`: what each change does to the mean and the peak of the forces."""
+    with SPACE.open(encoding="utf-8", newline="") as file:
         cases = list(csv.DictReader(file))
     means, peaks = (
         {c["case"]: np.array([float(c[f"{what}_{axis}_N"]) for axis in ("Fx", "Fz")])
@@ -128,7 +159,13 @@ def draw(found: list[Change]) -> Figure:
 
 def main() -> None:
     """Compare, and write the page."""
-    out = pages.out_from(str(__doc__))
+    parser = argparse.ArgumentParser(description=str(__doc__))
+    parser.add_argument("--out", type=Path, default=pages.DOCS, help="folder of the page")
+    parser.add_argument("--simulate", action="store_true", help="simulate plans/space.toml again")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    if arguments.simulate:
+        simulate_numerics()
     found = list(changes())
     rows = [
         (
@@ -158,7 +195,7 @@ def main() -> None:
     ]
     alt = "change of the mean force in degrees of φ, by leg and force, for each change of numerics"
     title = "Cells, speed-up and particles of sand3d"
-    pages.write(out, "resolution", title, parts, draw(found), alt)
+    pages.write(arguments.out, "resolution", title, parts, draw(found), alt)
 
 
 if __name__ == "__main__":
