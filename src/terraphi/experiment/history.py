@@ -88,6 +88,9 @@ class ForceHistory:
         Names of the force's axes, ``("x", "z")`` in the plane; those two are always there.
     provenance
         Where the history comes from: scenario, hash, versions, seed, timings; JSON-able.
+    moment
+        Of the soil on the leg about the hip, positive in the direction of increasing θ [N m],
+        shape [sample], or ``None``.
     """
 
     position: FloatArray
