@@ -14,17 +14,17 @@ from collections.abc import Callable
 import numpy as np
 
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.body import intruder_of
 from terraphi.forward.compiled import register_use
-from terraphi.forward.driver import path_of_steps
-from terraphi.forward.mpm import bed as space
-from terraphi.forward.mpm.phase import Kernel, Phases, precision_of
+from terraphi.forward.driver import Kernel, path_of_steps
+from terraphi.forward.ledger import empty_audit, empty_reaction
+from terraphi.forward.mpm.solver import MpmSolver
 from terraphi.forward.plane import lanes, packets, scalar
 from terraphi.forward.plane.bed import Particles, empty_grid, geostatic_bed
-from terraphi.forward.plane.contact import intruder_of
 from terraphi.forward.plane.packing import LANES, aligned_zeros, pack
 from terraphi.forward.plane.plasticity import material_of
 from terraphi.forward.plane.relief import fading_of
-from terraphi.forward.plane.scalar import empty_audit, empty_reaction, stepping_of
+from terraphi.forward.plane.scalar import stepping_of
 from terraphi.forward.plane.sweep import laws_of
 from terraphi.library.plan import Plan
 
@@ -102,12 +102,11 @@ def in_space(turns: int) -> list[str]:
 
 def seconds_in_space(kernel: Kernel, scenario: Scenario, steps: int) -> tuple[int, float]:
     """Number of particles, and processor time of some steps [s]."""
-    phases, soil = Phases(scenario, kernel), space.geostatic_bed(scenario, precision_of(kernel))
-    phases.weigh_first(soil)
-    poses, _, bins = path_of_steps(scenario, np.arange(steps), 1)
+    solver = MpmSolver(scenario, kernel)
+    soil, path = solver.bed(), path_of_steps(scenario, np.arange(steps), 1)
     impulse, audit = empty_reaction(1), empty_audit()
     began = time.process_time()
-    phases.take(soil, poses, bins, impulse, audit)
+    solver.advance(soil, path, impulse, audit)
     return len(soil.mass), time.process_time() - began
 
 

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.forward.foot_laws import LAWS, Foot, FootLaw
+from terraphi.forward.foot import LAWS, Foot, FootLaw
 from terraphi.robot.touchdowns import Touchdowns
 
 LAW_SETS: Mapping[str, tuple[str, ...]] = {
@@ -210,7 +210,7 @@ def fit(seen: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     seen
         The touch-downs, none or more; those without used samples come out at the prior.
     law
-        One of :data:`~terraphi.forward.foot_laws.LAWS`, by its name, or another.
+        One of :data:`~terraphi.forward.foot.LAWS`, by its name, or another.
     prior
         What is known before.
 

@@ -9,20 +9,14 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.body import intruder_of
 from terraphi.forward.driver import path_of_steps
+from terraphi.forward.ledger import Audit, empty_audit, empty_reaction
 from terraphi.forward.plane import packets, scalar
 from terraphi.forward.plane.bed import Grid, Particles, empty_grid, geostatic_bed
-from terraphi.forward.plane.contact import intruder_of
 from terraphi.forward.plane.plasticity import material_of
 from terraphi.forward.plane.relief import fading_of
-from terraphi.forward.plane.scalar import (
-    Audit,
-    Stepping,
-    advance,
-    empty_audit,
-    empty_reaction,
-    stepping_of,
-)
+from terraphi.forward.plane.scalar import Stepping, advance, stepping_of
 
 
 class Stepped(NamedTuple):

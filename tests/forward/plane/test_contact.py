@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from terraphi.experiment.leg import LEG_SHAPES, Leg
-from terraphi.forward.plane.contact import against_walls, distance_to_leg, intruder_of, rub
+from terraphi.forward.body import distance_to_leg, intruder_of
+from terraphi.forward.plane.contact import against_walls, rub
 
 SPEED = st.floats(-2.0, 2.0).map(lambda v: 0.0 if abs(v) < 1e-6 else v)
 ANGLE = st.floats(0.0, 2.0 * math.pi)

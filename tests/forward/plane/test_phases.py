@@ -11,13 +11,14 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.body import intruder_of
 from terraphi.forward.driver import simulate
+from terraphi.forward.ledger import empty_audit, empty_reaction
 from terraphi.forward.plane import packet_phases, phases, scalar
 from terraphi.forward.plane.bed import empty_grid, geostatic_bed
-from terraphi.forward.plane.contact import intruder_of
 from terraphi.forward.plane.plasticity import material_of
 from terraphi.forward.plane.relief import fading_of
-from terraphi.forward.plane.scalar import empty_audit, empty_reaction, stepping_of
+from terraphi.forward.plane.scalar import stepping_of
 
 DT = 5e-5
 SHAPES = ["straight", "c", "reversed_c", "plate"]

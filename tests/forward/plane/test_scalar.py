@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.scenario import COURANT_LIMIT, GRAVITY, Numerics, Scenario
+from terraphi.forward.ledger import LEDGER_ROWS
 from terraphi.forward.plane.bed import geostatic_bed
-from terraphi.forward.plane.scalar import LEDGER_ROWS, stepping_of
+from terraphi.forward.plane.scalar import stepping_of
 
 ON_NODES = {
     "numerics.cells": 60,

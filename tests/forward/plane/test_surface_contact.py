@@ -12,17 +12,9 @@ from hypothesis import strategies as st
 
 from terraphi.experiment.leg import Leg
 from terraphi.experiment.soil import Soil
+from terraphi.forward.body import Intruder, intruder_of, pose_of
 from terraphi.forward.plane.bed import Grid
-from terraphi.forward.plane.contact import (
-    DAMPING,
-    STIFFNESS,
-    Intruder,
-    Touch,
-    intruder_of,
-    pose_of,
-    push_particle,
-    touch,
-)
+from terraphi.forward.plane.contact import DAMPING, STIFFNESS, Touch, push_particle, touch
 from terraphi.forward.plane.plasticity import material_of
 
 MATERIAL = material_of(Soil())

@@ -13,14 +13,9 @@ from pydantic import ValidationError
 from terraphi.experiment.errors import sentence_from_validation
 from terraphi.experiment.leg import Leg
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.body import Pose, intruder_of
 from terraphi.forward.driver import simulate
-from terraphi.forward.plane.contact import (
-    Pose,
-    against_leg_unbalanced,
-    distance_to_box,
-    intruder_of,
-    unbalanced_push,
-)
+from terraphi.forward.plane.contact import against_leg_unbalanced, distance_to_box, unbalanced_push
 
 PROTOTYPE = {
     "numerics.contact": "unbalanced",

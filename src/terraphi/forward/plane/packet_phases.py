@@ -19,17 +19,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.forward.body import Intruder, Pose, distance_to_leg, pose_of
 from terraphi.forward.compiled import entry, kernel, wide_vectors
+from terraphi.forward.ledger import Audit, close_books, enter_reaction, write_books
 from terraphi.forward.plane import phases
 from terraphi.forward.plane.bed import Grid, Particles
-from terraphi.forward.plane.contact import (
-    Intruder,
-    Pose,
-    distance_to_leg,
-    pose_of,
-    push_particle,
-    touch,
-)
+from terraphi.forward.plane.contact import push_particle, touch
 from terraphi.forward.plane.lanes import (
     RELIEF_X,
     RELIEF_Z,
@@ -74,7 +69,7 @@ from terraphi.forward.plane.rows import (
     to_momenta,
     update_rows,
 )
-from terraphi.forward.plane.scalar import Audit, Stepping, close_books, enter_reaction, write_books
+from terraphi.forward.plane.scalar import Stepping
 from terraphi.forward.plane.sweep import (
     Memory,
     add_strips,

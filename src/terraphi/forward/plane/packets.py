@@ -16,23 +16,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.forward.body import Intruder
 from terraphi.forward.compiled import entry, wide_vectors
+from terraphi.forward.ledger import Audit, close_books, enter_reaction, write_books
 from terraphi.forward.plane.bed import Grid, Particles
-from terraphi.forward.plane.contact import Intruder
 from terraphi.forward.plane.lanes import Laws
 from terraphi.forward.plane.packing import LANES, FloatArray, Index, Packets, pack, unpack
 from terraphi.forward.plane.plasticity import Material
 from terraphi.forward.plane.relief import Fading
 from terraphi.forward.plane.rows import clear_rows, padded_grid, update_rows
-from terraphi.forward.plane.scalar import (
-    Audit,
-    Stepping,
-    close_books,
-    enter_reaction,
-    update_grid,
-    update_particles,
-    write_books,
-)
+from terraphi.forward.plane.scalar import Stepping, update_grid, update_particles
 from terraphi.forward.plane.sweep import Memory, laws_of, memory_for, settle, sweep
 from terraphi.forward.plane.transfer import particles_to_grid
 

@@ -23,19 +23,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.forward.body import Intruder, Pose, pose_of
 from terraphi.forward.compiled import kernel
+from terraphi.forward.ledger import Audit, close_books, enter_reaction, write_books
 from terraphi.forward.plane.bed import Grid, Particles
-from terraphi.forward.plane.contact import Intruder, Pose, pose_of, push_particle, radius_of, touch
+from terraphi.forward.plane.contact import push_particle, radius_of, touch
 from terraphi.forward.plane.plasticity import Material, jaumann_predictor, return_mapping
 from terraphi.forward.plane.relief import Fading, decay, faded
-from terraphi.forward.plane.scalar import (
-    Audit,
-    Stepping,
-    close_books,
-    enter_reaction,
-    update_grid,
-    write_books,
-)
+from terraphi.forward.plane.scalar import Stepping, update_grid
 from terraphi.forward.plane.transfer import (
     gather_values,
     grid_to_particle,

@@ -13,16 +13,10 @@ import math
 
 import numpy as np
 
+from terraphi.forward.body import Intruder, Pose, pose_of
 from terraphi.forward.compiled import kernel, wide_vectors
 from terraphi.forward.plane.bed import Grid
-from terraphi.forward.plane.contact import (
-    Intruder,
-    Pose,
-    against_leg,
-    against_leg_unbalanced,
-    against_walls,
-    pose_of,
-)
+from terraphi.forward.plane.contact import against_leg, against_leg_unbalanced, against_walls
 from terraphi.forward.plane.packing import LANES, ONE, ZERO, FloatArray, Index, aligned_zeros
 from terraphi.forward.plane.scalar import Stepping
 

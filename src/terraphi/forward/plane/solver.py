@@ -1,0 +1,92 @@
+"""What the driver needs of the solver in plane strain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.motion import bin_centres
+from terraphi.experiment.scenario import Scenario
+from terraphi.forward.body import intruder_of
+from terraphi.forward.checkpoint import State
+from terraphi.forward.driver import Kernel, Path
+from terraphi.forward.ledger import LEDGER_ROWS, Audit
+from terraphi.forward.plane import packet_phases, packets, phases, scalar
+from terraphi.forward.plane.bed import Particles, empty_grid, geostatic_bed
+from terraphi.forward.plane.plasticity import material_of
+from terraphi.forward.plane.relief import fading_of
+from terraphi.forward.plane.scalar import stepping_of
+
+FloatArray = NDArray[np.float64]
+
+APPLIED_BINS = 10
+"""Bins of the history over which the applied force is averaged: a degree of a rotation."""
+
+
+class PlaneSolver:
+    """A kernel with its constants and working memory, for the driver."""
+
+    ledger_rows = LEDGER_ROWS
+
+    def __init__(self, scenario: Scenario, kernel: Kernel) -> None:
+        self._scenario, self.width = scenario, scenario.leg.width
+        fast = kernel == "packets"
+        if scenario.numerics.steps_per_phase > 0:
+            self._advance = packet_phases.advance if fast else phases.advance
+        else:
+            self._advance = packets.advance if fast else scalar.advance
+        self._constants = (
+            empty_grid(scenario),
+            material_of(scenario.soil),
+            intruder_of(scenario.leg, inset=scenario.tip_inset),
+            fading_of(scenario),
+            stepping_of(scenario),
+        )
+
+    def bed(self) -> Particles:
+        """Soil before the first step."""
+        return geostatic_bed(self._scenario)
+
+    def advance(self, soil: Particles, path: Path, impulse: FloatArray, audit: Audit) -> int:
+        """Take some steps; index of the first particle to leave the grid, or -1."""
+        return int(self._advance(soil, *self._constants, *path, impulse, audit))
+
+    def fields(self, soil: Particles) -> tuple[FloatArray, dict[str, NDArray[Any]]]:
+        """Places (x, 0, z) [m] of the particles; velocities [m/s], stresses [Pa], weight [-]."""
+        sxx, szz, sxz, syy = soil.stress.T
+        return np.insert(soil.position, 1, 0.0, axis=1), {
+            "velocity": np.insert(soil.velocity, 1, 0.0, axis=1),
+            "speed": np.hypot(*soil.velocity.T),
+            "displacement": np.insert(soil.position - soil.start, 1, 0.0, axis=1),
+            "pressure": -0.5 * (sxx + szz),
+            "mohr_radius": np.hypot(0.5 * (sxx - szz), sxz),
+            "stress_xx": sxx,
+            "stress_zz": szz,
+            "stress_xz": sxz,
+            "stress_yy": syy,
+            "weight": soil.weight,
+        }
+
+    def provenance(self, state: State) -> dict[str, Any]:
+        """What the leg applied to the soil if its contact counts something else."""
+        scenario = self._scenario
+        if scenario.numerics.contact != "unbalanced":
+            return {}
+        edges = np.arange(0, len(state.held), APPLIED_BINS)
+        held = np.add.reduceat(state.held, edges)
+        position = np.add.reduceat(bin_centres(scenario.motion) * state.held, edges) / held
+        applied = np.add.reduceat(state.impulse[:, 2:], edges) * self.width
+        force = applied / (held * scenario.numerics.time_step)[:, None]
+        total = state.impulse.sum(axis=0) * self.width
+        return {
+            "momentum": "not balanced by design: the contact counts another force than it applies",
+            "counted_impulse_kg_m_s": total[:2].tolist(),
+            "applied_impulse_kg_m_s": total[2:].tolist(),
+            "applied_force": {
+                "position": position.tolist(),
+                "x_N": force[:, 0].tolist(),
+                "z_N": force[:, 1].tolist(),
+            },
+        }
