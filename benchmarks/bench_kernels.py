@@ -20,12 +20,9 @@ from terraphi.forward.mpm import bed as space
 from terraphi.forward.mpm.phase import Kernel, Phases, precision_of
 from terraphi.forward.plane import lanes, packets, scalar
 from terraphi.forward.plane.bed import Particles, empty_grid, geostatic_bed
-from terraphi.forward.plane.contact import intruder_of
+from terraphi.forward.plane.model import model_of
 from terraphi.forward.plane.packing import LANES, aligned_zeros, pack
-from terraphi.forward.plane.plasticity import material_of
-from terraphi.forward.plane.relief import fading_of
-from terraphi.forward.plane.scalar import empty_audit, empty_reaction, stepping_of
-from terraphi.forward.plane.sweep import laws_of
+from terraphi.forward.plane.scalar import empty_audit, empty_reaction
 from terraphi.library.plan import Plan
 
 
@@ -70,15 +67,10 @@ def seconds(advance: Callable[..., int], scenario: Scenario, steps: int) -> tupl
     """Number of particles, and processor time of some steps [s]."""
     soil: Particles = geostatic_bed(scenario)
     poses, turned, bins = path_of_steps(scenario, np.arange(steps), 1)
-    constants = (
-        material_of(scenario.soil),
-        intruder_of(scenario.leg),
-        fading_of(scenario),
-        stepping_of(scenario),
-    )
     grid, impulse, audit = empty_grid(scenario), empty_reaction(1), empty_audit()
+    model = model_of(scenario)
     began = time.process_time()
-    advance(soil, grid, *constants, poses, turned, bins, impulse, audit)
+    advance(soil, grid, model, poses, turned, bins, impulse, audit)
     return len(soil.mass), time.process_time() - began
 
 
@@ -116,10 +108,10 @@ def vector_width_ok(scenario: Scenario) -> bool:
     soil, rows = geostatic_bed(scenario), scenario.numerics.cells + 2
     state = pack(soil, rows, scenario.numerics.cell_size).state
     motion, work = aligned_zeros(int(lanes.MOTION)), aligned_zeros(int(lanes.WORK))
-    laws = laws_of(material_of(scenario.soil), stepping_of(scenario))
+    model = model_of(scenario)
     widest = "zmm" if LANES == 8 else "ymm"
     for loop in (lanes.follow_grid, lanes.scatter):
-        used = register_use(loop, state, motion, work, np.uint64(0), np.uint64(1), LANES, laws)
+        used = register_use(loop, state, motion, work, np.uint64(0), np.uint64(1), LANES, model)
         if used[widest] < 0.5 * used["single"]:
             return False
     return True

@@ -16,11 +16,6 @@ from terraphi.forward.state import State, flawed_particle
 
 FloatArray = NDArray[np.float64]
 
-SWOLLEN = 2.0
-"""Volume ratio J beyond which soil has come apart [-]."""
-SQUASHED = 0.2
-"""Volume ratio J below which soil has been pressed to nothing [-]."""
-
 
 def account_of(scenario: Scenario, before: State, after: State, lost: int, steps: int) -> str:
     """One sentence about a breakdown, for people.
@@ -48,7 +43,7 @@ def account_of(scenario: Scenario, before: State, after: State, lost: int, steps
     position = after.soil.position[particle]
     if not np.isfinite(position).all():
         position = before.soil.position[particle]
-    what = _what(after, lost, flawed)
+    what = _what(lost, flawed)
     if particle in (lost, flawed):
         x, z = 1e3 * position
         what = f"particle {particle} {what} near x = {x:.2f} mm, z = {z:.2f} mm"
@@ -86,38 +81,9 @@ def likely_cause(scenario: Scenario, after: State, particle: int) -> str:
             f"numerics.time_step = {time_step:g} s is above the limit of stability, {limit:.3g} s; "
             "take a smaller numerics.time_step"
         )
-    return (
-        _volume_cause(scenario, after.soil.stretch, particle)
-        or _speed_cause(scenario, after.soil.velocity)
-        or _edge_cause(scenario, after.soil.position[particle])
+    return _speed_cause(scenario, after.soil.velocity) or _edge_cause(
+        scenario, after.soil.position[particle]
     )
-
-
-def _volume_cause(scenario: Scenario, stretch: FloatArray, particle: int) -> str:
-    """Volumes that follow the deformation to where there is no soil any more; or nothing."""
-    known = stretch[np.isfinite(stretch)]
-    if scenario.numerics.particle_volume == "fixed" or not known.size:
-        return ""
-    low, high = float(known.min()), float(known.max())
-    if high > SWOLLEN and scenario.soil.potential_angle_deg > 0.0:
-        return (
-            f"{_dilation(scenario)} makes sheared soil swell without end, and with "
-            f"numerics.particle_volume = 'updated' its particles with it (volume ratio up to "
-            f"{high:.3g}, cohesion {scenario.soil.cohesion:g} Pa); take particle_volume = 'fixed', "
-            "or soil.flow = 'dilation' with a small soil.dilation_angle_deg"
-        )
-    own = float(stretch[particle])
-    if own > SWOLLEN:
-        return (
-            f"numerics.particle_volume = 'updated' has let loose soil swell: this particle to "
-            f"{own:.3g} times its volume; take particle_volume = 'fixed'"
-        )
-    if low < SQUASHED:
-        return (
-            f"numerics.particle_volume = 'updated' has pressed a particle to {low:.3g} of its "
-            "volume; take particle_volume = 'fixed', or a smaller numerics.time_step"
-        )
-    return ""
 
 
 def _speed_cause(scenario: Scenario, velocity: FloatArray) -> str:
@@ -172,13 +138,11 @@ def _dilation(scenario: Scenario) -> str:
     return f"a dilation angle of {soil.potential_angle_deg:g} deg"
 
 
-def _what(after: State, lost: int, flawed: int) -> str:
+def _what(lost: int, flawed: int) -> str:
     if lost >= 0:
         return "left the grid"
     if flawed < 0:
         return "the force on the leg is not a number"
-    if not after.soil.stretch[flawed] > 0.0:
-        return "has no volume left"
     return "has a velocity or a stress that is not a number"
 
 

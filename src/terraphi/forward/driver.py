@@ -17,12 +17,10 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.forward import forecast
 from terraphi.forward.breakdown import account_of, is_whole
 from terraphi.forward.checkpoint import Keeper, rests_on
-from terraphi.forward.plane import packet_phases, packets, phases, scalar
+from terraphi.forward.plane import packets, scalar
 from terraphi.forward.plane.bed import empty_grid
-from terraphi.forward.plane.contact import intruder_of
-from terraphi.forward.plane.plasticity import material_of
-from terraphi.forward.plane.relief import fading_of
-from terraphi.forward.plane.scalar import LEDGER_ROWS, stepping_of
+from terraphi.forward.plane.model import model_of
+from terraphi.forward.plane.scalar import LEDGER_ROWS
 from terraphi.forward.state import State, copy_of, first_state, read_only
 from terraphi.forward.watch import Checkpoint, Observer, Snapshot
 
@@ -33,12 +31,11 @@ FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 Kernel = Literal["packets", "scalar"]
-KERNELS: dict[Kernel, tuple[Callable[..., int], Callable[..., int]]] = {
-    "packets": (packets.advance, packet_phases.advance),
-    "scalar": (scalar.advance, phases.advance),
+KERNELS: dict[Kernel, Callable[..., int]] = {
+    "packets": packets.advance,
+    "scalar": scalar.advance,
 }
-"""By name, two functions that take a block of steps: one that transfers between particles and grid
-at every step, and one with Lagrangian phases.
+"""By name, functions that take a block of steps in two dimensions.
 
 ``scalar`` is the reference; ``packets`` is fast, and gives the same but for rounding. In three
 dimensions, where :mod:`terraphi.forward.mpm.phase` has both, ``packets`` rounds to single
@@ -171,14 +168,8 @@ class _Blocks:
 
     def __init__(self, scenario: Scenario, kernel: Kernel) -> None:
         self._scenario = scenario
-        self._advance = KERNELS[kernel][scenario.numerics.steps_per_phase > 0]
-        self._constants = (
-            empty_grid(scenario),
-            material_of(scenario.soil),
-            intruder_of(scenario.leg, inset=scenario.tip_inset),
-            fading_of(scenario),
-            stepping_of(scenario),
-        )
+        self._advance = KERNELS[kernel]
+        self._constants = (empty_grid(scenario), model_of(scenario))
 
     def first_state(self) -> State:
         """State before the first step."""

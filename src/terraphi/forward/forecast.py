@@ -178,8 +178,6 @@ def place_of_code(code: Code = IN_PLANE) -> tuple[Path | None, str]:
     outermost: Any  # Numba's types do not tell that a function has statistics.
     if code.dimensions == 3:
         from terraphi.forward.mpm.phase import step as outermost
-    elif code.phases:
-        from terraphi.forward.plane.packet_phases import march as outermost
     else:
         from terraphi.forward.plane.packets import march as outermost
     file = outermost.__module__.rpartition(".")[2]

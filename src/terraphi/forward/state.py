@@ -69,10 +69,10 @@ def flawed_particle(soil: Particles) -> int:
     Returns
     -------
     int
-        A particle with a position, velocity, gradient or stress that is not a number or a volume
-        that is not positive; -1 if there is none.
+        A particle with a position, velocity, gradient or stress that is not a number; -1 if there
+        is none.
     """
-    whole = soil.stretch > 0.0
+    whole = np.ones(len(soil.mass), dtype=bool)
     for field in (soil.position, soil.velocity, soil.gradient, soil.stress):
         whole &= np.isfinite(field).all(axis=1)
     return -1 if whole.all() else int(np.argmin(whole))

@@ -78,7 +78,5 @@ def in_plane(scenario: Scenario, soil: Soil) -> Particles:
         stress=soil.stress[:, [0, 2, 4, 1]].astype(np.float64),
         mass=soil.mass.astype(np.float64),
         volume=np.full(count, particle_volume(scenario)),
-        stretch=np.ones(count),
         weight=np.ones(count),
-        slip=np.zeros(count),
     )
