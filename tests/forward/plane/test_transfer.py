@@ -26,9 +26,7 @@ def some_particles(count: int = 200, *, seed: int = 3, stressed: bool = True) ->
         stress=rng.normal(size=(count, 4)) * 1e3 * stressed,
         mass=rng.uniform(0.5, 2.0, count),
         volume=rng.uniform(0.5, 2.0, count) * DX**2,
-        stretch=rng.uniform(0.8, 1.2, count),
         weight=rng.uniform(0.05, 1.0, count),
-        slip=np.zeros(count),
     )
 
 
@@ -47,9 +45,7 @@ def at_rest(position: np.ndarray, volume: float) -> Particles:
         stress=np.zeros((count, 4)),
         mass=np.ones(count),
         volume=np.full(count, volume),
-        stretch=np.ones(count),
         weight=np.ones(count),
-        slip=np.zeros(count),
     )
 
 
@@ -79,7 +75,7 @@ def grid_by_numpy(soil: Particles) -> Grid:
     affine = soil.gradient.reshape(-1, 2, 2) * (soil.weight * soil.mass)[:, None, None]
     sxx, szz, sxz, _ = soil.stress.T
     tensor = np.stack([np.stack([sxx, sxz], -1), np.stack([sxz, szz], -1)], -2)
-    volume = (soil.weight * soil.volume * soil.stretch)[:, None, None]
+    volume = (soil.weight * soil.volume)[:, None, None]
     affine = affine - DT * 4.0 / DX**2 * volume * tensor
     at = np.stack([rx, rz], axis=-1)
     momentum = mass[..., None] * soil.velocity[:, None, None] + np.einsum(

@@ -22,106 +22,14 @@ leg's speed. ``docs/explanation/prototype.md`` has the numbers.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from terraphi.experiment import leg as outline
-from terraphi.experiment.leg import Leg
+from terraphi.forward.body import Intruder, Pose, distance_to_leg, out_of_leg_frame
+from terraphi.forward.body import intruder_of as intruder_of
+from terraphi.forward.body import pose_of as pose_of
 from terraphi.forward.compiled import kernel
+from terraphi.forward.plane.model import Model
 
-if TYPE_CHECKING:
-    from terraphi.forward.plane.model import Model
-
-FloatArray = NDArray[np.float64]
 Two = tuple[float, float]
-
-_segment = kernel(outline.segment_distance)
-_arc = kernel(outline.arc_distance)
-_rectangle = kernel(outline.rectangle_distance)
-
-
-class Intruder(NamedTuple):
-    """A leg as the kernels take it: what contact knows of it."""
-
-    plate: bool
-    """Whether the outline is a rectangle rather than a centre line with round ends."""
-    chord: float
-    """[m]; shorter than the leg's own where its tip is drawn in."""
-    half_thickness: float
-    """[m]."""
-    curvature: float
-    """[1/m]."""
-    lean_sine: float
-    """Of the angle from the leg's own chord to this one: 0 unless an arc's tip is drawn in [-]."""
-    lean_cosine: float
-    """[-]."""
-    reach: float
-    """No smaller than the largest distance of the outline from the hip [m]."""
-    friction: float
-    """Coulomb coefficient [-]."""
-
-
-class Pose(NamedTuple):
-    """Where the leg is at a step and how it moves."""
-
-    hip_x: float
-    """[m]."""
-    hip_z: float
-    """[m]."""
-    sine: float
-    """sin θ [-]."""
-    cosine: float
-    """cos θ [-]."""
-    hip_vx: float
-    """[m/s]."""
-    hip_vz: float
-    """[m/s]."""
-    rate: float
-    """dθ/dt [rad/s]."""
-
-
-def intruder_of(leg: Leg, *, inset: float = 0.0) -> Intruder:
-    """Constants of a leg.
-
-    Parameters
-    ----------
-    leg
-        The leg.
-    inset
-        How much of its centre line contact leaves out at the tip [m].
-    """
-    chord, lean = leg.chord_without(inset)
-    return Intruder(
-        leg.shape == "plate",
-        chord,
-        leg.half_thickness,
-        leg.curvature,
-        math.sin(lean),
-        math.cos(lean),
-        leg.reach(),
-        leg.friction,
-    )
-
-
-@kernel
-def distance_to_leg(intruder: Intruder, s: float, m: float) -> tuple[float, float, float]:
-    """Signed distance [m] and unit normal (s, m) of a point in the leg's frame."""
-    if intruder.plate:
-        return _rectangle(s, m, intruder.chord, intruder.half_thickness)
-    if intruder.curvature == 0.0:
-        return _segment(s, m, intruder.chord, intruder.half_thickness)
-    sine, cosine = intruder.lean_sine, intruder.lean_cosine
-    size = (intruder.chord, intruder.half_thickness, intruder.curvature)
-    distance, ns, nm = _arc(cosine * s + sine * m, cosine * m - sine * s, *size)
-    return distance, cosine * ns - sine * nm, sine * ns + cosine * nm
-
-
-@kernel
-def pose_of(row: FloatArray) -> Pose:
-    """Pose from hip x, z [m], θ [rad], hip velocity x, z [m/s], angular rate [rad/s]."""
-    return Pose(row[0], row[1], math.sin(row[2]), math.cos(row[2]), row[3], row[4], row[5])
 
 
 @kernel
@@ -150,8 +58,7 @@ def against_leg(
     far = intruder.reach + model.band
     if rx * rx + rz * rz >= far * far:
         return vx, vz, 0.0, 0.0
-    # The leg's axes in (x, z) are s = (-sin θ, -cos θ), from the hip along the chord, and
-    # m = (-cos θ, sin θ), across it.
+    # In the leg's frame, which forward/body.py describes.
     s, m = -pose.sine * rx - pose.cosine * rz, -pose.cosine * rx + pose.sine * rz
     if model.unbalanced:
         distance, ns, nm = distance_to_box(intruder, s, m, model.cell_size)
@@ -159,7 +66,7 @@ def against_leg(
         distance, ns, nm = distance_to_leg(intruder, s, m)
     if distance >= model.band:
         return vx, vz, 0.0, 0.0
-    normal = (-pose.sine * ns - pose.cosine * nm, -pose.cosine * ns + pose.sine * nm)
+    normal = out_of_leg_frame(ns, nm, pose)
     # The leg turns from +z towards +x about +y: V = V_hip + ω × r = V_hip + ω (rz, -rx).
     leg = (pose.hip_vx + pose.rate * rz, pose.hip_vz - pose.rate * rx)
     if model.unbalanced:

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.plane.contact import Intruder, intruder_of
+from terraphi.forward.body import Intruder, intruder_of
 from terraphi.forward.plane.plasticity import Material, material_of
 
 

@@ -17,9 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.forward.body import pose_of
 from terraphi.forward.compiled import entry, kernel, wide_vectors
+from terraphi.forward.ledger import Audit, close_books, enter_reaction, write_books
 from terraphi.forward.plane.bed import Grid, Particles
-from terraphi.forward.plane.contact import against_leg, against_walls, pose_of
+from terraphi.forward.plane.contact import against_leg, against_walls
 from terraphi.forward.plane.lanes import (
     CXX,
     MOTION,
@@ -61,14 +63,7 @@ from terraphi.forward.plane.packing import (
     remove,
     unpack,
 )
-from terraphi.forward.plane.scalar import (
-    Audit,
-    close_books,
-    enter_reaction,
-    update_grid,
-    update_particles,
-    write_books,
-)
+from terraphi.forward.plane.scalar import update_grid, update_particles
 from terraphi.forward.plane.transfer import particle_to_grid, particles_to_grid
 
 IntArray = NDArray[np.int64]

@@ -8,98 +8,23 @@ against this one.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.forward.body import pose_of
 from terraphi.forward.compiled import kernel
+from terraphi.forward.ledger import LEDGER_ROWS as LEDGER_ROWS
+from terraphi.forward.ledger import Audit, close_books, enter_reaction, write_books
+from terraphi.forward.ledger import empty_audit as empty_audit
+from terraphi.forward.ledger import empty_reaction as empty_reaction
 from terraphi.forward.plane.bed import Grid, Particles
-from terraphi.forward.plane.contact import against_leg, against_walls, pose_of
+from terraphi.forward.plane.contact import against_leg, against_walls
 from terraphi.forward.plane.model import Model
 from terraphi.forward.plane.plasticity import jaumann_predictor, return_mapping
 from terraphi.forward.plane.transfer import grid_to_particle, particles_to_grid
 
 FloatArray = NDArray[np.float64]
-
-LEDGER_ROWS = ("gravity", "leg", "walls", "damping", "relief")
-"""What changes the soil's momentum, in the order of the ledger's rows."""
-
-
-class Audit(NamedTuple):
-    """The soil's momentum, followed from step to step; per meter of width."""
-
-    ledger: FloatArray
-    """Impulses so far (x, z), one row for each of :data:`LEDGER_ROWS` [kg/s]."""
-    last: FloatArray
-    """Momentum of the soil and what it should have become a step later [kg/s], shape [2, 2]."""
-    impulses: FloatArray
-    """Impulses of the last step, rows as in the ledger [kg/s]."""
-    worst: FloatArray
-    """Largest mismatch of a step over the sum of its impulses' magnitudes [-], shape [1]."""
-
-
-def empty_audit() -> Audit:
-    """Audit before the first step."""
-    rows = (len(LEDGER_ROWS), 2)
-    return Audit(np.zeros(rows), np.zeros((2, 2)), np.zeros(rows), np.zeros(1))
-
-
-def empty_reaction(bins: int) -> FloatArray:
-    """Impulse of the soil on the leg in each bin of a history, before the first step [kg/s].
-
-    Parameters
-    ----------
-    bins
-        Number of bins.
-
-    Returns
-    -------
-    ndarray
-        (x, z) as the contact counts it, and (x, z) as it was applied to the soil, shape [bin, 4].
-        The two differ for ``contact = "unbalanced"`` alone.
-    """
-    return np.zeros((bins, 4))
-
-
-@kernel
-def enter_reaction(
-    impulse: FloatArray, bin_: int, counted: tuple[float, float], applied: tuple[float, float]
-) -> None:
-    """Add to a bin the impulse on the leg: the negative of what it gave the soil in a step [kg/s].
-
-    ``counted`` is that of the contact's own count, ``applied`` that which the soil received.
-    """
-    impulse[bin_, 0] -= counted[0]
-    impulse[bin_, 1] -= counted[1]
-    impulse[bin_, 2] -= applied[0]
-    impulse[bin_, 3] -= applied[1]
-
-
-@kernel
-def close_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
-    """Compare the soil's momentum [kg/s] with that before the last step and its impulses [kg/s].
-
-    The largest mismatch so far, over the sum of the impulses' magnitudes, goes to ``audit.worst``.
-    """
-    scale = np.abs(impulses).sum()
-    if scale > 0.0:
-        miss = abs(momentum[0] - audit.last[1, 0]) + abs(momentum[1] - audit.last[1, 1])
-        audit.worst[0] = max(audit.worst[0], miss / scale)
-
-
-@kernel
-def write_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
-    """Add the impulses of a step [kg/s] to the ledger, and keep what the momentum should become.
-
-    ``momentum`` is that of the soil when the step began (x, z) [kg/s].
-    """
-    for axis in range(2):
-        audit.last[0, axis] = momentum[axis]
-        audit.last[1, axis] = momentum[axis] + impulses[:, axis].sum()
-        for row in range(impulses.shape[0]):
-            audit.ledger[row, axis] += impulses[row, axis]
-            audit.impulses[row, axis] = impulses[row, axis]
 
 
 @kernel
@@ -130,9 +55,9 @@ def advance(
     bins
         History bin of each step, shape [step].
     impulse
-        As :func:`empty_reaction` makes it, added to.
+        As :func:`terraphi.forward.ledger.empty_reaction` makes it, added to.
     audit
-        :class:`Audit`, updated.
+        :class:`~terraphi.forward.ledger.Audit`, updated.
 
     Returns
     -------
