@@ -147,11 +147,11 @@ def test_path_moves_as_its_velocities_say(coarse):
 
 
 @pytest.mark.parametrize("kernel", ["packets", "scalar"])
-def test_too_long_a_step_breaks_down_and_says_where_and_why(coarse, kernel):
+def test_too_long_a_step_breaks_down_and_says_why(coarse, kernel):
     scenario = coarse()
     numerics = scenario.numerics.model_copy(update={"time_step": 2e-4})
     words = (
-        r"broke down between steps 0 and \d+ of .*theta = -60\.0.*left the grid.*likely cause: "
+        r"broke down between steps 0 and \d+ of .*left the grid.*likely cause: "
         r"numerics\.time_step.* above the limit of stability"
     )
     with pytest.raises(SimulationError, match=words):

@@ -55,6 +55,7 @@ def against_leg(
     """
     intruder = model.intruder
     rx, rz = x - pose.hip_x, z - pose.hip_z
+    # Most nodes are far from the leg, and pay for two products only.
     far = intruder.reach + model.band
     if rx * rx + rz * rz >= far * far:
         return vx, vz, 0.0, 0.0
@@ -92,6 +93,7 @@ def coulomb(soil: Two, body: Two, normal: Two, friction: float) -> Two:
     approach = rx * normal[0] + rz * normal[1]
     if approach >= 0.0:
         return soil
+    # The impulse along n is -a m; friction may take up to μ times that off the slip.
     tx, tz = rx - approach * normal[0], rz - approach * normal[1]
     slip = math.sqrt(tx * tx + tz * tz)
     kept = 0.0

@@ -193,11 +193,13 @@ def follow_grid(
     for layer in range(layers):
         for lane in range(lanes):
             at, out = (first + layer) * FIELDS + lane, layer * MOTION + lane
+            # Grid to particle: v_p = Σ w v_i and C_p = 4/Δx² Σ w v_i (x_i - x_p).
             fx, fz = state[at + OFFSET_X], state[at + OFFSET_Z]
             wx, wz = weights(fx), weights(fz)
             vx, vxx, vxz = gather(work, WINDOW_X + lane, wx, wz, fx - 1.0, fz - 1.0)
             vz, vzx, vzz = gather(work, WINDOW_Z + lane, wx, wz, fx - 1.0, fz - 1.0)
             gradient = (per_moment * vxx, per_moment * vxz, per_moment * vzx, per_moment * vzz)
+            # Stress: elastic trial, then back to the cone, as the plain kernel has it.
             stress = (state[at + SXX], state[at + SZZ], state[at + SXZ], state[at + SYY])
             trial = jaumann_predictor(
                 stress,
@@ -208,6 +210,7 @@ def follow_grid(
                 model.turning,
             )
             stress = return_mapping(trial, material)
+            # Motion, within the cell; who leaves it is found by counting who stays.
             fx += vx * cells_per_velocity
             fz += vz * cells_per_velocity
             # Written so that an offset that is not a number counts as outside.
@@ -250,6 +253,7 @@ def fade(
             moves = layer * MOTION + lane
             dx = (state[at + OFFSET_X] - origin[start + START_X]) * model.cell_size
             dz = (state[at + OFFSET_Z] - origin[start + START_Z]) * model.cell_size
+            # q ← max(q_min, q exp(-rate |Δθ|)) beyond the distance; what is lost takes m v with it.
             weight = origin[start + WEIGHT]
             new = faded(weight, dx, dz, factor, model)
             kept = new / weight

@@ -102,6 +102,7 @@ def advance(
     path = (poses, turned, bins, impulse, audit, impulses)
     step, lost = 0, -1
     while step < last and lost < 0:
+        # Packed anew whenever a block has no room for a particle that enters it.
         packets = pack(soil, rows, model.cell_size)
         memory = Memory(
             aligned_zeros(int(WORK)),
@@ -212,10 +213,12 @@ def march(
     room = True
     while step < poses.shape[0] - 1 and room:
         now, then = grids[step % 2], grids[(step + 1) % 2]
+        # The grid: momenta become velocities, and forces act.
         close_books(audit, impulses, momentum)
         impulses[:] = 0.0
         counted = update_rows(now, used, model, poses[step], impulses)
         enter_reaction(impulse, bins[step], counted, (impulses[1, 0], impulses[1, 1]))
+        # The particles: velocities of one grid become momenta of the other.
         clear_rows(then, used)
         lost, swept = sweep(packets, soil, now, then, memory, model, turned[step], impulses, lanes)
         if lost >= 0:
@@ -403,6 +406,7 @@ def sweep(
             block = j * packets.blocks + k
             first, layers = packets.first[block], packets.layers[block]
             if layers > ZERO:
+                # All that the step does to the particles of this block, while they are at hand.
                 load_window(work, vx, vz, j * stride + k * LANES, stride, lanes)
                 inside = follow_grid(state, motion, work, first, layers, lanes, model)
                 if fades:
@@ -412,6 +416,7 @@ def sweep(
                     if lost >= 0:
                         return lost, (0.0, 0.0)
                 scatter(state, motion, work, first, layers, lanes, model)
+            # Blocks without soil too: their strips must be zero.
             lay_down(work, memory.strips, k, length, lanes)
         add_strips(memory.strips, length, then, j)
     total_x, total_z = 0.0, 0.0
@@ -446,6 +451,7 @@ def set_aside(
             inside_x = abs(state[at + OFFSET_X] - 1.0) <= 0.5
             if inside_x and abs(state[at + OFFSET_Z] - 1.0) <= 0.5:
                 continue
+            # A massless particle goes back to the middle of its cell.
             if layer >= packets.stack[block * LANES + lane]:
                 clear_lane(packets, packet, lane)
                 continue
@@ -459,6 +465,7 @@ def set_aside(
                 soil.velocity[p, axis] = motion[moves + VX + axis * LANES]
             for c in range(TWO * TWO):
                 soil.gradient[p, c] = motion[moves + CXX + c * LANES]
+            # Its lane stays until settle() removes it, and gives the grid nothing till then.
             state[at + MASS], state[at + VOLUME] = 0.0, 0.0
             n = memory.number[0]
             memory.aside[n, 0], memory.aside[n, 1], memory.aside[n, 2] = p, block, slot

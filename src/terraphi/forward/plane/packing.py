@@ -181,6 +181,7 @@ def insert(packets: Packets, soil: Particles, p: int, cell_size: float) -> bool:
     packet = packets.first[block] + layer
     if packet >= packets.first[block + ONE]:
         return False
+    # On top of the highest stack: a new layer, of massless particles but for this one.
     if layer == packets.layers[block]:
         for other in range(LANES):
             clear_lane(packets, packet, other)

@@ -67,6 +67,7 @@ def advance(
     impulses = audit.impulses.copy()
     for step in range(poses.shape[0]):
         momentum = particles_to_grid(soil, grid, model.cell_size, model.time_step)
+        # The momentum now must be that of a step ago and the impulses since then.
         close_books(audit, impulses, momentum)
         impulses[:] = 0.0
         counted = update_grid(grid, model, poses[step], impulses)
@@ -109,11 +110,14 @@ def update_grid(
             mass = grid.mass[j, i]
             if mass <= 0.0:
                 continue
+            # v = (mv)/m, and gravity: v_z -= g Δt.
             vx, vz = grid.vx[j, i] / mass, grid.vz[j, i] / mass
             vz -= model.gravity * model.time_step
             impulses[0, 1] -= mass * model.gravity * model.time_step
             vx, vz = damped(vx, vz, mass, model.damping_before, impulses)
 
+            # The leg comes before the walls, which have the last word on a node between both. The
+            # momentum that it gives, m Δv, is the force on it: Δv over Δt, negative.
             x, z = i * model.cell_size, j * model.cell_size
             px, pz = vx, vz
             vx, vz, cx, cz = against_leg(vx, vz, x, z, model, leg)
@@ -169,6 +173,7 @@ def update_particles(
     factor = math.exp(-model.relief_rate * turned)
     for p in range(soil.mass.size):
         vx, vz, gradient = grid_to_particle(soil, grid, p, model.cell_size)
+        # The stress of the next step, with the strain of this one: explicit, first order.
         stress = (soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2], soil.stress[p, 3])
         trial = jaumann_predictor(
             stress,
@@ -193,6 +198,7 @@ def update_particles(
         soil.position[p, 0] = x
         soil.position[p, 1] = z
 
+        # Soil that fades takes momentum with it, which is entered in the ledger.
         weight = soil.weight[p]
         new = faded(weight, x - soil.start[p, 0], z - soil.start[p, 1], factor, model)
         if new != weight:
