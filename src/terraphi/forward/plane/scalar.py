@@ -116,8 +116,8 @@ def update_grid(
             impulses[0, 1] -= mass * model.gravity * model.time_step
             vx, vz = damped(vx, vz, mass, model.damping_before, impulses)
 
-            # The leg comes before the walls, which have the last word on a node between both. The
-            # momentum that it gives, m Δv, is the force on it: Δv over Δt, negative.
+            # The leg, then the walls: soil between both cannot pass the wall. What the leg gives
+            # to the node, m Δv, is over Δt the negative of the force on the leg.
             x, z = i * model.cell_size, j * model.cell_size
             px, pz = vx, vz
             vx, vz, cx, cz = against_leg(vx, vz, x, z, model, leg)
@@ -173,7 +173,7 @@ def update_particles(
     factor = math.exp(-model.relief_rate * turned)
     for p in range(soil.mass.size):
         vx, vz, gradient = grid_to_particle(soil, grid, p, model.cell_size)
-        # The stress of the next step, with the strain of this one: explicit, first order.
+        # Explicit: the strain of this step makes the stress that acts in the next.
         stress = (soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2], soil.stress[p, 3])
         trial = jaumann_predictor(
             stress,
