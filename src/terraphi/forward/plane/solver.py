@@ -9,15 +9,12 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.motion import bin_centres
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.body import intruder_of
 from terraphi.forward.checkpoint import State
 from terraphi.forward.driver import Kernel, Path
 from terraphi.forward.ledger import LEDGER_ROWS, Audit
-from terraphi.forward.plane import packet_phases, packets, phases, scalar
+from terraphi.forward.plane import packets, scalar
 from terraphi.forward.plane.bed import Particles, empty_grid, geostatic_bed
-from terraphi.forward.plane.plasticity import material_of
-from terraphi.forward.plane.relief import fading_of
-from terraphi.forward.plane.scalar import stepping_of
+from terraphi.forward.plane.model import model_of
 
 FloatArray = NDArray[np.float64]
 
@@ -32,18 +29,8 @@ class PlaneSolver:
 
     def __init__(self, scenario: Scenario, kernel: Kernel) -> None:
         self._scenario, self.width = scenario, scenario.leg.width
-        fast = kernel == "packets"
-        if scenario.numerics.steps_per_phase > 0:
-            self._advance = packet_phases.advance if fast else phases.advance
-        else:
-            self._advance = packets.advance if fast else scalar.advance
-        self._constants = (
-            empty_grid(scenario),
-            material_of(scenario.soil),
-            intruder_of(scenario.leg, inset=scenario.tip_inset),
-            fading_of(scenario),
-            stepping_of(scenario),
-        )
+        self._advance = packets.advance if kernel == "packets" else scalar.advance
+        self._constants = (empty_grid(scenario), model_of(scenario))
 
     def bed(self) -> Particles:
         """Soil before the first step."""
