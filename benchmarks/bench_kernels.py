@@ -13,31 +13,15 @@ import argparse
 import time
 
 import numpy as np
-from terraphi.forward.plane.solver import PlaneSolver
 
 from terraphi.experiment.scenario import Scenario
-<<<<<<< HEAD
-from terraphi.forward.body import intruder_of
-from terraphi.forward.compiled import register_use
-from terraphi.forward.driver import Kernel, path_of_steps
-from terraphi.forward.ledger import empty_audit, empty_reaction
-from terraphi.forward.mpm.solver import MpmSolver
-from terraphi.forward.plane import lanes, packets, scalar
-from terraphi.forward.plane.bed import Particles, empty_grid, geostatic_bed
-from terraphi.forward.plane.packing import LANES, aligned_zeros, pack
-from terraphi.forward.plane.plasticity import material_of
-from terraphi.forward.plane.relief import fading_of
-from terraphi.forward.plane.scalar import stepping_of
-from terraphi.forward.plane.sweep import laws_of
-from terraphi.library.plan import Plan
-=======
 from terraphi.forward.driver import Kernel, path_of_steps
 from terraphi.forward.ledger import empty_audit, empty_reaction
 from terraphi.forward.mpm.solver import MpmSolver
 from terraphi.forward.plane.packing import LANES
+from terraphi.forward.plane.solver import PlaneSolver
 
 PLANE = Scenario().replace(**{"motion.start_deg": -30.0, "motion.stop_deg": 60.0})
->>>>>>> h-plane
 
 
 def main() -> None:
@@ -79,49 +63,9 @@ def particle_steps_per_second(scenario: Scenario, kernel: Kernel, steps: int) ->
     return particles * (steps - 2) / (long - short)
 
 
-<<<<<<< HEAD
-def seconds(advance: Callable[..., int], scenario: Scenario, steps: int) -> tuple[int, float]:
-    """Number of particles, and processor time of some steps [s]."""
-    soil: Particles = geostatic_bed(scenario)
-    poses, turned, bins = path_of_steps(scenario, np.arange(steps), 1)
-    constants = (
-        material_of(scenario.soil),
-        intruder_of(scenario.leg),
-        fading_of(scenario),
-        stepping_of(scenario),
-    )
-    grid, impulse, audit = empty_grid(scenario), empty_reaction(1), empty_audit()
-    began = time.process_time()
-    advance(soil, grid, *constants, poses, turned, bins, impulse, audit)
-    return len(soil.mass), time.process_time() - began
-
-
-def in_space(turns: int) -> list[str]:
-    """Rates in three dimensions, whole phases with all that they take; and their ratio."""
-    scenario = Plan.load("sand3d").scenario
-    steps: dict[Kernel, int] = {"packets": scenario.numerics.steps_per_phase, "scalar": 4}
-    for kernel in steps:
-        seconds_in_space(kernel, scenario, 2)
-    rates: dict[Kernel, list[float]] = {kernel: [] for kernel in steps}
-    for _ in range(max(turns // 2, 1)):
-        for kernel, count in steps.items():
-            particles, lasted = seconds_in_space(kernel, scenario, count)
-            rates[kernel].append(particles * count / lasted)
-    best = {kernel: max(values) for kernel, values in rates.items()}
-    return [
-        f"space_packets_per_scalar {best['packets'] / best['scalar']:.3f}",
-        *(f"space_{name}_particle_steps_per_second {rate:.4g}" for name, rate in best.items()),
-    ]
-
-
-def seconds_in_space(kernel: Kernel, scenario: Scenario, steps: int) -> tuple[int, float]:
-    """Number of particles, and processor time of some steps [s]."""
-    solver = MpmSolver(scenario, kernel)
-=======
 def seconds(scenario: Scenario, kernel: Kernel, steps: int) -> tuple[int, float]:
     """Number of particles, and processor time of some steps from the first on [s]."""
     solver = (PlaneSolver if scenario.dimensions == 2 else MpmSolver)(scenario, kernel)
->>>>>>> h-plane
     soil, path = solver.bed(), path_of_steps(scenario, np.arange(steps), 1)
     impulse, audit = empty_reaction(1), empty_audit()
     began = time.process_time()
