@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from go2.logs import write_csv, write_mcap, write_npz, write_rosbag2
 
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.results import RobotForces, analyse
@@ -145,8 +144,6 @@ def test_realistic_log_is_that_of_a_robot(rubbing: Run) -> None:
     ("estimator", "limit"),
     [
         ("quasi_static", 6.0),
-        ("gravity", 6.0),
-        ("inverse_dynamics", 2.0),
         ("momentum_observer", 2.0),
     ],
 )
@@ -179,25 +176,6 @@ def test_mean_stance_peaks_within_five_percent(
     assert found.peak("z") == pytest.approx(truth.peak("z"), rel=0.05)
     assert found.peak("x") == pytest.approx(truth.peak("x"), rel=0.05)
     assert found.duration == pytest.approx(truth.duration, abs=0.02)
-
-
-@pytest.mark.parametrize("write", [write_csv, write_npz, write_mcap, write_rosbag2])
-def test_every_format_tells_the_same(rubbing: Run, write: Any, tmp_path: Path) -> None:
-    if write in {write_mcap, write_rosbag2}:
-        pytest.importorskip("rosbags" if write is write_rosbag2 else "mcap")
-    suffix = {write_csv: ".csv", write_npz: ".npz", write_mcap: ".mcap"}.get(write, "")
-    write(tmp_path / f"log{suffix}", rubbing.realistic)
-    found = analyse(tmp_path / f"log{suffix}").summary()
-    expected = analyse(rubbing.realistic).summary()
-    assert found["samples"] == expected["samples"]
-    # The tick of a LowState counts whole milliseconds.
-    assert abs(found["dropped"] - expected["dropped"]) <= 2
-    for part in ("pooled", *FEET):
-        one = found["feet"].get(part, found["pooled"])
-        other = expected["feet"].get(part, expected["pooled"])
-        assert one["stances"] == other["stances"]
-        assert one["mean_peak_Fz_N"] == pytest.approx(other["mean_peak_Fz_N"], rel=0.01)
-        assert one["mean_peak_Fx_N"] == pytest.approx(other["mean_peak_Fx_N"], rel=0.03)
 
 
 @pytest.mark.parametrize(("gait", "word"), [("stand", "stands still"), ("hang", "hangs")])
@@ -240,14 +218,12 @@ def test_script_writes_truth_and_logs(simulation: Any, tmp_path: Path) -> None:
     from click.testing import CliRunner
     from go2_walk import main
 
-    words = ["--out", str(tmp_path), "--duration", "1", "--format", "csv", "--format", "npz"]
+    words = ["--out", str(tmp_path), "--duration", "1", "--format", "csv"]
     done = CliRunner().invoke(main, words, catch_exceptions=False)
     assert done.exit_code == 0
     written = {path.name for path in tmp_path.iterdir()}
-    assert written == {
-        "truth.nc", "exact.csv", "exact.npz", "realistic.csv", "realistic.npz",
-    }  # fmt: skip
+    assert written == {"truth.nc", "exact.csv", "realistic.csv"}
     with xr.open_dataset(tmp_path / "truth.nc", engine="h5netcdf") as truth:
         assert truth.force.dims == ("time", "foot", "axis")
         assert truth.sizes["time"] == 1000
-    assert analyse(tmp_path / "exact.npz").summary()["samples"] == 500
+    assert analyse(tmp_path / "exact.csv").summary()["samples"] == 500

@@ -14,7 +14,7 @@ from terraphi.cli.app import app
 from terraphi.cli.calibrate import calibrate, library_calibrate
 from terraphi.cli.doctor import doctor
 from terraphi.cli.footfalls import footfalls
-from terraphi.cli.forces import forces, friction
+from terraphi.cli.forces import forces
 from terraphi.cli.invert import KIND, MADE, invert, save_inversion
 from terraphi.cli.keys import keys
 from terraphi.cli.library import library
@@ -118,7 +118,7 @@ def demo(out: Path, as_json: bool) -> None:
 
 for command in (
     *(invert, calibrate, simulate, library, study, report, app, keys, doctor),
-    *(export, convert, slope_map, forces, footfalls, friction),
+    *(export, convert, slope_map, forces, footfalls),
 ):
     cli.add_command(command)
 for command in (library_calibrate, library_suggest):

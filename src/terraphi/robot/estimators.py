@@ -1,9 +1,10 @@
-"""Joint torques caused by ground contact, Jᵀ f = M q̈ + h + friction − τ, by four estimators.
+"""Joint torques caused by ground contact, Jᵀ f = M q̈ + h + friction − τ, by two estimators.
 
-They share a low-pass filter that is exact for samples at any spacing. The filter is the first-order
-lag of a momentum observer, ẏ = K (x − y), run forwards and backwards in time; the mean of the two
-has the gain K² / (K² + ω²) and no delay. Between samples x is taken to be linear, and a derivative
-to be constant, so that jitter and dropped samples need no resampling.
+The quasi-static one, the paper's, is −τ alone. The momentum observer (De Luca et al., IROS 2006)
+obeys ṙ = K (Jᵀ f − r): it is a first-order lag of the whole balance and needs no accelerations. It
+is solved exactly between samples at any spacing, forwards and backwards in time; the mean of the
+two has the gain K² / (K² + ω²) and no delay. Between samples values are taken to be linear, and a
+derivative to be constant, so that jitter and dropped samples need no resampling.
 """
 
 from __future__ import annotations
@@ -11,81 +12,29 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.robot.dynamics import (
-    GRAVITY,
-    BodyMotion,
-    gravity_torque,
-    inverse_dynamics,
-    mass_matrix,
-    moved,
-)
 from terraphi.robot.friction import JointFriction, smooth_sign
 from terraphi.robot.joint_log import JointLog
-from terraphi.robot.kinematics import rotation
+from terraphi.robot.legs import GRAVITY, Legs, TrunkMotion, rotation
 from terraphi.robot.model import Quadruped
 
-Estimator = Literal["quasi_static", "gravity", "inverse_dynamics", "momentum_observer"]
+Estimator = Literal["quasi_static", "momentum_observer"]
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
 
 CHUNK = 4096
-"""Samples that are worked on at a time: few enough for a processor's cache."""
+"""Samples that are worked on at a time."""
 GAP_STEPS = 3.5
 """Steps longer than this many median steps are gaps, over which no filter remembers."""
 OBSERVER_GAIN = 900.0
-"""K of the momentum observer [1/s]."""
-ACCELERATION_CUTOFF_HZ = 60.0
-"""−3 dB frequency of the accelerations in ``inverse_dynamics`` [Hz]."""
+"""K of the momentum observer [1/s]; its bandwidth is K/2π."""
 _MEMORY = 30.0
 """A filter of gain K has forgotten, to e⁻³⁰, what is this many 1/K away."""
-_TWICE = math.sqrt(2.0**0.25 - 1.0)
-"""ω/K at which the filter, applied twice, has lost 3 dB."""
-ACCELERATION_GAIN = 2.0 * math.pi * ACCELERATION_CUTOFF_HZ / _TWICE
-"""K of the filter that, applied twice to accelerations, has that cut-off [1/s]."""
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Which estimator finds the contact torques, and its settings.
-
-    Attributes
-    ----------
-    estimator
-        One of :data:`ESTIMATORS`.
-    gap
-        Steps longer than this [s] are gaps.
-    gain
-        K of the momentum observer [1/s].
-    """
-
-    estimator: Estimator
-    gap: float
-    gain: float = OBSERVER_GAIN
-
-    @property
-    def margin(self) -> float:
-        """How far samples before and after a chunk influence its filtered values [s]."""
-        if self.estimator == "momentum_observer":
-            return _MEMORY / self.gain
-        if self.estimator == "inverse_dynamics":
-            return 2.0 * _MEMORY / ACCELERATION_GAIN
-        return 0.0
-
-
-class Signals(NamedTuple):
-    """The values of a part of a log, in double precision."""
-
-    time: FloatArray
-    angle: FloatArray
-    velocity: FloatArray
-    torque: FloatArray
-    turn: FloatArray
-    """Rotation from the body's to the world's frame, shape [sample, 3, 3]."""
-    body: BodyMotion
+_NEGLIGIBLE = 1e-17
 
 
 class Chunk(NamedTuple):
@@ -112,124 +61,131 @@ def chunks(time: FloatArray, margin: float, *, size: int = CHUNK) -> Iterator[Ch
         yield Chunk(start, stop, max(first - 2, 0), min(last + 2, len(time)))
 
 
-def signals(log: JointLog, robot: Quadruped, part: slice) -> Signals:
-    """Values of a part of a log, and the motion of the trunk as far as it was recorded.
+@dataclass(frozen=True)
+class Signals:
+    """A part of a log in double precision, and the motion of the trunk as far as it is known.
 
     Without an accelerometer the trunk is taken to be unaccelerated, without a gyroscope not to
     turn, without attitude and accelerometer to be level.
     """
-    time = np.asarray(log.time[part], dtype=np.float64)
-    zero = np.zeros((len(time), 3))
-    turn = np.broadcast_to(np.eye(3), (len(time), 3, 3))
-    if log.quaternion is not None:
-        turn = rotation(log.quaternion[part])
-    w = zero if log.angular_velocity is None else np.asarray(log.angular_velocity[part], float)
-    alpha = np.gradient(w, time, axis=0) if len(time) > 2 else zero
-    if log.acceleration is None:
-        body = BodyMotion(GRAVITY * turn[:, 2, :], w, alpha)
-    else:
-        measured = BodyMotion(np.asarray(log.acceleration[part], dtype=np.float64), w, alpha)
-        body = moved(measured, np.array(robot.imu))
-    angle, velocity, torque = (
-        np.asarray(values[part], dtype=np.float64)
-        for values in (log.angle, log.velocity, log.torque)
-    )
-    return Signals(time, angle, velocity, torque, turn, body)
+
+    log: JointLog
+    robot: Quadruped
+    part: slice
+    moving: bool = True
+    """Whether the legs' equations of motion are wanted."""
+
+    def _column(self, name: str) -> FloatArray:
+        return np.asarray(getattr(self.log, name)[self.part], dtype=np.float64)
+
+    @cached_property
+    def time(self) -> FloatArray:
+        """[s]."""
+        return self._column("time")
+
+    @cached_property
+    def angle(self) -> FloatArray:
+        """[rad], shape [sample, foot, joint]."""
+        return self._column("angle")
+
+    @cached_property
+    def velocity(self) -> FloatArray:
+        """[rad/s], shape [sample, foot, joint]."""
+        return self._column("velocity")
+
+    @cached_property
+    def torque(self) -> FloatArray:
+        """[N m], shape [sample, foot, joint]."""
+        return self._column("torque")
+
+    @cached_property
+    def turn(self) -> FloatArray:
+        """Rotation from the trunk's to the world's frame, shape [sample, 3, 3]."""
+        if self.log.quaternion is None:
+            return np.broadcast_to(np.eye(3), (len(self.time), 3, 3))
+        return rotation(self.log.quaternion[self.part])
+
+    @cached_property
+    def trunk(self) -> TrunkMotion:
+        """Motion of the trunk."""
+        w = zero = np.zeros((len(self.time), 3))
+        if self.log.angular_velocity is not None:
+            w = self._column("angular_velocity")
+        alpha = np.gradient(w, self.time, axis=0) if len(self.time) > 2 else zero
+        if self.log.acceleration is None:
+            return TrunkMotion(GRAVITY * self.turn[:, 2, :], w, alpha)
+        return TrunkMotion(self._column("acceleration"), w, alpha).moved(np.array(self.robot.imu))
+
+    @cached_property
+    def slopes(self) -> FloatArray:
+        """Joint accelerations between the samples [rad/s²], shape [sample − 1, foot, joint]."""
+        return np.diff(self.velocity, axis=0) / np.diff(self.time).reshape(-1, 1, 1)
+
+    @cached_property
+    def legs(self) -> Legs:
+        """The legs, and torques of no acceleration and of those after and before each sample."""
+        if not self.moving:
+            return Legs(self.robot, self.angle)
+        none = np.zeros((1, 4, 3))
+        after, before = np.concatenate([self.slopes, none]), np.concatenate([none, self.slopes])
+        return Legs(
+            self.robot, self.angle, self.velocity, 0.0 * before, after, before, trunk=self.trunk
+        )
 
 
 def contact_torque(
-    seen: Signals, robot: Quadruped, settings: Settings, friction: JointFriction | None
+    seen: Signals,
+    estimator: Estimator,
+    gain: float,
+    gap: float,
+    friction: JointFriction | None = None,
 ) -> FloatArray:
-    """Generalised force of the ground on each leg.
+    """Generalised force of the ground on each leg, Jᵀ f.
 
     Parameters
     ----------
     seen
-        What the log says.
-    robot
-        Geometry and masses of the legs.
-    settings
+        A part of a log.
+    estimator
         Which estimator.
+    gain
+        K of the momentum observer [1/s].
+    gap
+        Steps longer than this [s] are gaps.
     friction
         Of the joints; ``None`` for none. The quasi-static estimate takes none in any case.
 
     Returns
     -------
     ndarray
-        Jᵀ f [N m], shape [sample, foot, joint].
+        [N m], shape [sample, foot, joint].
     """
-    if settings.estimator == "quasi_static":
+    if estimator == "quasi_static":
         return -seen.torque
-    lost = 0.0 if friction is None else friction.torque(seen.velocity)
-    if settings.estimator == "gravity":
-        weight = gravity_torque(robot, seen.angle, GRAVITY * seen.turn[:, 2, :])
-        return weight + lost - seen.torque
-    reflected = np.zeros((4, 3)) if friction is None else friction.inertia
-    if settings.estimator == "inverse_dynamics":
-        acceleration, body = filtered_accelerations(seen, settings)
-        needed = inverse_dynamics(robot, seen.angle, seen.velocity, acceleration, body=body)
-        return needed + reflected * acceleration + lost - seen.torque
-    return observed(
-        seen, settings, momentum_rate(seen, robot, reflected), external(seen, robot) + lost
-    )
+    still, after, before = seen.legs.torque
+    # M q̈ between samples: the change of momentum M q̇ less the integral of (dM/dt) q̇ by the
+    # trapezoidal rule.
+    rate = 0.5 * ((after - still)[:-1] + (before - still)[1:])
+    values = still - seen.torque
+    if friction is not None:
+        rate += friction.inertia * seen.slopes
+        values += friction.torque(seen.velocity)
+    return low_pass(seen.time, gain, values=values, slopes=rate, gap=gap)
 
 
-def filtered_accelerations(seen: Signals, settings: Settings) -> tuple[FloatArray, BodyMotion]:
-    """Accelerations of the joints [rad/s²] and the trunk, smoothed without delay."""
-    gain, gap = ACCELERATION_GAIN, settings.gap
-    if len(seen.time) < 2:
-        return np.zeros_like(seen.velocity), seen.body
-
-    def once(values: FloatArray) -> FloatArray:
-        return low_pass(seen.time, gain, values=values, gap=gap)
-
-    step = np.diff(seen.time).reshape(-1, 1, 1)
-    slopes = np.diff(seen.velocity, axis=0) / step
-    joints = once(low_pass(seen.time, gain, slopes=slopes, gap=gap))
-    s, w, alpha = seen.body
-    return joints, BodyMotion(once(once(s)), w, once(once(alpha)))
-
-
-def momentum_rate(seen: Signals, robot: Quadruped, reflected: FloatArray) -> FloatArray:
-    """M q̈ between samples [N m], shape [sample − 1, foot, joint].
-
-    It is the change of momentum M q̇ less the integral of (dM/dt) q̇ by the trapezoidal rule.
-    """
-    matrix = mass_matrix(robot, seen.angle)
-    matrix[..., [0, 1, 2], [0, 1, 2]] += reflected
-    mean = 0.5 * (matrix[1:] + matrix[:-1])
-    slopes = np.diff(seen.velocity, axis=0) / np.diff(seen.time).reshape(-1, 1, 1)
-    return (mean @ slopes[..., None])[..., 0]
-
-
-def external(seen: Signals, robot: Quadruped) -> FloatArray:
-    """Torques other than those of ground contact and friction, h − τ [N m]."""
-    still = np.zeros_like(seen.velocity)
-    return inverse_dynamics(robot, seen.angle, seen.velocity, still, body=seen.body) - seen.torque
-
-
-def observed(
-    seen: Signals, settings: Settings, rate: FloatArray | None, values: FloatArray | None
-) -> FloatArray:
-    """Residual of a momentum observer with gain K: the filtered balance of momentum."""
-    return low_pass(seen.time, settings.gain, values=values, slopes=rate, gap=settings.gap)
-
-
-def friction_terms(seen: Signals, settings: Settings) -> FloatArray:
+def friction_terms(seen: Signals, gain: float, gap: float) -> FloatArray:
     """Regressors of joint friction as the observer sees them, shape [sample, foot, joint, 3].
 
     They multiply Coulomb torque, viscous coefficient and reflected inertia.
     """
-    slopes = np.diff(seen.velocity, axis=0) / np.diff(seen.time).reshape(-1, 1, 1)
-    columns = (
-        observed(seen, settings, None, smooth_sign(seen.velocity)),
-        observed(seen, settings, None, seen.velocity),
-        observed(seen, settings, slopes, None),
+    return np.stack(
+        [
+            low_pass(seen.time, gain, values=smooth_sign(seen.velocity), gap=gap),
+            low_pass(seen.time, gain, values=seen.velocity, gap=gap),
+            low_pass(seen.time, gain, slopes=seen.slopes, gap=gap),
+        ],
+        axis=-1,
     )
-    return np.stack(columns, axis=-1)
-
-
-_NEGLIGIBLE = 1e-17
 
 
 def low_pass(
@@ -262,14 +218,9 @@ def low_pass(
     """
     step = np.diff(time)
     forward = lagged(step, gain, values, slopes, gap)
-    back = lagged(
-        step[::-1],
-        gain,
-        None if values is None else values[::-1],
-        None if slopes is None else slopes[::-1],
-        gap,
-    )[::-1]
-    # Beside a gap, and at the record's ends, only the side with a past is of use.
+    turned = [None if each is None else each[::-1] for each in (values, slopes)]
+    back = lagged(step[::-1], gain, *turned, gap)[::-1]
+    # Next to a gap, and at the record's ends, only the side with a past is of use.
     alone = np.concatenate([[True], step > gap, [True]])
     share = np.where(alone[:-1] & ~alone[1:], 0.0, np.where(alone[1:] & ~alone[:-1], 1.0, 0.5))
     share = share.reshape(-1, *(1,) * (forward.ndim - 1))
@@ -283,7 +234,7 @@ def lagged(
     slopes: FloatArray | None,
     gap: float = math.inf,
 ) -> FloatArray:
-    """The same forwards only, over steps [s], which delays by 1/K; shape [sample, ...].
+    """The filter forwards only, over steps [s], which delays by 1/K; shape [sample, ...].
 
     It solves y[k] = decay[k] y[k−1] + added[k] for all samples.
     """
@@ -313,3 +264,8 @@ def lagged(
         factor[:reach] = 0.0
         reach *= 2
     return total
+
+
+def margin_of(estimator: Estimator, gain: float) -> float:
+    """How far samples before and after a chunk influence its filtered values [s]."""
+    return _MEMORY / gain if estimator == "momentum_observer" else 0.0

@@ -1,8 +1,7 @@
-"""What footfalls say, as JSON, NetCDF, CSV and GeoJSON."""
+"""Footfalls as JSON, NetCDF, GeoJSON and CSV."""
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from pathlib import Path
@@ -34,6 +33,9 @@ VARIABLES = {
     "path_absolute_sd_deg": ("path_absolute_sd", "point", "degree", "standard deviation, absolute"),
 }
 """Variable of a file to the field of a map that it holds, its dimension, unit and meaning."""
+
+CSV_COLUMNS = ["t_s", "foot", "x_m", "y_m", "surface_m", "sinkage_m", "phi_deg", "sd_deg",
+               "shared_sd_deg", "verdict"]  # fmt: skip
 
 
 def _number(value: float, digits: int = 4) -> float | None:
@@ -101,14 +103,14 @@ def _path(found: FootfallMap) -> dict[str, Any]:
 
 
 def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
-    """Write NetCDF-4, and beside it the footfalls as CSV and GeoJSON.
+    """Write NetCDF-4, and the footfalls as GeoJSON and CSV.
 
     Parameters
     ----------
     found
         What :func:`~terraphi.robot.footfalls.find_footfalls` found.
     path
-        The NetCDF to make or replace; the others have its name with ``.csv`` and ``.geojson``.
+        The NetCDF to make or replace; the others have its name with ``.geojson`` and ``.csv``.
 
     Returns
     -------
@@ -120,6 +122,7 @@ def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
     InputError
         If the place cannot be written.
     """
+    import pandas as pd
     import xarray as xr
 
     variables: dict[str, Any] = {
@@ -151,11 +154,18 @@ def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
             "provenance": json.dumps(found.provenance),
         },
     )
-    names = path, path.with_suffix(".csv"), path.with_suffix(".geojson")
+    names = path, path.with_suffix(".geojson"), path.with_suffix(".csv")
     write_netcdf(dataset, names[0])
-    with replacing(names[1]) as temporary, temporary.open("w", newline="") as stream:
-        _write_csv(found, stream)
-    with replacing(names[2]) as temporary:
+    rows = [
+        [found.time[i], found.foot[i], *found.place[i], found.sinkage[i], found.phi[i], found.sd[i],
+         found.shared_sd[i], verdict]
+        for i, verdict in enumerate(found.verdict)
+    ]  # fmt: skip
+    with replacing(names[2]) as temporary, temporary.open("w", newline="") as stream:
+        stream.write(f"# {SIGNATURE}: footfalls; x, y from the robot's first place and heading\n")
+        table = pd.DataFrame(rows, columns=CSV_COLUMNS)
+        table.to_csv(stream, index=False, float_format="%.4f", lineterminator="\n")
+    with replacing(names[1]) as temporary:
         temporary.write_text(json.dumps(_geojson(found), ensure_ascii=False), encoding="utf-8")
     return names
 
@@ -182,19 +192,6 @@ def read_footfalls(path: Path) -> FootfallMap:
         why = f"{path}: not as terraphi writes footfalls ({error}); make it again"
         raise InputError(why) from error
     return found
-
-
-def _write_csv(found: FootfallMap, stream: Any) -> None:
-    stream.write(f"# {SIGNATURE}: footfalls; x, y from the robot's first place and heading\n")
-    rows = csv.writer(stream, lineterminator="\n")
-    rows.writerow(
-        ["t_s", "foot", "x_m", "y_m", "surface_m", "sinkage_m", "phi_deg", "sd_deg",
-         "shared_sd_deg", "verdict"]
-    )  # fmt: skip
-    for i, verdict in enumerate(found.verdict):
-        values = (*found.place[i], found.sinkage[i], found.phi[i], found.sd[i], found.shared_sd[i])
-        said = ["" if math.isnan(value) else f"{value:.4f}" for value in values]
-        rows.writerow([f"{found.time[i]:.4f}", found.foot[i], *said, verdict])
 
 
 def _geojson(found: FootfallMap) -> dict[str, Any]:

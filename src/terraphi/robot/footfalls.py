@@ -1,4 +1,4 @@
-"""φ under every footfall of a log, and along its path: the whole way from a log to the answer."""
+"""φ under every footfall of a log, and along its path: from a log to the answer."""
 
 from __future__ import annotations
 
@@ -27,12 +27,11 @@ from terraphi.robot.footfall_fit import (
 )
 from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, Shared, pool
 from terraphi.robot.forces import without_broken_accelerometer
-from terraphi.robot.friction import JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
-from terraphi.robot.kinematics import rotation
+from terraphi.robot.legs import rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.odometry import Motion, track
-from terraphi.robot.results import RobotForces, analyse, opened
+from terraphi.robot.results import analyse, opened
 from terraphi.robot.touchdowns import FEWEST, Touchdowns, sensitivity, touchdowns
 from terraphi.robot.weighing import Weighing, weigh
 
@@ -50,7 +49,7 @@ NEAR_RADII = 2.0
 WORST_MISFIT = 2.0
 """χ² over the degrees of freedom above which a law does not fit [-]."""
 NEAR_EDGE_DEG = 1.0
-"""A friction angle this near to the end of what laws are asked for is the end [deg]."""
+"""A friction angle this near to the end of the range of the laws is the end [deg]."""
 LEAST_SCALE = 0.2
 """The noise of a log is at least this part of what is assumed [-]."""
 PATH_STEP = 0.05
@@ -64,7 +63,7 @@ HEADING_S = 0.5
 
 @dataclass(frozen=True)
 class FootfallMap:
-    """What a log says of the soil.
+    """φ under footfalls and along the path.
 
     Attributes
     ----------
@@ -90,11 +89,11 @@ class FootfallMap:
     path_phi, path_relative_sd, path_absolute_sd
         Map of φ on the path [deg], shape [point]; not a number if no footfall is usable.
     shared
-        What all footfalls share, by name: mean, standard deviation and what it is worth in φ.
+        What all footfalls share, by name: mean, standard deviation and its share of φ's.
     by_law
-        Mean φ of the usable footfalls by each law that was asked [deg].
+        Mean φ of the usable footfalls by each law [deg].
     notes
-        What a reader should know.
+        Warnings.
     provenance
         Log, robot, priors and versions.
     """
@@ -119,7 +118,7 @@ class FootfallMap:
 
     @property
     def usable(self) -> BoolArray:
-        """Which footfalls tell φ, shape [footfall]."""
+        """Which footfalls determine φ, shape [footfall]."""
         return np.array([verdict == USABLE for verdict in self.verdict], dtype=bool)
 
     def counts(self) -> dict[str, int]:
@@ -134,8 +133,6 @@ def find_footfalls(
     law: str = "rft",
     prior: Prior | None = None,
     anchors: Sequence[Anchor] = (),
-    friction: JointFriction | None = None,
-    probe: bool = False,
     **reading: Any,
 ) -> FootfallMap:
     """φ under each footfall of a walk, and a map of it along the path.
@@ -145,7 +142,7 @@ def find_footfalls(
     log
         A file or folder that :func:`~terraphi.robot.logs.read_log` reads, or what it read.
     robot
-        The robot, or its name, TOML or URDF.
+        The robot, or its name, TOML, URDF or MJCF.
     law
         One of :data:`~terraphi.robot.footfall_fit.LAW_SETS`: the answers of several laws are
         averaged.
@@ -154,16 +151,8 @@ def find_footfalls(
         the usual, and the answer says that the density is assumed.
     anchors
         Friction angles known on stretches of the path.
-    friction
-        Of the joints, from a log of the hanging robot; what it lacks is found in swing.
-    probe
-        Feet were pressed slowly, on purpose, while the others stood: the whole loading counts.
     **reading
         ``topic``, ``joint_names`` and ``columns`` of :func:`~terraphi.robot.logs.read_log`.
-
-    Returns
-    -------
-    FootfallMap
 
     Raises
     ------
@@ -172,11 +161,14 @@ def find_footfalls(
         option is unknown or an anchor lies off the path.
     """
     body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
-    check_known(law, body)
+    if law not in LAW_SETS:
+        raise InputError(f"law '{law}' is unknown; {nearest(law, LAW_SETS)}")
+    if body.foot_radius <= 0.0:
+        raise InputError(f"robot '{body.name}' lacks its foot_radius, which footfalls need")
     name = "the log" if isinstance(log, JointLog) else str(log)
     log, _ = opened(log, body, **reading)
     if log.quaternion is None:
-        raise InputError(f"{name}: has no attitude, without which nobody knows where down is")
+        raise InputError(f"{name}: has no attitude, so that down is not known")
     if len(log.time) < FEWEST:
         raise InputError(
             f"{name}: a footfall takes {FEWEST} samples or more, found {len(log.time)}; give the "
@@ -184,44 +176,75 @@ def find_footfalls(
         )
     chosen = replace(prior or Prior(), radius=body.foot_radius)
     try:
-        found = analyse(log, robot=body, friction=friction)
-        if found.grave:
-            raise InputError(f"no footfall can be told: {found.grave[0]}")
+        analysis = analyse(log, robot=body)
+        if analysis.grave:
+            raise InputError(f"no footfall can be read: {analysis.grave[0]}")
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
-    lift = found.forces.force[:, :, 2].astype(np.float64)
+    forces = analysis.forces
+    lift = forces.force[:, :, 2].astype(np.float64)
     log, _ = without_broken_accelerometer(log)  # as the forces did, whose notes say so
-    motion = _from_the_start(track(log, body, lift), log)
-    per = sensitivity(log, body)
-    saturated = found.forces.saturated
-    seen = touchdowns(log, body, lift, saturated, motion, found.stances, per, probe=probe)
+    motion = _from_the_start(track(log, body, forces.place, lift), log)
+    per = sensitivity(log, forces)
+    seen = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
     weighed = weigh(
         log.time, lift, motion.lift_acceleration, per, shared_sd(chosen)[: len(TORQUES)],
         mass=body.mass,
     )  # fmt: skip
     fits = {each: fit(seen, each, chosen) for each in LAW_SETS[law]}
-    made = _together(seen, fits, weighed, chosen, _path(motion, log.time), anchors, found, {
-        "log": name, "robot": body.name, "law": law, "laws": list(fits), "probe": probe,
-        "prior": asdict(chosen), "anchors": [anchor._asdict() for anchor in anchors],
-        "terraphi": importlib.metadata.version("terraphi"), "forces": found.provenance(),
-    })  # fmt: skip
-    if prior is not None:
-        return made
-    assumed = f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed"
-    return replace(made, notes=(assumed, *made.notes))
-
-
-def check_known(law: str, robot: Quadruped) -> None:
-    """Raise InputError if a law is unknown, or a robot's feet or masses are."""
-    if law not in LAW_SETS:
-        raise InputError(f"law '{law}' is unknown; {nearest(law, LAW_SETS)}")
-    if robot.foot_radius <= 0.0 or not robot.has_masses:
-        lacks = "masses of its links" if robot.foot_radius > 0.0 else "foot_radius"
-        raise InputError(f"robot '{robot.name}' lacks its {lacks}, which footfalls need")
+    found = average(list(fits.values()))
+    verdict = verdicts(seen, found, chosen.radius)
+    usable = np.array([v == USABLE for v in verdict], dtype=bool)
+    path = _path(motion, log.time)
+    stretches = [(anchor, _stretch(anchor, path)) for anchor in anchors]
+    each = np.full((3, len(verdict)), np.nan)
+    along = np.full((3, len(path)), np.nan)
+    shared: dict[str, Any] = {}
+    if usable.any():
+        pooled = pool(
+            _observed(seen, found, usable), _shared(chosen, weighed), path[:, 1:], stretches,
+            mean=chosen.phi_deg,
+        )  # fmt: skip
+        each[:, usable] = pooled.phi, pooled.sd, pooled.shared_sd
+        along = np.stack([pooled.path_phi, pooled.path_relative_sd, pooled.path_absolute_sd])
+        shared = _shared_summary(pooled, chosen)
+    shallow = np.array([v == SHALLOW for v in verdict], dtype=bool)
+    sinkage = np.where(shallow, found.gained, found.sinkage)
+    notes = [note for note in analysis.notes if note not in analysis.of_axes]
+    if prior is None:
+        assumed = f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed"
+        notes.insert(0, assumed)
+    if len(usable) and not usable.any():
+        notes.append("no footfall is usable: the map is empty")
+    if usable.any() and not anchors:
+        notes.append("no anchor: only differences along the path are as sure as the relative band")
+    return FootfallMap(
+        time=seen.begin,
+        foot=tuple(FEET[i] for i in seen.foot),
+        place=seen.place + np.outer(sinkage, [0.0, 0.0, 1.0]),
+        sinkage=sinkage,
+        phi=each[0],
+        sd=each[1],
+        shared_sd=each[2],
+        misfit=found.misfit,
+        verdict=tuple(verdict),
+        path=path,
+        path_phi=along[0],
+        path_relative_sd=along[1],
+        path_absolute_sd=along[2],
+        shared=shared,
+        by_law={k: float(f.phi[usable].mean()) for k, f in fits.items()} if usable.any() else {},
+        notes=tuple(notes),
+        provenance={
+            "log": name, "robot": body.name, "law": law, "laws": list(fits),
+            "prior": asdict(chosen), "anchors": [anchor._asdict() for anchor in anchors],
+            "terraphi": importlib.metadata.version("terraphi"), "forces": analysis.provenance(),
+        },
+    )  # fmt: skip
 
 
 def average(fits: Sequence[Fit]) -> Fit:
-    """The mean of what laws say; the best of their misfits."""
+    """The mean of several laws' fits; the best of their misfits."""
     columns = [np.mean(values, axis=0) for values in zip(*fits, strict=True)]
     mean = Fit(*columns)
     return mean._replace(misfit=np.min([each.misfit for each in fits], axis=0))
@@ -237,7 +260,12 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
     radius
         Of the foot [m].
     """
-    trodden = _trodden(seen, NEAR_RADII * radius)
+    from scipy.spatial import cKDTree
+
+    trodden = np.zeros(len(seen.foot), dtype=bool)
+    if len(trodden):
+        tree = cKDTree(seen.place[:, :2])
+        trodden[[max(pair) for pair in tree.query_pairs(NEAR_RADII * radius)]] = True
     rests = seen.used.sum(axis=1) < FEWEST
     low, high = PHI_RANGE[0] + NEAR_EDGE_DEG, PHI_RANGE[1] - NEAR_EDGE_DEG
     against = (
@@ -248,21 +276,10 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
         (EDGE, (found.phi < low) | (found.phi > high)),
         (MISFIT, found.misfit > WORST_MISFIT),
     )
-    said = np.full(len(seen.foot), USABLE, dtype=object)
+    found_to_be = np.full(len(seen.foot), USABLE, dtype=object)
     for word, holds in reversed(against):
-        said[holds] = word
-    return [str(word) for word in said]
-
-
-def _trodden(seen: Touchdowns, near: float) -> BoolArray:
-    """Whether an earlier footfall was nearer than that [m]."""
-    from scipy.spatial import cKDTree
-
-    trodden = np.zeros(len(seen.foot), dtype=bool)
-    if len(trodden):
-        pairs = cKDTree(seen.place[:, :2]).query_pairs(near, output_type="ndarray")
-        trodden[pairs.max(axis=1) if len(pairs) else []] = True
-    return trodden
+        found_to_be[holds] = word
+    return [str(word) for word in found_to_be]
 
 
 def _from_the_start(motion: Motion, log: JointLog) -> Motion:
@@ -298,58 +315,6 @@ def _stretch(anchor: Anchor, path: FloatArray) -> FloatArray:
         )
     some = np.unique(np.linspace(0, len(inside) - 1, ANCHOR_POINTS).round().astype(int))
     return path[inside[some], 1:]
-
-
-def _together(
-    seen: Touchdowns,
-    fits: Mapping[str, Fit],
-    weighed: Weighing,
-    prior: Prior,
-    path: FloatArray,
-    anchors: Sequence[Anchor],
-    forces: RobotForces,
-    provenance: Mapping[str, Any],
-) -> FootfallMap:
-    mean = average(list(fits.values()))
-    verdict = verdicts(seen, mean, prior.radius)
-    usable = np.array([v == USABLE for v in verdict], dtype=bool)
-    stretches = [(anchor, _stretch(anchor, path)) for anchor in anchors]
-    nothing = np.full(len(verdict), np.nan)
-    phi, sd, common = nothing, nothing.copy(), nothing.copy()
-    along = np.full((3, len(path)), np.nan)
-    shared: dict[str, Any] = {}
-    if usable.any():
-        pooled = pool(
-            _observed(seen, mean, usable), _shared(prior, weighed), path[:, 1:], stretches,
-            mean=prior.phi_deg,
-        )  # fmt: skip
-        phi = phi.copy()
-        phi[usable], sd[usable], common[usable] = pooled.phi, pooled.sd, pooled.shared_sd
-        along = np.stack([pooled.path_phi, pooled.path_relative_sd, pooled.path_absolute_sd])
-        shared = _shared_summary(pooled, prior)
-    shallow = np.array([v == SHALLOW for v in verdict], dtype=bool)
-    sinkage = np.where(shallow, mean.gained, mean.sinkage)
-    place = seen.place.copy()
-    place[:, 2] += sinkage
-    return FootfallMap(
-        time=seen.begin,
-        foot=tuple(FEET[i] for i in seen.foot),
-        place=place,
-        sinkage=sinkage,
-        phi=phi,
-        sd=sd,
-        shared_sd=common,
-        misfit=mean.misfit,
-        verdict=tuple(verdict),
-        path=path,
-        path_phi=along[0],
-        path_relative_sd=along[1],
-        path_absolute_sd=along[2],
-        shared=shared,
-        by_law={k: float(f.phi[usable].mean()) for k, f in fits.items()} if usable.any() else {},
-        notes=(*(n for n in forces.notes if n not in forces.of_axes), *_notes(usable, anchors)),
-        provenance=provenance,
-    )
 
 
 def _observed(seen: Touchdowns, found: Fit, usable: BoolArray) -> Observed:
@@ -403,15 +368,6 @@ def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
             "scatter_deg": pooled.scatter,
         },
     }
-
-
-def _notes(usable: BoolArray, anchors: Sequence[Anchor]) -> list[str]:
-    notes = []
-    if len(usable) and not usable.any():
-        notes.append("no footfall is usable: the map is empty")
-    if usable.any() and not anchors:
-        notes.append("no anchor: only differences along the path are as sure as the relative band")
-    return notes
 
 
 DENSITY_PART = 0.05

@@ -70,12 +70,6 @@ class JointFriction:
         """Coulomb torque whose sign is unknown because the joint hardly moves [N m]."""
         return self.coulomb * np.sqrt(np.maximum(1.0 - smooth_sign(velocity) ** 2, 0.0))
 
-    def completed(self, other: JointFriction) -> JointFriction:
-        """The same, with another's numbers for the joints that are not known here."""
-        names = ("coulomb", "viscous", "inertia", "found")
-        own = {n: np.where(self.found, getattr(self, n), getattr(other, n)) for n in names}
-        return JointFriction(**own)
-
     def summary(self) -> dict[str, Any]:
         """The numbers by foot and joint, JSON-able; ``None`` where they were not found."""
         names = {

@@ -1,8 +1,8 @@
-r"""What the robot's own weight says of its torques: gains of the motors and friction of the joints.
+r"""Gains of the motors and friction of the joints, found from the robot's own weight.
 
 The feet carry the robot: at every moment Σ F_z = m (g + a_z). The upward forces are linear in
 errors of the torques' gains and in friction that was not accounted for, so the times in which
-different legs carry different shares tell the errors apart by linear least squares with priors.
+different legs carry different shares separate the errors by linear least squares with priors.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.robot.dynamics import GRAVITY
+from terraphi.robot.legs import GRAVITY
 from terraphi.robot.touchdowns import Sensitivity
 
 AVERAGED_S = 0.05
@@ -27,7 +27,7 @@ out, such as the legs' own swinging, does so too. A longer log is not surer."""
 
 
 class Weighing(NamedTuple):
-    """Errors of the torques as the weight tells them.
+    """Errors of the torques, from the weight.
 
     Attributes
     ----------

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.robot.joint_log import JointLog
 
-Clock = Literal["time_s", "time", "tick", "header stamp"]
-"""Column of a CSV or npz [s], tick of a LowState [ms], header of a JointState [ns]."""
+Clock = Literal["time_s", "tick", "header stamp"]
+"""Column of a table [s], tick of a LowState [ms], header of a JointState [ns]."""
 
 GAP_STEPS, GAP_S = 5.0, 0.02
 """A pause is a gap if longer than this many usual steps, and than this many seconds [s]."""
@@ -66,7 +66,7 @@ def seconds(
     dict
         What to report besides.
     """
-    if clock in {"time_s", "time"}:
+    if clock == "time_s":
         return stamp.astype(np.float64), clock, {}
     if recorded is not None and len(stamp) > 1 and np.mean(np.diff(stamp) == 0) > STALLED:
         facts = {
@@ -187,9 +187,9 @@ def _fits_better(
 def increasing(time: FloatArray) -> tuple[BoolArray, Counter[str]]:
     """Choose samples whose time increases strictly.
 
-    Repeated stamps are dropped, single stamps that jump away and back, and a few samples out of
-    order. If the clock was set back for good, only the longest piece is kept, because pieces of
-    different runs must not be joined.
+    Repeated stamps are dropped, and the few that are out of order. If there are more than a few,
+    the clock was set back: only the longest piece is kept, because pieces of different runs must
+    not be joined.
 
     Parameters
     ----------
@@ -204,45 +204,18 @@ def increasing(time: FloatArray) -> tuple[BoolArray, Counter[str]]:
         Reasons and numbers of those that go.
     """
     keep = np.ones(len(time), dtype=bool)
-    dropped: Counter[str] = Counter()
-    if np.all(np.diff(time) > 0):
-        return keep, dropped
     keep[1:] &= np.diff(time) != 0
-    dropped[REPEATED] = int((~keep).sum())
-    for _ in range(4):
-        bad = _strays(time[keep])
-        if not len(bad):
-            break
-        keep[np.flatnonzero(keep)[bad]] = False
-    index = np.flatnonzero(keep)
-    keep[:] = False
-    keep[index[_best(time[index])]] = True
-    dropped[BACKWARDS] = int((~keep).sum()) - dropped[REPEATED]
-    return keep, +dropped
-
-
-def _strays(t: FloatArray) -> NDArray[np.intp]:
-    """Indices of single stamps that jump away from their neighbours and back."""
-    back = np.flatnonzero(np.diff(t) <= 0)
-    before = np.where(back > 0, t[back - 1], -np.inf)
-    after = np.append(t, np.inf)[back + 2]
-    ahead = before < t[back + 1]  # without the one before the step, time increases
-    behind = ~ahead & (after > t[back])  # without the one after it
-    return np.unique(np.concatenate([back[ahead], back[behind] + 1]))
-
-
-def _best(t: FloatArray) -> NDArray[np.intp] | slice:
-    """Largest increasing choice: all but a few out of order, or one unbroken piece."""
-    if np.all(np.diff(t) > 0):
-        return slice(None)
+    repeated, t = int((~keep).sum()), time[keep]
     highest = np.maximum.accumulate(np.concatenate([[-np.inf], t[:-1]]))
     lowest = np.minimum.accumulate(np.concatenate([[np.inf], t[:0:-1]]))[::-1]
-    for choice in (t > highest, t < lowest):
-        if np.mean(~choice) <= REORDERED:
-            return np.flatnonzero(choice)
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(t) <= 0) + 1, [len(t)]])
-    longest = int(np.diff(edges).argmax())
-    return slice(int(edges[longest]), int(edges[longest + 1]))
+    chosen = max((t > highest, t < lowest), key=np.count_nonzero)
+    if np.mean(~chosen) > REORDERED:
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(t) <= 0) + 1, [len(t)]])
+        piece = int(np.diff(edges).argmax())
+        chosen = np.zeros(len(t), dtype=bool)
+        chosen[edges[piece] : edges[piece + 1]] = True
+    keep[keep] = chosen
+    return keep, +Counter({REPEATED: repeated, BACKWARDS: int((~chosen).sum())})
 
 
 def describe(time: FloatArray) -> dict[str, Any]:
@@ -262,14 +235,8 @@ def describe(time: FloatArray) -> dict[str, Any]:
         every pause longer than ``gap_limit_s`` [s].
     """
     if len(time) < 2:
-        return {
-            "duration_s": 0.0,
-            "rate_hz": None,
-            "jitter_s": 0.0,
-            "missing": 0,
-            "gap_limit_s": GAP_S,
-            "gaps": [],
-        }
+        none = {"rate_hz": None, "jitter_s": 0.0, "missing": 0, "gap_limit_s": GAP_S, "gaps": []}
+        return {"duration_s": 0.0, **none}
     steps = np.diff(time)
     ordinary = steps[steps <= 1.5 * float(np.median(steps))]
     # Clocks of whole milliseconds make 400 Hz out of steps of 2 and 3 ms: the mean knows.

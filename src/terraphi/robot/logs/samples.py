@@ -1,0 +1,168 @@
+"""From the columns of a log to a JointLog: unsound samples are dropped and counted, by reason."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import InputError
+from terraphi.robot.joint_log import JointLog
+from terraphi.robot.logs import clock as clocks
+
+FULL_TURN = 2.0 * np.pi
+DEGREES = np.degrees(1.0)
+LARGEST = 1e6
+"""Numbers beyond this are no sensor's."""
+LATEST_S = 1e30
+
+NOT_FINITE = "not a finite number"
+BEYOND = "number beyond any sensor's"
+TURNED = "joint angle beyond a full turn"
+ATTITUDE = "attitude is not a unit quaternion"
+
+# What to do when most of a log is dropped for one reason.
+_REMEDIES = {
+    NOT_FINITE: "remove or repair those rows",
+    BEYOND: f"none above {LARGEST:g} is expected; remove or repair those rows",
+    TURNED: "the angles look like degrees, radians are expected",
+    ATTITUDE: "give (w, x, y, z) of length 1, or leave the attitude out",
+    clocks.REPEATED: "stamp every sample with its own time",
+    clocks.BACKWARDS: "sort the samples by time, or cut the log where its clock was set back",
+}
+_IMU = ("quaternion", "angular_velocity", "acceleration", "foot_counts")
+_MOTION_SAMPLES = 20_000
+_FASTEST = 30.0
+"""Mean speed of joints that no robot has [rad/s]."""
+_FRACTIONS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+
+
+def joint_log(
+    path: Path,
+    values: dict[str, Any],
+    clock: clocks.Clock,
+    dropped: Counter[str],
+    facts: dict[str, Any],
+) -> JointLog:
+    """Make the log.
+
+    Parameters
+    ----------
+    path
+        The log, for messages.
+    values
+        Columns of a JointLog but the time, ``stamp``, and ``recorded`` [ns] if known.
+    clock
+        What the stamps are.
+    dropped, facts
+        Samples dropped before, by reason, and what else to report, with ``notes``.
+
+    Returns
+    -------
+    JointLog
+        With ``report``: ``samples``, ``dropped`` (number by reason), ``notes``, those of
+        :func:`~terraphi.robot.logs.clock.describe`, ``clock`` and the facts.
+
+    Raises
+    ------
+    InputError
+        If no sample is sound, if over half are not for one reason, or if the units are wrong.
+    """
+    if len(values["stamp"]):
+        for reason, bad in _unsound(values):
+            dropped[reason] += int(bad.sum())
+            values = {name: column[~bad] for name, column in values.items()}
+    _refuse_if_hopeless(path, dropped, len(values["stamp"]))
+    if not len(values["stamp"]):
+        raise InputError(f"{path}: no samples in it; record the log again")
+    time, name, more = clocks.seconds(values.pop("stamp"), values.pop("recorded", None), clock)
+    for _ in range(2):  # again without what ran backwards
+        time, jitter = clocks.evened(time, values["angle"], values.get("velocity"))
+        facts["notes"] += [*more.pop("notes", []), *jitter.pop("notes", [])]
+        facts |= {**more, **jitter}
+        keep, lost = clocks.increasing(time)
+        if keep.all():
+            break
+        dropped.update(lost)
+        time, values = time[keep], {name: column[keep] for name, column in values.items()}
+        _refuse_if_hopeless(path, dropped, len(time))
+    silent = [name for name in _IMU if name in values and not values[name].any()]
+    if silent:
+        facts["notes"].append(f"always zero, taken as absent: {', '.join(silent)}")
+        values = {name: column for name, column in values.items() if name not in silent}
+    if "quaternion" in values:
+        values["quaternion"] /= np.linalg.norm(values["quaternion"], axis=1, keepdims=True)
+    if "velocity" in values:
+        _check_units(path, time, values["angle"], values["velocity"])
+    else:
+        facts["notes"].append("no velocities in the log: central differences of the angles")
+        short = len(time) < 2
+        angle = values["angle"]
+        values["velocity"] = np.zeros_like(angle) if short else np.gradient(angle, time, axis=0)
+    report = {
+        "samples": len(time),
+        "dropped": dict(sorted((+dropped).items())),
+        **clocks.describe(time),
+        "clock": name,
+        **facts,
+    }
+    return JointLog(time, **values, report=report)
+
+
+def _unsound(values: dict[str, Any]) -> Any:
+    """Reasons against samples, and which they are among those that are left."""
+    columns = {name: c.reshape(len(c), -1) for name, c in values.items() if name != "recorded"}
+    finite = np.all([np.isfinite(c).all(axis=1) for c in columns.values()], axis=0)
+    rest = {name: c[finite] for name, c in columns.items()}
+    far = [np.abs(c) > LARGEST for n, c in rest.items() if n not in {"stamp", "angle"}]
+    beyond = np.concatenate([np.abs(rest["stamp"].astype(np.float64)) > LATEST_S, *far], axis=1)
+    beyond = beyond.any(axis=1)
+    rest = {name: c[~beyond] for name, c in rest.items()}
+    turned = (np.abs(rest["angle"]) > FULL_TURN).any(axis=1)
+    yield NOT_FINITE, ~finite
+    yield BEYOND, beyond
+    yield TURNED, turned
+    if "quaternion" in rest:
+        size = np.linalg.norm(rest["quaternion"][~turned], axis=1)
+        # A zero quaternion is none, unless all samples lack their attitude.
+        yield ATTITUDE, (np.abs(size - 1.0) >= 0.1) & ((size > 0.0) | size.any())
+
+
+def _refuse_if_hopeless(path: Path, dropped: Counter[str], kept: int) -> None:
+    lost = dropped.total()
+    if not lost:
+        return
+    reason, number = dropped.most_common(1)[0]
+    if 2 * number > kept + lost or not kept:
+        remedy = _REMEDIES.get(reason, "check what wrote it, or record it again")
+        raise InputError(f"{path}: {number} of {kept + lost} samples: {reason}; {remedy}")
+
+
+def _check_units(path: Path, time: FloatArray, angle: FloatArray, velocity: FloatArray) -> None:
+    """Refuse velocities in degrees per second, and times that are not in seconds."""
+    part = slice(0, _MOTION_SAMPLES)
+    steps = np.diff(time[part])[:, None, None]
+    if not len(steps):
+        return
+    usual = steps <= 1.5 * np.median(steps)
+    moved = float(np.abs(np.diff(angle[part], axis=0) / steps).mean(where=usual))
+    said = float(np.abs(velocity[part][1:]).mean(where=usual))
+    if moved > _FASTEST:
+        raise InputError(
+            f"{path}: the joints' angles change by {moved:.3g} rad/s on average, no more than "
+            f"{_FASTEST:g} are expected; look at the units of times and angles"
+        )
+    for unit, number in _FRACTIONS.items():
+        if said > 0.3 and 0.5 * number < said / max(moved, 1e-12) < 2.0 * number:
+            raise InputError(
+                f"{path}: joint velocities are {said / moved:.3g} times the rate at which the "
+                f"angles change; times look like {unit}, seconds are expected"
+            )
+    if moved > 0.1 and 0.5 * DEGREES < said / moved < 2.0 * DEGREES:
+        raise InputError(
+            f"{path}: joint velocities are {said / moved:.0f} times the rate at which the angles "
+            "change; they look like degrees per second, rad/s are expected"
+        )
