@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -61,76 +59,57 @@ def chunks(time: FloatArray, margin: float, *, size: int = CHUNK) -> Iterator[Ch
         yield Chunk(start, stop, max(first - 2, 0), min(last + 2, len(time)))
 
 
-@dataclass(frozen=True)
-class Signals:
-    """A part of a log in double precision, and the motion of the trunk as far as it is known.
+class Signals(NamedTuple):
+    """A part of a log in double precision; arrays of shape [sample, ...]."""
+
+    time: FloatArray
+    """[s]."""
+    velocity: FloatArray
+    """[rad/s], shape [sample, foot, joint]."""
+    torque: FloatArray
+    """[N m], shape [sample, foot, joint]."""
+    turn: FloatArray
+    """Rotation from the trunk's to the world's frame, shape [sample, 3, 3]."""
+    trunk: TrunkMotion
+    slopes: FloatArray
+    """Joint accelerations between the samples [rad/s²], shape [sample − 1, foot, joint]."""
+    legs: Legs
+    """With the torques of no acceleration and of those after and before each sample."""
+
+
+def signals(log: JointLog, robot: Quadruped, part: slice, *, moving: bool = True) -> Signals:
+    """A part of a log, and the legs; ``moving`` if their equations of motion are wanted."""
+    names = ("time", "angle", "velocity", "torque")
+    time, angle, velocity, torque = (np.asarray(getattr(log, n)[part], float) for n in names)
+    turn, trunk = trunk_motion(log, robot, part)
+    slopes = np.diff(velocity, axis=0) / np.diff(time).reshape(-1, 1, 1)
+    none = np.zeros((1, 4, 3))
+    after, before = np.concatenate([slopes, none]), np.concatenate([none, slopes])
+    accelerations = (0.0 * before, after, before) if moving else ()
+    legs = Legs(robot, angle, velocity, *accelerations, trunk=trunk)
+    return Signals(time, velocity, torque, turn, trunk, slopes, legs)
+
+
+def trunk_motion(
+    log: JointLog, robot: Quadruped, part: slice = slice(None)
+) -> tuple[FloatArray, TrunkMotion]:
+    """Rotations to the world, shape [sample, 3, 3], and motion of the trunk as far as it is known.
 
     Without an accelerometer the trunk is taken to be unaccelerated, without a gyroscope not to
     turn, without attitude and accelerometer to be level.
     """
-
-    log: JointLog
-    robot: Quadruped
-    part: slice
-    moving: bool = True
-    """Whether the legs' equations of motion are wanted."""
-
-    def _column(self, name: str) -> FloatArray:
-        return np.asarray(getattr(self.log, name)[self.part], dtype=np.float64)
-
-    @cached_property
-    def time(self) -> FloatArray:
-        """[s]."""
-        return self._column("time")
-
-    @cached_property
-    def angle(self) -> FloatArray:
-        """[rad], shape [sample, foot, joint]."""
-        return self._column("angle")
-
-    @cached_property
-    def velocity(self) -> FloatArray:
-        """[rad/s], shape [sample, foot, joint]."""
-        return self._column("velocity")
-
-    @cached_property
-    def torque(self) -> FloatArray:
-        """[N m], shape [sample, foot, joint]."""
-        return self._column("torque")
-
-    @cached_property
-    def turn(self) -> FloatArray:
-        """Rotation from the trunk's to the world's frame, shape [sample, 3, 3]."""
-        if self.log.quaternion is None:
-            return np.broadcast_to(np.eye(3), (len(self.time), 3, 3))
-        return rotation(self.log.quaternion[self.part])
-
-    @cached_property
-    def trunk(self) -> TrunkMotion:
-        """Motion of the trunk."""
-        w = zero = np.zeros((len(self.time), 3))
-        if self.log.angular_velocity is not None:
-            w = self._column("angular_velocity")
-        alpha = np.gradient(w, self.time, axis=0) if len(self.time) > 2 else zero
-        if self.log.acceleration is None:
-            return TrunkMotion(GRAVITY * self.turn[:, 2, :], w, alpha)
-        return TrunkMotion(self._column("acceleration"), w, alpha).moved(np.array(self.robot.imu))
-
-    @cached_property
-    def slopes(self) -> FloatArray:
-        """Joint accelerations between the samples [rad/s²], shape [sample − 1, foot, joint]."""
-        return np.diff(self.velocity, axis=0) / np.diff(self.time).reshape(-1, 1, 1)
-
-    @cached_property
-    def legs(self) -> Legs:
-        """The legs, and torques of no acceleration and of those after and before each sample."""
-        if not self.moving:
-            return Legs(self.robot, self.angle)
-        none = np.zeros((1, 4, 3))
-        after, before = np.concatenate([self.slopes, none]), np.concatenate([none, self.slopes])
-        return Legs(
-            self.robot, self.angle, self.velocity, 0.0 * before, after, before, trunk=self.trunk
-        )
+    time = np.asarray(log.time[part], dtype=np.float64)
+    w = zero = np.zeros((len(time), 3))
+    turn = np.broadcast_to(np.eye(3), (len(time), 3, 3))
+    if log.quaternion is not None:
+        turn = rotation(log.quaternion[part])
+    if log.angular_velocity is not None:
+        w = np.asarray(log.angular_velocity[part], dtype=np.float64)
+    alpha = np.gradient(w, time, axis=0) if len(time) > 2 else zero
+    if log.acceleration is None:
+        return turn, TrunkMotion(GRAVITY * turn[:, 2, :], w, alpha)
+    felt = np.asarray(log.acceleration[part], dtype=np.float64)
+    return turn, TrunkMotion(felt, w, alpha).moved(np.array(robot.imu))
 
 
 def contact_torque(

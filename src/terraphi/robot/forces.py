@@ -19,10 +19,10 @@ from terraphi.robot.estimators import (
     GAP_STEPS,
     OBSERVER_GAIN,
     Estimator,
-    Signals,
     chunks,
     contact_torque,
     margin_of,
+    signals,
 )
 from terraphi.robot.friction import JointFriction
 from terraphi.robot.joint_log import FEET, JOINTS, JointLog
@@ -182,7 +182,7 @@ def estimate(
     flagged, saturated = np.empty((2, count, 4), dtype=np.bool_)
     for chunk in chunks(log.time, margin_of(estimator, gain)):
         inner, rows = chunk.inner, slice(chunk.start, chunk.stop)
-        seen = Signals(log, robot, slice(chunk.first, chunk.last), moving)
+        seen = signals(log, robot, slice(chunk.first, chunk.last), moving=moving)
         torque = contact_torque(seen, estimator, gain, gap, overview.friction)
         own = noise**2 + _timing_variance(seen.time, torque, gap)[inner]
         torque, velocity = torque[inner], seen.velocity[inner]

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.robot.estimators import Signals
+from terraphi.robot.estimators import trunk_motion
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.legs import GRAVITY
 from terraphi.robot.model import Quadruped
@@ -74,13 +74,13 @@ def track(log: JointLog, robot: Quadruped, place: FloatArray, load: FloatArray) 
     """
     from scipy.linalg import solveh_banded
 
-    seen = Signals(log, robot, slice(None))
-    place = np.einsum("sij,sfj->sfi", seen.turn, place)
-    step = np.diff(seen.time)
+    turn, trunk_own = trunk_motion(log, robot)
+    place = np.einsum("sij,sfj->sfi", turn, place)
+    step = np.diff(log.time)
     apparent = -np.diff(place, axis=0) / step[:, None, None]
-    felt = np.zeros((len(seen.time), 3))
+    felt = np.zeros((len(log.time), 3))
     if log.acceleration is not None:
-        felt = np.einsum("sij,sj->si", seen.turn, seen.trunk.specific_force)
+        felt = np.einsum("sij,sj->si", turn, trunk_own.specific_force)
         felt[:, 2] -= GRAVITY
         felt -= running_mean(felt, max(1, round(BIAS_S / float(np.median(step))) // 2))
     sd = UNKNOWN_ACCELERATION_SD if log.acceleration is None else ACCELERATION_SD

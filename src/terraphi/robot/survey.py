@@ -14,6 +14,7 @@ from terraphi.robot.estimators import (
     contact_torque,
     friction_terms,
     margin_of,
+    signals,
 )
 from terraphi.robot.friction import (
     JointFriction,
@@ -111,7 +112,7 @@ def survey(
     picked = np.unique(np.linspace(0, len(every) - 1, min(len(every), SURVEY // _WINDOW + 1)))
     windows = []
     for chunk in (every[int(i)] for i in picked):
-        seen, inner = Signals(log, robot, slice(chunk.first, chunk.last)), chunk.inner
+        seen, inner = signals(log, robot, slice(chunk.first, chunk.last)), chunk.inner
         row = np.einsum("si,sfij->sfj", seen.turn[:, 2], seen.legs.force_per_torque()[0])
         windows.append(
             _Window(

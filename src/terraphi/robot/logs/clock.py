@@ -23,9 +23,8 @@ REORDERED = 0.01
 _SAMPLES = 60_000
 """Samples that are looked at."""
 LEAST_MICROSECONDS = 500.0
-"""Ticks from one message to the next from which they are microseconds: of the A1 by the header of
-its SDK; milliseconds would make a message every half a second, which the times of recording tell
-where they are known."""
+"""Ticks from one message to the next from which they may be microseconds, as of the A1; the times of
+recording decide."""
 STALLED = 0.9
 """Fraction of steps without advance beyond which a clock stands still."""
 
@@ -52,7 +51,7 @@ def seconds(
     stamp
         As the format has it, see :data:`Clock`; shape [sample].
     recorded
-        When each message was recorded [ns]; None if unknown.
+        When each message was recorded [ns]; ``None`` if unknown.
     clock
         What the stamps are.
 
@@ -66,32 +65,25 @@ def seconds(
     dict
         What to report besides.
     """
-    if clock == "time_s":
+    if clock == "time_s" or recorded is None:
         return stamp.astype(np.float64), clock, {}
-    if recorded is not None and len(stamp) > 1 and np.mean(np.diff(stamp) == 0) > STALLED:
-        facts = {
-            "start_ns": int(recorded[0]),
-            "notes": [f"the messages' {clock} stands still; times are those of recording"],
-        }
-        return (recorded - recorded[0]) / 1e9, "recording time", facts
+    if len(stamp) > 1 and np.mean(np.diff(stamp) == 0) > STALLED:
+        notes = [f"the messages' {clock} stands still; times are those of recording"]
+        start = int(recorded[0])
+        return (recorded - start) / 1e9, "recording time", {"start_ns": start, "notes": notes}
     if clock == "header stamp":
         return (stamp - stamp[0]) / 1e9, clock, {"start_ns": int(stamp[0])}
     # Differences modulo 2³² of the smallest size: forwards across a wrap, backwards after a glitch.
     steps = np.diff(stamp.astype(np.uint32)).view(np.int32).astype(np.int64)
     ticks = stamp[0] + np.concatenate([[0], np.cumsum(steps)])
-    report: dict[str, Any] = {}
-    microseconds = len(stamp) > 1 and float(np.median(steps)) >= LEAST_MICROSECONDS
-    per_ns = 0.0
-    if recorded is not None and len(stamp) > 1 and recorded[-1] > recorded[0]:
-        per_ns = float(ticks[-1] - ticks[0]) / float(recorded[-1] - recorded[0])
-    if microseconds and per_ns > 0.0:
-        microseconds = abs(math.log(per_ns * 1e3)) < abs(math.log(per_ns * 1e6))
+    span = float(recorded[-1] - recorded[0])
+    if not span > 0.0:
+        return ticks / 1e3, clock, {}
+    per_s = 1e9 * float(ticks[-1] - ticks[0]) / span
+    microseconds = float(np.median(steps)) >= LEAST_MICROSECONDS and per_s > 1e3 * math.sqrt(1e3)
     unit = 1e6 if microseconds else 1e3
-    if microseconds:
-        report["notes"] = ["the tick counts microseconds"]
-    if per_ns:
-        report["clock_ratio"] = round(per_ns * 1e9 / unit, 6)
-    return ticks / unit, clock, report
+    notes = {"notes": ["the tick counts microseconds"]} if microseconds else {}
+    return ticks / unit, clock, {"clock_ratio": round(per_s / unit, 6), **notes}
 
 
 def evened(
@@ -99,10 +91,10 @@ def evened(
 ) -> tuple[FloatArray, dict[str, Any]]:
     """Put samples that were taken at a constant rate back to even times.
 
-    A message's stamp tells when it was written, which is late by as much as the computer was busy.
-    Forces follow from changes of velocity over time, and a stamp that is off by half a step doubles
-    them. Whether the samples or only their stamps are uneven, the joints know: their angles change
-    by velocity times the true step.
+    A message's stamp is the time when it was written, which is late by as much as the computer was
+    busy. Forces follow from changes of velocity over time, and a stamp that is off by half a step
+    doubles them. The joints show whether the samples or only their stamps are uneven: their angles
+    change by velocity times the true step.
 
     Parameters
     ----------
@@ -125,12 +117,19 @@ def evened(
     jitter = float(step[np.abs(step - period) < period].std())
     if jitter <= UNEVEN * period or step.min() < -SET_BACK * period:
         return time, {}
-    even = _even(time)
-    if even is None or (velocity is not None and not _fits_better(time, even, angle, velocity)):
+    even, why = _even(time), ""
+    if not np.all(np.diff(even) > 0.0):
         return time, {}
-    off = float(np.std(time - even))
-    why = "" if velocity is None else ", with which angles and velocities agree better"
-    note = f"stamps are off by {1e3 * off:.2g} ms (standard deviation) from a constant rate{why}"
+    if velocity is not None:
+        part, why = slice(0, _SAMPLES), ", with which angles and velocities agree better"
+        mean = 0.5 * (velocity[part][1:] + velocity[part][:-1]).astype(np.float64)
+        moved = np.diff(angle[part], axis=0)
+        steps = (np.diff(each[part])[:, None, None] for each in (time, even))
+        own, other = (float(np.mean(np.abs(moved - mean * step)[2:-2])) for step in steps)
+        if other >= own:
+            return time, {}
+    off = 1e3 * float(np.std(time - even))
+    note = f"stamps are off by {off:.2g} ms (standard deviation) from a constant rate{why}"
     return even, {"jitter_s": jitter, "notes": [f"{note}: samples are put at even times"]}
 
 
@@ -143,14 +142,13 @@ def regular(log: JointLog) -> JointLog:
     return replace(log, time=time, report={**log.report, **facts, "notes": notes})
 
 
-def _even(time: FloatArray) -> FloatArray | None:
-    """Times at a constant rate that follow stamps; None if those are not of one."""
+def _even(time: FloatArray) -> FloatArray:
+    """Times at a constant rate that follow stamps."""
     from scipy import ndimage  # slow to import, and logs are mostly even
 
-    order = np.arange(len(time))
     # Medians of many steps, for single ones may be anything.
     period = float(np.median(time[_LOSS:] - time[:-_LOSS])) / _LOSS
-    place = order.astype(np.int64)
+    place = np.arange(len(time))
     for _ in range(_ROUNDS):
         late = time - period * place
         after = ndimage.median_filter(late, _LOSS, origin=-(_LOSS // 2), mode="nearest")
@@ -168,20 +166,7 @@ def _even(time: FloatArray) -> FloatArray | None:
         slope = np.polynomial.Polynomial.fit(place, time, 1).convert().coef[1]
         period = float(slope) if slope > 0.0 else period
     late = time - period * place
-    even = period * place + ndimage.uniform_filter1d(late, _DRIFT, mode="nearest")
-    return even if np.all(np.diff(even) > 0.0) else None
-
-
-def _fits_better(
-    time: FloatArray, even: FloatArray, angle: NDArray[Any], velocity: NDArray[Any]
-) -> bool:
-    """Whether velocities times steps explain the changes of the angles better at even times."""
-    part = slice(0, _SAMPLES)
-    mean = 0.5 * (velocity[part][1:] + velocity[part][:-1]).astype(np.float64)
-    moved = np.diff(angle[part], axis=0)
-    steps = (np.diff(each[part])[:, None, None] for each in (time, even))
-    first, second = (float(np.mean(np.abs(moved - mean * step)[2:-2])) for step in steps)
-    return second < first
+    return np.asarray(period * place + ndimage.uniform_filter1d(late, _DRIFT, mode="nearest"))
 
 
 def increasing(time: FloatArray) -> tuple[BoolArray, Counter[str]]:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
 
@@ -29,115 +30,16 @@ URDF_NAMES = tuple(f"{name}_joint" for name in JOINT_NAMES)
 MALFORMED = "not a message of its type"
 OTHERS = "joints of something else"
 
-_IMU = """
-        float32[4] quaternion
-        float32[3] gyroscope
-        float32[3] accelerometer
-        float32[3] rpy
-        int8 temperature
-"""
-_MOTOR = """
-        uint8 mode
-        float32 q
-        float32 dq
-        float32 ddq
-        float32 tau_est
-        float32 q_raw
-        float32 dq_raw
-        float32 ddq_raw
-        int8 temperature"""
-UNITREE_GO = {
-    "LowState": """
-        uint8[2] head
-        uint8 level_flag
-        uint8 frame_reserve
-        uint32[2] sn
-        uint32[2] version
-        uint16 bandwidth
-        IMUState imu_state
-        MotorState[20] motor_state
-        BmsState bms_state
-        int16[4] foot_force
-        int16[4] foot_force_est
-        uint32 tick
-        uint8[40] wireless_remote
-        uint8 bit_flag
-        float32 adc_reel
-        int8 temperature_ntc1
-        int8 temperature_ntc2
-        float32 power_v
-        float32 power_a
-        uint16[4] fan_frequency
-        uint32 reserve
-        uint32 crc
-    """,
-    "IMUState": _IMU,
-    "MotorState": f"""{_MOTOR}
-        uint32 lost
-        uint32[2] reserve
-    """,
-    "BmsState": """
-        uint8 version_high
-        uint8 version_low
-        uint8 status
-        uint8 soc
-        int32 current
-        uint16 cycle
-        int8[2] bq_ntc
-        int8[2] mcu_ntc
-        uint16[15] cell_vol
-    """,
-}
-"""Message definitions of the package ``unitree_go``, which ``rosbags`` does not ship; from
-https://github.com/unitreerobotics/unitree_ros2 ."""
-UNITREE_LEGGED = {
-    "LowState": """
-        uint8[2] head
-        uint8 level_flag
-        uint8 frame_reserve
-        uint32[2] sn
-        uint32[2] version
-        uint16 band_width
-        IMU imu
-        MotorState[20] motor_state
-        BmsState bms
-        int16[4] foot_force
-        int16[4] foot_force_est
-        uint32 tick
-        uint8[40] wireless_remote
-        uint32 reserve
-        uint32 crc
-    """,
-    "IMU": _IMU,
-    "MotorState": f"""{_MOTOR}
-        uint32[2] reserve
-    """,
-    "BmsState": """
-        uint8 version_h
-        uint8 version_l
-        uint8 bms_status
-        uint8 soc
-        int32 current
-        uint16 cycle
-        int8[2] bq_ntc
-        int8[2] mcu_ntc
-        uint16[10] cell_vol
-    """,
-}
-"""Messages of the Go1 and the A1, where a bag does not bring its own definitions, which differ from
-one version of the package to the next; as in SDK 3.8 of
-https://github.com/unitreerobotics/unitree_legged_sdk ."""
-
 
 @cache
 def typestore() -> Any:
-    """Message types of ROS 2 Humble and of Unitree's packages."""
+    """Message types of ROS 2 Humble, and those of Unitree, which ``rosbags`` does not ship."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    for package, messages in (("unitree_go", UNITREE_GO), ("unitree_legged_msgs", UNITREE_LEGGED)):
-        for name, text in messages.items():
-            store.register(get_types_from_msg(text, f"{package}/msg/{name}"))
+    for kind in (LOW_STATE, LEGGED_STATE):
+        text = shipped_file("robots", kind.partition("/")[0], ".msg").read_text(encoding="utf-8")
+        store.register(get_types_from_msg(text, kind))
     return store
 
 
