@@ -244,7 +244,7 @@ def with_value(name: str, at: tuple[int, ...], value: float) -> JointLog:
         (with_value("angle", (9, 0, 0), np.inf), {}, "angle is not a number at sample 9"),
         (with_value("time", (5,), 0.0), {}, "at sample 5; it should increase"),
         (broken(angle=np.degrees(standing().angle)), {}, "radians are expected, not degrees"),
-        (broken(quaternion=np.zeros((200, 4))), {}, "quaternion has length 0 at sample 0"),
+        (broken(quaternion=np.zeros((200, 4))), {}, "quaternion at sample 0 has not the length 1"),
     ],
 )
 def test_unusable_input_is_refused_in_one_sentence(

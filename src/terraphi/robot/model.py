@@ -76,6 +76,8 @@ class Quadruped:
         Name of the robot, and where the numbers come from.
     mass
         Of the whole robot [kg].
+    leg_length
+        From thigh by knee to foot [m], shape [foot].
     foot_radius
         Of the foot's ball [m]; 0 if unknown.
     torque_limit
@@ -93,6 +95,7 @@ class Quadruped:
     name: str
     source: str
     mass: float
+    leg_length: FloatArray
     foot_radius: float = 0.0
     torque_limit: Vector | None = None
     imu: Vector = (0.0, 0.0, 0.0)
@@ -102,17 +105,6 @@ class Quadruped:
     def there(self) -> BoolArray:
         """Which joints the legs have, shape [foot, joint]."""
         return np.asarray(self.joint >= 0)
-
-    @property
-    def leg_length(self) -> FloatArray:
-        """Length of thigh and shank together [m], shape [foot]."""
-        places = self.model.body_pos[self.model.jnt_bodyid[self.joint[:, 2]]]
-        shank = self.foot_offset + np.where(
-            (self.foot != self.model.jnt_bodyid[self.joint[:, 2]])[:, None],
-            self.model.body_pos[self.foot],
-            0.0,
-        )
-        return np.asarray(np.linalg.norm(places, axis=-1) + np.linalg.norm(shank, axis=-1))
 
     @classmethod
     def load(cls, source: Path | str) -> Quadruped:
@@ -163,18 +155,22 @@ def _loaded(path: Path, told: RobotFile, toml: str = "") -> Quadruped:
     data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
     mujoco.mj_kinematics(model, data)
     feet = [_foot(model, data, int(model.jnt_bodyid[j]), str(path)) for j in joint[:, 2]]
-    limits = _limits(model, joint)
+    body, offset, radius = (np.array(column) for column in zip(*feet, strict=True))
+    place = data.xpos[body] + np.einsum("fij,fj->fi", data.xmat[body].reshape(-1, 3, 3), offset)
+    thigh, knee = data.xanchor[joint[:, 1]], data.xanchor[joint[:, 2]]
+    length = np.linalg.norm(knee - thigh, axis=-1) + np.linalg.norm(place - knee, axis=-1)
     return Quadruped(
         model=model,
         joint=joint,
-        foot=np.array([body for body, _, _ in feet]),
-        foot_offset=np.array([offset for _, offset, _ in feet]),
+        foot=body,
+        foot_offset=offset,
         name=told.name or title,
         source=told.source or str(path),
         mass=told.mass or float(model.body_mass.sum()),
-        foot_radius=feet[0][2] if told.foot_radius is None else told.foot_radius,
-        torque_limit=told.torque_limit or limits,
-        imu=told.imu or _imu(model, data, int(model.body_weldid[model.jnt_bodyid[0]])),
+        leg_length=length,
+        foot_radius=float(radius[0]) if told.foot_radius is None else told.foot_radius,
+        torque_limit=told.torque_limit or _limits(model, joint),
+        imu=told.imu or _imu(model, data),
         joint_order=order,
     )
 
@@ -227,37 +223,34 @@ def _prepare_urdf(root: ET.Element) -> dict[str, FloatArray]:
             sphere = element.tag == "collision" and element.find("geometry/sphere") is not None
             if element.tag != "inertial" and not sphere:
                 link.remove(element)
-        inertial = link.find("inertial")
-        inertia = None if inertial is None else inertial.find("inertia")
-        if inertial is None or inertia is None:
+        inertial, inertia = link.find("inertial"), link.find("inertial/inertia")
+        mass = link.find("inertial/mass")
+        if inertial is None or inertia is None or mass is None:
             continue
         keys = [f"i{axes}" for axes in ("xx", "yy", "zz", "xy", "xz", "yz")]
         inertia.attrib.update({key: inertia.get(key, "0") for key in keys})
         xx, yy, zz, xy, xz, yz = (float(inertia.attrib[key]) for key in keys)
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         moments = np.linalg.eigvalsh(tensor)
-        if moments[0] > 0.0 and moments[0] + moments[1] >= moments[2]:
-            continue
-        if not float(inertial.find("mass").get("value")):  # type: ignore[union-attr,arg-type]
+        if not float(mass.attrib["value"]):
             link.remove(inertial)
-            continue
-        origin = inertial.find("origin")
-        angles = ("0 0 0" if origin is None else origin.get("rpy", "0 0 0")).split()
-        turn = Rotation.from_euler("xyz", [float(angle) for angle in angles]).as_matrix()
-        odd[link.attrib["name"]] = turn @ tensor @ turn.T
-        inertia.attrib.update(ixx="1", iyy="1", izz="1", ixy="0", ixz="0", iyz="0")
-    joints = {j.find("child").attrib["link"]: j for j in root.iter("joint")}  # type: ignore[union-attr]
+        elif moments[0] <= 0.0 or moments[0] + moments[1] < moments[2]:
+            origin = inertial.find("origin")
+            angles = ("0 0 0" if origin is None else origin.get("rpy", "0 0 0")).split()
+            turn = Rotation.from_euler("xyz", [float(angle) for angle in angles]).as_matrix()
+            odd[link.attrib["name"]] = turn @ tensor @ turn.T
+            inertia.attrib.update(ixx="1", iyy="1", izz="1", ixy="0", ixz="0", iyz="0")
+    # What MuJoCo calls world does not move: the trunk hangs on it by a joint that is free.
     links = [link.attrib["name"] for link in root.iter("link")]
-    top = next((name for name in links if name not in joints), links[0])
-    if top == "world":
-        for joint in root.iter("joint"):
-            if joint.find("parent").get("link") == "world":  # type: ignore[union-attr]
-                joint.set("type", "floating")
-    else:
+    children = {child.get("link") for child in root.iter("child")}
+    if "world" not in links:
         ET.SubElement(root, "link", name="world")
-        joint = ET.SubElement(root, "joint", name="trunk of the robot", type="floating")
+        joint = ET.SubElement(root, "joint", name="trunk of the robot")
         ET.SubElement(joint, "parent", link="world")
-        ET.SubElement(joint, "child", link=top)
+        ET.SubElement(joint, "child", link=next((n for n in links if n not in children), ""))
+    for joint in root.iter("joint"):
+        if joint.find("parent[@link='world']") is not None:
+            joint.set("type", "floating")
     extension = ET.SubElement(root, "mujoco")
     ET.SubElement(extension, "compiler", fusestatic="false", inertiafromgeom="false")
     return odd
@@ -299,17 +292,13 @@ def _leg_joints(model: mujoco.MjModel, source: str) -> Any:
             "and calf"
         )
     for row in joint:
-        above = model.dof_parentid[model.jnt_dofadr[row[first:]]]
-        expected = [5, *model.jnt_dofadr[row[first:-1]]]
-        for j, (found, wanted) in enumerate(zip(above, expected, strict=True)):
-            if found != wanted:
-                inner = "the trunk" if j == 0 else f"'{model.joint(row[first + j - 1]).name}'"
+        inner = ["the trunk", *(f"what '{model.joint(i).name}' moves" for i in row[first:-1])]
+        above = [5, *model.jnt_dofadr[row[first:-1]]]
+        for i, wanted, what in zip(row[first:], above, inner, strict=True):
+            if model.dof_parentid[model.jnt_dofadr[i]] != wanted:
                 raise InputError(
-                    f"{source}: joint '{model.joint(row[first + j]).name}' is expected to hang on "
-                    f"what {inner} moves" if j else
-                    f"{source}: joint '{model.joint(row[first]).name}' is expected to hang on the "
-                    "trunk"
-                )  # fmt: skip
+                    f"{source}: joint '{model.joint(i).name}' is expected to hang on {what}"
+                )
     return joint
 
 
@@ -351,14 +340,13 @@ def _limits(model: mujoco.MjModel, joint: Any) -> Vector | None:
     return (hip, thigh, calf) if min(hip, thigh, calf) > 0.0 else None
 
 
-def _imu(model: mujoco.MjModel, data: mujoco.MjData, trunk: int) -> Vector:
+def _imu(model: mujoco.MjModel, data: mujoco.MjData) -> Vector:
     """Place of the first frame on the trunk that is named as an IMU [m]; else its origin."""
-    for b in np.flatnonzero(model.body_weldid == trunk):
-        if "imu" in model.body(b).name.lower():
-            x, y, z = data.xpos[b].tolist()
-            return x, y, z
-    for s in range(model.nsite):
-        if "imu" in model.site(s).name.lower() and model.site_bodyid[s] == trunk:
-            x, y, z = model.site_pos[s].tolist()
+    trunk = model.body_weldid[model.jnt_bodyid[0]]
+    bodies = [(model.body(b).name, b, data.xpos[b]) for b in range(model.nbody)]
+    sites = [(s.name, int(s.bodyid[0]), s.pos) for s in map(model.site, range(model.nsite))]
+    for name, body, place in bodies + sites:
+        if "imu" in name.lower() and model.body_weldid[body] == trunk:
+            x, y, z = place.tolist()
             return x, y, z
     return 0.0, 0.0, 0.0
