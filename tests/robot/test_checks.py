@@ -90,7 +90,7 @@ def imu(log: JointLog, order: list[int], signs: list[float], factor: float = 1.0
     return replace(log, quaternion=quaternion, angular_velocity=factor * log.angular_velocity)
 
 
-@pytest.mark.parametrize("heading", [0.0, 1.0, 2.5])
+@pytest.mark.parametrize("heading", [0.0, 2.5])
 @pytest.mark.parametrize(
     ("order", "signs", "factor", "words"),
     [

@@ -66,12 +66,14 @@ def test_quasi_static_leaves_out_the_weight_of_the_legs() -> None:
     np.testing.assert_allclose(own, expected, atol=1e-4)
 
 
-def test_observer_converges_as_its_gain_grows(truth: Any) -> None:
+def test_observer_converges_as_its_gain_grows(truth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     # The smoothing error is f''/K²: four times smaller for twice the gain.
-    errors = [
-        rms((estimate(truth.log, robot=GO2, gain=k, friction=False).force - truth.force)[50:-50])
-        for k in (200.0, 400.0)
-    ]
+    errors = []
+    for gain in (200.0, 400.0):
+        monkeypatch.setattr(residual, "OBSERVER_GAIN", gain)
+        monkeypatch.setattr(residual, "MARGIN_S", 30.0 / gain)
+        found = estimate(truth.log, robot=GO2, friction=False)
+        errors.append(rms((found.force - truth.force)[50:-50]))
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
 
 
@@ -119,13 +121,6 @@ def test_finds_joint_friction_and_takes_it_off(march: Callable[..., Any]) -> Non
     without = estimate(rough.log, robot=GO2, friction=False)
     assert without.friction is None
     assert left < 0.2 * rms((without.force - rough.force)[10:-10])
-
-
-def test_no_friction_is_found_where_there_is_none(truth: Any) -> None:
-    found = estimate(truth.log, robot=GO2).friction
-    assert found is not None
-    for numbers in (found.coulomb, found.viscous, 10.0 * found.inertia):
-        assert np.abs(numbers).max() < 0.01
 
 
 def test_uncertainty_covers_the_noise_of_torques(march: Callable[..., Any]) -> None:
@@ -193,16 +188,6 @@ def test_hole_in_the_log_disturbs_nothing_else(truth: Any) -> None:
     assert np.delete(error, np.s_[695:705], axis=0)[10:-10].max() < 0.2
 
 
-def test_lost_samples_do_little_harm(truth: Any) -> None:
-    every = np.sort(np.random.default_rng(1).choice(len(truth.log.time), 1700, replace=False))
-    names = ("time", "angle", "velocity", "torque", "quaternion", "angular_velocity")
-    kept = {name: getattr(truth.log, name)[every] for name in (*names, "acceleration")}
-    found = estimate(JointLog(**kept), robot=GO2, friction=False)
-    error = (found.force - truth.force[every])[10:-10]
-    assert rms(error) < 0.1
-    assert np.abs(error).max() < 1.5
-
-
 def test_without_imu_the_assumptions_are_named() -> None:
     log = replace(standing(), quaternion=None)
     found = estimate(log, robot=GO2, frame="body")
@@ -236,7 +221,6 @@ def with_value(name: str, at: tuple[int, ...], value: float) -> JointLog:
     [
         (standing(), {"estimator": "momentum"}, "did you mean 'momentum_observer'"),
         (standing(), {"frame": "wrold"}, "did you mean 'world'"),
-        (standing(), {"gain": 0.0}, "gain = 0 should be a number above 0"),
         (standing(0), {}, "no samples; at least 1"),
         (broken(velocity=np.zeros((200, 12))), {}, r"velocity has shape \(200, 12\), expected"),
         (broken(quaternion=None), {}, "no attitude, which frame 'world' needs"),

@@ -30,8 +30,8 @@ GAP_STEPS = 3.5
 """Steps longer than this many median steps are gaps, over which no filter remembers."""
 OBSERVER_GAIN = 900.0
 """K of the momentum observer [1/s]; its bandwidth is K/2π."""
-_MEMORY = 30.0
-"""A filter of gain K has forgotten, to e⁻³⁰, what is this many 1/K away."""
+MARGIN_S = 30.0 / OBSERVER_GAIN
+"""The observer has forgotten, to e⁻³⁰, what is this long ago [s]."""
 _NEGLIGIBLE = 1e-17
 
 
@@ -49,12 +49,12 @@ class Chunk(NamedTuple):
         return slice(self.start - self.first, self.stop - self.first)
 
 
-def chunks(time: FloatArray, margin: float, *, size: int = CHUNK) -> Iterator[Chunk]:
-    """Cut a log into parts, each with a margin of time [s] on both sides."""
+def chunks(time: FloatArray, *, size: int = CHUNK) -> Iterator[Chunk]:
+    """Cut a log into parts, each with a margin on both sides."""
     for start in range(0, len(time), size):
         stop = min(start + size, len(time))
-        first = int(np.searchsorted(time, time[start] - margin))
-        last = int(np.searchsorted(time, time[stop - 1] + margin, side="right"))
+        first = int(np.searchsorted(time, time[start] - MARGIN_S))
+        last = int(np.searchsorted(time, time[stop - 1] + MARGIN_S, side="right"))
         # Two samples more, for the differences at the margins' ends.
         yield Chunk(start, stop, max(first - 2, 0), min(last + 2, len(time)))
 
@@ -105,7 +105,7 @@ def trunk_motion(
         turn = rotation(log.quaternion[part])
     if log.angular_velocity is not None:
         w = np.asarray(log.angular_velocity[part], dtype=np.float64)
-    alpha = np.gradient(w, time, axis=0) if len(time) > 2 else zero
+    alpha = np.asarray(np.gradient(w, time, axis=0)) if len(time) > 2 else zero
     if log.acceleration is None:
         return turn, TrunkMotion(GRAVITY * turn[:, 2, :], w, alpha)
     felt = np.asarray(log.acceleration[part], dtype=np.float64)
@@ -113,11 +113,7 @@ def trunk_motion(
 
 
 def contact_torque(
-    seen: Signals,
-    estimator: Estimator,
-    gain: float,
-    gap: float,
-    friction: JointFriction | None = None,
+    seen: Signals, estimator: Estimator, gap: float, friction: JointFriction | None = None
 ) -> FloatArray:
     """Generalised force of the ground on each leg, Jᵀ f.
 
@@ -127,8 +123,6 @@ def contact_torque(
         A part of a log.
     estimator
         Which estimator.
-    gain
-        K of the momentum observer [1/s].
     gap
         Steps longer than this [s] are gaps.
     friction
@@ -149,22 +143,20 @@ def contact_torque(
     if friction is not None:
         rate += friction.inertia * seen.slopes
         values += friction.torque(seen.velocity)
-    return low_pass(seen.time, gain, values=values, slopes=rate, gap=gap)
+    return low_pass(seen.time, OBSERVER_GAIN, values=values, slopes=rate, gap=gap)
 
 
-def friction_terms(seen: Signals, gain: float, gap: float) -> FloatArray:
+def friction_terms(seen: Signals, gap: float) -> FloatArray:
     """Regressors of joint friction as the observer sees them, shape [sample, foot, joint, 3].
 
     They multiply Coulomb torque, viscous coefficient and reflected inertia.
     """
-    return np.stack(
-        [
-            low_pass(seen.time, gain, values=smooth_sign(seen.velocity), gap=gap),
-            low_pass(seen.time, gain, values=seen.velocity, gap=gap),
-            low_pass(seen.time, gain, slopes=seen.slopes, gap=gap),
-        ],
-        axis=-1,
-    )
+    sign = smooth_sign(seen.velocity)
+    terms: list[dict[str, FloatArray]] = [
+        {"values": sign}, {"values": seen.velocity}, {"slopes": seen.slopes}
+    ]  # fmt: skip
+    columns = [low_pass(seen.time, OBSERVER_GAIN, gap=gap, **term) for term in terms]
+    return np.stack(columns, axis=-1)
 
 
 def low_pass(
@@ -197,8 +189,8 @@ def low_pass(
     """
     step = np.diff(time)
     forward = lagged(step, gain, values, slopes, gap)
-    turned = [None if each is None else each[::-1] for each in (values, slopes)]
-    back = lagged(step[::-1], gain, *turned, gap)[::-1]
+    values, slopes = (None if each is None else each[::-1] for each in (values, slopes))
+    back = lagged(step[::-1], gain, values, slopes, gap)[::-1]
     # Next to a gap, and at the record's ends, only the side with a past is of use.
     alone = np.concatenate([[True], step > gap, [True]])
     share = np.where(alone[:-1] & ~alone[1:], 0.0, np.where(alone[1:] & ~alone[:-1], 1.0, 0.5))
@@ -243,8 +235,3 @@ def lagged(
         factor[:reach] = 0.0
         reach *= 2
     return total
-
-
-def margin_of(estimator: Estimator, gain: float) -> float:
-    """How far samples before and after a chunk influence its filtered values [s]."""
-    return _MEMORY / gain if estimator == "momentum_observer" else 0.0

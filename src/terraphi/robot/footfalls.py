@@ -19,13 +19,11 @@ from terraphi.robot.footfall_fit import (
     LAW_SETS,
     PHI_RANGE,
     SHARED,
-    TORQUES,
     Fit,
     Prior,
     fit,
-    shared_sd,
 )
-from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, Shared, pool
+from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool
 from terraphi.robot.forces import without_broken_accelerometer
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import rotation
@@ -33,7 +31,7 @@ from terraphi.robot.model import Quadruped
 from terraphi.robot.odometry import Motion, track
 from terraphi.robot.results import analyse, opened
 from terraphi.robot.touchdowns import FEWEST, Touchdowns, sensitivity, touchdowns
-from terraphi.robot.weighing import Weighing, weigh
+from terraphi.robot.weighing import weigh
 
 USABLE = "usable"
 SHALLOW, TRODDEN, MISFIT = "too little sinkage", "not virgin ground", "the law does not fit"
@@ -187,12 +185,11 @@ def find_footfalls(
     motion = _from_the_start(track(log, body, forces.place, lift), log)
     per = sensitivity(log, forces)
     seen = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
-    weighed = weigh(
-        log.time, lift, motion.lift_acceleration, per, shared_sd(chosen)[: len(TORQUES)],
-        mass=body.mass,
-    )  # fmt: skip
+    common = weigh(log.time, lift, motion.lift_acceleration, per, chosen, mass=body.mass)
     fits = {each: fit(seen, each, chosen) for each in LAW_SETS[law]}
-    found = average(list(fits.values()))
+    # The mean of several laws' fits; the best of their misfits.
+    found = Fit(*(np.mean(column, axis=0) for column in zip(*fits.values(), strict=True)))
+    found = found._replace(misfit=np.min([each.misfit for each in fits.values()], axis=0))
     verdict = verdicts(seen, found, chosen.radius)
     usable = np.array([v == USABLE for v in verdict], dtype=bool)
     path = _path(motion, log.time)
@@ -201,10 +198,12 @@ def find_footfalls(
     along = np.full((3, len(path)), np.nan)
     shared: dict[str, Any] = {}
     if usable.any():
-        pooled = pool(
-            _observed(seen, found, usable), _shared(chosen, weighed), path[:, 1:], stretches,
-            mean=chosen.phi_deg,
-        )  # fmt: skip
+        # The noise is scaled to what the log shows on the whole.
+        misfit = found.misfit[usable]
+        scale = max(LEAST_SCALE, math.sqrt(float(np.median(np.minimum(misfit, 1.0)))))
+        own = found.sd[usable] * scale * np.maximum(1.0, np.sqrt(misfit) / scale) ** 0.5
+        observed = Observed(found.phi[usable], own, found.shared[usable], seen.place[usable, :2])
+        pooled = pool(observed, common, path[:, 1:], stretches, mean=chosen.phi_deg)
         each[:, usable] = pooled.phi, pooled.sd, pooled.shared_sd
         along = np.stack([pooled.path_phi, pooled.path_relative_sd, pooled.path_absolute_sd])
         shared = _shared_summary(pooled, chosen)
@@ -241,13 +240,6 @@ def find_footfalls(
             "terraphi": importlib.metadata.version("terraphi"), "forces": analysis.provenance(),
         },
     )  # fmt: skip
-
-
-def average(fits: Sequence[Fit]) -> Fit:
-    """The mean of several laws' fits; the best of their misfits."""
-    columns = [np.mean(values, axis=0) for values in zip(*fits, strict=True)]
-    mean = Fit(*columns)
-    return mean._replace(misfit=np.min([each.misfit for each in fits], axis=0))
 
 
 def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
@@ -317,57 +309,28 @@ def _stretch(anchor: Anchor, path: FloatArray) -> FloatArray:
     return path[inside[some], 1:]
 
 
-def _observed(seen: Touchdowns, found: Fit, usable: BoolArray) -> Observed:
-    """Usable footfalls, their noise scaled to what the log shows on the whole."""
-    scale = max(LEAST_SCALE, math.sqrt(float(np.median(np.minimum(found.misfit[usable], 1.0)))))
-    own = found.sd[usable] * scale * np.maximum(1.0, np.sqrt(found.misfit[usable]) / scale) ** 0.5
-    return Observed(found.phi[usable], own, found.shared[usable], seen.place[usable, :2])
-
-
-def _shared(prior: Prior, weighed: Weighing) -> Shared:
-    """Prior of what is shared, the sensors' part as the weight has it."""
-    sd, n = shared_sd(prior), len(TORQUES)
-    mean, covariance = np.zeros(len(sd)), np.diag(sd**2)
-    mean[:n], covariance[:n, :n] = weighed.mean, weighed.covariance
-    return Shared(mean, covariance)
-
-
 def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
-    """What footfalls share, by kind: value, standard deviation and worth in φ."""
-    at = {name: i for i, name in enumerate(SHARED)}
-
-    def of(name: str, scale: float = 1.0, centre: float = 0.0) -> dict[str, float]:
-        i = at[name]
-        return {
-            "mean": float(centre + scale * pooled.shared_mean[i]),
-            "sd": float(scale * pooled.shared_sd_each[i]),
-            "worth_deg": float(pooled.terms[i]),
-        }
-
-    def joints(first: int) -> dict[str, Any]:
+    """What footfalls share, by kind: value, standard deviation and part of φ's."""
+    mean, sd, terms = pooled.shared_mean, pooled.shared_sd_each, pooled.terms
+    found: dict[str, Any] = {}
+    for name, first in (("torque_gain", 0), ("joint_friction_Nm", 12)):
         rows = slice(first, first + 12)
-        return {
-            "mean": pooled.shared_mean[rows].tolist(),
-            "sd": pooled.shared_sd_each[rows].tolist(),
-            "worth_deg": float(np.sqrt((pooled.terms[rows] ** 2).sum())),
-        }
-
-    return {
-        "torque_gain": joints(0),
-        "joint_friction_Nm": joints(12),
-        "odometry_drop": of("drop"),
-        "density_kg_m3": of("log_density", prior.density, prior.density),
-        "surface_friction": of("surface_friction", 1.0, prior.surface_friction),
-        "foot_radius_mm": of("radius", 1e3, 1e3 * prior.radius),
-        "law_offset_deg": of("law_offset"),
-        "law_exponent": of("law_exponent"),
-        "law_slope": of("law_slope"),
-        "field": {
-            "amplitude_deg": pooled.amplitude,
-            "length_m": pooled.length,
-            "scatter_deg": pooled.scatter,
-        },
-    }
+        worth = float(np.sqrt((terms[rows] ** 2).sum()))
+        found[name] = {"mean": mean[rows].tolist(), "sd": sd[rows].tolist(), "worth_deg": worth}
+    for name, key, centre, scale in (
+        ("odometry_drop", "drop", 0.0, 1.0),
+        ("density_kg_m3", "log_density", prior.density, prior.density),
+        ("surface_friction", "surface_friction", prior.surface_friction, 1.0),
+        ("foot_radius_mm", "radius", 1e3 * prior.radius, 1e3),
+        ("law_offset_deg", "law_offset", 0.0, 1.0),
+        ("law_exponent", "law_exponent", 0.0, 1.0),
+        ("law_slope", "law_slope", 0.0, 1.0),
+    ):
+        i = SHARED.index(key)
+        numbers = {"mean": centre + scale * mean[i], "sd": scale * sd[i], "worth_deg": terms[i]}
+        found[name] = {key: float(value) for key, value in numbers.items()}
+    sizes = {"amplitude_deg": pooled.amplitude, "length_m": pooled.length}
+    return {**found, "field": {**sizes, "scatter_deg": pooled.scatter}}
 
 
 DENSITY_PART = 0.05

@@ -20,7 +20,6 @@ from terraphi.robot.estimators import (
     Estimator,
     chunks,
     contact_torque,
-    margin_of,
     signals,
 )
 from terraphi.robot.friction import JointFriction
@@ -86,8 +85,6 @@ class FootForces:
     sigma
         Standard uncertainty of each component [N], same shape: noise, and what all samples share
         by :class:`Priors`.
-    noise
-        Part of it that differs from sample to sample [N], same shape.
     flagged
         The knee is near-singular: torques do not determine the force; shape [sample, foot].
     saturated
@@ -113,7 +110,6 @@ class FootForces:
     time: FloatArray
     force: SingleArray
     sigma: SingleArray
-    noise: SingleArray
     flagged: BoolArray
     saturated: BoolArray
     place: FloatArray
@@ -132,7 +128,6 @@ def estimate(
     estimator: Estimator = DEFAULT_ESTIMATOR,
     frame: Frame = "world",
     friction: bool = True,
-    gain: float = OBSERVER_GAIN,
     priors: Priors | None = None,
 ) -> FootForces:
     """Forces of the ground on the feet.
@@ -151,8 +146,6 @@ def estimate(
         ``world`` or ``heading``, by the log's attitude, or ``body``.
     friction
         Find the joints' friction in swing and take it off; ``quasi_static`` never does.
-    gain
-        K of the momentum observer [1/s]; its bandwidth is K/2π.
     priors
         Errors of torques and attitude that sigma allows for; by default those of :class:`Priors`.
 
@@ -166,24 +159,22 @@ def estimate(
     for name, value, known in (("estimator", estimator, ESTIMATORS), ("frame", frame, FRAMES)):
         if value not in known:
             raise InputError(f"{name} '{value}' is unknown; {nearest(value, known)}")
-    if not (math.isfinite(gain) and gain > 0.0):
-        raise InputError(f"gain = {gain:g} should be a number above 0")
     _check_log(log, frame)
     log, broken = without_broken_accelerometer(log)
     # A frame or two are read as well: of a robot at rest, for they hold no accelerations.
     gap = GAP_STEPS * float(np.median(np.diff(log.time))) if len(log.time) > 1 else math.inf
     moving = estimator != "quasi_static"
-    overview = survey(log, robot, estimator, gain, gap, friction=moving and friction)
+    overview = survey(log, robot, estimator, gap, friction=moving and friction)
     noise = _torque_sigma(overview)
     limit = np.minimum(SATURATED * np.array(robot.torque_limit or (np.inf,) * 3), overview.ceiling)
     count, shared = len(log.time), priors or Priors()
-    force, sigma, independent = (np.empty((count, 4, 3), dtype=np.float32) for _ in range(3))
+    force, sigma = (np.empty((count, 4, 3), dtype=np.float32) for _ in range(2))
     place, lift_per_torque = np.empty((2, count, 4, 3))
     flagged, saturated = np.empty((2, count, 4), dtype=np.bool_)
-    for chunk in chunks(log.time, margin_of(estimator, gain)):
+    for chunk in chunks(log.time):
         inner, rows = chunk.inner, slice(chunk.start, chunk.stop)
         seen = signals(log, robot, slice(chunk.first, chunk.last), moving=moving)
-        torque = contact_torque(seen, estimator, gain, gap, overview.friction)
+        torque = contact_torque(seen, estimator, gap, overview.friction)
         own = noise**2 + _timing_variance(seen.time, torque, gap)[inner]
         torque, velocity = torque[inner], seen.velocity[inner]
         if overview.friction is not None:
@@ -198,23 +189,19 @@ def estimate(
             inverse = (_levelled(turn) if frame == "heading" else turn)[:, None] @ inverse
         with np.errstate(over="ignore", invalid="ignore"):  # where a knee is singular
             force[rows] = found = np.einsum("sfij,sfj->sfi", inverse, torque)
-            variance = np.einsum("sfij,sfj->sfi", inverse**2, own)
-            independent[rows] = np.sqrt(variance)
-            variance += np.einsum("sfij,sfj->sfi", inverse**2, common)
+            variance = np.einsum("sfij,sfj->sfi", inverse**2, own + common)
             if not robot.there.all():
                 variance += _unfelt_variance(robot, inverse, found)
             if frame != "body":
                 variance += _tilt_variance(found, shared)
             sigma[rows] = np.sqrt(variance)
-        for each in (force, sigma, independent):
-            each[rows][near] = np.nan
+        force[rows][near], sigma[rows][near] = np.nan, np.nan
         place[rows], flagged[rows] = seen.legs.place[inner], near
         saturated[rows] = (np.abs(seen.torque[inner]) >= limit).any(axis=-1)
     return FootForces(
         time=np.asarray(log.time, dtype=np.float64),
         force=force,
         sigma=sigma,
-        noise=independent,
         flagged=flagged,
         saturated=saturated,
         place=place,
@@ -229,11 +216,10 @@ def estimate(
             "estimator": estimator,
             "frame": frame,
             "headings_deg": _headings(log),
-            "gain_per_s": gain if moving else None,
+            "gain_per_s": OBSERVER_GAIN if moving else None,
             "priors": asdict(shared),
             "friction": None if overview.friction is None else overview.friction.summary(),
             "torque_resolution_Nm": overview.resolution.tolist(),
-            "swing_share": dict(zip(FEET, overview.swing.tolist(), strict=True)),
             "assumed": _assumed(log, robot, overview, broken),
         },
     )

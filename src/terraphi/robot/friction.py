@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.robot.joint_log import FEET, JOINTS
 
 STANDSTILL = 0.05
 """Velocity below which the sense of Coulomb friction fades [rad/s]."""
@@ -71,21 +70,9 @@ class JointFriction:
         return self.coulomb * np.sqrt(np.maximum(1.0 - smooth_sign(velocity) ** 2, 0.0))
 
     def summary(self) -> dict[str, Any]:
-        """The numbers by foot and joint, JSON-able; ``None`` where they were not found."""
-        names = {
-            "coulomb_Nm": self.coulomb,
-            "viscous_Nms": self.viscous,
-            "inertia_kgm2": self.inertia,
-        }
-        return {
-            foot: {
-                joint: {name: float(values[i, j]) for name, values in names.items()}
-                if self.found[i, j]
-                else None
-                for j, joint in enumerate(JOINTS)
-            }
-            for i, foot in enumerate(FEET)
-        }
+        """The numbers by name, feet and joints, JSON-able; zero where they were not found."""
+        names = {"coulomb_Nm": self.coulomb, "viscous_Nms": self.viscous}
+        return {name: v.tolist() for name, v in (names | {"inertia_kgm2": self.inertia}).items()}
 
 
 def smooth_sign(velocity: FloatArray) -> FloatArray:

@@ -8,12 +8,12 @@ import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.robot.estimators import (
+    CHUNK,
     Estimator,
     Signals,
     chunks,
     contact_torque,
     friction_terms,
-    margin_of,
     signals,
 )
 from terraphi.robot.friction import (
@@ -45,7 +45,6 @@ many times the lower quartile [-], was cut off there: moving legs only touch the
 and standing ones hold theirs all the time."""
 FEWEST_CUT = 10
 """Samples at the largest value that it takes at least."""
-_WINDOW = 4096
 
 
 class Survey(NamedTuple):
@@ -62,9 +61,6 @@ class Survey(NamedTuple):
         Smallest step of the torques [N m], shape [foot, joint].
     noise
         Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
-    swing
-        Share of the time that each foot was surely in the air, the ends of its swings left out [-],
-        shape [foot].
     ceiling
         Torque at which each motor's was cut off [N m], shape [foot, joint]; infinite if it was not.
     """
@@ -73,7 +69,6 @@ class Survey(NamedTuple):
     residual: FloatArray
     resolution: FloatArray
     noise: FloatArray
-    swing: FloatArray
     ceiling: FloatArray
 
 
@@ -92,7 +87,6 @@ def survey(
     log: JointLog,
     robot: Quadruped,
     estimator: Estimator,
-    gain: float,
     gap: float,
     *,
     friction: bool,
@@ -103,13 +97,13 @@ def survey(
     ----------
     log, robot
         The log, and of whom.
-    estimator, gain, gap
+    estimator, gap
         See :func:`~terraphi.robot.estimators.contact_torque`; its residual in swing is wanted.
     friction
         Whether that of the joints is to be taken off.
     """
-    every = list(chunks(log.time, margin_of("momentum_observer", gain), size=_WINDOW))
-    picked = np.unique(np.linspace(0, len(every) - 1, min(len(every), SURVEY // _WINDOW + 1)))
+    every = list(chunks(log.time))
+    picked = np.unique(np.linspace(0, len(every) - 1, min(len(every), SURVEY // CHUNK + 1)))
     windows = []
     for chunk in (every[int(i)] for i in picked):
         seen, inner = signals(log, robot, slice(chunk.first, chunk.last)), chunk.inner
@@ -119,8 +113,8 @@ def survey(
                 seen,
                 inner,
                 np.where(np.isfinite(row), row, 0.0)[inner],
-                contact_torque(seen, "momentum_observer", gain, gap)[inner],
-                friction_terms(seen, gain, gap)[inner],
+                contact_torque(seen, "momentum_observer", gap)[inner],
+                friction_terms(seen, gap)[inner],
                 one_way(seen.time, seen.velocity)[inner],
             )
         )
@@ -128,14 +122,14 @@ def survey(
     kept = found if friction else None
     residual = np.full((4, 3), np.nan)
     deviation = np.concatenate(
-        [contact_torque(w.seen, estimator, gain, gap, kept)[w.inner] for w in windows]
+        [contact_torque(w.seen, estimator, gap, kept)[w.inner] for w in windows]
     )
     swing = np.concatenate(swings)
     for foot in np.flatnonzero(swing.any(axis=0)):
         residual[foot] = [_magnitude(column) for column in deviation[swing[:, foot], foot].T]
     steps = np.concatenate([np.diff(w.seen.torque, axis=0) for w in windows])
     ceiling = _ceiling(np.concatenate([w.seen.torque[w.inner] for w in windows]))
-    return Survey(kept, residual, _resolution(steps), _noise(steps), swing.mean(axis=0), ceiling)
+    return Survey(kept, residual, _resolution(steps), _noise(steps), ceiling)
 
 
 def _alternate(windows: list[_Window], weight: float) -> tuple[JointFriction, list[BoolArray]]:

@@ -23,8 +23,8 @@ REORDERED = 0.01
 _SAMPLES = 60_000
 """Samples that are looked at."""
 LEAST_MICROSECONDS = 500.0
-"""Ticks from one message to the next from which they may be microseconds, as of the A1; the times of
-recording decide."""
+"""Ticks from one message to the next from which they may be microseconds, as of the A1; the times
+of recording decide."""
 STALLED = 0.9
 """Fraction of steps without advance beyond which a clock stands still."""
 
@@ -82,8 +82,10 @@ def seconds(
     per_s = 1e9 * float(ticks[-1] - ticks[0]) / span
     microseconds = float(np.median(steps)) >= LEAST_MICROSECONDS and per_s > 1e3 * math.sqrt(1e3)
     unit = 1e6 if microseconds else 1e3
-    notes = {"notes": ["the tick counts microseconds"]} if microseconds else {}
-    return ticks / unit, clock, {"clock_ratio": round(per_s / unit, 6), **notes}
+    facts: dict[str, Any] = {"clock_ratio": round(per_s / unit, 6)}
+    if microseconds:
+        facts["notes"] = ["the tick counts microseconds"]
+    return ticks / unit, clock, facts
 
 
 def evened(
@@ -220,7 +222,13 @@ def describe(time: FloatArray) -> dict[str, Any]:
         every pause longer than ``gap_limit_s`` [s].
     """
     if len(time) < 2:
-        none = {"rate_hz": None, "jitter_s": 0.0, "missing": 0, "gap_limit_s": GAP_S, "gaps": []}
+        none: dict[str, Any] = {
+            "rate_hz": None,
+            "jitter_s": 0.0,
+            "missing": 0,
+            "gap_limit_s": GAP_S,
+            "gaps": [],
+        }
         return {"duration_s": 0.0, **none}
     steps = np.diff(time)
     ordinary = steps[steps <= 1.5 * float(np.median(steps))]

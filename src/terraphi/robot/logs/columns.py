@@ -134,7 +134,11 @@ def read_table(path: Path, columns: Columns | None, motors: Sequence[str]) -> di
             )
         for name in names:
             if header.count(name) != 1:
-                how = "stands twice" if name in header else f"is missing; {_hint(name, header)}"
+                how = (
+                    "stands twice"
+                    if name in header
+                    else f"is missing; {nearest(name, header)[:200]}"
+                )
                 raise InputError(f"{path}: column '{name[:60]}' {how}")
         values = table[names].to_numpy(dtype=np.float64)
         if joints and count < len(JOINT_NAMES):
@@ -146,11 +150,6 @@ def read_table(path: Path, columns: Columns | None, motors: Sequence[str]) -> di
         found[group] = scale.get(group, 1.0) * values.reshape(len(values), *shape)
     found["stamp"] = found.pop("time")
     return found
-
-
-def _hint(name: str, header: list[str]) -> str:
-    hint = nearest(name, header)
-    return hint if len(hint) < 200 else f"{hint[:160]} …"
 
 
 def _table(path: Path) -> Any:

@@ -64,7 +64,8 @@ def low_states(
     ``motors`` says which joint each of the first twelve motors moves.
     """
     whole = joint = None
-    stamps, rows = [], []
+    stamps: list[tuple[int, int]] = []
+    rows = []
     for recorded, raw in messages:
         state = decoded(raw, kind, store, dropped)
         if state is None:
@@ -75,20 +76,26 @@ def low_states(
         tick, states, imu, counts = whole(state)
         joint = joint or _getter(states[0], ("q",), ("dq",), ("tauest",))
         stamps.append((tick, recorded))
-        legs = [number for motor in states[:MOTORS] for number in joint(motor)]
-        rows.append(
-            np.array([*legs, *imu.quaternion, *imu.gyroscope, *imu.accelerometer, *counts], "f4")
-        )
+        numbers = [number for motor in states[:MOTORS] for number in joint(motor)]
+        numbers += [*imu.quaternion, *imu.gyroscope, *imu.accelerometer, *counts]
+        rows.append(np.array(numbers, dtype=np.float32))
     table = np.array(rows, dtype=np.float64).reshape(-1, 3 * MOTORS + 14)
     order = [list(motors).index(name) for name in JOINT_NAMES]
     legs = table[:, : 3 * MOTORS].reshape(-1, MOTORS, 3)[:, order].reshape(-1, 4, 3, 3)
-    quaternion, gyroscope, acceleration, counts = np.split(table[:, 3 * MOTORS :], [4, 7, 10], 1)
+    joints = {"angle": legs[..., 0], "velocity": legs[..., 1], "torque": legs[..., 2]}
+    names = ("quaternion", "angular_velocity", "acceleration", "foot_counts")
+    body = np.split(table[:, 3 * MOTORS :], [4, 7, 10], axis=1)
+    return {**joints, **dict(zip(names, body, strict=True)), **_times(stamps)}
+
+
+def _times(stamps: list[tuple[int, int]]) -> dict[str, Any]:
     stamp, recorded = np.array(stamps, dtype=np.int64).reshape(-1, 2).T
-    return {
-        "angle": legs[..., 0], "velocity": legs[..., 1], "torque": legs[..., 2],
-        "quaternion": quaternion, "angular_velocity": gyroscope, "acceleration": acceleration,
-        "foot_counts": counts, "stamp": stamp, "recorded": recorded,
-    }  # fmt: skip
+    return {"stamp": stamp, "recorded": recorded}
+
+
+def _stamp(message: Any) -> int:
+    """Header stamp [ns]."""
+    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
 
 
 def _getter(message: Any, *wanted: tuple[str, ...]) -> attrgetter[Any]:
@@ -118,8 +125,9 @@ def joint_states(
         If no message has the legs' joints and their efforts.
     """
     orders: dict[tuple[str, ...], list[int] | None] = {}
-    refusal, columns = "", ()
-    stamps, rows, ignored = [], [], set()
+    columns: tuple[str, ...] = ()
+    stamps: list[tuple[int, int]] = []
+    refusal, rows, ignored = "", [], set()
     for recorded, raw in messages:
         message = decoded(raw, JOINT_STATE, typestore(), dropped)
         if message is None:
@@ -127,8 +135,8 @@ def joint_states(
         names = tuple(message.name)
         if names not in orders:
             try:
-                orders[names] = order = joint_order(names, joint_names, joints)
-                ignored |= {name for i, name in enumerate(names) if i not in order}
+                own = orders[names] = joint_order(names, joint_names, joints)
+                ignored |= {name for i, name in enumerate(names) if i not in own}
             except InputError as error:
                 orders[names], refusal = None, refusal or str(error)
         order = orders[names]
@@ -140,7 +148,7 @@ def joint_states(
         if not sound or present != columns:
             dropped[OTHERS] += 1
             continue
-        stamps.append((message.header.stamp.sec * 10**9 + message.header.stamp.nanosec, recorded))
+        stamps.append((_stamp(message), recorded))
         # Joints that are not there have the last place, which is zero.
         rows.append([np.append(getattr(message, _FIELDS[c]), 0.0)[order] for c in present])
     if refusal and not rows:
@@ -149,9 +157,7 @@ def joint_states(
         more = f" and {len(ignored) - 6} more" if len(ignored) > 6 else ""
         notes.append(f"joints of no leg, ignored: {', '.join(sorted(ignored)[:6])}{more}")
     table = np.array(rows, dtype=np.float64).reshape(len(rows), len(columns), 4, 3)
-    stamp, recorded = np.array(stamps, dtype=np.int64).reshape(-1, 2).T
-    values = {name: table[:, k] for k, name in enumerate(columns)}
-    return {**values, "stamp": stamp, "recorded": recorded}
+    return {**{name: table[:, k] for k, name in enumerate(columns)}, **_times(stamps)}
 
 
 def imu_readings(messages: Raw) -> dict[str, Any]:
@@ -160,7 +166,8 @@ def imu_readings(messages: Raw) -> dict[str, Any]:
     Its axes are taken to be the body's. What it does not measure, which a covariance of −1 says, is
     not a number.
     """
-    stamps, rows = [], []
+    stamps: list[tuple[int, int]] = []
+    rows = []
     for recorded, raw in messages:
         message = decoded(raw, IMU, typestore(), Counter())
         if message is None:
@@ -171,13 +178,11 @@ def imu_readings(messages: Raw) -> dict[str, Any]:
             ([w.x, w.y, w.z], message.angular_velocity_covariance),
             ([a.x, a.y, a.z], message.linear_acceleration_covariance),
         )
-        stamps.append((message.header.stamp.sec * 10**9 + message.header.stamp.nanosec, recorded))
+        stamps.append((_stamp(message), recorded))
         rows.append([v if of[0] != -1.0 else np.nan for part, of in parts for v in part])
     table = np.array(rows, dtype=np.float64).reshape(-1, 10)
-    stamp, recorded = np.array(stamps, dtype=np.int64).reshape(-1, 2).T
     names = ("quaternion", "angular_velocity", "acceleration")
-    values = dict(zip(names, np.split(table, [4, 7], axis=1), strict=True))
-    return {**values, "stamp": stamp, "recorded": recorded}
+    return {**dict(zip(names, np.split(table, [4, 7], axis=1), strict=True)), **_times(stamps)}
 
 
 def joint_order(

@@ -89,7 +89,7 @@ def read_log(
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     kind = "parquet" if path.suffix == ".parquet" else "csv"
-    facts = {"notes": [], "format": kind, "topic": None}
+    facts: dict[str, Any] = {"notes": [], "format": kind, "topic": None}
     return joint_log(path, values, "time_s", Counter(), facts)
 
 

@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.logs import clock as clocks
 
 FULL_TURN = 2.0 * np.pi
 LARGEST = 1e6
-"""Numbers beyond this are no sensor's."""
+"""Numbers beyond this are no sensor's, and count as not finite."""
 LATEST_S = 1e30
 
 NOT_FINITE = "not a finite number"
-BEYOND = "number beyond any sensor's"
 TURNED = "joint angle beyond a full turn"
 ATTITUDE = "attitude is not a unit quaternion"
 
 # What to do when most of a log is dropped for one reason.
 _REMEDIES = {
-    NOT_FINITE: "remove or repair those rows",
-    BEYOND: f"none above {LARGEST:g} is expected; remove or repair those rows",
+    NOT_FINITE: f"none above {LARGEST:g} is expected either; remove or repair those rows",
     TURNED: "the angles look like degrees, radians are expected",
     ATTITUDE: "give (w, x, y, z) of length 1, or leave the attitude out",
     clocks.REPEATED: "stamp every sample with its own time",
@@ -116,21 +115,17 @@ def joint_log(
     return JointLog(time, **values, report=report)
 
 
-def _unsound(values: dict[str, Any]) -> Any:
+def _unsound(values: dict[str, Any]) -> Iterator[tuple[str, BoolArray]]:
     """Reasons against samples, and which they are among those that are left."""
     columns = {name: c.reshape(len(c), -1) for name, c in values.items() if name != "recorded"}
-    finite = np.all([np.isfinite(c).all(axis=1) for c in columns.values()], axis=0)
-    rest = {name: c[finite] for name, c in columns.items()}
-    far = [np.abs(c) > LARGEST for n, c in rest.items() if n not in {"stamp", "angle"}]
-    beyond = np.concatenate([np.abs(rest["stamp"].astype(np.float64)) > LATEST_S, *far], axis=1)
-    beyond = beyond.any(axis=1)
-    rest = {name: c[~beyond] for name, c in rest.items()}
-    turned = (np.abs(rest["angle"]) > FULL_TURN).any(axis=1)
-    yield NOT_FINITE, ~finite
-    yield BEYOND, beyond
+    sound = np.abs(columns["stamp"].astype(np.float64))[:, 0] < LATEST_S
+    for name in columns.keys() - {"stamp"}:
+        sound &= (np.abs(columns[name]) < LARGEST).all(axis=1)
+    yield NOT_FINITE, ~sound
+    turned = (np.abs(columns["angle"][sound]) > FULL_TURN).any(axis=1)
     yield TURNED, turned
-    if "quaternion" in rest:
-        size = np.linalg.norm(rest["quaternion"][~turned], axis=1)
+    if "quaternion" in columns:
+        size = np.linalg.norm(columns["quaternion"][sound][~turned], axis=1)
         # A zero quaternion is none, unless all samples lack their attitude.
         yield ATTITUDE, (np.abs(size - 1.0) >= 0.1) & ((size > 0.0) | size.any())
 
