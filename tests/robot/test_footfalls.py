@@ -24,7 +24,6 @@ from terraphi.robot.footfalls import (
 )
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.model import Quadruped
-from terraphi.robot.results import analyse
 
 Walk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["Walk"]
 GO2 = Quadruped.load("go2")
@@ -67,13 +66,6 @@ def test_files_come_back(found: FootfallMap, tmp_path: Path) -> None:
     assert len(features) == len(found.verdict) == len(names[2].read_text().splitlines()) - 2
 
 
-@pytest.mark.slow
-def test_torques_of_another_unit_are_refused(walked: Any) -> None:
-    log = walked[2]
-    with pytest.raises(InputError, match=r"no footfall can be read: the feet bear 1\.9"):
-        find_footfalls(replace(log, torque=2.0 * log.torque))
-
-
 def test_a_log_of_exchanged_legs_tells_no_footfall() -> None:
     log = Walk(duration=5.0).log()[0]
     names = ("angle", "velocity", "torque")
@@ -100,15 +92,6 @@ def test_an_accelerometer_that_is_ignored_does_not_matter(factor: float) -> None
     assert len(found.verdict) > 3
     for name in ("place", "sinkage", "misfit", "path"):
         np.testing.assert_array_equal(getattr(found, name), getattr(without, name))
-
-
-def test_axes_that_footfalls_do_not_have_are_not_spoken_of() -> None:
-    log = Walk(duration=5.0).log()[0]
-    assert log.quaternion is not None
-    w, x, y, z = log.quaternion.T
-    about = replace(log, quaternion=np.stack([-z, -y, x, w], axis=1))  # half a turn
-    assert any("frame 'heading'" in note for note in analyse(about).notes)
-    assert not any("frame 'heading'" in note for note in find_footfalls(about).notes)
 
 
 def test_a_foot_that_hardly_goes_down_is_shallow_and_in_time() -> None:

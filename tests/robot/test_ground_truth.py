@@ -49,14 +49,8 @@ def run(simulation: Any, **options: Any) -> Run:
 
 
 @pytest.fixture(scope="session")
-def clean(simulation: Any) -> Run:
-    """Ten seconds of trot with joints that have no friction."""
-    return run(simulation)
-
-
-@pytest.fixture(scope="session")
-def rubbing(simulation: Any) -> Run:
-    """Ten seconds of trot with friction in the joints, and other pushes on the body."""
+def walk(simulation: Any) -> Run:
+    """Ten seconds of trot with friction in the joints."""
     physics = simulation.model.Physics(coulomb=0.2, viscous=0.05)
     return run(simulation, physics=physics, seed=1)
 
@@ -79,8 +73,8 @@ def numbers(stances: tuple[Stance, ...]) -> list[int]:
 # -- the truth itself ----------------------------------------------------------------------------
 
 
-def test_it_really_walks(clean: Run, rubbing: Run) -> None:
-    for truth in (clean.truth, rubbing.truth):
+def test_it_really_walks(walk: Run) -> None:
+    for truth in (walk.truth,):
         assert truth.time[-1] == pytest.approx(10.0, abs=0.01)
         way = truth.position[-1] - truth.position[0]
         assert way[0] / truth.time[-1] == pytest.approx(0.3, abs=0.05)
@@ -91,19 +85,19 @@ def test_it_really_walks(clean: Run, rubbing: Run) -> None:
         assert tilt.min() > np.cos(np.radians(5.0))
 
 
-def test_feet_roll_and_do_not_slide(clean: Run) -> None:
+def test_feet_roll_and_do_not_slide(walk: Run) -> None:
     # A ball of 22 mm at the end of a leg of 0.29 m that swings over its foot at 0.3 m/s moves its
     # centre at 0.3 · 22/290 m/s while its lowest point rests.
-    truth = clean.truth
+    truth = walk.truth
     loaded = truth.force[:, :, 2] > 20.0
     speed = np.linalg.norm(truth.foot_velocity[:, :, :2], axis=2)[loaded]
     assert np.median(speed) == pytest.approx(0.3 * 0.022 / 0.29, rel=0.2)
     assert np.quantile(speed, 0.95) < 0.06
 
 
-def test_contact_forces_obey_newton(clean: Run) -> None:
+def test_contact_forces_obey_newton(walk: Run) -> None:
     # Over whole strides velocities repeat: mean forces balance weight and the slope's 12 N.
-    truth = clean.truth
+    truth = walk.truth
     part = slice(0, round(23 * 0.42 * 1000))
     mean = truth.force[part].sum(axis=1).mean(axis=0)
     assert mean[2] == pytest.approx(16.085 * 9.81, rel=0.01)
@@ -113,19 +107,19 @@ def test_contact_forces_obey_newton(clean: Run) -> None:
     assert (across <= 0.8 * truth.force[..., 2] + 1e-6).all()
 
 
-def test_truth_has_the_stances_of_its_gait(clean: Run) -> None:
+def test_truth_has_the_stances_of_its_gait(walk: Run) -> None:
     # Ten seconds hold 23.8 periods of 0.42 s.
-    assert all(count in {23, 24} for count in numbers(clean.stances))
-    durations = [stance.duration for stance in clean.stances]
+    assert all(count in {23, 24} for count in numbers(walk.stances))
+    durations = [stance.duration for stance in walk.stances]
     assert np.ptp(durations) < 0.03
     assert np.mean(durations) == pytest.approx(0.6 * 0.42, abs=0.025)
-    mean = Ensemble.of(clean.stances)
+    mean = Ensemble.of(walk.stances)
     assert 70.0 < (mean.peak("z") or 0.0) < 90.0
     assert -16.0 < (mean.peak("x") or 0.0) < -10.0
 
 
-def test_realistic_log_is_that_of_a_robot(rubbing: Run) -> None:
-    log, truth = rubbing.realistic, rubbing.truth
+def test_realistic_log_is_that_of_a_robot(walk: Run) -> None:
+    log, truth = walk.realistic, walk.truth
     steps = np.diff(log.time)
     assert 4900 < len(log.time) < 5000
     assert steps.min() > 0.0
@@ -147,31 +141,25 @@ def test_realistic_log_is_that_of_a_robot(rubbing: Run) -> None:
         ("momentum_observer", 2.0),
     ],
 )
-def test_exact_torques_give_the_forces(clean: Run, estimator: Any, limit: float) -> None:
-    found = analyse(clean.exact, estimator=estimator)
-    assert rmse_in_stance(found, clean.truth).max() < limit
-    assert numbers(found.stances) == numbers(clean.stances)
+def test_exact_torques_give_the_forces(walk: Run, estimator: Any, limit: float) -> None:
+    found = analyse(walk.exact, estimator=estimator)
+    assert rmse_in_stance(found, walk.truth).max() < limit
+    assert numbers(found.stances) == numbers(walk.stances)
 
 
-@pytest.mark.parametrize("walk", ["clean", "rubbing"])
 @pytest.mark.parametrize(
     ("estimator", "limit"), [("quasi_static", 6.0), ("momentum_observer", 5.0)]
 )
-def test_realistic_logs_give_the_forces(
-    walk: str, estimator: Any, limit: float, request: pytest.FixtureRequest
-) -> None:
-    made: Run = request.getfixturevalue(walk)
+def test_realistic_logs_give_the_forces(walk: Run, estimator: Any, limit: float) -> None:
+    made = walk
     found = analyse(made.realistic, estimator=estimator)
     assert rmse_in_stance(found, made.truth).max() < limit
     assert numbers(found.stances) == numbers(made.stances)
 
 
-@pytest.mark.parametrize("walk", ["clean", "rubbing"])
 @pytest.mark.parametrize("log", ["exact", "realistic"])
-def test_mean_stance_peaks_within_five_percent(
-    walk: str, log: str, request: pytest.FixtureRequest
-) -> None:
-    made: Run = request.getfixturevalue(walk)
+def test_mean_stance_peaks_within_five_percent(walk: Run, log: str) -> None:
+    made = walk
     truth, found = Ensemble.of(made.stances), analyse(getattr(made, log)).pooled
     assert found.peak("z") == pytest.approx(truth.peak("z"), rel=0.05)
     assert found.peak("x") == pytest.approx(truth.peak("x"), rel=0.05)

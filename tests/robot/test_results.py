@@ -78,19 +78,6 @@ def test_summary_has_the_agreed_keys(found: RobotForces) -> None:
     assert min(summary["foot_sensor_correlation"].values()) > 0.99
 
 
-def test_lost_samples_are_counted() -> None:
-    log = made_log(pulses(STEP * np.arange(5000)), counts=False)
-    kept = np.ones(5000, dtype=bool)
-    kept[[100, 1000, 1001, 3000]] = False
-    names = ("time", "angle", "velocity", "torque", "quaternion", "angular_velocity")
-    log = replace(log, acceleration=None)
-    log = replace(log, **{name: getattr(log, name)[kept] for name in names})
-    summary = analyse(log, estimator="quasi_static").summary()
-    assert (summary["samples"], summary["dropped"]) == (4996, 4)
-    assert summary["foot_sensor_correlation"] is None
-    assert summary["pooled"]["stances"] == 98
-
-
 @pytest.mark.parametrize(
     ("load", "word"), [(40.0, "stands still"), (0.0, "hangs"), (20.0, "no foot was set down")]
 )
