@@ -385,7 +385,7 @@ def edited(path: Path, edit: Callable[[str], str]) -> Path:
     [
         ("FR_hip_angle_rad", "FR_hip_angel_rad", "FR_hip_angle_rad"),
         ("FR_hip_angle_rad", "FR_hip_angle_deg", "FR_hip_angle_rad"),
-        ("RL_calf_torque_Nm", "RR_calf_torque_Nm", "unknown column 'RR_calf_torque_Nm.1'"),
+        ("RL_calf_torque_Nm", "RR_calf_torque_Nm", "column 'RL_calf_torque_Nm' is missing"),
         ("quaternion_w", "quaternion_a", "column 'quaternion_w' is missing"),
         (",", ";", "time_s"),
     ],

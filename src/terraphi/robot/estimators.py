@@ -36,27 +36,23 @@ _NEGLIGIBLE = 1e-17
 
 
 class Chunk(NamedTuple):
-    """A part of a log to estimate, and the wider part that the filters need for it."""
+    """A part of a log to estimate."""
 
-    start: int
-    stop: int
-    first: int
-    last: int
-
-    @property
-    def inner(self) -> slice:
-        """Place of the part to estimate within the wider part."""
-        return slice(self.start - self.first, self.stop - self.first)
+    rows: slice
+    wide: slice
+    """With the samples before and after that the filters need."""
+    inner: slice
+    """Place of the part within the wide one."""
 
 
 def chunks(time: FloatArray, *, size: int = CHUNK) -> Iterator[Chunk]:
     """Cut a log into parts, each with a margin on both sides."""
     for start in range(0, len(time), size):
         stop = min(start + size, len(time))
-        first = int(np.searchsorted(time, time[start] - MARGIN_S))
-        last = int(np.searchsorted(time, time[stop - 1] + MARGIN_S, side="right"))
         # Two samples more, for the differences at the margins' ends.
-        yield Chunk(start, stop, max(first - 2, 0), min(last + 2, len(time)))
+        first = max(int(np.searchsorted(time, time[start] - MARGIN_S)) - 2, 0)
+        last = int(np.searchsorted(time, time[stop - 1] + MARGIN_S, side="right")) + 2
+        yield Chunk(slice(start, stop), slice(first, last), slice(start - first, stop - first))
 
 
 class Signals(NamedTuple):
@@ -180,7 +176,7 @@ def low_pass(
     slopes
         Between the samples, shape [sample − 1, ...].
     gap
-        Steps longer than this [s] separate records that do not know of each other.
+        Steps longer than this [s] separate records that do not influence each other.
 
     Returns
     -------

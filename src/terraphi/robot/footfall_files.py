@@ -194,7 +194,7 @@ def _geojson(found: FootfallMap) -> dict[str, Any]:
         for i, entry in enumerate(summary(found)["footfalls"])
     ]
     about = (
-        f"{SIGNATURE}; a log says no place on earth: x_m and y_m are metres from the robot's first "
+        f"{SIGNATURE}; a log has no place on earth: x_m and y_m are metres from the robot's first "
         "place, and the coordinates the same as if that were longitude 0, latitude 0, heading east"
     )
     return {"type": "FeatureCollection", "about": about, "features": features}

@@ -142,11 +142,11 @@ def find_footfalls(
     robot
         The robot, or its name, TOML, URDF or MJCF.
     law
-        One of :data:`~terraphi.robot.footfall_fit.LAW_SETS`: the answers of several laws are
+        One of :data:`~terraphi.robot.footfall_fit.LAW_SETS`: the results of several laws are
         averaged.
     prior
         What is known of soil, foot, sensors and law; the foot's radius is the robot's. ``None``:
-        the usual, and the answer says that the density is assumed.
+        the usual, with a note that the density is assumed.
     anchors
         Friction angles known on stretches of the path.
     **reading
@@ -243,7 +243,7 @@ def find_footfalls(
 
 
 def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
-    """Verdict of each footfall: the first reason that speaks against it, else :data:`USABLE`.
+    """Verdict of each footfall: the first reason against it, else :data:`USABLE`.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ def _path(motion: Motion, time: FloatArray) -> FloatArray:
 
 
 def _stretch(anchor: Anchor, path: FloatArray) -> FloatArray:
-    """Points of the path that an anchor speaks of [m], shape [point, 2]."""
+    """Points of the path on an anchor's stretch [m], shape [point, 2]."""
     along = path[:, "sxy".index(anchor.axis)]
     inside = np.flatnonzero((along >= anchor.begin - 1e-9) & (along <= anchor.end + 1e-9))
     if not len(inside):
@@ -343,21 +343,24 @@ _ANCHOR = re.compile(r"\s*([xys])\s*=([-+.\deE\s]+):([-+.\deE\s]+),\s*phi\s*=(.+
 def anchor_from(text: str) -> Anchor:
     """An anchor as people write it, ``x=0:0.5,phi=34±1``; ``+-`` will do for ``±``.
 
-    Raises InputError if it is written otherwise, or says what cannot be.
+    Raises InputError if it is written otherwise, or out of range.
     """
     match = _ANCHOR.fullmatch(text)
+    (low, high), wrong = (
+        PHI_RANGE,
+        InputError(
+            f"anchor '{text}': expected one such as x=0:0.5,phi=34±1 (or phi=34+-1), with phi from "
+            f"{PHI_RANGE[0]:g} to {PHI_RANGE[1]:g} degrees and its uncertainty above 0 and at most 15"
+        ),
+    )
     if match is None:
-        raise InputError(f"anchor '{text}': expected one such as x=0:0.5,phi=34±1 (or phi=34+-1)")
+        raise wrong
     try:
         a, b, (phi, sd) = plain_number(match[2]), plain_number(match[3]), number_with_sd(match[4])
     except ValueError:
-        raise InputError(f"anchor '{text}': holds what is not a number") from None
-    low, high = PHI_RANGE
+        raise wrong from None
     if sd is None or not (low <= phi <= high and 0.0 < sd <= 15.0):
-        raise InputError(
-            f"anchor '{text}': phi should be {low:g} to {high:g} degrees, and its uncertainty "
-            "above 0 and at most 15"
-        )
+        raise wrong
     return Anchor(min(a, b), max(a, b), phi, sd, match[1])
 
 
@@ -367,15 +370,16 @@ def prior_for(density: str) -> Prior:
     Without a standard deviation it is :data:`DENSITY_PART` of the density.
     Raises InputError if it is no such number, or no soil's.
     """
-    try:
-        mean, told = number_with_sd(density)
-        sd = DENSITY_PART * mean if told is None else told
-    except ValueError:
-        raise InputError(f"density '{density}': expected kg/m³ such as 1550 or 1550±80") from None
     low, high = DENSITIES
+    wrong = InputError(
+        f"density '{density}': expected kg/m³ such as 1550 or 1550±80, from {low:g} to {high:g}, "
+        "its standard deviation above 0 and at most 30 % of it"
+    )
+    try:
+        mean, given = number_with_sd(density)
+    except ValueError:
+        raise wrong from None
+    sd = DENSITY_PART * mean if given is None else given
     if not (low <= mean <= high and 0.0 < sd <= 0.3 * mean):
-        raise InputError(
-            f"density '{density}': {low:g} to {high:g} kg/m³ is expected, with a standard "
-            "deviation above 0 and at most 30 % of it"
-        )
+        raise wrong
     return Prior(density=mean, density_sd=sd)

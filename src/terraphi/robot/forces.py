@@ -172,8 +172,8 @@ def estimate(
     place, lift_per_torque = np.empty((2, count, 4, 3))
     flagged, saturated = np.empty((2, count, 4), dtype=np.bool_)
     for chunk in chunks(log.time):
-        inner, rows = chunk.inner, slice(chunk.start, chunk.stop)
-        seen = signals(log, robot, slice(chunk.first, chunk.last), moving=moving)
+        rows, inner = chunk.rows, chunk.inner
+        seen = signals(log, robot, chunk.wide, moving=moving)
         torque = contact_torque(seen, estimator, gap, overview.friction)
         own = noise**2 + _timing_variance(seen.time, torque, gap)[inner]
         torque, velocity = torque[inner], seen.velocity[inner]

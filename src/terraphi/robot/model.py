@@ -1,6 +1,6 @@
 """A quadruped from its URDF or MJCF, read by MuJoCo.
 
-A robot of one's own needs its URDF or MJCF and nothing of ours. A small TOML beside it
+A robot of one's own needs its URDF or MJCF and nothing of ours. A small TOML next to it
 (:class:`RobotFile`) adds what the model lacks, such as the numbering of the motors.
 """
 
@@ -130,11 +130,11 @@ class Quadruped:
             path = shipped_file("robots", str(source), ".toml")
         if path.suffix.lower() in {".urdf", ".xml", ".mjcf"}:
             return _loaded(path, RobotFile(model=path.name))
-        told = parse_toml(path, RobotFile)
-        return _loaded(path.parent / told.model, told, str(path))
+        own = parse_toml(path, RobotFile)
+        return _loaded(path.parent / own.model, own, str(path))
 
 
-def _loaded(path: Path, told: RobotFile, toml: str = "") -> Quadruped:
+def _loaded(path: Path, own: RobotFile, toml: str = "") -> Quadruped:
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -144,7 +144,7 @@ def _loaded(path: Path, told: RobotFile, toml: str = "") -> Quadruped:
     model, title = _compiled(text, str(path))
     joint = _leg_joints(model, str(path))
     names = [name for name, there in zip(JOINT_NAMES, (joint >= 0).ravel(), strict=True) if there]
-    order = told.joint_order or tuple(names)
+    order = own.joint_order or tuple(names)
     if sorted(order) != sorted(names):
         missing = ", ".join(sorted(set(names) - set(order))) or "none"
         raise InputError(
@@ -164,13 +164,13 @@ def _loaded(path: Path, told: RobotFile, toml: str = "") -> Quadruped:
         joint=joint,
         foot=body,
         foot_offset=offset,
-        name=told.name or title,
-        source=told.source or str(path),
-        mass=told.mass or float(model.body_mass.sum()),
+        name=own.name or title,
+        source=own.source or str(path),
+        mass=own.mass or float(model.body_mass.sum()),
         leg_length=length,
-        foot_radius=float(radius[0]) if told.foot_radius is None else told.foot_radius,
-        torque_limit=told.torque_limit or _limits(model, joint),
-        imu=told.imu or _imu(model, data),
+        foot_radius=float(radius[0]) if own.foot_radius is None else own.foot_radius,
+        torque_limit=own.torque_limit or _limits(model, joint),
+        imu=own.imu or _imu(model, data),
         joint_order=order,
     )
 
@@ -193,8 +193,8 @@ def _compiled(text: str, source: str) -> tuple[mujoco.MjModel, str]:
         odd = _prepare_urdf(root) if root.tag == "robot" else _prepare_mjcf(root)
         model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
     except (ValueError, KeyError, AttributeError) as error:
-        said = " ".join(str(error).split())
-        raise InputError(f"{source}: MuJoCo cannot read it: {said}") from error
+        why = " ".join(str(error).split())
+        raise InputError(f"{source}: MuJoCo cannot read it: {why}") from error
     for link, tensor in odd.items():
         moments, axes = np.linalg.eigh(tensor)
         axes[:, 0] *= np.linalg.det(axes)

@@ -106,7 +106,7 @@ def survey(
     picked = np.unique(np.linspace(0, len(every) - 1, min(len(every), SURVEY // CHUNK + 1)))
     windows = []
     for chunk in (every[int(i)] for i in picked):
-        seen, inner = signals(log, robot, slice(chunk.first, chunk.last)), chunk.inner
+        seen, inner = signals(log, robot, chunk.wide), chunk.inner
         row = np.einsum("si,sfij->sfj", seen.turn[:, 2], seen.legs.force_per_torque()[0])
         windows.append(
             _Window(

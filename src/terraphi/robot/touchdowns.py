@@ -41,7 +41,7 @@ SMOOTH_S = 0.01
 
 
 class Touchdowns(NamedTuple):
-    """Touch-downs of a log, feet that load soil; arrays of shape [touchdown, sample] or as said.
+    """Touch-downs of a log, feet that load soil; arrays of shape [touchdown, sample] or as noted.
 
     Attributes
     ----------

@@ -33,7 +33,7 @@ UNEVEN = 0.07
 SET_BACK = 20.0
 """A clock that goes back by more than this many steps [-] was set, or is another's."""
 _LOSS, _DRIFT, _ROUNDS = 41, 1001, 5
-"""Samples before and after a place by which a lost sample is told from a late stamp; samples over
+"""Samples before and after a place by which a lost sample differs from a late stamp; samples over
 which the clock's own drift against the usual step is averaged; rounds in which losses are found
 that lie close to others."""
 
@@ -232,7 +232,7 @@ def describe(time: FloatArray) -> dict[str, Any]:
         return {"duration_s": 0.0, **none}
     steps = np.diff(time)
     ordinary = steps[steps <= 1.5 * float(np.median(steps))]
-    # Clocks of whole milliseconds make 400 Hz out of steps of 2 and 3 ms: the mean knows.
+    # Clocks of whole milliseconds make 400 Hz out of steps of 2 and 3 ms: the mean is right.
     usual = float(ordinary.mean())
     limit = max(GAP_STEPS * usual, GAP_S)
     wide = np.flatnonzero(steps > limit)

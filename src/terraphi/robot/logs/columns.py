@@ -104,7 +104,7 @@ def read_table(path: Path, columns: Columns | None, motors: Sequence[str]) -> di
     Raises
     ------
     InputError
-        If a column is missing, stands twice or is not known.
+        If a column is missing.
     """
     table = _table(path)
     header = [str(name).strip().strip('"') for name in table.columns]
@@ -117,11 +117,6 @@ def read_table(path: Path, columns: Columns | None, motors: Sequence[str]) -> di
             group: names for group, names in wanted.items()
             if group in {"time", "angle", "torque"} or set(names) & set(header)
         }  # fmt: skip
-        known = {name for group in wanted for name in wanted[group]}
-        for name in header:
-            if name not in known and nearest(name, wanted["angle"] + wanted["torque"])[:3] == "did":
-                hint = nearest(name, known)
-                raise InputError(f"{path}: unknown column {name[:60]!r}; {hint}")
     found: dict[str, Any] = {}
     for group, names in wanted.items():
         shape = SHAPES.get(group, ())
@@ -133,13 +128,9 @@ def read_table(path: Path, columns: Columns | None, motors: Sequence[str]) -> di
                 "expected, by an array or by {motor}, {foot} and {joint}"
             )
         for name in names:
-            if header.count(name) != 1:
-                how = (
-                    "stands twice"
-                    if name in header
-                    else f"is missing; {nearest(name, header)[:200]}"
-                )
-                raise InputError(f"{path}: column '{name[:60]}' {how}")
+            if name not in header:
+                hint = nearest(name, header)[:200]
+                raise InputError(f"{path}: column '{name[:60]}' is missing; {hint}")
         values = table[names].to_numpy(dtype=np.float64)
         if joints and count < len(JOINT_NAMES):
             whole = np.zeros((len(values), len(JOINT_NAMES)))
@@ -162,7 +153,7 @@ def _table(path: Path) -> Any:
                 return pd.read_parquet(path)
         table = pd.read_csv(path, encoding="utf-8-sig", skipinitialspace=True, low_memory=False)
     except (ValueError, UnicodeDecodeError) as error:  # pandas' own errors are ValueErrors
-        said = " ".join(str(error).split())
-        raise InputError(f"{path}: cannot be read as a table ({said}); copy it again") from error
+        why = " ".join(str(error).split())
+        raise InputError(f"{path}: cannot be read as a table ({why}); copy it again") from error
     numbers = table.select_dtypes(exclude="number").columns
     return table.assign(**{n: pd.to_numeric(table[n], errors="coerce") for n in numbers})

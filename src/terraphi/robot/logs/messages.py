@@ -61,7 +61,7 @@ def low_states(
 ) -> dict[str, Any]:
     """Columns of a JointLog from LowState messages, ``stamp`` (the tick) and ``recorded`` [ns].
 
-    ``motors`` says which joint each of the first twelve motors moves.
+    ``motors`` are the joints that the first twelve motors move.
     """
     whole = joint = None
     stamps: list[tuple[int, int]] = []
@@ -163,8 +163,8 @@ def joint_states(
 def imu_readings(messages: Raw) -> dict[str, Any]:
     """Columns of a JointLog from Imu messages, ``stamp`` (header) and ``recorded`` [ns].
 
-    Its axes are taken to be the body's. What it does not measure, which a covariance of −1 says, is
-    not a number.
+    Its axes are taken to be the body's. What it does not measure, by a covariance of −1, is not a
+    number.
     """
     stamps: list[tuple[int, int]] = []
     rows = []

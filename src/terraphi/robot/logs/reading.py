@@ -106,8 +106,8 @@ def _read_bag(
     except (InputError, OSError, MemoryError):
         raise
     except Exception as error:  # damage raises errors of rosbags, of databases, of decompressors
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: not a whole bag ({said}); copy or record it again") from error
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: not a whole bag ({why}); copy or record it again") from error
     finally:
         if reader is not None and reader.is_open:
             reader.close()
