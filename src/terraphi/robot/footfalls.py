@@ -346,12 +346,10 @@ def anchor_from(text: str) -> Anchor:
     Raises InputError if it is written otherwise, or out of range.
     """
     match = _ANCHOR.fullmatch(text)
-    (low, high), wrong = (
-        PHI_RANGE,
-        InputError(
-            f"anchor '{text}': expected one such as x=0:0.5,phi=34±1 (or phi=34+-1), with phi from "
-            f"{PHI_RANGE[0]:g} to {PHI_RANGE[1]:g} degrees and its uncertainty above 0 and at most 15"
-        ),
+    low, high = PHI_RANGE
+    wrong = InputError(
+        f"anchor '{text}': expected one such as x=0:0.5,phi=34±1 (or phi=34+-1), with phi from "
+        f"{low:g} to {high:g} degrees and its uncertainty above 0 and at most 15"
     )
     if match is None:
         raise wrong
