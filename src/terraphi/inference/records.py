@@ -1,8 +1,8 @@
 r"""Records: measured or simulated forces as window means, and how a library's curve becomes alike.
 
-A record is compared with the library through m window means of each force: 40 windows over
-|θ| ≤ 85°, as Xu & Wang have it, or those of them that the record covers. With x the readings, taken to
-be linear in between, the means are W x; a curve y known as means over 1° is read at the angles of the
+A record is compared with the library through m window means of each force: 40 windows over |θ| ≤
+85°, as Xu & Wang have it, or those of them that the record covers. With x the readings, taken to be
+linear in between, the means are W x; a curve y known as means over 1° is read at the angles of the
 readings, R y, so that
 
     d = W x,    g = W R y,    cov(noise) = σ² W W'.
