@@ -217,7 +217,10 @@ def open_record(
     made_by = scenario_of(history, name=known.name)
     mean, sd, assumed = known.density_kg_m3, None, known.density_assumed
     if density is not None:
-        mean, sd = number_with_sd(density) if isinstance(density, str) else (float(density), None)
+        try:
+            mean, sd = number_with_sd(str(density))
+        except ValueError:
+            raise InputError(f"density = '{density}'; give kg/m³ as 1600 or 1600±80") from None
         assumed = False
     if mean is not None and not 100.0 <= mean <= 10_000.0:
         raise InputError(f"density = {mean:g} kg/m³; 100 to 10000 kg/m³ are accepted")
