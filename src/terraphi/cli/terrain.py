@@ -1,9 +1,9 @@
-"""What becomes of an answer: ``terraphi export``, ``terraphi convert`` and ``terraphi map``."""
+"""``terraphi export``, ``terraphi convert`` and ``terraphi map``."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -18,11 +18,7 @@ from terraphi.cli.options import (
     json_option,
 )
 from terraphi.experiment.errors import InputError
-from terraphi.view.console import note, print_json, progress_bar
-
-if TYPE_CHECKING:
-    from terraphi.inference.answer_file import Told
-    from terraphi.terrain.export import Export
+from terraphi.view.console import print_json, progress_bar
 
 SIMULATOR = Choice(SIMULATORS, "simulator")
 dp_type_option = click.option(
@@ -30,6 +26,14 @@ dp_type_option = click.option(
     type=Choice(DP_TYPES, "cone"),
     help="Cone of geotaichi.  [default: MiddleCircumscribed]",
 )
+seed_option = click.option(
+    "--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of draws."
+)
+
+
+def _check_cone(dp_type: str | None, *names: str | None) -> None:
+    if dp_type is not None and "geotaichi" not in names:
+        raise InputError(f"--dp-type {dp_type}: only geotaichi has this option; leave it out")
 
 
 @click.command()
@@ -40,40 +44,26 @@ dp_type_option = click.option(
     type=Choice(MATCHES, "stress path"),
     default="plane-strain",
     show_default=True,
-    help="Where the simulator's cone is as strong as the soil; it cannot be in both.",
+    help="Stress path in which the simulator is as strong as the soil.",
 )
 @dp_type_option
 @click.option(
     "--draws", type=IntRange(0, 100_000), default=0, help="Draws of the posterior.  [default: 0]"
 )
-@click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of draws.")
-@click.option(
-    "--bevameter",
-    is_flag=True,
-    help="For chrono-scm: press plates into simulated soil (minutes) for Bekker's K and n.",
-)
+@seed_option
 @click.option(
     "--anyway", is_flag=True, help="Export it although the verdict is a misfit or out of range."
 )
 @click.option("--out", type=PATH, help="A .py, .json or (newton, isaaclab) .usda file.")
 @json_option
 def export(
-    answer: Path,
-    to: str,
-    match: Any,
-    dp_type: str | None,
-    draws: int,
-    seed: int,
-    bevameter: bool,
-    anyway: bool,
-    out: Path | None,
-    as_json: bool,
+    answer: Path, to: str, dp_type: str | None, out: Path | None, as_json: bool, **options: Any
 ) -> None:
-    """Write an ANSWER as what a simulator calls friction, as a Python module that sets it.
+    """Write an ANSWER as the friction of a simulator, in a Python module that sets it.
 
-    ANSWER is the folder that 'terraphi invert --out' wrote, its posterior.nc, or what --json
-    printed (- for standard input). Simulators mean different things by friction; the module says
-    what is matched, and what was not inferred.
+    ANSWER is the folder of 'terraphi invert --out', its posterior.nc, or the output of 'invert
+    --json' (- for standard input). The module says which stress path is matched, and what was not
+    inferred. For chrono-scm it holds Bekker's parameters too.
 
     Example: terraphi export answer --to genesis --draws 64 --out soil.py
     """
@@ -86,44 +76,20 @@ def export(
     form = exports.FORMATS.get(out.suffix) if out else ("json" if as_json else "python")
     if form is None:
         raise InputError(f"{out}: name a .py, .json or .usda file")
+    _check_cone(dp_type, to)
     if out is not None:
         check_file(out)
-    told, target = read(answer), simulator(to, dp_type=dp_type)
-    if bevameter:
-        exports.check_bevameter(told, target)
-    found = exports.export(
-        told,
-        target,
-        match=match,
-        draws=draws,
-        seed=seed,
-        anyway=anyway,
-    )
-    if bevameter:
-        found = pressed(found, told)
-    text = found.text(form)
+    found = exports.export(read(answer), simulator(to, dp_type=dp_type), **options)
+    text = exports.text(found, form)
     if out is None:
         click.echo(text, nl=False)
         return
     with replacing(out) as temporary:
         temporary.write_text(text, encoding="utf-8")
     if as_json:
-        print_json(found.as_dict())
+        print_json(found)
         return
-    click.echo(found.headline())
-    click.echo(f"Written: {out}")
-
-
-def pressed(found: Export, told: Told) -> Export:
-    """The export with Bekker's parameters, after a forecast and with progress."""
-    from terraphi.forward.forecast import foreseen
-    from terraphi.terrain.bevameter import scenarios
-    from terraphi.terrain.export import in_plane_strain, with_bevameter
-
-    plates = scenarios(in_plane_strain(told))
-    note(foreseen(plates).sentence())
-    with progress_bar("pressing plates", simulates=plates) as report:
-        return with_bevameter(found, told, report)
+    click.echo(f"{exports.headline(found)}\nWritten: {out}")
 
 
 @click.command()
@@ -135,18 +101,18 @@ def pressed(found: Export, told: Told) -> Export:
 def convert(
     value: float, source: str, target: str | None, dp_type: str | None, as_json: bool
 ) -> None:
-    """Say which friction angle acts where a simulator's friction is VALUE.
+    """Print the friction angle that acts where a simulator's friction is VALUE.
 
     Example: terraphi convert 0.68 --from newton --to genesis
     """
     from terraphi.terrain.simulators import converted, converted_in_words
 
-    told = converted(value, source, target, dp_type=dp_type)
+    _check_cone(dp_type, source, target)
+    found = converted(value, source, target, dp_type=dp_type)
     if as_json:
-        print_json(told)
+        print_json(found)
         return
-    for sentence in converted_in_words(told):
-        click.echo(sentence)
+    click.echo("\n".join(converted_in_words(found)))
 
 
 @click.command("map")
@@ -167,27 +133,27 @@ def convert(
     "(normal to the slope), wetness or density_kg_m3; may be repeated.",
 )
 @click.option("--wetness", type=PATH, help="Raster of the saturated share, 0 to 1.")
-@click.option("--covariate", type=PATH, help="Raster that φ may follow, as burn severity.")
+@click.option("--covariate", type=PATH, help="Raster on which φ may depend, as burn severity.")
 @click.option(
     "--draws", type=IntRange(16, 4096), default=128, show_default=True, help="Joint draws."
 )
-@click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of draws.")
+@seed_option
 @json_option
 def slope_map(
     points: Path, dem: Path, out: Path, start: str | None, as_json: bool, **options: Any
 ) -> None:
-    """Map how likely slopes are to slide, from friction angles at POINTS.
+    """Map the probability that slopes slide, from friction angles at POINTS.
 
     POINTS is a CSV with the columns x_m,y_m,phi_deg,sd_deg and, if known, shared_sd_deg (of an
-    error that all points have in common), in the coordinate system of the DEM; or the NetCDF or
-    CSV of 'terraphi footfalls', with --start. A foot probes centimetres and slopes fail at metres:
-    see the page on maps.
+    error that all points share), in the coordinate system of the DEM; or the NetCDF or CSV of
+    'terraphi footfalls', with --start. A foot probes centimetres and slopes fail at metres: see
+    the page on maps.
 
     Example: terraphi map points.csv --dem dem.tif --out slopes
     """
     from terraphi.experiment.outputs import check_folder, filling
+    from terraphi.terrain.inputs import start_from
     from terraphi.terrain.map import KIND, LAYERS, SUMMARY, in_words, map_slopes
-    from terraphi.terrain.points import start_from
     from terraphi.view import plots
     from terraphi.view.slope_plots import map_figure
 
@@ -203,6 +169,4 @@ def slope_map(
     if as_json:
         print_json(found.summary)
         return
-    for sentence in in_words(found.summary):
-        click.echo(sentence)
-    click.echo(f"Written: {out}/{', '.join(names)}")
+    click.echo("\n".join([*in_words(found.summary), f"Written: {out}/{', '.join(names)}"]))
