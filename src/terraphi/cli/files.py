@@ -19,7 +19,7 @@ from terraphi.view.table import Table
 @click.option("--robot", default="go2", show_default=True, help="Robot, for logs.")
 @json_option
 def report(results: tuple[str, ...], out: Path, robot: str, as_json: bool) -> None:
-    """Put RESULTs into one HTML file that works offline, next to each other if there are several.
+    """Put RESULTs into one HTML file that works offline.
 
     RESULT is a folder of 'invert --out', 'demo --out' or 'map --out', a NetCDF of another command's
     --out (library, simulation, foot forces, footfalls), a shipped library, or a robot's log.
@@ -47,7 +47,9 @@ def report(results: tuple[str, ...], out: Path, robot: str, as_json: bool) -> No
     "--port", type=IntRange(0, 65535), default=8321, show_default=True, help="Port on 127.0.0.1."
 )
 def app(port: int) -> None:
-    """Serve a page on this machine that answers whatever is dropped on it: forces or a robot's log.
+    """Serve a local page that answers whatever is dropped on it.
+
+    Forces on a leg (CSV, NetCDF) give an answer, a robot's log its foot forces and footfalls.
 
     Example: terraphi app
     """
@@ -59,7 +61,7 @@ def app(port: int) -> None:
 @click.command()
 @json_option
 def doctor(as_json: bool) -> None:
-    """Check this installation: versions, compiled kernels, shipped files, folders.
+    """Check versions, compiled kernels and shipped files.
 
     The first run compiles the kernels (half a minute). The exit status is 1 if there is a problem.
 
@@ -80,13 +82,17 @@ def doctor(as_json: bool) -> None:
 
 @click.command()
 @click.argument(
-    "document", type=Choice(("scenario", "plan", "columns")), default="scenario", metavar="[DOCUMENT]"
+    "document",
+    type=Choice(("scenario", "plan", "columns")),
+    default="scenario",
+    metavar="[DOCUMENT]",
 )
 @json_option
 def keys(document: str, as_json: bool) -> None:
-    """List every key of a TOML file with its unit, default, choices and meaning.
+    """List the keys of a TOML file.
 
-    DOCUMENT is scenario (default), plan, or columns (of a robot's log).
+    With unit, default, choices and meaning. DOCUMENT is scenario (default), plan, or columns (of a
+    robot's log).
 
     Example: terraphi keys plan
     """

@@ -47,10 +47,11 @@ def invert(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Infer the friction angle from FORCES; several FORCES are records of one soil.
+    """Infer the friction angle from FORCES.
 
     FORCES is a CSV with the columns theta_deg,Fx_N,Fz_N (theta from the downward vertical; x
-    forward, z up; force of the soil on the leg), a NetCDF of terraphi, or a shipped measurement.
+    forward, z up; force of the soil on the leg), a NetCDF of terraphi, or a shipped measurement
+    li2013:MEDIUM/LEG. Several FORCES are records of one soil.
 
     Example: terraphi invert forces.csv --leg c --density 1600±80 --out answer
 
@@ -74,9 +75,7 @@ def invert(
         click.echo(f"Written: {out}/answer.json, answer.nc, answer.png")
 
 
-def tabulate(
-    forces: tuple[str, ...], table: Path, as_json: bool, options: dict[str, Any]
-) -> None:
+def tabulate(forces: tuple[str, ...], table: Path, as_json: bool, options: dict[str, Any]) -> None:
     """Invert records one by one and write a row for each."""
     from terraphi.inference.inversion import invert_many
     from terraphi.view.answers import check_table, write_table
@@ -106,13 +105,11 @@ def tabulate(
 @library_option
 @click.option("--out", type=PATH, required=True, help="TOML file for 'invert --calibration'.")
 @json_option
-def calibrate(
-    forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **options: Any
-) -> None:
-    """Learn the offset of your apparatus from FORCES in soils whose friction angle is known.
+def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **options: Any) -> None:
+    """Learn the offset of your apparatus from soils of known angle.
 
-    The angle is in the convention of the library, plane strain for sand3d. Answers with
-    'invert --calibration FILE' have narrower intervals, the more soils the narrower.
+    FORCES were measured in a soil of angle --phi, in the convention of the library (plane strain
+    for sand3d). 'invert --calibration FILE' then gives narrower intervals.
 
     Example: terraphi calibrate li2013:poppy_loose/straight --phi 36±2 --out poppy.toml
     """
@@ -122,7 +119,7 @@ def calibrate(
     try:
         mean, sd = number_with_sd(phi)
     except ValueError:
-        sd = None
+        mean, sd = 0.0, None
     if sd is None:
         raise InputError(f"--phi {phi}: give mean and standard deviation, such as 36±2")
     found = run(list(forces), mean, sd, **options)
@@ -145,7 +142,7 @@ def calibrate(
 )
 @json_option
 def demo(out: Path, as_json: bool) -> None:
-    """Recover a known friction angle from a simulation, then infer those of two measured sands.
+    """Recover a known angle, then infer those of two measured sands.
 
     Example: terraphi demo
     """
@@ -158,4 +155,6 @@ def demo(out: Path, as_json: bool) -> None:
     click.echo(f"Simulated with φ = {TRUTH_DEG:g}°, then inverted; and two measured sands.\n")
     for answer in answers:
         click.echo(f"{headline(answer)}\n{answer.reason}\n")
-    click.echo(f"Picture: {picture}\nYour own: terraphi invert FORCES.csv --leg LEG --density KG_M3")
+    click.echo(
+        f"Picture: {picture}\nYour own: terraphi invert FORCES.csv --leg LEG --density KG_M3"
+    )

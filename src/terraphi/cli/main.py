@@ -22,7 +22,16 @@ UNUSABLE, INTERRUPTED = 2, 130
 """Exit status where the input cannot be used, and after Ctrl-C."""
 
 
+class Commands(click.Group):
+    """A group whose help lists its commands in the order in which they were added."""
+
+    def list_commands(self, _ctx: click.Context) -> list[str]:
+        """Names."""
+        return list(self.commands)
+
+
 @click.group(
+    cls=Commands,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(package_name="terraphi")

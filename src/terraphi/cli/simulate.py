@@ -34,7 +34,9 @@ FRAMES = 100
 def simulate(
     scenario: str, changes: tuple[str, ...], out: Path | None, vtk: Path | None, as_json: bool
 ) -> None:
-    """Simulate SCENARIO, a TOML file or a preset: quick (1 s), sand3d, paper-1, paper-code-1.
+    """Simulate SCENARIO, a TOML file or the name of a preset.
+
+    Presets: quick (seconds), sand3d (hours), paper-1 and paper-code-1 (half an hour).
 
     With --out an interrupted simulation continues by the same command, with the same result to the
     last bit. 'terraphi keys' lists the keys of a scenario.

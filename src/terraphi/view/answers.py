@@ -65,7 +65,7 @@ def in_words(answer: Answer) -> list[str]:
         lines.append(f"  In plane strain: φ = {plane}")
     for key, one in answer.parameters.items():
         if key != PHI:
-            lines.append(f"  {key} = {_rounded(one)}")
+            lines.append("  {} = {} ± {}".format(key, *_rounded(one)))
     if answer.budget_deg:
         lines.append(f"  ± is: {_terms(answer)}")
     other = answer.second_opinion
@@ -91,10 +91,7 @@ def print_answer(answer: Answer, *, verbose: bool = False) -> None:
 
 def tables(answer: Answer) -> list[Table]:
     """Parameters, terms of the interval and records."""
-    parameters = [
-        (key, f"{one.median:.5g}", f"{one.sd:.2g}", _span(one.ci68), _span(one.ci95))
-        for key, one in answer.parameters.items()
-    ]
+    parameters = [(key, *_rounded(one)) for key, one in answer.parameters.items()]
     terms = [(name, f"{sd:.2f}") for name, sd in answer.budget_deg.items()]
     records = [
         (
@@ -127,13 +124,11 @@ def _terms(answer: Answer) -> str:
     return f"{', '.join(named)}. {ADVICE.get(largest, '')}".rstrip()
 
 
-def _rounded(one: Estimate) -> str:
+def _rounded(one: Estimate) -> tuple[str, str, str, str]:
+    """Median, standard deviation, 68 and 95 % interval in the digits that they deserve."""
     digits = max(0, 1 - math.floor(math.log10(max(one.sd, 1e-12))))
-    return f"{one.median:.{digits}f} ± {one.sd:.{digits}f}"
-
-
-def _span(ends: tuple[float, float]) -> str:
-    return f"{ends[0]:.5g} to {ends[1]:.5g}"
+    inner, outer = (f"{low:.{digits}f} to {high:.{digits}f}" for low, high in (one.ci68, one.ci95))
+    return f"{one.median:.{digits}f}", f"{one.sd:.{digits}f}", inner, outer
 
 
 # -- many answers --------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 TRUTH_DEG = 33.0
 """Friction angle that is simulated [deg]."""
-NOISE_N = 0.1
+NOISE_N = 0.5
 """Standard deviation of the noise that is added to each simulated reading [N]."""
 SANDS = {"yuma": "li2013:yuma/straight", "poppy": "li2013:poppy_loose/straight"}
 """Measured records, by the name of their folder."""
@@ -38,7 +38,7 @@ def run(out: Path) -> tuple[list[Answer], Path]:
     answers |= {name: invert(source) for name, source in SANDS.items()}
     made_folder(out)
     figure = Figure(figsize=(11.0, 9.6), layout="constrained")
-    rows = figure.subfigures(len(answers), 1)
+    rows: Any = figure.subfigures(len(answers), 1)
     for (name, answer), row in zip(answers.items(), rows, strict=True):
         answer.save(out / name)
         answer.plot(row)

@@ -13,9 +13,6 @@ from typing import NamedTuple
 
 from packaging.requirements import Requirement
 
-from terraphi.experiment.errors import InputError
-
-
 FOLDER = Path(__file__).parents[1]
 """Where the package and its data lie."""
 

@@ -52,7 +52,9 @@ def tables(document: str) -> list[Table]:
             if not _models(value)
         ]
         kind = part["properties"].get("kind")
-        title = ", ".join(map(_heading, names)) + (f' with kind = "{kind["default"]}"' if kind else "")
+        title = ", ".join(map(_heading, names)) + (
+            f' with kind = "{kind["default"]}"' if kind else ""
+        )
         about = " ".join(part["description"].partition("\n\n")[0].split())
         if keys:
             found.append(Table(f"{title}: {about}", HEADER, keys))
@@ -73,7 +75,9 @@ def markdown(document: str) -> str:
     parts = []
     for one in tables(document):
         title, _, about = one.title.partition(": ")
-        rows = [(f"`{row[0]}`", *(cell.replace("<", "&lt;") for cell in row[1:])) for row in one.rows]
+        rows = [
+            (f"`{row[0]}`", *(cell.replace("<", "&lt;") for cell in row[1:])) for row in one.rows
+        ]
         parts += [f"## `{title}`", about, Table("", HEADER, rows).markdown()]
     return "\n\n".join(parts) + "\n"
 
@@ -108,7 +112,9 @@ def _models(value: Schema) -> list[tuple[str, bool]]:
 def _row(name: str, value: Schema, *, required: bool) -> tuple[str, ...]:
     meaning = " ".join(value.get("description", "").split())
     units = dict.fromkeys(re.findall(r"\[([^\]]+)\]", meaning))
-    plain = re.sub(r"\s*\[[^\]]+\]", "", meaning).replace("``None``", "not given").replace("``", "`")
+    plain = (
+        re.sub(r"\s*\[[^\]]+\]", "", meaning).replace("``None``", "not given").replace("``", "`")
+    )
     default = "required" if required else _toml(value.get("default"))
     return name, ", ".join(units), default, _allowed(_parts(value)[0]), plain
 

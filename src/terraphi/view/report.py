@@ -1,7 +1,7 @@
 """Results in one HTML file that works offline and on a phone.
 
 The file contains Plotly, compressed, and unpacks it in the browser. A content security policy
-allows the scripts of the page alone, each by its hash, so that a name in somebody's file stays text.
+allows the scripts of the page alone, each by its hash, so that a name in a file stays text.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import replacing
 from terraphi.view.sections import Plot, Section, section_of
 
+ASSETS = Path(__file__).with_name("assets")
+"""Templates and scripts of the pages."""
 LOGS = (".mcap", ".db3", ".parquet", ".csv")
 KINDS = {
     "answer": "answer", "library": "library", "force history": "simulation",
@@ -97,8 +99,7 @@ def write(found: Sequence[Section], out: Path) -> None:
 def render(found: Sequence[Section]) -> str:
     """HTML of a page with some sections; raises InputError if a package is missing."""
     library, packed = _plotly()
-    template = load_template("report.html")
-    script = template.module.script()
+    script = ASSETS.joinpath("report.js").read_text(encoding="utf-8")
     plots = {
         f"plot-{i}-{j}": {"data": part.traces, "layout": part.layout}
         for i, section in enumerate(found)
@@ -106,8 +107,9 @@ def render(found: Sequence[Section]) -> str:
         if isinstance(part, Plot)
     }
     return str(
-        template.render(
+        load_template("report.html").render(
             sections=found,
+            script=script,
             plots=embedded(plots),
             plotly=packed,
             policy=f"default-src 'none'; script-src {digest(script)} {digest(library)}; "
@@ -121,9 +123,9 @@ def render(found: Sequence[Section]) -> str:
 def load_template(name: str) -> Any:
     """A template that escapes all values; raises InputError if Jinja2 is missing."""
     with needing("a page", "Jinja2 and plotly", extra="report"):
-        from jinja2 import Environment, PackageLoader, StrictUndefined
+        from jinja2 import Environment, FileSystemLoader, StrictUndefined
     return Environment(
-        loader=PackageLoader("terraphi.view", "assets"),
+        loader=FileSystemLoader(ASSETS),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -51,7 +51,7 @@ class Picture(NamedTuple):
 
 
 class Section(NamedTuple):
-    """One result: kind, title, headline, more lines, parts, origin; ``good``, ``bad`` or neither."""
+    """One result; its status is ``good``, ``bad`` or empty."""
 
     kind: str
     title: str
@@ -106,8 +106,9 @@ def section_of(
 
 
 def of_answer(answer: Answer) -> Section:
-    """φ and verdict, the forces with the model's curves, the posterior, the terms of the interval."""
-    source, headline, *lines = in_words(answer)
+    """φ and verdict, forces with the model's curves, posterior, terms of the interval."""
+    about, headline, *lines = in_words(answer)
+    source, _, about = about.partition(" · ")
     parts: list[Plot | Picture | Table] = []
     for record in answer.records:
         where = f", {record.source}" if len(answer.records) > 1 else ""
@@ -117,7 +118,10 @@ def of_answer(answer: Answer) -> Section:
             traces = [band(theta, low, high, "model, 95 % of φ", PALE_BLUE)]
             if record.expected is not None:
                 traces.append(line(theta, record.curve[i], "bare model", BLUE, dash="dash"))
-            traces += [line(theta, fit[i], "model", BLUE), points(theta, record.data[i], "data", ORANGE)]
+            traces += [
+                line(theta, fit[i], "model", BLUE),
+                points(theta, record.data[i], "data", ORANGE),
+            ]
             title = f"{force}{where}: residual {record.nrmsd[force]:.0%} of its range"
             parts.append(Plot(title, traces, axes(THETA, label)))
     parts += _posterior(answer)
@@ -125,11 +129,15 @@ def of_answer(answer: Answer) -> Section:
         names, values = list(answer.budget_deg)[::-1], list(answer.budget_deg.values())[::-1]
         bars = {"type": "bar", "orientation": "h", "x": numbers(values), "y": names}
         traces = [{**bars, "marker": {"color": BLUE}}]
-        parts.append(Plot("Origin of the interval", traces, axes("standard deviation of φ [deg]", "")))
+        parts.append(
+            Plot("Terms of the interval", traces, axes("standard deviation of φ [deg]", ""))
+        )
     parts += [one for one in tables(answer) if "term" not in one.header]
     status = "good" if answer.verdict == "consistent" else "bad"
     origin = pairs(answer.as_dict()["provenance"])
-    return Section("answer", source, headline, lines, parts, origin, status)
+    return Section(
+        "answer", source, headline.replace("    ", ", "), [*lines, about], parts, origin, status
+    )
 
 
 def _posterior(answer: Answer) -> list[Plot]:
@@ -196,7 +204,9 @@ def of_simulation(path: Path) -> Section:
     history = ForceHistory.from_netcdf(path)
     scenario = history.provenance.get("scenario", {})
     plots = [
-        Plot(force, [line(*curve(history, force), force, BLUE)], axes(position_label(history), label))
+        Plot(
+            force, [line(*curve(history, force), force, BLUE)], axes(position_label(history), label)
+        )
         for force, label in FORCES.items()
     ]
     summary = history.summary()
@@ -204,7 +214,7 @@ def of_simulation(path: Path) -> Section:
     if scenario:
         leg, phi = scenario["leg"]["shape"], scenario["soil"]["friction_angle_deg"]
         headline += f"; {LEGS.get(leg, leg)}, φ = {phi:g}°"
-    parts = [*plots, Table("In numbers", ("", ""), pairs(summary))]
+    parts: list[Plot | Picture | Table] = [*plots, Table("In numbers", ("", ""), pairs(summary))]
     return Section("simulation", path.name, headline, [], parts, pairs(history.provenance))
 
 
@@ -289,12 +299,17 @@ def of_footfalls(found: Any, name: str) -> Section:
     if usable.any():
         phi, s = found.phi[usable], found.path[:, 0]
         wide, narrow = found.path_absolute_sd, found.path_relative_sd
-        coloured = points(*place[usable, :2].T, "usable", BLUE)
-        scale = {"colorscale": "Viridis", "showscale": True, "colorbar": {"title": {"text": "φ [deg]"}}}
+        x, y = place[:, :2].T
+        coloured = points(x[usable], y[usable], "usable", BLUE)
+        scale = {
+            "colorscale": "Viridis",
+            "showscale": True,
+            "colorbar": {"title": {"text": "φ [deg]"}},
+        }
         coloured["marker"] |= {"color": numbers(phi), **scale}
         plan = [
             line(found.path[:, 1], found.path[:, 2], "path", GREY, dash="dot"),
-            points(*place[~usable, :2].T, "refused", GREY, symbol="x"),
+            points(x[~usable], y[~usable], "refused", GREY, symbol="x"),
             coloured,
         ]
         layout = axes("x, along the first heading [m]", "y [m]")
@@ -352,7 +367,13 @@ def line(x: ArrayLike, y: ArrayLike, name: str, colour: str, *, dash: str = "sol
 def points(x: ArrayLike, y: ArrayLike, name: str, colour: str, *, symbol: str = "circle") -> Trace:
     """Points."""
     look = {"color": colour, "symbol": symbol, "size": 6}
-    return {"mode": "markers", "x": numbers(x), "y": numbers(y), "name": escaped(name), "marker": look}
+    return {
+        "mode": "markers",
+        "x": numbers(x),
+        "y": numbers(y),
+        "name": escaped(name),
+        "marker": look,
+    }
 
 
 def band(x: ArrayLike, low: ArrayLike, high: ArrayLike, name: str, colour: str) -> Trace:
