@@ -10,6 +10,7 @@ import click
 from terraphi.cli.options import (
     PATH,
     Float,
+    WithSd,
     density_option,
     json_option,
     leg_option,
@@ -33,10 +34,8 @@ from terraphi.view.table import Table
     default=None,
     help="Whether the forces are simulated.  [default: as in FORCES]",
 )
-@click.option("--out", type=PATH, help="Folder for answer.json, answer.nc (ArviZ) and answer.png.")
-@click.option(
-    "--table", type=PATH, help="CSV file: invert each of FORCES by itself, a row for each."
-)
+@click.option("--out", type=PATH, help="Folder for answer.json, .nc (ArviZ) and .png.")
+@click.option("--table", type=PATH, help="CSV file with a row for each of FORCES, inverted alone.")
 @click.option("-v", "--verbose", is_flag=True, help="Print all warnings, and tables.")
 @json_option
 def invert(
@@ -99,7 +98,9 @@ def tabulate(forces: tuple[str, ...], table: Path, as_json: bool, options: dict[
 
 @click.command()
 @click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
-@click.option("--phi", required=True, metavar="MEAN±SD", help="Known friction angle [deg].")
+@click.option(
+    "--phi", type=WithSd(), required=True, metavar="MEAN±SD", help="Known friction angle [deg]."
+)
 @leg_option
 @density_option
 @library_option
@@ -116,10 +117,7 @@ def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **opt
     from terraphi.experiment.files import number_with_sd
     from terraphi.inference.inversion import calibrate as run
 
-    try:
-        mean, sd = number_with_sd(phi)
-    except ValueError:
-        mean, sd = 0.0, None
+    mean, sd = number_with_sd(phi)
     if sd is None:
         raise InputError(f"--phi {phi}: give mean and standard deviation, such as 36±2")
     found = run(list(forces), mean, sd, **options)

@@ -36,6 +36,22 @@ class Float(click.types.FloatParamType):
         return number
 
 
+class WithSd(click.ParamType[str]):
+    """A number with or without its standard deviation, such as 1600±80 or 1600+-80."""
+
+    name = "mean±sd"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """The text, if it is one."""
+        from terraphi.experiment.files import number_with_sd
+
+        try:
+            number_with_sd(value)
+        except ValueError:
+            self.fail(f"{value!r}: give a number, such as 1600 or 1600±80", param, ctx)
+        return str(value)
+
+
 class Choice(click.Choice[str]):
     """One of some words; the error for another names the nearest.
 
@@ -73,10 +89,11 @@ def shipped(folder: str, suffix: str) -> Callable[[Any, Any, str], list[Completi
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 leg_option = click.option(
-    "--leg", type=Choice(LEGS), help="Shape of the leg.  [default: as in FORCES, else straight]"
+    "--leg", type=Choice(LEGS), help="Shape of the leg.  [default: as in FORCES]"
 )
 density_option = click.option(
     "--density",
+    type=WithSd(),
     metavar="KG_M3[±SD]",
     help="Bulk density of the soil, as 1600 (± 5 %) or 1600±80.  [default: as in FORCES]",
 )

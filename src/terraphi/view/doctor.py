@@ -27,27 +27,32 @@ class Check(NamedTuple):
 
 def examine() -> list[Check]:
     """Check packages, kernels, shipped libraries and folders."""
-    checks = [
+    return [
         Check("terraphi", True, f"{importlib.metadata.version('terraphi')}, in {FOLDER}"),
         Check("Python", True, f"{platform.python_version()}, {sys.executable}"),
         Check("processor", True, f"{platform.machine()}, {os.cpu_count()} cores"),
+        _packages(),
+        _tried("kernels", _kernels),
+        _tried("libraries", _libraries),
     ]
-    checks += [_package(Requirement(one)) for one in importlib.metadata.requires("terraphi") or []]
-    checks = [one for one in checks if one.found]
-    return [*checks, _tried("kernels", _kernels), _tried("libraries", _libraries)]
 
 
-def _package(requirement: Requirement) -> Check:
-    """A required package, or one of an extra that is installed; nothing for the others."""
-    name, needed = requirement.name, requirement.marker is None
-    try:
-        version = importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        found = f"missing; run: pip install '{name}{requirement.specifier}'" if needed else ""
-        return Check(name, not needed, found)
-    if not requirement.specifier.contains(version, prereleases=True):
-        return Check(name, False, f"{version}, but {requirement.specifier} is needed")
-    return Check(name, True, version if needed else "")
+def _packages() -> Check:
+    """Versions of the required packages, and of those of the extras that are installed."""
+    found, wrong = [], []
+    for requirement in map(Requirement, importlib.metadata.requires("terraphi") or []):
+        name, specifier = requirement.name, requirement.specifier
+        try:
+            version = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            if requirement.marker is None:
+                wrong.append(f"{name} is missing; run: pip install '{name}{specifier}'")
+            continue
+        if not specifier.contains(version, prereleases=True):
+            wrong.append(f"{name} {version}, but {specifier} is needed")
+        elif requirement.marker is None:
+            found.append(f"{name} {version}")
+    return Check("packages", not wrong, "; ".join(wrong or [", ".join(found)]))
 
 
 def _tried(name: str, check: Callable[[], str]) -> Check:

@@ -187,7 +187,8 @@ def of_library(source: str) -> Section:
             where = position_label(cases[0].history)
             parts.append(Plot(f"{force}, {LEGS.get(leg, leg)}", traces, axes(where, label), note))
     known = summary.pop("provenance")
-    parts.append(Table("Contents", ("", ""), pairs(summary)))
+    contents = {key: value for key, value in summary.items() if value not in ("", [], {}, None)}
+    parts.append(Table("Contents", ("", ""), pairs(contents)))
     headline = (
         f"{summary['cases']} simulations, φ = {low:g} to {high:g}° "
         f"({CONVENTIONS.get(summary['convention'], summary['convention'])})"
