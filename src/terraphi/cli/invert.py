@@ -88,6 +88,8 @@ def tabulate(forces: tuple[str, ...], table: Path, as_json: bool, options: dict[
                 report(done, len(rows))
 
         found = invert_many([{"forces": one, **options} for one in forces], map_=counted)
+    if isinstance(found[0], InputError) and all(isinstance(one, InputError) for one in found):
+        raise found[0]
     counts = write_table(forces, found, table)
     if as_json:
         print_json({"table": str(table), "records": len(forces), "verdicts": counts})
@@ -140,7 +142,7 @@ def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **opt
 )
 @json_option
 def demo(out: Path, as_json: bool) -> None:
-    """Recover a known angle, then infer those of two measured sands.
+    """Recover a known angle, then infer those of two measured soils.
 
     Example: terraphi demo
     """
@@ -150,7 +152,7 @@ def demo(out: Path, as_json: bool) -> None:
     if as_json:
         print_json({"answers": [one.as_dict() for one in answers], "picture": str(picture)})
         return
-    click.echo(f"Simulated with φ = {TRUTH_DEG:g}°, then inverted; and two measured sands.\n")
+    click.echo(f"Simulated with φ = {TRUTH_DEG:g}°, then inverted; and two measured soils.\n")
     for answer in answers:
         click.echo(f"{headline(answer)}\n{answer.reason}\n")
     click.echo(

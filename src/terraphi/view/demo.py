@@ -1,4 +1,4 @@
-"""The demonstration: a known angle recovered, two measured sands inferred, a picture."""
+"""The demonstration: a known angle recovered, two measured soils inferred, a picture."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TRUTH_DEG = 33.0
 """Friction angle that is simulated [deg]."""
 NOISE_N = 0.5
 """Standard deviation of the noise that is added to each simulated reading [N]."""
-SANDS = {"yuma": "li2013:yuma/straight", "poppy": "li2013:poppy_loose/straight"}
+SOILS = {"yuma": "li2013:yuma/straight", "poppy": "li2013:poppy_loose/straight"}
 """Measured records, by the name of their folder."""
 
 
@@ -35,7 +35,7 @@ def run(out: Path) -> tuple[list[Answer], Path]:
     from terraphi.inference.inversion import invert
 
     answers = {"simulated": invert(known_record(), noise=NOISE_N)}
-    answers |= {name: invert(source) for name, source in SANDS.items()}
+    answers |= {name: invert(source) for name, source in SOILS.items()}
     made_folder(out)
     figure = Figure(figsize=(11.0, 9.6), layout="constrained")
     rows: Any = figure.subfigures(len(answers), 1)

@@ -68,7 +68,7 @@ def forces_figure(result: RobotForces) -> Figure:
 
 def stance_figure(result: RobotForces) -> Figure:
     """Mean stance over normalised time: all feet with the spread, and foot by foot."""
-    figure, (panels,) = panels_of(1, 2, size=(10.0, 4.0))
+    figure, (panels,) = panels_of(1, 2, size=(10.0, 4.4))
     pooled = result.pooled
     for axes, (name, (column, label)) in zip(panels, SHOWN.items(), strict=True):
         if result.stances:
@@ -87,5 +87,6 @@ def stance_figure(result: RobotForces) -> Figure:
         axes.set(xlim=(0.0, 1.0), xlabel="part of the stance [-]", ylabel=label)
         axes.set_title(title, fontsize=10)
     if result.stances:
-        panels[1].legend(fontsize="small", frameon=False, loc="center")
+        entries = panels[1].get_legend_handles_labels()
+        figure.legend(*entries, loc="outside lower center", ncols=3, frameon=False)
     return figure
