@@ -16,15 +16,16 @@ PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test test-processors test-slow docs bench lint format install clean distclean
+.PHONY: help demo test test-processors test-slow verify docs bench lint format install clean distclean
 
 help:
 	@echo 'make demo       friction angle from a measured force history, and a picture in demo-output/'
 	@echo 'make test       lint, type-check and test (minutes)'
 	@echo 'make test-processors  the numerical tests as on lesser processors (x86 alone)'
 	@echo 'make test-slow  the checks that take longer'
+	@echo 'make verify     problems with known answers, and docs/verification.md (an hour)'
 	@echo 'make docs       the documentation, in docs/_build/html/index.html'
-	@echo 'make bench      speed of kernels, surrogate and inversions, as lines of name and value'
+	@echo 'make bench      speed of kernels and inversions, as ratios'
 	@echo 'make lint       lint and type-check only'
 	@echo 'make format     put the code into the house format'
 	@echo 'make clean      remove what the commands above wrote; make distclean removes .venv as well'
@@ -37,18 +38,19 @@ test: lint
 
 # The numerical tests as on processors with AVX2 at most, and with neither: Numba and OpenBLAS are
 # held to those. Nothing else than x86 knows these names.
-NUMERICAL := tests/forward/plane tests/forward/mpm tests/surrogate/test_kronecker.py \
-	tests/surrogate/test_paper_process.py tests/surrogate/test_joint.py \
-	tests/inference/test_posterior.py tests/inference/test_certificate.py
+NUMERICAL := tests/forward/plane tests/forward/mpm $(wildcard tests/paper)
 test-processors: $(DEV)
 	NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Haswell \
 		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL)
 	NUMBA_CPU_NAME=x86-64 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Nehalem \
-		$(BIN)/pytest -n $(WORKERS) tests/forward/plane/test_packets.py tests/forward/plane/test_phases.py \
-		tests/forward/mpm
+		$(BIN)/pytest -n $(WORKERS) tests/forward/plane tests/forward/mpm
 
 test-slow: $(DEV)
 	$(BIN)/pytest -n $(WORKERS) -m slow
+
+# Whoever changes a solver looks at the page's difference.
+verify: $(DEV)
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m slow verification --page docs/verification.md
 
 # Warnings are errors; nothing is fetched from elsewhere.
 docs: $(DEV)
@@ -58,7 +60,7 @@ docs: $(DEV)
 # Results depend on what else the machine does: the ratios are what to look at.
 bench: $(DEV)
 	$(BIN)/python benchmarks/bench_kernels.py
-	$(BIN)/python benchmarks/bench_surrogate.py
+	$(BIN)/python benchmarks/bench_three_dimensions.py
 	$(BIN)/python benchmarks/bench_inference.py
 
 lint: $(DEV)
@@ -89,7 +91,7 @@ $(DEV): pyproject.toml constraints.txt | $(BIN)/python
 
 clean:
 	rm -rf build dist demo-output docs/_build docs/gallery docs/reference/*-keys.md .mypy_cache .pytest_cache .ruff_cache .hypothesis
-	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src tests studies verification benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean
 	rm -rf $(VENV)

@@ -1,7 +1,6 @@
-"""Speed of an inversion: what quadrature costs, and emcee beside it.
+"""Time of an inversion with library ``sand3d``: the first one in a process, and those after it.
 
-Prints lines ``name value``: medians over the truths of a shipped library. The core of an inversion,
-likelihood and posterior, is the best of several turns; longer work is in seconds of the processor.
+Prints lines ``name value``, in seconds of the processor, and the ratio of the two.
 """
 
 from __future__ import annotations
@@ -9,41 +8,25 @@ from __future__ import annotations
 import statistics
 import time
 
-from terraphi.inference.inversion import invert
-from terraphi.library.store import Library
+import terraphi
 
-LIBRARY = "quick-plane-strain"
-POSTERIORS = 14
-TURNS = 7
+RECORDS = ("li2013:yuma/straight", "li2013:poppy_loose/straight", "li2013:glass03_close/straight")
+
+
+def seconds(record: str) -> float:
+    """Processor time of an inversion [s]."""
+    began = time.process_time()
+    terraphi.invert(record, library="sand3d")
+    return time.process_time() - began
 
 
 def main() -> None:
     """Measure and print."""
-    library = Library.load(LIBRARY)
-    histories = [case.history for case in Library.load(f"{LIBRARY}-truths").cases if case.history]
-    core: dict[str, float] = {}
-    for discrepancy in ("none", "gp"):
-        options = {"library": library, "likelihood": "calibrated", "discrepancy": discrepancy}
-        invert(histories[0], **options)  # prepares the leg
-        found, whole = [], []
-        for history in histories:
-            began = time.process_time()
-            turns = [invert(history, **options).provenance["core_seconds"] for _ in range(TURNS)]
-            whole.append((time.process_time() - began) / TURNS)
-            found.append(min(turns))
-        core[discrepancy] = statistics.median(found)
-        print(f"core_{discrepancy}_ms {1e3 * core[discrepancy]:.2f}")
-        print(f"inversion_{discrepancy}_ms {1e3 * statistics.median(whole):.2f}")
-    print(f"core_gp_per_none {core['gp'] / core['none']:.2f}")
-    for likelihood in ("calibrated", "paper"):
-        began = time.process_time()
-        for i in range(POSTERIORS):
-            history = histories[i % len(histories)]
-            invert(history, library=library, likelihood=likelihood, sampler="emcee", seed=i)
-        seconds = time.process_time() - began
-        print(f"emcee_{POSTERIORS}_posteriors_{likelihood}_s {seconds:.2f}")
-        if likelihood == "calibrated":
-            print(f"emcee_per_quadrature {seconds / POSTERIORS / core['none']:.0f}")
+    first = seconds(RECORDS[0])
+    later = statistics.median(seconds(record) for record in RECORDS[1:] for _ in range(3))
+    print(f"first_inversion_s {first:.3f}")
+    print(f"later_inversion_s {later:.3f}")
+    print(f"first_per_later {first / later:.1f}")
 
 
 if __name__ == "__main__":

@@ -58,8 +58,10 @@ def learn(library: Library) -> dict[str, dict]:
             left = [np.sqrt(np.square(r).mean(axis=1)).max()
                     for r in (residual[medium], residual[medium] - others)]  # fmt: skip
             sizes[medium, leg] = min(left)
-            print(f"{medium:14} {leg:11} φ {found[medium, leg][0]:5.1f}°  residual {left[0]:.3f}, "
-                  f"less the mean of the other media {left[1]:.3f}")
+            print(
+                f"{medium:14} {leg:11} φ {found[medium, leg][0]:5.1f}°  residual {left[0]:.3f}, "
+                f"less the mean of the other media {left[1]:.3f}"
+            )
         errors[leg] = {
             "offset_deg": 0.0,
             "common_sd_deg": round(float(np.sqrt(max(square - PRIOR_SD_DEG**2, 0.0))), 2),

@@ -167,12 +167,16 @@ def correction(emulator: Emulator, leg: str, cause: str, phi_deg: np.ndarray) ->
     mean = (solved.T @ rows.difference.ravel()).reshape(at.shape)
     values, vectors = np.linalg.eigh(FEW**2 * (own - across @ solved))
     kept = vectors[:, -MODES:] * np.sqrt(np.maximum(values[-MODES:], 0.0))
-    print(f"{leg}, {cause}: {len(rows.phi)} finer curves; modes have "
-          f"{values[-MODES:].sum() / values.clip(0).sum():.0%} of the variance")
+    print(
+        f"{leg}, {cause}: {len(rows.phi)} finer curves; modes have "
+        f"{values[-MODES:].sum() / values.clip(0).sum():.0%} of the variance"
+    )
     return mean, kept.T.reshape(MODES, *at.shape)
 
 
-def sensitivity(emulator: Emulator, leg: str, name: str, key: str, sd: float, phi_deg) -> np.ndarray:
+def sensitivity(
+    emulator: Emulator, leg: str, name: str, key: str, sd: float, phi_deg
+) -> np.ndarray:
     """Change of the curves by one standard deviation of a key, shape [1, k, 2, theta] [N].
 
     The change over the forces' size is linear in the value of the key, and over φ between the
@@ -223,9 +227,7 @@ def main() -> None:
         modes["leg friction"] = sensitivity(
             emulator, leg, "sand3d-friction", "leg.friction", FRICTION_SD, phi
         )
-        modes["hip height"] = sensitivity(
-            emulator, leg, "sand3d-raised", "hip", HEIGHT_SD_MM, phi
-        )
+        modes["hip height"] = sensitivity(emulator, leg, "sand3d-raised", "hip", HEIGHT_SD_MM, phi)
         theta = THETA_DEG[THETA_DEG <= emulator.curves.theta_deg[-1]]
         found[leg] = Correction(
             phi, theta, onto(GRID_DEG, one + other, theta),

@@ -1,61 +1,89 @@
-"""Where shipped files are found."""
+"""Documents that people write: the sentence for what is wrong with them, and shipped files."""
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Literal
 
 import pytest
+from pydantic import Field
 
-from terraphi.experiment import documents
-from terraphi.experiment.errors import InputError
-from terraphi.library.shipped import offered
-
-
-@pytest.fixture
-def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A package of studies that is installed, and one that is only announced."""
-    plans = tmp_path / "some_studies" / "data" / "plans"
-    plans.mkdir(parents=True)
-    (plans.parents[1] / "__init__.py").write_text("raise RuntimeError('not to be imported')\n")
-    (plans / "theirs.toml").write_text("")
-    (plans / "paper.toml").write_text("")
-    monkeypatch.syspath_prepend(tmp_path)
-    names = ("some_studies", "no_such_package")
-    found = [EntryPoint(name, name, documents.STUDIES) for name in names]
-    monkeypatch.setattr(documents, "entry_points", lambda *, group: found)
-    monkeypatch.setattr(documents, "data_folders", documents.data_folders.__wrapped__)
-    return plans
+from terraphi.experiment.documents import Strict, parse_toml, shipped_file, shipped_names
+from terraphi.experiment.errors import InputError, nearest
 
 
-def test_data_of_an_installed_package_of_studies_are_found(packages: Path) -> None:
-    names = documents.shipped_names("plans", ".toml")
-    assert names == sorted({*names})
-    assert {"theirs", "paper", "rft3d"} <= set(names)
-    assert documents.shipped_file("plans", "theirs", ".toml") == packages / "theirs.toml"
+class Wheel(Strict):
+    radius_mm: float = Field(gt=0)
+    tread: Literal["smooth", "lugged"] = "smooth"
 
 
-def test_of_two_files_of_a_name_the_cores_is_taken(packages: Path) -> None:
-    assert documents.shipped_file("plans", "paper", ".toml").parents[2].name == "terraphi"
-
-
-def test_what_is_nowhere_would_be_in_the_core(packages: Path) -> None:
-    place = documents.shipped_folder("libraries", "none.nc.cases")
-    assert place.parents[2].name == "terraphi"
-    with pytest.raises(InputError, match="neither a file nor a shipped name"):
-        documents.shipped_file("plans", "nowhere", ".toml")
-
-
-def test_every_library_that_is_offered_is_the_cores() -> None:
-    for name in offered():
-        place = documents.shipped_file("libraries", name, ".nc").parents[2]
-        assert place.name == "terraphi", name
+class Rover(Strict):
+    wheels: list[Wheel] = Field(default_factory=list)
+    spare: Wheel | None = None
+    size: tuple[float, float] = (1.0, 1.0)
 
 
 @pytest.mark.parametrize(
-    ("folder", "name"),
-    [("libraries", "paper-truths.nc"), ("libraries", "quick-plane-strain-hip.nc"),
-     ("plans", "sensitivity.toml"), ("cases", "waterfall")],
-)  # fmt: skip
-def test_what_studies_alone_read_is_theirs(folder: str, name: str) -> None:
-    assert documents.shipped_folder(folder, name).parents[2].name == "terraphi_studies"
+    ("word", "choices", "hint"),
+    [
+        ("yumma", ["mojave", "yuma"], "did you mean 'yuma'?"),
+        ("YUMA", ["mojave", "yuma"], "did you mean 'yuma'?"),
+        ("FX", ["theta_deg", "Fx_N", "Fz_N"], "did you mean 'Fx_N'?"),
+        ("paper-coed", ["paper", "paper-code"], "did you mean 'paper-code'?"),
+        ("curved", ["straight", "c", "reversed_c"], "known: c, reversed_c, straight"),
+        ("qqq", [], "known: none"),
+    ],
+)
+def test_nearest(word: str, choices: list[str], hint: str) -> None:
+    assert nearest(word, choices) == hint
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("weels = []", "unknown key 'weels'; did you mean 'wheels'?"),
+        ("[[wheels]]\nradius = 3", "unknown key 'wheels.0.radius'; did you mean 'radius_mm'?"),
+        ("[spare]\nthread = 1", "unknown key 'spare.thread'; did you mean 'tread'?"),
+        ("[spare]\nradius_mm = -3", "spare.radius_mm = -3: should be greater than 0"),
+        ("[spare]\nradius_mm = true", "spare.radius_mm = True: should be a valid number"),
+        ("[spare]\nradius_mm = inf", "spare.radius_mm = inf: should be a finite number"),
+        ("[spare]\ntread = 'lugged'", "key 'spare.radius_mm' is missing"),
+        (
+            "[spare]\nradius_mm = 1\ntread = 'luged'",
+            "spare.tread = 'luged': should be 'smooth' or 'lugged'; did you mean 'lugged'?",
+        ),
+        ("[wheels]", "[wheels] is one table and there may be several: write [[wheels]]"),
+        ("spare = 3", "spare = 3: should be a table"),
+        ("size = 1\nsize rft", "not valid TOML: Expected '=' after a key in a key/value pair (at"),
+    ],
+)
+def test_what_is_wrong_is_named_in_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    file = tmp_path / "rover.toml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        parse_toml(file, Rover)
+    assert str(caught.value).startswith(f"{file}: {sentence}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "content", [bytes(range(128, 256)), b"a = " + b"[" * 50_000, b"a = " + b"9" * 5_000]
+)
+def test_files_that_are_no_documents(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "x.toml"
+    file.write_bytes(content)
+    with pytest.raises(InputError, match=r"x\.toml: not (a text file|valid TOML)"):
+        parse_toml(file, Rover)
+
+
+def test_a_byte_order_mark_and_arrays_for_tuples_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "x.toml"
+    file.write_bytes(b"\xef\xbb\xbfsize = [2, 3.5]\r\n")
+    assert parse_toml(file, Rover).size == (2.0, 3.5)
+
+
+def test_shipped_files() -> None:
+    assert {"rft3d", "sand3d", "paper"} <= set(shipped_names("libraries", ".nc"))
+    assert shipped_file("libraries", "rft3d", ".nc").is_file()
+    with pytest.raises(InputError, match=r"'rft3' is neither .*; did you mean 'rft3d'"):
+        shipped_file("libraries", "rft3", ".nc")

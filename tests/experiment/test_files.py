@@ -5,19 +5,22 @@ from __future__ import annotations
 import errno
 import os
 import random
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from terraphi.experiment import files
+from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import open_netcdf, replacing, write_netcdf
-
-# -- writing -----------------------------------------------------------------------------------
+from terraphi.experiment.files import (
+    held,
+    number_with_sd,
+    open_netcdf,
+    plain_number,
+    replacing,
+    write_netcdf,
+)
 
 
 def names(folder: Path) -> list[str]:
@@ -34,68 +37,54 @@ def test_a_file_is_replaced_when_it_is_whole(tmp_path: Path) -> None:
     assert names(tmp_path) == ["x.csv"]
 
 
-def test_a_new_file_is_as_readable_as_others(tmp_path: Path) -> None:
-    other, file = tmp_path / "other", tmp_path / "x"
-    other.touch()
-    with replacing(file):
-        pass
-    assert file.stat().st_mode == other.stat().st_mode
-
-
-@pytest.mark.parametrize("there", [True, False])
-def test_a_full_disk_leaves_what_was_there(tmp_path: Path, there: bool) -> None:
-    file = tmp_path / "x.csv"
-    if there:
-        file.write_text("old")
-
-    def write() -> None:
-        with replacing(file) as temporary:
-            temporary.write_text("ha")
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with pytest.raises(InputError, match=r"x\.csv: cannot be written \(No space left .*free some"):
-        write()
-    assert names(tmp_path) == (["x.csv"] if there else [])
-    if there:
-        assert file.read_text() == "old"
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError, ValueError])
-def test_any_interruption_leaves_what_was_there(tmp_path: Path, error: type[BaseException]) -> None:
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), RuntimeError(), OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))]
+)
+def test_any_interruption_leaves_what_was_there(tmp_path: Path, error: BaseException) -> None:
     file = tmp_path / "x.csv"
     file.write_text("old")
+    expected = InputError if isinstance(error, OSError) else type(error)
 
     def write() -> None:
         with replacing(file) as temporary:
             temporary.write_text("ha")
             raise error
 
-    with pytest.raises(error):
+    with pytest.raises(expected):
         write()
     assert names(tmp_path) == ["x.csv"]
     assert file.read_text() == "old"
 
 
-def test_unwritable_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def write(place: Path) -> None:
-        with replacing(place) as temporary:
-            temporary.write_text("ha")
-
+@pytest.mark.parametrize("place", ["absent/x.csv", "file/x.csv", "folder"])
+def test_unwritable_places(tmp_path: Path, place: str) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").touch()
-    for place in ("absent/x.csv", "file/x.csv", "folder"):
-        with pytest.raises(InputError, match=f"{place}: cannot be written"):
-            write(tmp_path / place)
+    with (
+        pytest.raises(InputError, match=f"{place}: cannot be written"),
+        replacing(tmp_path / place) as temporary,
+    ):
+        temporary.write_text("ha")
     assert names(tmp_path) == ["file", "folder"]
-    assert names(tmp_path / "folder") == []
 
-    # Permissions mean nothing to root, who may well run this; so they are played.
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(errno.EACCES, "Permission denied")
 
-    monkeypatch.setattr("tempfile.mkstemp", refuse)
-    with pytest.raises(InputError, match=r"x\.csv: cannot be written \(Permission denied\)"):
-        write(tmp_path / "x.csv")
+def test_a_folder_is_held_by_one_at_a_time(tmp_path: Path) -> None:
+    def enter() -> None:
+        with held(tmp_path / "o"):
+            pass
+
+    with held(tmp_path / "o"), pytest.raises(InputError, match="another process works here"):
+        enter()
+    enter()
+
+
+def test_numbers() -> None:
+    assert plain_number(" -1e3 ") == -1000.0
+    assert number_with_sd("35±2") == number_with_sd("35+-2") == number_with_sd("35 +/- 2")
+    assert number_with_sd("35") == (35.0, None)
+    for text in ("1_000", "\uff11", "", "35±"):
+        with pytest.raises(ValueError, match=r"number|float"):
+            number_with_sd(text)
 
 
 # -- NetCDF ------------------------------------------------------------------------------------
@@ -107,120 +96,68 @@ def dataset(**attributes: object) -> xr.Dataset:
     return xr.Dataset({"a": ("i", values)}, attrs=attributes)
 
 
-FULL_DISK = """
-import resource, sys
-from pathlib import Path
-import numpy as np, xarray as xr
-from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import write_netcdf
-path = Path(sys.argv[1])
-resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
-try:
-    write_netcdf(xr.Dataset({"a": ("i", np.arange(20_000.0))}), path)
-except InputError as error:
-    print(error)
-"""
+def same_as_xarray(file: Path) -> None:
+    """Compare names and their order, values to the last bit, and attributes."""
+    with xr.open_dataset(file, engine="h5netcdf") as known:
+        kind, schema = known.attrs["terraphi_file"], known.attrs["terraphi_schema"]
+        found = open_netcdf(file, kind=kind, schema=schema)
+        assert found.data_vars == list(known.data_vars)
+        assert found.attrs == known.attrs
+        for name in map(str, known.variables):
+            ours, theirs = found[name].values, known[name].values
+            assert ours.shape == theirs.shape
+            assert np.array_equal(ours, theirs, equal_nan=theirs.dtype.kind == "f")
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no such limit there")
-def test_no_room_for_a_netcdf(tmp_path: Path) -> None:
-    """The HDF5 library itself crashes the interpreter over this, so it must not meet the disk."""
+def test_a_library_is_read_as_xarray_reads_it() -> None:
+    same_as_xarray(shipped_file("libraries", "rft3d", ".nc"))
+
+
+def test_text_and_holes_are_read_as_xarray_reads_them(tmp_path: Path) -> None:
     file = tmp_path / "x.nc"
-    file.write_text("old")
-    answer = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(file)], capture_output=True, text=True, check=False
-    )
-    assert (answer.returncode, answer.stderr) == (0, "")
-    assert answer.stdout.startswith(f"{file}: cannot be written (File too large)")
-    assert names(tmp_path) == ["x.nc"]
-    assert file.read_text() == "old"
+    feet, force = ("i", np.array(["FL", "ü"])), ("i", [1.0, np.nan])
+    attributes = {"terraphi_file": "φ", "terraphi_schema": 2}
+    data = xr.Dataset({"feet": feet, "force": force}, {"i": [3, 4], "at": ("i", [0, 1])})
+    data.assign_attrs(attributes).to_netcdf(file, engine="h5netcdf")
+    same_as_xarray(file)
 
 
-def test_a_netcdf_there_and_back(tmp_path: Path) -> None:
-    file = tmp_path / "x.nc"
-    write_netcdf(dataset(), file, encoding={"a": {"zlib": True}})
-    found = open_netcdf(file, kind="thing", schema=3)
-    assert found["a"].values.tobytes() == dataset()["a"].values.tobytes()
-    # Any other reader of HDF5 finds it, too.
-    import h5py
-
-    with h5py.File(file) as plain:
-        assert plain["a"][:].tobytes() == dataset()["a"].values.tobytes()
-
-
-def netcdf_refusal(file: Path) -> str:
-    with pytest.raises(InputError) as caught:
-        open_netcdf(file, kind="thing", schema=3)
-    message = str(caught.value)
-    assert message.startswith(str(file))
-    assert "\n" not in message
-    return message
-
-
-@pytest.mark.parametrize("keep", [0, 4, 100, 5_000, 100_000, -1])
-def test_a_truncated_netcdf(tmp_path: Path, keep: int) -> None:
-    file = tmp_path / "x.nc"
-    write_netcdf(dataset(), file)
-    file.write_bytes(file.read_bytes()[:keep])
-    assert "truncated" in netcdf_refusal(file)
-
-
-def test_a_damaged_netcdf(tmp_path: Path) -> None:
-    file = tmp_path / "x.nc"
-    write_netcdf(dataset(), file, encoding={"a": {"zlib": True}})
-    content = bytearray(file.read_bytes())
+def damaged(content: bytes) -> bytes:
     middle = len(content) // 2
-    content[middle : middle + 2000] = random.Random(0).randbytes(2000)
-    file.write_bytes(content)
-    assert "not a whole NetCDF" in netcdf_refusal(file)
+    return content[:middle] + random.Random(0).randbytes(2000) + content[middle + 2000 :]
 
 
-@pytest.mark.parametrize("content", [b"", b"theta_deg,Fx_N,Fz_N\n", b"CDF\x01" + bytes(50)])
-def test_not_a_netcdf_of_ours(tmp_path: Path, content: bytes) -> None:
+@pytest.mark.parametrize(
+    "spoil",
+    [*(lambda content, keep=keep: content[:keep] for keep in (0, 100, 5_000, -1)), damaged],
+)
+def test_a_damaged_netcdf_is_refused(tmp_path: Path, spoil: object) -> None:
     file = tmp_path / "x.nc"
-    file.write_bytes(content)
-    assert "not a whole NetCDF" in netcdf_refusal(file)
-
-
-def test_a_netcdf_of_somebody_else_of_another_kind_or_schema(tmp_path: Path) -> None:
-    file = tmp_path / "x.nc"
-    write_netcdf(xr.Dataset({"a": ("i", np.arange(3.0))}), file)
-    assert "not a thing written by terraphi" in netcdf_refusal(file)
-    write_netcdf(dataset(terraphi_file="other thing"), file)
-    assert "not a thing written by terraphi" in netcdf_refusal(file)
-    write_netcdf(dataset(terraphi_schema=4), file)
-    message = netcdf_refusal(file)
-    assert "schema version 4" in message
-    assert "reads version 3" in message
-    write_netcdf(dataset(terraphi_schema="four"), file)
-    assert "schema version four" in netcdf_refusal(file)
-
-
-@pytest.mark.parametrize("error", [ImportError("no h5netcdf"), MemoryError(), AttributeError("?")])
-def test_what_is_no_damage_is_not_called_that(
-    tmp_path: Path, error: Exception, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "x.nc"
-    write_netcdf(dataset(), file)
-
-    def fails(*_: object, **__: object) -> None:
-        raise error
-
-    monkeypatch.setattr(files, "read_whole", fails)
-    with pytest.raises(type(error)):
+    write_netcdf(dataset(), file, encoding={"a": {"zlib": True}})
+    assert open_netcdf(file, kind="thing", schema=3)["a"].values[0] == dataset()["a"].values[0]
+    file.write_bytes(spoil(file.read_bytes()))  # type: ignore[operator]
+    with pytest.raises(InputError, match=r"x\.nc: not a whole NetCDF file"):
         open_netcdf(file, kind="thing", schema=3)
 
 
-def test_a_package_that_is_missing_is_not_called_damage(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("attributes", "words"),
+    [
+        ({"terraphi_file": ""}, "not a thing written by terraphi"),
+        ({"terraphi_file": "library"}, "not a thing written by terraphi"),
+        ({"terraphi_schema": 4}, "schema version 4, not 3; build the thing again"),
+    ],
+)
+def test_a_netcdf_of_another_kind_is_refused(
+    tmp_path: Path, attributes: dict[str, object], words: str
 ) -> None:
-    file = tmp_path / "x.nc"
-    write_netcdf(dataset(), file)
-    monkeypatch.setitem(sys.modules, "h5netcdf", None)
-    with pytest.raises(ImportError, match="h5netcdf"):
-        open_netcdf(file, kind="thing", schema=3)
+    write_netcdf(dataset(**attributes), tmp_path / "x.nc")
+    with pytest.raises(InputError, match=words):
+        open_netcdf(tmp_path / "x.nc", kind="thing", schema=3)
 
 
-def test_a_missing_netcdf(tmp_path: Path) -> None:
-    assert "no such file" in netcdf_refusal(tmp_path / "absent.nc")
-    assert f"{tmp_path}: is a folder; name a file" in netcdf_refusal(tmp_path)
+def test_missing_files(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"absent\.nc: no such file"):
+        open_netcdf(tmp_path / "absent.nc", kind="thing", schema=3)
+    with pytest.raises(InputError, match="is a folder; expected a file"):
+        open_netcdf(tmp_path, kind="thing", schema=3)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from terraphi.experiment.leg import (
     LEG_SHAPES,
@@ -17,7 +16,6 @@ from terraphi.experiment.leg import (
     arc_distance,
     frame_axes,
     rectangle_distance,
-    segment_distance,
 )
 
 chords = st.floats(0.02, 0.2)
@@ -71,15 +69,6 @@ def test_arc_distance(
 
 
 @settings(max_examples=60, deadline=None)
-@given(chord=chords, slim=slimness, at=places)
-def test_segment_distance(chord: float, slim: float, at: tuple[float, float]) -> None:
-    line = np.stack([np.linspace(0.0, chord, 20001), np.zeros(20001)], axis=1)
-    point, thickness = (at[0] * chord, at[1] * chord), slim * chord
-    distance, *_ = segment_distance(*point, chord, thickness)
-    assert distance == pytest.approx(nearest_distance(point, line) - thickness, abs=1e-4 * chord)
-
-
-@settings(max_examples=60, deadline=None)
 @given(chord=chords, slim=st.floats(0.01, 2.0), at=places)
 def test_rectangle_distance(chord: float, slim: float, at: tuple[float, float]) -> None:
     thickness = slim * chord
@@ -108,14 +97,9 @@ def test_a_leg_whose_tip_is_drawn_in_keeps_its_centre_line(
     length = float(np.hypot(*np.diff(line, axis=0).T).sum())
     assert leg.length * (1.0 - share) == pytest.approx(length, rel=1e-6)
     point = np.array(at) * leg.chord
-    step = 1e-7
-    near = point + step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-    distance, normals = leg.signed_distance(near, inset=share * leg.length)
+    distance, _ = leg.signed_distance(point[None], inset=share * leg.length)
     expected = nearest_distance((point[0], point[1]), line) - leg.half_thickness
     assert distance[0] == pytest.approx(expected, abs=1e-4 * leg.chord)
-    if np.abs(normals[1:] - normals[0]).max() < 1e-3:  # not on a ridge
-        gradient = np.array([distance[1] - distance[2], distance[3] - distance[4]]) / (2.0 * step)
-        assert gradient == pytest.approx(normals[0], abs=1e-3)
 
 
 @settings(max_examples=100, deadline=None)
@@ -135,18 +119,6 @@ def test_the_normal_is_the_gradient_of_the_distance(
     assert gradient == pytest.approx(normals[0], abs=1e-3)
 
 
-@settings(max_examples=50, deadline=None)
-@given(at=places)
-def test_the_reversed_c_is_the_mirror_image_of_the_c(at: tuple[float, float]) -> None:
-    forward, backward = Leg(shape="c"), Leg(shape="reversed_c")
-    points = np.array([at]) * forward.chord
-    one, one_normal = forward.signed_distance(points)
-    other, other_normal = backward.signed_distance(points * [1.0, -1.0])
-    assert one == pytest.approx(other, abs=1e-15)
-    if abs(at[1]) > 1e-9 and abs(one[0]) > 1e-12:
-        assert one_normal == pytest.approx(other_normal * [1.0, -1.0], abs=1e-12)
-
-
 def test_the_c_bulges_where_it_moves() -> None:
     """Its middle is half a chord ahead of the chord; the reversed one's is as far behind."""
     c, back = Leg(shape="c"), Leg(shape="reversed_c")
@@ -156,32 +128,6 @@ def test_the_c_bulges_where_it_moves() -> None:
     # Hanging down, the tip moves backwards, so the C bulges to -x.
     _, motion = frame_axes(0.0)
     assert motion == pytest.approx([-1.0, 0.0])
-
-
-@pytest.mark.parametrize("shape", LEG_SHAPES)
-def test_hip_and_tip_lie_on_the_centre_line(shape: LegShape) -> None:
-    leg = Leg(shape=shape)
-    distance, _ = leg.signed_distance(np.array([[0.0, 0.0], [leg.chord, 0.0]]))
-    on_edge = 0.0 if shape == "plate" else -leg.half_thickness
-    assert distance == pytest.approx(on_edge, abs=1e-15)
-
-
-def test_distances_by_hand() -> None:
-    chord, half = 0.08, 0.005
-    assert segment_distance(0.11, 0.04, chord, half) == pytest.approx((0.045, 0.6, 0.8))
-    assert rectangle_distance(0.11, 0.045, chord, half) == pytest.approx((0.05, 0.6, 0.8))
-    assert rectangle_distance(0.001, 0.0, chord, half) == pytest.approx((-0.001, -1.0, 0.0))
-    # A semicircle of radius 40 mm about (40, 0) mm; 10 mm outside along 3-4-5, and the centre.
-    assert arc_distance(0.07, 0.04, chord, half, 25.0) == pytest.approx((0.005, 0.6, 0.8))
-    assert arc_distance(0.04, 0.0, chord, half, 25.0)[0] == pytest.approx(0.035)
-
-
-@pytest.mark.parametrize(("shape", "over_chord"), [("straight", 1.0), ("c", math.pi / 2.0)])
-@pytest.mark.parametrize("panels", [10, 137, 200])
-def test_panels_add_up_to_the_true_arc(shape: LegShape, over_chord: float, panels: int) -> None:
-    line = Leg(shape=shape).centre_line(panels)
-    assert line.length.sum() == pytest.approx(over_chord * 0.0762, rel=1e-12)
-    assert np.hypot(*line.tangent.T) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("shape", LEG_SHAPES)
@@ -199,17 +145,6 @@ def test_panels_lie_on_the_centre_line_and_follow_it(shape: LegShape) -> None:
     assert total == pytest.approx([leg.chord, 0.0], abs=1e-6)
 
 
-@pytest.mark.parametrize("shape", LEG_SHAPES)
-def test_reach_is_the_farthest_point_of_the_outline(shape: LegShape) -> None:
-    leg = Leg(shape=shape)
-    if shape == "plate":
-        far = np.hypot(*rectangle_points(leg.chord, leg.half_thickness).T).max()
-    else:
-        line = leg.centre_line(2000).centre
-        far = np.hypot(*line.T).max() + leg.half_thickness
-    assert leg.reach() == pytest.approx(far, abs=1e-4)
-
-
 @given(theta=st.floats(-math.pi, math.pi))
 def test_axes_of_the_frame(theta: float) -> None:
     """θ from the downward vertical; the tip's motion is the derivative of its place."""
@@ -220,37 +155,22 @@ def test_axes_of_the_frame(theta: float) -> None:
     assert motion == pytest.approx(derivative, abs=1e-8)
 
 
-def test_before_it_hangs_the_leg_is_ahead_and_moves_down() -> None:
-    along, motion = frame_axes(np.radians([-60.0, 0.0]))
-    assert along[0, 0] > 0.0
-    assert motion[0, 1] < 0.0
-    assert along[1] == pytest.approx([0.0, -1.0])
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [("shape", "banana"), ("chord", 0.0), ("half_thickness", 0.05), ("width", -1.0), ("mu", 0.3)],
-)
-def test_legs_that_cannot_be(key: str, value: object) -> None:
-    with pytest.raises(ValidationError, match=key):
-        Leg.model_validate({key: value})
-
-
-def test_a_plate_may_be_thicker_than_long() -> None:
-    assert Leg(shape="plate", chord=0.02, half_thickness=0.05).reach() == pytest.approx(
-        math.hypot(0.02, 0.05)
-    )
-
-
 @pytest.mark.parametrize("shape", LEG_SHAPES)
 def test_outline_lies_where_the_distance_is_zero_and_encloses_the_leg(shape: LegShape) -> None:
     leg = Leg(shape=shape)
     corners = leg.outline()
     distance, _ = leg.signed_distance(corners)
     assert np.abs(distance).max() < 1e-12
+    assert np.hypot(*corners.T).max() == pytest.approx(leg.reach(), abs=1e-4)
     x, y = corners.T
     area = 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
     # A strip of constant thickness, by Pappus also where it is bent, and two half discs.
     length = leg.chord * (1.0 if leg.curvature == 0.0 else 0.5 * math.pi)
     ends = 0.0 if shape == "plate" else math.pi * leg.half_thickness**2
     assert area == pytest.approx(2.0 * leg.half_thickness * length + ends, rel=2e-3)
+
+
+def test_a_ball_and_a_cylinder() -> None:
+    ball, rod = Leg(shape="sphere", chord=0.04), Leg(shape="cylinder", chord=0.04, width=0.03)
+    assert np.hypot(*(ball.outline() - [0.02, 0.0]).T) == pytest.approx(0.02)
+    assert (ball.reach(), rod.reach()) == pytest.approx((0.04, math.hypot(0.04, 0.015)))

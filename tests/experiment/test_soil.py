@@ -6,18 +6,14 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.soil import (
-    YIELD_CRITERIA,
     Soil,
     YieldCriterion,
     cone_slope,
-    friction_angle_from_plane_strain_deg,
     plane_strain_friction_angle_deg,
 )
 
@@ -37,18 +33,12 @@ def test_triaxial_without_dilation(triaxial: float, plane_strain: float) -> None
     assert found == pytest.approx(plane_strain, abs=0.05)
 
 
-@pytest.mark.parametrize(("triaxial", "plane_strain"), [(25, 37.0), (30, 49.1), (35, 68.3)])
-def test_triaxial_associated(triaxial: float, plane_strain: float) -> None:
-    found = plane_strain_friction_angle_deg(triaxial, "triaxial", dilation_angle_deg=triaxial)
-    assert found == pytest.approx(plane_strain, abs=0.05)
-
-
 def test_triaxial_associated_is_the_matching_of_drucker_and_prager() -> None:
     """α = tan φ' / √(9 + 12 tan² φ'), the textbook's plane-strain match for associated flow."""
-    for degrees in (20.0, 35.0, 50.0):
-        tangent = math.tan(math.radians(degrees))
+    for triaxial in (10.0, 20.0, 35.0):
+        plane = plane_strain_friction_angle_deg(triaxial, "triaxial", dilation_angle_deg=triaxial)
+        tangent = math.tan(math.radians(plane))
         slope = tangent / math.sqrt(9.0 + 12.0 * tangent**2)
-        triaxial = friction_angle_from_plane_strain_deg(degrees, "triaxial", associated=True)
         assert cone_slope(triaxial, "triaxial") == pytest.approx(slope, rel=1e-12)
 
 
@@ -106,14 +96,12 @@ def sheared_to_its_limit(alpha: float, beta: float, poisson_ratio: float) -> flo
     start = np.array([-1.0, -1.0, -1.0])
     elastic = solve_ivp(rate, (0.0, 10.0), start, events=yields, rtol=1e-10, atol=1e-12)
     on_cone = elastic.y[:, -1] - 1e-12 * np.sign(elastic.y[:, -1])  # a hair beyond
-    plastic = solve_ivp(rate, (0.0, 30.0), on_cone, rtol=1e-9, atol=1e-11)
+    plastic = solve_ivp(rate, (0.0, 30.0), on_cone, rtol=1e-7, atol=1e-9)
     x, z, _ = plastic.y[:, -1]
     return math.degrees(math.asin((z - x) / -(x + z)))
 
 
-@pytest.mark.parametrize(
-    ("phi", "psi"), [(25.0, 0.0), (30.0, 10.0), (30.0, 30.0), (35.0, 5.0), (35.0, 20.0)]
-)
+@pytest.mark.parametrize(("phi", "psi"), [(25.0, 0.0), (30.0, 10.0), (30.0, 30.0)])
 def test_triaxial_is_the_limit_state_of_a_sheared_element(phi: float, psi: float) -> None:
     alpha, beta = cone_slope(phi, "triaxial"), cone_slope(psi, "triaxial")
     expected = plane_strain_friction_angle_deg(phi, "triaxial", dilation_angle_deg=psi)
@@ -129,32 +117,6 @@ def test_the_triaxial_cone_goes_through_triaxial_compression() -> None:
         assert root + cone_slope(phi, "triaxial") * (high + 2.0 * low) == pytest.approx(
             0, abs=1e-12
         )
-
-
-@pytest.mark.parametrize("criterion", YIELD_CRITERIA)
-@given(angle=st.floats(0.1, 30.0), associated=st.booleans())
-def test_conversion_there_and_back(
-    criterion: YieldCriterion, angle: float, associated: bool
-) -> None:
-    there = friction_angle_from_plane_strain_deg(angle, criterion, associated=associated)
-    back = plane_strain_friction_angle_deg(
-        there, criterion, dilation_angle_deg=there if associated else 0.0
-    )
-    assert back == pytest.approx(angle, abs=1e-9)
-
-
-@given(angle=st.floats(0.1, 34.9))
-def test_the_paper_s_angles_are_weaker_and_triaxial_ones_stronger(angle: float) -> None:
-    assert plane_strain_friction_angle_deg(angle, "paper") < angle
-    assert plane_strain_friction_angle_deg(angle, "plane_strain") == pytest.approx(angle)
-    assert plane_strain_friction_angle_deg(angle, "triaxial") > angle
-
-
-def test_an_angle_out_of_reach_of_the_paper_s_criterion() -> None:
-    """Its slope ends at 1/√3, sin of 35.26°."""
-    assert friction_angle_from_plane_strain_deg(35.2, "paper") < 90.0
-    with pytest.raises(InputError, match=r"35\.30 deg is out of reach of the 'paper'.*35\.26 deg"):
-        friction_angle_from_plane_strain_deg(35.3, "paper")
 
 
 def test_elastic_constants_by_hand() -> None:
@@ -187,55 +149,20 @@ def test_the_apex_of_the_cohesive_cone_is_mohr_coulombs() -> None:
     assert apex == pytest.approx(500.0 / math.tan(math.radians(33.0)))
 
 
-def test_flow_decides_the_potential() -> None:
-    assert Soil(friction_angle_deg=35.0, dilation_angle_deg=8.0).potential_angle_deg == 8.0
-    associated = Soil(friction_angle_deg=35.0, flow="associated", yield_criterion="triaxial")
-    assert associated.potential_angle_deg == 35.0
-    assert associated.plane_strain_friction_angle_deg == pytest.approx(68.3, abs=0.05)
-
-
 @pytest.mark.parametrize(
-    ("key", "value"),
+    ("content", "words"),
     [
-        ("density", -1.0),
-        ("density", 0.0),
-        ("density", math.nan),
-        ("youngs_modulus", math.inf),
-        ("poisson_ratio", 0.5),
-        ("poisson_ratio", -0.1),
-        ("friction_angle_deg", 0.0),
-        ("friction_angle_deg", 90.0),
-        ("dilation_angle_deg", 36.0),  # above φ = 35
-        ("yield_criterion", "mohr_coulomb"),
-        ("cohesion", -1.0),
-        ("k0", 0.0),
-        ("poisson", 0.3),
+        ({"density": 0.0}, "density"),
+        ({"poisson_ratio": 0.5}, "poisson_ratio"),
+        ({"friction_angle_deg": 90.0}, "friction_angle_deg"),
+        ({"dilation_angle_deg": 36.0}, "dilation_angle_deg = 36 exceeds friction_angle_deg = 35"),
+        ({"critical_friction_angle_deg": 36.0}, "= 36 exceeds friction_angle_deg = 35"),
+        ({"critical_friction_angle_deg": 30.0, "cohesion": 100.0}, "cohesion = 100 Pa is not"),
+        ({"yield_surface": "matsuoka_nakai", "yield_criterion": "triaxial"}, "not 'triaxial'"),
+        ({"dilation_angle_deg": -30.0}, "until its stress is lost"),
+        ({"dilation_angle_deg": -20.0, "poisson_ratio": 0.45}, "until its stress is lost"),
     ],
 )
-def test_soils_that_cannot_be(key: str, value: object) -> None:
-    with pytest.raises(ValidationError, match=key):
-        Soil.model_validate({key: value})
-
-
-def test_soil_that_softens_has_no_cohesion() -> None:
-    # Strength and tip of the surface would each have a cohesion of their own.
-    with pytest.raises(ValidationError, match=r"cohesion = 100 Pa: .* is not modelled"):
-        Soil(critical_friction_angle_deg=30.0, cohesion=100.0)
-
-
-def test_a_surface_with_an_angle_of_plane_strain_has_that_convention() -> None:
-    with pytest.raises(ValidationError, match="instead of 'triaxial'"):
-        Soil(yield_surface="matsuoka_nakai", yield_criterion="triaxial")
-
-
-def test_compaction_leaves_a_stress() -> None:
-    known = {"friction_angle_deg": 35.0, "dilation_angle_deg": -20.0}
-    assert Soil(**known).softens
-    for changes in ({"dilation_angle_deg": -30.0}, {"poisson_ratio": 0.45}):
-        with pytest.raises(ValidationError, match="its stress may be lost"):
-            Soil(**known | changes)
-
-
-def test_a_soil_is_frozen() -> None:
-    with pytest.raises(ValidationError, match="frozen"):
-        Soil().density = 1.0  # type: ignore[misc]
+def test_soils_that_cannot_be(content: dict[str, object], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        Soil.model_validate(content)

@@ -14,6 +14,7 @@ from terraphi.cli.footfalls import footfalls
 from terraphi.cli.forces import forces
 from terraphi.cli.invert import calibrate, demo, invert
 from terraphi.cli.library import library
+from terraphi.cli.paper import paper
 from terraphi.cli.simulate import simulate
 from terraphi.cli.terrain import convert, export, slope_map
 from terraphi.experiment.errors import InputError, SimulationError
@@ -43,7 +44,7 @@ def cli() -> None:
 
 
 for command in (
-    *(demo, invert, calibrate, simulate, library, forces, footfalls),
+    *(demo, invert, calibrate, simulate, library, paper, forces, footfalls),
     *(export, convert, slope_map, report, app, doctor, keys),
 ):
     cli.add_command(command)

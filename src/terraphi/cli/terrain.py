@@ -61,7 +61,7 @@ def export(
 ) -> None:
     """Write an ANSWER as the friction of a simulator, in a Python module that sets it.
 
-    ANSWER is the folder of 'terraphi invert --out', its posterior.nc, or the output of 'invert
+    ANSWER is the folder of 'terraphi invert --out', its answer.nc, or the output of 'invert
     --json' (- for standard input). The module says which stress path is matched, and what was not
     inferred. For chrono-scm it holds Bekker's parameters too.
 
@@ -69,7 +69,7 @@ def export(
     """
     from terraphi.experiment.files import replacing
     from terraphi.experiment.outputs import check_file
-    from terraphi.inference.answer_file import read
+    from terraphi.inference.answer import read_answer
     from terraphi.terrain import export as exports
     from terraphi.terrain.simulators import simulator
 
@@ -79,7 +79,7 @@ def export(
     _check_cone(dp_type, to)
     if out is not None:
         check_file(out)
-    found = exports.export(read(answer), simulator(to, dp_type=dp_type), **options)
+    found = exports.export(read_answer(answer), simulator(to, dp_type=dp_type), **options)
     text = exports.text(found, form)
     if out is None:
         click.echo(text, nl=False)

@@ -1,37 +1,22 @@
-"""Documents that people write, and files that the package ships."""
+"""Documents that people write in TOML, and files that the package ships."""
 
 from __future__ import annotations
 
 import json
 import tomllib
-from functools import cache
-from importlib.metadata import entry_points
-from importlib.util import find_spec
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
-from terraphi.experiment.files import read_bytes
+from terraphi.experiment.files import read_text
 
 Model = TypeVar("Model", bound=BaseModel)
 
-STUDIES = "terraphi.studies"
-"""Group of the entry points by which packages of studies are found."""
-
-
-@cache
-def data_folders() -> tuple[Path, ...]:
-    """Folders of data: this package's, then those of the packages of studies that are installed."""
-    packages = ["terraphi", *(found.module for found in entry_points(group=STUDIES))]
-    specs = [spec for spec in map(find_spec, packages) if spec is not None]
-    places = [place for spec in specs for place in spec.submodule_search_locations or ()]
-    return tuple(Path(place) / "data" for place in places)
-
-
-WRITTEN = "written by people"
-"""Context in which pydantic checks a document that people write, in contrast to a stored one."""
+DATA = Path(__file__).parents[1] / "data"
+"""Folder of the shipped files."""
 
 
 class Strict(BaseModel):
@@ -42,18 +27,20 @@ class Strict(BaseModel):
     )
 
 
+def refuse(sentences: Mapping[str, bool]) -> None:
+    """Raise ValueError with the first sentence that is true."""
+    for sentence, is_true in sentences.items():
+        if is_true:
+            raise ValueError(sentence)
+
+
 def shipped_names(folder: str, suffix: str) -> list[str]:
     """Names of the shipped files of a kind, without their suffix, sorted."""
-    found = {
-        file.name.removesuffix(suffix)
-        for place in data_folders()
-        for file in place.joinpath(folder).glob(f"*{suffix}")
-    }
-    return sorted(found)
+    return sorted(file.name.removesuffix(suffix) for file in DATA.glob(f"{folder}/*{suffix}"))
 
 
 def shipped_file(folder: str, name: str, suffix: str) -> Path:
-    """Path of a shipped file.
+    """Path of a shipped file; raises InputError with the nearest name if there is none.
 
     Parameters
     ----------
@@ -63,52 +50,20 @@ def shipped_file(folder: str, name: str, suffix: str) -> Path:
         Name without suffix.
     suffix
         With its dot.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    InputError
-        If there is none of that name; the nearest is named.
     """
     names = shipped_names(folder, suffix)
     if name not in names:
         raise InputError(f"'{name}' is neither a file nor a shipped name; {nearest(name, names)}")
-    return shipped_folder(folder, name + suffix)
-
-
-def shipped_folder(*parts: str) -> Path:
-    """Path of a file or folder within the data; if it is nowhere, where this package would have it.
-
-    Where two packages have it, it is that of the first of :func:`data_folders`.
-    """
-    places = [place.joinpath(*parts) for place in data_folders()]
-    return next((place for place in places if place.exists()), places[0])
+    return DATA / folder / (name + suffix)
 
 
 def strictly(content: dict[str, Any], model: type[Model]) -> Model:
     """Check a document by its types as written: ``true`` and ``"1650"`` are no numbers.
 
-    Parameters
-    ----------
-    content
-        Tables, arrays, words and numbers.
-    model
-        The pydantic model that it must fill.
-
-    Returns
-    -------
-    Model
-
-    Raises
-    ------
-    pydantic.ValidationError
-        If it does not.
+    Raises pydantic.ValidationError if it does not fill the model.
     """
     # In strict mode only JSON lets an array become a tuple.
-    return model.model_validate_json(json.dumps(content, default=str), strict=True, context=WRITTEN)
+    return model.model_validate_json(json.dumps(content, default=str), strict=True)
 
 
 def parse_toml(path: Path, model: type[Model]) -> Model:
@@ -121,44 +76,15 @@ def parse_toml(path: Path, model: type[Model]) -> Model:
     model
         The pydantic model that it must fill.
 
-    Returns
-    -------
-    Model
-
     Raises
     ------
     InputError
-        One sentence with file, key, what was found and what is expected.
+        With file, key, what was found and what is expected.
     """
+    text = read_text(path)
     try:
-        text = read_bytes(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file; TOML in UTF-8 is expected") from error
-    content = toml_content(text, path)
-    try:
-        return strictly(content, model)
+        return strictly(tomllib.loads(text), model)
     except ValidationError as error:
-        if error.errors()[0]["type"] == "json_invalid":  # what TOML has, JSON has but for its depth
-            raise _too_deep(path) from error
         raise InputError(sentence_from_validation(error, str(path), model)) from error
-    except RecursionError as error:
-        raise _too_deep(path) from error
-
-
-def toml_content(text: str, path: Path) -> dict[str, Any]:
-    """Content of a TOML document; raises InputError, with the name of its file, if it has none."""
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (RecursionError, ValueError) as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
-    except RecursionError as error:
-        raise _too_deep(path) from error
-    except ValueError as error:  # of an integer with thousands of digits
-        reason = str(error).partition(";")[0]
-        raise InputError(f"{path}: not valid TOML: {reason}") from error
-
-
-def _too_deep(path: Path) -> InputError:
-    return InputError(
-        f"{path}: tables or arrays are nested hundreds deep; a few levels are expected"
-    )

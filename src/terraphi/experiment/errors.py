@@ -1,18 +1,14 @@
-"""What is raised when something a person wrote cannot be used."""
+"""Errors about what a person wrote, in one sentence each."""
 
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
-
-TYPO = 0.9
-"""How alike a word and a choice are, at least, of which one is the other mistyped [-]."""
 
 
 class InputError(ValueError):
@@ -28,12 +24,9 @@ class SimulationError(RuntimeError):
 
 @contextmanager
 def needing(what: str, packages: str, *, extra: str) -> Iterator[None]:
-    """Say, where an import in the block fails, which extra installs the packages of what is done.
+    """Raise InputError that names the extra to install if an import in the block fails.
 
-    Raises
-    ------
-    InputError
-        Such as ``"walk.mcap: reading MCAP needs mcap: pip install 'terraphi[robot]'"``.
+    Such as ``"walk.mcap: reading MCAP needs mcap: pip install 'terraphi[robot]'"``.
     """
     try:
         yield
@@ -42,37 +35,19 @@ def needing(what: str, packages: str, *, extra: str) -> Iterator[None]:
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:
-    """Hint that names the choice closest to a misspelt word, or lists them all.
+    """Hint at the choice closest to a misspelt word, or at all of them.
 
-    Parameters
-    ----------
-    word
-        What was written.
-    choices
-        What could have been written.
-
-    Returns
-    -------
-    str
-        ``"did you mean 'yuma'?"`` or ``"known: a, b, c"``.
+    Such as ``"did you mean 'yuma'?"`` or ``"known: a, b, c"``.
     """
-    known = sorted(choices)
-    folded = {choice.lower(): choice for choice in known}
-    written = word.lower()
-    # NAME-ROLE that is no slip of the pen is nearer to NAME than to what has another role.
-    stems = [choice for choice in folded if choice and written.startswith(f"{choice}-")]
-    match = (
-        difflib.get_close_matches(written, folded, n=1, cutoff=TYPO)
-        or sorted(stems, key=len)[-1:]
-        or difflib.get_close_matches(written, folded, n=1)
-    )
+    by_case = {choice.lower(): choice for choice in sorted(choices)}
+    match = difflib.get_close_matches(word.lower(), by_case, n=1)
     if match:
-        return f"did you mean '{folded[match[0]]}'?"
-    return "known: " + (", ".join(known) or "none")
+        return f"did you mean '{by_case[match[0]]}'?"
+    return "known: " + (", ".join(by_case.values()) or "none")
 
 
 def sentence_from_validation(error: ValidationError, source: str, model: type[BaseModel]) -> str:
-    """One sentence for the first thing wrong in a document that a person wrote.
+    """Describe the first thing wrong in a document: file, dotted key, value and what is expected.
 
     Parameters
     ----------
@@ -82,66 +57,45 @@ def sentence_from_validation(error: ValidationError, source: str, model: type[Ba
         Name of the file.
     model
         The model that refused it, searched for the name nearest to an unknown key.
-
-    Returns
-    -------
-    str
-        File, dotted key, what was found and what is expected.
     """
-    # A misspelt key explains whatever else is wrong, such as the right one's absence.
+    # A misspelt key comes first: it explains why the right one is missing.
     errors = error.errors()
     first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
-    path = [str(part) for part in first["loc"]]
-    if first["type"] == "extra_forbidden":
-        names = _field_names(model, path[:-1])
-        key = ".".join([*_as_written(path[:-1]), path[-1]])
-        return f"{source}: unknown key '{key}'; {nearest(path[-1], names)}"
-    key = ".".join(_as_written(path))
-    if first["type"] == "list_type" and isinstance(first["input"], dict):
-        return f"{source}: [{key}] is one table and there may be several: write [[{key}]]"
-    message = first["msg"].removeprefix("Value error, ").removeprefix("Input ").rstrip(".")
-    message = message.replace("an object", "a table")  # TOML has tables
-    if first["type"] == "missing":
+    kind, loc, context = first["type"], first["loc"], first.get("ctx", {})
+    # The branch of a union is part of the location, and not of what people write.
+    unknown = loc[-1:] if kind == "extra_forbidden" else ()
+    parts = [p for p in loc[: len(loc) - len(unknown)] if p not in ("rotation", "translation")]
+    key = ".".join(map(str, [*parts, *unknown]))
+    if kind == "extra_forbidden":
+        return f"{source}: unknown key '{key}'; {nearest(str(loc[-1]), _keys_at(model, loc[:-1]))}"
+    if kind == "missing":
         return f"{source}: key '{key}' is missing"
-    if first["type"] == "value_error":
-        return f"{source}: {key + ': ' if key else ''}{message}"
-    if first["type"] == "union_tag_invalid":
-        tag, expected = first["ctx"]["tag"], first["ctx"]["expected_tags"]
-        return f"{source}: {key}.kind = '{tag}': should be {expected}{_hint(tag, expected)}"
-    hint = ""
-    if first["type"] == "literal_error":
-        hint = _hint(str(first["input"]), first["ctx"]["expected"])
-    return f"{source}: {key} = {first['input']!r}: {message}{hint}"
+    message = first["msg"].removeprefix("Value error, ").removeprefix("Input ").rstrip(".")
+    if kind == "value_error":
+        return f"{source}: {key and key + ': '}{message}"
+    if kind == "list_type" and isinstance(first["input"], dict):
+        return f"{source}: [{key}] is one table and there may be several: write [[{key}]]"
+    value, expected = first["input"], context.get("expected", "")
+    if kind == "union_tag_invalid":
+        key, value, expected = f"{key}.kind", context["tag"], context["expected_tags"]
+        message = f"should be {expected}"
+    hint = nearest(str(value), expected.strip("'").replace("' or '", "', '").split("', '"))
+    hint = f"; {hint}" if hint.startswith("did") else ""
+    return f"{source}: {key} = {value!r:.60}: {message.replace('an object', 'a table')}{hint}"
 
 
-def _as_written(path: list[str]) -> list[str]:
-    """Parts of a key without the branch of a union, which people do not write."""
-    return [part for part in path if part not in {"rotation", "translation"}]
-
-
-def _hint(word: str, allowed: str) -> str:
-    """Mention of the closest of the allowed words, which the message lists already."""
-    hint = nearest(word, [choice.strip(" '") for choice in re.split(r",| or ", allowed)])
-    return "" if hint.startswith("known") else f"; {hint}"
-
-
-def _field_names(model: type[BaseModel], path: list[str]) -> list[str]:
-    """Names that may stand at a place of a document, given the keys that lead there."""
-    types: list[object] = [model]
+def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
+    """Keys that may stand at a place of a document, given the keys that lead there."""
+    models = [model]
     for part in path:
-        found: list[object] = []
-        for candidate in _models(types):
-            fields = candidate.model_fields
-            if part in fields:
-                found.append(fields[part].annotation)
-            elif "kind" in fields and fields["kind"].default == part:
-                found.append(candidate)  # the branch of a union
-        types = found or types
-    return sorted({name for candidate in _models(types) for name in candidate.model_fields})
+        inside = [m.model_fields[part].annotation for m in models if part in m.model_fields]
+        branch = [m for m in models if m.__name__.lower() == part]
+        models = _models(inside) or branch or models
+    return [name for found in models for name in found.model_fields]
 
 
-def _models(types: list[object]) -> list[type[BaseModel]]:
-    """Pydantic models mentioned anywhere in some type annotations."""
+def _models(types: Iterable[Any]) -> list[type[BaseModel]]:
+    """Pydantic models that some type annotations mention."""
     from pydantic import BaseModel
 
     found: list[type[BaseModel]] = []
@@ -149,5 +103,5 @@ def _models(types: list[object]) -> list[type[BaseModel]]:
         if isinstance(item, type) and issubclass(item, BaseModel):
             found.append(item)
         else:
-            found.extend(_models(list(get_args(item))))
+            found += _models(get_args(item))
     return found

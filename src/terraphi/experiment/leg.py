@@ -1,8 +1,8 @@
 r"""Outlines of rigid intruders: straight leg, C, reversed C, plate; and a ball and a cylinder.
 
 A leg lives in its own frame: the origin is the hip, the first axis :math:`s` runs along the chord
-towards the tip, the second axis :math:`m` points where the tip moves when θ grows. An outline is
-the set of points within ``half_thickness`` of a centre line (straight or a circular arc), or, for
+toward the tip, the second axis :math:`m` points where the tip moves when θ grows. An outline is
+the set of points within ``half_thickness`` of a center line (straight or a circular arc), or, for
 the plate, a rectangle with sharp corners. It is given as a signed distance, negative inside.
 
 The three ``*_distance`` functions are written for one point in plain Python, so that the same
@@ -15,21 +15,23 @@ import math
 from typing import Literal, NamedTuple, Self, get_args
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.documents import Strict
 
 LegShape = Literal["straight", "c", "reversed_c", "plate"]
 LEG_SHAPES: tuple[LegShape, ...] = get_args(LegShape)
-SOLID_SHAPES = ("sphere", "cylinder")
-"""Bodies that are no outline drawn out across the plane of motion: in three dimensions only."""
+"""Outlines, drawn out across the plane of motion; the other bodies are for 3-D only."""
 BodyShape = Literal["straight", "c", "reversed_c", "plate", "sphere", "cylinder"]
+CURVES = {"straight": 0.0, "c": 1.0, "reversed_c": -1.0}
+"""Legs of constant thickness with round ends to their curvature [1 / half the chord]."""
 
-FloatArray = NDArray[np.float64]
+Distance = tuple[float, float, float]
+"""Signed distance [m] and the components of the unit normal along s and m [-]."""
 
 
-def segment_distance(
-    s: float, m: float, chord: float, half_thickness: float
-) -> tuple[float, float, float]:
+def segment_distance(s: float, m: float, chord: float, half_thickness: float) -> Distance:
     """Distance from a straight leg with round ends, and the outward normal there.
 
     Parameters
@@ -37,14 +39,9 @@ def segment_distance(
     s, m
         Point in the leg's frame [m].
     chord
-        Length of the centre line [m].
+        Length of the center line [m].
     half_thickness
         Half thickness [m].
-
-    Returns
-    -------
-    tuple
-        Signed distance [m] and the components of the unit normal along s and m [-].
     """
     foot = min(max(s, 0.0), chord)
     ds = s - foot
@@ -56,7 +53,7 @@ def segment_distance(
 
 def arc_distance(
     s: float, m: float, chord: float, half_thickness: float, curvature: float
-) -> tuple[float, float, float]:
+) -> Distance:
     """Distance from a leg bent into a circular arc with round ends, and the outward normal.
 
     Parameters
@@ -68,23 +65,18 @@ def arc_distance(
     half_thickness
         Half thickness [m].
     curvature
-        Signed curvature of the centre line [1/m], positive if it bulges towards +m; at most
+        Signed curvature of the center line [1/m], positive if it bulges toward +m; at most
         2/chord in magnitude (a semicircle).
-
-    Returns
-    -------
-    tuple
-        Signed distance [m] and the components of the unit normal along s and m [-].
     """
     radius = 1.0 / abs(curvature)
     side = math.copysign(1.0, curvature)
     half = 0.5 * chord
-    # Mirrored so that the arc bulges towards +m; its centre then lies at m = -sagitta offset.
-    x = s - half
-    y = side * m + math.sqrt(max((radius - half) * (radius + half), 0.0))
+    # Mirrored so that the arc bulges toward +m; its center then lies at m = -offset.
+    offset = math.sqrt(max((radius - half) * (radius + half), 0.0))
+    x, y = s - half, side * m + offset
     r = math.hypot(x, y)
     # On the arc's own sector the nearest point is radial; elsewhere it is one of the two ends.
-    if r > 0.0 and y * radius >= r * math.sqrt(max((radius - half) * (radius + half), 0.0)):
+    if r > 0.0 and y * radius >= r * offset:
         outward = 1.0 if r >= radius else -1.0
         return abs(r - radius) - half_thickness, outward * x / r, outward * side * y / r
     end = 0.0 if x < 0.0 else chord
@@ -95,9 +87,7 @@ def arc_distance(
     return length - half_thickness, ds / length, m / length
 
 
-def rectangle_distance(
-    s: float, m: float, chord: float, half_thickness: float
-) -> tuple[float, float, float]:
+def rectangle_distance(s: float, m: float, chord: float, half_thickness: float) -> Distance:
     """Distance from a plate with sharp corners, and the outward normal.
 
     Parameters
@@ -108,27 +98,20 @@ def rectangle_distance(
         Length of the plate [m].
     half_thickness
         Half thickness [m].
-
-    Returns
-    -------
-    tuple
-        Signed distance [m] and the components of the unit normal along s and m [-].
     """
     x = s - 0.5 * chord
     dx = abs(x) - 0.5 * chord
     dm = abs(m) - half_thickness
-    sign_x = 1.0 if x >= 0.0 else -1.0
-    sign_m = 1.0 if m >= 0.0 else -1.0
     if dx > 0.0 and dm > 0.0:
         length = math.hypot(dx, dm)
-        return length, sign_x * dx / length, sign_m * dm / length
+        return length, math.copysign(dx / length, x), math.copysign(dm / length, m)
     if dx > dm:
-        return dx, sign_x, 0.0
-    return dm, 0.0, sign_m
+        return dx, math.copysign(1.0, x), 0.0
+    return dm, 0.0, math.copysign(1.0, m)
 
 
 class Panels(NamedTuple):
-    """Straight elements along a centre line, in the leg's frame, shape [panel, 2] and [panel]."""
+    """Straight elements along a center line, in the leg's frame, shape [panel, 2] and [panel]."""
 
     centre: FloatArray
     """Midpoints (s, m) [m]."""
@@ -138,12 +121,8 @@ class Panels(NamedTuple):
     """Arc lengths [m]."""
 
 
-class Leg(BaseModel):
-    """A rigid leg or plate; the defaults are those of Li et al. (2013)."""
-
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
-    )
+class Leg(Strict):
+    """A rigid leg, plate or foot; the defaults are those of Li et al. (2013)."""
 
     shape: BodyShape = "straight"
     """``straight``; ``c``, a semicircle that bulges where it moves; ``reversed_c``, away from
@@ -159,40 +138,35 @@ class Leg(BaseModel):
     """Coulomb coefficient between leg and soil [-]."""
 
     @model_validator(mode="after")
-    def _thinner_than_long(self) -> Self:
-        line = self.shape not in ("plate", *SOLID_SHAPES)
-        if 2.0 * self.half_thickness >= self.chord and line:
-            raise ValueError(
-                f"half_thickness = {self.half_thickness:g} m must stay below half the chord "
-                f"({0.5 * self.chord:g} m)"
-            )
+    def _is_thinner_than_long(self) -> Self:
+        if self.shape in CURVES and 2.0 * self.half_thickness >= self.chord:
+            raise ValueError(f"half_thickness = {self.half_thickness:g} m is not below chord / 2")
         return self
 
     @property
     def curvature(self) -> float:
-        """Signed curvature κ of the centre line [1/m]: 0, or ±1/R with R half the chord."""
-        sign = {"c": 1.0, "reversed_c": -1.0}.get(self.shape, 0.0)
-        return 2.0 * sign / self.chord
+        """Signed curvature κ of the center line [1/m]: 0, or ±1/R with R half the chord."""
+        return 2.0 * CURVES.get(self.shape, 0.0) / self.chord
 
     @property
     def length(self) -> float:
-        """Length of the centre line [m]."""
+        """Length of the center line [m]."""
         return 0.5 * math.pi * self.chord if self.curvature else self.chord
 
     def chord_without(self, inset: float) -> tuple[float, float]:
-        """Chord of the leg whose centre line ends before the tip, on the same line.
+        """Chord of the leg whose center line ends before the tip, on the same line.
 
         Parameters
         ----------
         inset
-            How much of the centre line is left out at the tip [m], less than its length.
+            How much of the center line is left out at the tip [m], less than its length.
 
         Returns
         -------
         chord
             From hip to the new end [m].
         lean
-            Angle of that chord from the leg's own towards +m [rad]; 0 of a straight line.
+            Angle of that chord from the leg's own toward +m [rad]; 0 of a straight line.
         """
         if not self.curvature:
             return self.chord - inset, 0.0
@@ -210,7 +184,7 @@ class Leg(BaseModel):
         points
             (s, m) [m], shape [point, 2].
         inset
-            As for :meth:`chord_without`: the outline about what is left of the centre line.
+            As for :meth:`chord_without`: the outline about what is left of the center line.
 
         Returns
         -------
@@ -233,7 +207,7 @@ class Leg(BaseModel):
         return table[:, 0], table[:, 1:] @ turn.T
 
     def centre_line(self, panels: int = 200) -> Panels:
-        """Cut the centre line into equal elements along its true arc.
+        """Cut the center line into equal elements along its true arc.
 
         Parameters
         ----------
@@ -253,28 +227,10 @@ class Leg(BaseModel):
         radius = 1.0 / abs(self.curvature)
         side = math.copysign(1.0, self.curvature)
         angle = math.pi * (1.0 - fraction)
-        centre = np.stack(
-            [0.5 * self.chord + radius * np.cos(angle), side * radius * np.sin(angle)], axis=1
-        )
+        middle, arc = [0.5 * self.chord, 0.0], [np.cos(angle), side * np.sin(angle)]
+        centre = middle + radius * np.stack(arc, axis=1)
         tangent = np.stack([np.sin(angle), -side * np.cos(angle)], axis=1)
         return Panels(centre, tangent, np.full(panels, math.pi * radius / panels))
-
-    def extremities(self) -> tuple[FloatArray, float]:
-        """Points that the leg lies between, whichever way it is turned.
-
-        Returns
-        -------
-        array
-            Points of the leg's frame (s, m) [m], shape [point, 2]: corners, or a centre line.
-        float
-            How far the leg extends around them [m].
-        """
-        if self.shape == "sphere":
-            return np.array([[0.5 * self.chord, 0.0]]), 0.5 * self.chord
-        if self.shape in ("plate", "cylinder"):
-            return self.outline(), 0.0
-        line = np.vstack([[0.0, 0.0], self.centre_line(60).centre, [self.chord, 0.0]])
-        return line, self.half_thickness
 
     def outline(self, panels: int = 60) -> FloatArray:
         """Corners of a polygon that follows the outline, in the leg's frame.
@@ -284,50 +240,37 @@ class Leg(BaseModel):
         Parameters
         ----------
         panels
-            Number of elements along the centre line; each round end has a third as many.
+            Number of elements along the center line; each round end has a third as many.
 
         Returns
         -------
         ndarray
             (s, m) [m], shape [corner, 2], around the leg once; the last is not the first again.
         """
-        half = 0.5 * self.width if self.shape == "cylinder" else self.half_thickness
         if self.shape == "sphere":
-            circle = np.vstack(
-                [_half_circle((1.0, 0.0), panels), _half_circle((-1.0, 0.0), panels)]
-            )
-            return np.asarray(0.5 * self.chord * (circle + np.array([1.0, 0.0])))
+            angle = np.linspace(0.0, 2.0 * math.pi, 2 * panels, endpoint=False)
+            radius = 0.5 * self.chord
+            return radius * np.stack([1.0 + np.cos(angle), np.sin(angle)], axis=1)
+        half = 0.5 * self.width if self.shape == "cylinder" else self.half_thickness
         if self.shape in ("plate", "cylinder"):
             return np.array([[0.0, -half], [self.chord, -half], [self.chord, half], [0.0, half]])
         line = self.centre_line(panels)
-        # Tangents at hip and tip: along the chord or, of a semicircle, across it.
-        side = math.copysign(1.0, self.curvature)
-        first, last = ((0.0, side), (0.0, -side)) if self.curvature else ((1.0, 0.0), (1.0, 0.0))
         normal = half * np.stack([-line.tangent[:, 1], line.tangent[:, 0]], axis=1)
-        tip = np.array([self.chord, 0.0]) + half * _half_circle(last, panels // 3)
-        hip = -half * _half_circle(first, panels // 3)
+        # The round ends point along the chord or, of a semicircle, across it.
+        aside = -0.5 * math.pi * CURVES[self.shape]
+        ends = ((self.chord, aside), (0.0, aside or math.pi))
+        turn = np.linspace(-0.5 * math.pi, 0.5 * math.pi, panels // 3 + 1)
+        tip, hip = (
+            np.stack([at + half * np.cos(angle + turn), half * np.sin(angle + turn)], axis=1)
+            for at, angle in ends
+        )
         return np.concatenate([line.centre - normal, tip, (line.centre + normal)[::-1], hip])
-
-    def depth(self, theta: FloatArray) -> FloatArray:
-        """How far the lowest point lies below the hip [m], at leg angles [rad], shape [angle]."""
-        along, motion = frame_axes(np.asarray(theta))
-        height = np.stack([along[..., 1], motion[..., 1]], axis=-1) @ self.outline().T
-        return np.asarray(-height.min(axis=-1))
 
     def reach(self) -> float:
         """Largest distance of the outline from the hip [m]."""
-        if self.shape == "sphere":
-            return self.chord
-        if self.shape in ("plate", "cylinder"):
-            return float(np.hypot(*self.outline().T).max())
-        return self.chord + self.half_thickness
-
-
-def _half_circle(direction: tuple[float, float], panels: int) -> FloatArray:
-    """Points of a half circle of radius 1 about a direction, its right hand first; [point, 2]."""
-    angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, panels + 1)[:, None]
-    left = np.array([-direction[1], direction[0]])
-    return np.asarray(np.cos(angle) * np.array(direction) + np.sin(angle) * left)
+        if self.shape in CURVES:
+            return self.chord + self.half_thickness
+        return float(np.hypot(*self.outline().T).max())
 
 
 def frame_axes(theta: float | FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,14 +1,13 @@
 """Prescribed motions of the leg: rotation about a fixed hip, and straight translation.
 
-A motion knows nothing of steps. It maps time to poses, and cuts its path into the bins over which
-forces are averaged.
+A motion maps time to poses, and cuts its path into the bins over which forces are averaged.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from typing import Annotated, Literal, NamedTuple, Self
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -19,7 +18,7 @@ from terraphi.experiment.leg import frame_axes
 
 
 class Poses(NamedTuple):
-    """Where the leg is and how it moves, one row a time."""
+    """Positions and velocities of the leg at some times."""
 
     hip: FloatArray
     """Origin of the leg's frame (x, z) [m], shape [time, 2]."""
@@ -31,10 +30,7 @@ class Poses(NamedTuple):
     """Angular rate dθ/dt [rad/s], shape [time]."""
 
     def placed(self, points: FloatArray) -> FloatArray:
-        """Points of the leg's frame (along, ahead) where they are then, (x, z) [m].
-
-        Shapes [point, 2] -> [time, point, 2].
-        """
+        """Positions (x, z) of points of the leg's frame [m]: [point, 2] -> [time, point, 2]."""
         along, ahead = (axis[:, None, :] for axis in frame_axes(self.theta))
         return self.hip[:, None, :] + points[:, :1] * along + points[:, 1:] * ahead
 
@@ -42,6 +38,10 @@ class Poses(NamedTuple):
 class Rotation(Strict):
     """Rotation about a fixed hip, at a constant rate or along a profile ω(θ)."""
 
+    coordinate: ClassVar[str] = "theta"
+    """What the history is a function of."""
+    bin_width: ClassVar[float] = math.radians(0.1)
+    """Width of a history bin [rad]."""
     kind: Literal["rotation"] = "rotation"
     """``rotation``; the kind of motion if none is given."""
     hip: tuple[float, float] = (0.150, 0.190)
@@ -58,119 +58,81 @@ class Rotation(Strict):
     @model_validator(mode="after")
     def _turns_forward(self) -> Self:
         if not self.start_deg < self.stop_deg:
-            raise ValueError(
-                f"start_deg = {self.start_deg:g} must be below stop_deg = {self.stop_deg:g}"
-            )
+            ends = f"start_deg = {self.start_deg:g} must be below stop_deg = {self.stop_deg:g}"
+            raise ValueError(ends)
         if self.rate_profile is not None:
             angles = [angle for angle, _ in self.rate_profile]
             if len(angles) < 2 or any(b <= a for a, b in itertools.pairwise(angles)):
                 raise ValueError("rate_profile needs two or more knots of increasing angle")
         return self
 
-    def _knots(self) -> tuple[FloatArray, FloatArray]:
-        """Angles [rad] and rates [rad/s] of a profile that spans start to stop exactly."""
-        start, stop = math.radians(self.start_deg), math.radians(self.stop_deg)
-        if self.rate_profile is None:
-            return np.array([start, stop]), np.array([self.rate, self.rate])
-        angle = np.radians([knot[0] for knot in self.rate_profile])
-        rate = np.array([knot[1] for knot in self.rate_profile])
-        inside = angle[(angle > start) & (angle < stop)]
-        theta = np.concatenate([[start], inside, [stop]])
-        return theta, np.interp(theta, angle, rate)
+    def _knots(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Angles [rad], rates [rad/s] and times [s] of a profile that spans start to stop exactly.
 
-    def _knot_times(self) -> FloatArray:
-        """Times of the knots [s]: ∫dθ/ω, exact for a rate linear in θ."""
-        theta, rate = self._knots()
-        step, change = np.diff(theta), np.diff(rate)
+        The time is ∫dθ/ω, exact for a rate linear in θ.
+        """
+        start, stop = self.span
+        angle, rate = np.array(self.rate_profile or [(self.start_deg, self.rate)]).T
+        angle = np.radians(angle)
+        theta = np.concatenate([[start], angle[(angle > start) & (angle < stop)], [stop]])
+        omega = np.interp(theta, angle, rate)
+        step, change = np.diff(theta), np.diff(omega)
         flat = change == 0.0
         slope = np.where(flat, 1.0, change / step)
         with np.errstate(over="ignore"):  # as slow a motion has no end
-            spans = np.where(flat, step / rate[:-1], np.log1p(change / rate[:-1]) / slope)
-        return np.concatenate([[0.0], np.cumsum(spans)])
+            spans = np.where(flat, step / omega[:-1], np.log1p(change / omega[:-1]) / slope)
+        return theta, omega, np.concatenate([[0.0], np.cumsum(spans)])
 
     @property
     def duration(self) -> float:
         """Time from start to stop [s]."""
-        return float(self._knot_times()[-1])
+        return float(self._knots()[2][-1])
 
     @property
-    def top_rate(self) -> float:
-        """Largest angular rate [rad/s]."""
+    def top_coordinate_rate(self) -> float:
+        """Largest rate of change of the coordinate, that of θ [rad/s]."""
         return float(self._knots()[1].max())
-
-    def poses(self, time: FloatArray) -> Poses:
-        """Poses at given times.
-
-        Parameters
-        ----------
-        time
-            [s], shape [time]; the motion goes on unchanged past its end.
-
-        Returns
-        -------
-        Poses
-        """
-        theta_knots, rate_knots = self._knots()
-        knot_times = self._knot_times()
-        segment = np.clip(np.searchsorted(knot_times, time, side="right") - 1, 0, None)
-        segment = np.minimum(segment, len(knot_times) - 2)
-        since = time - knot_times[segment]
-        slope = (np.diff(rate_knots) / np.diff(theta_knots))[segment]
-        # dθ/dt = ω₀ + b (θ - θ₀) has the solution ω = ω₀ exp(b t); b = 0 is its limit.
-        start_rate = rate_knots[segment]
-        flat = slope == 0.0
-        safe = np.where(flat, 1.0, slope)
-        turned = np.where(flat, start_rate * since, start_rate * np.expm1(slope * since) / safe)
-        still = np.zeros((len(time), 2))
-        return Poses(
-            hip=still + np.array(self.hip),
-            theta=theta_knots[segment] + turned,
-            velocity=still,
-            rate=start_rate * np.exp(slope * since),
-        )
-
-    @property
-    def coordinate(self) -> str:
-        """What the history is a function of."""
-        return "theta"
 
     @property
     def span(self) -> tuple[float, float]:
         """First and last value of the coordinate θ [rad]."""
         return math.radians(self.start_deg), math.radians(self.stop_deg)
 
-    @property
-    def bin_width(self) -> float:
-        """Width of a history bin, 0.1° [rad]."""
-        return math.radians(0.1)
-
     def coordinates(self, time: FloatArray) -> FloatArray:
         """Leg angle at given times [rad], shape [time]."""
         return self.poses(time).theta
 
+    def poses(self, time: FloatArray) -> Poses:
+        """Poses at given times [s], shape [time]; the motion goes on past its end."""
+        theta, rate, times = self._knots()
+        i = np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(times) - 2)
+        since = time - times[i]
+        slope = (np.diff(rate) / np.diff(theta))[i]
+        # dθ/dt = ω₀ + b (θ - θ₀) has the solution ω = ω₀ exp(b t); b = 0 is its limit.
+        flat = slope == 0.0
+        safe = np.where(flat, 1.0, slope)
+        turned = rate[i] * np.where(flat, since, np.expm1(slope * since) / safe)
+        return self._poses(theta[i] + turned, rate[i] * np.exp(slope * since))
+
     def poses_at(self, coordinate: FloatArray) -> Poses:
         """Poses at given leg angles [rad], shape [angle]."""
-        still = np.zeros((len(coordinate), 2))
-        return Poses(
-            hip=still + np.array(self.hip),
-            theta=np.array(coordinate, dtype=np.float64),
-            velocity=still,
-            rate=np.interp(coordinate, *self._knots()),
-        )
+        theta, rate, _ = self._knots()
+        return self._poses(np.array(coordinate), np.interp(coordinate, theta, rate))
 
-    @property
-    def top_coordinate_rate(self) -> float:
-        """Largest rate of change of the coordinate, that of θ [rad/s]."""
-        return self.top_rate
+    def _poses(self, theta: FloatArray, rate: FloatArray) -> Poses:
+        still = np.zeros((len(theta), 2))
+        return Poses(hip=still + np.array(self.hip), theta=theta, velocity=still, rate=rate)
 
     def top_speed(self, reach: float) -> float:
         """Largest speed of a point at a distance ``reach`` [m] from the hip [m/s]."""
-        return self.top_rate * reach
+        return self.top_coordinate_rate * reach
 
 
 class Translation(Strict):
     """Straight motion at a constant velocity and orientation, for plates and penetration."""
 
+    coordinate: ClassVar[str] = "displacement"
+    """What the history is a function of."""
     kind: Literal["translation"] = "translation"
     """``translation``."""
     start: tuple[float, float]
@@ -191,60 +153,45 @@ class Translation(Strict):
         return self
 
     @property
-    def duration(self) -> float:
-        """Time of travel [s]."""
-        return self.distance / math.hypot(*self.velocity)
-
-    def poses(self, time: FloatArray) -> Poses:
-        """Poses at given times.
-
-        Parameters
-        ----------
-        time
-            [s], shape [time].
-
-        Returns
-        -------
-        Poses
-        """
-        velocity = np.broadcast_to(np.array(self.velocity), (len(time), 2))
-        return Poses(
-            hip=np.array(self.start) + velocity * time[:, None],
-            theta=np.full(len(time), math.radians(self.orientation_deg)),
-            velocity=np.array(velocity),
-            rate=np.zeros(len(time)),
-        )
-
-    @property
-    def coordinate(self) -> str:
-        """What the history is a function of."""
-        return "displacement"
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """First and last value of the coordinate, the distance travelled [m]."""
-        return 0.0, self.distance
-
-    def coordinates(self, time: FloatArray) -> FloatArray:
-        """Distance travelled at given times [m], shape [time]."""
-        return math.hypot(*self.velocity) * time
-
-    def poses_at(self, coordinate: FloatArray) -> Poses:
-        """Poses at given travelled distances [m], shape [distance]."""
-        return self.poses(coordinate / math.hypot(*self.velocity))
-
-    @property
     def top_coordinate_rate(self) -> float:
         """Rate of change of the coordinate, the distance travelled [m/s]."""
         return math.hypot(*self.velocity)
 
+    @property
+    def duration(self) -> float:
+        """Time of travel [s]."""
+        return self.distance / self.top_coordinate_rate
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last value of the coordinate, the distance traveled [m]."""
+        return 0.0, self.distance
+
+    def coordinates(self, time: FloatArray) -> FloatArray:
+        """Distance traveled at given times [m], shape [time]."""
+        return self.top_coordinate_rate * time
+
+    def poses(self, time: FloatArray) -> Poses:
+        """Poses at given times [s], shape [time]."""
+        velocity = np.tile(self.velocity, (len(time), 1))
+        return Poses(
+            hip=np.array(self.start) + velocity * time[:, None],
+            theta=np.full(len(time), math.radians(self.orientation_deg)),
+            velocity=velocity,
+            rate=np.zeros(len(time)),
+        )
+
+    def poses_at(self, coordinate: FloatArray) -> Poses:
+        """Poses at given distances traveled [m], shape [distance]."""
+        return self.poses(coordinate / self.top_coordinate_rate)
+
     def top_speed(self, reach: float) -> float:  # noqa: ARG002 - a rotation needs the reach
         """Largest speed of any point [m/s]."""
-        return math.hypot(*self.velocity)
+        return self.top_coordinate_rate
 
 
 def _kind(value: object) -> str:
-    """Kind of motion that a document or an object means; rotation if it does not say."""
+    """Kind of motion of a document or an object; rotation by default."""
     kind = value.get("kind", "rotation") if isinstance(value, dict) else getattr(value, "kind", "")
     return str(kind)
 
@@ -263,7 +210,7 @@ def bin_count(motion: Motion) -> int:
 
 
 def bin_centres(motion: Motion) -> FloatArray:
-    """Centres of the history bins of a motion [rad or m], shape [bin]."""
+    """Centers of the history bins of a motion [rad or m], shape [bin]."""
     low, high = motion.span
     count = bin_count(motion)
     return low + (np.arange(count) + 0.5) * (high - low) / count

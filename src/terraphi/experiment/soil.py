@@ -25,7 +25,7 @@ from typing import Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
-from terraphi.experiment.documents import Strict
+from terraphi.experiment.documents import Strict, refuse
 from terraphi.experiment.errors import InputError
 
 YieldCriterion = Literal["paper", "plane_strain", "triaxial"]
@@ -51,14 +51,6 @@ def cone_slope(angle_deg: float, yield_criterion: YieldCriterion) -> float:
     if yield_criterion == "plane_strain":
         return sine
     return 2.0 * sine / (math.sqrt(3.0) * (3.0 - sine))
-
-
-def _angle_from_cone_slope(slope: float, yield_criterion: YieldCriterion) -> float:
-    """Inverse of :func:`cone_slope`; angle [deg]."""
-    sine = slope
-    if yield_criterion != "plane_strain":
-        sine = 3.0 * math.sqrt(3.0) * slope / (2.0 + math.sqrt(3.0) * slope)
-    return math.degrees(math.asin(sine))
 
 
 def plane_strain_friction_angle_deg(
@@ -109,52 +101,9 @@ def plane_strain_friction_angle_deg(
     if not 0.0 <= sine <= 1.0:
         raise InputError(
             f"a triaxial friction angle of {friction_angle_deg:.2f} deg (dilation "
-            f"{dilation_angle_deg:.2f} deg) has no equivalent in plane strain: "
-            "it is stronger than any Mohr-Coulomb angle below 90 deg"
+            f"{dilation_angle_deg:.2f} deg) has no equivalent in plane strain"
         )
     return math.degrees(math.asin(sine))
-
-
-def friction_angle_from_plane_strain_deg(
-    plane_strain_deg: float,
-    yield_criterion: YieldCriterion,
-    *,
-    associated: bool = False,
-) -> float:
-    """Friction angle in a convention, from its Mohr-Coulomb equivalent in plane strain.
-
-    Parameters
-    ----------
-    plane_strain_deg
-        φ of ``plane_strain`` [deg].
-    yield_criterion
-        The convention wanted.
-    associated
-        Whether the flow is associated (ψ = φ) or without dilation (ψ = 0).
-
-    Returns
-    -------
-    float
-        φ in ``yield_criterion`` [deg].
-
-    Raises
-    ------
-    InputError
-        If the convention cannot be that strong.
-    """
-    sine = math.sin(math.radians(plane_strain_deg))
-    if yield_criterion == "plane_strain":
-        return plane_strain_deg
-    slope = sine
-    if yield_criterion == "triaxial":
-        slope = sine / (3.0 * math.sqrt(1.0 + sine**2 / 3.0)) if associated else sine / 3.0
-    if slope > cone_slope(90.0, yield_criterion):
-        raise InputError(
-            f"a plane-strain friction angle of {plane_strain_deg:.2f} deg is out of reach of the "
-            f"'{yield_criterion}' yield criterion: its strongest is "
-            f"{math.degrees(math.asin(cone_slope(90.0, yield_criterion))):.2f} deg"
-        )
-    return _angle_from_cone_slope(slope, yield_criterion)
 
 
 class Soil(Strict):
@@ -200,52 +149,28 @@ class Soil(Strict):
     """Ratio of horizontal to vertical stress at rest [-]; ``None``: 1 - sin φ (Jaky)."""
 
     @model_validator(mode="after")
-    def _dilates_no_more_than_it_rubs(self) -> Self:
-        if self.flow == "dilation" and self.dilation_angle_deg > self.friction_angle_deg:
-            raise ValueError(
-                f"dilation_angle_deg = {self.dilation_angle_deg:g} exceeds friction_angle_deg = "
-                f"{self.friction_angle_deg:g}; plastic work would be negative"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _keeps_its_stress_as_it_is_compacted(self) -> Self:
-        if not self.is_compacted:
-            return self
-        angles = (self.potential_angle_deg, self.friction_angle_deg)
-        sines = [math.sin(math.radians(angle)) for angle in angles]
-        # Beyond a limit pressure falls faster than shear where the volume is held, and no stress is
-        # found. This is a bound below that limit for all φ, both surfaces and their edges.
-        room = self.shear_modulus / (self.shear_modulus + 2.0 * self.lame_lambda)
-        if -math.prod(sines) >= room:
-            raise ValueError(
-                f"dilation_angle_deg = {self.dilation_angle_deg:g} compacts soil so fast that "
-                "its stress may be lost; bring it nearer to zero, or make poisson_ratio smaller"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _one_surface(self) -> Self:
-        if self.yield_surface == "matsuoka_nakai" and self.yield_criterion != "plane_strain":
-            raise ValueError(
-                f"yield_surface = 'matsuoka_nakai' has a φ of plane strain; set yield_criterion = "
-                f"'plane_strain' instead of '{self.yield_criterion}', or leave yield_surface out"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _softens_and_does_not_harden(self) -> Self:
-        critical = self.critical_friction_angle_deg
-        if critical is not None and critical > self.friction_angle_deg:
-            raise ValueError(
-                f"critical_friction_angle_deg = {critical:g} exceeds friction_angle_deg = "
-                f"{self.friction_angle_deg:g}, which is that of the peak"
-            )
-        if critical is not None and self.cohesion > 0.0:
-            raise ValueError(
-                f"cohesion = {self.cohesion:g} Pa: how cohesion falls while soil softens is not "
-                "modelled; set it to 0, or leave critical_friction_angle_deg out"
-            )
+    def _is_possible(self) -> Self:
+        phi, psi = self.friction_angle_deg, self.potential_angle_deg
+        critical = self.critical_friction_angle_deg or 0.0
+        # Beyond a limit pressure falls faster than shear where the volume is held, and no stress
+        # exists. This bound lies below that limit for all φ, both surfaces and their edges.
+        sines = math.sin(math.radians(phi)) * math.sin(math.radians(psi))
+        lost = -sines * (self.shear_modulus + 2.0 * self.lame_lambda) >= self.shear_modulus
+        other = self.yield_criterion != "plane_strain" and self.yield_surface != "mohr_coulomb"
+        sticky = critical > 0.0 and self.cohesion > 0.0
+        refuse(
+            {
+                f"dilation_angle_deg = {psi:g} exceeds friction_angle_deg = {phi:g}": psi > phi,
+                f"dilation_angle_deg = {psi:g} compacts soil until its stress is lost; bring it "
+                "nearer to zero, or make poisson_ratio smaller": lost,
+                f"yield_surface = '{self.yield_surface}' needs yield_criterion = 'plane_strain', "
+                f"not '{self.yield_criterion}'": other,
+                f"critical_friction_angle_deg = {critical:g} exceeds friction_angle_deg = {phi:g}, "
+                "the angle at the peak": critical > phi,
+                f"cohesion = {self.cohesion:g} Pa is not modeled for soil that softens; set it to "
+                "0, or leave critical_friction_angle_deg out": sticky,
+            }
+        )
         return self
 
     @property
@@ -267,9 +192,7 @@ class Soil(Strict):
     @property
     def k0_at_rest(self) -> float:
         """Ratio of horizontal to vertical stress at rest [-]."""
-        if self.k0 is not None:
-            return self.k0
-        return 1.0 - math.sin(math.radians(self.friction_angle_deg))
+        return self.k0 or 1.0 - math.sin(math.radians(self.friction_angle_deg))
 
     @property
     def potential_angle_deg(self) -> float:
@@ -277,19 +200,9 @@ class Soil(Strict):
         return self.friction_angle_deg if self.flow == "associated" else self.dilation_angle_deg
 
     @property
-    def dilates(self) -> bool:
-        """Whether its volume grows as it flows."""
-        return self.potential_angle_deg > 0.0
-
-    @property
-    def is_compacted(self) -> bool:
-        """Whether its volume shrinks as it flows."""
-        return self.potential_angle_deg < 0.0
-
-    @property
     def softens(self) -> bool:
         """Whether φ or ψ changes with the plastic shear strain."""
-        return self.critical_friction_angle_deg is not None or self.is_compacted
+        return self.critical_friction_angle_deg is not None or self.potential_angle_deg < 0.0
 
     @property
     def cone_intercept(self) -> float:

@@ -360,7 +360,7 @@ def _lengths(scenario: Scenario) -> dict[Blame, float]:
         slow = motion.duration / numerics.speed_up / limit / bins
         if motion.kind == "rotation":
             key = "rate" if motion.rate_profile is None else "rate_profile, whose largest"
-            rate = f"motion.{key} = {motion.top_rate:g} rad/s"
+            rate = f"motion.{key} = {motion.top_coordinate_rate:g} rad/s"
         else:
             rate = f"motion.velocity = {list(motion.velocity)} m/s"
         found |= {

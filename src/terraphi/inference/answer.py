@@ -8,13 +8,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import read_bytes, replacing
 from terraphi.experiment.outputs import filling
 from terraphi.library.store import PHI
 
@@ -64,7 +64,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class RecordFit:
-    """One record beside the library's curve at the median.
+    """One record and the library's curve at the median.
 
     Attributes
     ----------
@@ -90,11 +90,11 @@ class RecordFit:
     simulated: bool
     n_readings: int
     n_left_out: int
-    theta_deg: FloatArray
-    data: FloatArray
-    curve: FloatArray
-    expected: FloatArray | None
-    band: FloatArray
+    theta_deg: FloatArray = field(repr=False)
+    data: FloatArray = field(repr=False)
+    curve: FloatArray = field(repr=False)
+    expected: FloatArray | None = field(repr=False)
+    band: FloatArray = field(repr=False)
     nrmsd: Mapping[str, float]
 
     def as_dict(self) -> dict[str, Any]:
@@ -139,6 +139,8 @@ class Answer:
         Draws by parameter, shape [chain, draw]; empty if the posterior is by quadrature.
     diagnostics
         Split-R̂, effective sample size and autocorrelation time of each parameter, if drawn.
+    leg_friction
+        Friction of the leg in the library's model [-], where it was not inferred.
     seed
         Of the draws.
     provenance
@@ -165,6 +167,7 @@ class Answer:
     density: FloatArray
     draws: Mapping[str, FloatArray] = field(default_factory=dict)
     diagnostics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    leg_friction: float | None = None
     seed: int | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -206,7 +209,7 @@ class Answer:
         phi, plane = self.parameters.get(PHI), self.phi_plane_strain
         names = (
             "verdict", "reason", "edge", "source", "leg", "library", "library_reason",
-            "density_kg_m3", "density_sd_kg_m3", "density_assumed", "seed",
+            "density_kg_m3", "density_sd_kg_m3", "density_assumed", "leg_friction", "seed",
         )  # fmt: skip
         return {
             "phi_deg": {**phi.as_dict(), "yield": self.convention} if phi else None,
@@ -410,7 +413,7 @@ class Answer:
         draws = {key: tree["posterior"][key].values for key in parameters} if drawn else {}
         same = (
             "verdict", "reason", "edge", "library", "library_reason", "density_kg_m3",
-            "density_sd_kg_m3", "density_assumed", "second_opinion", "seed", "diagnostics",
+            "density_sd_kg_m3", "density_assumed", "second_opinion", "leg_friction", "seed", "diagnostics",
             "provenance", "budget_deg", "phi_plane_strain_reason",
         )  # fmt: skip
         phi = known["phi_deg"]
@@ -439,6 +442,47 @@ class Answer:
             self.plot().savefig(place / "answer.png", dpi=150)
             text = json.dumps(self.as_dict(), indent=1, ensure_ascii=False, default=str)
             (place / "answer.json").write_text(text + "\n", encoding="utf-8")
+
+
+class StoredAnswer(NamedTuple):
+    """What a file or folder says about an inversion."""
+
+    source: str
+    """Its name."""
+    answer: dict[str, Any]
+    """As :meth:`Answer.as_dict` has it."""
+    draws_deg: FloatArray
+    """Draws of φ in the answer's convention [deg], shape [draw]; empty if the file has none."""
+
+
+def read_answer(path: Path | str) -> StoredAnswer:
+    """Read what ``terraphi invert`` wrote or printed, without its curves.
+
+    Parameters
+    ----------
+    path
+        Folder of ``--out``, its ``answer.nc``, or the output of ``--json`` (``-``: standard input),
+        which has no draws.
+
+    Raises
+    ------
+    InputError
+        If it is missing, damaged or no answer.
+    """
+    path = Path(path)
+    if path.is_dir() or path.suffix == ".nc":
+        found = Answer.load(path)
+        draws = found.phi_draws() if PHI in found.parameters else np.zeros(0)
+        return StoredAnswer(str(path), found.as_dict(), draws)
+    try:
+        known = json.loads(read_bytes(path))
+        if not isinstance(known, dict) or not {"phi_deg", "verdict", "library"} <= known.keys():
+            raise ValueError("keys are missing")
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"{path}: not an answer of 'terraphi invert --out' or --json; invert again"
+        ) from error
+    return StoredAnswer(str(path), known, np.zeros(0))
 
 
 def _first_of_each(axes: Any) -> tuple[list[Any], list[str]]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
+from terraphi.inference.emulator import emulator_of
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import Record
 from terraphi.library.store import PHI, Library, differences
@@ -120,7 +121,8 @@ def _held(force: FloatArray, span: float) -> Mask:
     ends = np.flatnonzero(np.append(changes, np.inf) > 0.0)
     for first, last in zip(np.append(-1, ends[:-1]) + 1, ends, strict=True):
         long = last - first + 1 >= HELD and last + 1 < len(force)
-        if long and abs(force[first]) > LOADED * span and changes[last] > JUMP * quantum:
+        inside = abs(force[first]) > LOADED * span and force.min() < force[first] < force.max()
+        if long and inside and changes[last] > JUMP * quantum:
             found[first + 1 : last + 1] = True
     return found
 
@@ -284,11 +286,7 @@ def _other_readings(likelihood: Likelihood, record: Record, library: Library) ->
 
 def _residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str) -> float:
     """Smallest residual of data over the library's angles, of peak-to-peak [-]."""
-    from terraphi.inference.emulator import Emulator
-
-    emulator = likelihood.emulators.get(leg)
-    if emulator is None:
-        emulator = Emulator(likelihood.library.curves(leg, corrected=likelihood.measured))
+    emulator = emulator_of(likelihood.library, leg, corrected=likelihood.measured)
     own = emulator.curves.scenario.soil.density
     ratio = (record.density_kg_m3 or own) / own
     x = np.linspace(*emulator.bounds, 71)

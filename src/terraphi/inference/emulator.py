@@ -14,13 +14,14 @@ its correlation a function of the distance in θ, from the mean periodogram.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.library.store import PHI, Curves
+from terraphi.library.store import PHI, Curves, Library
 
 LENGTHS = np.geomspace(0.15, 8.0, 16)
 """Correlation lengths that are tried, in units of the half range of a parameter [-]."""
@@ -97,6 +98,13 @@ class Emulator:
         rough = self.roughness(self.curves.x) if self._scatters else np.ones(len(t))
         return _fitted(t, self._basis(self.curves.x), weights, rough)
 
+    @cached_property
+    def _stacked(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Lengths [process, 1, 1, key], solved weights [process, case], polynomials [process, q]."""
+        each = self._processes
+        lengths = np.stack([process.lengths for process in each])[:, None, None]
+        return lengths, np.stack([p.solved for p in each]), np.stack([p.beta for p in each])
+
     @property
     def _scatters(self) -> bool:
         """Whether simulations differ by their particle seed."""
@@ -154,8 +162,9 @@ class Emulator:
         """
         mean, u, _ = self._components
         t = (x - self._scale[0]) / self._scale[1]
-        basis = self._basis(x)
-        weights = np.column_stack([process.mean(t, basis) for process in self._processes])
+        lengths, solved, beta = self._stacked
+        weights = self._basis(x) @ beta.T
+        weights += np.einsum("pkn,pn->kp", _kernel(t, self._processes[0].t, lengths), solved)
         force = self.size(x)[:, None] * (mean + weights @ u)
         return force.reshape(len(x), 2, -1)
 
@@ -173,6 +182,12 @@ class Emulator:
         nugget = np.array([process.nugget for process in self._processes])
         size = self.size(x[None])[0] * self.roughness(x[None])[0]
         return np.asarray(np.square(size) * ((u.T * nugget) @ u + self._outside))
+
+
+@functools.lru_cache(maxsize=16)
+def emulator_of(library: Library, leg: str, *, corrected: bool) -> Emulator:
+    """Emulator of one leg of a library, kept for the next record; see `Library.curves`."""
+    return Emulator(library.curves(leg, corrected=corrected))
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,10 +213,6 @@ class _Process:
         """Variance between particle seeds, over b²."""
         return self.sigma2 * self.noise
 
-    def mean(self, t: FloatArray, basis: FloatArray) -> FloatArray:
-        """Expected weight, shape [k, key] -> [k]."""
-        return np.asarray(basis @ self.beta + _kernel(t, self.t, self.lengths) @ self.solved)
-
     def variance(self, t: FloatArray, basis: FloatArray) -> FloatArray:
         """Variance of the weight, without the nugget, shape [k, key] -> [k]."""
         cross = _kernel(t, self.t, self.lengths)
@@ -212,8 +223,8 @@ class _Process:
 
 
 def _kernel(one: FloatArray, other: FloatArray, lengths: FloatArray) -> FloatArray:
-    """Matérn correlation of order 5/2, shape [k, n]: smooth, but not infinitely so."""
-    squared = np.square((one[:, None] - other) / lengths).sum(axis=2)
+    """Matérn correlation of order 5/2, shape [..., k, n]: smooth, but not infinitely so."""
+    squared = np.square((one[:, None] - other) / lengths).sum(axis=-1)
     lag = np.sqrt(5.0 * squared)
     return (1.0 + lag + 5.0 / 3.0 * squared) * np.exp(-lag)
 

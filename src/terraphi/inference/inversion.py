@@ -247,6 +247,7 @@ def _answer(
         density=density,
         draws=drawn.draws,
         diagnostics=drawn.diagnostics,
+        leg_friction=None if "leg.friction" in keys else scenario.leg.friction,
         seed=seed if drawn.draws else None,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),

@@ -42,7 +42,7 @@ from functools import cached_property
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.inference.emulator import Emulator
+from terraphi.inference.emulator import emulator_of
 from terraphi.inference.records import Record
 from terraphi.inference.soils import Calibration, model_error
 from terraphi.library.store import PHI, Curves, Library
@@ -51,7 +51,7 @@ DIFFUSE = 30.0
 """κ: standard deviation of an unknown shape, of peak-to-peak [-]."""
 ZERO_SD_DEG = 1.0
 """Standard deviation of the zero of θ [deg]."""
-RIDGE = 1e-4
+RIDGE = 1e-3
 """Standard deviation added to each window mean, of peak-to-peak [-]."""
 UNKNOWN_DENSITY = 0.10
 """Relative standard deviation of a density of which nothing is known [-]."""
@@ -88,7 +88,7 @@ class Likelihood:
         self.measured = not all(record.simulated for record in records)
         legs = {record.leg for record in records}
         self.emulators = {
-            leg: Emulator(library.curves(leg, corrected=self.measured)) for leg in sorted(legs)
+            leg: emulator_of(library, leg, corrected=self.measured) for leg in sorted(legs)
         }
         first = next(iter(self.emulators.values()))
         self.keys = first.curves.keys

@@ -25,7 +25,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.leg import LEG_SHAPES
-from terraphi.experiment.measurements import Measurement, open_forces, scenario_of, told_by
+from terraphi.experiment.measurements import Measurement, measurement_of, open_forces, scenario_of
 from terraphi.experiment.scenario import Scenario
 
 WINDOW_DEG, WINDOWS = 85.0, 40
@@ -55,8 +55,8 @@ class Record:
     density_kg_m3, density_sd_kg_m3, density_assumed
         Bulk density of the soil [kg/m³], its standard deviation, and whether it is a guess; the
         density is ``None`` if nothing is known.
-    scenario
-        Of a simulated history; ``None`` if measured.
+    scenario, simulated
+        Of a simulated history, if it carries one; and whether the forces are a simulation's.
     measurement
         Name of the shipped measurement that it is; empty for any other.
     n_left_out
@@ -77,16 +77,12 @@ class Record:
     density_sd_kg_m3: float = 0.0
     density_assumed: bool = False
     scenario: Scenario | None = None
+    simulated: bool = False
     measurement: str = ""
     n_left_out: int = 0
     notes: tuple[str, ...] = ()
     damaged: bool = False
     noise_N: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def simulated(self) -> bool:
-        """Whether the forces come from a simulation."""
-        return self.scenario is not None
 
     @cached_property
     def _windows(self) -> tuple[FloatArray, FloatArray]:
@@ -244,7 +240,8 @@ def open_record(
         density_kg_m3=mean,
         density_sd_kg_m3=sd or 0.0,
         density_assumed=assumed,
-        scenario=made_by if simulated is not False else None,
+        scenario=made_by,
+        simulated=made_by is not None if simulated is None else simulated,
         measurement=str(history.provenance.get("measurement", "")),
         noise_N=sensor,
     )
@@ -261,7 +258,7 @@ def _measurement(forces: Any) -> Measurement:
     if isinstance(forces, ForceHistory):
         if forces.coordinate != "theta":
             raise InputError(f"forces over {forces.coordinate}; forces over theta are needed")
-        return told_by(forces, "forces" if "file" not in forces.provenance else "")
+        return measurement_of(forces, "forces" if "file" not in forces.provenance else "")
     if isinstance(forces, str | Path):
         return open_forces(forces)
     columns = ("theta_deg", "Fx_N", "Fz_N")
@@ -274,7 +271,7 @@ def _measurement(forces: Any) -> Measurement:
     theta, fx, fz = (np.asarray(forces[name], dtype=np.float64) for name in columns)
     order = np.argsort(theta, kind="stable")
     history = ForceHistory(np.radians(theta[order]), np.stack([fx, fz], axis=1)[order])
-    return told_by(history, "DataFrame")
+    return measurement_of(history, "DataFrame")
 
 
 def _binned(history: ForceHistory) -> ForceHistory:

@@ -13,7 +13,7 @@ NODES = 1601
 """Nodes of the quadrature, over eight standard deviations to either side."""
 LIMITS_DEG = (0.5, 80.0)
 """Friction angles that can be answered [deg]."""
-ENSEMBLES, WALKERS, STEPS = 4, 24, 2000
+ENSEMBLES, WALKERS, STEPS = 4, 24, 1200
 """Independent ensembles, their walkers (at least twice the parameters), and steps of each."""
 
 
@@ -56,7 +56,7 @@ def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:
     return grid, density / np.trapezoid(density, grid)
 
 
-def sample(likelihood: Likelihood, *, seed: int = 0) -> Drawn:
+def sample(likelihood: Likelihood, *, seed: int = 0, steps: int = STEPS) -> Drawn:
     """Draws of several parameters under a uniform prior over the library, by emcee.
 
     Walkers of one ensemble depend on each other, so that R̂ compares several ensembles.
@@ -82,9 +82,9 @@ def sample(likelihood: Likelihood, *, seed: int = 0) -> Drawn:
         first = np.clip(first, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
         sampler = emcee.EnsembleSampler(walkers, count, log_posterior, vectorize=True)
         sampler.random_state = np.random.RandomState(rng.integers(2**31)).get_state()
-        sampler.run_mcmc(first, STEPS)
+        sampler.run_mcmc(first, steps)
         taus.append(sampler.get_autocorr_time(quiet=True, tol=0))
-        chains.append(sampler.get_chain(discard=STEPS // 4, thin=5))
+        chains.append(sampler.get_chain(discard=steps // 4, thin=5))
     tau = np.max(taus, axis=0)
     # [ensemble, draw, walker, key]
     every = np.stack(chains)
@@ -96,7 +96,7 @@ def sample(likelihood: Likelihood, *, seed: int = 0) -> Drawn:
         within = halves.var(axis=1, ddof=1).mean()
         # An ensemble of correlated walkers counts as one chain.
         between = halves.mean(axis=1).var(ddof=1)
-        ess = ENSEMBLES * walkers * (STEPS - STEPS // 4) / float(tau[i])
+        ess = ENSEMBLES * walkers * (steps - steps // 4) / float(tau[i])
         draws[key] = flat
         diagnostics[key] = {
             "rhat": float(np.sqrt(1.0 + between / within)),

@@ -314,13 +314,15 @@ class Library:
         force = np.stack([data[f"F{a}"].values.astype(np.float64) for a in axes], axis=2)
         moment = data["M"].values.astype(np.float64) if "M" in names else None
         where, cases, replicates = positions(data), [], []
-        again = data["replicate"].values if "replicate" in data.coords else np.zeros(len(force))
+        again = data["replicate"].values if "replicate" in data else np.zeros(len(force))
         for i, failure in enumerate(map(str, data["failure"].values)):
             scenario = Scenario.model_validate_json(str(data["scenario"].values[i]))
             known = json.loads(str(data["provenance"].values[i]))
-            turned = None if moment is None else moment[i]
-            history = ForceHistory(where, force[i], coordinate, axes, known, moment=turned)
-            case = Case(scenario, None if failure else history, failure)
+            history = None
+            if not failure:
+                turned = None if moment is None else moment[i]
+                history = ForceHistory(where, force[i], coordinate, axes, known, moment=turned)
+            case = Case(scenario, history, failure)
             (replicates if again[i] else cases).append(case)
         corrections = {}
         for leg in ("straight", "c", "reversed_c"):

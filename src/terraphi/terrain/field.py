@@ -7,12 +7,12 @@ With :math:`z = \mathrm{logit}(\tan\varphi / \tan(\pi/3))`,
 
 where s is a Matérn process (ν = 3/2) over the horizontal place, the c are elevation, slope and
 whatever raster is given, each of mean 0 and standard deviation 1 over the map, the variance of ε is
-each point's own and that of η what the soil varies over distances too short for the map. Variances
-of s and η and the length of s maximise the evidence; μ and β are integrated with priors of fixed
-width. All of it is scikit-learn's.
+each point's own and that of η is the variation over distances too short for the map. Variances of s
+and η and the length of s maximize the evidence; μ and β are integrated with priors of fixed width.
+All of it is scikit-learn's.
 
-The error that all points have in common widens the map by itself: points tell nothing of it, and
-were it inferred beside μ, the prior of the one would move the other.
+The error that all points share is added to the covariance of the map afterwards: the points carry
+no information on it, and inferring it together with μ would let the prior of one move the other.
 """
 
 from __future__ import annotations
@@ -22,18 +22,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from scipy.sparse import csr_array
 from scipy.special import expit, logit
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.terrain.points import STEEPEST_DEG, Points
+from terraphi.terrain.inputs import STEEPEST_DEG, Elevation
 
 STEEPEST = np.tan(np.radians(STEEPEST_DEG))
 CENTRE_DEG = 30.0
-"""Median of φ before any point is seen [deg]."""
+"""Prior median of φ [deg]."""
 LEVEL_SD = 0.6
 """Standard deviation of μ; about 10° of φ."""
 EFFECT_SD = 0.2
-"""Standard deviation of each β; about 3° of φ a standard deviation of the terrain's."""
+"""Standard deviation of each β; about 3° of φ for one standard deviation of a covariate."""
 PROCESS = (0.01, 1.0)
 """Bounds of the variance of s; the lower one is about 1.6° of φ."""
 SHORT = (1e-4, 0.25)
@@ -41,8 +43,8 @@ SHORT = (1e-4, 0.25)
 NODES = 48
 """Intervals of the lattice along the longer side of the map."""
 INTERVALS_PER_LENGTH = 3.0
-"""Intervals of the lattice that the process's length spans at least, so that bilinear
-interpolation loses little of its variance."""
+"""Least length of the process, in intervals of the lattice, so that bilinear interpolation loses
+little of its variance."""
 
 
 def to_logit(phi_deg: Any) -> Any:
@@ -55,153 +57,149 @@ def tangent(z: Any) -> Any:
     return STEEPEST * expit(z)
 
 
-def _per_degree(phi_deg: FloatArray) -> FloatArray:
-    """Change of z with the friction angle [1/deg]."""
-    phi = np.radians(phi_deg)
-    inner = np.tan(phi) / STEEPEST
-    found: FloatArray = np.radians(1.0) / np.cos(phi) ** 2 / STEEPEST / (inner * (1.0 - inner))
-    return found
+def degrees_per_z(phi_deg: Any) -> Any:
+    """Change of the friction angle with z [deg]."""
+    tan = np.tan(np.radians(phi_deg))
+    return np.degrees(tan * (1.0 - tan / STEEPEST) / (1.0 + tan**2))
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """What the points tell of z, on a lattice.
+    """Posterior of z on a lattice.
 
     Attributes
     ----------
     x, y
-        Places of the lattice [m], increasing, shape [column], [row].
+        Nodes of the lattice [m], increasing, shape [column], [row].
     mean, covariance
         Of z on the lattice at the map's mean covariates, row by row, and then of the effects β,
         shape [row × column + covariate] and its square.
-    length_m
-        Of the process [m].
-    process_sd, short_sd
-        Standard deviations of s and η.
+    learnt
+        ``length_m`` of the process [m], ``process_sd`` and ``short_sd``, the standard deviations of
+        s and η.
     """
 
     x: FloatArray
     y: FloatArray
     mean: FloatArray
     covariance: FloatArray
-    length_m: float
-    process_sd: float
-    short_sd: float
-
-    @property
-    def step(self) -> float:
-        """Distance of its places [m]."""
-        return float(self.x[1] - self.x[0])
+    learnt: dict[str, float]
 
     def draws(self, count: int, seed: int) -> FloatArray:
-        """Joint draws of all of ``mean``, shape [draw, ...]."""
+        """Joint draws of all of ``mean``, shape [draw, node or effect]."""
         jitter = 1e-10 * float(np.trace(self.covariance)) * np.eye(self.mean.size)
         root = np.linalg.cholesky(self.covariance + jitter)
         normal = np.random.default_rng(seed).standard_normal((count, self.mean.size))
-        drawn: FloatArray = self.mean + normal @ root.T
-        return drawn
+        return np.asarray(self.mean + normal @ root.T)
 
-    def nodes_of(self, row: int, column: int) -> list[int]:
-        """Numbers in ``mean`` of the four places around a square of the lattice, and of all β."""
-        across = self.x.size
-        first = row * across + column
-        effects = range(self.x.size * self.y.size, self.mean.size)
-        return [first, first + 1, first + across, first + across + 1, *effects]
+    def weights(self, x: FloatArray, y: FloatArray, covariates: FloatArray) -> csr_array:
+        """Weights of ``mean`` in z at places: bilinear in the lattice, linear in the covariates.
+
+        Parameters
+        ----------
+        x, y
+            Places [m], shape [place].
+        covariates
+            Standardized, shape [place, covariate].
+
+        Returns
+        -------
+        csr_array
+            Shape [place, node or effect], with 4 + covariate numbers a row.
+        """
+        step = self.x[1] - self.x[0]
+        across, up = (x - self.x[0]) / step, (y - self.y[0]) / step
+        column = np.clip(across.astype(int), 0, self.x.size - 2)
+        row = np.clip(up.astype(int), 0, self.y.size - 2)
+        u, v = across - column, up - row
+        first = row * self.x.size + column
+        above = first + self.x.size
+        effects = np.arange(self.mean.size - covariates.shape[1], self.mean.size)
+        nodes = [first, first + 1, above, above + 1]
+        index = np.column_stack([*nodes, np.broadcast_to(effects, covariates.shape)])
+        corners = [(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u]
+        values = np.column_stack([*corners, covariates])
+        starts = np.arange(0, index.size + 1, index.shape[1])
+        return csr_array((values.ravel(), index.ravel(), starts), (x.size, self.mean.size))
+
+    def at(self, weights: csr_array) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation of z at the places of :meth:`weights`."""
+        each = weights.data.reshape(weights.shape[0], -1)
+        index = weights.indices.reshape(each.shape)
+        inside = self.covariance[index[:, :, None], index[:, None, :]]
+        variance = np.einsum("ci,cij,cj->c", each, inside, each)
+        return weights @ self.mean, np.sqrt(np.maximum(variance, 1e-12))
 
 
-def fit(
-    points: Points,
-    covariates: FloatArray,
-    extent: tuple[float, float, float, float],
-    *,
-    cell: float = 0.0,
-    seed: int = 0,
-) -> Field:
-    """Learn the field from points.
+def fit(points: pd.DataFrame, covariates: FloatArray, ground: Elevation, *, seed: int = 0) -> Field:
+    """Infer the field from points.
 
     Parameters
     ----------
     points
-        Friction angles with their errors.
+        Of :func:`~terraphi.terrain.inputs.read_points`.
     covariates
-        At the points, standardised over the map, shape [point, covariate].
-    extent
-        Least and largest x, least and largest y of the map [m].
-    cell
-        Side of the map's cells [m]; the lattice is no finer than two of them.
+        At the points, standardized over the map, shape [point, covariate].
+    ground
+        Grid of the map; the lattice is no finer than two of its cells.
     seed
         Of the starts of the search for the largest evidence.
-
-    Returns
-    -------
-    Field
     """
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import ConstantKernel, DotProduct, Matern, WhiteKernel
 
-    from terraphi.terrain.kernels import OnColumns
+    class OfPlace(Matern):  # type: ignore[misc]
+        def __call__(self, X: Any, Y: Any = None, eval_gradient: bool = False) -> Any:
+            return super().__call__(X[:, :2], None if Y is None else Y[:, :2], eval_gradient)
 
-    x0, x1, y0, y1 = extent
-    side = max(x1 - x0, y1 - y0)
-    step = max(side / NODES, 2.0 * cell)
-    count = covariates.shape[1]
-    inputs = np.column_stack([points.x_m - x0, points.y_m - y0, covariates])
+    class OfCovariates(DotProduct):  # type: ignore[misc]
+        def __call__(self, X: Any, Y: Any = None, eval_gradient: bool = False) -> Any:
+            return super().__call__(X[:, 2:], None if Y is None else Y[:, 2:], eval_gradient)
+
+        def diag(self, X: Any) -> Any:
+            return super().diag(X[:, 2:])
+
+    x0, y0 = ground.x[0] - 0.5 * ground.cell, ground.y[-1] - 0.5 * ground.cell
+    width, height = ground.x.size * ground.cell, ground.y.size * ground.cell
+    side = max(width, height)
+    step = max(side / NODES, 2.0 * ground.cell)
     bounds = (INTERVALS_PER_LENGTH * step, 10.0 * side)
-    linear = DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
-    kernel = ConstantKernel(0.1, PROCESS) * OnColumns(
-        Matern(min(0.2 * side, bounds[1]), bounds, nu=1.5), (0, 1)
+    # k1 is the process, so that its parameters are found by name below.
+    kernel = ConstantKernel(0.1, PROCESS) * OfPlace(min(0.2 * side, bounds[1]), bounds, nu=1.5) + (
+        WhiteKernel(0.01, SHORT)
+        + ConstantKernel(LEVEL_SD**2, "fixed")
+        + ConstantKernel(EFFECT_SD**2, "fixed") * OfCovariates(0.0, "fixed")
     )
-    kernel += WhiteKernel(0.01, SHORT)
-    kernel += ConstantKernel(LEVEL_SD**2, "fixed")
-    kernel += ConstantKernel(EFFECT_SD**2, "fixed") * OnColumns(linear, tuple(range(2, 2 + count)))
-    process = GaussianProcessRegressor(
-        kernel,
-        alpha=np.square(_per_degree(points.phi_deg) * points.sd_deg),
-        n_restarts_optimizer=2,
-        random_state=seed,
-    )
+    phi_deg = points["phi_deg"].to_numpy()
+    own = (points["sd_deg"].to_numpy() / degrees_per_z(phi_deg)) ** 2
+    process = GaussianProcessRegressor(kernel, alpha=own, n_restarts_optimizer=2, random_state=seed)
+    inputs = np.column_stack([points["x_m"] - x0, points["y_m"] - y0, covariates])
     with warnings.catch_warnings():
-        # A value at its bound is an answer here, not a failure.
+        # A value at its bound is a result here.
         warnings.simplefilter("ignore", ConvergenceWarning)
-        process.fit(inputs, to_logit(points.phi_deg) - to_logit(CENTRE_DEG))
-    learnt = process.kernel_.get_params()
-    named = "k1__k1__"
-    across, up = (step * np.arange(np.ceil((b - a) / step - 1e-9) + 1) for a, b in
-                  ((x0, x1), (y0, y1)))  # fmt: skip
-    # A map of one strip has a second row of nodes all the same.
-    across, up = (c if c.size > 1 else step * np.arange(2.0) for c in (across, up))
-    mean, covariance = _lattice(process, across, up, count, learnt[f"{named}k2__noise_level"])
-    common = np.zeros_like(mean)
-    places = slice(0, across.size * up.size)
-    phi_deg = np.degrees(np.arctan(tangent(mean[places])))
-    common[places] = _per_degree(phi_deg) * np.sqrt(np.square(points.shared_sd_deg).mean())
-    covariance += np.outer(common, common)
-    return Field(
-        x0 + across,
-        y0 + up,
-        mean,
-        covariance,
-        float(learnt[f"{named}k1__k2__kernel__length_scale"]),
-        float(np.sqrt(learnt[f"{named}k1__k1__constant_value"])),
-        float(np.sqrt(learnt[f"{named}k2__noise_level"])),
-    )
-
-
-def _lattice(
-    process: Any, across: FloatArray, up: FloatArray, count: int, short: float
-) -> tuple[FloatArray, FloatArray]:
-    """Mean and covariance on the lattice and of the effects, from predictions where c is 0 or 1."""
-    nodes = np.stack(np.meshgrid(across, up), axis=-1).reshape(-1, 2)
-    asked = np.zeros((len(nodes) + count, 2 + count))
-    asked[: len(nodes), :2] = nodes
-    for j in range(count):
-        asked[len(nodes) + j, 2 + j] = 1.0
+        process.fit(inputs, to_logit(phi_deg) - to_logit(CENTRE_DEG))
+    found = process.kernel_.get_params()
+    short = found["k2__k1__k1__noise_level"]
+    # At least two nodes a side, on a map of one strip too.
+    counts = np.maximum(np.ceil(np.array([width, height]) / step - 1e-9), 1.0) + 1.0
+    x, y = (step * np.arange(count) for count in counts)
+    nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    # An effect is the change of z at the first node with one standard deviation of a covariate.
+    n, count = len(nodes), covariates.shape[1]
+    asked = np.zeros((n + count, 2 + count))
+    asked[:n, :2] = nodes
+    asked[n:, 2:] = np.eye(count)
     mean, covariance = process.predict(asked, return_cov=True)
-    covariance -= short * np.eye(len(asked))
-    # An effect is what one standard deviation changes at the first place of the lattice.
-    mean[len(nodes) :] -= mean[0]
-    covariance[len(nodes) :] -= covariance[0]
-    covariance[:, len(nodes) :] -= covariance[:, :1]
-    mean[: len(nodes)] += to_logit(CENTRE_DEG)
-    return mean, covariance
+    covariance -= short * np.eye(n + count)
+    mean[n:] -= mean[0]
+    covariance[n:] -= covariance[0]
+    covariance[:, n:] -= covariance[:, :1]
+    mean[:n] += to_logit(CENTRE_DEG)
+    common = np.zeros_like(mean)
+    shared_sd_deg = np.sqrt(np.square(points["shared_sd_deg"]).mean())
+    common[:n] = shared_sd_deg / degrees_per_z(np.degrees(np.arctan(tangent(mean[:n]))))
+    covariance += np.outer(common, common)
+    length, process_sd = found["k1__k2__length_scale"], np.sqrt(found["k1__k1__constant_value"])
+    learnt = {"length_m": length, "process_sd": process_sd, "short_sd": np.sqrt(short)}
+    return Field(x0 + x, y0 + y, mean, covariance, {name: float(v) for name, v in learnt.items()})

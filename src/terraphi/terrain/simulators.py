@@ -6,85 +6,95 @@ strain without dilation the out-of-plane stress at failure is the mean of the ot
 stresses, so that :math:`\sqrt{J_2}` is the Mohr radius, p the centre of Mohr's circle, and
 :math:`q = \sin\varphi`. A cone is round and Mohr-Coulomb is not: a cone that is right in plane
 strain is too weak in triaxial compression, where
-:math:`q = 6\sin\varphi / (\sqrt3 (3 - \sin\varphi))` would be right, and nobody can have both.
+:math:`q = 6\sin\varphi / (\sqrt3 (3 - \sin\varphi))` would be right, and no cone is right in both.
+
+The laws were read in the sources of Genesis (engine/materials/MPM/sand.py, 2025), Newton
+(solvers/implicit_mpm/rheology_solver_kernels.py, 2026), Chrono (chrono_fsi/sph and
+chrono_vehicle/terrain/SCMTerrain.cpp, 2025) and GeoTaichi (DruckerPrager.py, 2025).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Literal, get_args
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple, get_args
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.soil import cone_slope
 
 Match = Literal["plane-strain", "triaxial"]
 MATCHES: tuple[Match, ...] = get_args(Match)
-DP_TYPES = ("Circumscribed", "MiddleCircumscribed", "Inscribed")
-"""Cones that GeoTaichi knows; it takes the second where none is named."""
-DEFAULT_DP_TYPE = "MiddleCircumscribed"
 LEAST_DEG = 2.0
-"""No soil has less [deg]; angles in radians are all below."""
+"""No soil has less [deg]; an angle in radians is below."""
+
+
+class Law(NamedTuple):
+    """A friction parameter as a function of q."""
+
+    meaning: str
+    formula: str
+    """The parameter from φ in plane strain, without dilation or cohesion."""
+    value: Callable[[float], float]
+    """Parameter from q; not a number where no value is that strong."""
+    ratio: Callable[[float], float]
+    """Q from the parameter."""
+
+
+ROOT = math.sqrt(3.0)
+
+
+def _sine(angle_deg: float) -> float:
+    return math.sin(math.radians(angle_deg))
+
+
+def _arcsine(sine: float) -> float:
+    return math.degrees(math.asin(sine)) if 0.0 <= sine <= 1.0 else math.nan
+
+
+RATIO = Law("√J2 ≤ μ p", "μ = sin φ", lambda q: q, lambda mu: mu)
+COMPRESSION = Law(
+    "√J2 ≤ 6 sin θ/(√3(3 - sin θ)) p: the cone of triaxial compression",
+    "sin θ = 3 sin φ / (2√3 + sin φ)",
+    lambda q: _arcsine(3.0 * q / (2.0 * ROOT + q)),
+    lambda angle: 6.0 * _sine(angle) / (ROOT * (3.0 - _sine(angle))),
+)
+EXTENSION = Law(
+    "√J2 ≤ 6 sin θ/(√3(3 + sin θ)) p: the cone of triaxial extension",
+    "sin θ = 3 sin φ / (2√3 - sin φ)",
+    lambda q: _arcsine(3.0 * q / (2.0 * ROOT - q)),
+    lambda angle: 6.0 * _sine(angle) / (ROOT * (3.0 + _sine(angle))),
+)
+INSCRIBED = Law(
+    "√J2 ≤ 3 tan θ/√(9 + 12 tan² θ) p: plane strain with associated flow",
+    "sin θ = sin φ / √(1 - sin² φ / 3)",
+    lambda q: _arcsine(q / math.sqrt(max(1.0 - q**2 / 3.0, 1e-12))),
+    lambda angle: _sine(angle) / math.sqrt(1.0 + _sine(angle) ** 2 / 3.0),
+)
+SHEARED_PLANE = Law(
+    "τ ≤ σ tan δ on a horizontal plane, mobilised as 1 - exp(-j/K)",
+    "tan δ = sin φ",
+    lambda q: math.degrees(math.atan(q)),
+    lambda angle: math.tan(math.radians(angle)),
+)
+CONES = {"Circumscribed": COMPRESSION, "MiddleCircumscribed": EXTENSION, "Inscribed": INSCRIBED}
+"""Cones of GeoTaichi, by its ``dpType``."""
+DP_TYPES = tuple(CONES)
 
 
 def ratio_of_angle(phi_deg: float, match: Match = "plane-strain") -> float:
-    """Ratio q of a cone that is as strong as Mohr-Coulomb soil along one stress path.
+    """√J2 / p [-] of a cone as strong as Mohr-Coulomb soil of φ [deg] along one stress path.
 
-    Parameters
-    ----------
-    phi_deg
-        Mohr-Coulomb friction angle [deg].
-    match
-        Where cone and soil agree: in plane strain without dilation, or in triaxial compression.
-
-    Returns
-    -------
-    float
-        √J2 / p at yield [-].
+    The path is plane strain without dilation, or triaxial compression.
     """
-    if match == "plane-strain":
-        return math.sin(math.radians(phi_deg))
-    return 3.0 * cone_slope(phi_deg, "triaxial")
+    return (
+        math.sin(math.radians(phi_deg)) if match == "plane-strain" else COMPRESSION.ratio(phi_deg)
+    )
 
 
 def angle_of_ratio(ratio: float, match: Match = "plane-strain") -> float | None:
-    """Mohr-Coulomb angle [deg] as strong as a cone on a stress path; ``None`` if none is.
-
-    The inverse of :func:`ratio_of_angle`.
-    """
-    if match == "plane-strain":
-        return math.degrees(math.asin(ratio)) if 0.0 <= ratio <= 1.0 else None
-    sine = 3.0 * math.sqrt(3.0) * ratio / (6.0 + math.sqrt(3.0) * ratio)
-    return math.degrees(math.asin(sine)) if 0.0 <= sine <= 1.0 else None
-
-
-def _compression(ratio: float) -> float:
-    """Angle of the cone through the compressive meridian [deg]; always below 42.3° for sin φ."""
-    angle = angle_of_ratio(ratio, "triaxial")
-    return math.nan if angle is None else angle
-
-
-def _extension(ratio: float) -> float:
-    """Angle of the cone through the meridian of extension, q = 6 sin θ/(√3(3 + sin θ)) [deg]."""
-    sine = 3.0 * ratio / (2.0 * math.sqrt(3.0) - ratio)
-    return math.degrees(math.asin(sine)) if sine <= 1.0 else math.nan
-
-
-def _inscribed(ratio: float) -> float:
-    """Angle of the inscribed cone, q = 3 tan θ/√(9 + 12 tan² θ) [deg]."""
-    room = 1.0 - 4.0 * ratio**2 / 3.0
-    return math.degrees(math.atan(ratio / math.sqrt(room))) if room > 0.0 else math.nan
-
-
-def _ratio_of_extension(angle_deg: float) -> float:
-    sine = math.sin(math.radians(angle_deg))
-    return 6.0 * sine / (math.sqrt(3.0) * (3.0 + sine))
-
-
-def _ratio_of_inscribed(angle_deg: float) -> float:
-    tangent = math.tan(math.radians(angle_deg))
-    return 3.0 * tangent / math.sqrt(9.0 + 12.0 * tangent**2)
+    """Inverse of :func:`ratio_of_angle` [deg]; ``None`` for a cone stronger than any angle."""
+    found = _arcsine(ratio) if match == "plane-strain" else COMPRESSION.value(ratio)
+    return None if math.isnan(found) else found
 
 
 @dataclass(frozen=True)
@@ -93,337 +103,184 @@ class Simulator:
 
     Attributes
     ----------
-    name
-        As on the command line.
-    title
-        Name for people.
-    parameter
-        What it calls its friction.
-    unit
-        ``deg``, or empty for a number without one.
-    meaning
-        What the parameter does there.
-    formula
-        The parameter from φ in plane strain, without dilation or cohesion.
-    source
-        Where that was read.
-    value, ratio
-        Parameter from q, not a number where there is none, and q from the parameter.
-    most
-        Values of the parameter at and above this are none.
-    left_alone
-        What the simulator asks for besides, and nobody has inferred.
-    draws_are
-        Where draws of the posterior can go.
-    refused
-        Why φ cannot be given to it; empty if it can.
-    constants
-        What an exported module has to name besides.
+    name, title
+        On the command line, and in text.
+    parameter, unit
+        What it calls its friction; ``deg``, or empty for a pure number.
+    law
+        What the parameter does.
+    not_inferred
+        What else the simulator needs and the forces do not determine.
+    draws_go_to
+        What can take a draw of the posterior each.
+    dp_type
+        GeoTaichi's cone.
     """
 
     name: str
     title: str
     parameter: str
     unit: str
-    meaning: str
-    formula: str
-    source: str
-    value: Callable[[float], float]
-    ratio: Callable[[float], float]
-    most: float
-    left_alone: str
-    draws_are: str
-    refused: str = ""
-    constants: Mapping[str, str] = field(default_factory=dict)
+    law: Law
+    not_inferred: str
+    draws_go_to: str
+    dp_type: str | None = None
 
     def from_angle(self, phi_deg: float, match: Match = "plane-strain") -> float:
-        """The parameter with which this simulator acts as a Mohr-Coulomb angle.
-
-        Parameters
-        ----------
-        phi_deg
-            Mohr-Coulomb friction angle [deg].
-        match
-            As in :func:`ratio_of_angle`.
-
-        Returns
-        -------
-        float
-            In the simulator's unit.
+        """The parameter, in its unit, that acts as Mohr-Coulomb soil of an angle [deg].
 
         Raises
         ------
         InputError
-            If the simulator cannot be given φ, or be that strong.
+            If the simulator cannot be that strong, or has no such stress path.
         """
-        if self.refused:
-            raise InputError(self.refused)
         if self.name == "chrono-scm" and match == "triaxial":
-            raise InputError(
-                "chrono-scm knows shear on a horizontal plane only, and no triaxial compression: "
-                "leave out --match triaxial"
-            )
-        found = self.value(ratio_of_angle(phi_deg, match))
+            raise InputError("chrono-scm has no triaxial compression: leave out --match triaxial")
+        found = self.law.value(ratio_of_angle(phi_deg, match))
         if math.isnan(found):
-            raise InputError(
-                f"{self.title}: its {self.parameter} cannot be as strong as {phi_deg:.1f} deg in "
-                f"{match.replace('-', ' ')}; take dpType Circumscribed"
-            )
+            soil = f"{phi_deg:.1f} deg in {match.replace('-', ' ')}"
+            raise InputError(f"{self.title}: cannot be as strong as {soil}; use another dpType")
         return found
 
-    def check(self, value: float) -> float:
-        """The value; raises InputError if the parameter cannot have it."""
-        if self.refused:
-            raise InputError(self.refused)
-        if not 0.0 < value < self.most:
-            raise InputError(
-                f"{self.parameter} = {value:g}: in {self.title} it lies between 0 and "
-                f"{self.most:g}{' deg' if self.unit else ''}"
-            )
-        if self.unit and value < LEAST_DEG:
-            raise InputError(
-                f"{self.parameter} = {value:g}: {self.title} takes degrees, and no soil has below "
-                f"{LEAST_DEG:g}; radians?"
-            )
-        return value
 
-    def words(self, value: float) -> str:
-        """A value of the parameter with the digits and the unit that it deserves."""
-        return f"{value:.1f} deg" if self.unit else f"{value:.3f}"
+def in_words(value: float, unit: str) -> str:
+    """A parameter with its unit: ``25.2 deg``, or ``0.574``."""
+    return f"{value:.1f} {unit}" if unit else f"{value:.3f}"
 
 
-_CONE = "√J2 ≤ μ p, stress returned along the deviator"
-
-
-def _geotaichi(dp_type: str) -> Simulator:
-    value, ratio, formula, meaning = {
-        "Circumscribed": (
-            _compression,
-            lambda angle: ratio_of_angle(angle, "triaxial"),
-            "sin θ = 3 sin φ / (2√3 + sin φ)",
-            "√J2 ≤ 6 sin θ/(√3(3 - sin θ)) p: the cone of triaxial compression",
-        ),
-        "MiddleCircumscribed": (
-            _extension,
-            _ratio_of_extension,
-            "sin θ = 3 sin φ / (2√3 - sin φ)",
-            "√J2 ≤ 6 sin θ/(√3(3 + sin θ)) p: that of triaxial extension",
-        ),
-        "Inscribed": (
-            _inscribed,
-            _ratio_of_inscribed,
-            "tan θ = sin φ / √(1 - 4 sin² φ / 3)",
-            "√J2 ≤ 3 tan θ/√(9 + 12 tan² θ) p: plane strain with associated flow",
-        ),
-    }[dp_type]
-    return Simulator(
-        name="geotaichi",
-        title=f"GeoTaichi, Drucker-Prager with dpType {dp_type}",
-        parameter="Friction",
-        unit="deg",
-        meaning=meaning,
-        formula=formula,
-        source="consititutive_model/infinitesimal_strain/DruckerPrager.py (2025)",
-        value=value,
-        ratio=ratio,
-        most=90.0,
-        left_alone="YoungModulus, PoissonRatio, Tensile, softening; Dilation and Cohesion are 0",
-        draws_are="a simulation each; in a random field, the fifth column of a particle",
-        constants={"DP_TYPE": dp_type},
-    )
-
-
+# fmt: off
+GENESIS = COMPRESSION._replace(formula=f"{COMPRESSION.formula}; above 42.2 deg no φ is as strong")
 NEWTON = Simulator(
-    name="newton",
-    title="Newton, SolverImplicitMPM",
-    parameter="friction",
-    unit="",
-    meaning="√J2 ≤ μ p of each particle (mpm:friction)",
-    formula="μ = sin φ",
-    source="solvers/implicit_mpm/rheology_solver_kernels.py (2026)",
-    value=lambda ratio: ratio,
-    ratio=lambda value: value,
-    most=2.0,
-    left_alone="young_modulus, poisson_ratio, damping, yield_pressure, yield_stress, hardening",
-    draws_are="a particle each, so that every world has its own",
+    "newton", "Newton, SolverImplicitMPM", "friction", "",
+    RATIO._replace(meaning="√J2 ≤ μ p of each particle (mpm:friction)"),
+    "young_modulus, poisson_ratio, damping, yield_pressure, yield_stress, hardening",
+    "a particle each, so that every world has its own",
 )
-_EVERY = [
+CRM = RATIO._replace(
+    meaning="√J2 ≤ μ p, radial return; with an equal mu_fric_2 it is independent of rate",
+    formula="μ = sin φ (Chrono's guide has tan φ, which makes 35 deg act as 44.4)",
+)
+_TABLE = (
     Simulator(
-        name="genesis",
-        title="Genesis, MPM.Sand",
-        parameter="friction_angle",
-        unit="deg",
-        meaning="√J2 ≤ 6 sin θ/(√3(3 - sin θ)) p: the cone of triaxial compression",
-        formula="sin θ = 3 sin φ / (2√3 + sin φ), at most 42.2 deg: more is stronger than any φ",
-        source="engine/materials/MPM/sand.py (2025)",
-        value=_compression,
-        ratio=lambda angle: ratio_of_angle(angle, "triaxial"),
-        most=90.0,
-        left_alone="E, nu, sampler",
-        draws_are="a scene each: the environments of one scene share their materials",
+        "genesis", "Genesis, MPM.Sand", "friction_angle", "deg", GENESIS, "E, nu, sampler",
+        "a scene each: the environments of one scene share their materials",
     ),
     NEWTON,
+    replace(NEWTON, name="isaaclab", title="Isaac Lab on Newton's SolverImplicitMPM"),
     Simulator(
-        **{
-            **vars(NEWTON),
-            "name": "isaaclab",
-            "title": "Isaac Lab on Newton's SolverImplicitMPM",
-        }
+        "chrono-crm", "Chrono::FSI-SPH, CRM soil", "mu_fric_s", "", CRM,
+        "Young_modulus, Poisson_ratio, mu_I0, average_diam; cohesion_coeff is 0",
+        "a simulation each: a terrain has one soil",
     ),
     Simulator(
-        name="chrono-crm",
-        title="Chrono::FSI-SPH, CRM soil",
-        parameter="mu_fric_s",
-        unit="",
-        meaning=f"{_CONE}; mu_fric_2 the same, so that it does not depend on the rate",
-        formula="μ = sin φ (its guide says tan φ, which makes 35 deg act as 44.4)",
-        source="chrono_fsi/sph/math and physics, mu_I and the elastic stress update (2025)",
-        value=lambda ratio: ratio,
-        ratio=lambda value: value,
-        most=2.0,
-        left_alone="Young_modulus, Poisson_ratio, mu_I0, average_diam; cohesion_coeff is 0",
-        draws_are="a simulation each: a terrain has one soil",
+        "chrono-scm", "Chrono::Vehicle, SCM deformable terrain", "Mohr_friction", "deg",
+        SHEARED_PLANE, "elastic_K, damping_R; Mohr_cohesion is 0",
+        "a terrain each; by place through a soil-parameters callback",
     ),
     Simulator(
-        name="chrono-scm",
-        title="Chrono::Vehicle, SCM deformable terrain",
-        parameter="Mohr_friction",
-        unit="deg",
-        meaning="τ ≤ σ tan δ on a horizontal plane, mobilised as 1 - exp(-j/K)",
-        formula="tan δ = sin φ",
-        source="chrono_vehicle/terrain/SCMTerrain.cpp (2025)",
-        value=lambda ratio: math.degrees(math.atan(ratio)),
-        ratio=lambda angle: math.tan(math.radians(angle)),
-        most=90.0,
-        left_alone="elastic_K, damping_R; Mohr_cohesion is 0",
-        draws_are="a terrain each; by place through a soil-parameters callback",
+        "geotaichi", "GeoTaichi, Drucker-Prager", "Friction", "deg", EXTENSION,
+        "YoungModulus, PoissonRatio, Tensile, softening; Dilation and Cohesion are 0",
+        "a simulation each; in a random field, the fifth column of a particle",
     ),
-    Simulator(
-        name="mujoco",
-        title="MuJoCo",
-        parameter="friction",
-        unit="",
-        meaning="sliding of two rigid bodies",
-        formula="none",
-        source="its documentation, chapter on contact",
-        value=lambda _: math.nan,
-        ratio=lambda _: math.nan,
-        most=0.0,
-        left_alone="",
-        draws_are="",
-        refused="mujoco has no soil: its friction is that of two rigid bodies that slide on "
-        "each other, which no friction angle of a soil determines; measure it between foot and "
-        "ground, or take a simulator with soil",
-    ),
-]
-SIMULATORS = {one.name: one for one in _EVERY}
-NAMES = ("genesis", "newton", "isaaclab", "chrono-crm", "chrono-scm", "geotaichi", "mujoco")
-"""All simulators, in the order in which help names them."""
+)
+# fmt: on
+SIMULATORS = {one.name: one for one in _TABLE}
+NAMES = (*SIMULATORS, "mujoco")
 
 
 def simulator(name: str, *, dp_type: str | None = None) -> Simulator:
-    """Look a simulator up.
+    """Look up a simulator.
 
     Parameters
     ----------
     name
         One of :data:`NAMES`.
     dp_type
-        Cone of GeoTaichi, one of :data:`DP_TYPES`; ``None``: the one that it takes itself.
+        Cone of GeoTaichi, one of :data:`DP_TYPES`; by default its own default.
 
     Raises
     ------
     InputError
-        If there is none of that name, or it has no such cone.
+        If there is none of that name, it has no soil, or has no such cone.
     """
-    if name not in NAMES:
+    if name == "mujoco":
+        raise InputError(
+            "mujoco has no soil: its friction is that of two rigid bodies, which does not follow "
+            "from a soil's friction angle; measure it between foot and ground"
+        )
+    if name not in SIMULATORS:
         raise InputError(f"unknown simulator '{name}'; {nearest(name, NAMES)}")
+    found = SIMULATORS[name]
     if name != "geotaichi":
-        if dp_type is not None:
-            raise InputError(f"--dp-type is GeoTaichi's, and {name} has none: leave it out")
-        return SIMULATORS[name]
-    chosen = dp_type or DEFAULT_DP_TYPE
-    if chosen not in DP_TYPES:
-        raise InputError(f"unknown dpType '{chosen}'; {nearest(chosen, DP_TYPES)}")
-    return _geotaichi(chosen)
+        return found
+    cone = dp_type or "MiddleCircumscribed"
+    if cone not in CONES:
+        raise InputError(f"unknown dpType '{cone}'; {nearest(cone, DP_TYPES)}")
+    return replace(found, title=f"{found.title} with dpType {cone}", law=CONES[cone], dp_type=cone)
 
 
 def converted(
     value: float, source: str, target: str | None = None, *, dp_type: str | None = None
-) -> dict[str, float | str | None]:
-    """What a simulator's friction means, and what another would have to be told.
+) -> dict[str, Any]:
+    """Friction angles that act where a simulator's friction has a value.
 
     Parameters
     ----------
     value
         The parameter of ``source``, in its unit.
     source, target
-        Names of simulators; no ``target``: the meaning alone.
+        Names of simulators.
     dp_type
-        As in :func:`simulator`, of whichever is GeoTaichi.
+        As in :func:`simulator`.
 
     Returns
     -------
     dict
         ``phi_plane_strain_deg`` and ``phi_triaxial_deg``: the Mohr-Coulomb angles as which it acts
         in plane strain without dilation and in triaxial compression, ``None`` where it is stronger
-        than any; ``value`` of the target with its ``parameter``. The target acts alike in plane
-        strain; two cones then do so along every path.
+        than any; ``value`` of the target with its parameter, equally strong in plane strain.
 
     Raises
     ------
     InputError
-        If a name or the value is none, or the target cannot be as strong.
+        If a name or the value cannot be used, or the target cannot be as strong.
     """
-    if "geotaichi" not in (source, target):
-        simulator(source, dp_type=dp_type)  # refuses a cone that nobody has
-    given = simulator(source, dp_type=dp_type if source == "geotaichi" else None)
-    ratio = given.ratio(given.check(value))
-    plane = angle_of_ratio(ratio)
-    # The shear of a plane says nothing of other paths.
-    triaxial = None if source == "chrono-scm" else angle_of_ratio(ratio, "triaxial")
-    told: dict[str, float | str | None] = {
+    given = simulator(source, dp_type=dp_type)
+    least, most, unit = (LEAST_DEG, 90.0, " degrees, not radians") if given.unit else (0, 2, "")
+    if not least < value < most:
+        expected = f"{given.title} expects {least:g} to {most:g}{unit}"
+        raise InputError(f"{given.parameter} = {value:g}: {expected}")
+    ratio = given.law.ratio(value)
+    found: dict[str, Any] = {
         "from": source,
         "parameter": given.parameter,
         "given": value,
-        "meaning": given.meaning,
-        "phi_plane_strain_deg": plane,
-        "phi_triaxial_deg": triaxial,
+        "meaning": given.law.meaning,
+        "phi_plane_strain_deg": angle_of_ratio(ratio),
+        # The shear strength of one plane does not determine that of other stress paths.
+        "phi_triaxial_deg": None if source == "chrono-scm" else angle_of_ratio(ratio, "triaxial"),
     }
     if target is None:
-        return told
-    wanted = simulator(target, dp_type=dp_type if target == "geotaichi" else None)
-    if wanted.refused:
-        raise InputError(wanted.refused)
-    found = wanted.value(ratio)
-    if math.isnan(found):
-        raise InputError(
-            f"{wanted.title}: its {wanted.parameter} cannot be as strong as {given.words(value)} "
-            f"of {source}"
-        )
-    return {
-        **told, "to": target, "to_parameter": wanted.parameter, "value": found,
-        "to_unit": wanted.unit,
-    }  # fmt: skip
+        return found
+    wanted = simulator(target, dp_type=dp_type)
+    other = wanted.law.value(ratio)
+    if math.isnan(other):
+        strength = f"{given.parameter} {in_words(value, given.unit)} of {source}"
+        raise InputError(f"{wanted.title}: cannot be as strong as {strength}")
+    found |= {"to": target, "to_parameter": wanted.parameter, "to_unit": wanted.unit}
+    return found | {"value": other}
 
 
-def converted_in_words(told: Mapping[str, float | str | None]) -> list[str]:
-    """What :func:`converted` found, in sentences."""
-
-    def acts(name: str, where: str) -> str:
-        found = told[name]
-        if found is None:
-            return f"In {where} it is stronger than any friction angle."
-        return f"In {where} it acts as a friction angle of {found:.1f} deg."
-
-    sentences = [
-        f"{told['from']}: {told['parameter']} {told['given']:g} means {told['meaning']}.",
-        acts("phi_plane_strain_deg", "plane strain"),
-    ]
-    if told["from"] != "chrono-scm":
-        sentences.append(acts("phi_triaxial_deg", "triaxial compression"))
-    if "to" in told:
-        unit = f" {told['to_unit']}" if told["to_unit"] else ""
-        value = f"{told['value']:.{1 if unit else 3}f}{unit}"
-        sentences.append(f"The same in {told['to']}: {told['to_parameter']} {value}.")
+def converted_in_words(found: dict[str, Any]) -> list[str]:
+    """Result of :func:`converted`, a sentence each."""
+    sentences = ["{from}: {parameter} {given:g} means {meaning}.".format_map(found)]
+    for name, path in {"plane_strain": "plane strain", "triaxial": "triaxial compression"}.items():
+        phi = found[f"phi_{name}_deg"]
+        if phi is not None:
+            sentences.append(f"In {path} it acts as a friction angle of {phi:.1f} deg.")
+        elif found["from"] != "chrono-scm":
+            sentences.append(f"In {path} it is stronger than any friction angle.")
+    if "to" in found:
+        value = in_words(found["value"], found["to_unit"])
+        sentences.append(f"The same in {found['to']}: {found['to_parameter']} {value}.")
     return sentences

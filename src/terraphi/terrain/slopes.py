@@ -1,4 +1,4 @@
-r"""Factor of safety of an infinite slope, and how often it is below 1.
+r"""Factor of safety of an infinite slope, and the probability that it is below 1.
 
 A layer of soil slides on a plane parallel to the surface (Taylor, 1948; in the form of Pack,
 Tarboton & Goodwin, 1998):
@@ -14,50 +14,48 @@ as after a fire.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import logit, ndtr, ndtri
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.inference.prior import Marginal, parsed
 from terraphi.terrain.field import STEEPEST, tangent
 
 WATER = 1000.0
 """Density of water [kg/m³]."""
 FLATTEST = np.radians(0.5)
-"""Inclinations below this count as this; their factor of safety is large whatever it is."""
+"""Inclinations below this count as this; their factor of safety is large."""
 SAMPLES = 256
 """Points of a Sobol sequence over φ and all priors."""
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """One of the quantities that nobody has measured with a foot."""
+class Quantity(NamedTuple):
+    """A quantity that the forces on a foot do not determine."""
 
     low: float
     high: float
-    usual: tuple[float, float]
-    """Bounds of the prior where none is given: wide, and a guess."""
+    usual: str
+    """Prior where none is given: wide, and a guess."""
     about: str
 
 
 QUANTITIES = {
-    "cohesion_Pa": Quantity(0.0, 1e6, (0.0, 1000.0), "cohesion of the soil"),
-    "root_cohesion_Pa": Quantity(0.0, 1e5, (0.0, 4000.0), "cohesion that roots add"),
-    "root_loss": Quantity(0.0, 1.0, (0.0, 1.0), "share of the roots' cohesion that is lost"),
-    "depth_m": Quantity(0.05, 20.0, (0.5, 1.5), "thickness of the layer, normal to the slope"),
-    "wetness": Quantity(0.0, 1.0, (0.0, 1.0), "share of the thickness that is saturated"),
-    "density_kg_m3": Quantity(1000.0, 2600.0, (1600.0, 2000.0), "bulk density of the layer"),
+    "cohesion_Pa": Quantity(0.0, 1e6, "0:1000", "cohesion of the soil"),
+    "root_cohesion_Pa": Quantity(0.0, 1e5, "0:4000", "cohesion that roots add"),
+    "root_loss": Quantity(0.0, 1.0, "0:1", "share of the roots' cohesion that is lost"),
+    "depth_m": Quantity(0.05, 20.0, "0.5:1.5", "thickness of the layer, normal to the slope"),
+    "wetness": Quantity(0.0, 1.0, "0:1", "share of the thickness that is saturated"),
+    "density_kg_m3": Quantity(1000.0, 2600.0, "1600:2000", "bulk density of the layer"),
 }
-Priors = dict[str, Marginal]
 
 
-def priors_of(given: Sequence[str]) -> Priors:
+def priors_of(given: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Prior of each of :data:`QUANTITIES`.
 
     Parameters
@@ -66,45 +64,67 @@ def priors_of(given: Sequence[str]) -> Priors:
         ``KEY=LOW:HIGH`` (uniform), ``KEY=MEAN+-SD`` (normal, cut off at the key's bounds) or
         ``KEY=VALUE``; the others are uniform over their usual range.
 
+    Returns
+    -------
+    dict
+        Of each quantity: ``kind`` uniform (``low``, ``high``), normal (``mean``, ``sd``) or fixed
+        (``value``).
+
     Raises
     ------
     InputError
-        If a key is none, a number cannot be read or lies beyond what the quantity can be.
+        If a key is unknown, or a number cannot be read or is outside the bounds of the quantity.
     """
-    found = {key: Marginal(*one.usual) for key, one in QUANTITIES.items()}
+    found = {key: _prior(one.usual) for key, one in QUANTITIES.items()}
     for text in given:
         key, _, value = text.partition("=")
         if key not in QUANTITIES:
             raise InputError(f"prior '{text}': unknown key; {nearest(key, QUANTITIES)}")
-        one = QUANTITIES[key]
-        marginal = parsed(text, value, Marginal(one.low, one.high))
-        if not one.low <= marginal.low <= marginal.high <= one.high:
-            raise InputError(
-                f"prior '{text}' reaches from {marginal.low:g} to {marginal.high:g}; {key} lies "
-                f"between {one.low:g} and {one.high:g}"
-            )
-        found[key] = marginal
+        try:
+            found[key] = _prior(value)
+        except ValueError:
+            expected = "KEY=LOW:HIGH, KEY=MEAN+-SD (SD above 0) or KEY=VALUE"
+            raise InputError(f"prior '{text}': expected {expected}") from None
+        low, high = QUANTITIES[key][:2]
+        ends = [number for name, number in found[key].items() if name not in ("kind", "sd")]
+        if not all(low <= end <= high for end in ends):
+            raise InputError(f"prior '{text}': {key} lies between {low:g} and {high:g}")
     return found
 
 
-def quantiles(marginal: Marginal, share: FloatArray) -> FloatArray:
-    """Quantiles of a prior, shape of ``share``."""
-    if marginal.normal is None:
-        return marginal.low + share * (marginal.high - marginal.low)
-    mean, sd = marginal.normal
-    low, high = ndtr((marginal.low - mean) / sd), ndtr((marginal.high - mean) / sd)
-    inside: FloatArray = mean + sd * ndtri(low + share * (high - low))
-    return inside
+def _prior(value: str) -> dict[str, Any]:
+    """A prior as written; raises ValueError."""
+    if ":" in value:
+        low, high = (plain_number(part) for part in value.split(":"))
+        if low < high:
+            return {"kind": "uniform", "low": low, "high": high}
+    mean, sd = number_with_sd(value)
+    if sd is None:
+        return {"kind": "fixed", "value": mean}
+    if not 0.0 < sd < np.inf:
+        raise ValueError(value)
+    return {"kind": "normal", "mean": mean, "sd": sd}
+
+
+def quantiles(key: str, prior: Mapping[str, Any], share: FloatArray) -> FloatArray:
+    """Quantiles of the prior of a quantity, shape of ``share``."""
+    if prior["kind"] == "fixed":
+        return np.full(share.shape, prior["value"])
+    if prior["kind"] == "uniform":
+        return np.asarray(prior["low"] + share * (prior["high"] - prior["low"]))
+    mean, sd = prior["mean"], prior["sd"]
+    low, high = (ndtr((end - mean) / sd) for end in QUANTITIES[key][:2])
+    return np.asarray(mean + sd * ndtri(low + share * (high - low)))
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Draws of what is not φ, shape [sample] each, and of φ where that is wanted.
+    """Draws of φ and all other quantities, shape [sample] each.
 
     Attributes
     ----------
     normal
-        A standard normal number for φ.
+        Standard normal number for φ.
     strength
         c / (ρ g h) [-].
     wetness
@@ -119,13 +139,13 @@ class Sample:
     lightness: FloatArray
 
     @classmethod
-    def of(cls, priors: Priors, count: int, seed: int) -> Sample:
-        """As even as a scrambled Sobol sequence is."""
+    def of(cls, priors: Mapping[str, Mapping[str, Any]], count: int, seed: int) -> Sample:
+        """Draw a scrambled Sobol sequence."""
         from scipy.stats.qmc import Sobol
 
         even = Sobol(len(QUANTITIES) + 1, rng=np.random.default_rng(seed)).random(count)
         even = np.clip(even, 1e-9, 1.0 - 1e-9)
-        one = {key: quantiles(priors[key], even[:, i + 1]) for i, key in enumerate(QUANTITIES)}
+        one = {key: quantiles(key, priors[key], even[:, i + 1]) for i, key in enumerate(QUANTITIES)}
         cohesion = one["cohesion_Pa"] + (1.0 - one["root_loss"]) * one["root_cohesion_Pa"]
         weight = one["density_kg_m3"] * GRAVITY * one["depth_m"]
         lightness = WATER / one["density_kg_m3"]
@@ -139,7 +159,7 @@ class Sample:
         theta
             Inclination [rad], shape [cell].
         wetness
-            m of each cell, shape [cell]; ``None``: that of the sample.
+            m of each cell, shape [cell]; by default that of the sample.
         """
         steep = np.maximum(theta, FLATTEST)[:, None]
         wet = self.wetness if wetness is None else wetness[:, None]
@@ -157,20 +177,18 @@ def unstable(mean: Any, sd: Any, a: Any, b: Any) -> Any:
     a, b
         Of :meth:`Sample.terms`.
     """
-    # Soil that nothing presses on (b = 0) is unstable at every φ, or at none.
+    # Neutrally buoyant soil (b = 0) is unstable at every φ, or at none.
     critical = np.clip((1.0 - a) / np.maximum(b * STEEPEST, 1e-12), 1e-12, 1.0 - 1e-12)
-    z = np.log(critical / (1.0 - critical))
-    return ndtr((z - mean[:, None]) / sd[:, None]).mean(axis=1)
+    return ndtr((logit(critical) - mean[:, None]) / sd[:, None]).mean(axis=1)
 
 
 def spread(mean: Any, sd: Any, normal: FloatArray, a: Any, b: Any) -> tuple[Any, Any]:
-    """Median of F, and the share of its variance that φ alone accounts for, shape [cell] each.
+    """Median of F, and the share of its variance due to φ alone, shape [cell] each.
 
     The share is the first-order index of Sobol (1993): Var E[F | φ] / Var F = E[B]² Var tan φ /
     Var F, since φ is independent of A and B.
     """
     friction = tangent(mean[:, None] + sd[:, None] * normal)
     factor = a + b * friction
-    median = np.median(factor, axis=1)
-    alone = b.mean(axis=1) ** 2 * friction.var(axis=1)
-    return median, np.clip(alone / np.maximum(factor.var(axis=1), 1e-30), 0.0, 1.0)
+    share = b.mean(axis=1) ** 2 * friction.var(axis=1) / np.maximum(factor.var(axis=1), 1e-30)
+    return np.median(factor, axis=1), np.clip(share, 0.0, 1.0)

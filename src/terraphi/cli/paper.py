@@ -1,0 +1,79 @@
+"""``terraphi paper``: the results of Xu & Wang, repeated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from terraphi.cli.options import PATH, Choice, json_option
+from terraphi.view.console import as_text, print_json, print_table, progress_bar
+from terraphi.view.table import Table
+
+NAMES = (
+    *("recovery", "benchmark", "sensitivity", "phi_sensitivity", "k0", "prototype", "surrogate"),
+    *("intervals", "figures"),
+)
+
+
+@click.command()
+@click.argument("name", required=False, metavar="[NAME]", type=Choice(NAMES, "result"))
+@click.option(
+    "--library",
+    type=Choice(("paper", "paper-code")),
+    default="paper",
+    show_default=True,
+    help="Model: the paper's text, or its public code (recovery, phi_sensitivity, k0, surrogate).",
+)
+@click.option("--out", type=PATH, help="Folder for data.json and figures.")
+@json_option
+def paper(name: str | None, library: str, out: Path | None, as_json: bool) -> None:
+    r"""Repeat the results of Xu & Wang: NAME, or all but the figures (about two minutes).
+
+    \b
+    recovery         fourteen friction angles, by quadrature and by emcee
+    benchmark        three legs against forces measured in Yuma sand
+    phi_sensitivity  peak forces over the friction angle
+    k0               what the stress at rest changes
+    surrogate        the two Gaussian processes on cases held out
+    sensitivity      what moves the simulated forces
+    prototype        what the contact of the paper's code counts and applies
+    intervals        why the paper's intervals are as wide as they are
+    figures          its figures, ready to print (13 minutes)
+
+    Example: terraphi paper recovery --out recovery
+    """
+    from terraphi.experiment.outputs import check_folder, filling
+    from terraphi.paper import numbers
+
+    if out is not None:
+        check_folder(out, kind="paper", names=["data.json"])
+    last = None
+    with progress_bar("computing") as report:
+        if name is None:
+            found, last = numbers.number_by_number(lambda done: report(done, 1.0))
+        else:
+            one = numbers.run(name, library=library, progress=lambda done: report(done, 1.0))
+            found = {name: one}
+    data: dict[str, Any] = {name: one.data for name, one in found.items()}
+    data = data[name] if name is not None else data
+    if out is not None:
+        with filling(out, kind="paper", last="data.json") as made:
+            made.joinpath("data.json").write_text(as_text(data), encoding="utf-8")
+            for one in found.values():
+                for figure, drawn in one.figures.items():
+                    drawn().savefig(made.joinpath(f"{figure}.png"), dpi=300)
+    if as_json:
+        print_json(data)
+        return
+    for one in found.values():
+        print_table(Table(**one.data["table"]))
+        if one.compared and last is None:
+            print_table(Table("", ("quantity", "ours", "Xu & Wang"), one.compared))
+        for note in one.notes:
+            click.echo(f"{note}\n")
+    if last is not None:
+        print_table(Table(**last))
+    if out is not None:
+        click.echo(f"Written: {out}")

@@ -1,0 +1,274 @@
+"""What a map is made from: elevations and other rasters, and points at which φ is known."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import InputError, nearest, needing
+from terraphi.experiment.files import check_is_file, plain_number, read_bytes
+from terraphi.terrain.simulators import LEAST_DEG
+
+Float32 = NDArray[np.float32]
+
+METRES = ("", "m", "metre", "metres", "meter", "meters")
+"""Accepted names of the unit of elevations; without one, metres are assumed."""
+MOST_CELLS = 25_000_000
+"""Largest elevation model; some ten arrays of its size are held in memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Elevation:
+    """A digital elevation model on an upright grid.
+
+    Attributes
+    ----------
+    source
+        Its file.
+    height
+        Elevation [m], shape [row, column]; not a number where there is none.
+    x, y
+        Centres of columns (increasing) and rows (decreasing) [m], shape [column], [row].
+    cell
+        Side of a cell [m].
+    crs, transform
+        Coordinate system, and affine map from column and row to x and y, of rasterio.
+    """
+
+    source: str
+    height: Float32
+    x: FloatArray
+    y: FloatArray
+    cell: float
+    crs: Any
+    transform: Any
+
+    @cached_property
+    def slope(self) -> Float32:
+        """Steepest inclination θ [rad], by central differences; shape [row, column]."""
+        down, across = np.gradient(self.height, self.y, self.x)
+        return np.arctan(np.hypot(down, across)).astype(np.float32)
+
+
+def read_elevation(path: Path) -> Elevation:
+    """Read a digital elevation model.
+
+    Parameters
+    ----------
+    path
+        A GeoTIFF, or another format of rasterio, in a projected coordinate system in metres.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, has no coordinate system or one not in metres, elevations in another
+        unit, or cells that are not upright squares; if it is too large, or has no elevations.
+    """
+    height, crs, transform, unit = _read(path)
+    if crs is None:
+        raise InputError(f"{path}: no coordinate system; set one, as with gdal_edit -a_srs")
+    metres = "project it to metres, as with gdalwarp -t_srs"
+    if not crs.is_projected:
+        raise InputError(f"{path}: its coordinates are degrees ({crs.to_string()}); {metres}")
+    name, factor = crs.linear_units_factor
+    if abs(factor - 1.0) > 1e-9:
+        raise InputError(f"{path}: its coordinates are in {name}; {metres}")
+    if unit.lower() not in METRES:
+        raise InputError(f"{path}: its elevations are in {unit}, expected metres; convert them")
+    a, b, c, d, e, f = tuple(transform)[:6]
+    if b or d or a <= 0.0 or abs(a + e) > 1e-6 * a:
+        north_up = "squares with north up; resample it, as with gdalwarp -tr"
+        raise InputError(f"{path}: its cells are {abs(a):g} by {abs(e):g} m, expected {north_up}")
+    rows, columns = height.shape
+    if min(rows, columns) < 3 or not np.isfinite(height).any():
+        raise InputError(f"{path}: has no elevations, or fewer than 3 by 3 cells")
+    x, y = c + a * (np.arange(columns) + 0.5), f + e * (np.arange(rows) + 0.5)
+    return Elevation(str(path), height, x, y, a, crs, transform)
+
+
+def read_layer(path: Path, on: Elevation, points: pd.DataFrame) -> Float32:
+    """Read another raster on the grid of an elevation model, shape [row, column].
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, has another grid or coordinate system, or no data at some points.
+    """
+    layer, crs, transform, _ = _read(path)
+    if crs != on.crs:
+        raise InputError(f"{path}: its coordinate system is {crs}; project it to {on.crs}")
+    if layer.shape != on.height.shape or not transform.almost_equals(on.transform, 1e-6):
+        raise InputError(f"{path}: its grid is not that of {on.source}; resample it to that")
+    if not np.isfinite(layer[points["row"], points["column"]]).all():
+        raise InputError(f"{path}: has no data at some of the points; fill it there")
+    return layer
+
+
+def _read(path: Path) -> tuple[Float32, Any, Any, str]:
+    """First band with nodata as not a number; coordinate system, transform and unit."""
+    with needing("a map", "rasterio and scikit-learn", extra="terrain"):
+        import rasterio
+    check_is_file(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            file = rasterio.open(path)
+        with file:
+            if file.width * file.height > MOST_CELLS:
+                size = f"{file.width} by {file.height} cells, at most {MOST_CELLS:g} in all"
+                raise InputError(f"{path}: {size}; cut a part, as with gdal_translate -projwin")
+            band = file.read(1, masked=True).astype(np.float32).filled(np.nan)
+            band[~np.isfinite(band)] = np.nan
+            return band, file.crs, file.transform, file.units[0] or ""
+    except rasterio.errors.RasterioError as error:
+        raise InputError(f"{path}: cannot be read as a raster ({error})") from error
+
+
+STEEPEST_DEG = 60.0
+"""Friction angles of the field are below this [deg]."""
+SHARED = "shared_sd_deg"
+COLUMNS = {
+    "x_m": (-1e9, 1e9),
+    "y_m": (-1e9, 1e9),
+    "phi_deg": (LEAST_DEG, STEEPEST_DEG),
+    "sd_deg": (1e-3, 90.0),
+    SHARED: (0.0, 90.0),
+}
+"""Columns of points, each with its least value and the least that is too large."""
+FEWEST = 3
+"""Points that a map needs."""
+
+
+class Start(NamedTuple):
+    """Where a walk began [m], and the compass bearing of its first heading [deg]."""
+
+    x_m: float
+    y_m: float
+    bearing_deg: float
+
+
+def start_from(text: str) -> Start:
+    """Parse a start such as ``500012,4000034,90``; raises InputError."""
+    try:
+        x, y, bearing = (plain_number(part) for part in text.split(","))
+    except ValueError:
+        expected = "X,Y,BEARING in metres and degrees, as 500012,4000034,90"
+        raise InputError(f"start '{text}': expected {expected}") from None
+    return Start(x, y, bearing)
+
+
+def read_points(path: Path, dem: Elevation, start: Start | None = None) -> tuple[pd.DataFrame, int]:
+    """Read points, and find their cells in an elevation model.
+
+    Parameters
+    ----------
+    path
+        A CSV with the columns ``x_m,y_m,phi_deg,sd_deg[,shared_sd_deg]`` in the coordinate system
+        of the elevation model, which a first line ``# crs: EPSG:32611`` may confirm; or the
+        NetCDF or CSV of a walk's footfalls, of which the usable ones are used.
+    dem
+        The elevation model.
+    start
+        Where the walk began, for footfalls, whose places are relative to it.
+
+    Returns
+    -------
+    tuple
+        Columns of :data:`COLUMNS`, φ in plane strain and ``sd_deg`` each point's own part of the
+        error, with ``row`` and ``column`` in the elevation model; and how many points of the file
+        are not usable.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used, names another coordinate system, or points are off the model.
+    """
+    import rasterio
+
+    table = _footfalls(path) if path.suffix == ".nc" else _csv(path, dem)
+    walk = "verdict" in table
+    usable = table[table["verdict"] == "usable"] if walk else table
+    if len(usable) < FEWEST:
+        raise InputError(f"{path}: {len(usable)} of {len(table)} points usable; needed: {FEWEST}")
+    found = usable[list(COLUMNS)].apply(pd.to_numeric, errors="coerce").astype(float)
+    for name, (low, high) in COLUMNS.items():
+        bad = ~found[name].between(low, high, inclusive="left")
+        if bad.any():
+            where = f"{path}, {bad.idxmax()}: {name} = {found[name][bad.idxmax()]:g}"
+            raise InputError(f"{where}, expected {low:g} to {high:g}")
+    if walk:
+        # The shared error of a walk is one number; that it scales with φ is no information on φ.
+        found[SHARED] = found[SHARED].mean()
+    if start is not None:
+        bearing = np.radians(start.bearing_deg)
+        ahead, left = found["x_m"], found["y_m"]
+        found["x_m"] = start.x_m + ahead * np.sin(bearing) - left * np.cos(bearing)
+        found["y_m"] = start.y_m + ahead * np.cos(bearing) + left * np.sin(bearing)
+    places = found["x_m"].to_numpy(), found["y_m"].to_numpy()
+    found["row"], found["column"] = rasterio.transform.rowcol(dem.transform, *places)
+    inside = found["row"].between(0, dem.y.size - 1) & found["column"].between(0, dem.x.size - 1)
+    if not inside.all():
+        first = found.loc[inside.idxmin()]
+        place = f"({first['x_m']:.7g}, {first['y_m']:.7g}) is outside {dem.source}"
+        covers = f"{dem.x[0]:.7g} to {dem.x[-1]:.7g}, {dem.y[-1]:.7g} to {dem.y[0]:.7g} m"
+        remedy = "project degrees to metres, or place footfalls with --start"
+        raise InputError(f"{path}, {first.name}: {place} ({covers}); {remedy}")
+    level = pd.Series(dem.slope[found["row"], found["column"]], found.index)
+    if level.isna().any():
+        where = f"{path}, {level.isna().idxmax()}"
+        raise InputError(f"{where}: {dem.source} has no elevation there, or in a cell next to it")
+    return found, len(table) - len(found)
+
+
+def _csv(path: Path, dem: Elevation) -> pd.DataFrame:
+    """Table of a CSV, its rows named by their lines."""
+    import rasterio
+
+    content = read_bytes(path)
+    try:
+        text = content.decode("utf-8-sig")
+        with warnings.catch_warnings():
+            # Pandas would silently drop the end of a row that is too long.
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            table = pd.read_csv(
+                io.StringIO(text), comment="#", skipinitialspace=True, index_col=False
+            )
+    except (ValueError, pd.errors.ParserWarning) as error:
+        raise InputError(f"{path}: not a CSV of points ({error})") from error
+    lines = text.splitlines()
+    rows = [i + 1 for i, line in enumerate(lines) if line.strip() and not line.startswith("#")]
+    table.index = pd.Index([f"line {row}" for row in rows[1:]])
+    for name in table:
+        if name not in COLUMNS and "verdict" not in table:
+            raise InputError(f"{path}: unknown column '{name}'; {nearest(str(name), COLUMNS)}")
+    for name in COLUMNS:
+        if name not in table and name != SHARED:
+            raise InputError(f"{path}: no column '{name}'; expected {','.join(COLUMNS)}")
+    for crs in re.findall(r"^#\s*crs:\s*(.*)", text, re.MULTILINE)[:1]:
+        try:
+            same = rasterio.crs.CRS.from_user_input(crs) == dem.crs
+        except rasterio.errors.CRSError:
+            same = False
+        if not same:
+            raise InputError(f"{path}: its coordinate system is {crs}; project it to {dem.crs}")
+    return table if SHARED in table else table.assign(**{SHARED: 0.0})
+
+
+def _footfalls(path: Path) -> pd.DataFrame:
+    """Table of the NetCDF of a walk's footfalls."""
+    from terraphi.robot.footfall_files import read_footfalls
+
+    walk = read_footfalls(path)
+    columns = (walk.place[:, 0], walk.place[:, 1], walk.phi, walk.sd, walk.shared_sd, walk.verdict)
+    table = pd.DataFrame(dict(zip((*COLUMNS, "verdict"), columns, strict=True)))
+    return table.rename(index=lambda row: f"footfall {row}")

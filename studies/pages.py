@@ -1,0 +1,47 @@
+"""Pages of the studies: a table, two sentences and a figure, written into the docs."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+ROOT = Path(__file__).parent
+LIBRARIES = ROOT / "data" / "libraries"
+DOCS = ROOT.parent / "docs"
+
+
+def out_from(description: str) -> Path:
+    """Folder of the page, from the command line."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--out", type=Path, default=DOCS, help="folder of the page [docs]")
+    out: Path = parser.parse_args().out
+    out.mkdir(parents=True, exist_ok=True)
+    return out
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table in Markdown."""
+    lines = [header, ["---"] * len(header), *([str(cell) for cell in row] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def write(out: Path, name: str, title: str, parts: Sequence[str], figure: Figure, alt: str) -> None:
+    """Write NAME.md and NAME.png, and print the page.
+
+    Parameters
+    ----------
+    out, name
+        Folder and name.
+    title, parts
+        Heading, and paragraphs and tables.
+    figure, alt
+        Picture, and what it shows in words.
+    """
+    figure.savefig(out / f"{name}.png", dpi=150)
+    made = f"Written by `python studies/{name}.py`."
+    text = "\n\n".join([f"# {title}", *parts, f"![{alt}]({name}.png)", made]) + "\n"
+    (out / f"{name}.md").write_text(text, encoding="utf-8")
+    print(text)

@@ -1,0 +1,104 @@
+"""Sensor faults put into a measured record: found, left out, and the angle kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import measurement, names
+from terraphi.inference.checks import shift_of_theta, without_faults
+from terraphi.inference.inversion import invert
+from terraphi.inference.records import open_record
+
+NAME = "li2013:poppy_loose/straight"
+
+
+def damaged(change) -> ForceHistory:
+    known = measurement(NAME)
+    force = known.history.force.copy()
+    change(np.degrees(known.history.position), force)
+    return replace(known.history, force=force, provenance={})
+
+
+def answer_to(change):
+    return invert(damaged(change), density=638.0)
+
+
+@pytest.mark.parametrize("name", names())
+def test_shipped_records_have_no_faults(name: str) -> None:
+    record = without_faults(open_record(name))
+    assert not record.damaged
+    assert record.n_left_out <= 0.05 * len(record.history.position)
+
+
+def dropouts(theta, force):
+    force[(theta > -40) & (theta < -37)] = 0.0
+
+
+def spikes(theta, force):
+    for at in (-55.0, -20.0, 12.0):
+        force[np.abs(theta - at).argmin()] += 6.0
+
+
+def held(theta, force):
+    inside = (theta > -35) & (theta < -27)
+    force[inside, 1] = force[np.flatnonzero(inside)[0], 1]
+
+
+@pytest.mark.parametrize("change", [dropouts, spikes])
+def test_faults_that_hide_readings_are_left_out(change) -> None:
+    plain = invert(NAME)
+    answer = answer_to(change)
+    assert answer.records[0].n_left_out > 0
+    assert answer.phi.median == pytest.approx(plain.phi.median, abs=0.4)
+
+
+def test_held_values_are_left_out() -> None:
+    """On the lift of the C, which changes fast."""
+    known = measurement("li2013:glass03_close/c")
+    force, theta = known.history.force.copy(), np.degrees(known.history.position)
+    inside = (theta > -58) & (theta < -50)
+    force[inside, 1] = force[np.flatnonzero(inside)[0], 1]
+    record = open_record(
+        replace(known.history, force=force, provenance={}), leg="c", density=1550.0
+    )
+    assert without_faults(record).n_left_out >= inside.sum() - 2
+
+
+def clipped(theta, force):
+    np.clip(force[:, 1], None, 0.7 * force[:, 1].max(), out=force[:, 1])
+
+
+def step(theta, force):
+    force[theta > -15.0, 0] += 2.5
+
+
+def offset(theta, force):
+    force[:, 1] += 0.8
+
+
+@pytest.mark.parametrize("change", [clipped, step, offset])
+def test_faults_that_shift_readings_are_misfits(change) -> None:
+    answer = answer_to(change)
+    assert answer.verdict == "misfit"
+    assert answer.questions
+
+
+def test_a_record_of_faults_is_refused() -> None:
+    def mostly_zero(theta, force):
+        force[(theta > -70) & (theta < 60) & (np.arange(len(theta)) % 4 != 0)] = 0.0
+
+    with pytest.raises(InputError, match="faulty|no reading"):
+        answer_to(mostly_zero)
+
+
+def test_shift_of_theta_is_found() -> None:
+    record = open_record(NAME)
+    curve = np.stack(
+        [np.interp(record.theta_deg - 6.0, record.theta_deg, row) for row in record.data]
+    )
+    assert shift_of_theta(record, curve) == pytest.approx(-6.0, abs=1.0)

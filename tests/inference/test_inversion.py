@@ -1,0 +1,140 @@
+"""Whole inversions: known angles recovered, intervals that hold, wrong records refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import measurement
+from terraphi.experiment.scenario import Scenario
+from terraphi.forward import simulate
+from terraphi.inference.answer import Answer
+from terraphi.inference.emulator import Emulator
+from terraphi.inference.inversion import calibrate, invert, invert_many
+from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.records import open_record
+from terraphi.library.store import PHI, Library
+
+
+@pytest.mark.parametrize("phi", [18.3, 26.1, 34.9, 43.2])
+@pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
+def test_simulated_angles_are_recovered(phi: float, leg: str) -> None:
+    base = Library.load("rft3d").cases[0].scenario
+    scenario = base.replace(**{PHI: phi, "leg.shape": leg, "soil.density": 1400.0})
+    answer = invert(simulate(scenario))
+    assert answer.library == "rft3d"
+    assert answer.verdict == "consistent"
+    assert answer.phi.median == pytest.approx(phi, abs=0.05)
+
+
+@pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
+def test_intervals_hold_truths_drawn_from_the_library(sand3d: Library, leg: str) -> None:
+    """Of 200 records with particle scatter, 68 and 95 % intervals hold as many."""
+    emulator, rng = Emulator(sand3d.curves(leg)), np.random.default_rng(7)
+    theta = emulator.curves.theta_deg
+    scenario = emulator.curves.scenario
+    record = open_record(ForceHistory(np.radians(theta), np.ones((len(theta), 2))))
+    inside = []
+    for _ in range(200):
+        x = np.array([rng.uniform(18.0, 47.0)])
+        scatter = emulator.scatter(x) + emulator.interpolation(x) @ emulator.interpolation(x).T
+        values, vectors = np.linalg.eigh(scatter)
+        error = vectors @ (np.sqrt(values.clip(0.0)) * rng.standard_normal(len(values)))
+        force = emulator(x[None])[0] + error.reshape(2, -1)
+        one = replace(record, leg=leg, simulated=True, noise_N=(0.0, 0.0),
+                      history=replace(record.history, force=force.T))  # fmt: skip
+        likelihood = Likelihood([one], sand3d)
+        best = likelihood.least_squares
+        for _ in range(3):  # generalised least squares
+            s = likelihood.slope(best)
+            w = np.linalg.solve(likelihood.covariance, s)
+            best = (
+                best + (w.T @ (likelihood.data - likelihood.curves(best[None])[0])) / (w.T @ s)[0]
+            )
+        sd = likelihood.sd(best)[0]
+        inside.append(abs(best[0] - x[0]) / sd)
+    share68, share95 = np.mean(np.array(inside) < 0.9945), np.mean(np.array(inside) < 1.96)
+    assert 0.58 < share68 < 0.78
+    assert 0.90 < share95 <= 0.99
+
+
+@pytest.mark.parametrize("name", ["li2013:poppy_loose/straight", "li2013:yuma/c"])
+def test_units_density_and_thinning_leave_the_angle(name: str) -> None:
+    """Forces over density decide φ; so does neither the number of readings."""
+    plain, known = invert(name), measurement(name)
+    density = 1.3 * known.density_kg_m3
+    heavier = invert(known.history.scaled(1.3), leg=known.leg, density=density)
+    assert heavier.phi.median == pytest.approx(plain.phi.median, abs=1e-6)
+    thinned = replace(
+        known.history, position=known.history.position[::2], force=known.history.force[::2]
+    )
+    sparse = invert(thinned, leg=known.leg, density=known.density_kg_m3)
+    assert sparse.phi.median == pytest.approx(plain.phi.median, abs=0.3)
+
+
+def turned(history: ForceHistory, fx: float, fz: float) -> ForceHistory:
+    return replace(history, force=history.force * np.array([fx, fz]), provenance={})
+
+
+@pytest.mark.parametrize("medium", ["poppy_loose", "glass03_loose", "glass03_close", "yuma"])
+@pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
+def test_wrong_records_are_misfits_with_a_remedy(medium: str, leg: str) -> None:
+    known = measurement(f"li2013:{medium}/{leg}")
+    options = {"leg": leg, "density": known.density_kg_m3}
+    assert invert(known.history, **options).verdict == "consistent"
+    for fx, fz, word in ((-1.0, 1.0, "Fx"), (1.0, -1.0, "Fz"), (-1.0, -1.0, "both signs")):
+        answer = invert(turned(known.history, fx, fz), **options)
+        assert answer.verdict != "consistent"
+        assert any(word in question for question in answer.questions)
+    others = {"straight", "c", "reversed_c"} - {leg}
+    history = replace(known.history, provenance={})
+    for other in others:
+        answer = invert(history, leg=other, density=known.density_kg_m3)
+        assert answer.verdict != "consistent"
+
+
+def test_an_angle_beyond_the_library_is_out_of_range(
+    history_at: Callable[..., ForceHistory],
+) -> None:
+    base = Library.load("rft3d").cases[0].scenario
+    for phi, edge in ((12.0, "low"), (55.0, "high")):
+        answer = invert(simulate(base.replace(**{PHI: phi})))
+        assert (answer.verdict, answer.edge) == ("out_of_range", edge)
+
+
+def test_every_preset_is_recovered_after_a_simulation() -> None:
+    """Of the presets that take seconds; the nearest library is chosen by itself."""
+    scenario = Scenario.load("quick")
+    answer = invert(simulate(scenario))
+    assert answer.phi.median == pytest.approx(scenario.soil.friction_angle_deg, abs=0.1)
+
+
+def test_second_opinion_is_in_plane_strain() -> None:
+    answer = invert("li2013:poppy_loose/straight")
+    other = invert("li2013:poppy_loose/straight", library="rft3d")
+    assert answer.second_opinion["library"] == "rft3d"
+    expected = np.degrees(np.arcsin(np.tan(np.radians(other.phi.median))))
+    assert other.phi_plane_strain.median == pytest.approx(expected)
+    assert answer.second_opinion["median"] == pytest.approx(expected, abs=0.05)
+
+
+def test_many_keeps_the_order_and_the_errors() -> None:
+    rows = [{"forces": "li2013:yuma/straight"}, {"forces": "nowhere.csv"}]
+    answer, error = invert_many(rows)
+    assert isinstance(answer, Answer)
+    assert isinstance(error, InputError)
+
+
+def test_calibrating_with_one_s_own_answer_centres_there(tmp_path) -> None:
+    record = "li2013:glass03_loose/straight"
+    found = calibrate(record, 25.0, 1.0)
+    found.save(tmp_path / "rig.toml")
+    answer = invert(record, calibration=tmp_path / "rig.toml")
+    plain = invert(record)
+    assert abs(answer.phi.median - 25.0) <= abs(plain.phi.median - 25.0)
+    assert answer.phi.sd < plain.phi.sd

@@ -1,0 +1,155 @@
+"""The likelihood against least squares, simulation of its terms, and integration by other means."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import names
+from terraphi.forward import simulate
+from terraphi.inference.emulator import Emulator
+from terraphi.inference.inversion import invert
+from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.records import open_record
+from terraphi.inference.sampling import quadrature, sample
+from terraphi.inference.soils import Calibration, KnownSoil, ModelError
+from terraphi.library.store import PHI, Case, Library
+
+RECORDS = [name for name in names() if name.startswith("li2013:")]
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_median_of_measured_sand_is_that_of_least_squares(sand3d: Library, name: str) -> None:
+    """No term of the likelihood pulls: SciPy finds the same angle from the library's curves."""
+    record = open_record(name)
+    emulator = Emulator(sand3d.curves(record.leg, corrected=True))
+    operator = record.operator(emulator.curves.theta_deg)
+    ratio = (record.density_kg_m3 or 1650.0) / 1650.0
+    spans = record.span[:, None]
+
+    def loss(phi: float) -> float:
+        curve = ratio * emulator(np.array([[phi]]))[0] @ operator.T
+        return float(np.square((record.data - curve) / spans).sum())
+
+    best = minimize_scalar(loss, bounds=(15.0, 50.0), method="bounded", options={"xatol": 1e-4})
+    assert invert(name).phi.median == pytest.approx(best.x, abs=0.2)
+
+
+def test_squares_of_the_budget_are_the_variance() -> None:
+    answer = invert("li2013:poppy_loose/straight")
+    total = np.sqrt(np.square(list(answer.budget_deg.values())).sum())
+    assert total == pytest.approx(answer.phi.sd, rel=0.01)
+
+
+def test_density_is_worth_what_forces_in_proportion_to_it_make() -> None:
+    """A density known to 10 % instead of exactly: as far as scaling the forces by 10 % moves φ."""
+    known = invert("li2013:poppy_loose/straight", density="638±0")
+    wide = invert("li2013:poppy_loose/straight", density="638±63.8")
+    other = invert("li2013:poppy_loose/straight", density="606.1±0")
+    added = np.sqrt(wide.phi.sd**2 - known.phi.sd**2)
+    assert added == pytest.approx(2.0 * abs(other.phi.median - known.phi.median), rel=0.1)
+
+
+def test_noise_is_worth_what_it_does(history_at: Callable[..., ForceHistory]) -> None:
+    """The standard deviation from noise is the scatter of angles over noisy copies of a record."""
+    library = Library.load("rft3d")
+    found = [
+        invert(history_at(33.0, noise=0.3, seed=s), library=library, simulated=True, noise=0.3)
+        for s in range(40)
+    ]
+    spread = np.std([one.phi.median for one in found])
+    assert found[0].phi.sd == pytest.approx(spread, rel=0.3)
+    assert np.mean([one.phi.median for one in found]) == pytest.approx(33.0, abs=3 * spread / 6.0)
+
+
+def test_records_of_one_soil_share_what_they_share(sand3d: Library) -> None:
+    """Another reading of the same record removes its noise alone, another leg its leg's error."""
+    one = invert("li2013:poppy_loose/straight")
+    twice = invert(["li2013:poppy_loose/straight"] * 2)
+    legs = invert(["li2013:poppy_loose/straight", "li2013:poppy_loose/c"])
+    assert twice.phi.sd == pytest.approx(one.phi.sd, rel=0.02)
+    assert legs.phi.sd < one.phi.sd
+    error = ModelError.model_validate(sand3d.model_error["straight"])
+    assert legs.phi.sd > np.hypot(error.common_sd_deg, error.soil_sd_deg)
+
+
+def test_known_soils_narrow_and_shift(sand3d: Library) -> None:
+    def with_soils(count: int, apart: float) -> Calibration:
+        soil = KnownSoil(
+            source="x", leg="straight", phi_deg=30.0, phi_sd_deg=1.0, read_deg=30.0 + apart,
+            read_sd_deg=1.0,
+        )  # fmt: skip
+        return Calibration(library="sand3d", library_hash=sand3d.hash, soils=[soil] * count)
+
+    record = "li2013:glass03_loose/straight"
+    plain = invert(record)
+    answers = [invert(record, calibration=with_soils(n, 3.0)) for n in (1, 4, 100)]
+    widths = [plain.phi.sd, *(a.phi.sd for a in answers)]
+    assert widths == sorted(widths, reverse=True)
+    # Many soils that read 3° too high: the answer is 3° lower.
+    assert answers[-1].phi.median == pytest.approx(plain.phi.median - 3.0, abs=0.15)
+
+
+def test_calibration_is_the_posterior_of_its_normal_model() -> None:
+    error = ModelError(offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0)
+    soil = {"source": "x", "leg": "c", "phi_sd_deg": 1.5, "read_sd_deg": 0.5}
+    soils = [
+        KnownSoil(phi_deg=30.0, read_deg=33.0, **soil),
+        KnownSoil(phi_deg=25.0, read_deg=29.0, **soil),
+    ]
+    mean, sd = Calibration(library="x", library_hash="", soils=soils).common(error)
+    b = np.linspace(-20.0, 20.0, 40_001)
+    variance = 2.0**2 + 1.5**2 + 0.5**2
+    log_p = -0.5 * b**2 / 9.0 - sum(0.5 * (y - 1.0 - b) ** 2 / variance for y in (3.0, 4.0))
+    p = np.exp(log_p - log_p.max())
+    p /= p.sum()
+    assert mean == pytest.approx(float(p @ b), abs=1e-3)
+    assert sd == pytest.approx(float(np.sqrt(p @ (b - p @ b) ** 2)), abs=1e-3)
+
+
+def test_quadrature_resolves_a_narrow_peak(history_at: Callable[..., ForceHistory]) -> None:
+    library = Library.load("rft3d")
+    record = open_record(history_at(31.234), simulated=True, noise=1e-3)
+    likelihood = Likelihood([record], library)
+    grid, density = quadrature(likelihood)
+    best = grid[density.argmax()]
+    sd = float(likelihood.sd(np.array([best]))[0])
+    mean = np.trapezoid(grid * density, grid)
+    spread = np.sqrt(np.trapezoid((grid - mean) ** 2 * density, grid))
+    assert spread == pytest.approx(sd, rel=0.02)
+    assert mean == pytest.approx(31.234, abs=0.02)
+
+
+def test_draws_of_two_parameters_agree_with_a_grid(rft3d: Library) -> None:
+    rng = np.random.default_rng(5)
+    base = rft3d.cases[0].scenario
+
+    def case(phi: float, friction: float) -> Case:
+        change = {PHI: float(phi), "leg.friction": float(friction)}
+        return Case(base.replace(**change), simulate(base.replace(**change)))
+
+    points = np.column_stack([rng.uniform(20.0, 45.0, 30), rng.uniform(0.2, 0.6, 30)])
+    library = Library("two", tuple(case(*point) for point in points))
+    truth = case(33.0, 0.4)
+    record = replace(open_record(truth.history, noise=0.5), simulated=True)
+    likelihood = Likelihood([record], library)
+    drawn = sample(likelihood, seed=1, steps=500)
+    best, reach = likelihood.least_squares, 6.0 * likelihood.sd(likelihood.least_squares)
+    low, high = np.maximum(best - reach, likelihood.low), np.minimum(best + reach, likelihood.high)
+    sides = [np.linspace(*ends, 81) for ends in zip(low, high, strict=True)]
+    inside = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+    log_p = likelihood(inside)
+    p = np.exp(log_p - log_p.max())
+    p /= p.sum()
+    for i, key in enumerate(likelihood.keys):
+        mean = float(p @ inside[:, i])
+        sd = float(np.sqrt(p @ (inside[:, i] - mean) ** 2))
+        draws = drawn.draws[key]
+        assert draws.mean() == pytest.approx(mean, abs=0.15 * sd)
+        assert draws.std() == pytest.approx(sd, rel=0.1)
+        assert drawn.diagnostics[key]["rhat"] < 1.05

@@ -1,0 +1,139 @@
+"""Building: resumed without computing twice, the same on any executor, refused in one sentence."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import InputError
+from terraphi.library import build as module
+from terraphi.library.build import build, cluster, workers
+from terraphi.library.plan import Plan
+from terraphi.library.store import Library
+
+PLAN = Plan.model_validate(
+    {
+        "name": "small",
+        "sweep": {"leg.shape": ["straight", "c"], "soil.friction_angle_deg": [25.0, 35.0]},
+        "scenario": {
+            "model": "rft",
+            "dimensions": 3,
+            "motion": {
+                "kind": "rotation",
+                "hip": [0.15, 0.19],
+                "start_deg": -100.0,
+                "stop_deg": 100.0,
+            },
+            "relief": {"enabled": False},
+        },
+    }
+)
+
+
+def forces(library: Library) -> list[np.ndarray]:
+    return [case.history.force for case in library.cases]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    return build(PLAN, tmp_path_factory.mktemp("whole") / "library.nc")
+
+
+def test_an_interrupted_build_goes_on(whole: Library, tmp_path: Path, monkeypatch) -> None:
+    calls, run = [], module.run_case
+
+    def stopping(*given: str):
+        calls.append(given)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return run(*given)
+
+    monkeypatch.setattr(module, "run_case", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        build(PLAN, tmp_path / "library.nc")
+    assert len(list((tmp_path / "library.nc.cases").glob("*.nc"))) == 2
+    assert not (tmp_path / "library.nc").exists()
+    library = build(PLAN, tmp_path / "library.nc")
+    assert len(calls) == 5
+    assert not (tmp_path / "library.nc.cases").exists()
+    for one, other in zip(forces(library), forces(whole), strict=True):
+        np.testing.assert_array_equal(one, other)
+    build(PLAN, tmp_path / "library.nc")
+    assert len(calls) == 5
+
+
+def test_a_longer_plan_keeps_what_is_there(tmp_path: Path, monkeypatch) -> None:
+    build(PLAN, tmp_path / "library.nc")
+    calls, run = [], module.run_case
+    monkeypatch.setattr(module, "run_case", lambda *given: calls.append(1) or run(*given))
+    more = PLAN.model_copy(
+        update={"sweep": {**PLAN.sweep, "leg.shape": ["straight", "c", "reversed_c"]}}
+    )
+    assert len(build(more, tmp_path / "library.nc").cases) == 6
+    assert len(calls) == 2
+
+
+@pytest.mark.slow
+def test_processes_give_the_same(whole: Library, tmp_path: Path) -> None:
+    with workers(2) as pool:
+        library = build(PLAN, tmp_path / "library.nc", executor=pool)
+    for one, other in zip(forces(library), forces(whole), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_any_executor_gives_the_same(whole: Library, tmp_path: Path) -> None:
+    seen: list[tuple[int, int]] = []
+    with ThreadPoolExecutor(2) as pool:
+        library = build(
+            PLAN, tmp_path / "library.nc", executor=pool, progress=lambda *n: seen.append(n)
+        )
+    assert seen[0] == (0, 4)
+    assert seen[-1] == (4, 4)
+    for one, other in zip(forces(library), forces(whole), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_gives_the_same(whole: Library, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+        ) as local,
+        cluster(local.scheduler_address) as executor,
+    ):
+        library = build(PLAN, tmp_path / "library.nc", executor=executor)
+    for one, other in zip(forces(library), forces(whole), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_failures_are_kept_and_tried_again(tmp_path: Path, monkeypatch) -> None:
+    run = module.run_case
+
+    def failing(scenario: str, checkpoint: str):
+        return "it broke down" if '"shape":"c"' in scenario else run(scenario, checkpoint)
+
+    monkeypatch.setattr(module, "run_case", failing)
+    library = build(PLAN, tmp_path / "library.nc")
+    assert [case.failure for case in library.cases] == ["", "", "it broke down", "it broke down"]
+    monkeypatch.setattr(module, "run_case", run)
+    assert not any(case.failure for case in build(PLAN, tmp_path / "library.nc").cases)
+    monkeypatch.setattr(module, "run_case", lambda *_: "it broke down")
+    with pytest.raises(InputError, match="every case failed"):
+        build(PLAN, tmp_path / "other.nc")
+
+
+def test_places_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="folder"):
+        build(PLAN, tmp_path)
+    if os.name == "posix":
+        from terraphi.experiment.files import held
+
+        with held(tmp_path / "library.nc.cases"), pytest.raises(InputError, match="another process"):
+            build(PLAN, tmp_path / "library.nc")
+    with pytest.raises(InputError, match="no Dask scheduler"), cluster("tcp://127.0.0.1:1"):
+        pass

@@ -1,0 +1,82 @@
+"""Plans: which cases they ask for, and what they refuse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from terraphi.experiment.documents import shipped_names
+from terraphi.experiment.errors import InputError
+from terraphi.library.plan import Plan
+from terraphi.library.store import Library
+
+BASE: dict[str, Any] = {
+    "name": "plan",
+    "scenario": {"model": "rft", "dimensions": 3, "relief": {"enabled": False}},
+}
+
+
+def plan(**changes: Any) -> Plan:
+    return Plan.model_validate({**BASE, **changes})
+
+
+def test_a_sweep_is_all_combinations_with_seeds_of_their_own() -> None:
+    sweep = {"leg.shape": ["straight", "c"], "soil.friction_angle_deg": [20.0, 30.0, 40.0]}
+    more = [{"sweep": {"soil.friction_angle_deg": [25.0]}, "seed": 100}]
+    cases = plan(sweep=sweep, more=more, vary_seed=True).cases()
+    assert [(c.leg.shape, c.soil.friction_angle_deg) for c in cases] == [
+        *[("straight", phi) for phi in (20.0, 30.0, 40.0)],
+        *[("c", phi) for phi in (20.0, 30.0, 40.0)],
+        ("straight", 25.0),
+    ]
+    assert [c.numerics.seed for c in cases] == [0, 1, 2, 3, 4, 5, 100]
+
+
+def test_a_sample_fills_its_box_and_goes_on() -> None:
+    keys = {"soil.friction_angle_deg": [20.0, 45.0], "leg.friction": [0.2, 0.6]}
+    few, many = (plan(sample={"keys": keys, "count": n}).cases() for n in (8, 32))
+    assert [c.hash for c in many[:8]] == [c.hash for c in few]
+    unit = np.array(
+        [[(c.soil.friction_angle_deg - 20.0) / 25.0, (c.leg.friction - 0.2) / 0.4] for c in many]
+    )
+    assert unit.min() >= -1e-6
+    assert unit.max() <= 1.0 + 1e-6
+    assert qmc.discrepancy(unit.clip(0.0, 1.0)) < 0.01
+
+
+def test_one_at_a_time_is_the_base_and_each_change() -> None:
+    cases = plan(one_at_a_time={"leg.friction": [0.2, 0.6], "soil.density": [1500.0]}).cases()
+    assert len(cases) == 4
+    assert [c.leg.friction for c in cases[1:3]] == [0.2, 0.6]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"sweep": {"leg.frictoin": [0.1]}}, "friction"),
+        ({"sweep": {"leg.friction": []}}, "0 cases"),
+        ({"sweep": {"leg.friction": [0.3, 0.3]}}, "twice"),
+        ({"sweep": {"leg.friction": [-1.0]}}, "friction"),
+    ],
+)
+def test_what_cannot_be_is_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        plan(**changes).cases()
+
+
+def test_a_misspelt_key_in_a_file_names_the_right_one(tmp_path: Path) -> None:
+    file = tmp_path / "plan.toml"
+    file.write_text('name = "x"\n[sweeep]\n"leg.friction" = [0.3]\n')
+    with pytest.raises(InputError, match="sweep"):
+        Plan.load(file)
+
+
+def test_shipped_libraries_are_those_of_their_plans() -> None:
+    for name in Library.names():
+        if name in shipped_names("plans", ".toml"):
+            wanted = {case.hash for case in Plan.load(name).cases()}
+            assert wanted == {case.scenario.hash for case in Library.load(name).cases}

@@ -1,0 +1,90 @@
+"""Libraries: files read back to the last bit that they keep, curves, and the nearest library."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.scenario import Scenario
+from terraphi.forward import simulate
+from terraphi.library.store import PHI, Case, Correction, Library, differences, nearest_library
+
+
+@pytest.fixture(scope="module")
+def small() -> Library:
+    base = Scenario.load("quick")
+    scenarios = [base.replace(**{PHI: phi}) for phi in (40.0, 20.0, 30.0)]
+    return Library("small", tuple(Case(one, simulate(one)) for one in scenarios), "three angles")
+
+
+def test_a_file_is_read_back(small: Library, tmp_path: Path) -> None:
+    theta, rng = np.arange(-90.0, 91.0), np.random.default_rng(0)
+    correction = Correction(
+        np.array([20.0, 40.0]),
+        theta,
+        rng.standard_normal((2, 2, theta.size)),
+        {"cells": rng.standard_normal((3, 2, 2, theta.size))},
+    )
+    failed = Case(small.cases[0].scenario.replace(**{PHI: 50.0}), None, "it broke down")
+    library = replace(
+        small,
+        cases=(*small.cases, failed),
+        replicates=small.cases[:1],
+        corrections={"straight": correction},
+        model_error={"straight": {"soil_sd_deg": 2.0}},
+    )
+    library.save(tmp_path / "library.nc")
+    again = Library.load(tmp_path / "library.nc")
+    assert again.hash == library.hash
+    assert again.summary() == library.summary()
+    assert again.model_error == library.model_error
+    assert [case.failure for case in again.cases] == ["", "", "", "it broke down"]
+    assert len(again.replicates) == 1
+    for one, other in zip(again.cases[:3], library.cases[:3], strict=True):
+        np.testing.assert_allclose(one.history.force, other.history.force, rtol=1e-6, atol=1e-9)
+    kept = again.corrections["straight"]
+    np.testing.assert_allclose(kept.at(30.0), correction.force.mean(axis=0), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(
+        kept.modes_at(20.0)["cells"], correction.modes["cells"][:, 0], rtol=1e-5
+    )
+
+
+def test_curves_are_sorted_means_of_the_histories(small: Library) -> None:
+    curves = small.curves("straight")
+    assert curves.x[:, 0].tolist() == [20.0, 30.0, 40.0]
+    history = small.cases[1].history
+    for theta, force in zip(curves.theta_deg, curves.force[0].T, strict=True):
+        near = np.abs(history.theta_deg - theta) < 0.45
+        np.testing.assert_allclose(force, history.force[near].mean(axis=0), atol=0.02)
+
+
+def test_corrections_are_added_where_asked(small: Library) -> None:
+    theta = small.curves("straight").theta_deg
+    one = Correction(np.array([20.0, 40.0]), theta, np.ones((2, 2, theta.size)), {})
+    library = replace(small, corrections={"straight": one})
+    plain, corrected = (library.curves("straight", corrected=c) for c in (False, True))
+    np.testing.assert_allclose(corrected.force - plain.force, 1.0)
+
+
+def test_what_cannot_be_inferred_is_refused(small: Library, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="straight"):
+        small.curves("c")
+    with pytest.raises(InputError, match="too few"):
+        replace(small, cases=small.cases[:2]).curves("straight")
+    (tmp_path / "text.nc").write_text("theta_deg,Fx_N,Fz_N")
+    with pytest.raises(InputError, match=r"text\.nc"):
+        Library.load(tmp_path / "text.nc")
+    with pytest.raises(InputError, match="sand3d"):
+        Library.load("sand3f")
+
+
+@pytest.mark.parametrize("name", Library.names())
+def test_a_simulation_of_a_library_finds_it(name: str) -> None:
+    library = Library.load(name)
+    scenario = library.cases[0].scenario.replace(**{PHI: 33.3})
+    assert nearest_library(scenario).name == name
+    assert differences(scenario, library.cases[0].scenario) == []
