@@ -14,7 +14,7 @@ from terraphi.experiment.errors import nearest
 
 # The same words stand in the modules that take them, which are too slow to import for --help.
 LEGS = ("straight", "c", "reversed_c")
-ESTIMATORS = ("quasi_static", "gravity", "inverse_dynamics", "momentum_observer")
+ESTIMATORS = ("quasi_static", "momentum_observer")
 LAW_SETS = ("rft", "bearing", "all")
 FRAMES = ("world", "heading", "body")
 SIMULATORS = ("genesis", "newton", "isaaclab", "chrono-crm", "chrono-scm", "geotaichi", "mujoco")

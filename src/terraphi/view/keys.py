@@ -17,6 +17,7 @@ from terraphi.view.table import Table
 DOCUMENTS = {
     "scenario": ("terraphi.experiment.scenario", "Scenario"),
     "plan": ("terraphi.library.plan", "Plan"),
+    "robot": ("terraphi.robot.model", "RobotFile"),
     "columns": ("terraphi.robot.logs.columns", "Columns"),
 }
 """Kind of document to the module and the name of its model."""
