@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from terraphi.cli.options import PATH, IntRange, json_option, shipped
+from terraphi.cli.simulate import announce
 from terraphi.view.console import print_json, print_pairs, print_table, progress_bar
 from terraphi.view.table import Table
 
@@ -49,8 +50,9 @@ def library_build(
 
     check_file(out, kind="library")
     chosen = Plan.load(plan)
-    count = workers or os.cpu_count() or 1
-    pool = builder.cluster(cluster) if cluster else builder.workers(min(count, chosen.count))
+    count = min(workers or os.cpu_count() or 1, chosen.count)
+    announce(chosen.cases(), count)
+    pool = builder.cluster(cluster) if cluster else builder.workers(count)
     with pool as executor, progress_bar("simulating") as report:
         made = builder.build(chosen, out, executor=executor, progress=report)
     if as_json:
