@@ -70,7 +70,8 @@ def in_words(answer: Answer) -> list[str]:
         lines.append(f"  ± is: {_terms(answer)}")
     other = answer.second_opinion
     if other is not None:
-        lines.append(f"  Second opinion: {other['library']} {other['median']:.0f}°.")
+        where = "" if answer.convention == "plane_strain" else " in plane strain"
+        lines.append(f"  Second opinion: {other['library']} {other['median']:.0f}°{where}.")
     return lines + [f"  Warning: {sentence}" for sentence in answer.questions]
 
 
@@ -91,7 +92,17 @@ def print_answer(answer: Answer, *, verbose: bool = False) -> None:
 
 def tables(answer: Answer) -> list[Table]:
     """Parameters, terms of the interval and records."""
-    parameters = [(key, *_rounded(one)) for key, one in answer.parameters.items()]
+    names: list[str] = []
+    parameters: list[tuple[str, ...]] = [
+        (key, *_rounded(one)) for key, one in answer.parameters.items()
+    ]
+    if len(parameters) > 1:
+        frame = answer.summary().filter(like="corr")
+        names, correlations = list(frame.columns), frame.to_numpy().tolist()
+        parameters = [
+            (*row, *(f"{value:.2f}" for value in more))
+            for row, more in zip(parameters, correlations, strict=True)
+        ]
     terms = [(name, f"{sd:.2f}") for name, sd in answer.budget_deg.items()]
     records = [
         (
@@ -101,7 +112,7 @@ def tables(answer: Answer) -> list[Table]:
         for one in answer.records
     ]  # fmt: skip
     found = [
-        Table("Parameters", ("key", "median", "sd", "68 %", "95 %"), parameters),
+        Table("Parameters", ("key", "median", "sd", "68 %", "95 %", *names), parameters),
         Table("Standard deviation of φ by term", ("term", "[deg]"), terms),
         Table(
             "Records",

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from terraphi.experiment.errors import InputError
-from terraphi.view.answers import CONVENTIONS, LEGS, in_words, tables
+from terraphi.view.answers import CONVENTIONS, LEGS, PHI, in_words, tables
 from terraphi.view.console import words
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 from terraphi.view.table import Table
@@ -142,7 +142,7 @@ def of_answer(answer: Answer) -> Section:
 
 def _posterior(answer: Answer) -> list[Plot]:
     """Posterior density of φ, the 68 % interval shaded."""
-    if not answer.grid_deg.size and not answer.draws:
+    if PHI not in answer.parameters:
         return []
     grid, density = answer.grid_deg, answer.density
     if not grid.size:
