@@ -56,7 +56,7 @@ def test_the_fit_is_the_curve_with_the_mean_model_error(answer: Answer) -> None:
 
 
 def test_names_from_files_stay_text_and_scripts_are_those_of_the_policy() -> None:
-    plot = Plot(HOSTILE, [points([1.0], [2.0], HOSTILE, "black")], {})
+    plot = Plot(HOSTILE, [points([1.0], [2.0], HOSTILE, "black")], {"title": HOSTILE})
     part = Table(HOSTILE, (HOSTILE,), [(HOSTILE,)], HOSTILE)
     section = Section("answer", HOSTILE, HOSTILE, [HOSTILE], [plot, part], [(HOSTILE, HOSTILE)])
     page = render([section])
