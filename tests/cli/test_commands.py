@@ -66,12 +66,6 @@ def test_help_loads_neither_numpy_nor_rich() -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_every_public_name_loads() -> None:
-    assert all(callable(getattr(package, name)) for name in package.__all__)
-    with pytest.raises(AttributeError, match="nothing"):
-        _ = package.nothing
-
-
 def test_legs_are_those_of_scenarios() -> None:
     assert set(options.LEGS) == {leg for leg in LEG_SHAPES if leg != "plate"}
 
