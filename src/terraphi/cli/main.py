@@ -9,7 +9,6 @@ import sys
 
 import click
 
-from terraphi.cli.files import app, doctor, keys, report
 from terraphi.cli.footfalls import footfalls
 from terraphi.cli.forces import forces
 from terraphi.cli.invert import calibrate, demo, invert
@@ -17,6 +16,7 @@ from terraphi.cli.library import library
 from terraphi.cli.paper import paper
 from terraphi.cli.simulate import simulate
 from terraphi.cli.terrain import convert, export, slope_map
+from terraphi.cli.tools import app, doctor, keys, report
 from terraphi.experiment.errors import InputError, SimulationError
 
 UNUSABLE, INTERRUPTED = 2, 130
@@ -61,8 +61,10 @@ def main() -> None:
         click.echo(error.format_message())
     except click.ClickException as error:
         _leave(error.format_message(), UNUSABLE)
-    except (InputError, SimulationError, OSError) as error:
+    except (InputError, SimulationError) as error:
         _leave(str(error), UNUSABLE)
+    except OSError as error:
+        _leave(f"the operating system reports: {error}", UNUSABLE)
     except (click.Abort, KeyboardInterrupt):
         _leave(
             "interrupted; a simulation or build with --out continues with the same command",
