@@ -15,9 +15,9 @@ and at its speed.
 # A library is a plan and its simulations.
 
 import numpy as np
+import terraphi_studies as studies
 
 import terraphi
-import terraphi_studies as studies
 
 library = terraphi.Library.load("paper")
 curves = library.curves("straight")

@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from terraphi_studies import STUDIES
 
 from terraphi.cli.main import main
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.measurements import measurement
-from terraphi_studies import STUDIES
 
 Terraphi = Callable[..., Any]
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
+from terraphi.forward.plane.fields import FieldSeries
 
 from terraphi import forward
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.plane.fields import FieldSeries
 from terraphi.forward.vtk import read_points, read_series
 from terraphi.view import animation
 from terraphi.view.animation import Scene, _tick, animate, check_animation

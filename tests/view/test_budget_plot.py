@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from terraphi.inference.budget import TERMS
 
 from terraphi.experiment.measurements import measurement
 from terraphi.inference.answer import Inversion
-from terraphi.inference.budget import TERMS
 from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
 from terraphi.view.plots import budget_figure

@@ -14,18 +14,18 @@ from terraphi.cli.app import app
 from terraphi.cli.calibrate import calibrate, library_calibrate
 from terraphi.cli.doctor import doctor
 from terraphi.cli.footfalls import footfalls
-from terraphi.cli.forces import forces, friction
+from terraphi.cli.forces import forces
 from terraphi.cli.invert import KIND, MADE, invert, save_inversion
 from terraphi.cli.keys import keys
 from terraphi.cli.library import library
 from terraphi.cli.options import PATH, json_option, tells_as_much_as_asked
-from terraphi.cli.paper import paper
 from terraphi.cli.report import report
 from terraphi.cli.simulate import simulate
 from terraphi.cli.study import study
 from terraphi.cli.suggest import library_suggest
 from terraphi.cli.terrain import convert, export, slope_map
 from terraphi.experiment.errors import InputError, SimulationError
+from terraphi.experiment.interrupts import ignore_interrupts
 from terraphi.view.console import listen, print_json
 
 UNUSABLE = 2
@@ -117,8 +117,8 @@ def demo(out: Path, as_json: bool) -> None:
 
 
 for command in (
-    *(invert, calibrate, simulate, library, paper, study, report, app, keys, doctor),
-    *(export, convert, slope_map, forces, footfalls, friction),
+    *(invert, calibrate, simulate, library, study, report, app, keys, doctor),
+    *(export, convert, slope_map, forces, footfalls),
 ):
     cli.add_command(command)
 for command in (library_calibrate, library_suggest):
@@ -153,6 +153,7 @@ def told(error: BaseException) -> tuple[str, int]:
     if isinstance(error, InputError | SimulationError):
         return str(error), UNUSABLE
     if isinstance(error, click.Abort | KeyboardInterrupt):
+        ignore_interrupts()
         return (
             "interrupted; files that were finished before stay, and nothing else was written",
             UNUSABLE,

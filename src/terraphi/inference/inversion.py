@@ -96,8 +96,10 @@ def invert(
     """
     began = time.perf_counter()
     every = list(forces) if isinstance(forces, list | tuple) else [forces]
-    options = {"leg": leg, "density": density, "noise": noise, "simulated": simulated}
-    records = [without_faults(open_record(one, **options)) for one in every]
+    records = [
+        without_faults(open_record(one, leg=leg, density=density, noise=noise, simulated=simulated))
+        for one in every
+    ]
     library, reason = _library_for(records, library)
     known = Calibration.load(calibration) if isinstance(calibration, str | Path) else calibration
     if known is not None:
@@ -323,8 +325,8 @@ def _verdict(
         low, high = likelihood.low[0], likelihood.high[0]
         end, word = (low, "below") if edge == "low" else (high, "above")
         why = (
-            f"Out of range: φ lies {word} {end:g}°, the {'lower' if edge == 'low' else 'upper'} end "
-            f"of library {library.name}."
+            f"Out of range: φ lies {word} {end:g}°, the "
+            f"{'lower' if edge == 'low' else 'upper'} end of library {library.name}."
         )
         return "out_of_range", f"{why} {misfit}".rstrip(), edge
     if misfit:
@@ -353,8 +355,8 @@ def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
             i, j = np.unravel_index(np.abs(residual).argmax(), residual.shape)
             return (
                 f"Misfit: {('Fx', 'Fz')[i]} differs from the model by {residual[i, j]:+.0%} of its "
-                f"range at {fit.theta_deg[j]:.0f}°. The residual is {min(sizes):.0%} where training "
-                f"soils stay within {error.nrmsd_limit:.0%}. Do not use the angle."
+                f"range at {fit.theta_deg[j]:.0f}°. The residual is {min(sizes):.0%}; of training "
+                f"soils it is at most {error.nrmsd_limit:.0%}. Do not use the angle."
             )
     return ""
 
@@ -427,8 +429,8 @@ def _about(
         low, high = USUAL_DEG
         if likelihood.measured and not low <= phi.median <= high:
             found.append(
-                f"φ = {phi.median:.0f}° is unusual for dry soil ({low:g} to {high:g}°): check density, "
-                "unit of force and leg."
+                f"φ = {phi.median:.0f}° is unusual for dry soil ({low:g} to {high:g}°): check "
+                "density, unit of force and leg."
             )
     return found
 
@@ -459,7 +461,7 @@ def _plane_strain(phi: Estimate, scenario: Scenario) -> tuple[Estimate | None, s
 
 
 def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
-    """Angle by three-dimensional resistive force theory, as one of plane strain, of measured forces."""
+    """Angle of measured forces by resistive force theory, as one of plane strain."""
     if not likelihood.measured or SECOND not in Library.names():
         return None
     other = Likelihood(likelihood.records, _shipped(SECOND))

@@ -18,13 +18,13 @@ from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.scenario import Scenario
 from terraphi.library.plan import Plan
 from terraphi.robot.logs.columns import Columns
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import RobotFile
 from terraphi.view import table as view
 
 DOCUMENTS: dict[str, tuple[type[BaseModel], str]] = {
     "scenario": (Scenario, "terraphi simulate SCENARIO.toml"),
     "plan": (Plan, "terraphi library build PLAN.toml --out FILE.nc"),
-    "robot": (Quadruped, "terraphi forces LOG --robot ROBOT.toml"),
+    "robot": (RobotFile, "terraphi forces LOG --robot ROBOT.toml"),
     "columns": (Columns, "terraphi forces LOG.csv --columns COLUMNS.toml"),
 }
 """Kind of document to its model, and to the command that reads it."""

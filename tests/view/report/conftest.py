@@ -7,7 +7,7 @@ import runpy
 from pathlib import Path
 
 import pytest
-from go2.logs import write_npz
+from go2.logs import write_csv
 
 from terraphi.cli.invert import save_inversion
 from terraphi.experiment.measurements import measurement
@@ -79,9 +79,9 @@ def study_folder(recovery_data: dict, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def log_file(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("log") / "walk.npz"
+    path = tmp_path_factory.mktemp("log") / "walk.csv"
     samples = runpy.run_path(str(Path(__file__).parents[2] / "robot" / "log_samples.py"))
-    write_npz(path, samples["trotting"]())
+    write_csv(path, samples["trotting"]())
     return path
 
 

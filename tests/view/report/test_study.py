@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-
 import terraphi_studies as studies
+
 from terraphi.experiment.errors import InputError
 from terraphi.view.report.page import render
 from terraphi.view.report.parts import Pictures, Plot, Text

@@ -107,7 +107,7 @@ def comparison(path: Path, *, robot: Quadruped) -> tuple[dict[str, Any], str]:
 
     In the frame of the world, or of the body if the log has no attitude.
     """
-    log = read_log(path, motors=robot.joint_order, precision="single")
+    log = read_log(path, motors=robot.joint_order)
     log = replace(log, report={"source": str(path), **log.report})
     frame: Any = "body" if log.quaternion is None else "world"
     found: dict[str, Any] = {}

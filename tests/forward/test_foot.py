@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from terraphi.forward import bearing
-from terraphi.forward.foot_laws import LAWS, Foot
+from terraphi.forward.foot import LAWS, Foot, bearing_factors
 from terraphi.forward.rft import stress_per_depth_3d
 
 BALL = Foot(0.022)
@@ -65,11 +64,15 @@ def test_ball_is_the_sum_over_its_faces(descent_deg: float, depth: float) -> Non
 def test_bearing_factors(
     phi: float, n_q: float, meyerhof: float, hansen: float, vesic: float
 ) -> None:
-    angle = np.radians(float(phi))
-    assert bearing.surcharge(angle) == pytest.approx(n_q, rel=2e-3)
-    assert bearing.MEYERHOF.weight(angle) == pytest.approx(meyerhof, rel=2e-3)
-    assert bearing.HANSEN.weight(angle) == pytest.approx(hansen, rel=2e-3)
-    assert bearing.VESIC.weight(angle) == pytest.approx(vesic, rel=2e-3)
+    # On the surface d is 1; shapes of a circle by hand.
+    sine, tangent = math.sin(math.radians(phi)), math.tan(math.radians(phi))
+    passive = (1.0 + sine) / (1.0 - sine)
+    shapes = {"meyerhof": (1.0 + 0.1 * passive,) * 2, "hansen": (1.0 + sine, 0.6),
+              "vesic": (1.0 + tangent, 0.6)}  # fmt: skip
+    for name, n_gamma in {"meyerhof": meyerhof, "hansen": hansen, "vesic": vesic}.items():
+        deep, wide = bearing_factors(name, phi, 0.0)
+        assert deep == pytest.approx(n_q * shapes[name][0], rel=2e-3)
+        assert wide == pytest.approx(n_gamma * shapes[name][1], rel=2e-3)
 
 
 def test_bearing_capacity_of_a_disc_by_hand() -> None:

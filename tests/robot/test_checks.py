@@ -1,4 +1,4 @@
-"""Logs with one thing wrong: each is said, or refused, and a sound one is not doubted."""
+"""Logs with one thing wrong: each is found, or refused, and a sound one passes."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from terraphi.robot.results import analyse
 
 Walk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["Walk"]
 WALKS = {
-    "walk": Walk(),
+    "walk": Walk(duration=6.0),
     "slow": Walk(period=2.0, speed=0.05, sinkage=0.025, seed=1),
-    "trot": Walk(gait="trot", period=0.42, speed=0.3, sinkage=0.003),
+    "trot": Walk(gait="trot", period=0.42, speed=0.3, sinkage=0.003, duration=6.0),
 }
 
 
@@ -58,11 +58,9 @@ def test_a_sound_log_is_not_doubted(name: str, heading: float) -> None:
         (lambda log: torque(log, 1.3), r"bear 1.2\d times the robot's weight of 158 N"),
         (lambda log: legs(log, [1, 0, 3, 2]), "exchanged: FL for FR, FR for FL, RL for RR"),
         (lambda log: legs(log, [2, 3, 0, 1]), "exchanged: RR for FR, RL for FL, FR for RR"),
-        (lambda log: replace(log, angle=log.angle.round(1)), r"in steps of 0.1 rad"),
         (lambda log: replace(log, angle=log.angle.round(2)), r"in steps of 0.01 rad"),
         (lambda log: off(log, 0, 2, 0.2), r"angle of FR_calf were \+0.[12]"),
         (lambda log: off(log, slice(None), 1, 0.2), "zeros"),
-        (lambda log: off(log, slice(None), 2, 0.2), "zeros"),
         (lambda log: off(log, slice(None), 2, -0.2), "zeros"),
     ],
 )
@@ -90,7 +88,7 @@ def imu(log: JointLog, order: list[int], signs: list[float], factor: float = 1.0
     return replace(log, quaternion=quaternion, angular_velocity=factor * log.angular_velocity)
 
 
-@pytest.mark.parametrize("heading", [0.0, 1.0, 2.5])
+@pytest.mark.parametrize("heading", [0.0, 2.5])
 @pytest.mark.parametrize(
     ("order", "signs", "factor", "words"),
     [
@@ -128,34 +126,13 @@ def test_an_imu_that_no_known_slip_explains_is_a_note(
     assert not any(re.search(r"and by \d+% if", note) for note in found.notes)
 
 
-def test_corrections_bias_and_coarse_noise_of_an_attitude_are_nothing_grave(log: JointLog) -> None:
+def test_noise_bias_delay_and_a_corrected_heading_are_no_finding(log: JointLog) -> None:
     assert log.quaternion is not None
     assert log.angular_velocity is not None
-    after = turned(log, 0.5)
-    assert after.quaternion is not None
     half = (np.arange(len(log.time)) > len(log.time) // 2)[:, None]
-    corrected = replace(log, quaternion=np.where(half, after.quaternion, log.quaternion))
-    biased = replace(log, angular_velocity=log.angular_velocity + 0.1)
-    for odd in (corrected, biased):
-        assert not any("gyroscope" in note for note in analyse(odd).notes)
-    still = replace(
-        log,
-        quaternion=np.tile(log.quaternion[:1], (len(log.time), 1)),
-        angular_velocity=np.full_like(log.angular_velocity, 0.1),
-    )
-    assert not any("gyroscope" in note for note in analyse(still).notes)
-    late = np.roll(log.quaternion, 20, axis=0)  # 40 ms
-    late[:20] = log.quaternion[0]
-    noise = np.random.default_rng(0).normal(0.0, 5e-3, late.shape)
-    for odd in (late, log.quaternion + noise):
-        assert not any("gyroscope" in one for one in analyse(replace(log, quaternion=odd)).grave)
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_noise_bias_and_delay_of_an_imu_are_no_doubt(log: JointLog, seed: int) -> None:
-    assert log.quaternion is not None
-    assert log.angular_velocity is not None
-    rng = np.random.default_rng(seed)
+    corrected = np.where(half, turned(log, 0.5).quaternion, log.quaternion)
+    assert not any("gyroscope" in n for n in analyse(replace(log, quaternion=corrected)).notes)
+    rng = np.random.default_rng(0)
     late = np.roll(log.quaternion, 10, axis=0)  # 20 ms
     late[:10] = log.quaternion[0]
     noisy = replace(
@@ -166,17 +143,7 @@ def test_noise_bias_and_delay_of_an_imu_are_no_doubt(log: JointLog, seed: int) -
     assert not any("gyroscope" in note for note in analyse(noisy).notes)
 
 
-def test_a_robot_that_hardly_turns_tells_nothing_of_its_imu(log: JointLog) -> None:
-    assert log.quaternion is not None
-    assert log.angular_velocity is not None
-    still = np.tile(log.quaternion[:1], (len(log.time), 1))
-    rng = np.random.default_rng(0)
-    noise = rng.normal(0.0, 0.1, log.angular_velocity.shape)
-    found = analyse(replace(log, quaternion=still, angular_velocity=noise))
-    assert not any("gyroscope" in note for note in found.notes)
-
-
-@pytest.mark.parametrize("order", [[1, 0, 2, 3], [0, 1, 3, 2], [1, 0, 3, 2], [2, 1, 0, 3]])
+@pytest.mark.parametrize("order", [[1, 0, 2, 3], [2, 1, 0, 3]])
 def test_torques_of_other_feet_are_seen(
     log: JointLog, order: list[int], request: pytest.FixtureRequest
 ) -> None:
