@@ -243,7 +243,7 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
         if record.leg_assumed:
             yield f"{name}The leg is assumed to be straight; give --leg."
         if record.density_kg_m3 is None or record.density_assumed:
-            yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 2°."
+            yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 1°."
         if record.scenario is not None:
             apart = differences(record.scenario, library.cases[0].scenario)
             if apart:

@@ -5,18 +5,20 @@ x (the friction angle, or several), read and averaged as the records were,
 
     d = g(x) + Σ_t e_t,    e_t ~ N(0, C_t).
 
-| term | covariance |
-|---|---|
-| noise | of the readings, through the windows |
-| emulator | of the curves between the library's cases |
-| particle scatter | between seeds: of a simulated record |
-| cells, speed-up | of the correction to small cells and a slow motion |
-| leg friction, hip height | a standard deviation of each, times how the curves change with it |
-| zero of θ | 1° times dg/dθ |
-| density | its relative standard deviation times g, for forces are proportional to density |
-| model: offset | what looks like another angle: (b² + s²) (∂g/∂φ)(∂g/∂φ)' (`soils`) |
-| model: leg | the same of each leg by itself, l² |
-| model: shape | everything else by which real soils differ |
+========================  ============================================================================
+term                      covariance
+========================  ============================================================================
+noise                     of the readings, through the windows
+emulator                  of the curves between the library's cases
+particle scatter          between seeds: of a simulated record
+cells, speed-up           of the correction to small cells and a slow motion
+leg friction, hip height  a standard deviation of each, times how the curves change with it
+zero of θ                 1° times dg/dθ
+density                   its relative standard deviation times g, for forces are proportional to density
+model: offset             what looks like another angle: (b² + s²) (∂g/∂φ)(∂g/∂φ)' (``soils``)
+model: leg                the same of each leg by itself, l²
+model: shape              everything else by which real soils differ
+========================  ============================================================================
 
 Those from the corrections on are of measured records; particle scatter is of simulated ones. All
 terms are taken at the best point, so that their size is no evidence of x. For measured records g is
