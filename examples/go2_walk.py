@@ -4,7 +4,7 @@
 
 writes ``walk/truth.nc`` and, twice in each format that terraphi reads, what the robot would have
 logged: ``exact.*`` without errors, ``realistic.*`` with those of encoders, currents and messages.
-It needs the packages ``mujoco`` and ``example-robot-data``, and the extra ``robot``.
+It needs the extra ``robot``, and the package ``mcap`` or ``pyarrow`` for these formats.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from go2.walk import Recording, Walk
 
 from terraphi.robot.joint_log import FEET, JointLog
 
-FORMATS = ("csv", "npz", "mcap", "rosbag2")
+FORMATS = ("csv", "parquet", "mcap", "rosbag2")
 
 
 @click.command()
@@ -96,7 +96,7 @@ def write_logs(folder: Path, name: str, log: JointLog, formats: tuple[str, ...])
     """
     writers = {
         "csv": logs.write_csv,
-        "npz": logs.write_npz,
+        "parquet": logs.write_parquet,
         "mcap": logs.write_mcap,
         "rosbag2": logs.write_rosbag2,
     }

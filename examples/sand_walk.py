@@ -1,11 +1,11 @@
 """Make a Unitree Go2 walk on sand in MuJoCo, and write its log and what is true of the sand.
 
     python examples/sand_walk.py --out sand --gait walk --seed 1
-    terraphi footfalls sand/walk.npz --density 1550±80 --out soil.nc
+    terraphi footfalls sand/walk.csv --density 1550±80 --out soil.nc
 
 The feet feel a force law on sand whose friction angle is a random field and whose surface
 undulates; the log has the errors of sensors (noise, encoders, lost messages), of each motor's
-torque gain and of the attitude. It needs the package ``mujoco`` and ``example-robot-data``.
+torque gain and of the attitude. It needs the extra ``robot``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from go2.sand import Field, Sand
 from go2.sensors import Sensors, realistic_log
 from go2.walk import Recording, Walk
 
-from terraphi.forward.foot_laws import LAWS
+from terraphi.forward.foot import LAWS
 from terraphi.robot.footfall_fit import Prior
 from terraphi.robot.joint_log import FEET, JointLog
 
@@ -81,11 +81,11 @@ def sand_log(recording: Recording, *, seed: int, gain_sd: float = Prior.gain_sd)
 def main(
     out: Path, gait: str, law: str, mean: float, duration: float, gain_sd: float, seed: int
 ) -> None:
-    """Simulate a Go2 on sand; write walk.npz, its log, and truth.csv, φ where its feet stood."""
+    """Simulate a Go2 on sand; write walk.csv, its log, and truth.csv, φ where its feet stood."""
     out.mkdir(parents=True, exist_ok=True)
     walk = sand_walk(gait, seed=seed, law=law, duration=duration, mean=mean)
     recording = walk.run()
-    logs.write_npz(out / "walk.npz", sand_log(recording, seed=seed, gain_sd=gain_sd))
+    logs.write_csv(out / "walk.csv", sand_log(recording, seed=seed, gain_sd=gain_sd))
     loaded = recording.force[..., 2] > 10.0
     touched = loaded[1:] & ~loaded[:-1]
     start = recording.position[0, :2]
@@ -98,7 +98,7 @@ def main(
             stream.write(f"{recording.time[i]:.3f},{FEET[foot]},{x:.4f},{y:.4f},{phi:.4f}\n")
     gone = float(np.linalg.norm(recording.position[-1, :2] - start))
     click.echo(f"{recording.time[-1]:.1f} s, {gone:.2f} m, {int(touched.sum())} touch-downs")
-    click.echo(f"Written: {out}/walk.npz, {out}/truth.csv")
+    click.echo(f"Written: {out}/walk.csv, {out}/truth.csv")
 
 
 if __name__ == "__main__":

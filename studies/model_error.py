@@ -2,11 +2,12 @@
 
     python studies/model_error.py --library sand3d.nc
 
-Three of the shipped media have an angle of repose, which stands for φ here; all four have a residual.
-For each leg: the mean residual over the peak-to-peak of the model, the residual of each medium less the
-mean of the others, and the limit above which a record is a misfit, a tenth above the largest of these.
-In φ: the mean offset is not subtracted, since an angle of repose is no friction angle of dense soil;
-its square and the spread between media, with a prior worth four soils of 3°, are the width.
+Three of the shipped media have an angle of repose, which stands for φ here; all four have a
+residual. For each leg: the mean residual over the peak-to-peak of the model, the residual of each
+medium less the mean of the others, and the limit above which a record is a misfit, a tenth above
+the largest of these. In φ: the mean offset is not subtracted, since an angle of repose is no
+friction angle of dense soil; its square and the spread between media, with a prior worth four soils
+of 3°, are the width.
 """
 
 from __future__ import annotations

@@ -17,10 +17,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
-from terraphi.forward.foot import LAWS, Foot
 
 import pages
 import terraphi
+from terraphi.forward.foot import LAWS, Foot
 
 DENSITY = 1330.0
 """Of the measured sand, as its authors give it [kg/m³]."""

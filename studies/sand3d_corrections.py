@@ -2,25 +2,26 @@ r"""Correct the curves of library ``sand3d`` for cell size and speed-up, from fi
 
     python studies/sand3d_corrections.py --library sand3d-simulated.nc --out sand3d.nc
 
-The library has cells of 5 mm and a motion sped up k = 10 times. Its error vanishes with the cell size h,
-or with k − 1, by an unknown power p. With r the ratio of a finer simulation's h (or k − 1) to the
-library's, g the library's curves and y those of the finer one,
+The library has cells of 5 mm and a motion sped up k = 10 times. Its error vanishes with the cell
+size h, or with k − 1, by an unknown power p. With r the ratio of a finer simulation's h (or k − 1)
+to the library's, g the library's curves and y those of the finer one,
 
     y(r) − g = Σ_p (1 − r^p) c_p + ripple_r + scatter,    limit − g = Σ_p c_p,
 
-p = 1/2, 1, 2 with shares of the variance, partly common (errors of h and h² seldom cancel). Each c is
+p = 1/2, 1, 2 with shares of the variance, partly common (errors of h and h² seldom cancel). Each c
+is
 
     c(φ, θ) = a(φ) g(φ, θ) + s(φ) w(θ) δ(φ, θ),
 
-a the level, normal and smooth over φ; s the peak-to-peak of each force; w where the leg is in soil; δ a
-Gaussian process, Matérn 5/2 over φ and θ (Kennedy & O'Hagan 2000, Biometrika 87:1). A ripple is what one
-grid has and another has not: a factor of each force, and noise over θ. Hyperparameters were found once by
-their posterior density under log-normal priors; three to six friction angles determine them badly,
-hence the factor FEW on all standard deviations.
+a the level, normal and smooth over φ; s the peak-to-peak of each force; w where the leg is in soil;
+δ a Gaussian process, Matérn 5/2 over φ and θ (Kennedy & O'Hagan 2000, Biometrika 87:1). A ripple is
+what one grid has and another has not: a factor of each force, and noise over θ. Hyperparameters
+were found once by their posterior density under log-normal priors; three to six friction angles
+determine them badly, hence the factor FEW on all standard deviations.
 
-The result is the mean correction and, for each cause, the principal components of its covariance over
-(φ, θ) together. Leg friction (0.30 ± 0.087) and hip height (± 2 mm) are added as one mode each, from
-simulations with another friction and another height.
+The result is the mean correction and, for each cause, the principal components of its covariance
+over (φ, θ) together. Leg friction (0.30 ± 0.087) and hip height (± 2 mm) are added as one mode
+each, from simulations with another friction and another height.
 """
 
 from __future__ import annotations
@@ -228,7 +229,7 @@ def main() -> None:
             emulator, leg, "sand3d-friction", "leg.friction", FRICTION_SD, phi
         )
         modes["hip height"] = sensitivity(emulator, leg, "sand3d-raised", "hip", HEIGHT_SD_MM, phi)
-        theta = THETA_DEG[THETA_DEG <= emulator.curves.theta_deg[-1]]
+        theta = THETA_DEG[emulator.curves.theta_deg[-1] >= THETA_DEG]
         found[leg] = Correction(
             phi, theta, onto(GRID_DEG, one + other, theta),
             {cause: onto(GRID_DEG, mode, theta) for cause, mode in modes.items()},

@@ -9,15 +9,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from terraphi.forward.ledger import empty_audit, empty_reaction
-from terraphi.forward.plane.solver import PlaneSolver
 
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.forward.driver import Path, path_of_steps, step_count
+from terraphi.forward.ledger import empty_audit, empty_reaction
 from terraphi.forward.mpm.lattice import lattice_of
 from terraphi.forward.mpm.solver import MpmSolver, settle
 from terraphi.forward.plane.bed import Particles
+from terraphi.forward.plane.solver import PlaneSolver
 from terraphi.library.plan import Plan
 
 BLOCK = 1000

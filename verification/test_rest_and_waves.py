@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 import pytest
-from terraphi.forward.ledger import LEDGER_ROWS
 
 from runs import ELASTIC, ON_NODES, Run, benchmark, elastic, floating, lame_mode
 from terraphi.experiment.scenario import GRAVITY
+from terraphi.forward.ledger import LEDGER_ROWS
 
 pytestmark = pytest.mark.slow
 

@@ -1,7 +1,7 @@
 """Write a robot's log in every format that terraphi reads.
 
 As a robot would have recorded it: ``unitree_go/msg/LowState`` or ``sensor_msgs/msg/JointState``
-messages in an MCAP file or a rosbag2, or a table as CSV or npz. Needs the packages ``mcap`` and
+messages in an MCAP file or a rosbag2, or a table as CSV or Parquet. Needs the packages ``mcap`` and
 ``rosbags`` (``pip install 'terraphi[robot]'``).
 """
 
@@ -12,66 +12,43 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 
 from terraphi.experiment.files import replacing
-from terraphi.robot.joint_log import JointLog
-from terraphi.robot.logs import jointstate, lowstate
-from terraphi.robot.logs.collect import SHAPES
-from terraphi.robot.logs.messages import typestore
-from terraphi.robot.logs.tables import GROUPS, TIME_ARRAY, TIME_COLUMN
+from terraphi.robot.joint_log import JOINT_NAMES, SHAPES, JointLog
+from terraphi.robot.logs.columns import OWN
+from terraphi.robot.logs.messages import JOINT_STATE, LOW_STATE, MOTORS, URDF_NAMES, typestore
 
 Message = Literal["lowstate", "jointstate"]
-TYPES = {"lowstate": lowstate.TYPE, "jointstate": jointstate.TYPE}
+TYPES = {"lowstate": LOW_STATE, "jointstate": JOINT_STATE}
 TOPICS = {"lowstate": "/lowstate", "jointstate": "/joint_states"}
 EPOCH_NS = 1_700_000_000 * 10**9
 """When a log's time 0 is said to have been recorded [ns since 1970]."""
-_ROWS = 4096
 
 
 def _columns(log: JointLog) -> list[str]:
     return [name for name in SHAPES if getattr(log, name) is not None]
 
 
+def table(log: JointLog) -> pd.DataFrame:
+    """A log as a table with terraphi's own names of the columns."""
+    columns = {OWN.time: log.time}
+    for group in _columns(log):
+        values = getattr(log, group).reshape(len(log.time), -1)
+        columns |= dict(zip(OWN.group(group, JOINT_NAMES), values.T, strict=True))
+    return pd.DataFrame(columns)
+
+
 def write_csv(path: Path | str, log: JointLog) -> None:
-    """Write a CSV, its numbers in nine digits, its time in fifteen.
-
-    Parameters
-    ----------
-    path
-        The file to make or replace.
-    log
-        The log.
-    """
-    columns = _columns(log)
-    header = [TIME_COLUMN, *(name for column in columns for name in GROUPS[column])]
-    line = ",".join(["%.15g"] + ["%.9g"] * (len(header) - 1)) + "\n"
-    with replacing(Path(path)) as temporary, temporary.open("w", newline="") as stream:
-        stream.write(",".join(header) + "\n")
-        for start in range(0, len(log.time), _ROWS):
-            part = slice(start, start + _ROWS)
-            time = log.time[part]
-            table = np.column_stack(
-                [time, *(getattr(log, name)[part].reshape(len(time), -1) for name in columns)]
-            )
-            stream.writelines(line % tuple(row) for row in table.tolist())
+    """Write a CSV, its numbers in twelve digits."""
+    with replacing(Path(path)) as temporary:
+        table(log).to_csv(temporary, index=False, float_format="%.12g")
 
 
-def write_npz(path: Path | str, log: JointLog, *, compressed: bool = False) -> None:
-    """Write an npz, every number as it is.
-
-    Parameters
-    ----------
-    path
-        The file to make or replace.
-    log
-        The log.
-    compressed
-        Smaller and slower.
-    """
-    arrays: dict[str, Any] = {TIME_ARRAY: log.time}
-    arrays |= {name: getattr(log, name) for name in _columns(log)}
-    with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
-        (np.savez_compressed if compressed else np.savez)(stream, **arrays)
+def write_parquet(path: Path | str, log: JointLog) -> None:
+    """Write a Parquet file, every number as it is."""
+    with replacing(Path(path)) as temporary:
+        table(log).to_parquet(temporary)
 
 
 def write_mcap(
@@ -166,7 +143,7 @@ def low_states(log: JointLog) -> Iterator[bytes]:
     )
     nothing = np.zeros(40, dtype=np.uint8)
     pair, triple = np.zeros(2, dtype=np.uint32), np.zeros(3, dtype=np.float32)
-    idle = [motor(0, *[0.0] * 7, 0, 0, pair) for _ in range(20 - lowstate.MOTORS)]
+    idle = [motor(0, *[0.0] * 7, 0, 0, pair) for _ in range(20 - MOTORS)]
     cells = battery(0, 0, 0, 0, 0, 0, *[np.zeros(2, np.int8)] * 2, np.zeros(15, np.uint16))
 
     def column(name: str, width: int) -> np.ndarray[Any, Any]:
@@ -214,7 +191,7 @@ def low_states(log: JointLog) -> Iterator[bytes]:
             reserve=0,
             crc=0,
         )
-        yield bytes(store.serialize_cdr(message, lowstate.TYPE))
+        yield bytes(store.serialize_cdr(message, LOW_STATE))
 
 
 def joint_states(log: JointLog) -> Iterator[bytes]:
@@ -232,15 +209,15 @@ def joint_states(log: JointLog) -> Iterator[bytes]:
     store = typestore()
     header, time, state = (
         store.types[name]
-        for name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", jointstate.TYPE)
+        for name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", JOINT_STATE)
     )
     stamps = EPOCH_NS + np.rint(log.time * 1e9).astype(np.int64)
     for i, stamp in enumerate(stamps.tolist()):
         message = state(
             header=header(stamp=time(*divmod(stamp, 10**9)), frame_id=""),
-            name=list(jointstate.NAMES),
+            name=list(URDF_NAMES),
             position=log.angle[i].ravel(),
             velocity=log.velocity[i].ravel(),
             effort=log.torque[i].ravel(),
         )
-        yield bytes(store.serialize_cdr(message, jointstate.TYPE))
+        yield bytes(store.serialize_cdr(message, JOINT_STATE))

@@ -1,16 +1,14 @@
-"""The Go2 of the package ``example-robot-data``, on a floor, as MuJoCo simulates it."""
+"""The Go2 that terraphi ships, on a floor, as MuJoCo simulates it."""
 
 from __future__ import annotations
 
-import importlib.metadata
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
-from pathlib import Path
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.documents import shipped_file
 from terraphi.robot.joint_log import FEET, JOINTS
 
 FloatArray = NDArray[np.float64]
@@ -18,9 +16,9 @@ FloatArray = NDArray[np.float64]
 FOOT_RADIUS = 0.022
 """Of the ball at the end of a calf [m]."""
 IMU_PLACE = (-0.02557, 0.0, 0.04232)
-"""Of the accelerometer in the body [m], from the URDF."""
+"""Of the accelerometer in the body [m], from the robot's model."""
 TORQUE_LIMIT = np.array([23.7, 23.7, 45.43])
-"""Largest torques of hip, thigh and calf [N m], from the URDF."""
+"""Largest torques of hip, thigh and calf [N m], from the robot's model."""
 
 
 @dataclass(frozen=True)
@@ -52,21 +50,6 @@ class Physics:
     armature: float = 0.0
 
 
-def urdf_path() -> Path:
-    """Where the package ``example-robot-data`` keeps the Go2's URDF.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the package has none.
-    """
-    # Importing the package would ask for pinocchio, of which nothing is needed here.
-    for file in importlib.metadata.files("example-robot-data") or []:
-        if file.name == "go2.urdf":
-            return Path(str(file.locate()))
-    raise FileNotFoundError("example-robot-data holds no go2.urdf; install a newer version")
-
-
 def build(physics: Physics) -> mujoco.MjModel:
     """Compile the robot with spheres for feet on a flat floor.
 
@@ -79,18 +62,7 @@ def build(physics: Physics) -> mujoco.MjModel:
     -------
     mujoco.MjModel
     """
-    robot = ET.parse(urdf_path()).getroot()
-    for link in robot.iter("link"):
-        for tag in ("visual", "collision"):
-            for element in link.findall(tag):
-                link.remove(element)
-    # MuJoCo welds the first link of a URDF to the world; one more link and the robot is free.
-    ET.SubElement(robot, "link", name="world")
-    joint = ET.SubElement(robot, "joint", name="root", type="floating")
-    ET.SubElement(joint, "parent", link="world")
-    ET.SubElement(joint, "child", link="base")
-    spec = mujoco.MjSpec.from_string(ET.tostring(robot, encoding="unicode"))
-    spec.compiler.fusestatic = False  # feet are links of their own
+    spec = mujoco.MjSpec.from_file(str(shipped_file("robots", "go2", ".xml")))
     spec.option.timestep = physics.step
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
@@ -104,19 +76,14 @@ def build(physics: Physics) -> mujoco.MjModel:
             name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], **contact
         )
     for foot in FEET:
-        spec.body(f"{foot}_foot").add_geom(
-            name=foot,
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[FOOT_RADIUS, 0.0, 0.0],
-            mass=0.0,  # the link of the URDF has it
-            **contact,
-        )
-    imu = spec.body("base").add_site(name="imu", pos=IMU_PLACE)
+        geom = spec.geom(foot)
+        geom.friction, geom.solref[:2] = contact["friction"], contact["solref"]
+        geom.condim = contact["condim"]
     spec.add_sensor(
         name="acceleration",
         type=mujoco.mjtSensor.mjSENS_ACCELEROMETER,
         objtype=mujoco.mjtObj.mjOBJ_SITE,
-        objname=imu.name,
+        objname="imu",
     )
     model = spec.compile()
     dofs = joint_dofs(model).ravel()

@@ -144,6 +144,13 @@ def test_level_plate_pushed_down_in_two_dimensions() -> None:
     assert np.abs(pushed.Fx).max() < 1e-9
 
 
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_moment_of_a_level_plate_is_its_lift_times_half_its_length(dimensions: int) -> None:
+    # At 90° the chord runs from the hip towards -x, and the lift turns the tip up, as θ does.
+    pushed = pushed_plate(dimensions)
+    assert pushed.moment == pytest.approx(0.5 * 0.040 * pushed.Fz, rel=1e-9)
+
+
 def test_level_plate_pushed_down_in_three_dimensions() -> None:
     # All three invariants are 1, so the response is the sum of all sixty printed coefficients.
     pushed = pushed_plate(3)
@@ -175,15 +182,6 @@ def test_authors_curves_for_yuma_sand(leg: str) -> None:
     assert deviation(f"li2013:yuma/{leg}", rft={"scale": 0.597}).max() < 0.3
 
 
-@pytest.mark.parametrize("medium", ["poppy_loose", "glass03_close"])
-def test_authors_curves_for_laboratory_media(medium: str) -> None:
-    # Their curves for these media do not follow from the coefficients printed for them (perhaps
-    # they took the measured stresses); for the straight leg they come close.
-    authors = reference_rft(f"li2013:{medium}/straight")
-    allowed = 0.15 * np.ptp(authors.force, axis=0)
-    assert np.all(deviation(f"li2013:{medium}/straight", rft={"medium": medium}) < allowed)
-
-
 # -- properties ----------------------------------------------------------------------------------
 
 
@@ -196,24 +194,7 @@ def test_force_follows_density_in_three_dimensions(factor: float, shape: str) ->
     assert more.force == pytest.approx(factor * once.force, rel=1e-9, abs=1e-12)
 
 
-@settings(max_examples=10, deadline=None)
-@given(factor=st.floats(0.1, 10.0), shape=st.sampled_from(["straight", "c", "reversed_c", "plate"]))
-def test_force_follows_scale_in_two_dimensions(factor: float, shape: str) -> None:
-    case = {"leg": {"shape": shape}, "motion": SHORT}
-    once = history(**case)
-    more = history(rft={"scale": factor}, **case)
-    assert more.force == pytest.approx(factor * once.force, rel=1e-9, abs=1e-12)
-
-
-@settings(max_examples=10, deadline=None)
-@given(phi=st.floats(10.0, 50.0), more=st.floats(0.5, 5.0))
-def test_stronger_soil_resists_more(phi: float, more: float) -> None:
-    weak, strong = (rft.stress_scale(angle, 1500.0) for angle in (phi, phi + more))
-    assert strong > weak > 0.0
-
-
-@pytest.mark.parametrize("dimensions", [2, 3])
-@pytest.mark.parametrize("shape", ["straight", "c", "reversed_c", "plate"])
+@pytest.mark.parametrize(("dimensions", "shape"), [(2, "c"), (3, "reversed_c"), (3, "plate")])
 def test_nothing_happens_above_the_surface(dimensions: int, shape: str) -> None:
     # A point of a semicircle lies at most one chord from its end, as the tip of a straight leg.
     motion = {"hip": (0.15, 0.17 + 0.0763)}
@@ -228,15 +209,6 @@ def test_tip_enters_where_geometry_says(dimensions: int) -> None:
     touched = straight.theta_deg > -entry + 0.2
     assert straight.force[touched].any(axis=1).all()
     assert not straight.force[straight.theta_deg < -entry].any()
-
-
-@pytest.mark.parametrize("dimensions", [2, 3])
-@pytest.mark.parametrize("shape", ["straight", "c", "reversed_c"])
-def test_panels_have_converged(dimensions: int, shape: str) -> None:
-    case: dict[str, Any] = {"leg": {"shape": shape}, "motion": SHORT}
-    usual = history(dimensions, **case).force
-    fine = history(dimensions, rft={"panels": 3200}, **case).force
-    assert np.abs(usual - fine).max() < 2e-3 * np.abs(fine).max()
 
 
 @given(beta=ANGLES, gamma=ANGLES)
@@ -285,10 +257,3 @@ def test_plate_that_slides_along_itself_feels_nothing_in_three_dimensions() -> N
 def test_cohesion_is_refused() -> None:
     with pytest.raises(InputError, match=r"soil\.cohesion = 100 Pa"):
         history(3, soil={"cohesion": 100.0})
-
-
-def test_progress_grows_to_one() -> None:
-    seen: list[float] = []
-    rft.simulate(scenario(), progress=seen.append)
-    assert seen == sorted(seen)
-    assert seen[-1] == 1.0

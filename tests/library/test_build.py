@@ -133,7 +133,10 @@ def test_places_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     if os.name == "posix":
         from terraphi.experiment.files import held
 
-        with held(tmp_path / "library.nc.cases"), pytest.raises(InputError, match="another process"):
+        with (
+            held(tmp_path / "library.nc.cases"),
+            pytest.raises(InputError, match="another process"),
+        ):
             build(PLAN, tmp_path / "library.nc")
     with pytest.raises(InputError, match="no Dask scheduler"), cluster("tcp://127.0.0.1:1"):
         pass

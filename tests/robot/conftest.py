@@ -27,10 +27,7 @@ def pinocchio() -> Any:
 @pytest.fixture(scope="session")
 def go2_urdf() -> Path:
     """The URDF that example-robot-data brings."""
-    try:
-        files = metadata.files("example-robot-data") or []
-    except metadata.PackageNotFoundError:
-        pytest.skip("example-robot-data is not installed")
+    files = metadata.files("example-robot-data") or []
     return Path(str(next(f for f in files if f.name == "go2.urdf").locate()))
 
 

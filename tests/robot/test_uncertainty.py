@@ -18,7 +18,6 @@ GO2 = Quadruped.load("go2")
 _WALKER = runpy.run_path(str(Path(__file__).with_name("walker.py")))
 Walk, tilted = _WALKER["Walk"], _WALKER["tilted"]
 DRAWS = 24
-NONE = Priors(gain=0.0, coulomb_Nm=0.0, friction_part=0.0, attitude_deg=0.0)
 
 
 def covered(priors: Priors, *, gait: str = "trot") -> float:
@@ -50,20 +49,9 @@ def covered(priors: Priors, *, gait: str = "trot") -> float:
     [
         ("walk", {}),
         ("trot", {}),
-        ("trot", {"coulomb_Nm": 0.0, "attitude_deg": 0.0}),
-        ("trot", {"gain": 0.0, "attitude_deg": 0.0}),
         ("trot", {"gain": 0.0, "coulomb_Nm": 0.0}),
     ],
-    ids=["walk", "all", "gain", "friction", "attitude"],
+    ids=["walk", "trot", "attitude"],
 )
 def test_sigma_covers_what_all_samples_share(known: dict[str, float], gait: str) -> None:
     assert 0.60 < covered(replace(Priors(), **known), gait=gait) < 0.76
-
-
-def test_noise_is_what_remains_without_shared_errors() -> None:
-    log, _ = Walk(duration=2.0).log()
-    with_all, without = estimate(log, robot=GO2), estimate(log, robot=GO2, priors=NONE)
-    np.testing.assert_array_equal(with_all.force, without.force)
-    np.testing.assert_array_equal(with_all.noise, without.noise)
-    np.testing.assert_allclose(without.sigma, without.noise, rtol=1e-6)
-    assert (with_all.sigma >= with_all.noise).all()

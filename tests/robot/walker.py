@@ -11,16 +11,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from terraphi.robot.dynamics import BodyMotion, inverse_dynamics
 from terraphi.robot.joint_log import JointLog
-from terraphi.robot.kinematics import jacobian
+from terraphi.robot.legs import Legs, TrunkMotion
 from terraphi.robot.model import Quadruped
 
 GO2 = Quadruped.load("go2")
 LINK, MASS, GRAVITY = 0.213, GO2.mass, 9.81
 PHASES = {"walk": (0.5, 0.0, 0.75, 0.25), "trot": (0.0, 0.5, 0.5, 0.0)}
 DUTY = {"walk": 0.8, "trot": 0.6}
-HIP, THIGH = GO2.chain.origin[:, 0], GO2.chain.origin[:, 1]
+HIP = np.array([[x, y, 0.0] for x in (0.1934, -0.1934) for y in (-0.0465, 0.0465)])
+THIGH = np.array([[0.0, y, 0.0] for y in (-0.0955, 0.0955)] * 2)
 
 
 @dataclass(frozen=True)
@@ -118,12 +118,11 @@ class Walk:
         faster = np.gradient(spin, time, axis=0)
         felt = _second(lambda t: self._pose(t)[0], time) + np.array([0.0, 0.0, GRAVITY])
         felt = np.einsum("sji,sj->si", turn, felt)
-        body = BodyMotion(felt, spin, faster)
+        legs = Legs(GO2, angle, rate, second, trunk=TrunkMotion(felt, spin, faster))
         force = self.force(time)
         arm = -GO2.foot_radius * turn[:, None, 2, :]
         pushed = np.einsum("sji,sfj->sfi", turn, force)
-        torque = inverse_dynamics(GO2, angle, rate, second, body=body)
-        torque -= np.einsum("sfij,sfi->sfj", jacobian(GO2, angle, offset=arm), pushed)
+        torque = legs.torque[0] - np.einsum("sfij,sfi->sfj", legs.jacobian(arm), pushed)
         torque += self.coulomb * np.tanh(rate / 0.01) + self.viscous * rate + self.inertia * second
         at = np.array(GO2.imu)
         at_imu = felt + np.cross(faster, at) + np.cross(spin, np.cross(spin, at))

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from terraphi.cli.forces import friction_option, log_options
+from terraphi.cli.forces import log_options
 from terraphi.cli.options import LAW_SETS, PATH, Choice, json_option
 from terraphi.view.console import print_footfalls, print_json
 
@@ -33,21 +33,16 @@ from terraphi.view.console import print_footfalls, print_json
     show_default=True,
     help="Force law: resistive force theory, bearing capacity, or the mean of all.",
 )
-@friction_option
-@click.option(
-    "--probe", is_flag=True, help="Feet were pressed slowly on purpose: use the whole loading."
-)
 @click.option(
     "--out",
     type=PATH,
-    help="NetCDF file; .png, .csv and .geojson of the same name go beside it.",
+    help="NetCDF file; .png, .csv and .geojson of the same name go with it.",
 )
 @json_option
 def footfalls(
     log: str,
     density: str | None,
     anchors: tuple[str, ...],
-    friction: Path | None,
     out: Path | None,
     as_json: bool,
     **options: Any,
@@ -59,7 +54,6 @@ def footfalls(
     from terraphi.experiment.outputs import SIGNATURE, check_file
     from terraphi.robot import footfall_files as files
     from terraphi.robot.footfalls import anchor_from, find_footfalls, prior_for
-    from terraphi.robot.friction_file import read_friction
     from terraphi.view import footfall_plots, plots
 
     prior = prior_for(density) if density is not None else None
@@ -68,13 +62,7 @@ def footfalls(
         check_file(out, kind=files.KIND)
         for suffix in (".csv", ".geojson", ".png"):
             check_file(out.with_suffix(suffix))
-    found = find_footfalls(
-        log,
-        prior=prior,
-        anchors=known,
-        friction=read_friction(friction) if friction is not None else None,
-        **options,
-    )
+    found = find_footfalls(log, prior=prior, anchors=known, **options)
     made: tuple[Path, ...] = ()
     if out is not None:
         picture = out.with_suffix(".png")

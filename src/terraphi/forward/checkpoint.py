@@ -2,12 +2,13 @@
 
 A run that goes on from a checkpoint ends in the same bits as one that was never stopped, because
 the state between two blocks of steps is all that the kernels know. A file is written whole or not
-at all. Beside the state it names all that the bits depend on (scenario, kernel, compiler,
-processor); if any of it has changed, the file is not used.
+at all, so that a run may be killed at any time. With the state it names all that the bits depend on
+(scenario, kernel, compiler, processor); if any of it has changed, the file is not used.
 """
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import importlib.metadata
 import json
@@ -16,32 +17,70 @@ import os
 import platform
 import time
 import zipfile
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import llvmlite.binding
-import numba
 import numpy as np
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import replacing
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward import model_version
-from terraphi.forward.compiled import SOURCE_DIGEST, SOURCE_DIGEST_IN_SPACE
-from terraphi.forward.mpm.bed import Soil
-from terraphi.forward.plane.bed import Particles
-from terraphi.forward.plane.packing import lane_count
-from terraphi.forward.plane.scalar import Audit
-from terraphi.forward.state import State
-from terraphi.forward.watch import Checkpoint
 
 log = logging.getLogger(__name__)
 
-_ARCHIVE = b"PK\x03\x04"
-SCHEMA = 1
-"""Version of the layout of a checkpoint."""
+EVERY = 20.0
+"""Least time between two checkpoints [s]."""
 DEAREST = 0.01
 """Largest share of a run's time that may be spent on writing checkpoints [-]."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A file that holds the state of a simulation while it runs.
+
+    The simulation starts from what it finds there, if that fits, and leaves the file behind when
+    it ends: whoever asked for it removes it once the result is safe.
+
+    Attributes
+    ----------
+    path
+        The file.
+    every
+        Least time between two writings [s]; longer where writing takes more than a hundredth of
+        that. 0: after every block of steps, whatever it costs.
+    named
+        Whether a person gave the name of this file. If what lies there is no checkpoint of this
+        simulation, the simulation then stops with an error; otherwise it warns, starts from the
+        beginning and overwrites the file.
+    """
+
+    path: Path
+    every: float = EVERY
+    named: bool = False
+
+    def remove(self) -> None:
+        """Remove the file, and what a killed process may have left of the next one."""
+        self.path.unlink(missing_ok=True)
+        # As files.replacing names them, and not what an editor keeps next to the file.
+        name, end = glob.escape(self.path.name), glob.escape(self.path.suffix)
+        for file in self.path.parent.glob(f".{name}.{'[a-z0-9_]' * 8}{end}"):
+            file.unlink(missing_ok=True)
+
+
+class State(NamedTuple):
+    """State of a run between two blocks of steps; the kernels change its arrays in place."""
+
+    soil: Any
+    """A named tuple of arrays: the particles, in the order in which they were made."""
+    audit: Any
+    """The soil's momentum so far, :class:`~terraphi.forward.ledger.Audit`."""
+    impulse: Any
+    """What the soil did to the leg, as :func:`~terraphi.forward.ledger.empty_reaction` has it."""
+    held: Any
+    """Number of steps in each bin of the history [-], shape [bin]."""
+    step: int
+    """Number of steps taken."""
 
 
 class Keeper:
@@ -62,206 +101,107 @@ class Keeper:
         Steps at which the run was taken up again.
     seconds
         Time that the processes before this one have spent on the run [s].
-    cost
-        Time that this process has spent on checkpoints [s].
     """
 
     def __init__(self, where: Checkpoint | None, scenario: Scenario, kernel: str) -> None:
         self._where = where
-        self._kind: Any = Particles if scenario.dimensions == 2 else Soil
         self._fitting = fitting(scenario, kernel) if where else {}
         self._began = self._last = time.perf_counter()
         self._pause = where.every if where else 0.0
         self.resumed_at: list[int] = []
         self.seconds = 0.0
-        self.cost = 0.0
 
-    def resumed(self) -> State | None:
-        """State that the checkpoint holds, or ``None`` if the run must start from the beginning.
+    def resumed(self, first: State) -> State:
+        """State that the checkpoint holds, or ``first`` if the run must start from the beginning.
 
         Raises
         ------
         InputError
             If a person named the file, and it is no checkpoint of this run.
         """
-        if self._where is None:
-            return None
-        for file in self._where.unfinished():
-            file.unlink(missing_ok=True)
+        if self._where is None or not self._where.path.exists():
+            return first
         path = self._where.path
-        if not path.exists():
-            return None
         try:
-            state, head = self._read()
-        except _MisfitError as error:
+            # Opened here, because NumPy leaves a file open that it finds to be broken.
+            with path.open("rb") as stream, np.load(stream) as file:
+                head = json.loads(str(file["head"]))
+                for name, here in self._fitting.items():
+                    if (there := head["fitting"].get(name)) != here:
+                        raise _MisfitError(
+                            f"the checkpoint has {name.replace('_', ' ')} {str(there)[:12]} where "
+                            f"this run has {str(here)[:12]}"
+                        )
+                soil, audit = (
+                    type(part)(*(file[f"{name}.{field}"] for field in part._fields))
+                    for name, part in (("soil", first.soil), ("audit", first.audit))
+                )
+                state = State(soil, audit, file["impulse"], file["held"], int(head["step"]))
+        except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+            why = (
+                error
+                if isinstance(error, _MisfitError)
+                else "not a whole checkpoint (truncated, or another file)"
+            )
             # A checkpoint that was cut off still begins as one: another's file is left alone.
-            if self._where.named or not _begins_as_archive(path):
-                raise InputError(f"{path}: {error}; remove it, or name another file") from error
-            log.warning("%s: %s; it is ignored, and the simulation starts anew", path, error)
-            return None
-        self.resumed_at = [*head["resumed_at"], state.step]
-        self.seconds = head["seconds"]
+            with path.open("rb") as stream:
+                ours = stream.read(4) in (b"", b"PK\x03\x04")
+            if self._where.named or not ours:
+                raise InputError(f"{path}: {why}; remove it, or name another file") from error
+            log.warning("%s: %s; it is ignored, and the simulation starts anew", path, why)
+            return first
+        self.resumed_at, self.seconds = [*head["resumed_at"], state.step], head["seconds"]
         log.info("%s: going on from step %d", path, state.step)
         return state
 
     def offer(self, state: State) -> None:
-        """Write a state if the last one was written long enough ago."""
-        if self._where is not None and time.perf_counter() - self._last >= self._pause:
-            self.save(state)
-
-    def save(self, state: State) -> bool:
-        """Write a state now, unless it is the one before the first step, which is soon made anew.
-
-        Parameters
-        ----------
-        state
-            Between two blocks.
-
-        Returns
-        -------
-        bool
-            Whether it was written. On a full disk this warns, and the simulation goes on.
-        """
-        if self._where is None or state.step == 0:
-            return False
+        """Write a state if the last one was written long enough ago; on a full disk, warn."""
         began = time.perf_counter()
-        try:
-            self._write(state)
-        except InputError as error:
-            log.warning("no checkpoint: %s", error)
-            return False
-        finally:
-            self._last = time.perf_counter()
-            self.cost += self._last - began
-            if self._where.every > 0.0:
-                self._pause = max(self._where.every, (self._last - began) / DEAREST)
-        return True
-
-    def last_resort(self, state: State) -> str:
-        """Write the last good state of a run that broke down.
-
-        Returns
-        -------
-        str
-            Half a sentence for the message that says where the state is; empty if nothing is kept.
-        """
-        if self.save(state):
-            assert self._where is not None
-            return f"; the last good state, before step {state.step}, is in {self._where.path}"
-        if self._where is not None and state.step == 0:
-            return "; the last good state is the first one"
-        return ""
-
-    def _write(self, state: State) -> None:
-        assert self._where is not None
+        if self._where is None or began - self._last < self._pause:
+            return
         head = {
-            "terraphi_file": "checkpoint",
-            "terraphi_schema": SCHEMA,
             "fitting": self._fitting,
             "step": state.step,
             "resumed_at": self.resumed_at,
-            "seconds": self.seconds + time.perf_counter() - self._began,
+            "seconds": self.seconds + began - self._began,
         }
         arrays = {f"soil.{name}": field for name, field in state.soil._asdict().items()}
         arrays |= {f"audit.{name}": field for name, field in state.audit._asdict().items()}
         arrays |= {"impulse": state.impulse, "held": state.held}
-        with replacing(self._where.path) as temporary, temporary.open("wb") as stream:
-            np.savez(stream, head=np.array(json.dumps(head)), **arrays)
-            # On the disk before it takes the place of the one before.
-            stream.flush()
-            os.fsync(stream.fileno())
-
-    def _read(self) -> tuple[State, dict[str, Any]]:
-        assert self._where is not None
         try:
-            # Opened here, because NumPy leaves a file open that it finds to be broken.
-            with self._where.path.open("rb") as stream, np.load(stream) as file:
-                head = dict(json.loads(str(file["head"])))
-                self._check(head)
-                state = State(
-                    self._kind(*(file[f"soil.{name}"] for name in self._kind._fields)),
-                    Audit(*(file[f"audit.{name}"] for name in Audit._fields)),
-                    file["impulse"],
-                    file["held"],
-                    int(head["step"]),
-                )
-        except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
-            if isinstance(error, _MisfitError):
-                raise
-            raise _MisfitError("not a whole checkpoint (truncated, or another file)") from error
-        return state, head
-
-    def _check(self, head: dict[str, Any]) -> None:
-        """Raise if a checkpoint would not go on in the same bits."""
-        if (head["terraphi_file"], head["terraphi_schema"]) != ("checkpoint", SCHEMA):
-            raise _MisfitError("a checkpoint of another version of terraphi")
-        there = head["fitting"]
-        for name, here in self._fitting.items():
-            if there.get(name) != here:
-                raise _MisfitError(
-                    f"the checkpoint has {name.replace('_', ' ')} {_short(there.get(name))} "
-                    f"where this run has {_short(here)}"
-                )
+            with replacing(self._where.path) as temporary, temporary.open("wb") as stream:
+                np.savez(stream, head=np.array(json.dumps(head)), **arrays)
+                # On the disk before it takes the place of the one before.
+                stream.flush()
+                os.fsync(stream.fileno())
+        except InputError as error:
+            log.warning("no checkpoint: %s", error)
+        self._last = time.perf_counter()
+        if self._where.every > 0.0:
+            self._pause = max(self._where.every, (self._last - began) / DEAREST)
 
 
 class _MisfitError(ValueError):
     """A file is no checkpoint of this run; the message says why."""
 
 
-def _begins_as_archive(path: Path) -> bool:
-    """Whether a file is empty, or begins as what NumPy writes."""
-    with path.open("rb") as stream:
-        return stream.read(len(_ARCHIVE)) in (b"", _ARCHIVE)
-
-
 def fitting(scenario: Scenario, kernel: str) -> dict[str, Any]:
-    """Names and values that a checkpoint must share with a run that goes on from it.
+    """What the result depends on to the last bit, by name; JSON-able."""
+    import llvmlite.binding
+    import numba
 
-    Parameters
-    ----------
-    scenario
-        What is simulated.
-    kernel
-        Name of the kernel.
+    from terraphi.forward.compiled import SOURCE_DIGEST
 
-    Returns
-    -------
-    dict
-        What the result depends on to the last bit; JSON-able.
-    """
-    return {
-        "scenario_hash": scenario.hash,
-        "model_version": model_version(scenario),
-        **rests_on(kernel, dimensions=scenario.dimensions),
-    }
-
-
-def rests_on(kernel: str, *, dimensions: int = 2) -> dict[str, Any]:
-    """What the last bit of a result depends on, besides the scenario; JSON-able.
-
-    Parameters
-    ----------
-    kernel
-        Name of the kernel.
-    dimensions
-        Those of the scenario.
-    """
     features = getattr(numba.config, "CPU_FEATURES", None)
     if features is None:
         features = llvmlite.binding.get_host_cpu_features().flatten()
     return {
+        "scenario_hash": scenario.hash,
         "kernel": kernel,
-        "kernel_source": SOURCE_DIGEST if dimensions == 2 else SOURCE_DIGEST_IN_SPACE,
+        "source": SOURCE_DIGEST,
         **{name: importlib.metadata.version(name) for name in ("numpy", "numba", "llvmlite")},
         "libc": " ".join(platform.libc_ver()),  # sine, cosine and exponential
         "processor": getattr(numba.config, "CPU_NAME", None)
         or llvmlite.binding.get_host_cpu_name(),
         "processor_features": hashlib.sha256(features.encode()).hexdigest(),
-        "vector_lanes": lane_count(),
     }
-
-
-def _short(value: Any) -> str:
-    """A value for a message; a hash is cut after its first digits."""
-    text = str(value)
-    return text if len(text) <= 24 else f"{text[:12]}..."

@@ -2,17 +2,17 @@
 
 Numba looks only at the file of the outermost function, not at those of the functions that it has
 inlined; a change to the latter would silently be ignored. So machine code lies in a folder named
-by a digest of all sources. A process that has read other sources than those of its digest, for they
-changed while it started, keeps nothing.
+by a digest of all sources. A process that has read other sources than those of its digest, because
+they changed while it started, keeps nothing.
 """
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import inspect
 import os
 import re
+import shutil
 import tempfile
 import time
 from collections import Counter
@@ -33,51 +33,25 @@ _OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "fastmath": {"contract", "nsz", "reassoc"},
 }
-
 _FOLDER = Path(__file__).parent
-_NOT_OF_THE_MODEL = {
-    "__init__.py",
-    "breakdown.py",
-    "checkpoint.py",
-    "fields.py",
-    "forecast.py",
-    "vtk.py",
-}
 _EXPERIMENT = _FOLDER.parent / "experiment"
-_IN_PLANE = [
-    *sorted(_FOLDER.glob("*.py")),
-    *sorted((_FOLDER / "plane").glob("*.py")),
-    _EXPERIMENT / "leg.py",
-]
-_SOURCES = [*_IN_PLANE, *sorted((_FOLDER / "mpm").glob("*.py"))]
+_SOURCES = [*sorted(_FOLDER.rglob("*.py")), _EXPERIMENT / "leg.py"]
 """What is compiled."""
 _GIVEN = [_EXPERIMENT / f"{name}.py" for name in ("motion", "scenario", "soil")]
 """What makes the numbers that the kernels are called with."""
-
 _NAME = "terraphi-kernels-"
 _UNUSED = 7 * 86400.0
-"""Time after which machine code of other sources is removed [s]: as long as it is used, somebody
-may run them."""
+"""Time after which machine code of other sources is removed [s]."""
 
 
 def kernel(function: Kernel) -> Kernel:
-    """Compile a scalar function with Numba, cached on disk.
+    """Compile a function of scalars, tuples and arrays with Numba at its first call.
 
     Sums may be reassociated and multiplications fused with additions, which doubles the speed of
     the transfers; the result is still bitwise the same from run to run on one machine, and values
     that are not numbers still spread, so that a breakdown is seen. Multiply, and do not write
     ``x**2``: Numba compiles a power once a process, with the options of whoever asked first, so
     that all later kernels would round as that one does.
-
-    Parameters
-    ----------
-    function
-        A function of scalars, tuples and arrays.
-
-    Returns
-    -------
-    callable
-        The same function, compiled at its first call.
     """
     # A call that is not inlined would round differently in the process that compiles than in one
     # that loads the cache.
@@ -89,23 +63,12 @@ def entry(function: Kernel) -> Kernel:
 
     It is not inlined into the wrappers that Numba makes for its callers, which would compile it
     three times over and, since the wrappers know nothing of :func:`wide_vectors`, for narrow ones.
-
-    Parameters
-    ----------
-    function
-        A function of scalars, tuples and arrays.
-
-    Returns
-    -------
-    callable
-        The same function, compiled at its first call.
     """
     return _compiled(function)
 
 
 def _compiled(function: Kernel, **options: Any) -> Kernel:
-    """Compile a function at its first call, cached where there is a place for it."""
-    place = _PLACE if _PLACE is not None and _read_at() == _READ_AT else None
+    place = PLACE if _read_at() == _READ_AT else None
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]  # Numba sets its options by name
     numba.config.CACHE_DIR = str(place or "")  # type: ignore[attr-defined]
     try:
@@ -137,76 +100,25 @@ wide_vectors = cast(Callable[[], None], numba.extending.intrinsic(_wide_vectors)
 def register_use(function: Callable[..., object], *arguments: object) -> Counter[str]:
     """Count the arithmetic instructions on real numbers in a kernel, compiled anew for x86.
 
-    Parameters
-    ----------
-    function
-        A compiled function.
-    *arguments
-        What it is called with; it may change them.
-
-    Returns
-    -------
-    Counter
-        By register: ``zmm`` (512 bits), ``ymm`` (256), ``xmm`` (128), ``single`` (one number).
+    By register: ``zmm`` (512 bits), ``ymm`` (256), ``xmm`` (128), ``single`` (one number). The
+    arguments are what the kernel is called with; it may change them.
     """
     fresh = numba.njit(**_OPTIONS)(getattr(function, "py_func", function))
     fresh(*arguments)
     (code,) = fresh.inspect_asm().values()
     used: Counter[str] = Counter()
-    for kind, operands in _ARITHMETIC.findall(code):
+    arithmetic = r"^\s+v?(?:fn?m(?:add|sub)\d*|mul|add|sub|div|sqrt)([ps])[ds]\s(.*)$"
+    for kind, operands in re.findall(arithmetic, code, re.M):
         register = next((name for name in ("zmm", "ymm") if name in operands), "xmm")
         used[register if kind == "p" else "single"] += 1
     return used
 
 
-_ARITHMETIC = re.compile(
-    r"^\s+v?(?:fn?m(?:add|sub)\d*|mul|add|sub|div|sqrt)([ps])[ds]\s(.*)$", re.M
-)
-
-
-def _digest_of_sources() -> str:
+def _digest(sources: Iterable[Path]) -> str:
     digest = hashlib.sha256(numba.__version__.encode())
-    for source in _SOURCES:
+    for source in sources:
         digest.update(source.read_bytes())
     return digest.hexdigest()
-
-
-def _code_of(source: Path) -> set[str]:
-    """What a source does, statement by statement: without words about it, layout and imports."""
-    tree = ast.parse(source.read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        if isinstance(body, list):
-            node.body = [part for part in body if not _is_silent(part)] or [ast.Pass()]  # type: ignore[attr-defined]
-    return {ast.unparse(statement) for statement in tree.body}
-
-
-def _is_silent(statement: ast.AST) -> bool:
-    """Whether a statement is an import, a docstring, or a text below a value."""
-    if isinstance(statement, ast.Import | ast.ImportFrom):
-        return True
-    return (
-        isinstance(statement, ast.Expr)
-        and isinstance(statement.value, ast.Constant)
-        and isinstance(statement.value.value, str)
-    )
-
-
-def _digest_of_model(sources: Iterable[Path]) -> str:
-    """Digest of what the sources do, however it is spread over files and wherever these lie."""
-    codes: set[str] = set()
-    for source in sources:
-        if source.name not in _NOT_OF_THE_MODEL:
-            codes |= _code_of(source)
-    return hashlib.sha256("\n".join([numba.__version__, *sorted(codes)]).encode()).hexdigest()
-
-
-SOURCE_DIGEST = _digest_of_model([*_IN_PLANE, *_GIVEN])
-"""SHA-256 of the compiler's version and of the code that bears on a result, hexadecimal.
-
-Words about the code, and code that only keeps, shows or explains a result, do not count."""
-SOURCE_DIGEST_IN_SPACE = _digest_of_model([*_SOURCES, *_GIVEN])
-"""The same with the code of three dimensions."""
 
 
 def _read_at() -> list[int]:
@@ -226,37 +138,31 @@ def _is_as_written(module: ModuleType) -> bool:
 def _place_of_cache() -> Path | None:
     """Folder for machine code of these sources; None if none can be written.
 
-    Where the user wants what Numba keeps, else beside the sources, else, where they are installed
+    Where the user wants what Numba keeps, else next to the sources, else, where they are installed
     for all, in the user's own folder.
     """
     chosen = getattr(numba.config, "CACHE_DIR", "")
     # Path.home raises for users without one.
     own = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))  # noqa: PTH111
     for parent in [Path(chosen)] if chosen else [_FOLDER / "__pycache__", own / "terraphi"]:
-        place = parent / (_NAME + _digest_of_sources()[:16])
+        place = parent / (_NAME + _digest(_SOURCES)[:16])
         try:
             place.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=place).close()
             os.utime(place)  # it is used
         except OSError:
             continue
-        _remove_unused(parent)
+        for other in parent.glob(_NAME + "*"):
+            with suppress(OSError):  # another process may remove it, too
+                if other.stat().st_mtime < time.time() - _UNUSED:
+                    shutil.rmtree(other)
         return place
     return None
 
 
-def _remove_unused(parent: Path) -> None:
-    """Remove machine code of other sources that nobody has used for a long time."""
-    for folder in parent.glob(_NAME + "*"):
-        with suppress(OSError):
-            if folder.stat().st_mtime > time.time() - _UNUSED:
-                continue
-            for old in [*folder.glob("*/*.nbi"), *folder.glob("*/*.nbc")]:
-                old.unlink(missing_ok=True)
-            for inner in [*folder.iterdir(), folder]:
-                inner.rmdir()
-
-
 _READ_AT = _read_at()
 # The one source that may have been read long before this.
-_PLACE = _place_of_cache() if _is_as_written(leg) else None
+PLACE = _place_of_cache() if _is_as_written(leg) else None
+"""Folder in which machine code is kept; ``None`` for nowhere."""
+SOURCE_DIGEST = _digest([*_SOURCES, *_GIVEN])
+"""SHA-256 of the compiler's version and of all sources that bear on a result, hexadecimal."""

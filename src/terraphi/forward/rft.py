@@ -17,13 +17,12 @@ neighbours, nor on what passed there before. Two laws are known here.
     of its own, and ``soil.yield_criterion`` plays no part.
 
 Both see the leg as its centre line, a sheet without thickness: its round ends and edges, small
-beside its faces, are left out. So the plate is a straight leg here. For the straight leg of Li et
+next to its faces, are left out. So the plate is a straight leg here. For the straight leg of Li et
 al. in loose poppy seeds this is also what the published figures of the second law amount to.
 """
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
 from typing import NamedTuple
@@ -38,7 +37,6 @@ from terraphi.experiment.motion import Poses, bin_centres
 from terraphi.experiment.scenario import GRAVITY, Scenario
 
 FloatArray = NDArray[np.float64]
-log = logging.getLogger(__name__)
 
 BLOCK = 512
 """Poses evaluated together; bounds the memory."""
@@ -47,39 +45,16 @@ GRAZING = 1e-9
 margin rounding would decide over a face that slides along itself."""
 
 
-class PlaneCoefficients(NamedTuple):
-    """Fourier coefficients of the stress per depth in two dimensions [N/cm³]."""
-
-    A00: float
-    A10: float
-    B11: float
-    B01: float
-    Bm11: float
-    C11: float
-    C01: float
-    Cm11: float
-    D10: float
-
-
 PLANE_COEFFICIENTS = {
-    "generic": PlaneCoefficients(0.206, 0.169, 0.212, 0.358, 0.055, -0.124, 0.253, 0.007, 0.088),
-    "poppy_loose": PlaneCoefficients(
-        0.051, 0.047, 0.053, 0.083, 0.020, -0.026, 0.057, 0.000, 0.025
-    ),
-    "poppy_close": PlaneCoefficients(
-        0.094, 0.092, 0.092, 0.151, 0.035, -0.039, 0.086, 0.018, 0.046
-    ),
-    "glass03_loose": PlaneCoefficients(
-        0.040, 0.030, 0.045, 0.077, 0.000, -0.031, 0.066, 0.000, 0.017
-    ),
-    "glass03_close": PlaneCoefficients(
-        0.081, 0.063, 0.078, 0.133, 0.024, -0.050, 0.087, 0.000, 0.033
-    ),
-    "glass3_close": PlaneCoefficients(
-        0.045, 0.031, 0.046, 0.084, 0.012, -0.031, 0.060, 0.000, 0.015
-    ),
+    "generic": (0.206, 0.169, 0.212, 0.358, 0.055, -0.124, 0.253, 0.007, 0.088),
+    "poppy_loose": (0.051, 0.047, 0.053, 0.083, 0.020, -0.026, 0.057, 0.000, 0.025),
+    "poppy_close": (0.094, 0.092, 0.092, 0.151, 0.035, -0.039, 0.086, 0.018, 0.046),
+    "glass03_loose": (0.040, 0.030, 0.045, 0.077, 0.000, -0.031, 0.066, 0.000, 0.017),
+    "glass03_close": (0.081, 0.063, 0.078, 0.133, 0.024, -0.050, 0.087, 0.000, 0.033),
+    "glass3_close": (0.045, 0.031, 0.046, 0.084, 0.012, -0.031, 0.060, 0.000, 0.015),
 }
-"""Coefficients by medium [N/cm³]: Li et al. (2013), supplement; ``generic`` needs its ζ."""
+"""Fourier coefficients A00, A10, B11, B01, B-11, C11, C01, C-11, D10 of the stress per depth in two
+dimensions [N/cm³], by medium: Li et al. (2013), supplement; ``generic`` needs its ζ."""
 
 SCALE_POLYNOMIAL = (894.0, -386.0, 89.0)
 """Coefficients of μ³, μ², μ in ξ/(ρ g) [-]: Agarwal et al. (2023)."""
@@ -105,10 +80,12 @@ SPACE_COEFFICIENTS: FloatArray = np.array([_F1, _F2, _F3])
 
 
 class Elements(NamedTuple):
-    """Elements of the leg in space (x, z), at some poses."""
+    """Elements of the leg at some poses, (x, z)."""
 
     depth: FloatArray
     """Of the midpoints below the free surface, negative above [m], shape [pose, panel]."""
+    arm: FloatArray
+    """Midpoints from the hip [m], shape [pose, panel, 2]."""
     tangent: FloatArray
     """Unit tangents from hip to tip [-], shape [pose, panel, 2]."""
     direction: FloatArray
@@ -147,22 +124,25 @@ def simulate(
         )
     began = time.perf_counter()
     centres = bin_centres(scenario.motion)
-    force = np.zeros((len(centres), 2))
+    force, moment = np.zeros((len(centres), 2)), np.zeros(len(centres))
     for first in range(0, len(centres), BLOCK):
         block = slice(first, first + BLOCK)
-        force[block] = leg_force(scenario, scenario.motion.poses_at(centres[block]))
+        poses = scenario.motion.poses_at(centres[block])
+        force[block], moment[block] = leg_force(scenario, poses)
         if progress is not None:
             progress(min(first + BLOCK, len(centres)) / len(centres))
-    seconds = time.perf_counter() - began
-    log.info("%d poses of %d elements in %.2f s", len(centres), scenario.rft.panels, seconds)
-    provenance = {"panels": scenario.rft.panels, "seconds": {"all": seconds}}
+    seconds = {"all": time.perf_counter() - began}
     return ForceHistory(
-        centres, force, coordinate=scenario.motion.coordinate, provenance=provenance
+        centres,
+        force,
+        coordinate=scenario.motion.coordinate,
+        provenance={"panels": scenario.rft.panels, "seconds": seconds},
+        moment=moment,
     )
 
 
-def leg_force(scenario: Scenario, poses: Poses) -> FloatArray:
-    """Force of the soil on the leg at some poses.
+def leg_force(scenario: Scenario, poses: Poses) -> tuple[FloatArray, FloatArray]:
+    """Force of the soil on the leg at some poses, and its moment about the hip.
 
     Parameters
     ----------
@@ -175,6 +155,8 @@ def leg_force(scenario: Scenario, poses: Poses) -> FloatArray:
     -------
     ndarray
         Fx, Fz [N], shape [pose, 2].
+    ndarray
+        Moment [N m], positive in the direction of increasing θ, shape [pose].
     """
     parts = elements(scenario.leg, poses, surface=scenario.bed.surface, panels=scenario.rft.panels)
     submerged = parts.depth > 0.0
@@ -198,26 +180,15 @@ def leg_force(scenario: Scenario, poses: Poses) -> FloatArray:
     area_depth = np.where(submerged, parts.depth, 0.0) * parts.length * scenario.leg.width
     # Both laws are proportional to the soil's weight.
     area_depth *= scenario.bed.gravity / GRAVITY
-    return np.asarray(np.einsum("pe,pei->pi", area_depth, per_depth), dtype=np.float64)
+    pushed = area_depth[..., None] * per_depth
+    moment = parts.arm[..., 1] * pushed[..., 0] - parts.arm[..., 0] * pushed[..., 1]
+    return pushed.sum(axis=1), moment.sum(axis=1)
 
 
 def elements(leg: Leg, poses: Poses, *, surface: float, panels: int) -> Elements:
-    """Elements of the centre line in space.
+    """Elements of the centre line, where they are and how they move.
 
-    Parameters
-    ----------
-    leg
-        The leg.
-    poses
-        Where it is and how it moves.
-    surface
-        Height of the free surface z [m].
-    panels
-        Number of elements.
-
-    Returns
-    -------
-    Elements
+    ``surface`` is the height of the free surface z [m], ``panels`` the number of elements.
     """
     line = leg.centre_line(panels)
     along, motion = (axis[:, None, :] for axis in frame_axes(poses.theta))
@@ -225,14 +196,15 @@ def elements(leg: Leg, poses: Poses, *, surface: float, panels: int) -> Elements
     def turned(vectors: FloatArray) -> FloatArray:
         return np.asarray(vectors[None, :, :1] * along + vectors[None, :, 1:] * motion)
 
-    height = poses.hip[:, None, 1] + turned(line.centre)[..., 1]
+    arm = turned(line.centre)
     # When θ grows, a vector (s, m) of the leg's frame moves along (-m, s) of that frame.
     sweep = turned(np.stack([-line.centre[:, 1], line.centre[:, 0]], axis=1))
     velocity = poses.velocity[:, None, :] + poses.rate[:, None, None] * sweep
     speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
     # An element that happens to stand still has no direction, and feels nothing here.
     direction = np.divide(velocity, speed, out=np.zeros_like(velocity), where=speed > 0.0)
-    return Elements(surface - height, turned(line.tangent), direction, line.length)
+    depth = surface - (poses.hip[:, None, 1] + arm[..., 1])
+    return Elements(depth, arm, turned(line.tangent), direction, line.length)
 
 
 def stress_per_depth_2d(
@@ -267,22 +239,13 @@ def stress_per_depth_2d(
     ndarray
         α of x and z [N/m³], shape [element, 2]; the force on an element is α × depth × area.
     """
-    k = PLANE_COEFFICIENTS[medium]
-    beta = np.arctan2(-tangent[:, 1], tangent[:, 0])
+    a00, a10, b11, b01, bm11, c11, c01, cm11, d10 = PLANE_COEFFICIENTS[medium]
+    twice = 2 * np.arctan2(-tangent[:, 1], tangent[:, 0])
     gamma = np.arctan2(-direction[:, 1], -direction[:, 0])
-    alpha_z = (
-        k.A00
-        + k.A10 * np.cos(2 * beta)
-        + k.B11 * np.sin(2 * beta + gamma)
-        + k.B01 * np.sin(gamma)
-        + k.Bm11 * np.sin(-2 * beta + gamma)
-    )
-    alpha_x = (
-        k.C11 * np.cos(2 * beta + gamma)
-        + k.C01 * np.cos(gamma)
-        + k.Cm11 * np.cos(-2 * beta + gamma)
-        + k.D10 * np.sin(2 * beta)
-    )
+    alpha_z = a00 + a10 * np.cos(twice) + b11 * np.sin(twice + gamma)
+    alpha_z += b01 * np.sin(gamma) + bm11 * np.sin(-twice + gamma)
+    alpha_x = c11 * np.cos(twice + gamma) + c01 * np.cos(gamma)
+    alpha_x += cm11 * np.cos(-twice + gamma) + d10 * np.sin(twice)
     still = ~direction.any(axis=1)
     alpha = np.stack([alpha_x, alpha_z], axis=-1) * (scale * 1e6)  # N/cm³ to N/m³
     alpha[still] = 0.0

@@ -1,4 +1,4 @@
-"""The answer of an inversion: the friction angle, its interval, a verdict, and what they rest on."""
+"""The answer of an inversion: friction angle, interval and verdict, and what they rest on."""
 
 from __future__ import annotations
 
@@ -234,8 +234,10 @@ class Answer:
         rows = {}
         for key, one in self.parameters.items():
             rows[key] = {
-                "median": one.median, "sd": one.sd, "ci68_low": one.ci68[0], "ci68_high": one.ci68[1],
-                "ci95_low": one.ci95[0], "ci95_high": one.ci95[1], **self.diagnostics.get(key, {}),
+                "median": one.median, "sd": one.sd,
+                "ci68_low": one.ci68[0], "ci68_high": one.ci68[1],
+                "ci95_low": one.ci95[0], "ci95_high": one.ci95[1],
+                **self.diagnostics.get(key, {}),
             }  # fmt: skip
         table = pd.DataFrame.from_dict(rows, orient="index")
         if len(self.draws) > 1:
@@ -246,21 +248,18 @@ class Answer:
 
     def __repr__(self) -> str:
         """Five lines for a prompt."""
-        assumed = ", assumed" if self.density_assumed else ""
-        plane = self.phi_plane_strain if self.convention != "plane_strain" else None
-        found = [f"φ = {self.phi} ({self.convention})"] if PHI in self.parameters else []
+        assumed = " (assumed)" if self.density_assumed else ""
         lines = [
-            f"Answer for {self.source}: leg {self.leg}, {self.density_kg_m3:g} kg/m³{assumed}, "
-            f"library {self.library}",
-            *found,
-            *(
-                [f"  as plane strain: {plane}"] if plane
-                else [f"  {k} = {e.median:.4g} ± {e.sd:.2g}" for k, e in self.parameters.items() if k != PHI][:1]
-            ),
-            f"  {self.reason}",
-            f"  {len(self.questions)} warnings in .questions" if self.questions else "",
-        ]  # fmt: skip
-        return "\n".join(line for line in lines if line)
+            f"{self.source}: leg {self.leg}, {self.density_kg_m3:g} kg/m³{assumed}, {self.library}"
+        ]
+        if PHI in self.parameters:
+            lines.append(f"φ = {self.phi} ({self.convention})")
+        if self.convention != "plane_strain" and self.phi_plane_strain is not None:
+            lines.append(f"as plane strain: φ = {self.phi_plane_strain}")
+        lines.append(self.reason)
+        if self.questions:
+            lines.append(f"{len(self.questions)} warnings in .questions")
+        return "\n".join(lines)
 
     def _repr_html_(self) -> str:
         """The same for a notebook."""
@@ -300,9 +299,12 @@ class Answer:
         of_phi.fill_between(grid[inside], density[inside], color="C0", alpha=0.3, lw=0)
         seen = grid[density > 1e-4 * density.max()]
         of_phi.set(
-            xlabel=f"φ [deg], {self.convention}", ylabel="posterior density [1/deg]",
-            xlim=(seen[0], seen[-1]), ylim=(0.0, None), title=f"φ = {str(self.phi).split('    ')[0]}",
-        )  # fmt: skip
+            xlabel=f"φ [deg], {self.convention}",
+            ylabel="posterior density [1/deg]",
+            xlim=(seen[0], seen[-1]),
+            ylim=(0.0, None),
+            title=f"φ = {str(self.phi).partition('    ')[0]}",
+        )
         return figure
 
     # -- files -----------------------------------------------------------------------------------
@@ -316,7 +318,8 @@ class Answer:
             shuffled = np.random.default_rng(self.seed or 0).permutation(self.phi_draws())
             draws = {PHI: shuffled.reshape(4, -1)}
         posterior = xr.Dataset({key: (("chain", "draw"), value) for key, value in draws.items()})
-        data, constant = {}, {}
+        data: dict[str, Any] = {}
+        constant: dict[str, Any] = {}
         for i, record in enumerate(self.records):
             dims = (f"force_{i}", f"theta_{i}")
             data[f"force_{i}"] = (dims, record.data)
@@ -413,7 +416,8 @@ class Answer:
         draws = {key: tree["posterior"][key].values for key in parameters} if drawn else {}
         same = (
             "verdict", "reason", "edge", "library", "library_reason", "density_kg_m3",
-            "density_sd_kg_m3", "density_assumed", "second_opinion", "leg_friction", "seed", "diagnostics",
+            "density_sd_kg_m3", "density_assumed", "second_opinion", "leg_friction", "seed",
+            "diagnostics",
             "provenance", "budget_deg", "phi_plane_strain_reason",
         )  # fmt: skip
         phi = known["phi_deg"]
@@ -430,7 +434,7 @@ class Answer:
         )
 
     def save(self, folder: Path | str) -> None:
-        """Write ``answer.json``, ``answer.nc`` and ``answer.png`` into a folder, whole or not at all.
+        """Write ``answer.json``, ``answer.nc`` and ``answer.png`` into a folder, all or none.
 
         Raises
         ------

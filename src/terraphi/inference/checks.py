@@ -1,4 +1,4 @@
-"""What looks wrong with a record: sensor faults before inference, doubts about units and signs after.
+"""What looks wrong with a record: sensor faults before inference, units and signs after.
 
 Faults that hide a few readings (dropouts, held values, spikes) are left out. Faults that shift many
 readings (a clipped top, a step, a force in air) are left in, since nobody knows which readings are
@@ -24,26 +24,26 @@ Mask = NDArray[np.bool_]
 LOADED = 0.05
 """Force over the largest above which an exact zero is a dropout [-]."""
 HELD, JUMP = 5, 5.0
-"""Equal readings in a row, under load, that are a held value, and the jump after them in steps of the
-record's resolution."""
+"""Equal readings in a row, under load, that are a held value, and the jump after them in steps of
+the record's resolution."""
 SPIKE = 8.0
 """Distance from the running median of a spike, over the usual one [-]."""
 LARGE_SPIKE = 0.15
 """The same over the force's peak-to-peak [-]."""
 CLIPPED, SLOPE_DEG, HIDDEN = 3, 5.0, 0.02
-"""Equal largest readings in a row that may be a clipped top; path on either side of it [deg]; rise that
-it must hide, of peak-to-peak [-]."""
+"""Equal largest readings in a row that may be a clipped top; path on either side of it [deg]; rise
+that it must hide, of peak-to-peak [-]."""
 STEP = 0.2
 """Jump between neighbouring readings that is a step, of peak-to-peak [-]."""
 STEP_SPACING_DEG = 1.5
 """Spacing of readings above which no steps are looked for [deg]."""
 IN_AIR, MARGIN_DEG, OFFSET = 0.005, 5.0, 0.04
-"""Force of the model, over its largest, below which the leg is in the air [-]; distance from the soil
-that is sure to be air [deg]; force there that is an offset, of peak-to-peak [-]."""
+"""Force of the model, over its largest, below which the leg is in the air [-]; distance from the
+soil that is sure to be air [deg]; force there that is an offset, of peak-to-peak [-]."""
 MOST_LEFT_OUT = 0.5
 """Share of the readings that may be left out [-]."""
 BETTER = 0.6
-"""Residual of a record read differently, over that as given, at which the reading is proposed [-]."""
+"""Residual of a record read differently, over that as given, at which that is proposed [-]."""
 USUAL_DEG = (15.0, 50.0)
 """Friction angles of dry soils in plane strain [deg]."""
 LATE_DEG = 4.0
@@ -157,8 +157,8 @@ def _clipped(name: str, force: FloatArray, theta: FloatArray) -> str:
         hidden = (last - first) * up * down / max(up + down, 1e-12)
         if hidden > HIDDEN * np.ptp(force):
             return (
-                f"{name} is cut off at {end:.3g} N between {first:.0f} and {last:.0f}°: check whether "
-                "the sensor saturated."
+                f"{name} is cut off at {end:.3g} N between {first:.0f} and {last:.0f}°: check "
+                "whether the sensor saturated."
             )
     return ""
 
@@ -206,9 +206,10 @@ def in_air(likelihood: Likelihood) -> list[str]:
         force = np.abs(emulator(inside[None])[0])
         touching = emulator.curves.theta_deg[np.any(force > IN_AIR * force.max(), axis=0)]
         theta = record.history.theta_deg
-        for side, air in (
-            ("before the leg meets the soil", theta < touching[0] - MARGIN_DEG),
-            ("after it has left the soil", theta > touching[-1] + MARGIN_DEG),
+        # Soil that the leg carries along may press on it a little where the model has none left.
+        for side, air, limit in (
+            ("before the leg meets the soil", theta < touching[0] - MARGIN_DEG, OFFSET),
+            ("after it has left the soil", theta > touching[-1] + MARGIN_DEG, 2.0 * OFFSET),
         ):
             for name, values in (("Fx", record.history.Fx), ("Fz", record.history.Fz)):
                 if air.sum() < 3 or record.simulated:
@@ -216,10 +217,10 @@ def in_air(likelihood: Likelihood) -> list[str]:
                 # Soil that is met early is met more and more; an offset is there all the way.
                 size = float(np.quantile(np.abs(values[air]), 0.2))
                 size *= float(np.sign(np.median(values[air])))
-                if abs(size) > OFFSET * np.ptp(values):
+                if abs(size) > limit * np.ptp(values):
                     found.append(
-                        f"{record.source}: {name} is {size:.2g} N {side}; tare the sensor, or check "
-                        "the leg."
+                        f"{record.source}: {name} is {size:.2g} N {side}; tare the sensor, or "
+                        "check the leg."
                     )
     return found
 

@@ -4,12 +4,13 @@ With y(x) the curves (Fx, Fz) of a leg as one vector over the leg angle, and x t
 
     y(x) = a(x) [ z0 + sum_k w_k(x) u_k + b(x) e ],
 
-a(x) is the size of the forces and b(x) that of their scatter, exponentials of polynomials; z0 and u_k are mean and principal
-components of the curves over their size. Each weight w_k is a Gaussian process with a quadratic mean,
-a Matérn 5/2 kernel and a nugget, n_k, the scatter between particle seeds; hyperparameters
-maximise the restricted likelihood (Rasmussen & Williams 2006, section 2.7). e is scatter outside the
-components, seen in the part of each curve that the others cannot describe: its size is smooth over θ, and
-its correlation a function of the distance in θ, from the mean periodogram.
+a(x) is the size of the forces and b(x) that of their scatter, exponentials of polynomials; z0 and
+u_k are mean and principal components of the curves over their size. Each weight w_k is a Gaussian
+process with a quadratic mean, a Matérn 5/2 kernel and a nugget, n_k, the scatter between particle
+seeds; hyperparameters maximise the restricted likelihood (Rasmussen & Williams 2006, section 2.7).
+e is scatter outside the components, seen in the part of each curve that the others cannot describe:
+its size is smooth over θ, and its correlation a function of the distance in θ, from the mean
+periodogram.
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ class Emulator:
 
     @cached_property
     def _stacked(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Lengths [process, 1, 1, key], solved weights [process, case], polynomials [process, q]."""
+        """Lengths [k, 1, 1, key], solved weights [k, case] and polynomials [k, q] of all."""
         each = self._processes
         lengths = np.stack([process.lengths for process in each])[:, None, None]
         return lengths, np.stack([p.solved for p in each]), np.stack([p.beta for p in each])
@@ -194,7 +195,7 @@ def emulator_of(library: Library, leg: str, *, corrected: bool) -> Emulator:
 class _Process:
     """A Gaussian process with a polynomial mean, fitted to one weight.
 
-    With A = K + λ diag(b²), K of unit variance, F the polynomials at the cases and β their coefficients,
+    With A = K + λ diag(b²), K of unit variance, F the polynomials at the cases with coefficients β,
     ``solved`` is A⁻¹(w − Fβ), ``inverse`` A⁻¹ and ``spread`` (F'A⁻¹F)⁻¹.
     """
 
@@ -253,8 +254,10 @@ def _fitted(
         own = w[:, column : column + 1]
         end = start if t.shape[1] == 1 else _refined(t, f, own, scale, start)
         lengths, noise = np.exp(end[:-1]), float(np.exp(end[-1]))
-        inverse = np.linalg.inv(_kernel(t, t, lengths) + noise * np.diag(rough**2))
-        spread = np.linalg.inv(basis.T @ inverse @ basis)
+        inverse = np.linalg.inv(_kernel(t, t, lengths) + noise * np.diag(rough**2)).astype(
+            np.float64
+        )
+        spread = np.linalg.inv(basis.T @ inverse @ basis).astype(np.float64)
         beta = spread @ basis.T @ inverse @ weights[:, column]
         rest = weights[:, column] - basis @ beta
         sigma2 = float(rest @ inverse @ rest) / max(len(t) - basis.shape[1], 1)

@@ -94,9 +94,27 @@ def invert(
     >>> terraphi.invert("li2013:poppy_loose/straight").verdict
     'consistent'
     """
+    from threadpoolctl import threadpool_limits
+
     began = time.perf_counter()
+    # The matrices are small: threads would only wait for each other.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _invert(
+            forces, library, calibration, seed, began,
+            leg=leg, density=density, noise=noise, simulated=simulated,
+        )  # fmt: skip
+
+
+def _invert(
+    forces: Any,
+    library: Library | Path | str | None,
+    calibration: Calibration | Path | str | None,
+    seed: int,
+    began: float,
+    **options: Any,
+) -> Answer:
+    """The same, without a limit on threads."""
     every = list(forces) if isinstance(forces, list | tuple) else [forces]
-    options = {"leg": leg, "density": density, "noise": noise, "simulated": simulated}
     records = [without_faults(open_record(one, **options)) for one in every]
     library, reason = _library_for(records, library)
     known = Calibration.load(calibration) if isinstance(calibration, str | Path) else calibration
@@ -218,7 +236,7 @@ def _answer(
         *(note if len(records) == 1 else f"{record.source}: {note}"
           for record in records for note in record.notes),
         *air,
-        *doubts(likelihood, library, misfit=verdict == "misfit"),
+        *doubts(likelihood, library, misfit=verdict != "consistent"),
         *_about(likelihood, fits, parameters, verdict),
     ]  # fmt: skip
     if library.caveat:
@@ -289,8 +307,10 @@ def _fits(
     for record, part in zip(likelihood.records, likelihood.parts, strict=True):
         low, high, curve = (one.reshape(2, -1) for one in curves[:, part])
         residual = likelihood.errors[record.leg].mean_residual(curve, record.theta_deg)
+        size = _nrmsd(record.data, curve)
         expected = None if record.simulated or residual is None else curve + residual
-        size = np.sqrt(np.square(record.data - curve).mean(axis=1)) / record.span
+        if expected is not None and _nrmsd(record.data, expected).max() > size.max():
+            expected = None  # this soil does not differ as others do
         found.append(
             RecordFit(
                 source=record.source, leg=record.leg, leg_assumed=record.leg_assumed,
@@ -302,6 +322,16 @@ def _fits(
             )
         )  # fmt: skip
     return found
+
+
+def _nrmsd(data: FloatArray, curve: FloatArray) -> FloatArray:
+    """Root mean square of the residual of Fx and Fz over the data's peak-to-peak [-], shape [2]."""
+    return np.asarray(np.sqrt(np.square(data - curve).mean(axis=1)) / np.ptp(data, axis=1))
+
+
+def _percent(share: float, *, digits: int = 0) -> str:
+    """A share as a percentage."""
+    return f"{100.0 * share:.{digits}f} %"
 
 
 def _verdict(
@@ -323,8 +353,8 @@ def _verdict(
         low, high = likelihood.low[0], likelihood.high[0]
         end, word = (low, "below") if edge == "low" else (high, "above")
         why = (
-            f"Out of range: φ lies {word} {end:g}°, the {'lower' if edge == 'low' else 'upper'} end "
-            f"of library {library.name}."
+            f"Out of range: φ lies {word} {end:g}°, the "
+            f"{'lower' if edge == 'low' else 'upper'} end of library {library.name}."
         )
         return "out_of_range", f"{why} {misfit}".rstrip(), edge
     if misfit:
@@ -333,8 +363,8 @@ def _verdict(
         return "consistent", "Consistent: noise and scatter explain the residual.", None
     worst = {name: max(fit.nrmsd[name] for fit in fits) for name in ("Fx", "Fz")}
     why = (
-        f"Consistent: the model follows Fx within {worst['Fx']:.0%} and Fz within "
-        f"{worst['Fz']:.0%} of their range, usual for sand."
+        f"Consistent: the model follows Fx within {_percent(worst['Fx'])} and Fz within "
+        f"{_percent(worst['Fz'])} of their range, usual for sand."
     )
     return "consistent", why, None
 
@@ -343,18 +373,16 @@ def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
     """A sentence if a record differs from the model by more than real soils do."""
     for fit in fits:
         error = likelihood.errors[fit.leg]
-        sizes = [max(fit.nrmsd.values())]
-        spans = np.ptp(fit.data, axis=1)
-        if fit.expected is not None:
-            apart = np.sqrt(np.square(fit.data - fit.expected).mean(axis=1)) / spans
-            sizes.append(float(apart.max()))
-        if min(sizes) > error.nrmsd_limit:
-            residual = (fit.data - fit.curve) / spans[:, None]
+        best = fit.curve if fit.expected is None else fit.expected
+        size = float(_nrmsd(fit.data, best).max())
+        if size > error.nrmsd_limit:
+            residual = (fit.data - best) / np.ptp(fit.data, axis=1)[:, None]
             i, j = np.unravel_index(np.abs(residual).argmax(), residual.shape)
             return (
-                f"Misfit: {('Fx', 'Fz')[i]} differs from the model by {residual[i, j]:+.0%} of its "
-                f"range at {fit.theta_deg[j]:.0f}°. The residual is {min(sizes):.0%} where training "
-                f"soils stay within {error.nrmsd_limit:.0%}. Do not use the angle."
+                f"Misfit: {('Fx', 'Fz')[i]} differs from the model by "
+                f"{100.0 * residual[i, j]:+.0f} % of its range at {fit.theta_deg[j]:.0f}°. The "
+                f"residual is {_percent(size, digits=1)}; of training soils it is at most "
+                f"{_percent(error.nrmsd_limit, digits=1)}. Do not use the angle."
             )
     return ""
 
@@ -427,8 +455,8 @@ def _about(
         low, high = USUAL_DEG
         if likelihood.measured and not low <= phi.median <= high:
             found.append(
-                f"φ = {phi.median:.0f}° is unusual for dry soil ({low:g} to {high:g}°): check density, "
-                "unit of force and leg."
+                f"φ = {phi.median:.0f}° is unusual for dry soil ({low:g} to {high:g}°): check "
+                "density, unit of force and leg."
             )
     return found
 
@@ -459,7 +487,7 @@ def _plane_strain(phi: Estimate, scenario: Scenario) -> tuple[Estimate | None, s
 
 
 def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
-    """Angle by three-dimensional resistive force theory, as one of plane strain, of measured forces."""
+    """Angle of measured forces by resistive force theory, as one of plane strain."""
     if not likelihood.measured or SECOND not in Library.names():
         return None
     other = Likelihood(likelihood.records, _shipped(SECOND))

@@ -1,7 +1,7 @@
 r"""The likelihood of records: one normal distribution, whose covariance is a sum of named terms.
 
-With d the window means of all records, one after the other, g(x) the library's curves at parameters x
-(the friction angle, or several), read and averaged as the records were,
+With d the window means of all records, one after the other, g(x) the library's curves at parameters
+x (the friction angle, or several), read and averaged as the records were,
 
     d = g(x) + Σ_t e_t,    e_t ~ N(0, C_t).
 
@@ -18,10 +18,10 @@ With d the window means of all records, one after the other, g(x) the library's 
 | model: leg | the same of each leg by itself, l² |
 | model: shape | everything else by which real soils differ |
 
-Those from the corrections on are of measured records; particle scatter is of simulated ones. All terms
-are taken at the best point, so that their size is no evidence of x. For measured records g is linear
-about that point: several of the terms are degrees wide and known to first order only, and the
-curvature of g would move the median by what is not known.
+Those from the corrections on are of measured records; particle scatter is of simulated ones. All
+terms are taken at the best point, so that their size is no evidence of x. For measured records g is
+linear about that point: several of the terms are degrees wide and known to first order only, and
+the curvature of g would move the median by what is not known.
 
 **Shape.** Let S = ∂g/∂x, A = diag(1/p²), p the peak-to-peak of each force, and c = (S'AS)⁻¹S'A the
 least-squares estimator. The shape of the residual of a real soil is unknown: it has the covariance
@@ -36,6 +36,7 @@ least squares.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from functools import cached_property
 
@@ -344,7 +345,7 @@ class Likelihood:
         white = self._whitening @ self.slope(x)
         c = self._whitening.T @ white @ np.linalg.pinv(white.T @ white)
         c = c[:, self.keys.index(key)]
-        shares = {name: float(np.sqrt(max(c @ term @ c, 0.0))) for name, term in self.terms.items()}
+        shares = {n: math.sqrt(max(float(c @ term @ c), 0.0)) for n, term in self.terms.items()}
         most = max(shares.values())
         ordered = sorted(shares.items(), key=lambda item: -item[1])
         return {name: share for name, share in ordered if share > 0.01 * most}

@@ -1,8 +1,8 @@
 r"""Records: measured or simulated forces as window means, and how a library's curve becomes alike.
 
-A record is compared with the library through m window means of each force: 40 windows over
-|θ| ≤ 85°, as Xu & Wang have it, or those of them that the record covers. With x the readings, taken to
-be linear in between, the means are W x; a curve y known as means over 1° is read at the angles of the
+A record is compared with the library through m window means of each force: 40 windows over |θ| ≤
+85°, as Xu & Wang have it, or those of them that the record covers. With x the readings, taken to be
+linear in between, the means are W x; a curve y known as means over 1° is read at the angles of the
 readings, R y, so that
 
     d = W x,    g = W R y,    cov(noise) = σ² W W'.
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
@@ -132,10 +133,12 @@ class Record:
         return np.kron(np.diag(np.square(self.noise_N)), weights @ weights.T)
 
     def operator(self, theta_deg: FloatArray) -> FloatArray:
-        """W R: what turns a curve of means over 1° at leg angles [deg] into window means, [m, n]."""
+        """W R: turns a curve of means over 1° at leg angles [deg] into window means, [m, n]."""
         return self._windows[1] @ _interpolation(self.history.theta_deg, theta_deg)
 
-    def without(self, mask: FloatArray, notes: Sequence[str], *, damaged: bool = False) -> Record:
+    def without(
+        self, mask: NDArray[np.bool_], notes: Sequence[str], *, damaged: bool = False
+    ) -> Record:
         """The same record without some readings (a mask of those to drop), with notes on why."""
         history = self.history
         if mask.any():
@@ -193,7 +196,7 @@ def open_record(
         a standard deviation 5 % are assumed.
     noise
         Standard deviation of a reading [N], of both forces or of each; ``None``: from the readings'
-        roughness for measured forces, none for simulated ones.
+        roughness.
     simulated
         Whether the forces are a simulation's; ``None``: as they say.
 
@@ -214,7 +217,10 @@ def open_record(
     made_by = scenario_of(history, name=known.name)
     mean, sd, assumed = known.density_kg_m3, None, known.density_assumed
     if density is not None:
-        mean, sd = number_with_sd(density) if isinstance(density, str) else (float(density), None)
+        try:
+            mean, sd = number_with_sd(str(density))
+        except ValueError:
+            raise InputError(f"density = '{density}'; give kg/m³ as 1600 or 1600±80") from None
         assumed = False
     if mean is not None and not 100.0 <= mean <= 10_000.0:
         raise InputError(f"density = {mean:g} kg/m³; 100 to 10000 kg/m³ are accepted")
@@ -225,8 +231,6 @@ def open_record(
     sensor = _noise_N(history)
     if noise is not None:
         sensor = (noise, noise) if isinstance(noise, int | float) else noise
-    elif made_by is not None or simulated:
-        sensor = (0.0, 0.0)
     if min(sensor) < 0.0 or max(sensor) > np.ptp(history.force):
         raise InputError(
             f"noise = {max(sensor):g} N; 0 N to {np.ptp(history.force):.3g} N, the range of the "

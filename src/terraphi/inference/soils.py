@@ -46,11 +46,11 @@ class ModelError(Strict):
     """Usual residual of a real soil, of peak-to-peak [-]."""
     nrmsd_limit: float = Field(0.25, gt=0)
     """Residual above which a record is a misfit [-]."""
-    theta_deg: list[float] = []
+    theta_deg: tuple[float, ...] = ()
     """Leg angles of the mean residual [deg]."""
-    residual: list[list[float]] = []
+    residual: tuple[tuple[float, ...], ...] = ()
     """Mean residual of Fx and Fz in real soils, over the model's peak-to-peak [-], [2, theta]."""
-    training: list[str] = []
+    training: tuple[str, ...] = ()
     """Records that this was learnt from."""
 
     def mean_residual(self, curve: FloatArray, theta_deg: FloatArray) -> FloatArray | None:

@@ -1,8 +1,8 @@
 """Build a library: simulate the cases of a plan on any executor, keep what is finished, resume.
 
-While ``FILE.nc`` is being built, finished cases lie in the folder ``FILE.nc.cases``, one force history
-each, named by the hash of its scenario, with the checkpoints of the cases that are running. The same
-command continues there after a kill. The folder goes when the library is written.
+While ``FILE.nc`` is being built, finished cases lie in the folder ``FILE.nc.cases``, one force
+history each, named by the hash of its scenario, with the checkpoints of the cases that are running.
+The same command continues there after a kill. The folder goes when the library is written.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExec
 from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import held, made_folder
@@ -187,8 +188,9 @@ def cluster(address: str) -> Iterator[Executor]:
     """
     with needing("a Dask cluster", "dask and distributed", extra="cluster"):
         from distributed import Client
+    connect: Any = Client  # it publishes no types
     try:
-        client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+        client = connect(address, timeout=CONNECT_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(f"{address}: no Dask scheduler answers there ({error})") from error
     with client:

@@ -1,7 +1,7 @@
 """A plan: what a library is to contain, written in TOML.
 
-The cases of a plan are all combinations of the values of its swept keys, or points drawn in a box of
-several keys, or the base scenario with one key changed at a time.
+The cases of a plan are all combinations of the values of its swept keys, or points drawn in a box
+of several keys, or the base scenario with one key changed at a time.
 """
 
 from __future__ import annotations

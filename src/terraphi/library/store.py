@@ -243,7 +243,7 @@ class Library:
             for i, axis in enumerate(whole.axes)
         }
         if all(c.history is None or c.history.moment is not None for c in every):
-            moment = [c.history.moment if c.history else nothing[:, 0] for c in every]
+            moment: list[Any] = [c.history.moment if c.history else nothing[:, 0] for c in every]
             data["M"] = (("case", name), np.stack(moment), {"units": "N m"})
         texts = {
             "scenario": [c.scenario.model_dump_json() for c in every],
@@ -313,7 +313,9 @@ class Library:
         axes = tuple(axis for axis in "xyz" if f"F{axis}" in names)
         force = np.stack([data[f"F{a}"].values.astype(np.float64) for a in axes], axis=2)
         moment = data["M"].values.astype(np.float64) if "M" in names else None
-        where, cases, replicates = positions(data), [], []
+        where = positions(data)
+        cases: list[Case] = []
+        replicates: list[Case] = []
         again = data["replicate"].values if "replicate" in data else np.zeros(len(force))
         for i, failure in enumerate(map(str, data["failure"].values)):
             scenario = Scenario.model_validate_json(str(data["scenario"].values[i]))
@@ -381,7 +383,7 @@ def _varied(cases: list[Case]) -> tuple[str, ...]:
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:
     """Leaves of nested dictionaries and lists by dotted key."""
-    items = value.items() if isinstance(value, dict) else None
+    items: Any = value.items() if isinstance(value, dict) else None
     if items is None and isinstance(value, list):
         items = [(str(i), one) for i, one in enumerate(value)]
     if items is None:

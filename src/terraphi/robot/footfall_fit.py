@@ -11,7 +11,7 @@ surface is not known), a vertical drift w of the odometry, and noise e that is c
 What all footfalls share, θ, is held at its prior's mean θ₀ here; how far that puts the mode off
 follows from the same linearisation, φ̂ = φ + S (θ − θ₀) + e, and is left to the pooling.
 
-This is the one module of the robot's room that knows force laws.
+This is the one module of the folder that uses force laws.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.forward.foot_laws import LAWS, Foot, FootLaw
+from terraphi.forward.foot import LAWS, Foot, FootLaw
 from terraphi.robot.touchdowns import Touchdowns
 
 LAW_SETS: Mapping[str, tuple[str, ...]] = {
@@ -33,7 +33,7 @@ LAW_SETS: Mapping[str, tuple[str, ...]] = {
 }
 """What ``--law`` may be, and the laws that it stands for."""
 PHI_RANGE = (15.0, 50.0)
-"""Friction angles that laws are asked for [deg]."""
+"""Friction angles for which laws are evaluated [deg]."""
 NOISE_N, NOISE_PART = 1.5, 0.04
 """Standard deviation of a force: constant [N], and as a part of it [-]; odometry is in it."""
 CORRELATION_S = 0.008
@@ -71,7 +71,7 @@ class Prior:
         Of the way that feet go down, as the odometry has it, relative [-]: standing feet give
         way a little while the load moves over, and the attitude errs.
     law_sd_deg
-        Of the law's offset [deg]: ``terraphi study plates`` says where it comes from.
+        Of the law's offset [deg]: from measured plates.
     exponent_sd
         Of an exponent by which the law's growth with depth may be wrong [-].
     slope_sd
@@ -122,7 +122,7 @@ def shared_sd(prior: Prior) -> FloatArray:
 
 
 class Fit(NamedTuple):
-    """Posterior of each touch-down; arrays of shape [touchdown] unless said.
+    """Posterior of each touch-down; arrays of shape [touchdown] unless noted.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ def predicted(
     Parameters
     ----------
     law, prior
-        Which law, and the soil and foot it is asked for.
+        Which law, for which soil and foot.
     seen
         The touch-downs.
     state
@@ -210,7 +210,7 @@ def fit(seen: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     seen
         The touch-downs, none or more; those without used samples come out at the prior.
     law
-        One of :data:`~terraphi.forward.foot_laws.LAWS`, by its name, or another.
+        One of :data:`~terraphi.forward.foot.LAWS`, by its name, or another.
     prior
         What is known before.
 

@@ -1,6 +1,6 @@
 r"""Footfalls together: a map of φ along the path, with what is shared by all of them.
 
-Each footfall says φ̂_i = φ(x_i) + S_i (θ − θ₀) + e_i, with the sensitivities S_i of its fit to what
+Each footfall gives φ̂_i = φ(x_i) + S_i (θ − θ₀) + e_i, with the sensitivities S_i of its fit to what
 all share, θ: errors of the sensors, density, surface friction, radius, law. φ is a Gaussian
 process over the ground with an unknown mean; e has the fit's standard deviation and a scatter τ
 that the data set. Everything is linear and normal, so the posterior of φ and θ is exact given
@@ -10,8 +10,8 @@ a shear test found it on a stretch of the path, is one more observation, with S 
 What footfalls share is taught by them in one thing: gains and friction that differ from leg to leg
 while the soil does not, by :data:`TEACHERS` footfalls at most, so that what no model has right does
 not grow into certainty with the length of a log. They do not teach soil, foot and law: a wrong
-slope of the law is told from another field by nothing but the field's prior. So θ otherwise keeps
-its prior and moves the map as a whole, until an anchor speaks: a cut posterior.
+slope of the law differs from another field in nothing but the field's prior. So θ otherwise keeps
+its prior and moves the map as a whole, until there is an anchor: a cut posterior.
 
 Two bands come out. **Relative**: soil, foot and law taken as assumed (density, surface friction,
 radius, law at their most probable values), as when places of one walk are compared. **Absolute**:

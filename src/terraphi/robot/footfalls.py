@@ -1,4 +1,4 @@
-"""φ under every footfall of a log, and along its path: the whole way from a log to the answer."""
+"""φ under every footfall of a log, and along its path: from a log to the answer."""
 
 from __future__ import annotations
 
@@ -19,22 +19,19 @@ from terraphi.robot.footfall_fit import (
     LAW_SETS,
     PHI_RANGE,
     SHARED,
-    TORQUES,
     Fit,
     Prior,
     fit,
-    shared_sd,
 )
-from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, Shared, pool
+from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool
 from terraphi.robot.forces import without_broken_accelerometer
-from terraphi.robot.friction import JointFriction
 from terraphi.robot.joint_log import FEET, JointLog
-from terraphi.robot.kinematics import rotation
+from terraphi.robot.legs import rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.odometry import Motion, track
-from terraphi.robot.results import RobotForces, analyse, opened
+from terraphi.robot.results import analyse, opened
 from terraphi.robot.touchdowns import FEWEST, Touchdowns, sensitivity, touchdowns
-from terraphi.robot.weighing import Weighing, weigh
+from terraphi.robot.weighing import weigh
 
 USABLE = "usable"
 SHALLOW, TRODDEN, MISFIT = "too little sinkage", "not virgin ground", "the law does not fit"
@@ -50,7 +47,7 @@ NEAR_RADII = 2.0
 WORST_MISFIT = 2.0
 """χ² over the degrees of freedom above which a law does not fit [-]."""
 NEAR_EDGE_DEG = 1.0
-"""A friction angle this near to the end of what laws are asked for is the end [deg]."""
+"""A friction angle this near to the end of the range of the laws is the end [deg]."""
 LEAST_SCALE = 0.2
 """The noise of a log is at least this part of what is assumed [-]."""
 PATH_STEP = 0.05
@@ -64,7 +61,7 @@ HEADING_S = 0.5
 
 @dataclass(frozen=True)
 class FootfallMap:
-    """What a log says of the soil.
+    """φ under footfalls and along the path.
 
     Attributes
     ----------
@@ -90,11 +87,11 @@ class FootfallMap:
     path_phi, path_relative_sd, path_absolute_sd
         Map of φ on the path [deg], shape [point]; not a number if no footfall is usable.
     shared
-        What all footfalls share, by name: mean, standard deviation and what it is worth in φ.
+        What all footfalls share, by name: mean, standard deviation and its share of φ's.
     by_law
-        Mean φ of the usable footfalls by each law that was asked [deg].
+        Mean φ of the usable footfalls by each law [deg].
     notes
-        What a reader should know.
+        Warnings.
     provenance
         Log, robot, priors and versions.
     """
@@ -119,7 +116,7 @@ class FootfallMap:
 
     @property
     def usable(self) -> BoolArray:
-        """Which footfalls tell φ, shape [footfall]."""
+        """Which footfalls determine φ, shape [footfall]."""
         return np.array([verdict == USABLE for verdict in self.verdict], dtype=bool)
 
     def counts(self) -> dict[str, int]:
@@ -134,8 +131,6 @@ def find_footfalls(
     law: str = "rft",
     prior: Prior | None = None,
     anchors: Sequence[Anchor] = (),
-    friction: JointFriction | None = None,
-    probe: bool = False,
     **reading: Any,
 ) -> FootfallMap:
     """φ under each footfall of a walk, and a map of it along the path.
@@ -145,25 +140,17 @@ def find_footfalls(
     log
         A file or folder that :func:`~terraphi.robot.logs.read_log` reads, or what it read.
     robot
-        The robot, or its name, TOML or URDF.
+        The robot, or its name, TOML, URDF or MJCF.
     law
-        One of :data:`~terraphi.robot.footfall_fit.LAW_SETS`: the answers of several laws are
+        One of :data:`~terraphi.robot.footfall_fit.LAW_SETS`: the results of several laws are
         averaged.
     prior
         What is known of soil, foot, sensors and law; the foot's radius is the robot's. ``None``:
-        the usual, and the answer says that the density is assumed.
+        the usual, with a note that the density is assumed.
     anchors
         Friction angles known on stretches of the path.
-    friction
-        Of the joints, from a log of the hanging robot; what it lacks is found in swing.
-    probe
-        Feet were pressed slowly, on purpose, while the others stood: the whole loading counts.
     **reading
         ``topic``, ``joint_names`` and ``columns`` of :func:`~terraphi.robot.logs.read_log`.
-
-    Returns
-    -------
-    FootfallMap
 
     Raises
     ------
@@ -172,11 +159,14 @@ def find_footfalls(
         option is unknown or an anchor lies off the path.
     """
     body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
-    check_known(law, body)
+    if law not in LAW_SETS:
+        raise InputError(f"law '{law}' is unknown; {nearest(law, LAW_SETS)}")
+    if body.foot_radius <= 0.0:
+        raise InputError(f"robot '{body.name}' lacks its foot_radius, which footfalls need")
     name = "the log" if isinstance(log, JointLog) else str(log)
     log, _ = opened(log, body, **reading)
     if log.quaternion is None:
-        raise InputError(f"{name}: has no attitude, without which nobody knows where down is")
+        raise InputError(f"{name}: has no attitude, so that down is not known")
     if len(log.time) < FEWEST:
         raise InputError(
             f"{name}: a footfall takes {FEWEST} samples or more, found {len(log.time)}; give the "
@@ -184,51 +174,76 @@ def find_footfalls(
         )
     chosen = replace(prior or Prior(), radius=body.foot_radius)
     try:
-        found = analyse(log, robot=body, friction=friction)
-        if found.grave:
-            raise InputError(f"no footfall can be told: {found.grave[0]}")
+        analysis = analyse(log, robot=body)
+        if analysis.grave:
+            raise InputError(f"no footfall can be read: {analysis.grave[0]}")
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
-    lift = found.forces.force[:, :, 2].astype(np.float64)
+    forces = analysis.forces
+    lift = forces.force[:, :, 2].astype(np.float64)
     log, _ = without_broken_accelerometer(log)  # as the forces did, whose notes say so
-    motion = _from_the_start(track(log, body, lift), log)
-    per = sensitivity(log, body)
-    saturated = found.forces.saturated
-    seen = touchdowns(log, body, lift, saturated, motion, found.stances, per, probe=probe)
-    weighed = weigh(
-        log.time, lift, motion.lift_acceleration, per, shared_sd(chosen)[: len(TORQUES)],
-        mass=body.mass,
-    )  # fmt: skip
+    motion = _from_the_start(track(log, body, forces.place, lift), log)
+    per = sensitivity(log, forces)
+    seen = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
+    common = weigh(log.time, lift, motion.lift_acceleration, per, chosen, mass=body.mass)
     fits = {each: fit(seen, each, chosen) for each in LAW_SETS[law]}
-    made = _together(seen, fits, weighed, chosen, _path(motion, log.time), anchors, found, {
-        "log": name, "robot": body.name, "law": law, "laws": list(fits), "probe": probe,
-        "prior": asdict(chosen), "anchors": [anchor._asdict() for anchor in anchors],
-        "terraphi": importlib.metadata.version("terraphi"), "forces": found.provenance(),
-    })  # fmt: skip
-    if prior is not None:
-        return made
-    assumed = f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed"
-    return replace(made, notes=(assumed, *made.notes))
-
-
-def check_known(law: str, robot: Quadruped) -> None:
-    """Raise InputError if a law is unknown, or a robot's feet or masses are."""
-    if law not in LAW_SETS:
-        raise InputError(f"law '{law}' is unknown; {nearest(law, LAW_SETS)}")
-    if robot.foot_radius <= 0.0 or not robot.has_masses:
-        lacks = "masses of its links" if robot.foot_radius > 0.0 else "foot_radius"
-        raise InputError(f"robot '{robot.name}' lacks its {lacks}, which footfalls need")
-
-
-def average(fits: Sequence[Fit]) -> Fit:
-    """The mean of what laws say; the best of their misfits."""
-    columns = [np.mean(values, axis=0) for values in zip(*fits, strict=True)]
-    mean = Fit(*columns)
-    return mean._replace(misfit=np.min([each.misfit for each in fits], axis=0))
+    # The mean of several laws' fits; the best of their misfits.
+    found = Fit(*(np.mean(column, axis=0) for column in zip(*fits.values(), strict=True)))
+    found = found._replace(misfit=np.min([each.misfit for each in fits.values()], axis=0))
+    verdict = verdicts(seen, found, chosen.radius)
+    usable = np.array([v == USABLE for v in verdict], dtype=bool)
+    path = _path(motion, log.time)
+    stretches = [(anchor, _stretch(anchor, path)) for anchor in anchors]
+    each = np.full((3, len(verdict)), np.nan)
+    along = np.full((3, len(path)), np.nan)
+    shared: dict[str, Any] = {}
+    if usable.any():
+        # The noise is scaled to what the log shows on the whole.
+        misfit = found.misfit[usable]
+        scale = max(LEAST_SCALE, math.sqrt(float(np.median(np.minimum(misfit, 1.0)))))
+        own = found.sd[usable] * scale * np.maximum(1.0, np.sqrt(misfit) / scale) ** 0.5
+        observed = Observed(found.phi[usable], own, found.shared[usable], seen.place[usable, :2])
+        pooled = pool(observed, common, path[:, 1:], stretches, mean=chosen.phi_deg)
+        each[:, usable] = pooled.phi, pooled.sd, pooled.shared_sd
+        along = np.stack([pooled.path_phi, pooled.path_relative_sd, pooled.path_absolute_sd])
+        shared = _shared_summary(pooled, chosen)
+    shallow = np.array([v == SHALLOW for v in verdict], dtype=bool)
+    sinkage = np.where(shallow, found.gained, found.sinkage)
+    notes = [note for note in analysis.notes if note not in analysis.of_axes]
+    if prior is None:
+        assumed = f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed"
+        notes.insert(0, assumed)
+    if len(usable) and not usable.any():
+        notes.append("no footfall is usable: the map is empty")
+    if usable.any() and not anchors:
+        notes.append("no anchor: only differences along the path are as sure as the relative band")
+    return FootfallMap(
+        time=seen.begin,
+        foot=tuple(FEET[i] for i in seen.foot),
+        place=seen.place + np.outer(sinkage, [0.0, 0.0, 1.0]),
+        sinkage=sinkage,
+        phi=each[0],
+        sd=each[1],
+        shared_sd=each[2],
+        misfit=found.misfit,
+        verdict=tuple(verdict),
+        path=path,
+        path_phi=along[0],
+        path_relative_sd=along[1],
+        path_absolute_sd=along[2],
+        shared=shared,
+        by_law={k: float(f.phi[usable].mean()) for k, f in fits.items()} if usable.any() else {},
+        notes=tuple(notes),
+        provenance={
+            "log": name, "robot": body.name, "law": law, "laws": list(fits),
+            "prior": asdict(chosen), "anchors": [anchor._asdict() for anchor in anchors],
+            "terraphi": importlib.metadata.version("terraphi"), "forces": analysis.provenance(),
+        },
+    )  # fmt: skip
 
 
 def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
-    """Verdict of each footfall: the first reason that speaks against it, else :data:`USABLE`.
+    """Verdict of each footfall: the first reason against it, else :data:`USABLE`.
 
     Parameters
     ----------
@@ -237,7 +252,12 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
     radius
         Of the foot [m].
     """
-    trodden = _trodden(seen, NEAR_RADII * radius)
+    from scipy.spatial import cKDTree
+
+    trodden = np.zeros(len(seen.foot), dtype=bool)
+    if len(trodden):
+        tree = cKDTree(seen.place[:, :2])
+        trodden[[max(pair) for pair in tree.query_pairs(NEAR_RADII * radius)]] = True
     rests = seen.used.sum(axis=1) < FEWEST
     low, high = PHI_RANGE[0] + NEAR_EDGE_DEG, PHI_RANGE[1] - NEAR_EDGE_DEG
     against = (
@@ -248,21 +268,10 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
         (EDGE, (found.phi < low) | (found.phi > high)),
         (MISFIT, found.misfit > WORST_MISFIT),
     )
-    said = np.full(len(seen.foot), USABLE, dtype=object)
+    found_to_be = np.full(len(seen.foot), USABLE, dtype=object)
     for word, holds in reversed(against):
-        said[holds] = word
-    return [str(word) for word in said]
-
-
-def _trodden(seen: Touchdowns, near: float) -> BoolArray:
-    """Whether an earlier footfall was nearer than that [m]."""
-    from scipy.spatial import cKDTree
-
-    trodden = np.zeros(len(seen.foot), dtype=bool)
-    if len(trodden):
-        pairs = cKDTree(seen.place[:, :2]).query_pairs(near, output_type="ndarray")
-        trodden[pairs.max(axis=1) if len(pairs) else []] = True
-    return trodden
+        found_to_be[holds] = word
+    return [str(word) for word in found_to_be]
 
 
 def _from_the_start(motion: Motion, log: JointLog) -> Motion:
@@ -288,7 +297,7 @@ def _path(motion: Motion, time: FloatArray) -> FloatArray:
 
 
 def _stretch(anchor: Anchor, path: FloatArray) -> FloatArray:
-    """Points of the path that an anchor speaks of [m], shape [point, 2]."""
+    """Points of the path on an anchor's stretch [m], shape [point, 2]."""
     along = path[:, "sxy".index(anchor.axis)]
     inside = np.flatnonzero((along >= anchor.begin - 1e-9) & (along <= anchor.end + 1e-9))
     if not len(inside):
@@ -300,118 +309,28 @@ def _stretch(anchor: Anchor, path: FloatArray) -> FloatArray:
     return path[inside[some], 1:]
 
 
-def _together(
-    seen: Touchdowns,
-    fits: Mapping[str, Fit],
-    weighed: Weighing,
-    prior: Prior,
-    path: FloatArray,
-    anchors: Sequence[Anchor],
-    forces: RobotForces,
-    provenance: Mapping[str, Any],
-) -> FootfallMap:
-    mean = average(list(fits.values()))
-    verdict = verdicts(seen, mean, prior.radius)
-    usable = np.array([v == USABLE for v in verdict], dtype=bool)
-    stretches = [(anchor, _stretch(anchor, path)) for anchor in anchors]
-    nothing = np.full(len(verdict), np.nan)
-    phi, sd, common = nothing, nothing.copy(), nothing.copy()
-    along = np.full((3, len(path)), np.nan)
-    shared: dict[str, Any] = {}
-    if usable.any():
-        pooled = pool(
-            _observed(seen, mean, usable), _shared(prior, weighed), path[:, 1:], stretches,
-            mean=prior.phi_deg,
-        )  # fmt: skip
-        phi = phi.copy()
-        phi[usable], sd[usable], common[usable] = pooled.phi, pooled.sd, pooled.shared_sd
-        along = np.stack([pooled.path_phi, pooled.path_relative_sd, pooled.path_absolute_sd])
-        shared = _shared_summary(pooled, prior)
-    shallow = np.array([v == SHALLOW for v in verdict], dtype=bool)
-    sinkage = np.where(shallow, mean.gained, mean.sinkage)
-    place = seen.place.copy()
-    place[:, 2] += sinkage
-    return FootfallMap(
-        time=seen.begin,
-        foot=tuple(FEET[i] for i in seen.foot),
-        place=place,
-        sinkage=sinkage,
-        phi=phi,
-        sd=sd,
-        shared_sd=common,
-        misfit=mean.misfit,
-        verdict=tuple(verdict),
-        path=path,
-        path_phi=along[0],
-        path_relative_sd=along[1],
-        path_absolute_sd=along[2],
-        shared=shared,
-        by_law={k: float(f.phi[usable].mean()) for k, f in fits.items()} if usable.any() else {},
-        notes=(*(n for n in forces.notes if n not in forces.of_axes), *_notes(usable, anchors)),
-        provenance=provenance,
-    )
-
-
-def _observed(seen: Touchdowns, found: Fit, usable: BoolArray) -> Observed:
-    """Usable footfalls, their noise scaled to what the log shows on the whole."""
-    scale = max(LEAST_SCALE, math.sqrt(float(np.median(np.minimum(found.misfit[usable], 1.0)))))
-    own = found.sd[usable] * scale * np.maximum(1.0, np.sqrt(found.misfit[usable]) / scale) ** 0.5
-    return Observed(found.phi[usable], own, found.shared[usable], seen.place[usable, :2])
-
-
-def _shared(prior: Prior, weighed: Weighing) -> Shared:
-    """Prior of what is shared, the sensors' part as the weight has it."""
-    sd, n = shared_sd(prior), len(TORQUES)
-    mean, covariance = np.zeros(len(sd)), np.diag(sd**2)
-    mean[:n], covariance[:n, :n] = weighed.mean, weighed.covariance
-    return Shared(mean, covariance)
-
-
 def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
-    """What footfalls share, by kind: value, standard deviation and worth in φ."""
-    at = {name: i for i, name in enumerate(SHARED)}
-
-    def of(name: str, scale: float = 1.0, centre: float = 0.0) -> dict[str, float]:
-        i = at[name]
-        return {
-            "mean": float(centre + scale * pooled.shared_mean[i]),
-            "sd": float(scale * pooled.shared_sd_each[i]),
-            "worth_deg": float(pooled.terms[i]),
-        }
-
-    def joints(first: int) -> dict[str, Any]:
+    """What footfalls share, by kind: value, standard deviation and part of φ's."""
+    mean, sd, terms = pooled.shared_mean, pooled.shared_sd_each, pooled.terms
+    found: dict[str, Any] = {}
+    for name, first in (("torque_gain", 0), ("joint_friction_Nm", 12)):
         rows = slice(first, first + 12)
-        return {
-            "mean": pooled.shared_mean[rows].tolist(),
-            "sd": pooled.shared_sd_each[rows].tolist(),
-            "worth_deg": float(np.sqrt((pooled.terms[rows] ** 2).sum())),
-        }
-
-    return {
-        "torque_gain": joints(0),
-        "joint_friction_Nm": joints(12),
-        "odometry_drop": of("drop"),
-        "density_kg_m3": of("log_density", prior.density, prior.density),
-        "surface_friction": of("surface_friction", 1.0, prior.surface_friction),
-        "foot_radius_mm": of("radius", 1e3, 1e3 * prior.radius),
-        "law_offset_deg": of("law_offset"),
-        "law_exponent": of("law_exponent"),
-        "law_slope": of("law_slope"),
-        "field": {
-            "amplitude_deg": pooled.amplitude,
-            "length_m": pooled.length,
-            "scatter_deg": pooled.scatter,
-        },
-    }
-
-
-def _notes(usable: BoolArray, anchors: Sequence[Anchor]) -> list[str]:
-    notes = []
-    if len(usable) and not usable.any():
-        notes.append("no footfall is usable: the map is empty")
-    if usable.any() and not anchors:
-        notes.append("no anchor: only differences along the path are as sure as the relative band")
-    return notes
+        worth = float(np.sqrt((terms[rows] ** 2).sum()))
+        found[name] = {"mean": mean[rows].tolist(), "sd": sd[rows].tolist(), "worth_deg": worth}
+    for name, key, centre, scale in (
+        ("odometry_drop", "drop", 0.0, 1.0),
+        ("density_kg_m3", "log_density", prior.density, prior.density),
+        ("surface_friction", "surface_friction", prior.surface_friction, 1.0),
+        ("foot_radius_mm", "radius", 1e3 * prior.radius, 1e3),
+        ("law_offset_deg", "law_offset", 0.0, 1.0),
+        ("law_exponent", "law_exponent", 0.0, 1.0),
+        ("law_slope", "law_slope", 0.0, 1.0),
+    ):
+        i = SHARED.index(key)
+        numbers = {"mean": centre + scale * mean[i], "sd": scale * sd[i], "worth_deg": terms[i]}
+        found[name] = {key: float(value) for key, value in numbers.items()}
+    sizes = {"amplitude_deg": pooled.amplitude, "length_m": pooled.length}
+    return {**found, "field": {**sizes, "scatter_deg": pooled.scatter}}
 
 
 DENSITY_PART = 0.05
@@ -424,21 +343,22 @@ _ANCHOR = re.compile(r"\s*([xys])\s*=([-+.\deE\s]+):([-+.\deE\s]+),\s*phi\s*=(.+
 def anchor_from(text: str) -> Anchor:
     """An anchor as people write it, ``x=0:0.5,phi=34±1``; ``+-`` will do for ``±``.
 
-    Raises InputError if it is written otherwise, or says what cannot be.
+    Raises InputError if it is written otherwise, or out of range.
     """
     match = _ANCHOR.fullmatch(text)
+    low, high = PHI_RANGE
+    wrong = InputError(
+        f"anchor '{text}': expected one such as x=0:0.5,phi=34±1 (or phi=34+-1), with phi from "
+        f"{low:g} to {high:g} degrees and its uncertainty above 0 and at most 15"
+    )
     if match is None:
-        raise InputError(f"anchor '{text}': expected one such as x=0:0.5,phi=34±1 (or phi=34+-1)")
+        raise wrong
     try:
         a, b, (phi, sd) = plain_number(match[2]), plain_number(match[3]), number_with_sd(match[4])
     except ValueError:
-        raise InputError(f"anchor '{text}': holds what is not a number") from None
-    low, high = PHI_RANGE
+        raise wrong from None
     if sd is None or not (low <= phi <= high and 0.0 < sd <= 15.0):
-        raise InputError(
-            f"anchor '{text}': phi should be {low:g} to {high:g} degrees, and its uncertainty "
-            "above 0 and at most 15"
-        )
+        raise wrong
     return Anchor(min(a, b), max(a, b), phi, sd, match[1])
 
 
@@ -448,15 +368,16 @@ def prior_for(density: str) -> Prior:
     Without a standard deviation it is :data:`DENSITY_PART` of the density.
     Raises InputError if it is no such number, or no soil's.
     """
-    try:
-        mean, told = number_with_sd(density)
-        sd = DENSITY_PART * mean if told is None else told
-    except ValueError:
-        raise InputError(f"density '{density}': expected kg/m³ such as 1550 or 1550±80") from None
     low, high = DENSITIES
+    wrong = InputError(
+        f"density '{density}': expected kg/m³ such as 1550 or 1550±80, from {low:g} to {high:g}, "
+        "its standard deviation above 0 and at most 30 % of it"
+    )
+    try:
+        mean, given = number_with_sd(density)
+    except ValueError:
+        raise wrong from None
+    sd = DENSITY_PART * mean if given is None else given
     if not (low <= mean <= high and 0.0 < sd <= 0.3 * mean):
-        raise InputError(
-            f"density '{density}': {low:g} to {high:g} kg/m³ is expected, with a standard "
-            "deviation above 0 and at most 30 % of it"
-        )
+        raise wrong
     return Prior(density=mean, density_sd=sd)

@@ -3,7 +3,7 @@
 A motor's torque also turns its own rotor and overcomes Coulomb and viscous friction:
 τ_lost = c sign(q̇) + v q̇ + I q̈. In swing nothing else separates the torques from the equations of
 motion, so the three numbers of each joint follow from a robust regression. A constant error of the
-torque is not among them: a joint that swings mostly one way cannot tell it from c.
+torque is not among them: a joint that swings mostly one way cannot separate it from c.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.robot.joint_log import FEET, JOINTS
 
 STANDSTILL = 0.05
 """Velocity below which the sense of Coulomb friction fades [rad/s]."""
@@ -30,7 +29,7 @@ REVERSAL_RATE, REVERSAL_S = 2.0 * STANDSTILL, 0.02
 after, friction changes its sense in a way of its own, and a regression would take the change for
 less Coulomb friction."""
 BEARING_SHARE = 0.1
-"""A foot that carries more than this share of the robot's weight [-] tells where the ground is."""
+"""A foot that carries more than this share of the robot's weight [-] shows where the ground is."""
 HANGING_SHARE = 0.3
 """A robot whose feet carry less than this share of its weight [-] hangs or lies."""
 LEAST_CLEARANCE = 0.01
@@ -70,28 +69,10 @@ class JointFriction:
         """Coulomb torque whose sign is unknown because the joint hardly moves [N m]."""
         return self.coulomb * np.sqrt(np.maximum(1.0 - smooth_sign(velocity) ** 2, 0.0))
 
-    def completed(self, other: JointFriction) -> JointFriction:
-        """The same, with another's numbers for the joints that are not known here."""
-        names = ("coulomb", "viscous", "inertia", "found")
-        own = {n: np.where(self.found, getattr(self, n), getattr(other, n)) for n in names}
-        return JointFriction(**own)
-
     def summary(self) -> dict[str, Any]:
-        """The numbers by foot and joint, JSON-able; ``None`` where they were not found."""
-        names = {
-            "coulomb_Nm": self.coulomb,
-            "viscous_Nms": self.viscous,
-            "inertia_kgm2": self.inertia,
-        }
-        return {
-            foot: {
-                joint: {name: float(values[i, j]) for name, values in names.items()}
-                if self.found[i, j]
-                else None
-                for j, joint in enumerate(JOINTS)
-            }
-            for i, foot in enumerate(FEET)
-        }
+        """The numbers by name, feet and joints, JSON-able; zero where they were not found."""
+        names = {"coulomb_Nm": self.coulomb, "viscous_Nms": self.viscous}
+        return {name: v.tolist() for name, v in (names | {"inertia_kgm2": self.inertia}).items()}
 
 
 def smooth_sign(velocity: FloatArray) -> FloatArray:
@@ -176,7 +157,7 @@ def clear_of_ground(
     height = np.einsum("sfi,si->sf", place, up)
     height -= np.sum(share * height, axis=1, keepdims=True)
     across = place[..., :2] - np.sum(share[..., None] * place[..., :2], axis=1, keepdims=True)
-    # Slope of the plane by weighted least squares; two feet in a line say nothing across it.
+    # Slope of the plane by weighted least squares; two feet in a line leave it open across.
     normal = np.einsum("sf,sfi,sfj->ij", share, across, across) + 1e-9 * np.eye(2)
     slope = np.linalg.solve(normal, np.einsum("sf,sfi,sf->i", share, across, height))
     height -= across @ slope

@@ -13,6 +13,16 @@ FEET = ("FR", "FL", "RR", "RL")
 """Feet in the order of the Go2's motors: front right, front left, rear right, rear left."""
 JOINTS = ("hip", "thigh", "calf")
 """Joints of a leg, from the body outwards."""
+SHAPES: dict[str, tuple[int, ...]] = {
+    "angle": (len(FEET), len(JOINTS)),
+    "velocity": (len(FEET), len(JOINTS)),
+    "torque": (len(FEET), len(JOINTS)),
+    "quaternion": (4,),
+    "angular_velocity": (3,),
+    "acceleration": (3,),
+    "foot_counts": (len(FEET),),
+}
+"""Columns of a JointLog besides its time, and the shape of a sample of each."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +91,7 @@ _RUN_TOGETHER = {
 
 
 def joint_place(name: str) -> tuple[int, int] | None:
-    """Foot and joint that a name means, in robots' descriptions and in their logs.
+    """Foot and joint that a name means, in robots' models and in their logs.
 
     Parameters
     ----------
@@ -92,7 +102,7 @@ def joint_place(name: str) -> tuple[int, int] | None:
     -------
     tuple or None
         Indices into :data:`~terraphi.robot.joint_log.FEET` and
-        :data:`~terraphi.robot.joint_log.JOINTS`; ``None`` if the name says neither or several.
+        :data:`~terraphi.robot.joint_log.JOINTS`; ``None`` if the name means neither or several.
     """
     words = re.findall(r"[a-z]+|\d+", name.lower())
     present = set(words)

@@ -1,275 +1,352 @@
-"""Geometry, masses and joint names of a quadruped, for the force estimators.
+"""A quadruped from its URDF or MJCF, read by MuJoCo.
 
-Every leg is a chain of three revolute joints. Those of Unitree's quadrupeds, and of many others,
-have frames that are parallel when all angles are zero: the hip turns about x (forward), the thigh
-and the calf about y (left); z is up. Others say about which axes their joints turn, and how their
-frames are turned; a leg may lack the hip.
+A robot of one's own needs its URDF or MJCF and nothing of ours. A small TOML next to it
+(:class:`RobotFile`) adds what the model lacks, such as the numbering of the motors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.experiment.documents import Strict, shipped_file, strictly, toml_content
-from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
+from terraphi.experiment.documents import Strict, parse_toml, shipped_file
+from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import is_there, read_bytes
-from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
 
-Vector = tuple[float, float, float]
-Inertia = tuple[float, float, float, float, float, float]
-Sign = Literal[-1, 1]
+if TYPE_CHECKING:
+    import mujoco
+
 Positive = Annotated[float, Field(gt=0)]
+Vector = tuple[float, float, float]
 
 
-NO_INERTIA = 5e-6
-"""Moments of inertia that need not be those of matter, being of a ball of 50 g [kg m²]."""
+class RobotFile(Strict):
+    """A robot: its model, and what the model does not hold."""
 
-
-def inertia_matrix(moments: Sequence[float]) -> FloatArray:
-    """Matrix of moments of inertia xx, yy, zz, xy, xz, yz [kg m²]."""
-    xx, yy, zz, xy, xz, yz = moments
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-class Body(Strict):
-    """A rigid body fixed to one of a leg's links."""
-
-    link: Literal["hip", "thigh", "calf"]
-    """The link that carries it."""
-    mass: float = Field(ge=0)
-    """Mass of the body [kg]."""
-    centre: Vector
-    """Centre of mass in the link's frame, whose origin is the joint that moves it [m]."""
-    inertia: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    """Moments of inertia about the centre of mass, in the link's axes: xx, yy, zz, xy, xz, yz
-    [kg m²], products with the sign of the inertia matrix (xy = −∫xy dm)."""
-
-    @model_validator(mode="after")
-    def _can_be_matter(self) -> Self:
-        moments = np.linalg.eigvalsh(inertia_matrix(self.inertia))
-        slack = max(1e-3 * abs(moments[-1]), NO_INERTIA)  # published inertias are rounded
-        if moments[0] < -slack or moments[0] + moments[1] < moments[2] - slack:
-            raise ValueError(
-                f"inertia of the {self.link} has the principal moments "
-                f"{', '.join(f'{m:.3g}' for m in moments)} kg m², which no mass distribution has; "
-                "the order is xx, yy, zz, xy, xz, yz"
-            )
-        return self
-
-
-class QuadrupedLeg(Strict):
-    """Geometry and masses of one leg, in axes x forward, y left, z up."""
-
-    hip: Vector
-    """Hip joint in the body's frame [m]."""
-    thigh: Vector
-    """Thigh joint in the hip link's frame [m]; its y is the lateral offset L, positive on the
-    left."""
-    calf: Vector
-    """Knee in the thigh's frame [m]; for a straight thigh (0, 0, −length)."""
-    foot: Vector
-    """Centre of the foot's ball in the calf's frame [m]."""
-    signs: tuple[Sign, Sign, Sign] = (1, 1, 1)
-    """−1 for each joint whose logged angle, velocity and torque count the other way round."""
-    axes: tuple[Vector, Vector, Vector] | None = None
-    """Axes about which hip, thigh and calf turn, each in its own link's frame, of length 1; (0, 0,
-    0) for a joint that is not there. Not given: x, y, y."""
-    turns: tuple[Vector, Vector, Vector] | None = None
-    """Roll, pitch and yaw of the frames of hip, thigh and calf in the frame before, as in a URDF
-    [rad]. Not given: all frames are parallel at zero angles."""
-    bodies: tuple[Body, ...] = ()
-    """Everything that has mass; empty if unknown."""
-
-    @model_validator(mode="after")
-    def _turns_about_something(self) -> Self:
-        lengths = [float(np.linalg.norm(axis)) for axis in self.axes or ()]
-        if any(abs(length - 1.0) > 1e-6 and length for length in lengths):
-            raise ValueError(
-                f"axes have the lengths {', '.join(f'{v:.3g}' for v in lengths)}; 1 is expected, "
-                "or 0 for a joint that is not there"
-            )
-        if lengths and not all(lengths[1:]):
-            raise ValueError(
-                "axes lack the thigh or the calf; of a leg of two joints, the hip's is 0"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _has_length(self) -> Self:
-        for name, (x, y, z) in (("calf", self.calf), ("foot", self.foot)):
-            across = 0.0 if self.axes is None else y
-            if float(np.hypot(np.hypot(x, z), across)) < 1e-3:
-                raise ValueError(
-                    f"{name} = [{', '.join(f'{v:g}' for v in getattr(self, name))}] m leaves the "
-                    "link before it without length; (0, 0, -length) is expected"
-                )
-        return self
-
-
-_USUAL_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 1.0, 0.0))
-_PARALLEL = ((0.0, 0.0, 0.0),) * 3
-
-
-def rotation_of(rpy: Vector | FloatArray) -> FloatArray:
-    """Rotation by roll, pitch and yaw about fixed axes [rad], as in a URDF."""
-    return np.asarray(Rotation.from_euler("xyz", rpy).as_matrix())
-
-
-class Legs(Strict):
-    """The four legs."""
-
-    FR: QuadrupedLeg
-    FL: QuadrupedLeg
-    RR: QuadrupedLeg
-    RL: QuadrupedLeg
-
-
-@dataclass(frozen=True)
-class Chain:
-    """Constants of the four legs as arrays, feet in the order FR, FL, RR, RL.
-
-    The second moments Σ = ∫ r rᵀ dm about a link's origin hold the same information as the inertia
-    matrix, and make the equations of motion shorter.
-    """
-
-    origin: FloatArray
-    """Places of hip, thigh, knee and foot, each in the frame before [m]; shape [foot, 4, 3]."""
-    turn: FloatArray
-    """Rotations of the links' frames against those before, at zero angles; [foot, link, 3, 3]."""
-    axis: FloatArray
-    """Axes of the joints in their links' frames, with their sign; shape [foot, joint, 3]."""
-    mass: FloatArray
-    """[kg]; shape [foot, link]."""
-    first: FloatArray
-    """First moments ∫ r dm about the link's origin [kg m]; shape [foot, link, 3]."""
-    second: FloatArray
-    """Second moments ∫ r rᵀ dm about the link's origin [kg m²]; shape [foot, link, 3, 3]."""
-
-
-class Quadruped(Strict):
-    """A quadruped with three joints a leg."""
-
+    model: str
+    """URDF or MJCF of the robot, a path from the folder of this file."""
     name: str = ""
-    """Name of the robot, for people."""
+    """Name of the robot."""
     source: str = ""
     """Where the numbers come from."""
-    mass: float = Field(gt=0)
-    """Mass of the whole robot [kg]."""
-    foot_radius: float = Field(0.0, ge=0)
-    """Radius of the foot's ball [m]."""
+    mass: float | None = Field(None, gt=0)
+    """Mass of the whole robot with its payload [kg]. Not given: the model's."""
+    foot_radius: float | None = Field(None, ge=0)
+    """Radius of the foot's ball [m]. Not given: that of the model's sphere."""
     torque_limit: tuple[Positive, Positive, Positive] | None = None
-    """Largest torque of hip, thigh and calf [N m]; ``None``: unknown."""
-    imu: Vector = (0.0, 0.0, 0.0)
-    """Place of the accelerometer in the body's frame [m]."""
-    joint_order: tuple[str, ...] = JOINT_NAMES
-    """The joints in the order in which the robot's motors are numbered."""
-    legs: Legs
-    """Front right, front left, rear right and rear left."""
+    """Largest torque of hip, thigh and calf [N m]. Not given: the model's."""
+    imu: Vector | None = None
+    """Place of the accelerometer in the frame of the trunk [m]. Not given: the model's."""
+    joint_order: tuple[str, ...] | None = None
+    """The joints, as FR_hip, in the order in which the motors are numbered."""
 
     @model_validator(mode="after")
-    def _knows_each_joint_once(self) -> Self:
-        for name in self.joint_order:
+    def _names_joints(self) -> Self:
+        for name in self.joint_order or ():
             if name not in JOINT_NAMES:
                 raise ValueError(
                     f"joint_order has '{name}'; {nearest(name, JOINT_NAMES)}; names are FOOT_JOINT"
                 )
-        there = [n for n, ok in zip(JOINT_NAMES, self.there.ravel(), strict=True) if ok]
-        if sorted(self.joint_order) != sorted(there):
-            missing = sorted(set(there) - set(self.joint_order))
-            raise ValueError(
-                f"joint_order has {len(self.joint_order)} names, each of the {len(there)} joints "
-                f"is expected once; missing: {', '.join(missing) or 'none'}"
-            )
         return self
 
-    @property
-    def has_masses(self) -> bool:
-        """Whether every link of every leg has a mass."""
-        return bool(np.all((self.chain.mass > 0.0) | ~self.there))
+
+@dataclass(frozen=True)
+class Quadruped:
+    """A quadruped whose legs have hip, thigh and calf, or thigh and calf.
+
+    Attributes
+    ----------
+    model
+        MuJoCo's model, its trunk free to move; joint angles, axes and signs are the model's.
+    joint
+        Number of each joint in the model, shape [foot, joint]; −1 for a hip that is not there.
+    foot, foot_offset
+        Body that carries the centre of each foot's ball, shape [foot], and the centre in the
+        body's frame [m], shape [foot, 3].
+    name, source
+        Name of the robot, and where the numbers come from.
+    mass
+        Of the whole robot [kg].
+    leg_length
+        From thigh by knee to foot [m], shape [foot].
+    foot_radius
+        Of the foot's ball [m]; 0 if unknown.
+    torque_limit
+        Largest torque of hip, thigh and calf [N m]; ``None`` if unknown.
+    imu
+        Place of the accelerometer in the frame of the trunk [m].
+    joint_order
+        The joints in the order in which the motors are numbered.
+    """
+
+    model: mujoco.MjModel
+    joint: Any
+    foot: Any
+    foot_offset: FloatArray
+    name: str
+    source: str
+    mass: float
+    leg_length: FloatArray
+    foot_radius: float = 0.0
+    torque_limit: Vector | None = None
+    imu: Vector = (0.0, 0.0, 0.0)
+    joint_order: tuple[str, ...] = JOINT_NAMES
 
     @property
     def there(self) -> BoolArray:
-        """Which joints the legs have, shape [foot, joint]; a leg of two has no hip."""
-        return np.asarray(self.chain.axis.any(axis=-1))
-
-    @cached_property
-    def chain(self) -> Chain:
-        """Constants of the legs as arrays."""
-        legs = [getattr(self.legs, foot) for foot in FEET]
-        mass = np.zeros((4, 3))
-        first = np.zeros((4, 3, 3))
-        second = np.zeros((4, 3, 3, 3))
-        for i, leg in enumerate(legs):
-            for body in leg.bodies:
-                at = i, JOINTS.index(body.link)
-                matrix = inertia_matrix(body.inertia)
-                centre = np.array(body.centre)
-                mass[at] += body.mass
-                first[at] += body.mass * centre
-                second[at] += 0.5 * np.trace(matrix) * np.eye(3) - matrix
-                second[at] += body.mass * np.outer(centre, centre)
-        origin = np.array([[leg.hip, leg.thigh, leg.calf, leg.foot] for leg in legs])
-        sign = np.array([leg.signs for leg in legs], dtype=np.float64)
-        turn = np.array([[rotation_of(rpy) for rpy in leg.turns or _PARALLEL] for leg in legs])
-        axis = np.array([leg.axes or _USUAL_AXES for leg in legs]) * sign[..., None]
-        return Chain(origin, turn, axis, mass, first, second)
+        """Which joints the legs have, shape [foot, joint]."""
+        return np.asarray(self.joint >= 0)
 
     @classmethod
     def load(cls, source: Path | str) -> Quadruped:
-        """A shipped robot by its name, or one from a TOML or URDF file.
+        """Load a shipped robot by its name, or one from a URDF, MJCF or TOML file.
 
         Parameters
         ----------
         source
-            ``"go2"``, or a path that ends in ``.toml``, ``.urdf`` or ``.xml``.
-
-        Returns
-        -------
-        Quadruped
+            ``"go2"``, or a path that ends in ``.urdf``, ``.xml`` or ``.toml``.
 
         Raises
         ------
         InputError
-            If there is no such robot or file, or the file cannot be used; one sentence that names
-            what is missing.
+            If there is no such robot or file, or the file cannot be used.
 
         Examples
         --------
-        >>> Quadruped.load("go2").legs.FL.thigh
-        (0.0, 0.0955, 0.0)
+        >>> Quadruped.load("go2").foot_radius
+        0.022
         """
         path = Path(source)
         if not path.suffix and not is_there(path):
             path = shipped_file("robots", str(source), ".toml")
-        text = _text(path)
-        if path.suffix.lower() in {".urdf", ".xml"}:
-            from terraphi.robot.urdf import document_from_urdf
-
-            content = document_from_urdf(text, str(path))
-        else:
-            content = toml_content(text, path)
-        return cls.from_document(content, str(path))
-
-    @classmethod
-    def from_document(cls, content: Mapping[str, object], source: str) -> Quadruped:
-        """Check what a file says; raises InputError that names the source, key and remedy."""
-        try:
-            return strictly({**content}, cls)
-        except ValidationError as error:
-            raise InputError(sentence_from_validation(error, source, cls)) from error
+        if path.suffix.lower() in {".urdf", ".xml", ".mjcf"}:
+            return _loaded(path, RobotFile(model=path.name))
+        own = parse_toml(path, RobotFile)
+        return _loaded(path.parent / own.model, own, str(path))
 
 
-def _text(path: Path) -> str:
+def _loaded(path: Path, own: RobotFile, toml: str = "") -> Quadruped:
     try:
-        return read_bytes(path).decode("utf-8-sig")
+        text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file; TOML or URDF in UTF-8 is expected") from error
+        raise InputError(f"{path}: not a text file; URDF or MJCF in UTF-8 is expected") from error
+    import mujoco
+
+    model, title = _compiled(text, str(path))
+    joint = _leg_joints(model, str(path))
+    names = [name for name, there in zip(JOINT_NAMES, (joint >= 0).ravel(), strict=True) if there]
+    order = own.joint_order or tuple(names)
+    if sorted(order) != sorted(names):
+        missing = ", ".join(sorted(set(names) - set(order))) or "none"
+        raise InputError(
+            f"{toml}: joint_order has {len(order)} names, each of the {len(names)} joints is "
+            f"expected once; missing: {missing}"
+        )
+    data = mujoco.MjData(model)
+    data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
+    mujoco.mj_kinematics(model, data)
+    feet = [_foot(model, data, int(model.jnt_bodyid[j]), str(path)) for j in joint[:, 2]]
+    body, offset, radius = (np.array(column) for column in zip(*feet, strict=True))
+    place = data.xpos[body] + np.einsum("fij,fj->fi", data.xmat[body].reshape(-1, 3, 3), offset)
+    thigh, knee = data.xanchor[joint[:, 1]], data.xanchor[joint[:, 2]]
+    length = np.linalg.norm(knee - thigh, axis=-1) + np.linalg.norm(place - knee, axis=-1)
+    return Quadruped(
+        model=model,
+        joint=joint,
+        foot=body,
+        foot_offset=offset,
+        name=own.name or title,
+        source=own.source or str(path),
+        mass=own.mass or float(model.body_mass.sum()),
+        leg_length=length,
+        foot_radius=float(radius[0]) if own.foot_radius is None else own.foot_radius,
+        torque_limit=own.torque_limit or _limits(model, joint),
+        imu=own.imu or _imu(model, data),
+        joint_order=order,
+    )
+
+
+def _compiled(text: str, source: str) -> tuple[mujoco.MjModel, str]:
+    """MuJoCo's model of a URDF or MJCF without meshes, and the robot's name."""
+    import mujoco
+
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise InputError(f"{source}: not valid XML: {error}") from error
+    if root.tag not in {"robot", "mujoco"}:
+        raise InputError(
+            f"{source}: the outermost element is <{root.tag}>, <robot> (URDF) or <mujoco> (MJCF) "
+            "is expected"
+        )
+    name = root.get("name" if root.tag == "robot" else "model", "")
+    try:
+        odd = _prepare_urdf(root) if root.tag == "robot" else _prepare_mjcf(root)
+        model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
+    except (ValueError, KeyError, AttributeError) as error:
+        why = " ".join(str(error).split())
+        raise InputError(f"{source}: MuJoCo cannot read it: {why}") from error
+    for link, tensor in odd.items():
+        moments, axes = np.linalg.eigh(tensor)
+        axes[:, 0] *= np.linalg.det(axes)
+        body = model.body(link).id
+        model.body_sameframe[body] = 0  # its frame is not the placeholder's
+        model.body_inertia[body] = moments
+        model.body_iquat[body] = np.roll(Rotation.from_matrix(axes).as_quat(), 1)
+    if not model.njnt or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
+        raise InputError(f"{source}: the trunk's free joint is expected to be the first joint")
+    model.opt.gravity[:] = 0.0  # it enters as part of the trunk's acceleration
+    return model, name
+
+
+def _prepare_urdf(root: ET.Element) -> dict[str, FloatArray]:
+    """Strip a URDF of meshes and free its trunk.
+
+    Returns the inertias that MuJoCo's compiler refuses, by link: rounded ones, and those of frames
+    without extent. They are given to the model when it is made, for its equations take them.
+    """
+    for element in list(root):
+        if element.tag not in {"link", "joint"}:
+            root.remove(element)
+    odd: dict[str, FloatArray] = {}
+    for link in root.iter("link"):
+        for element in list(link):
+            sphere = element.tag == "collision" and element.find("geometry/sphere") is not None
+            if element.tag != "inertial" and not sphere:
+                link.remove(element)
+        inertial, inertia = link.find("inertial"), link.find("inertial/inertia")
+        mass = link.find("inertial/mass")
+        if inertial is None or inertia is None or mass is None:
+            continue
+        keys = [f"i{axes}" for axes in ("xx", "yy", "zz", "xy", "xz", "yz")]
+        inertia.attrib.update({key: inertia.get(key, "0") for key in keys})
+        xx, yy, zz, xy, xz, yz = (float(inertia.attrib[key]) for key in keys)
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        moments = np.linalg.eigvalsh(tensor)
+        if not float(mass.attrib["value"]):
+            link.remove(inertial)
+        elif moments[0] <= 0.0 or moments[0] + moments[1] < moments[2]:
+            origin = inertial.find("origin")
+            angles = ("0 0 0" if origin is None else origin.get("rpy", "0 0 0")).split()
+            turn = Rotation.from_euler("xyz", [float(angle) for angle in angles]).as_matrix()
+            odd[link.attrib["name"]] = turn @ tensor @ turn.T
+            inertia.attrib.update(ixx="1", iyy="1", izz="1", ixy="0", ixz="0", iyz="0")
+    # What MuJoCo calls world does not move: the trunk hangs on it by a joint that is free.
+    links = [link.attrib["name"] for link in root.iter("link")]
+    children = {child.get("link") for child in root.iter("child")}
+    if "world" not in links:
+        ET.SubElement(root, "link", name="world")
+        joint = ET.SubElement(root, "joint", name="trunk of the robot")
+        ET.SubElement(joint, "parent", link="world")
+        ET.SubElement(joint, "child", link=next((n for n in links if n not in children), ""))
+    for joint in root.iter("joint"):
+        if joint.find("parent[@link='world']") is not None:
+            joint.set("type", "floating")
+    extension = ET.SubElement(root, "mujoco")
+    ET.SubElement(extension, "compiler", fusestatic="false", inertiafromgeom="false")
+    return odd
+
+
+def _prepare_mjcf(root: ET.Element) -> dict[str, FloatArray]:
+    """Strip an MJCF of meshes and looks, and free its trunk."""
+    for parent in list(root.iter()):
+        for element in list(parent):
+            mesh = element.get("mesh") or element.get("hfield") or element.get("type") == "mesh"
+            if element.tag in {"asset", "keyframe", "visual"} or (element.tag == "geom" and mesh):
+                parent.remove(element)
+            element.attrib.pop("material", None)
+    trunk = root.find("worldbody/body")
+    kinds = [] if trunk is None else [joint.get("type") for joint in trunk.findall("joint")]
+    if trunk is not None and trunk.find("freejoint") is None and "free" not in kinds:
+        trunk.insert(0, ET.Element("freejoint"))
+    return {}
+
+
+def _leg_joints(model: mujoco.MjModel, source: str) -> Any:
+    """Numbers of the legs' joints, shape [foot, joint]; −1 for hips that are not there."""
+    import mujoco
+
+    joint = np.full((len(FEET), len(JOINTS)), -1)
+    for i in range(model.njnt):
+        place = joint_place(model.joint(i).name)
+        if place is not None and model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE:
+            joint[place] = i
+    first = 1 if np.all(joint[:, 0] < 0) else 0
+    missing = [
+        name for name, i in zip(JOINT_NAMES, joint.ravel(), strict=True)
+        if i < 0 and not (first and name.endswith("hip"))
+    ]  # fmt: skip
+    if missing:
+        raise InputError(
+            f"{source}: no revolute joint is named like {', '.join(missing)}; a quadruped with "
+            "hip, thigh and calf on each of its feet FR, FL, RR, RL is expected, or with thigh "
+            "and calf"
+        )
+    for row in joint:
+        inner = ["the trunk", *(f"what '{model.joint(i).name}' moves" for i in row[first:-1])]
+        above = [5, *model.jnt_dofadr[row[first:-1]]]
+        for i, wanted, what in zip(row[first:], above, inner, strict=True):
+            if model.dof_parentid[model.jnt_dofadr[i]] != wanted:
+                raise InputError(
+                    f"{source}: joint '{model.joint(i).name}' is expected to hang on {what}"
+                )
+    return joint
+
+
+def _foot(
+    model: mujoco.MjModel, data: mujoco.MjData, calf: int, source: str
+) -> tuple[int, FloatArray, float]:
+    """Body, place in it and radius of the foot below a calf.
+
+    That is the farthest of the bodies fixed to the calf, by their names if they say so, or else
+    the farthest sphere of the calf.
+    """
+    import mujoco
+
+    fixed = [b for b in np.flatnonzero(model.body_weldid == calf).tolist() if b != calf]
+    named = [b for b in fixed if re.search("foot|feet|toe", model.body(b).name, re.IGNORECASE)]
+    balls = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE).tolist()
+    if named or fixed:
+        body = max(named or fixed, key=lambda b: np.linalg.norm(data.xpos[b] - data.xpos[calf]))
+        radii = [float(model.geom_size[g, 0]) for g in balls if model.geom_bodyid[g] == body]
+        return body, np.zeros(3), (radii or [0.0])[0]
+    own = [g for g in balls if model.geom_bodyid[g] == calf]
+    if not own:
+        raise InputError(
+            f"{source}: nothing is fixed to body '{model.body(calf).name}'; a foot's frame fixed "
+            "to the calf, or a sphere at its end, is expected"
+        )
+    ball = max(own, key=lambda g: np.linalg.norm(model.geom_pos[g]))
+    return calf, model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
+
+
+def _limits(model: mujoco.MjModel, joint: Any) -> Vector | None:
+    """Largest torques of hip, thigh and calf [N m], the least of the feet; ``None`` if unknown."""
+    force = np.where(model.jnt_actfrclimited, model.jnt_actfrcrange[:, 1], 0.0)
+    for i in range(model.nu):
+        if model.actuator_forcelimited[i]:
+            force[model.actuator_trnid[i, 0]] = model.actuator_forcerange[i, 1]
+    each = np.where(joint >= 0, force[joint], force[joint[:, 1:]].max(axis=1, keepdims=True))
+    hip, thigh, calf = each.min(axis=0).tolist()
+    return (hip, thigh, calf) if min(hip, thigh, calf) > 0.0 else None
+
+
+def _imu(model: mujoco.MjModel, data: mujoco.MjData) -> Vector:
+    """Place of the first frame on the trunk that is named as an IMU [m]; else its origin."""
+    trunk = model.body_weldid[model.jnt_bodyid[0]]
+    bodies = [(model.body(b).name, b, data.xpos[b]) for b in range(model.nbody)]
+    sites = [(s.name, int(s.bodyid[0]), s.pos) for s in map(model.site, range(model.nsite))]
+    for name, body, place in bodies + sites:
+        if "imu" in name.lower() and model.body_weldid[body] == trunk:
+            x, y, z = place.tolist()
+            return x, y, z
+    return 0.0, 0.0, 0.0

@@ -1,17 +1,17 @@
 r"""Where the feet are in the world: leg odometry in stance, attitude and accelerometer together.
 
-A log says how the feet move against the trunk and how the trunk is turned, not where it is. Between
-two samples a foot that stands still gives the trunk's velocity, v = −Δp/Δt with p the foot's place
-seen from the trunk in the world's axes; the accelerometer gives its change. The velocities of a
-whole log are the minimum of
+A log holds how the feet move against the trunk and how the trunk is turned, not where it is.
+Between two samples a foot that stands still gives the trunk's velocity, v = −Δp/Δt with p the
+foot's place seen from the trunk in the world's axes; the accelerometer gives its change. The
+velocities of a whole log are the minimum of
 
 .. math::
     \sum_k \frac{|v_k - v_{k-1} - a_k\,\Delta t_k|^2}{(\sigma_a \Delta t_k)^2}
     + \sum_{k,f} w_{kf}\,\frac{|v_k + \Delta p_{kf}/\Delta t_k|^2}{\sigma_v^2},
 
 a tridiagonal system. The weight of a foot is its share of load, and falls as Geman and McClure's
-where it does not stand still: a foot that sinks, slips or rises is outvoted by the others and by
-the accelerometer.
+where it does not stand still: a foot that sinks, slips or rises counts less than the
+others and the accelerometer.
 """
 
 from __future__ import annotations
@@ -21,17 +21,16 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.robot.dynamics import GRAVITY
-from terraphi.robot.estimators import signals
+from terraphi.robot.estimators import trunk_motion
 from terraphi.robot.joint_log import JointLog
-from terraphi.robot.kinematics import foot_position
+from terraphi.robot.legs import GRAVITY
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import running_mean
 
 ACCELERATION_SD = 0.3
 """Of the accelerometer's readings, with what the trunk shakes between samples [m/s²]."""
 UNKNOWN_ACCELERATION_SD = 3.0
-"""Of the trunk's acceleration where no accelerometer tells it [m/s²]."""
+"""Of the trunk's acceleration without an accelerometer [m/s²]."""
 STANCE_SD = 0.01
 """Of the velocity of a foot that stands, and the scale beyond which it does not stand [m/s]."""
 BEARING_SHARE = 0.15
@@ -60,32 +59,28 @@ class Motion(NamedTuple):
     lift_acceleration: FloatArray
 
 
-def track(log: JointLog, robot: Quadruped, load: FloatArray) -> Motion:
+def track(log: JointLog, robot: Quadruped, place: FloatArray, load: FloatArray) -> Motion:
     """Motion of the feet in the world.
 
     Parameters
     ----------
-    log
-        With attitude; three samples or more.
-    robot
-        Geometry of the legs and mass.
+    log, robot
+        A log with attitude, of three samples or more, and of whom.
+    place
+        Feet in the frame of the trunk [m], shape [sample, foot, 3].
     load
         Upward force of the ground on each foot [N], shape [sample, foot]; not a number counts as
         none.
-
-    Returns
-    -------
-    Motion
     """
     from scipy.linalg import solveh_banded
 
-    seen = signals(log, robot, slice(None))
-    place = np.einsum("sij,sfj->sfi", seen.turn, foot_position(robot, seen.angle))
-    step = np.diff(seen.time)
+    turn, trunk_own = trunk_motion(log, robot)
+    place = np.einsum("sij,sfj->sfi", turn, place)
+    step = np.diff(log.time)
     apparent = -np.diff(place, axis=0) / step[:, None, None]
-    felt = np.zeros((len(seen.time), 3))
+    felt = np.zeros((len(log.time), 3))
     if log.acceleration is not None:
-        felt = np.einsum("sij,sj->si", seen.turn, seen.body.specific_force)
+        felt = np.einsum("sij,sj->si", turn, trunk_own.specific_force)
         felt[:, 2] -= GRAVITY
         felt -= running_mean(felt, max(1, round(BIAS_S / float(np.median(step))) // 2))
     sd = UNKNOWN_ACCELERATION_SD if log.acceleration is None else ACCELERATION_SD

@@ -8,15 +8,13 @@ from next to nothing, rather than from its last negative value.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.arrays import FloatArray
 from terraphi.robot.joint_log import FEET
 
 Forces = FloatArray | NDArray[np.float32]
@@ -105,22 +103,6 @@ class Stance:
         at = np.linspace(self.begin, self.end, points)
         return np.stack([np.interp(at, self.time, column) for column in self.force.T], axis=1)
 
-    def history(self, provenance: Mapping[str, Any] | None = None) -> ForceHistory:
-        """Forces since touch-down as a history over time.
-
-        Parameters
-        ----------
-        provenance
-            Where they come from; foot and time of touch-down are added.
-
-        Returns
-        -------
-        ForceHistory
-        """
-        known = {**(provenance or {}), "foot": self.foot, "begin_s": self.begin}
-        force = self.force.astype(np.float64)
-        return ForceHistory(self.time - self.begin, force, "time", AXES, known)
-
 
 @dataclass(frozen=True)
 class Ensemble:
@@ -147,19 +129,7 @@ class Ensemble:
 
     @classmethod
     def of(cls, stances: Sequence[Stance], *, points: int = POINTS) -> Ensemble:
-        """Average stances.
-
-        Parameters
-        ----------
-        stances
-            None or more.
-        points
-            Points of normalised time.
-
-        Returns
-        -------
-        Ensemble
-        """
+        """Average stances, none or more."""
         part = np.linspace(0.0, 1.0, points)
         if not stances:
             empty = np.full((points, len(AXES)), np.nan)
@@ -197,26 +167,17 @@ def find_stances(
     tuple of Stance
         In the order of touch-down.
 
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit.
-
     Notes
     -----
     Where an estimate is off by a constant, its force may never cross zero in the air. The level
     that ends a stance is therefore the lower quartile of the foot's low forces where that is
     positive.
     """
-    if force.shape != (len(time), len(FEET), len(AXES)):
-        raise ValueError(f"force has shape {force.shape}, expected {(len(time), len(FEET), 3)}")
     chosen = criteria or Criteria()
     found: list[Stance] = []
     for column, foot in enumerate(FEET):
-        own_time, own = time, force[:, column]
-        known = np.isfinite(own).all(axis=1)
-        if not known.all():
-            own_time, own = time[known], own[known]
+        known = np.isfinite(force[:, column]).all(axis=1)
+        own_time, own = time[known], force[known, column]
         for first, last in _bounds(own_time, own[:, 2], chosen):
             part = slice(first, last + 1)
             found.append(Stance(foot, own_time[part], own[part]))
@@ -228,19 +189,25 @@ def _bounds(time: FloatArray, lift: Forces, criteria: Criteria) -> list[tuple[in
     if len(time) < 3:
         return []
     rise = max(criteria.rise_N, criteria.rise_part * float(np.quantile(lift, 0.95)))
-    smooth = _smoothed(lift, round(criteria.smooth_s / float(np.median(np.diff(time)))))
+    width = round(criteria.smooth_s / float(np.median(np.diff(time))))
+    smooth = running_mean(lift[:, None], min(width // 2, (len(lift) - 1) // 2))[:, 0]
     high, low = smooth >= rise, smooth >= criteria.fall_part * rise
     in_air = lift[~low]
     level = max(0.0, float(np.quantile(in_air, 0.25))) if len(in_air) else 0.0
-    starts, ends = _runs(low)
+    edges = np.diff(np.concatenate([[0], low.astype(np.int8), [0]]))
+    starts, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
+    if not high.any():
+        return []
     # What is high is low as well, so that nothing between two runs can add to the first.
-    holds = np.logical_or.reduceat(high, starts) if len(starts) else np.zeros(0, dtype=bool)
-    starts, ends = _joined(time, starts[holds], ends[holds], criteria.lift_s)
-    touch = max(level, criteria.touch_part * rise)
-    first, last = _crossings(lift, starts, ends, touch=touch, leave=level)
+    holds = np.logical_or.reduceat(high, starts)
+    starts, ends = starts[holds], ends[holds]
+    # Runs that are separated by less than the shortest lift of a foot are one.
+    apart = time[starts[1:]] - time[ends[:-1]] >= criteria.lift_s
+    starts, ends = starts[np.append(True, apart)], ends[np.append(apart, True)]
+    first, last = _crossings(lift, starts, ends, max(level, criteria.touch_part * rise), level)
     # Outside the record: the foot stood when it began, or when it ended.
-    whole = (first >= 0) & (last < len(lift))
-    first, last = first[whole], last[whole]
+    good = (first >= 0) & (last < len(lift))
+    first, last = first[good], last[good]
     breaks = np.concatenate([[0], np.cumsum(np.diff(time) > criteria.gap_s)])
     duration = time[last] - time[first]
     good = (duration >= criteria.shortest_s) & (duration <= criteria.longest_s)
@@ -256,7 +223,7 @@ def _bounds(time: FloatArray, lift: Forces, criteria: Criteria) -> list[tuple[in
 
 
 def _crossings(
-    lift: Forces, starts: IntArray, ends: IntArray, *, touch: float, leave: float
+    lift: Forces, starts: IntArray, ends: IntArray, touch: float, leave: float
 ) -> tuple[IntArray, IntArray]:
     """Nearest samples before and after each run where the force has fallen to a level.
 
@@ -276,31 +243,9 @@ def _crossings(
     return first, last
 
 
-def _smoothed(values: Forces, width: int) -> FloatArray:
-    """Centred moving mean over an odd number of samples, over fewer at the ends."""
-    return running_mean(values[:, None], min(width // 2, (len(values) - 1) // 2))[:, 0]
-
-
 def running_mean(values: Forces, half: int) -> FloatArray:
     """Mean over so many samples to both sides, over as many as there are at the ends."""
     total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, 0, np.float64)])
     centre = np.arange(len(values))
     low, high = np.maximum(centre - half, 0), np.minimum(centre + half + 1, len(values))
     return np.asarray((total[high] - total[low]) / (high - low)[:, None])
-
-
-def _runs(flag: BoolArray) -> tuple[IntArray, IntArray]:
-    """First and last index of each run of true values."""
-    edges = np.diff(np.concatenate([[0], flag.astype(np.int8), [0]]))
-    return np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
-
-
-def _joined(
-    time: FloatArray, starts: IntArray, ends: IntArray, lift_s: float
-) -> tuple[IntArray, IntArray]:
-    """Join runs that are separated by less than the shortest lift of a foot."""
-    apart = time[starts[1:]] - time[ends[:-1]] >= lift_s
-    return (
-        starts[np.concatenate([[True], apart])] if len(starts) else starts,
-        ends[np.concatenate([apart, [True]])] if len(ends) else ends,
-    )

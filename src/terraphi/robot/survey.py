@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.robot.dynamics import GRAVITY
 from terraphi.robot.estimators import (
-    Settings,
+    CHUNK,
+    Estimator,
     Signals,
     chunks,
     contact_torque,
@@ -26,7 +25,7 @@ from terraphi.robot.friction import (
     spread,
 )
 from terraphi.robot.joint_log import JointLog
-from terraphi.robot.kinematics import foot_position, forces_of_torques
+from terraphi.robot.legs import GRAVITY
 from terraphi.robot.model import Quadruped
 
 SURVEY = 60_000
@@ -37,7 +36,7 @@ found each from the other, and before friction is known it looks like force."""
 HIGH_PART, LOW_PART, MOST_SCRATCHED = 0.6, 0.3, 1.25
 """Parts of the height of its swing [-] above which a foot is surely, and perhaps, clear of the
 ground; and by how much torques in the latter may spread more [-] if it is. Low down a swing has
-slower movements too, which tell Coulomb from viscous friction."""
+slower movements too, which separate Coulomb from viscous friction."""
 TOUCH_OVER_LEAVE = 1.6
 """A foot stands again above this many times as much [-]."""
 CUT_SHARE, CUT_OVER_QUARTILE = 0.005, 1.5
@@ -46,7 +45,6 @@ many times the lower quartile [-], was cut off there: moving legs only touch the
 and standing ones hold theirs all the time."""
 FEWEST_CUT = 10
 """Samples at the largest value that it takes at least."""
-_WINDOW = 4096
 
 
 class Survey(NamedTuple):
@@ -55,7 +53,7 @@ class Survey(NamedTuple):
     Attributes
     ----------
     friction
-        Of the joints; ``None`` if it was not asked for or cannot be known.
+        Of the joints; ``None`` if it was not asked for.
     residual
         Spread of contact torques in swing, where the truth is zero [N m], shape [foot, joint];
         NaN for feet that were not seen to swing.
@@ -63,9 +61,6 @@ class Survey(NamedTuple):
         Smallest step of the torques [N m], shape [foot, joint].
     noise
         Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
-    swing
-        Share of the time that each foot was surely in the air, the ends of its swings left out [-],
-        shape [foot].
     ceiling
         Torque at which each motor's was cut off [N m], shape [foot, joint]; infinite if it was not.
     """
@@ -74,17 +69,14 @@ class Survey(NamedTuple):
     residual: FloatArray
     resolution: FloatArray
     noise: FloatArray
-    swing: FloatArray
     ceiling: FloatArray
 
 
 class _Window(NamedTuple):
     seen: Signals
     inner: slice
-    lever: FloatArray
+    lift: FloatArray
     """Upward force for each torque, shape [sample, foot, joint]."""
-    place: FloatArray
-    """Of the feet in the body's frame [m], shape [sample, foot, 3]."""
     torque: FloatArray
     terms: FloatArray
     sure: BoolArray
@@ -92,73 +84,69 @@ class _Window(NamedTuple):
 
 
 def survey(
-    log: JointLog, robot: Quadruped, settings: Settings, *, friction: bool | JointFriction
+    log: JointLog,
+    robot: Quadruped,
+    estimator: Estimator,
+    gap: float,
+    *,
+    friction: bool,
 ) -> Survey:
     """Find friction, resolution and noise from windows spread over a log.
 
     Parameters
     ----------
-    log
-        The log.
-    robot
-        Geometry and masses of the legs.
-    settings
-        The estimator whose residual in swing is wanted.
+    log, robot
+        The log, and of whom.
+    estimator, gap
+        See :func:`~terraphi.robot.estimators.contact_torque`; its residual in swing is wanted.
     friction
-        That of the joints, or whether it is to be found; it takes a robot with masses.
-
-    Returns
-    -------
-    Survey
+        Whether that of the joints is to be taken off.
     """
-    moving = replace(settings, estimator="momentum_observer") if robot.has_masses else settings
-    wanted = max(settings.margin, moving.margin)
-    every = list(chunks(log.time, wanted, size=_WINDOW))
-    picked = np.unique(np.linspace(0, len(every) - 1, min(len(every), SURVEY // _WINDOW + 1)))
+    every = list(chunks(log.time))
+    picked = np.unique(np.linspace(0, len(every) - 1, min(len(every), SURVEY // CHUNK + 1)))
     windows = []
     for chunk in (every[int(i)] for i in picked):
-        seen = signals(log, robot, slice(chunk.first, chunk.last))
-        torque = contact_torque(seen, robot, moving, None)[chunk.inner]
-        terms = friction_terms(seen, moving)[chunk.inner]
-        sure = one_way(seen.time, seen.velocity)[chunk.inner]
-        lever = _lift(seen, robot, chunk.inner)
-        place = foot_position(robot, seen.angle[chunk.inner])
-        windows.append(_Window(seen, chunk.inner, lever, place, torque, terms, sure))
-    known = friction if isinstance(friction, JointFriction) else None
-    found, swings = _alternate(windows, robot.mass * GRAVITY, known)
-    kept = found if friction and robot.has_masses else None
+        seen, inner = signals(log, robot, chunk.wide), chunk.inner
+        row = np.einsum("si,sfij->sfj", seen.turn[:, 2], seen.legs.force_per_torque()[0])
+        windows.append(
+            _Window(
+                seen,
+                inner,
+                np.where(np.isfinite(row), row, 0.0)[inner],
+                contact_torque(seen, "momentum_observer", gap)[inner],
+                friction_terms(seen, gap)[inner],
+                one_way(seen.time, seen.velocity)[inner],
+            )
+        )
+    found, swings = _alternate(windows, robot.mass * GRAVITY)
+    kept = found if friction else None
     residual = np.full((4, 3), np.nan)
-    deviations = [contact_torque(w.seen, robot, settings, kept)[w.inner] for w in windows]
-    deviation, swing = np.concatenate(deviations), np.concatenate(swings)
+    deviation = np.concatenate(
+        [contact_torque(w.seen, estimator, gap, kept)[w.inner] for w in windows]
+    )
+    swing = np.concatenate(swings)
     for foot in np.flatnonzero(swing.any(axis=0)):
         residual[foot] = [_magnitude(column) for column in deviation[swing[:, foot], foot].T]
     steps = np.concatenate([np.diff(w.seen.torque, axis=0) for w in windows])
     ceiling = _ceiling(np.concatenate([w.seen.torque[w.inner] for w in windows]))
-    return Survey(kept, residual, _resolution(steps), _noise(steps), swing.mean(axis=0), ceiling)
+    return Survey(kept, residual, _resolution(steps), _noise(steps), ceiling)
 
 
-def _alternate(
-    windows: list[_Window], weight: float, known: JointFriction | None
-) -> tuple[JointFriction, list[BoolArray]]:
-    """Find swing phases from the forces and friction from the swing phases, alternately.
-
-    A joint whose friction is known keeps it.
-    """
+def _alternate(windows: list[_Window], weight: float) -> tuple[JointFriction, list[BoolArray]]:
+    """Find swing phases from the forces and friction from the swing phases, alternately."""
     torque = np.concatenate([w.torque for w in windows])
     terms = np.concatenate([w.terms for w in windows])
     sure = np.concatenate([w.sure for w in windows])
 
     def tried(part: float, leave: float) -> tuple[JointFriction, list[BoolArray], FloatArray]:
-        lifts = [np.sum(w.lever * t, axis=-1) for w, t in zip(windows, left, strict=True)]
-        swings = [
-            in_swing(w.seen.time[w.inner], lift, touch=TOUCH_OVER_LEAVE * leave, leave=leave)
-            & clear_of_ground(w.place, w.seen.turn[w.inner][:, 2], lift, weight=weight, part=part)
-            for w, lift in zip(windows, lifts, strict=True)
-        ]
+        swings = []
+        for w, own in zip(windows, left, strict=True):
+            lift = np.sum(w.lift * own, axis=-1)
+            air = in_swing(w.seen.time[w.inner], lift, touch=TOUCH_OVER_LEAVE * leave, leave=leave)
+            place, up = w.seen.legs.place[w.inner], w.seen.turn[w.inner][:, 2]
+            swings.append(air & clear_of_ground(place, up, lift, weight=weight, part=part))
         air = np.concatenate(swings)
         friction = fit(torque, terms, air, sure)
-        if known is not None:
-            friction = known.completed(friction)
         numbers = np.stack([friction.coulomb, friction.viscous, friction.inertia], axis=-1)
         rest = torque + np.sum(numbers * terms, axis=-1)
         left[:] = np.split(rest, np.cumsum([len(w.torque) for w in windows[:-1]]))
@@ -174,14 +162,6 @@ def _alternate(
     scratched = np.any(low[2] > MOST_SCRATCHED * high[2])
     friction, swings, _ = high if scratched else low
     return friction, swings
-
-
-def _lift(seen: Signals, robot: Quadruped, inner: slice) -> FloatArray:
-    """Vertical row of J⁻ᵀ in the world; zero where J cannot be inverted."""
-    up = seen.turn[inner][:, 2, :]
-    inverse, _ = forces_of_torques(robot, seen.angle[inner])
-    row = np.einsum("sk,sfkj->sfj", up, inverse)
-    return np.where(np.isfinite(row), row, 0.0)
 
 
 def _resolution(steps: FloatArray) -> FloatArray:

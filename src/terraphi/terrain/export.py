@@ -13,7 +13,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.soil import cone_slope
-from terraphi.forward.foot_laws import LAWS, Foot
+from terraphi.forward.foot import LAWS, Foot
 from terraphi.inference.answer import StoredAnswer
 from terraphi.terrain.simulators import Match, Simulator, in_words
 

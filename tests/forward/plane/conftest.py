@@ -10,19 +10,10 @@ import pytest
 
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.driver import path_of_steps
+from terraphi.forward.ledger import Audit, empty_audit, empty_reaction
 from terraphi.forward.plane import packets, scalar
 from terraphi.forward.plane.bed import Grid, Particles, empty_grid, geostatic_bed
-from terraphi.forward.plane.contact import intruder_of
-from terraphi.forward.plane.plasticity import material_of
-from terraphi.forward.plane.relief import fading_of
-from terraphi.forward.plane.scalar import (
-    Audit,
-    Stepping,
-    advance,
-    empty_audit,
-    empty_reaction,
-    stepping_of,
-)
+from terraphi.forward.plane.model import Model, model_of
 
 
 class Stepped(NamedTuple):
@@ -57,49 +48,23 @@ def coarse_scenario(**changes: Any) -> Scenario:
 
 def take_steps(
     scenario: Scenario,
-    count: int,
-    *,
+    *blocks: int,
     soil: Particles | None = None,
-    stepping: Stepping | None = None,
+    model: Model | None = None,
+    kernel: Any = scalar,
 ) -> Stepped:
-    """Advance a bed by some steps of its scenario."""
+    """Advance a bed by some steps of its scenario, in one or several blocks."""
     soil = geostatic_bed(scenario) if soil is None else soil
-    grid, audit, impulse = empty_grid(scenario), empty_audit(), empty_reaction(1)
-    poses, turned, bins = path_of_steps(scenario, np.arange(count), 1)
-    lost = advance(
-        soil,
-        grid,
-        material_of(scenario.soil),
-        intruder_of(scenario.leg),
-        fading_of(scenario),
-        stepping_of(scenario) if stepping is None else stepping,
-        poses,
-        turned,
-        bins,
-        impulse,
-        audit,
-    )
-    return Stepped(soil, grid, impulse, audit, lost)
-
-
-def run_blocks(kernel, scenario, blocks, *, soil=None):
-    """Run blocks of steps with a kernel; soil, grid, audit, impulse, lost."""
-    soil = geostatic_bed(scenario) if soil is None else soil
+    model = model_of(scenario) if model is None else model
     grid, audit, impulse = empty_grid(scenario), empty_audit(), empty_reaction(3)
-    constants = (
-        material_of(scenario.soil),
-        intruder_of(scenario.leg, inset=scenario.tip_inset),
-        fading_of(scenario),
-        stepping_of(scenario),
-    )
     lost, first = -1, 0
     for count in blocks:
-        poses, turned, bins = path_of_steps(scenario, np.arange(first, first + count), 3)
-        lost = kernel.advance(soil, grid, *constants, poses, turned, bins, impulse, audit)
+        path = path_of_steps(scenario, np.arange(first, first + count), 3)
+        lost = kernel.advance(soil, grid, model, *path, impulse, audit)
         first += count
         if lost >= 0:
             break
-    return soil, grid, audit, impulse, lost
+    return Stepped(soil, grid, impulse, audit, lost)
 
 
 def copy_of(soil: Particles) -> Particles:
@@ -112,19 +77,20 @@ def largest_difference(ours, theirs) -> float:
     return float(np.abs(ours - theirs).max() / scale) if scale > 0 else float(np.abs(ours).max())
 
 
-def assert_agree(scenario, blocks, *, soil=None, tolerance=1e-10, kernels=(packets, scalar)):
+def assert_agree(scenario, blocks, *, soil=None, tolerance=1e-10):
+    """Both kernels leave the same soil, grid, forces and books; those of the fast one."""
     soil = geostatic_bed(scenario) if soil is None else soil
-    ours = run_blocks(kernels[0], scenario, blocks, soil=copy_of(soil))
-    theirs = run_blocks(kernels[1], scenario, [sum(blocks)], soil=copy_of(soil))
-    assert ours[4] == theirs[4] == -1
-    for name, one, other in zip(Particles._fields, ours[0], theirs[0], strict=True):
+    ours = take_steps(scenario, *blocks, soil=copy_of(soil), kernel=packets)
+    theirs = take_steps(scenario, sum(blocks), soil=copy_of(soil))
+    assert ours.lost == theirs.lost == -1
+    for name, one, other in zip(Particles._fields, ours.soil, theirs.soil, strict=True):
         assert largest_difference(one, other) < tolerance, name
-    for one, other in zip(ours[1], theirs[1], strict=True):
+    for one, other in zip(ours.grid, theirs.grid, strict=True):
         assert largest_difference(one, other) < tolerance
-    assert largest_difference(ours[3], theirs[3]) < tolerance
-    assert largest_difference(ours[2].ledger, theirs[2].ledger) < tolerance
-    assert ours[2].worst[0] < 1e-10
-    return ours, theirs
+    assert largest_difference(ours.impulse, theirs.impulse) < tolerance
+    assert largest_difference(ours.audit.ledger, theirs.audit.ledger) < tolerance
+    assert ours.audit.worst[0] < 1e-10
+    return ours
 
 
 FAR_AWAY = {
@@ -152,9 +118,4 @@ def _far_away():
 
 @pytest.fixture(name="compare", scope="session")
 def _compare():
-    return SimpleNamespace(
-        run_blocks=run_blocks,
-        assert_agree=assert_agree,
-        copy_of=copy_of,
-        largest_difference=largest_difference,
-    )
+    return SimpleNamespace(assert_agree=assert_agree, copy_of=copy_of)

@@ -1,11 +1,14 @@
-"""Contact of material points with a rigid body in space.
+"""Contact of material points with a rigid body.
 
-As in the plane (:mod:`terraphi.forward.plane.contact`): a particle stands for a cube of soil, half
-its side is its radius, and where it comes closer to the true surface than that it is pushed back
-by a penalty spring with a dashpot and rubs as a spring that slips at Coulomb's limit. The force
-acts where the particle touches; its moment about the centre goes to the grid with it.
+A particle stands for a cube of soil; half its side is its radius. Where it comes closer to the true
+surface than that it is pushed back in proportion (a penalty, far stiffer than the soil: at 10 kPa a
+particle overlaps by a few thousandths of its size), and rubs as a spring that slips at Coulomb's
+limit (Cundall and Strack, 1979, doi 10.1680/geot.1979.29.1.47). The force acts where the particle
+touches; its moment about the centre goes to the grid with it. Contact thus begins where soil and
+leg meet, whatever the grid, as in the particle-to-surface method of Nakamura et al. (2021, doi
+10.1016/j.compgeo.2021.104069).
 
-Bodies are outlines of the plane drawn out across it by half the width to either side, with flat
+Bodies are outlines drawn out by half the width to either side of the plane of motion, with flat
 flanks and sharp edges; a ball; and an upright cylinder.
 """
 
@@ -17,34 +20,31 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.experiment.leg import Leg
+from terraphi.experiment.scenario import Scenario
+from terraphi.forward.body import Intruder, Pose, distance_to_leg, intruder_of, out_of_leg_frame
 from terraphi.forward.compiled import kernel
-from terraphi.forward.mpm.lattice import Lattice
-from terraphi.forward.plane import contact as plane
-from terraphi.forward.plane.contact import DAMPING, STIFFNESS, Pose
-
-Three = tuple[float, float, float]
+from terraphi.forward.mpm.lattice import Lattice, Three, place_of, sub_cells
 
 OUTLINE, SPHERE, CYLINDER = 0, 1, 2
 """Kinds of bodies."""
+STIFFNESS = 0.25
+"""Force per overlap of a particle over the soil's M = λ + 2 G and the particle's side [-].
+
+Stable even for a lone particle up to the Courant limit with three particles along the side of a
+cell or fewer (more are refused); results do not depend on it."""
+DAMPING = 0.3
+"""Share of critical damping of a lone particle on that spring [-]."""
 
 
-class Intruder(NamedTuple):
-    """A body as the kernels take it."""
+class Contact(NamedTuple):
+    """A body in three dimensions, and the spring between it and a particle."""
 
     kind: int
     """One of the kinds above."""
-    outline: plane.Intruder
-    """In the plane of motion."""
+    outline: Intruder
+    """In the plane of motion; what contact leaves out at the tip is left out."""
     half_width: float
     """Half its extent across the plane, or the cylinder's radius [m]."""
-    reach: float
-    """Largest distance from the hip, in the plane of motion [m]."""
-
-
-class Spring(NamedTuple):
-    """Constants of the contact force."""
-
     radius: float
     """Of a particle [m]."""
     stiffness: float
@@ -53,52 +53,45 @@ class Spring(NamedTuple):
     """Δt [s]."""
 
 
-def intruder_of(leg: Leg, *, inset: float = 0.0) -> Intruder:
-    """Constants of a body.
-
-    Parameters
-    ----------
-    leg
-        The body.
-    inset
-        How much of its centre line contact leaves out at the tip [m]; 0 for those without one.
-    """
-    outline, half_width = plane.intruder_of(leg, inset=inset), 0.5 * leg.width
-    kind = {"sphere": SPHERE, "cylinder": CYLINDER}.get(leg.shape, OUTLINE)
-    return Intruder(kind, outline, half_width, leg.reach())
-
-
-def spring_of(volume: float, modulus: float, time_step: float) -> Spring:
-    """Constants of the contact force.
-
-    Parameters
-    ----------
-    volume
-        Of a particle [m³].
-    modulus
-        λ + 2 G of the soil [Pa].
-    time_step
-        Δt [s].
-    """
-    side = math.cbrt(volume)
-    return Spring(0.5 * side, STIFFNESS * modulus * side, time_step)
+def contact_of(scenario: Scenario) -> Contact:
+    """Constants of a scenario's body and contact."""
+    leg, soil = scenario.leg, scenario.soil
+    side = math.cbrt(float(np.prod(sub_cells(scenario)[1])))
+    return Contact(
+        {"sphere": SPHERE, "cylinder": CYLINDER}.get(leg.shape, OUTLINE),
+        intruder_of(leg, inset=scenario.tip_inset),
+        0.5 * leg.width,
+        0.5 * side,
+        STIFFNESS * (soil.lame_lambda + 2.0 * soil.shear_modulus) * side,
+        scenario.numerics.time_step,
+    )
 
 
 @kernel
-def joined(first: float, second: float) -> tuple[float, float, float]:
-    """Distance from what two bodies have in common, and the shares of their normals.
+def dot(a: Three, b: Three) -> float:
+    """A · b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
-    Parameters
-    ----------
-    first, second
-        Signed distances from two bodies whose surfaces meet at right angles [m].
 
-    Returns
-    -------
-    tuple
-        Signed distance [m] and factors on the two outward normals [-].
+@kernel
+def scaled(share: float, a: Three) -> Three:
+    """Share times a."""
+    return share * a[0], share * a[1], share * a[2]
+
+
+@kernel
+def added(a: Three, share: float, b: Three) -> Three:
+    """A + share b."""
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
+
+
+@kernel
+def joined(first: float, second: float) -> Three:
+    """Signed distance from what two bodies have in common, and the shares of their normals.
+
+    ``first`` and ``second`` are the distances from bodies whose surfaces meet at right angles.
     """
-    if first > 0.0 and second > 0.0:
+    if first > 0.0 and second > 0.0:  # nearest is the edge
         length = math.sqrt(first * first + second * second)
         return length, first / length, second / length
     if first > second:
@@ -107,62 +100,43 @@ def joined(first: float, second: float) -> tuple[float, float, float]:
 
 
 @kernel
-def distance_to_solid(
-    intruder: Intruder, s: float, m: float, y: float
-) -> tuple[float, float, float, float]:
-    """Signed distance from a body, and its outward normal.
+def distance_to_body(contact: Contact, s: float, m: float, y: float) -> tuple[float, Three]:
+    """Signed distance [m] from a body, negative inside, and its outward unit normal (s, m, y) [-].
 
-    Parameters
-    ----------
-    intruder
-        The body.
-    s, m, y
-        Point in the body's frame: from the hip along the chord, across it, and across the plane of
-        motion from its middle [m].
-
-    Returns
-    -------
-    tuple
-        Distance [m], negative inside, and the unit normal (s, m, y) [-].
+    The point is given in the body's frame: from the hip along the chord, across it, and across the
+    plane of motion from its middle [m].
     """
-    half = 0.5 * intruder.outline.chord
-    if intruder.kind == SPHERE:
+    half = 0.5 * contact.outline.chord
+    if contact.kind == SPHERE:
         length = math.sqrt((s - half) * (s - half) + m * m + y * y)
         if length == 0.0:
-            return -half, 0.0, 1.0, 0.0
-        return length - half, (s - half) / length, m / length, y / length
-    if intruder.kind == CYLINDER:
+            return -half, (0.0, 1.0, 0.0)
+        return length - half, ((s - half) / length, m / length, y / length)
+    if contact.kind == CYLINDER:
         radial = math.sqrt(m * m + y * y)
-        distance, side, end = joined(radial - intruder.half_width, abs(s - half) - half)
+        distance, side, end = joined(radial - contact.half_width, abs(s - half) - half)
         ends = end if s > half else -end
         if radial == 0.0:
-            return distance, ends, side, 0.0
-        return distance, ends, side * m / radial, side * y / radial
-    flat, ns, nm = plane.distance_to_leg(intruder.outline, s, m)
-    distance, rim, flank = joined(flat, abs(y) - intruder.half_width)
-    return distance, rim * ns, rim * nm, flank if y > 0.0 else -flank
+            return distance, (ends, side, 0.0)
+        return distance, (ends, side * m / radial, side * y / radial)
+    flat, ns, nm = distance_to_leg(contact.outline, s, m)
+    distance, rim, flank = joined(flat, abs(y) - contact.half_width)
+    return distance, (rim * ns, rim * nm, flank if y > 0.0 else -flank)
 
 
 @kernel
-def in_space(intruder: Intruder, place: Three, pose: Pose) -> tuple[float, float, float, float]:
+def distance_in_space(contact: Contact, place: Three, pose: Pose) -> tuple[float, Three]:
     """Signed distance [m] of a place (x, y, z) [m] from a body, and the normal (x, y, z) [-]."""
     rx, rz = place[0] - pose.hip_x, place[2] - pose.hip_z
-    sine, cosine = pose.sine, pose.cosine
-    distance, ns, nm, ny = distance_to_solid(
-        intruder, -sine * rx - cosine * rz, -cosine * rx + sine * rz, place[1]
-    )
-    return distance, -sine * ns - cosine * nm, ny, -cosine * ns + sine * nm
+    s, m = -pose.sine * rx - pose.cosine * rz, -pose.cosine * rx + pose.sine * rz
+    distance, (ns, nm, ny) = distance_to_body(contact, s, m, place[1])
+    nx, nz = out_of_leg_frame(ns, nm, pose)
+    return distance, (nx, ny, nz)
 
 
 @kernel
 def touch(
-    place: Three,
-    speed: Three,
-    slip: Three,
-    mass: float,
-    intruder: Intruder,
-    spring: Spring,
-    pose: Pose,
+    place: Three, speed: Three, slip: Three, mass: float, contact: Contact, pose: Pose
 ) -> tuple[Three, Three, Three]:
     """Force of a body on a particle.
 
@@ -174,8 +148,8 @@ def touch(
         Elastic slip before the step (x, y, z) [m].
     mass
         Of the particle [kg].
-    intruder, spring, pose
-        Body and contact.
+    contact, pose
+        Body and spring.
 
     Returns
     -------
@@ -184,42 +158,39 @@ def touch(
         after the step [m], each (x, y, z); zeros if the particle does not reach the body.
     """
     nothing = (0.0, 0.0, 0.0)
-    distance, nx, ny, nz = in_space(intruder, place, pose)
-    overlap = spring.radius - distance
+    distance, out = distance_in_space(contact, place, pose)
+    overlap = contact.radius - distance
     if overlap <= 0.0:
         return nothing, nothing, nothing
-    # The leg turns from +z towards +x about +y: v = ω × r = ω (rz, 0, -rx).
-    ux = speed[0] - (pose.hip_vx + pose.rate * (place[2] - pose.hip_z))
-    uy = speed[1]
-    uz = speed[2] - (pose.hip_vz - pose.rate * (place[0] - pose.hip_x))
-    normal = ux * nx + uy * ny + uz * nz
-    dashpot = 2.0 * DAMPING * math.sqrt(spring.stiffness * mass)
-    # At most as large as the spring's force, so that contact begins softly.
-    push = spring.stiffness * overlap
+    # Velocity of the soil past the leg, which moves at v = ω × r = ω (r_z, 0, -r_x).
+    along = (
+        speed[0] - (pose.hip_vx + pose.rate * (place[2] - pose.hip_z)),
+        speed[1],
+        speed[2] - (pose.hip_vz - pose.rate * (place[0] - pose.hip_x)),
+    )
+    normal = dot(along, out)
+    stiffness = contact.stiffness
+    dashpot = 2.0 * DAMPING * math.sqrt(stiffness * mass)
+    # The dashpot is at most as large as the spring's force, so that contact begins softly.
+    push = stiffness * overlap
     press = push + min(max(-dashpot * normal, -push), push)
-    ux, uy, uz = ux - normal * nx, uy - normal * ny, uz - normal * nz
-    step = spring.time_step
-    sx, sy, sz = slip[0] + step * ux, slip[1] + step * uy, slip[2] + step * uz
-    out = sx * nx + sy * ny + sz * nz  # the surface may have turned
-    sx, sy, sz = sx - out * nx, sy - out * ny, sz - out * nz
-    stiff, most = spring.stiffness, intruder.outline.friction * press
-    held = stiff * math.sqrt(sx * sx + sy * sy + sz * sz)
+    # The elastic slip grows by what the soil slides, and stays in the surface, which may turn.
+    along = added(along, -normal, out)
+    slip = added(slip, contact.time_step, along)
+    slip = added(slip, -dot(slip, out), out)
+    # Coulomb: beyond μ times the pressure the spring slips; below, spring and dashpot together
+    # are held to that limit.
+    most = contact.outline.friction * press
+    held = stiffness * math.sqrt(dot(slip, slip))
     if held > most:
-        kept = most / held
-        sx, sy, sz = kept * sx, kept * sy, kept * sz
-        rx, ry, rz = -stiff * sx, -stiff * sy, -stiff * sz
+        slip = scaled(most / held, slip)
+        rub = scaled(-stiffness, slip)
     else:
-        rx, ry, rz = (
-            -stiff * sx - dashpot * ux,
-            -stiff * sy - dashpot * uy,
-            -stiff * sz - dashpot * uz,
-        )
-        length = math.sqrt(rx * rx + ry * ry + rz * rz)
+        rub = added(scaled(-stiffness, slip), -dashpot, along)
+        length = math.sqrt(dot(rub, rub))
         if length > most:
-            kept = most / length
-            rx, ry, rz = kept * rx, kept * ry, kept * rz
-    force = (press * nx + rx, press * ny + ry, press * nz + rz)
-    return force, (-distance * nx, -distance * ny, -distance * nz), (sx, sy, sz)
+            rub = scaled(most / length, rub)
+    return added(rub, press, out), scaled(-distance, out), slip
 
 
 @kernel
@@ -228,9 +199,8 @@ def near_leg(
     cell: NDArray[np.int32],
     offset: NDArray[Any],
     slip: NDArray[Any],
-    intruder: Intruder,
+    contact: Contact,
     pose: Pose,
-    margin: float,
     near: NDArray[np.int64],
 ) -> int:
     """List the particles that may touch a body during a phase; the others forget their slip.
@@ -239,10 +209,8 @@ def near_leg(
     ----------
     lattice, cell, offset, slip
         Grid and particles; the slip is changed.
-    intruder, pose
+    contact, pose
         The body in the middle of the phase.
-    margin
-        Distance from its surface up to which a particle counts [m].
     near
         Filled with their indices.
 
@@ -252,23 +220,15 @@ def near_leg(
         How many there are.
     """
     count = 0
-    far = intruder.reach + margin
+    # Soil and leg move by at most half a cell each.
+    margin = contact.radius + lattice.cell_size
+    far = contact.outline.reach + margin
     for p in range(cell.size):
-        x, y, z = place_of(lattice, cell[p], offset[p, 0], offset[p, 1], offset[p, 2])
-        rx, rz = x - pose.hip_x, z - pose.hip_z
-        if rx * rx + rz * rz < far * far and in_space(intruder, (x, y, z), pose)[0] < margin:
+        place = place_of(lattice, cell[p], offset[p, 0], offset[p, 1], offset[p, 2])
+        rx, rz = place[0] - pose.hip_x, place[2] - pose.hip_z
+        if rx * rx + rz * rz < far * far and distance_in_space(contact, place, pose)[0] < margin:
             near[count] = p
             count += 1
         elif slip[p, 0] != 0.0 or slip[p, 1] != 0.0 or slip[p, 2] != 0.0:
             slip[p, 0] = slip[p, 1] = slip[p, 2] = 0.0
     return count
-
-
-@kernel
-def place_of(lattice: Lattice, cell: int, x: float, y: float, z: float) -> Three:
-    """Place of a particle (x, y, z) [m] from its cell and offset [cell]."""
-    k = cell // lattice.layer
-    j = (cell - k * lattice.layer) // lattice.row
-    i = cell - k * lattice.layer - j * lattice.row
-    size = lattice.cell_size
-    return (i + x) * size, lattice.y_low + (j - 0.5 + y) * size, (k + z) * size

@@ -1,7 +1,9 @@
-"""What a step does to one packet: the same arithmetic in every lane, without branches.
+"""Strain of the particles and force of their stress, many particles at a time.
 
-``plain`` with slopes of the kind ``cell``, in single precision. Within a cell a component v of the
-velocity is taken as its value at the middle and nine moments,
+The fast kernel: ``plain`` in single precision, for the packets of :mod:`~.packing`. Block by block,
+the velocities of its nodes are copied side by side, its particles strained, and the forces laid
+down on the nodes. Within a cell a component v of the velocity is taken as its value at the middle
+and nine moments,
 
     A = Δx ∇v,    B = Δx² ∇∇v    (x, y, z;  xx, yy, zz, xy, xz, yz),
 
@@ -11,30 +13,51 @@ second slope (H) of the spline over z, y and x are each a sum over three nodes. 
 same way back: a cell's sums of stress and of stress times offset, then an axis at a time.
 
 All that passes between the stages lies in one array, ``work``, in rows: a row has one number for
-each cell of a block, or for each node that they reach. The loops over ``lanes`` are what the
-compiler turns into vector instructions. It does so only if their length is an argument, if all
-indices are unsigned and all arrays flat, and if the distances between what is read and written are
-known to it; ``tests/forward/mpm`` looks at the instructions that come of it.
+each cell of a block, or for each node that they reach.
+
+    nodes ── load ──► VELOCITY ── gather_across ──► ACROSS ── gather_along ──► MOMENT, RATE
+                                                                                  │ strain
+    nodes ◄── give_across ── BACK ◄── give_along ── SUM ◄── press_middle ── SUM ◄─┘
+
+The loops over ``lanes`` are what the compiler turns into vector instructions. It does so only if
+their length is an argument, if all indices are unsigned and all arrays flat, if nothing branches,
+and if the distances between what is read and written are known to it; ``tests/forward/mpm`` looks
+at the instructions that come of it.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.forward.compiled import kernel, wide_vectors
+from terraphi.experiment.scenario import Scenario
+from terraphi.forward.compiled import entry, kernel, wide_vectors
 from terraphi.forward.mpm import packing
-from terraphi.forward.mpm.lattice import LANES, MARGIN
-from terraphi.forward.mpm.plasticity import SHORT_OF_TIP, Material, bulk_modulus
+from terraphi.forward.mpm.bed import Soil
+from terraphi.forward.mpm.lattice import LANES, MARGIN, Lattice, lattice_of, sub_cells
+from terraphi.forward.mpm.packing import Packets, aligned, pack, unpack
+from terraphi.forward.mpm.plain import SHARING_ROUNDS
+from terraphi.forward.mpm.plasticity import (
+    SHORT_OF_TIP,
+    Material,
+    Trial,
+    held_mean,
+    jaumann_predictor,
+    material_of,
+    with_gaps,
+)
+from terraphi.forward.mpm.transfer import Nodes
 
 Work = NDArray[np.float32]
 Index: TypeAlias = Any
 """An unsigned integer of 64 bits."""
 Six = tuple[Any, Any, Any, Any, Any, Any]
+Four = tuple[Any, Any, Any, Any]
 
+# Numba makes a float of an unsigned and a signed integer, so indices take unsigned ones alone.
 ONE, TWO, THREE, FOUR, FIVE, SIX, SEVEN, EIGHT, NINE = (np.uint64(n) for n in range(1, 10))
 ROW = LANES + LANES
 """Length of a row of ``work``."""
@@ -44,6 +67,7 @@ ACROSS = np.uint64(27) * ROW
 """18 rows: component, then (W W, D W, W D, H W, W H, D D) over (y, z)."""
 MOMENT = np.uint64(45) * ROW
 """27 rows: component, then the nine moments times the time step [-]."""
+SUMS = np.uint64(24)
 SUM = np.uint64(72) * ROW + MARGIN
 """24 rows: six stresses, then for each its product with the offset (x, y, z) [Pa], with zeros
 before and behind."""
@@ -62,96 +86,183 @@ WORK = np.uint64(110) * ROW + ROW
 _FIELD = [np.uint64(field) * LANES for field in range(packing.FIELDS)]
 X, Y, Z, SXX, SYY, SZZ, SXY, SXZ, SYZ, STRAIN, VOLUME = _FIELD
 FIELDS = np.uint64(packing.FIELDS) * LANES
+XX, YY, ZZ, XY, XZ, YZ = (np.uint64(n) for n in range(6))
+"""Order of the stresses among the sums."""
 
 _F = np.float32
 ZERO, HALF, UNIT, DOUBLE, TRIPLE = (_F(n) for n in (0.0, 0.5, 1.0, 2.0, 3.0))
-THIRD, TWO_THIRDS = _F(1.0 / 3.0), _F(2.0 / 3.0)
+THIRD, TWO_THIRDS, FOURFOLD = _F(1.0 / 3.0), _F(2.0 / 3.0), _F(4.0)
 SIDE, CENTRE = _F(0.125), _F(0.75)
 """Spline weights in the middle of a cell."""
+SPLINES = ((SIDE, -HALF, UNIT), (CENTRE, ZERO, -DOUBLE), (SIDE, HALF, UNIT))
+"""Value, slope and second slope in the middle of a cell, of the nodes at -1, 0 and 1."""
 ROOT = _F(0.5 * math.sqrt(3.0))
 LODE, SIZE = _F(1.5 * math.sqrt(3.0)), _F(2.0 / math.sqrt(3.0))
-FOURFOLD, TINY = _F(4.0), _F(1e-18)
+TINY, SMALL = _F(1e-18), _F(1e-9)
+"""Keep quotients of vanishing stresses from being no numbers [Pa²], [Pa]."""
 SHORT = _F(SHORT_OF_TIP)
-SMALL = _F(1e-9)
-"""Keeps a quotient of vanishing stresses from being no number [Pa]."""
-C0, C1, C2, C3, C4, C5, C6 = (
-    _F(c)
-    for c in (
-        0.500000163, 0.577333461, -0.110823049, 0.0515479343, -0.0265382503, 0.0106230692,
-        -0.00214345224,
-    )
-)  # fmt: skip
+C0, C1, C2, C3 = (_F(c) for c in (0.500000163, 0.577333461, -0.110823049, 0.0515479343))
+C4, C5, C6 = (_F(c) for c in (-0.0265382503, 0.0106230692, -0.00214345224))
 """Chebyshev fit of cos(⅔ arccos s) on 0 ≤ s ≤ 1, with an error of 2·10⁻⁷."""
 
 
-class Laws(NamedTuple):
-    """Constants of a phase as the lanes take them, all in single precision."""
-
-    lame_lambda: Any
-    """λ [Pa]."""
-    shear: Any
-    """G [Pa]."""
-    sin_dilation: Any
-    """sin ψ at the peak [-]."""
-    sin_critical: Any
-    """sin φ in the critical state [-]."""
-    sin_excess: Any
-    """sin φ at the peak beyond that [-]."""
-    per_softening: Any
-    """1 over the plastic shear strain to the critical state [-]."""
-    strength: Any
-    """2 c cos φ [Pa]."""
-    cutoff: Any
-    """Mean stress beyond which a trial state goes to the tip [Pa]."""
-    tip: Any
-    """Mean stress at the tip [Pa]."""
-    drop: Any
-    """2 K, or 0 if the mean stress is held [Pa]."""
-    per_slip: Any
-    """1 / (2 G) [1/Pa]."""
-    apex: Any
-    """Mean stress at the tip had it not been cut off [Pa]."""
-    nakai: Any
-    """1 for Matsuoka and Nakai's surface, else 0."""
-    cone: Any
-    """1 for Drucker and Prager's surface, else 0."""
-    cone_slope: Any
-    """3 α [-]."""
-    cone_multiplier: Any
-    """1 / (G + 9 K α β) [1/Pa]."""
-    cone_swelling: Any
-    """3 β [-]."""
-    intercept: Any
-    """k of the cone [Pa]."""
-    averaging: Any
-    """1 if the volumetric strain is the mean of the cell's particles, else 0."""
+def laws_of(material: Material) -> Material:
+    """Constants of a material in single precision."""
+    return Material._make(np.float32(value) for value in material)
 
 
-def laws_of(material: Material, *, averaging: bool) -> Laws:
-    """Constants of a material."""
-    shear, bulk = material.shear_modulus, bulk_modulus(material)
-    values = (
-        material.lame_lambda,
-        shear,
-        material.sin_dilation,
-        material.sin_critical,
-        material.sin_friction - material.sin_critical,
-        material.per_softening,
-        material.strength,
-        material.cutoff,
-        material.tip,
-        2.0 * bulk,
-        0.5 / shear,
-        material.apex,
-        float(material.nakai),
-        float(material.cone),
-        3.0 * material.alpha,
-        1.0 / (shear + 9.0 * bulk * material.alpha * material.beta),
-        3.0 * material.beta,
-        material.intercept,
-        float(averaging),
-    )
-    return Laws(*(np.float32(value) for value in values))
+class FastStrain:
+    """Strains the particles of a scenario and forces its nodes, with the kernel below."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        material, self._lattice = material_of(scenario.soil), lattice_of(scenario)
+        self._laws = (laws_of(material), laws_of(held_mean(material)), material.swells)
+        self._area = np.float32(-float(np.prod(sub_cells(scenario)[1])) / self._lattice.cell_size)
+        self._work = aligned(int(WORK))
+        self._packets: Any = None
+
+    def begin(self, soil: Soil) -> None:
+        """Lay out the particles of a phase in packets."""
+        self._packets = pack(soil, self._lattice)
+
+    def strain(self, soil: Soil, force: Nodes, time_step: float, used: int) -> None:
+        """Strain them for a time [s] and add the forces of their stress to the nodes [N].
+
+        ``used`` is the number of nodes, from the first one on, that may have soil.
+        """
+        scale = np.float32(time_step / self._lattice.cell_size)
+        grid = (self._lattice, soil.velocity, force, self._work)
+        top = used // self._lattice.layer
+        strain(self._packets, *grid, *self._laws, scale, self._area, top, LANES)
+
+    def end(self, soil: Soil) -> None:
+        """Write stresses back."""
+        unpack(self._packets, soil)
+        self._packets = None
+
+
+@entry
+def strain(
+    packets: Packets,
+    lattice: Lattice,
+    velocity: Nodes,
+    force: Nodes,
+    work: Work,
+    laws: Material,
+    held: Material,
+    sharing: bool,
+    scale: Any,
+    area: Any,
+    top: int,
+    lanes: Index,
+) -> None:
+    """Strain the particles for a time and add the forces of their new stress to the nodes.
+
+    Parameters
+    ----------
+    packets, lattice
+        Particles, whose stress is changed, and grid.
+    velocity
+        Of the nodes [m/s].
+    force
+        [N]; added to.
+    work
+        Working memory.
+    laws, held
+        Constants, and those with the mean stress held.
+    sharing
+        Whether the particles of a cell share their plastic changes of volume.
+    scale
+        Time over Δx [s/m], in single precision.
+    area
+        Minus the volume of a particle over Δx [m²], in single precision.
+    top
+        Layers of nodes that may have soil.
+    lanes
+        :data:`~terraphi.forward.mpm.lattice.LANES`, in a form that the compiler cannot foresee.
+    """
+    wide_vectors()
+    wide = lanes + MARGIN
+    row, layer = np.uint64(lattice.row), np.uint64(lattice.layer)
+    fx, fy, fz = force[0], force[1], force[2]
+    block = lattice.count_y * lattice.blocks
+    for k in range(np.uint64(1), np.uint64(top - 1)):
+        for j in range(lattice.count_y):
+            for b in range(lattice.blocks):
+                first, last = np.uint64(packets.first[block]), np.uint64(packets.first[block + 1])
+                block += 1
+                if first == last:
+                    continue
+                # The window of nodes that the block reaches begins one before its first cell.
+                at = (k - ONE) * layer + np.uint64(j - 1) * row + np.uint64(b) * LANES
+                load(work, velocity, at, row, layer, wide)
+                # Where the particles of each cell are, on average.
+                middle = np.uint64(block - 1) * THREE * LANES
+                for axis in range(THREE):
+                    for i in range(lanes):
+                        mean = packets.centre[middle + axis * LANES + i]
+                        work[MIDDLE + axis * ROW + i] = mean
+                # Velocities to moments: first over y and z at every x, then over x in every cell.
+                for component in range(THREE):
+                    gather_across(work, component, wide)
+                    gather_along(work, component, scale, lanes)
+                rate_of_cells(work, lanes)
+                # Strain, packet after packet; each adds its stress to the sums of its cells.
+                for i in range(SUM - MARGIN, SUM - MARGIN + SUMS * ROW):
+                    work[i] = ZERO
+                if sharing:
+                    strain_sharing(packets.state, work, first, last, lanes, laws, held)
+                else:
+                    for packet in range(first, last):
+                        strain_packet(packets.state, work, packet, lanes, laws)
+                # Sums to forces, the same way back, one component after the other.
+                press_middle(work, lanes)
+                lay_down(work, fx, at, (XX, XY, XZ), area, row, layer, wide)
+                lay_down(work, fy, at, (XY, YY, YZ), area, row, layer, wide)
+                lay_down(work, fz, at, (XZ, YZ, ZZ), area, row, layer, wide)
+
+
+@kernel
+def strain_sharing(
+    state: Work, work: Work, first: Index, last: Index, lanes: Index, laws: Material, held: Material
+) -> None:
+    """Strain the packets of a block whose cells share their plastic changes of volume."""
+    wide_vectors()
+    # Trial stresses of all, then Newton's steps for the share of each cell, then the return. A
+    # cell's particles lie in different packets, so that each of these is a pass over all of them.
+    for packet in range(first, last):
+        predict_packet(state, work, packet, lanes, laws)
+    for i in range(SHARE, SHARE + ROW):
+        work[i] = ZERO
+    for _ in range(SHARING_ROUNDS):
+        for i in range(SWELL, SHARE):
+            work[i] = ZERO
+        for packet in range(first, last):
+            swell_packet(state, work, packet, lanes, laws, held)
+        share(work, lanes, laws)
+    for packet in range(first, last):
+        return_packet(state, work, packet, lanes, held)
+
+
+@kernel
+def load(work: Work, velocity: Nodes, at: Index, row: Index, layer: Index, wide: Index) -> None:
+    """Copy the velocities of the nodes that a block reaches."""
+    wide_vectors()
+    for component in range(THREE):
+        speed = velocity[component]
+        for c in range(THREE):
+            for b in range(THREE):
+                node = at + c * layer + b * row
+                to = VELOCITY + ((component * THREE + c) * THREE + b) * ROW
+                for i in range(wide):
+                    work[to + i] = speed[node + i]
+
+
+@kernel
+def spline(work: Work, at: Index, step: Index) -> tuple[Any, Any, Any]:
+    """Value, slope and second slope in the middle of a cell, from three numbers ``step`` apart."""
+    a, b, c = work[at], work[at + step], work[at + TWO * step]
+    return SIDE * (a + c) + CENTRE * b, HALF * (c - a), a + c - DOUBLE * b
 
 
 @kernel
@@ -160,12 +271,11 @@ def gather_across(work: Work, component: Index, wide: Index) -> None:
     wide_vectors()
     v, to = VELOCITY + component * NINE * ROW, ACROSS + component * SIX * ROW
     for i in range(wide):
-        a, b, c = work[v + i], work[v + ROW + i], work[v + TWO * ROW + i]
-        w0, d0, h0 = SIDE * (a + c) + CENTRE * b, HALF * (c - a), a + c - DOUBLE * b
-        a, b, c = work[v + THREE * ROW + i], work[v + FOUR * ROW + i], work[v + FIVE * ROW + i]
-        w1, d1, h1 = SIDE * (a + c) + CENTRE * b, HALF * (c - a), a + c - DOUBLE * b
-        a, b, c = work[v + SIX * ROW + i], work[v + SEVEN * ROW + i], work[v + EIGHT * ROW + i]
-        w2, d2, h2 = SIDE * (a + c) + CENTRE * b, HALF * (c - a), a + c - DOUBLE * b
+        # Over y in each of three layers, then over z.
+        w0, d0, h0 = spline(work, v + i, ROW)
+        w1, d1, h1 = spline(work, v + THREE * ROW + i, ROW)
+        w2, d2, h2 = spline(work, v + SIX * ROW + i, ROW)
+        # W W, D W, W D, H W, W H, D D: no more are needed, for moments are at most second ones.
         work[to + i] = SIDE * (w0 + w2) + CENTRE * w1
         work[to + ROW + i] = SIDE * (d0 + d2) + CENTRE * d1
         work[to + TWO * ROW + i] = HALF * (w2 - w0)
@@ -176,56 +286,51 @@ def gather_across(work: Work, component: Index, wide: Index) -> None:
 
 @kernel
 def gather_along(work: Work, component: Index, scale: Any, lanes: Index) -> None:
-    """Moments of a velocity component in every cell, times ``scale`` = Δt/Δx."""
+    """Moments of a velocity component in every cell, times ``scale`` = Δt/Δx.
+
+    A moment is a spline's value, slope or second slope over x of one of the six rows over (y, z):
+    that in x is D of W W, that in y is W of D W, that in xy is D of D W, and so on.
+    """
     wide_vectors()
     v, to = ACROSS + component * SIX * ROW, MOMENT + component * NINE * ROW
+    # In two loops, as one would need more registers than there are.
     for i in range(lanes):
-        a, b, c = work[v + i], work[v + i + ONE], work[v + i + TWO]
-        work[to + i] = scale * HALF * (c - a)
-        work[to + THREE * ROW + i] = scale * (a + c - DOUBLE * b)
-        a, b, c = work[v + ROW + i], work[v + ROW + i + ONE], work[v + ROW + i + TWO]
-        work[to + ROW + i] = scale * (SIDE * (a + c) + CENTRE * b)
-        work[to + SIX * ROW + i] = scale * HALF * (c - a)
-        a, b, c = (
-            work[v + TWO * ROW + i],
-            work[v + TWO * ROW + i + ONE],
-            work[v + TWO * ROW + i + TWO],
-        )
-        work[to + TWO * ROW + i] = scale * (SIDE * (a + c) + CENTRE * b)
-        work[to + SEVEN * ROW + i] = scale * HALF * (c - a)
+        _, d, h = spline(work, v + i, ONE)
+        work[to + i], work[to + THREE * ROW + i] = scale * d, scale * h
+        w, d, _ = spline(work, v + ROW + i, ONE)
+        work[to + ROW + i], work[to + SIX * ROW + i] = scale * w, scale * d
+        w, d, _ = spline(work, v + TWO * ROW + i, ONE)
+        work[to + TWO * ROW + i], work[to + SEVEN * ROW + i] = scale * w, scale * d
     for i in range(lanes):
-        r, m = v + THREE * ROW + i, to + FOUR * ROW + i
-        work[m] = scale * (SIDE * (work[r] + work[r + TWO]) + CENTRE * work[r + ONE])
-        r, m = v + FOUR * ROW + i, to + FIVE * ROW + i
-        work[m] = scale * (SIDE * (work[r] + work[r + TWO]) + CENTRE * work[r + ONE])
-        r, m = v + FIVE * ROW + i, to + EIGHT * ROW + i
-        work[m] = scale * (SIDE * (work[r] + work[r + TWO]) + CENTRE * work[r + ONE])
+        yy, _, _ = spline(work, v + THREE * ROW + i, ONE)
+        zz, _, _ = spline(work, v + FOUR * ROW + i, ONE)
+        yz, _, _ = spline(work, v + FIVE * ROW + i, ONE)
+        work[to + FOUR * ROW + i] = scale * yy
+        work[to + FIVE * ROW + i] = scale * zz
+        work[to + EIGHT * ROW + i] = scale * yz
 
 
 @kernel
 def rate_of_cells(work: Work, lanes: Index) -> None:
     """Volumetric strain at the mean offset of each cell's particles, which is their mean."""
     wide_vectors()
-    x = MOMENT
-    y, z = x + NINE * ROW, x + NINE * TWO * ROW
     for i in range(lanes):
-        bent = work[x + THREE * ROW + i] + work[y + SIX * ROW + i] + work[z + SEVEN * ROW + i]
-        rate = work[x + i] + work[y + ROW + i] + work[z + TWO * ROW + i] + bent * work[MIDDLE + i]
-        bent = work[x + SIX * ROW + i] + work[y + FOUR * ROW + i] + work[z + EIGHT * ROW + i]
-        rate += bent * work[MIDDLE + ROW + i]
-        bent = work[x + SEVEN * ROW + i] + work[y + EIGHT * ROW + i] + work[z + FIVE * ROW + i]
-        work[RATE + i] = rate + bent * work[MIDDLE + TWO * ROW + i]
+        x, y, z = work[MIDDLE + i], work[MIDDLE + ROW + i], work[MIDDLE + TWO * ROW + i]
+        m = MOMENT + i
+        dxx, _, _ = strain_of(work, m, x, y, z)
+        _, dyy, _ = strain_of(work, m + NINE * ROW, x, y, z)
+        _, _, dzz = strain_of(work, m + NINE * TWO * ROW, x, y, z)
+        work[RATE + i] = dxx + dyy + dzz
 
 
 @kernel
-def press_middle(work: Work, laws: Laws, lanes: Index) -> None:
+def press_middle(work: Work, lanes: Index) -> None:
     """Let the mean stress act at the mean offset, the transpose of :func:`rate_of_cells`."""
     wide_vectors()
     for i in range(lanes):
-        total = work[SUM + i] + work[SUM + ROW + i] + work[SUM + TWO * ROW + i]
-        mean = laws.averaging * THIRD * total
+        mean = THIRD * (work[SUM + i] + work[SUM + ROW + i] + work[SUM + TWO * ROW + i])
         x, y, z = work[MIDDLE + i], work[MIDDLE + ROW + i], work[MIDDLE + TWO * ROW + i]
-        to = SUM + SIX * ROW + i
+        to = SUM + SIX * ROW + i  # the moments of σ_xx, σ_yy and σ_zz
         add_moments(work, to, mean, x, y, z)
         add_moments(work, to + THREE * ROW, mean, x, y, z)
         add_moments(work, to + SIX * ROW, mean, x, y, z)
@@ -252,21 +357,22 @@ def cosine_of_two_thirds(s: Any) -> Any:
 
 
 @kernel
-def softened(strain: Any, laws: Laws) -> tuple[Any, Any]:
+def softened(strain: Any, laws: Material) -> tuple[Any, Any]:
     """Mobilised sin φ and sin ψ at a plastic shear strain [-]."""
     left = UNIT - laws.per_softening * strain
     left = left if left > ZERO else ZERO
-    return laws.sin_critical + left * laws.sin_excess, left * laws.sin_dilation
+    excess = laws.sin_friction - laws.sin_critical
+    return laws.sin_critical + left * excess, left * laws.sin_dilation
 
 
 @kernel
-def coulomb_gaps(
-    mean: Any, high: Any, low: Any, sin_phi: Any, sin_psi: Any, laws: Laws
-) -> tuple[Any, Any, Any, Any]:
-    """Return to the Mohr-Coulomb surface, as in ``plasticity``, without branches."""
+def mohr_coulomb(trial: Trial, sin_phi: Any, sin_psi: Any, laws: Material) -> Four:
+    """As ``plasticity.mohr_coulomb``: face and edge at once, then one is chosen."""
+    mean, high, low = trial.mean, trial.high, trial.low
     plus, minus = UNIT + sin_phi, UNIT - sin_phi
     gain, loss = UNIT + sin_psi, UNIT - sin_psi
-    double = DOUBLE * laws.shear
+    double = DOUBLE * laws.shear_modulus
+    # f of the face; an elastic state has no excess, and all that follows leaves it as it is.
     first = mean + THIRD * (DOUBLE * high + low)
     excess = plus * first - minus * (first - high - low) - laws.strength
     excess = excess if excess > ZERO else ZERO
@@ -274,64 +380,48 @@ def coulomb_gaps(
     face = common + double * (plus * gain + minus * loss)
     multiplier = excess / face
     high_face, low_face = high - double * gain * multiplier, low - double * loss * multiplier
+    # A gap that turned negative: to the edge, where both faces flow.
     on_high, on_low = high_face < ZERO, low_face < ZERO
     second = plus * high if on_high else minus * low
     other = common + (double * minus * loss if on_high else double * plus * gain)
     both = (DOUBLE * excess - second) / (face + other)
     flow = both if (on_high or on_low) else multiplier
     swelling = DOUBLE * sin_psi * flow
-    new = mean - HALF * laws.drop * swelling
+    new = mean - laws.bulk_modulus * swelling
+    # On an edge one gap is zero and f = 0 gives the other; on the face both are those above.
     gap = TRIPLE * (laws.strength - DOUBLE * sin_phi * new)
     gap = gap / (TRIPLE - sin_phi if on_high else TRIPLE + sin_phi)
     new_high = ZERO if on_high else (gap if on_low else high_face)
     new_low = gap if on_high else (ZERO if on_low else low_face)
-    beyond = new > laws.tip or mean > laws.cutoff
+    beyond = new > laws.tip  # the soil comes apart
     new = laws.tip if beyond else new
     new_high, new_low = ZERO if beyond else new_high, ZERO if beyond else new_low
     return new, new_high, new_low, ZERO if beyond else swelling
 
 
 @kernel
-def nakai_shrink(
-    mean: Any, radius: Any, cosine: Any, span: Any, sin_phi: Any, sin_psi: Any, laws: Laws
-) -> tuple[Any, Any, Any]:
-    """Return to Matsuoka and Nakai's surface, as in ``plasticity``.
-
-    The new mean stress [Pa], what is left of √J₂, and the plastic change of volume [-].
-    """
-    cosine = HALF * sin_phi * (TRIPLE - sin_phi * sin_phi) * cosine
-    third: Any = math.sqrt(HALF * (UNIT + cosine))
-    slope = ROOT * sin_phi / cosine_of_two_thirds(third)
-    excess = radius - slope * (laws.apex - mean)
+def matsuoka_nakai(trial: Trial, sin_phi: Any, sin_psi: Any, laws: Material) -> Four:
+    """As ``plasticity.matsuoka_nakai``."""
+    mean, radius = trial.mean, trial.radius
+    # cos(⅓ arccos c) through the half angle: √(½(1 + c)) = cos(½ arccos c).
+    cosine = HALF * sin_phi * (TRIPLE - sin_phi * sin_phi) * trial.cosine
+    half: Any = math.sqrt(HALF * (UNIT + cosine))
+    slope = ROOT * sin_phi / cosine_of_two_thirds(half)
+    excess = radius - slope * (laws.tip - mean)
     excess = excess if excess > ZERO else ZERO
-    shear = DOUBLE * laws.shear / span
-    bulk = HALF * laws.drop
-    slip = excess / (shear * radius + slope * bulk * sin_psi)
+    shear = DOUBLE * laws.shear_modulus / (trial.high + trial.low)
+    # What is left of √J₂ after a slip, and how far m falls meanwhile, meet on the surface.
+    slip = excess / (shear * radius + slope * laws.bulk_modulus * sin_psi)
     swelling, left = sin_psi * slip, UNIT - shear * slip
-    new = mean - bulk * swelling
-    apart = new > laws.tip or mean > laws.cutoff
+    new = mean - laws.bulk_modulus * swelling
+    apart = new > laws.tip
     beyond = left < ZERO or apart
     new, left = laws.tip if beyond else new, ZERO if beyond else left
-    return new, left, ZERO if apart else swelling
+    return new, left * trial.high, left * trial.low, ZERO if apart else swelling
 
 
 @kernel
-def cone_shrink(mean: Any, radius: Any, laws: Laws) -> tuple[Any, Any, Any]:
-    """Return to the Drucker-Prager cone, as :func:`nakai_shrink`."""
-    excess = radius + laws.cone_slope * mean - laws.intercept
-    excess = excess if excess > ZERO else ZERO
-    multiplier = laws.cone_multiplier * excess
-    new_radius = radius - laws.shear * multiplier
-    swelling = laws.cone_swelling * multiplier
-    new = mean - HALF * laws.drop * swelling
-    apart = new > laws.tip or mean > laws.cutoff
-    beyond = new_radius < ZERO or apart
-    new, left = laws.tip if beyond else new, ZERO if beyond else new_radius / radius
-    return new, left, ZERO if apart else swelling
-
-
-@kernel
-def return_stress(trial: Six, strain: Any, laws: Laws) -> tuple[Six, Any, Any]:
+def return_stress(trial: Six, strain: Any, laws: Material) -> tuple[Six, Any, Any]:
     """Bring a trial stress [Pa] back to the yield surface.
 
     And the increment of κ and the plastic change of volume [-], all as
@@ -340,6 +430,7 @@ def return_stress(trial: Six, strain: Any, laws: Laws) -> tuple[Six, Any, Any]:
     xx, yy, zz, xy, xz, yz = trial
     mean = THIRD * (xx + yy + zz)
     xx, yy, zz = xx - mean, yy - mean, zz - mean
+    # Invariants J₂, J₃ and cos 3θ.
     second = HALF * (xx * xx + yy * yy + zz * zz) + (xy * xy + xz * xz + yz * yz) + TINY
     third = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
     radius = math.sqrt(second)
@@ -353,68 +444,63 @@ def return_stress(trial: Six, strain: Any, laws: Laws) -> tuple[Six, Any, Any]:
     size = SIZE * radius
     last = -size * down
     high, low = size * (DOUBLE * up - down), size * (DOUBLE * down - up)
+    # Equal principal stresses have no gap: a tiny one keeps the quotients below finite.
     high, low = high if high > SMALL else SMALL, low if low > SMALL else SMALL
     sin_phi, sin_psi = softened(strain, laws)
-    new, new_high, new_low, swelling = coulomb_gaps(mean, high, low, sin_phi, sin_psi, laws)
-    cone_mean, cone, cone_swelling = cone_shrink(mean, radius, laws)
-    nakai_mean, nakai, nakai_swelling = nakai_shrink(
-        mean, radius, cosine, high + low, sin_phi, sin_psi, laws
+    # Lanes cannot branch: every surface is computed, and one is chosen.
+    seen = Trial(mean, radius, cosine, high, low)
+    new, new_high, new_low, swelling = mohr_coulomb(seen, sin_phi, sin_psi, laws)
+    smooth_mean, smooth_high, smooth_low, smooth_swelling = matsuoka_nakai(
+        seen, sin_phi, sin_psi, laws
     )
-    is_cone, radial = laws.cone > HALF, laws.cone + laws.nakai > HALF
-    shrink = cone if is_cone else nakai
-    new = (cone_mean if is_cone else nakai_mean) if radial else new
-    swelling = (cone_swelling if is_cone else nakai_swelling) if radial else swelling
-    slope_high = shrink if radial else new_high / high
-    slope_low = shrink if radial else new_low / low
+    smooth = laws.surface > HALF
+    new, swelling = smooth_mean if smooth else new, smooth_swelling if smooth else swelling
+    slope_high = (smooth_high if smooth else new_high) / high
+    slope_low = (smooth_low if smooth else new_low) / low
+    # New principal values as a polynomial of the old, as in plasticity.
     bend = (slope_high - slope_low) / (high + low)
     slope = slope_high + bend * last
     even = new - bend * TWO_THIRDS * second
-    xy_xy, xz_xz, yz_yz = xy * xy, xz * xz, yz * yz
-    made = (
-        even + slope * xx + bend * (xx * xx + xy_xy + xz_xz),
-        even + slope * yy + bend * (xy_xy + yy * yy + yz_yz),
-        even + slope * zz + bend * (xz_xz + yz_yz + zz * zz),
-        slope * xy + bend * (xx * xy + xy * yy + xz * yz),
-        slope * xz + bend * (xx * xz + xy * yz + xz * zz),
-        slope * yz + bend * (xy * xz + yy * yz + yz * zz),
-    )
+    made = with_gaps((xx, yy, zz, xy, xz, yz), even, slope, bend)
     slip = laws.per_slip * (high * (UNIT - slope_high) + low * (UNIT - slope_low))
     return made, slip if slip > ZERO else ZERO, swelling
 
 
 @kernel
-def predicted(state: Work, work: Work, at: Index, i: Index, laws: Laws) -> Six:
-    """Trial stress of a particle [Pa], as ``plasticity.jaumann_predictor``."""
-    x, y, z = state[at + X], state[at + Y], state[at + Z]
-    m = MOMENT + i
-    dxx, axy, axz = strain_of(work, m, x, y, z)
-    ayx, dyy, ayz = strain_of(work, m + NINE * ROW, x, y, z)
-    azx, azy, dzz = strain_of(work, m + NINE * TWO * ROW, x, y, z)
-    trace = dxx + dyy + dzz
-    volumetric = laws.averaging * work[RATE + i] + (UNIT - laws.averaging) * trace
-    xx, yy, zz = state[at + SXX], state[at + SYY], state[at + SZZ]
-    xy, xz, yz = state[at + SXY], state[at + SXZ], state[at + SYZ]
-    wxy, wxz, wyz = HALF * (axy - ayx), HALF * (axz - azx), HALF * (ayz - azy)
-    double = DOUBLE * laws.shear
-    even = laws.lame_lambda * volumetric + double * THIRD * (volumetric - trace)
-    return (
-        xx + even + double * dxx + DOUBLE * (wxy * xy + wxz * xz),
-        yy + even + double * dyy + DOUBLE * (wyz * yz - wxy * xy),
-        zz + even + double * dzz - DOUBLE * (wxz * xz + wyz * yz),
-        xy + laws.shear * (axy + ayx) + wxy * (yy - xx) + wxz * yz + wyz * xz,
-        xz + laws.shear * (axz + azx) + wxz * (zz - xx) + wxy * yz - wyz * xy,
-        yz + laws.shear * (ayz + azy) + wyz * (zz - yy) - wxy * xz - wxz * xy,
-    )
+def stress_of(state: Work, at: Index, more: Any) -> Six:
+    """Stress of a particle [Pa], its mean raised by ``more``."""
+    xx, yy, zz = state[at + SXX] + more, state[at + SYY] + more, state[at + SZZ] + more
+    return xx, yy, zz, state[at + SXY], state[at + SXZ], state[at + SYZ]
 
 
 @kernel
-def settle(state: Work, work: Work, at: Index, i: Index, trial: Six, laws: Laws) -> None:
+def keep(state: Work, at: Index, stress: Six) -> None:
+    """Write the stress of a particle [Pa]."""
+    state[at + SXX], state[at + SYY], state[at + SZZ] = stress[0], stress[1], stress[2]
+    state[at + SXY], state[at + SXZ], state[at + SYZ] = stress[3], stress[4], stress[5]
+
+
+@kernel
+def predicted(state: Work, work: Work, at: Index, i: Index, laws: Material) -> Six:
+    """Trial stress of a particle [Pa], as ``plasticity.jaumann_predictor``."""
+    x, y, z = state[at + X], state[at + Y], state[at + Z]
+    m = MOMENT + i
+    # Velocity gradient times the step at the particle, row by row.
+    dxx, axy, axz = strain_of(work, m, x, y, z)
+    ayx, dyy, ayz = strain_of(work, m + NINE * ROW, x, y, z)
+    azx, azy, dzz = strain_of(work, m + NINE * TWO * ROW, x, y, z)
+    strains = (dxx, axy, axz, ayx, dyy, ayz, azx, azy, dzz)
+    return jaumann_predictor(stress_of(state, at, ZERO), strains, work[RATE + i], laws, HALF)
+
+
+@kernel
+def settle(state: Work, work: Work, at: Index, i: Index, trial: Six, laws: Material) -> None:
     """Return a trial stress [Pa] of a particle, keep it, and add it to the sums of its cell."""
     made, slip, _ = return_stress(trial, state[at + STRAIN], laws)
     xx, yy, zz, xy, xz, yz = made
-    state[at + SXX], state[at + SYY], state[at + SZZ] = xx, yy, zz
-    state[at + SXY], state[at + SXZ], state[at + SYZ] = xy, xz, yz
+    keep(state, at, made)
     state[at + STRAIN] += slip
+    # An empty lane has no volume, and adds nothing.
     full, to = state[at + VOLUME], SUM + i
     xx, yy, zz, xy, xz, yz = full * xx, full * yy, full * zz, full * xy, full * xz, full * yz
     work[to] += xx
@@ -423,8 +509,8 @@ def settle(state: Work, work: Work, at: Index, i: Index, trial: Six, laws: Laws)
     work[to + THREE * ROW] += xy
     work[to + FOUR * ROW] += xz
     work[to + FIVE * ROW] += yz
-    # Where the volumetric strain is one for a cell, so is the mean stress: see press_middle.
-    mean = laws.averaging * THIRD * (xx + yy + zz)
+    # The mean stress is one for a cell, and acts in its middle: see press_middle.
+    mean = THIRD * (xx + yy + zz)
     x, y, z = state[at + X], state[at + Y], state[at + Z]
     add_moments(work, to + SIX * ROW, xx - mean, x, y, z)
     add_moments(work, to + NINE * ROW, yy - mean, x, y, z)
@@ -435,7 +521,7 @@ def settle(state: Work, work: Work, at: Index, i: Index, trial: Six, laws: Laws)
 
 
 @kernel
-def strain_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Laws) -> None:
+def strain_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Material) -> None:
     """Update the stress of a packet, and add it to the sums of the cells."""
     wide_vectors()
     for i in range(lanes):
@@ -444,41 +530,32 @@ def strain_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: La
 
 
 @kernel
-def predict_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Laws) -> None:
+def predict_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Material) -> None:
     """Put the trial stress of a packet in the place of its stress."""
     wide_vectors()
     for i in range(lanes):
         at = packet * FIELDS + i
-        xx, yy, zz, xy, xz, yz = predicted(state, work, at, i, laws)
-        state[at + SXX], state[at + SYY], state[at + SZZ] = xx, yy, zz
-        state[at + SXY], state[at + SXZ], state[at + SYZ] = xy, xz, yz
-
-
-@kernel
-def shared(state: Work, work: Work, at: Index, i: Index) -> Six:
-    """Trial stress of a particle [Pa] with its cell's share."""
-    more = work[SHARE + i]
-    return (
-        state[at + SXX] + more, state[at + SYY] + more, state[at + SZZ] + more,
-        state[at + SXY], state[at + SXZ], state[at + SYZ],
-    )  # fmt: skip
+        keep(state, at, predicted(state, work, at, i, laws))
 
 
 @kernel
 def swell_packet(
-    state: Work, work: Work, packet: Index, lanes: Index, laws: Laws, held: Laws
+    state: Work, work: Work, packet: Index, lanes: Index, laws: Material, held: Material
 ) -> None:
     """Add the plastic changes of volume of a packet to the sums of its cells, as ``plain``."""
     wide_vectors()
     for i in range(lanes):
         at = packet * FIELDS + i
-        trial, strain, full = shared(state, work, at, i), state[at + STRAIN], state[at + VOLUME]
+        trial = stress_of(state, at, work[SHARE + i])
+        strain, full = state[at + STRAIN], state[at + VOLUME]
+        # Change of volume alone, ẽ, and at a mean stress that is held, e, short of the tip.
         _, _, alone = return_stress(trial, strain, laws)
         size = abs(trial[0]) + abs(trial[1]) + abs(trial[2])
         over = THIRD * (trial[0] + trial[1] + trial[2]) - laws.tip + SHORT * size
         over = over if over > ZERO else ZERO
         clamped = (trial[0] - over, trial[1] - over, trial[2] - over, trial[3], trial[4], trial[5])
         _, _, most = return_stress(clamped, strain, held)
+        # 1 + b = e / ẽ where both yield, else 1; the inner choice keeps 0 / 0 from being computed.
         both = alone * most > ZERO
         work[SWELL + i] += full
         work[SWELL + ROW + i] += full * most
@@ -486,7 +563,7 @@ def swell_packet(
 
 
 @kernel
-def share(work: Work, lanes: Index, laws: Laws) -> None:
+def share(work: Work, lanes: Index, laws: Material) -> None:
     """Take a Newton step towards the change of mean stress that a cell's particles share."""
     wide_vectors()
     for i in range(lanes):
@@ -496,16 +573,16 @@ def share(work: Work, lanes: Index, laws: Laws) -> None:
             work[SWELL + TWO * ROW + i],
         )
         slope = slope if number > ZERO else UNIT
-        work[SHARE + i] -= (number * work[SHARE + i] + HALF * laws.drop * swelling) / slope
+        work[SHARE + i] -= (number * work[SHARE + i] + laws.bulk_modulus * swelling) / slope
 
 
 @kernel
-def return_packet(state: Work, work: Work, packet: Index, lanes: Index, held: Laws) -> None:
+def return_packet(state: Work, work: Work, packet: Index, lanes: Index, held: Material) -> None:
     """Return the trial stress of a packet at the mean stress that it has with its cell's share."""
     wide_vectors()
     for i in range(lanes):
         at = packet * FIELDS + i
-        settle(state, work, at, i, shared(state, work, at, i), held)
+        settle(state, work, at, i, stress_of(state, at, work[SHARE + i]), held)
 
 
 @kernel
@@ -520,18 +597,8 @@ def add_moments(work: Work, to: Index, stress: Any, x: Any, y: Any, z: Any) -> N
 def give_along(work: Work, x: Index, y: Index, z: Index, scale: Any, wide: Index) -> None:
     """Forces that a row of cells gives along x, still to be spread over y and z.
 
-    The transpose of :func:`gather_along`.
-
-    Parameters
-    ----------
-    work
-        Holds the sums; the six rows of ``BACK`` are filled.
-    x, y, z
-        Which of the six stresses act on the faces across x, y and z.
-    scale
-        Minus volume over Δx [m²].
-    wide
-        Nodes along x that a block reaches.
+    The transpose of :func:`gather_along`; ``x``, ``y``, ``z`` say which of the six stresses act on
+    the faces across x, y and z, ``scale`` is minus volume over Δx [m²].
     """
     wide_vectors()
     s = SUM - TWO  # node i of the window is the last of cell i - 2, the first of cell i
@@ -540,27 +607,23 @@ def give_along(work: Work, x: Index, y: Index, z: Index, scale: Any, wide: Index
     ym = s + (SIX + THREE * y) * ROW
     zm = s + (SIX + THREE * z) * ROW
     for i in range(wide):
-        a, c = work[xs + i], work[xs + i + TWO]
-        ha, hb, hc = work[xm + i], work[xm + i + ONE], work[xm + i + TWO]
-        work[BACK + i] = scale * (HALF * (a - c) + ha + hc - DOUBLE * hb)
-        value = SIDE * (work[ys + i] + work[ys + i + TWO]) + CENTRE * work[ys + i + ONE]
-        bent = work[xm + ROW + i] + work[ym + i] - work[xm + ROW + i + TWO] - work[ym + i + TWO]
-        work[BACK + ROW + i] = scale * (value + HALF * bent)
-        value = SIDE * (work[zs + i] + work[zs + i + TWO]) + CENTRE * work[zs + i + ONE]
-        r = xm + TWO * ROW + i
-        bent = work[r] + work[zm + i] - work[r + TWO] - work[zm + i + TWO]
-        work[BACK + TWO * ROW + i] = scale * (value + HALF * bent)
+        # W W: the slope of σ's sum and the second slope of its moment along x.
+        _, d, _ = spline(work, xs + i, ONE)
+        _, _, h = spline(work, xm + i, ONE)
+        work[BACK + i] = scale * (h - d)
+        p, q = xm + ROW + i, ym + i  # the moments of x in y and of y in x
+        bent = work[p] + work[q] - work[p + TWO] - work[q + TWO]
+        work[BACK + ROW + i] = scale * (spline(work, ys + i, ONE)[0] + HALF * bent)
+        # W D: the same for z, as D W above for y.
+        p, q = xm + TWO * ROW + i, zm + i
+        bent = work[p] + work[q] - work[p + TWO] - work[q + TWO]
+        work[BACK + TWO * ROW + i] = scale * (spline(work, zs + i, ONE)[0] + HALF * bent)
     for i in range(wide):
-        r = ym + ROW + i
-        value = SIDE * (work[r] + work[r + TWO]) + CENTRE * work[r + ONE]
-        work[BACK + THREE * ROW + i] = scale * value
-        r = zm + TWO * ROW + i
-        value = SIDE * (work[r] + work[r + TWO]) + CENTRE * work[r + ONE]
-        work[BACK + FOUR * ROW + i] = scale * value
-        p, r = ym + TWO * ROW + i, zm + ROW + i
-        side = work[p] + work[r] + work[p + TWO] + work[r + TWO]
-        value = SIDE * side + CENTRE * (work[p + ONE] + work[r + ONE])
-        work[BACK + FIVE * ROW + i] = scale * value
+        # H W, W H and D D: moments within y and z.
+        both = spline(work, ym + TWO * ROW + i, ONE)[0] + spline(work, zm + ROW + i, ONE)[0]
+        work[BACK + THREE * ROW + i] = scale * spline(work, ym + ROW + i, ONE)[0]
+        work[BACK + FOUR * ROW + i] = scale * spline(work, zm + TWO * ROW + i, ONE)[0]
+        work[BACK + FIVE * ROW + i] = scale * both
 
 
 @kernel
@@ -577,3 +640,24 @@ def give_across(
         second = wd * work[BACK + TWO * ROW + i] + hw * work[BACK + THREE * ROW + i]
         third = wh * work[BACK + FOUR * ROW + i] + dd * work[BACK + FIVE * ROW + i]
         force[at + i] += first + second + third
+
+
+@kernel
+def lay_down(
+    work: Work,
+    force: Work,
+    at: Index,
+    stresses: tuple[Index, Index, Index],
+    area: Any,
+    row: Index,
+    layer: Index,
+    wide: Index,
+) -> None:
+    """Add one component of a block's forces to its nodes.
+
+    ``stresses`` says which of the six act on the faces across x, y and z.
+    """
+    give_along(work, stresses[0], stresses[1], stresses[2], area, wide)
+    for c in range(THREE):
+        for b in range(THREE):
+            give_across(work, force, at + c * layer + b * row, SPLINES[b], SPLINES[c], wide)

@@ -1,14 +1,13 @@
-"""The background grid in space: where its nodes stand, and the planes that mirror it.
+"""The background grid: where its nodes stand, and the planes that mirror it.
 
-Node (k, j, i) stands at x = i Δx, z = k Δx and y = y₀ + (j - ½) Δx. Arrays of nodes are flat, with
+Node (k, j, i) stands at x = i Δx, z = k Δx and y = (j - ½) Δx. Arrays of nodes are flat, with
 x running fastest and rows padded so that whole vectors can be read. A *cell* is the set of places
 that are nearest to the same node, which is the set of places whose splines are the same
 polynomials; so a particle's place is the index of its cell and an offset of up to half a cell.
 
-Across the plane of motion the soil ends at two planes half-way between nodes, y₀ and y₀ + B, at
-which everything is mirrored: no soil passes and none rubs. The outermost rows of nodes are images
-of their neighbours. One plane may be the leg's own plane of symmetry, so that half the soil is
-enough; two planes a cell apart are plane strain.
+The leg's plane of motion is a plane of symmetry, so that half the soil is enough. Across it the
+soil ends at two planes half-way between nodes, y = 0 and y = B, at which everything is mirrored: no
+soil passes and none rubs. The outermost rows of nodes are images of their neighbours.
 """
 
 from __future__ import annotations
@@ -19,16 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.compiled import kernel
+
+Three = tuple[float, float, float]
 
 LANES = np.uint64(16)
 """Cells in a block: adjacent cells of one row of the grid, and single-precision numbers in a
 vector of 512 bits. Fewer in a narrower vector are taken in turns."""
 MARGIN = np.uint64(8)
 """Numbers that a block reads and writes beyond its cells: two nodes, rounded up."""
+HALVES = 2.0
+"""Halves of the whole soil, of which the grid is one."""
 
 
 class Lattice(NamedTuple):
-    """Size and place of the grid."""
+    """Size of the grid."""
 
     row: int
     """Nodes from one row (j) to the next, padding included."""
@@ -36,45 +40,41 @@ class Lattice(NamedTuple):
     """Nodes from one layer (k) to the next."""
     nodes: int
     """Length of an array of nodes."""
-    count_x: int
-    """Nodes along x."""
+    side: int
+    """Nodes along x, and along z."""
     count_y: int
     """Nodes along y, the two rows of images included."""
-    count_z: int
-    """Nodes along z."""
     blocks: int
     """Blocks of cells in a row."""
     cell_size: float
     """Δx [m]."""
-    y_low: float
-    """Where the soil begins across the plane of motion, y₀ [m]."""
-    bodies: float
-    """Halves of the whole body that the grid stands for: 2 with the leg's plane of symmetry at y₀,
-    else 1."""
 
 
 def lattice_of(scenario: Scenario) -> Lattice:
     """Grid of a scenario in three dimensions."""
-    numerics, across = scenario.numerics, scenario.cells_across
-    count_x = count_z = numerics.cells + 2
-    count_y = across + 2
+    count = scenario.numerics.cells + 2
+    count_y = scenario.cells_across + 2
     lanes = int(LANES)
-    blocks = -(-(count_x - 2) // lanes)
+    blocks = -(-(count - 2) // lanes)
     row = blocks * lanes + 16
     layer = row * count_y
-    half = numerics.symmetry == "half"
-    return Lattice(
-        row,
-        layer,
-        layer * count_z,
-        count_x,
-        count_y,
-        count_z,
-        blocks,
-        numerics.cell_size,
-        0.0 if half else -0.5 * across * numerics.cell_size,
-        2.0 if half else 1.0,
-    )
+    size = scenario.numerics.cell_size
+    return Lattice(row, layer, layer * count, count, count_y, blocks, size)
+
+
+def sub_cells(scenario: Scenario) -> tuple[tuple[int, int, int], NDArray[np.float64]]:
+    """Numbers of sub-cells along x, y, z, one a particle, and the sides of one [m].
+
+    As near to Δx / ``particles_per_cell_side`` as an integer number of them allows, so that mass
+    and volume are exact on any grid.
+    """
+    bed, numerics = scenario.bed, scenario.numerics
+    side = numerics.particles_per_cell_side
+    target = numerics.cell_size / side
+    left, right = bed.soil_span
+    columns, rows = round((right - left) / target), round(bed.height / target)
+    size = np.array([(right - left) / columns, target, bed.height / rows])
+    return (columns, scenario.cells_across * side, rows), size
 
 
 def positions(
@@ -84,6 +84,14 @@ def positions(
     k, rest = np.divmod(cell.astype(np.int64), lattice.layer)
     j, i = np.divmod(rest, lattice.row)
     node = np.stack([i, j - 0.5, k], axis=1)
-    place = (node + offset.astype(np.float64)) * lattice.cell_size
-    place[:, 1] += lattice.y_low
-    return np.asarray(place)
+    return np.asarray((node + offset.astype(np.float64)) * lattice.cell_size)
+
+
+@kernel
+def place_of(lattice: Lattice, cell: int, x: float, y: float, z: float) -> Three:
+    """Place (x, y, z) [m] of a cell and an offset [cell]."""
+    k = cell // lattice.layer
+    j = (cell - k * lattice.layer) // lattice.row
+    i = cell - k * lattice.layer - j * lattice.row
+    size = lattice.cell_size
+    return (i + x) * size, (j - 0.5 + y) * size, (k + z) * size

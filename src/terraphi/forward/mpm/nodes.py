@@ -1,13 +1,17 @@
 """A step of the grid: forces in, velocities out, and what each influence gave to the soil.
 
-Gravity, the soil's stress and the leg change velocities; then come the walls and the damping, as in
-the plane. At the free surface a node may have so little mass that an explicit step would throw it:
-its inertia is taken to be at least :data:`LEAST_MASS` of a full cell's. What such a node is not
-given in momentum is a line of the ledger of its own, ``relief`` in the plane.
+Gravity, the soil's stress and the leg change velocities; then come the walls and the damping. At
+the free surface a node may have so little mass that an explicit step would throw it: its inertia is
+taken to be at least :data:`LEAST_MASS` of a full cell's. What such a node is not given in momentum
+is a line of the ledger of its own, ``light_nodes``.
+
+Rows of ``impulses`` (x, z) [kg m/s] are those of the ledger: gravity, leg, walls, damping, light
+nodes; of the soil of the grid, one half of the whole.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +20,8 @@ from numpy.typing import NDArray
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.compiled import kernel, wide_vectors
 from terraphi.forward.mpm.bed import Soil
-from terraphi.forward.mpm.lattice import Lattice
+from terraphi.forward.mpm.contact import Contact, contact_of
+from terraphi.forward.mpm.lattice import Lattice, lattice_of, place_of
 from terraphi.forward.mpm.transfer import Nodes
 
 FloatArray = NDArray[np.float64]
@@ -25,9 +30,13 @@ LEAST_MASS = 0.03
 """Inertia of a node, at least, over that of a cell full of soil [-]."""
 
 
-class Setting(NamedTuple):
-    """Constants of a step of the grid."""
+class Phase(NamedTuple):
+    """Constants and working memory of a phase."""
 
+    lattice: Lattice
+    """Grid."""
+    contact: Contact
+    """Leg."""
     time_step: float
     """Δt [s]."""
     gravity: float
@@ -46,13 +55,10 @@ class Setting(NamedTuple):
     """Whether soil that presses on the floor sticks."""
     least_mass: float
     """Least inertia of a node [kg]."""
-
-
-class Inertia(NamedTuple):
-    """What a phase's masses mean for its nodes; arrays of shape [node]."""
-
+    mass: float
+    """Of the soil of the grid [kg]."""
     per_mass: NDArray[Any]
-    """1 over the inertia, 0 where there is no soil [1/kg]."""
+    """1 over a node's inertia, 0 where there is no soil [1/kg], shape [node]."""
     share: NDArray[Any]
     """Mass over inertia: 1, less where the inertia is the least one, 0 without soil [-]."""
     light: NDArray[np.int64]
@@ -60,17 +66,25 @@ class Inertia(NamedTuple):
     wall: NDArray[np.int64]
     """Nodes with soil on a wall or beyond; the first ``counts[1]`` count."""
     counts: NDArray[np.int64]
-    """Numbers of light nodes and of wall nodes, and how many nodes from the first one on have any
-    soil, shape [3]."""
-    total: FloatArray
-    """Mass of all nodes [kg], shape [1]."""
+    """Numbers of light nodes and of wall nodes, how many nodes from the first one on have any
+    soil, and how many particles are near the leg, shape [4]."""
+    near: NDArray[np.int64]
+    """Particles near the leg, shape [particle]; the first ``counts[3]`` count."""
+    force: Nodes
+    """Of stress and leg on the nodes [N], shape [3, node]."""
+    before: Nodes
+    """Force of the stress at the step before [N]."""
+    shift: Nodes
+    """How far the nodes have moved in the phase [m]."""
 
 
-def setting_of(scenario: Scenario) -> Setting:
-    """Constants of a scenario."""
-    bed, numerics = scenario.bed, scenario.numerics
-    size = numerics.cell_size
-    return Setting(
+def phase_of(scenario: Scenario, soil: Soil) -> Phase:
+    """Constants of a scenario and its soil, with working memory."""
+    bed, numerics, lattice = scenario.bed, scenario.numerics, lattice_of(scenario)
+    count, real, whole = lattice.nodes, soil.velocity.dtype, np.int64
+    return Phase(
+        lattice,
+        contact_of(scenario),
         numerics.time_step,
         bed.gravity,
         numerics.damping_factor,
@@ -79,39 +93,22 @@ def setting_of(scenario: Scenario) -> Setting:
         bed.left + bed.width,
         bed.floor,
         bed.floor_friction == "rough",
-        LEAST_MASS * scenario.soil.density * size * size * size,
-    )
-
-
-def empty_inertia(lattice: Lattice, dtype: type[np.floating]) -> Inertia:
-    """Working memory for :func:`weigh`."""
-    real, whole = np.zeros, lattice.nodes
-    index = np.int64
-    return Inertia(
-        real(whole, dtype),
-        real(whole, dtype),
-        real(whole, index),
-        real(whole, index),
-        real(3, index),
-        real(1),
+        LEAST_MASS * scenario.soil.density * math.pow(numerics.cell_size, 3),
+        float(soil.mass.sum(dtype=np.float64)),
+        *(np.zeros(count, real) for _ in range(2)),
+        *(np.zeros(size, whole) for size in (count, count, 4, soil.cell.size)),
+        *(np.zeros((3, count), real) for _ in range(3)),
     )
 
 
 @kernel
 def take_over(soil: Soil, lattice: Lattice, grid: FloatArray) -> None:
-    """Make velocities of momenta, those of the images included.
+    """Make velocities of masses and momenta, those of the images included.
 
-    Parameters
-    ----------
-    soil
-        Its nodes' masses and velocities are filled.
-    lattice
-        The grid.
-    grid
-        Mass and momenta of the nodes, as
-        :func:`~terraphi.forward.mpm.transfer.renew` leaves them; changed.
+    ``grid`` is as :func:`~terraphi.forward.mpm.transfer.renew` leaves it; changed.
     """
-    for k in range(lattice.count_z):
+    # What the splines gave to images belongs to the nodes that they mirror.
+    for k in range(lattice.side):
         for i in range(lattice.row):
             low = k * lattice.layer + i
             high = low + (lattice.count_y - 1) * lattice.row
@@ -125,77 +122,61 @@ def take_over(soil: Soil, lattice: Lattice, grid: FloatArray) -> None:
         mass = grid[0, q]
         inverse = 1.0 / mass if mass > 0.0 else 0.0
         soil.node_mass[q] = mass
-        soil.vx[q], soil.vy[q] = grid[1, q] * inverse, grid[2, q] * inverse
-        soil.vz[q] = grid[3, q] * inverse
-    mirror((soil.vx, soil.vy, soil.vz), lattice, lattice.nodes)
+        for axis in range(3):
+            soil.velocity[axis, q] = grid[1 + axis, q] * inverse
+    mirror(soil.velocity, lattice, lattice.nodes)
 
 
 @kernel
 def mirror(nodes: Nodes, lattice: Lattice, used: int) -> None:
-    """Give the images of nodes the velocities of what they mirror."""
-    for k in range(used // lattice.layer):
-        low = k * lattice.layer
-        high = low + (lattice.count_y - 1) * lattice.row
-        for i in range(lattice.row):
-            nodes[0][low + i] = nodes[0][low + lattice.row + i]
-            nodes[1][low + i] = -nodes[1][low + lattice.row + i]
-            nodes[2][low + i] = nodes[2][low + lattice.row + i]
-        for i in range(lattice.row):
-            nodes[0][high + i] = nodes[0][high - lattice.row + i]
-            nodes[1][high + i] = -nodes[1][high - lattice.row + i]
-            nodes[2][high + i] = nodes[2][high - lattice.row + i]
+    """Give the images of nodes the velocities of what they mirror: the normal one is reversed."""
+    row, last = lattice.row, (lattice.count_y - 1) * lattice.row
+    for axis in range(3):
+        sign = nodes.dtype.type(-1.0 if axis == 1 else 1.0)
+        for low in range(0, used, lattice.layer):
+            for i in range(low, low + row):
+                nodes[axis, i] = sign * nodes[axis, i + row]
+                nodes[axis, i + last] = sign * nodes[axis, i + last - row]
 
 
 @kernel
 def fold(nodes: Nodes, lattice: Lattice, used: int) -> None:
     """Add the forces on images to the nodes that they mirror."""
-    for k in range(used // lattice.layer):
-        low = k * lattice.layer
-        high = low + (lattice.count_y - 1) * lattice.row
-        for i in range(lattice.row):
-            nodes[0][low + lattice.row + i] += nodes[0][low + i]
-            nodes[1][low + lattice.row + i] -= nodes[1][low + i]
-            nodes[2][low + lattice.row + i] += nodes[2][low + i]
-        for i in range(lattice.row):
-            nodes[0][high - lattice.row + i] += nodes[0][high + i]
-            nodes[1][high - lattice.row + i] -= nodes[1][high + i]
-            nodes[2][high - lattice.row + i] += nodes[2][high + i]
+    row, last = lattice.row, (lattice.count_y - 1) * lattice.row
+    for axis in range(3):
+        sign = nodes.dtype.type(-1.0 if axis == 1 else 1.0)
+        for low in range(0, used, lattice.layer):
+            for i in range(low, low + row):
+                nodes[axis, i + row] += sign * nodes[axis, i]
+                nodes[axis, i + last - row] += sign * nodes[axis, i + last]
 
 
 @kernel
-def weigh(soil: Soil, lattice: Lattice, setting: Setting, inertia: Inertia) -> None:
+def weigh(soil: Soil, phase: Phase) -> None:
     """Find inertia, light nodes and wall nodes of a phase."""
-    light, wall, used, total = 0, 0, 0, 0.0
+    lattice = phase.lattice
+    light, wall, used = 0, 0, 0
     for q in range(lattice.nodes):
         mass = soil.node_mass[q]
         if mass <= 0.0:
-            inertia.per_mass[q] = 0.0
-            inertia.share[q] = 0.0
+            phase.per_mass[q] = 0.0
+            phase.share[q] = 0.0
             continue
-        least = max(mass, setting.least_mass)
-        inertia.per_mass[q] = 1.0 / least
-        inertia.share[q] = mass / least
-        total += mass
+        # Inertia is the mass, but at least a small part of a full cell's.
+        least = max(mass, phase.least_mass)
+        phase.per_mass[q] = 1.0 / least
+        phase.share[q] = mass / least
         used = q
         if mass < least:
-            inertia.light[light] = q
+            phase.light[light] = q
             light += 1
-        x, z = node_place(lattice, q)
-        if x <= setting.left or x >= setting.right or z <= setting.floor:
-            inertia.wall[wall] = q
+        x, _, z = place_of(lattice, q, 0.0, 0.0, 0.0)
+        if x <= phase.left or x >= phase.right or z <= phase.floor:
+            phase.wall[wall] = q
             wall += 1
-    inertia.counts[0], inertia.counts[1] = light, wall
+    phase.counts[0], phase.counts[1] = light, wall
     # Whole layers, and one more: the splines of the uppermost soil end there.
-    inertia.counts[2] = min((used // lattice.layer + 2) * lattice.layer, lattice.nodes)
-    inertia.total[0] = total
-
-
-@kernel
-def node_place(lattice: Lattice, q: int) -> tuple[float, float]:
-    """Where a node stands in the plane of motion (x, z) [m]."""
-    k = q // lattice.layer
-    i = (q - k * lattice.layer) % lattice.row
-    return i * lattice.cell_size, k * lattice.cell_size
+    phase.counts[2] = min((used // lattice.layer + 2) * lattice.layer, lattice.nodes)
 
 
 @kernel
@@ -203,8 +184,8 @@ def momentum(soil: Soil) -> tuple[float, float]:
     """Momentum of the soil of the grid (x, z) [kg m/s]."""
     x, z = 0.0, 0.0
     for q in range(soil.node_mass.size):
-        x += float(soil.node_mass[q]) * soil.vx[q]
-        z += float(soil.node_mass[q]) * soil.vz[q]
+        x += float(soil.node_mass[q]) * soil.velocity[0, q]
+        z += float(soil.node_mass[q]) * soil.velocity[2, q]
     return x, z
 
 
@@ -215,18 +196,7 @@ def lead(force: NDArray[Any], before: NDArray[Any], share: Any, count: np.uint64
     Places and weights are held for a phase, so that this is the force of the stress and of share Δt
     times its rate: damping in proportion to the tangent stiffness, whose ratio at the angular
     frequency ω is share ω Δt / 2. It resists waves, the more the shorter they are, and no flow: at
-    yield stress does not change.
-
-    Parameters
-    ----------
-    force
-        Of the stress [N]; changed.
-    before
-        That of the step before [N]; replaced by that of now.
-    share
-        [-].
-    count
-        Nodes.
+    yield stress does not change. ``before``, the force of the step before [N], becomes that of now.
     """
     wide_vectors()
     for q in range(count):
@@ -236,107 +206,75 @@ def lead(force: NDArray[Any], before: NDArray[Any], share: Any, count: np.uint64
 
 
 @kernel
-def step(
-    soil: Soil,
-    lattice: Lattice,
-    force: Nodes,
-    inertia: Inertia,
-    setting: Setting,
-    impulses: FloatArray,
-) -> None:
-    """Change the velocities of the nodes by a step, and clear the forces.
-
-    Parameters
-    ----------
-    soil
-        Its velocities are changed.
-    lattice, inertia, setting
-        Grid and constants.
-    force
-        Forces of stress and leg on the nodes, images included [N].
-    impulses
-        What gravity, walls, damping and light nodes gave to the soil of the grid is added to rows
-        0, 2, 3 and 4 (x, z) [kg m/s].
-    """
-    used, time_step = inertia.counts[2], setting.time_step
-    fold(force, lattice, used)
-    impulses[0, 1] -= inertia.total[0] * setting.gravity * time_step
-    for number in range(inertia.counts[0]):
-        q = inertia.light[number]
-        lack = (inertia.share[q] - 1.0) * time_step
-        impulses[4, 0] += lack * force[0][q]
-        impulses[4, 1] += lack * (force[2][q] - soil.node_mass[q] * setting.gravity)
-    precision = soil.vx.dtype.type
-    dt, fall = precision(time_step), precision(time_step * setting.gravity)
-    count = np.uint64(used)
-    accelerate(soil.vx, force[0], inertia.per_mass, inertia.share, dt, precision(0.0), count)
-    accelerate(soil.vy, force[1], inertia.per_mass, inertia.share, dt, precision(0.0), count)
-    accelerate(soil.vz, force[2], inertia.per_mass, inertia.share, dt, fall, count)
-    walls(soil, lattice, inertia, setting, impulses)
-    if setting.damping != 1.0:
-        damp(soil, used, setting.damping, impulses)
-    mirror((soil.vx, soil.vy, soil.vz), lattice, used)
-
-
-@kernel
 def accelerate(
-    speed: NDArray[Any],
-    force: NDArray[Any],
-    per_mass: NDArray[Any],
-    share: NDArray[Any],
-    time_step: Any,
-    fall: Any,
-    count: np.uint64,
+    speed: NDArray[Any], force: NDArray[Any], phase: Phase, dt: Any, fall: Any, count: np.uint64
 ) -> None:
     """Velocities of the first nodes, v += Δt f / m - g Δt, and clear the forces."""
     wide_vectors()
     for q in range(count):
-        speed[q] += time_step * (force[q] * per_mass[q]) - fall * share[q]
+        speed[q] += dt * (force[q] * phase.per_mass[q]) - fall * phase.share[q]
     for q in range(count):
         force[q] = 0
 
 
 @kernel
-def carry(shift: NDArray[Any], speed: NDArray[Any], time_step: Any, count: np.uint64) -> None:
+def carry(shift: NDArray[Any], speed: NDArray[Any], dt: Any, count: np.uint64) -> None:
     """Displacements of the first nodes, u += v Δt."""
     wide_vectors()
     for q in range(count):
-        shift[q] += speed[q] * time_step
+        shift[q] += speed[q] * dt
 
 
 @kernel
-def walls(
-    soil: Soil, lattice: Lattice, inertia: Inertia, setting: Setting, impulses: FloatArray
-) -> None:
-    """Let one-sided walls stop the soil; what they give is added to the third row of impulses."""
-    for number in range(inertia.counts[1]):
-        q = inertia.wall[number]
-        x, z = node_place(lattice, q)
-        vx, vz = float(soil.vx[q]), float(soil.vz[q])
-        px, pz = vx, vz
-        if x <= setting.left:
+def step(soil: Soil, phase: Phase, impulses: FloatArray) -> None:
+    """Change the velocities of the nodes by a step, and clear the forces.
+
+    What gravity, walls, damping and light nodes gave to the soil is added to ``impulses``.
+    """
+    lattice, force = phase.lattice, phase.force
+    used, time_step = phase.counts[2], phase.time_step
+    fold(force, lattice, used)
+    # Gravity pulls at the whole mass; what light nodes do not get of it is entered apart.
+    impulses[0, 1] -= phase.mass * phase.gravity * time_step
+    for number in range(phase.counts[0]):
+        q = phase.light[number]
+        lack = (phase.share[q] - 1.0) * time_step
+        impulses[4, 0] += lack * force[0, q]
+        impulses[4, 1] += lack * (force[2, q] - soil.node_mass[q] * phase.gravity)
+    # v += Δt f / m - g Δt, in the kernel's own precision.
+    real = soil.velocity.dtype.type
+    for axis in range(3):
+        fall = real(time_step * phase.gravity if axis == 2 else 0.0)
+        count = np.uint64(used)
+        accelerate(soil.velocity[axis], force[axis], phase, real(time_step), fall, count)
+    walls(soil, phase, impulses)
+    if phase.damping != 1.0:  # a drag on the soil
+        x, z = momentum(soil)
+        impulses[3, 0] += (phase.damping - 1.0) * x
+        impulses[3, 1] += (phase.damping - 1.0) * z
+        soil.velocity[:] *= real(phase.damping)
+    mirror(soil.velocity, lattice, used)
+
+
+@kernel
+def walls(soil: Soil, phase: Phase, impulses: FloatArray) -> None:
+    """Let one-sided walls stop the soil; the side walls let it slip, a rough floor does not."""
+    velocity = soil.velocity
+    for number in range(phase.counts[1]):
+        q = phase.wall[number]
+        x, _, z = place_of(phase.lattice, q, 0.0, 0.0, 0.0)
+        px, pz = float(velocity[0, q]), float(velocity[2, q])
+        vx, vz = px, pz
+        # Walls are one-sided: soil may leave them, and stops where it would enter.
+        if x <= phase.left:
             vx = max(vx, 0.0)
-        if x >= setting.right:
+        if x >= phase.right:
             vx = min(vx, 0.0)
-        if z <= setting.floor and vz <= 0.0:
+        if z <= phase.floor and vz <= 0.0:
             vz = 0.0
-            if setting.rough:
+            if phase.rough:
                 vx = 0.0
-                soil.vy[q] = 0.0
-        soil.vx[q], soil.vz[q] = vx, vz
+                velocity[1, q] = 0.0
+        velocity[0, q], velocity[2, q] = vx, vz
         impulses[2, 0] += soil.node_mass[q] * (vx - px)
         impulses[2, 1] += soil.node_mass[q] * (vz - pz)
-
-
-@kernel
-def damp(soil: Soil, used: int, factor: float, impulses: FloatArray) -> None:
-    """Shorten all velocities by a factor; what that gives is added to the fourth row."""
-    x, z = 0.0, 0.0
-    for q in range(used):
-        x += float(soil.node_mass[q]) * soil.vx[q]
-        z += float(soil.node_mass[q]) * soil.vz[q]
-        soil.vx[q] *= factor
-        soil.vy[q] *= factor
-        soil.vz[q] *= factor
-    impulses[3, 0] += (factor - 1.0) * x
-    impulses[3, 1] += (factor - 1.0) * z

@@ -57,13 +57,15 @@ def pack(soil: Soil, lattice: Lattice) -> Packets:
     -------
     Packets
     """
-    count = np.zeros(lattice.nodes, np.uint16)
-    first = np.zeros(lattice.count_z * lattice.count_y * lattice.blocks + 1, np.int64)
-    _count(soil.cell, lattice, count, first)
+    count = np.bincount(soil.cell, minlength=lattice.nodes)
+    # The cells of a row begin at its second node; a block is as deep as its fullest cell.
+    cells = count.reshape(-1, lattice.row)[:, 1 : 1 + lattice.blocks * _WIDTH]
+    depth = cells.reshape(-1, _WIDTH).max(axis=1)
+    first = np.concatenate([[0], np.cumsum(depth)])
     packets = int(first[-1])
     state = aligned(packets * FIELDS * _WIDTH)
     owner = np.full(packets * _WIDTH, -1, np.int32)
-    centre = aligned((len(first) - 1) * 3 * _WIDTH)
+    centre = aligned(len(depth) * 3 * _WIDTH)
     made = Packets(state, first, centre, owner)
     _fill(soil, lattice, count, count.copy(), made)
     return made
@@ -77,45 +79,23 @@ def aligned(length: int) -> NDArray[np.float32]:
 
 
 @entry
-def _count(
-    cell: NDArray[np.int32],
-    lattice: Lattice,
-    count: NDArray[np.uint16],
-    first: NDArray[np.int64],
-) -> None:
-    """Count the particles of each cell, and lay out the blocks' packets."""
-    for p in range(cell.size):
-        count[cell[p]] += 1
-    total, block = 0, 0
-    for k in range(lattice.count_z):
-        for j in range(lattice.count_y):
-            for b in range(lattice.blocks):
-                first[block] = total
-                begin = k * lattice.layer + j * lattice.row + b * _WIDTH + 1
-                deepest = 0
-                for lane in range(_WIDTH):
-                    deepest = max(deepest, count[begin + lane])
-                total += deepest
-                block += 1
-    first[block] = total
-
-
-@entry
 def _fill(
     soil: Soil,
     lattice: Lattice,
-    count: NDArray[np.uint16],
-    left: NDArray[np.uint16],
+    count: NDArray[np.int64],
+    left: NDArray[np.int64],
     made: Packets,
 ) -> None:
     """Put the particles into their packets; ``left``, as ``count`` at first, is used up."""
     state = made.state
     for p in range(soil.cell.size):
+        # From the cell's number to its layer, row and column, and to its block and lane.
         cell = soil.cell[p]
         k = cell // lattice.layer
         j = (cell - k * lattice.layer) // lattice.row
         i = cell - k * lattice.layer - j * lattice.row - 1
         block = (k * lattice.count_y + j) * lattice.blocks + i // _WIDTH
+        # The next free packet of the block in this cell's lane.
         left[cell] -= 1
         packet, lane = made.first[block] + left[cell], i % _WIDTH
         made.owner[packet * _WIDTH + lane] = p

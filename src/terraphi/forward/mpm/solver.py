@@ -1,84 +1,215 @@
-"""What the driver in :mod:`terraphi.forward.driver` needs to know of three dimensions."""
+"""Lagrangian phases, one after the other, with either kernel; what the driver needs of it.
+
+Within a phase the particles keep their places on the grid, and so their weights. Their stress, the
+velocities of the nodes and the nodes' displacements go on as a velocity Verlet:
+
+1. strain by half a step;
+2. each step: the leg presses on the particles as the nodes have moved them, the nodes change their
+   velocities and move, and the particles strain by a step (the last by half of one).
+
+At its end the particles move with the nodes and hand their momenta to a fresh grid. Positions
+that are held do no work on the stress but what the forces do on the nodes, so that no energy is
+made or lost within a phase, and what a transfer smooths is lost once a phase and not at every step.
+"""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.experiment.motion import bin_count
+from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.driver import path_of_steps
-from terraphi.forward.mpm.bed import Soil, geostatic_bed, particle_volume
-from terraphi.forward.mpm.lattice import lattice_of, positions
-from terraphi.forward.mpm.phase import Kernel, Phases, precision_of, velocities
-from terraphi.forward.plane.bed import Particles
-from terraphi.forward.plane.scalar import empty_audit, empty_reaction
-from terraphi.forward.state import State
+from terraphi.forward.body import pose_of
+from terraphi.forward.checkpoint import State
+from terraphi.forward.compiled import entry
+from terraphi.forward.driver import Kernel, Path
+from terraphi.forward.ledger import LEDGER_ROWS, Audit, close_books, enter_reaction, write_books
+from terraphi.forward.mpm import nodes
+from terraphi.forward.mpm.bed import Soil, geostatic_bed
+from terraphi.forward.mpm.contact import near_leg
+from terraphi.forward.mpm.lanes import FastStrain
+from terraphi.forward.mpm.lattice import HALVES, Lattice, lattice_of, positions
+from terraphi.forward.mpm.nodes import Phase, phase_of
+from terraphi.forward.mpm.plain import PlainStrain
+from terraphi.forward.mpm.transfer import Nodes, gather, offset_of, press, renew
 
 FloatArray = NDArray[np.float64]
 
 
-class Blocks:
-    """A kernel together with the constants and the working memory that it needs for a scenario."""
+class MpmSolver:
+    """A kernel with its constants and working memory, for the driver."""
 
-    def __init__(self, scenario: Scenario, kernel: Kernel) -> None:
-        self._scenario, self._precision = scenario, precision_of(kernel)
-        self._phases = Phases(scenario, kernel)
+    width = 1.0
+    ledger_rows = (*LEDGER_ROWS[:4], "light_nodes")
 
-    def first_state(self) -> State:
-        """State before the first step."""
-        bins = bin_count(self._scenario.motion)
+    def __init__(self, scenario: Scenario, kernel: Kernel = "packets") -> None:
+        if scenario.soil.tension_cutoff is not None:
+            raise InputError("soil.tension_cutoff is for two dimensions only; leave it out")
+        self._scenario, self._steps = scenario, scenario.numerics.steps_per_phase
+        self._precision = np.float32 if kernel == "packets" else np.float64
+        self.strainer = (FastStrain if kernel == "packets" else PlainStrain)(scenario)
+        self._lattice = lattice_of(scenario)
+        self._grid = np.zeros((4, self._lattice.nodes))
+        self._phase: Phase | None = None
+
+    def bed(self) -> Soil:
+        """Soil before the first step; everything rests."""
         soil = geostatic_bed(self._scenario, self._precision)
-        self._phases.weigh_first(soil)
-        return State(soil, empty_audit(), empty_reaction(bins), np.zeros(bins), 0)
+        settle(soil, self._lattice, np.zeros((3, self._lattice.nodes), self._precision), self._grid)
+        return soil
 
-    def take(self, state: State, count: int) -> tuple[State, int]:
-        """Take some steps, as the driver's own blocks do; a block is a number of whole phases."""
-        assert isinstance(state.soil, Soil)
-        bins = len(state.held)
-        path = path_of_steps(self._scenario, np.arange(state.step, state.step + count), bins)
-        lost = self._phases.take(state.soil, path[0], path[2], state.impulse, state.audit)
-        state.held[:] += np.bincount(path[2], minlength=bins)
-        return state._replace(step=state.step + count), lost
+    def advance(self, soil: Soil, path: Path, impulse: FloatArray, audit: Audit) -> int:
+        """Take some steps, whole phases; index of the first particle to leave the grid, or -1."""
+        if self._phase is None:
+            self._phase = phase_of(self._scenario, soil)
+        phase, strainer, bins = self._phase, self.strainer, path.bins.tolist()
+        time_step = phase.time_step
+        for begin in range(0, len(bins), self._steps):
+            end = min(begin + self._steps, len(bins))
+            # A phase: its constants, then half a step of strain, then the steps.
+            impulses, middle = np.zeros((5, 2)), path.poses[(begin + end) // 2]
+            momentum = begin_phase(soil, phase, middle, audit)
+            used = int(phase.counts[2])
+            strainer.begin(soil)
+            strainer.strain(soil, phase.force, 0.5 * time_step, used)
+            phase.before[:] = phase.force
+            for n in range(begin, end):
+                part = time_step * (0.5 if n + 1 == end else 1.0)
+                step(soil, phase, path.poses[n], part, bins[n], impulse, impulses)
+                strainer.strain(soil, phase.force, part, used)
+            # The last strain was of half a step, for the stress alone; the next phase begins anew.
+            phase.force[:] = 0.0
+            strainer.end(soil)
+            end_phase(audit, impulses, momentum)
+            lost = int(settle(soil, phase.lattice, phase.shift, self._grid))
+            if lost >= 0:
+                return lost
+        return -1
 
-    def is_whole(self, state: State, lost: int) -> bool:
-        """Whether a state can be: nobody has left the grid, and all numbers are numbers."""
-        soil = state.soil
-        assert isinstance(soil, Soil)
-        fields = (soil.offset, soil.stress, soil.vx, soil.vy, soil.vz, state.impulse)
-        return lost < 0 and all(bool(np.isfinite(field).all()) for field in fields)
+    def fields(self, soil: Soil) -> tuple[FloatArray, dict[str, NDArray[Any]]]:
+        """Places (x, y, z) [m] of the particles of the half that is computed, and their fields.
 
-    def in_plane(self, state: State) -> State:
-        """State as one in the plane, for those who look for what went wrong."""
-        return state._replace(soil=in_plane(self._scenario, state.soil))
+        Velocities [m/s], stresses [Pa] and plastic shear strain κ [-].
+        """
+        velocity = velocities(soil, self._lattice)
+        names = [f"stress_{axes}" for axes in ("xx", "yy", "zz", "xy", "xz", "yz")]
+        return positions(self._lattice, soil.cell, soil.offset), {
+            "velocity": velocity,
+            "speed": np.linalg.norm(velocity, axis=1),
+            "pressure": -soil.stress[:, :3].mean(axis=1),
+            "plastic_shear_strain": soil.strain,
+        } | dict(zip(names, soil.stress.T, strict=True))
+
+    def provenance(self, _state: State) -> dict[str, Any]:
+        """Nothing."""
+        return {}
 
 
-def in_plane(scenario: Scenario, soil: Soil) -> Particles:
-    """Particles with what they have in the plane of motion.
+@entry
+def begin_phase(soil: Soil, phase: Phase, pose: FloatArray, audit: Audit) -> tuple[float, float]:
+    """Weigh the nodes, close the books of the phase before, and find the particles near the leg.
 
     Parameters
     ----------
-    scenario
-        What is simulated.
     soil
-        The particles in space.
+        At the end of the phase before.
+    phase
+        Inertia, list of near particles and displacements, of half a step, are filled.
+    pose
+        Of the leg in the middle of the phase, as the driver has it.
+    audit
+        Its worst mismatch is updated.
 
     Returns
     -------
-    Particles
-        Their first places are those of now, and mass and volume those of the particles [kg, m³].
+    tuple
+        Momentum of the whole soil (x, z) [kg m/s].
     """
-    lattice, count = lattice_of(scenario), len(soil.mass)
-    place = positions(lattice, soil.cell, soil.offset)[:, [0, 2]]
-    return Particles(
-        position=place,
-        start=place,
-        velocity=velocities(soil, lattice)[:, [0, 2]],
-        gradient=np.zeros((count, 4)),
-        stress=soil.stress[:, [0, 2, 4, 1]].astype(np.float64),
-        mass=soil.mass.astype(np.float64),
-        volume=np.full(count, particle_volume(scenario)),
-        stretch=np.ones(count),
-        weight=np.ones(count),
-        slip=np.zeros(count),
-    )
+    nodes.weigh(soil, phase)
+    x, z = nodes.momentum(soil)
+    momentum = (HALVES * x, HALVES * z)
+    close_books(audit, audit.impulses, momentum)
+    particles = (soil.cell, soil.offset, soil.slip)
+    found = near_leg(phase.lattice, *particles, phase.contact, pose_of(pose), phase.near)
+    phase.counts[3] = found
+    half = 0.5 * phase.time_step
+    for axis in range(3):
+        for q in range(phase.lattice.nodes):
+            phase.shift[axis, q] = half * soil.velocity[axis, q]
+    return momentum
+
+
+@entry
+def step(
+    soil: Soil,
+    phase: Phase,
+    pose: FloatArray,
+    time_step: float,
+    bin_: int,
+    impulse: FloatArray,
+    impulses: FloatArray,
+) -> None:
+    """Let the leg push, change the nodes' velocities by a step and carry the nodes along.
+
+    Parameters
+    ----------
+    soil
+        Velocities and slips are changed.
+    phase
+        Its forces of the stress are used up, the nodes' displacements added to.
+    pose
+        Of the leg, as the driver has it.
+    time_step
+        For which the nodes are carried [s].
+    bin_
+        Bin of the history.
+    impulse
+        What the soil did to the leg, in each bin; added to.
+    impulses
+        On the soil of the grid, rows as in the ledger [N s]; added to.
+    """
+    force, shift = phase.force, phase.shift
+    used, real, dt = np.uint64(phase.counts[2]), soil.velocity.dtype.type, phase.time_step
+    if phase.lead > 0.0:
+        for axis in range(3):
+            nodes.lead(force[axis], phase.before[axis], real(phase.lead), used)
+    near = phase.near[: phase.counts[3]]
+    fx, fz, m = press(soil, phase.lattice, shift, force, near, phase.contact, pose_of(pose))
+    impulses[1, 0] += dt * fx
+    impulses[1, 1] += dt * fz
+    # The other half of the soil does the same to the leg.
+    both = HALVES * dt
+    enter_reaction(impulse, bin_, (both * fx, both * fz), (both * m, 0.0))
+    nodes.step(soil, phase, impulses)
+    for axis in range(3):
+        nodes.carry(shift[axis], soil.velocity[axis], real(time_step), used)
+
+
+@entry
+def end_phase(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
+    """Enter a phase's impulses [N s] into the books of the whole soil."""
+    write_books(audit, HALVES * impulses, momentum)
+
+
+@entry
+def settle(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
+    """Move the particles by the nodes' displacements [m] and hand their momenta to a fresh grid.
+
+    ``grid`` is working memory, shape [4, node]. Returns the index of the first particle to leave
+    the grid, or -1.
+    """
+    lost = renew(soil, lattice, shift, grid)
+    if lost < 0:
+        nodes.take_over(soil, lattice, grid)
+    return lost
+
+
+@entry
+def velocities(soil: Soil, lattice: Lattice) -> FloatArray:
+    """Velocities of the particles (x, y, z) [m/s], shape [particle, 3]."""
+    found = np.zeros((soil.cell.size, 3))
+    for p in range(soil.cell.size):
+        found[p] = gather(soil.velocity, soil.cell[p], offset_of(soil, p), lattice)
+    return found

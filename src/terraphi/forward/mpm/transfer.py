@@ -21,14 +21,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.forward.body import Pose
 from terraphi.forward.compiled import kernel
 from terraphi.forward.mpm.bed import Soil
-from terraphi.forward.mpm.contact import Intruder, Spring, Three, place_of, touch
-from terraphi.forward.mpm.lattice import Lattice
-from terraphi.forward.plane.contact import pose_of
+from terraphi.forward.mpm.contact import Contact, scaled, touch
+from terraphi.forward.mpm.lattice import Lattice, Three, place_of
 
 FloatArray = NDArray[np.float64]
-Nodes = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
+Nodes = NDArray[Any]
+"""A vector (x, y, z) at each node, shape [3, node]."""
 
 THROWN_OF = 10_000
 """One grain may be thrown in a phase, and another for every so many particles."""
@@ -44,39 +45,46 @@ def weights(offset: float) -> Three:
 
 
 @kernel
-def gather(nodes: Nodes, cell: int, place: Three, row: int, layer: int) -> Three:
-    """Interpolate three values of the nodes to a place, an offset from a cell's middle [cell]."""
+def offset_of(soil: Soil, p: int) -> Three:
+    """Place of a particle from the node of its cell [cell]."""
+    return float(soil.offset[p, 0]), float(soil.offset[p, 1]), float(soil.offset[p, 2])
+
+
+@kernel
+def gather(nodes: Nodes, cell: int, place: Three, lattice: Lattice) -> Three:
+    """Interpolate a vector of the nodes to a place, an offset from a cell's middle [cell]."""
     wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
     first, second, third = 0.0, 0.0, 0.0
     for c in range(3):
         for b in range(3):
-            q = cell + (c - 1) * layer + (b - 1) * row - 1
+            q = cell + (c - 1) * lattice.layer + (b - 1) * lattice.row - 1
             share = wz[c] * wy[b]
             for a in range(3):
                 w = share * wx[a]
-                first += w * nodes[0][q + a]
-                second += w * nodes[1][q + a]
-                third += w * nodes[2][q + a]
+                first += w * nodes[0, q + a]
+                second += w * nodes[1, q + a]
+                third += w * nodes[2, q + a]
     return first, second, third
 
 
 @kernel
-def push(
-    force: Nodes, cell: int, place: Three, given: Three, arm: Three, row: int, layer: int
-) -> None:
-    """Give a force [N], acting ``arm`` [cell] from a place, to the nodes' forces."""
+def push(force: Nodes, cell: int, place: Three, given: Three, arm: Three, lattice: Lattice) -> None:
+    """Give a force [N], acting ``arm`` [cell] from a place, to the nodes' forces.
+
+    The moment goes with it as the affine part of a momentum does: node i gets N (1 + 4 arm · r).
+    """
     wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
     for c in range(3):
         rz = 4.0 * arm[2] * (c - 1 - place[2])
         for b in range(3):
-            q = cell + (c - 1) * layer + (b - 1) * row - 1
+            q = cell + (c - 1) * lattice.layer + (b - 1) * lattice.row - 1
             ry = 4.0 * arm[1] * (b - 1 - place[1])
             for a in range(3):
                 share = 1.0 + rz + ry + 4.0 * arm[0] * (a - 1 - place[0])
                 share *= wx[a] * wy[b] * wz[c]
-                force[0][q + a] += share * given[0]
-                force[1][q + a] += share * given[1]
-                force[2][q + a] += share * given[2]
+                force[0, q + a] += share * given[0]
+                force[1, q + a] += share * given[1]
+                force[2, q + a] += share * given[2]
 
 
 @kernel
@@ -86,66 +94,59 @@ def press(
     shift: Nodes,
     force: Nodes,
     near: NDArray[np.int64],
-    count: int,
-    intruder: Intruder,
-    spring: Spring,
-    pose_row: FloatArray,
-) -> tuple[float, float]:
+    contact: Contact,
+    pose: Pose,
+) -> Three:
     """Let the leg push the particles that it touches.
 
     Parameters
     ----------
-    soil
-        Particles; their slip is changed.
-    lattice
-        The grid.
+    soil, lattice
+        Particles, whose slip is changed, and grid.
     shift
         How far the nodes have moved in the phase [m].
     force
         Forces on the nodes [N]; added to.
-    near, count
+    near
         Which particles to look at.
-    intruder, spring
-        Constants.
-    pose_row
-        Where the leg is, as the driver has it.
+    contact, pose
+        Body and spring.
 
     Returns
     -------
     tuple
-        Force of the leg on the soil of the grid (x, z) [N].
+        Force of the leg on the soil of the grid (x, z) [N], and its moment about the hip [N m].
     """
-    pose = pose_of(pose_row)
-    row, layer, per_cell = lattice.row, lattice.layer, 1.0 / lattice.cell_size
-    total_x, total_z = 0.0, 0.0
-    for number in range(count):
-        p = near[number]
-        cell = soil.cell[p]
-        at = (float(soil.offset[p, 0]), float(soil.offset[p, 1]), float(soil.offset[p, 2]))
-        speed = gather((soil.vx, soil.vy, soil.vz), cell, at, row, layer)
-        moved = gather(shift, cell, at, row, layer)
+    per_cell = 1.0 / lattice.cell_size
+    total_x, total_z, total_m = 0.0, 0.0, 0.0
+    for p in near:
+        # Where the nodes have taken the particle by now, and the soil's velocity there.
+        cell, at = soil.cell[p], offset_of(soil, p)
+        speed = gather(soil.velocity, cell, at, lattice)
+        moved = gather(shift, cell, at, lattice)
         x, y, z = place_of(lattice, cell, at[0], at[1], at[2])
         given, arm, slip = touch(
             (x + moved[0], y + moved[1], z + moved[2]),
             speed,
             (float(soil.slip[p, 0]), float(soil.slip[p, 1]), float(soil.slip[p, 2])),
             soil.mass[p],
-            intruder,
-            spring,
+            contact,
             pose,
         )
         soil.slip[p, 0], soil.slip[p, 1], soil.slip[p, 2] = slip[0], slip[1], slip[2]
         if given[0] != 0.0 or given[1] != 0.0 or given[2] != 0.0:
-            lever = (arm[0] * per_cell, arm[1] * per_cell, arm[2] * per_cell)
-            push(force, cell, at, given, lever, row, layer)
+            push(force, cell, at, given, scaled(per_cell, arm), lattice)
             total_x += given[0]
             total_z += given[2]
-    return total_x, total_z
+            # r × F about +y, with r from the hip to where the force acts.
+            rx, rz = x + moved[0] + arm[0] - pose.hip_x, z + moved[2] + arm[2] - pose.hip_z
+            total_m += rz * given[0] - rx * given[2]
+    return total_x, total_z, total_m
 
 
 @kernel
 def affine_velocity(
-    nodes: Nodes, cell: int, place: Three, row: int, layer: int
+    nodes: Nodes, cell: int, place: Three, lattice: Lattice
 ) -> tuple[Three, tuple[Three, Three, Three]]:
     """Velocity at a place [m/s], and four times its first moments about it [cell m/s]."""
     wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
@@ -156,12 +157,12 @@ def affine_velocity(
     for c in range(3):
         rz = 4.0 * (c - 1 - place[2])
         for b in range(3):
-            q = cell + (c - 1) * layer + (b - 1) * row - 1
+            q = cell + (c - 1) * lattice.layer + (b - 1) * lattice.row - 1
             ry = 4.0 * (b - 1 - place[1])
             for a in range(3):
                 rx = 4.0 * (a - 1 - place[0])
                 w = wx[a] * wy[b] * wz[c]
-                gx, gy, gz = w * nodes[0][q + a], w * nodes[1][q + a], w * nodes[2][q + a]
+                gx, gy, gz = w * nodes[0, q + a], w * nodes[1, q + a], w * nodes[2, q + a]
                 vx, vy, vz = vx + gx, vy + gy, vz + gz
                 xx, xy, xz = xx + gx * rx, xy + gx * ry, xz + gx * rz
                 yx, yy, yz = yx + gy * rx, yy + gy * ry, yz + gy * rz
@@ -177,15 +178,14 @@ def scatter(
     mass: float,
     velocity: Three,
     affine: tuple[Three, Three, Three],
-    row: int,
-    layer: int,
+    lattice: Lattice,
 ) -> None:
     """Give mass and momentum of a particle to the grid (mass, then momenta; shape [4, node])."""
     wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
     for c in range(3):
         rz = c - 1 - place[2]
         for b in range(3):
-            q = cell + (c - 1) * layer + (b - 1) * row - 1
+            q = cell + (c - 1) * lattice.layer + (b - 1) * lattice.row - 1
             ry = b - 1 - place[1]
             share = mass * wz[c] * wy[b]
             for a in range(3):
@@ -193,20 +193,19 @@ def scatter(
                 w = share * wx[a]
                 grid[0, q + a] += w
                 for axis in range(3):
-                    row_of = affine[axis]
-                    speed = velocity[axis] + row_of[0] * rx + row_of[1] * ry + row_of[2] * rz
+                    along = affine[axis]
+                    speed = velocity[axis] + along[0] * rx + along[1] * ry + along[2] * rz
                     grid[1 + axis, q + a] += w * speed
-
-
-@kernel
-def _held(offset: float) -> float:
-    """An offset that is no farther than the next cell [cell]."""
-    return min(max(offset, -1.4999), 1.4999)
 
 
 @kernel
 def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
     """End a phase: move the particles and give their masses and momenta to the grid.
+
+    A particle may move from its cell into the next, no farther. A grain that is thrown, where the
+    nodes next to the leg are nearly empty, would: it is held back there, and keeps its velocity.
+    More of them than :data:`THROWN_OF` allows, or one that would move over :data:`FARTHEST`, are no
+    grains in flight, and end the simulation.
 
     Parameters
     ----------
@@ -223,50 +222,41 @@ def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
     -------
     int
         Index of the first particle to leave the grid, or -1.
-
-    Notes
-    -----
-    A particle may move from its cell into the next, no farther. A grain that is thrown, where the
-    nodes beside the leg are nearly empty, would: it is held back there, and keeps its velocity.
-    More of them than :data:`THROWN_OF` allows, or one that would move over :data:`FARTHEST`, are no
-    grains in flight, and end the simulation.
     """
     grid[:] = 0.0
     held, most = 0, 1 + soil.cell.size // THROWN_OF
     row, layer, per_cell = lattice.row, lattice.layer, 1.0 / lattice.cell_size
-    nodes = (soil.vx, soil.vy, soil.vz)
     for p in range(soil.cell.size):
-        cell = soil.cell[p]
-        at = (float(soil.offset[p, 0]), float(soil.offset[p, 1]), float(soil.offset[p, 2]))
-        velocity, affine = affine_velocity(nodes, cell, at, row, layer)
-        moved = gather(shift, cell, at, row, layer)
-        k = cell // layer
-        j = (cell - k * layer) // row
-        i = cell - k * layer - j * row
-        x, y, z = (
-            at[0] + moved[0] * per_cell,
-            at[1] + moved[1] * per_cell,
-            at[2] + moved[2] * per_cell,
-        )
+        cell, at = soil.cell[p], offset_of(soil, p)
+        # Velocity, its gradient and displacement, all where the particle was during the phase.
+        velocity, affine = affine_velocity(soil.velocity, cell, at, lattice)
+        moved = gather(shift, cell, at, lattice)
+        x = at[0] + moved[0] * per_cell
+        y = at[1] + moved[1] * per_cell
+        z = at[2] + moved[2] * per_cell
         # Written so that a place that is not a number counts as outside.
-        inside = abs(x) < 1.5 and abs(y) < 1.5 and abs(z) < 1.5
-        if not inside:
+        if not (abs(x) < 1.5 and abs(y) < 1.5 and abs(z) < 1.5):
             held += 1
             near = abs(x) < FARTHEST and abs(y) < FARTHEST and abs(z) < FARTHEST
             if not near or held > most:
                 return p
-            x, y, z = _held(x), _held(y), _held(z)
+            x = min(max(x, -1.4999), 1.4999)
+            y = min(max(y, -1.4999), 1.4999)
+            z = min(max(z, -1.4999), 1.4999)
+        # Its new cell and offset.
+        k = cell // layer
+        j = (cell - k * layer) // row
+        i = cell - k * layer - j * row
         di, dj, dk = np.floor(x + 0.5), np.floor(y + 0.5), np.floor(z + 0.5)
         # No soil passes a plane of symmetry; rounding might put a particle a hair beyond.
         if j + dj < 1 or j + dj > lattice.count_y - 2:
             y = min(max(y, -0.5), 0.4999999)
             dj = 0.0
         i, j, k = i + int(di), j + int(dj), k + int(dk)
-        if not (1 <= i < lattice.count_x - 1 and 1 <= k < lattice.count_z - 1):
+        if not (1 <= i < lattice.side - 1 and 1 <= k < lattice.side - 1):
             return p
         cell = k * layer + j * row + i
         soil.cell[p] = cell
         soil.offset[p, 0], soil.offset[p, 1], soil.offset[p, 2] = x - di, y - dj, z - dk
-        at = (float(soil.offset[p, 0]), float(soil.offset[p, 1]), float(soil.offset[p, 2]))
-        scatter(grid, cell, at, soil.mass[p], velocity, affine, row, layer)
+        scatter(grid, cell, offset_of(soil, p), soil.mass[p], velocity, affine, lattice)
     return -1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Particles(NamedTuple):
-    """State of the soil, one row a particle; per metre of width."""
+    """State of the soil, one row a particle; per meter of width."""
 
     position: FloatArray
     """(x, z) [m], shape [particle, 2]."""
@@ -30,13 +29,9 @@ class Particles(NamedTuple):
     mass: FloatArray
     """[kg/m], shape [particle]."""
     volume: FloatArray
-    """V₀ [m²], shape [particle]."""
-    stretch: FloatArray
-    """J [-], shape [particle]; stays 1 with fixed volumes."""
+    """V₀, which does not change [m²], shape [particle]."""
     weight: FloatArray
     """q of the relief [-], shape [particle]."""
-    slip: FloatArray
-    """Elastic part of the slip along the leg's surface, where it presses [m], shape [particle]."""
 
 
 class Grid(NamedTuple):
@@ -51,7 +46,7 @@ class Grid(NamedTuple):
 
 
 def empty_grid(scenario: Scenario) -> Grid:
-    """Empty grid of a scenario, with one node more than cells need, for splines at its edge."""
+    """Empty grid of a scenario, with one more node than cells need, for splines at its edge."""
     shape = (scenario.numerics.cells + 2, scenario.numerics.cells + 2)
     return Grid(np.zeros(shape), np.zeros(shape), np.zeros(shape))
 
@@ -59,25 +54,20 @@ def empty_grid(scenario: Scenario) -> Grid:
 def geostatic_bed(scenario: Scenario) -> Particles:
     """Fill the box, or a part of it, with one particle a sub-cell, at rest under its own weight.
 
-    Sub-cells are those of the soil, as near to Δx / ``particles_per_cell_side`` as an integer
-    number of them allows, so that mass and volume are exact on any grid. σ_zz = -q - ρ g depth,
-    σ_xx = σ_yy = K0 σ_zz. The surcharge q is dead weight that adds to the mass of the uppermost
-    row of particles, not to their volume; its inertia is to its weight what that of the soil is to
-    the soil's. Soil under a plate carries it too: q is then part of what the plate rests on, and
-    not of the force on it. That state is admissible under ``plane_strain`` and ``triaxial``. Under
-    ``paper`` it is not, because K0 = 1 - sin φ takes the nominal φ and the yield surface does not:
-    the first step returns it to the surface (φ = 35°: K = 0.57 instead of 0.43, σ_zz 9 % smaller),
-    and the bed settles at speeds below 1 mm/s long before the leg arrives. Particles
-    inside the leg's first position are left out.
+    Sub-cells are those of the soil, as near to Δx / ``particles_per_cell_side`` as a whole number
+    of them allows, so that mass and volume are exact on any grid. Particles inside the leg's first
+    position are left out. σ_zz = -q - ρ g depth, σ_xx = σ_yy = K0 σ_zz. The surcharge q is dead
+    weight: it adds to the mass of the uppermost row of particles, not to their volume.
+
+    That state is admissible under ``plane_strain`` and ``triaxial``. Under ``paper`` it is not,
+    because K0 = 1 - sin φ takes the nominal φ and the yield surface does not: the first step
+    returns it to the surface (φ = 35°: K = 0.57 instead of 0.43, σ_zz 9 % smaller), and the bed
+    settles at speeds below 1 mm/s long before the leg arrives.
 
     Parameters
     ----------
     scenario
         The scenario; its seed places the particles.
-
-    Returns
-    -------
-    Particles
     """
     bed, numerics, soil = scenario.bed, scenario.numerics, scenario.soil
     target = numerics.cell_size / numerics.particles_per_cell_side
@@ -89,18 +79,15 @@ def geostatic_bed(scenario: Scenario) -> Particles:
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
     corner = np.stack([column.ravel(), row.ravel()], axis=1)
     position = np.array([left, bed.floor]) + (corner + place) * size
-    distance, outward = _distance_to_leg(scenario, position)
-    kept = distance >= 0.0
-    if numerics.contact == "surface":
-        # A particle that overlaps would be shot out: it begins where it just touches.
-        short = np.clip(0.5 * math.sqrt(size[0] * size[1]) - distance, 0.0, None)
-        position += short[:, None] * outward
+
+    pose = scenario.motion.poses(np.zeros(1))
+    axes = np.array(frame_axes(pose.theta[0]))
+    kept = scenario.leg.signed_distance((position - pose.hip[0]) @ axes.T)[0] >= 0.0
     position, uppermost = position[kept], corner[kept, 1] == rows - 1
 
     count = len(position)
     stress = np.zeros((count, 4))
-    depth = bed.surface - position[:, 1]
-    stress[:, 1] = -bed.surcharge - soil.density * bed.gravity * depth
+    stress[:, 1] = -bed.surcharge - soil.density * bed.gravity * (bed.surface - position[:, 1])
     stress[:, 0] = stress[:, 3] = soil.k0_at_rest * stress[:, 1]
     volume = np.full(count, size[0] * size[1])
     mass = soil.density * volume
@@ -114,17 +101,5 @@ def geostatic_bed(scenario: Scenario) -> Particles:
         stress=stress,
         mass=mass,
         volume=volume,
-        stretch=np.ones(count),
         weight=np.ones(count),
-        slip=np.zeros(count),
     )
-
-
-def _distance_to_leg(scenario: Scenario, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Signed distance [m] from the leg that contact knows, at the start, and unit normal there."""
-    pose = scenario.motion.poses(np.zeros(1))
-    axes = np.array(frame_axes(pose.theta[0]))
-    distance, normal = scenario.leg.signed_distance(
-        (position - pose.hip[0]) @ axes.T, inset=scenario.tip_inset
-    )
-    return distance, normal @ axes

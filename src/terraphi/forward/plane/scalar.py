@@ -1,141 +1,34 @@
-"""The reference kernel: one particle after another, every option, nothing clever.
+"""The plain kernel: one particle after another, one node after another, nothing clever.
 
-The order within a step is that of the paper: particles to grid, gravity, leg, walls, damping, grid
-to particles, stress, relief. Faster kernels are tested against this one.
+A step, in the order of the paper: particles to grid, gravity, leg, walls, damping, grid to
+particles, stress, relief. The fast kernel (:mod:`~terraphi.forward.plane.packets`) is tested
+against this one.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.experiment.scenario import Scenario
+from terraphi.forward.body import pose_of
 from terraphi.forward.compiled import kernel
+from terraphi.forward.ledger import Audit, close_books, enter_reaction, write_books
 from terraphi.forward.plane.bed import Grid, Particles
-from terraphi.forward.plane.contact import (
-    Intruder,
-    against_leg,
-    against_leg_unbalanced,
-    against_walls,
-    pose_of,
-)
-from terraphi.forward.plane.plasticity import Material, jaumann_predictor, return_mapping
-from terraphi.forward.plane.relief import Fading, decay, faded
+from terraphi.forward.plane.contact import against_leg, against_walls
+from terraphi.forward.plane.model import Model
+from terraphi.forward.plane.plasticity import jaumann_predictor, return_mapping
 from terraphi.forward.plane.transfer import grid_to_particle, particles_to_grid
 
 FloatArray = NDArray[np.float64]
-
-LEDGER_ROWS = ("gravity", "leg", "walls", "damping", "relief")
-"""What changes the soil's momentum, in the order of the ledger's rows."""
-
-
-class Stepping(NamedTuple):
-    """Constants of a step, as the kernel takes them."""
-
-    time_step: float
-    """Δt [s]."""
-    cell_size: float
-    """Δx [m]."""
-    gravity: float
-    """g [m/s²]."""
-    damping_before: float
-    """Factor on grid velocities before contact with leg and walls [-]."""
-    damping_after: float
-    """Factor on grid velocities after it [-]."""
-    affine: float
-    """1 if particles keep the gradient of the grid's velocity, else 0."""
-    band: float
-    """Distance from the leg within which nodes are in contact [m]."""
-    left: float
-    """Left wall x [m]."""
-    right: float
-    """Right wall x [m]."""
-    floor: float
-    """Floor z [m]."""
-    rough: bool
-    """Whether the floor is rough."""
-    update_volume: bool
-    """Whether particle volumes follow the deformation."""
-    phase: int
-    """Steps for which the grid keeps its velocities; 0: none."""
-    surface: bool
-    """Whether particles press on the leg's surface, rather than nodes near it."""
-    mean_dilatation: bool
-    """Whether stresses follow the mean volumetric strain rate of a cell."""
-    mean_distortion: bool
-    """Whether stresses follow the mean distortion rate of a cell."""
-    unbalanced: bool
-    """Whether the leg counts more force than it applies, as in the paper's prototype."""
-    turning: float
-    """1 if stress turns with the soil's spin, else 0."""
-    inner_viscosity: float
-    """Viscosity against strain rates that differ from the means over their cells [Pa s]."""
-
-
-def stepping_of(scenario: Scenario) -> Stepping:
-    """Constants of a scenario."""
-    numerics, bed, soil = scenario.numerics, scenario.bed, scenario.soil
-    impedance = soil.density * soil.p_wave_speed
-    factor = numerics.damping_factor
-    return Stepping(
-        time_step=numerics.time_step,
-        cell_size=numerics.cell_size,
-        gravity=bed.gravity,
-        damping_before=1.0 if numerics.damping_order == "after_contact" else factor,
-        damping_after=factor if numerics.damping_order == "after_contact" else 1.0,
-        affine=1.0 if numerics.transfer == "apic" else 0.0,
-        band=_band(scenario),
-        left=bed.left,
-        right=bed.left + bed.width,
-        floor=bed.floor,
-        rough=bed.floor_friction == "rough",
-        update_volume=numerics.particle_volume == "updated",
-        phase=numerics.steps_per_phase,
-        surface=numerics.contact == "surface",
-        mean_dilatation=scenario.mean_dilatation,
-        mean_distortion=scenario.mean_distortion,
-        unbalanced=numerics.contact == "unbalanced",
-        turning=1.0 if numerics.stress_rate == "jaumann" else 0.0,
-        inner_viscosity=scenario.cell_damping * impedance * numerics.cell_size,
-    )
-
-
-def _band(scenario: Scenario) -> float:
-    """Distance from the leg within which nodes are in contact [m]; far inside it if none are."""
-    if scenario.numerics.contact == "surface":
-        return -scenario.leg.reach()
-    return scenario.numerics.contact_band_cells * scenario.numerics.cell_size
-
-
-class Audit(NamedTuple):
-    """The soil's momentum, followed from step to step; per metre of width."""
-
-    ledger: FloatArray
-    """Impulses so far (x, z), one row for each of :data:`LEDGER_ROWS` [kg/s]."""
-    last: FloatArray
-    """Momentum of the soil and what it should have become a step later [kg/s], shape [2, 2]."""
-    impulses: FloatArray
-    """Impulses of the last step, rows as in the ledger [kg/s]."""
-    worst: FloatArray
-    """Largest mismatch of a step over the sum of its impulses' magnitudes [-], shape [1]."""
-
-
-def empty_audit() -> Audit:
-    """Audit before the first step."""
-    rows = (len(LEDGER_ROWS), 2)
-    return Audit(np.zeros(rows), np.zeros((2, 2)), np.zeros(rows), np.zeros(1))
 
 
 @kernel
 def advance(
     soil: Particles,
     grid: Grid,
-    material: Material,
-    intruder: Intruder,
-    fading: Fading,
-    stepping: Stepping,
+    model: Model,
     poses: FloatArray,
     turned: FloatArray,
     bins: NDArray[np.int64],
@@ -150,8 +43,8 @@ def advance(
         :class:`~terraphi.forward.plane.bed.Particles`.
     grid
         :class:`~terraphi.forward.plane.bed.Grid`, working memory.
-    material, intruder, fading, stepping
-        Constants.
+    model
+        :class:`~terraphi.forward.plane.model.Model`.
     poses
         Hip x, z [m], θ [rad], hip velocity x, z [m/s], angular rate [rad/s]; shape [step, 6].
     turned
@@ -159,145 +52,83 @@ def advance(
     bins
         History bin of each step, shape [step].
     impulse
-        As :func:`empty_reaction` makes it, added to.
+        As :func:`terraphi.forward.ledger.empty_reaction` makes it, added to.
     audit
-        :class:`Audit`, updated.
+        :class:`~terraphi.forward.ledger.Audit`, updated.
 
     Returns
     -------
     int
         Index of the first particle to leave the grid, or -1 if none did.
     """
-    impulses = np.zeros((5, 2))
-    impulses[:] = audit.impulses
+    impulses = audit.impulses.copy()
     for step in range(poses.shape[0]):
-        momentum = particles_to_grid(soil, grid, stepping.cell_size, stepping.time_step)
+        momentum = particles_to_grid(soil, grid, model.cell_size, model.time_step)
+        # The momentum now must be that of a step ago and the impulses since then.
         close_books(audit, impulses, momentum)
         impulses[:] = 0.0
-        counted = update_grid(grid, intruder, stepping, poses[step], impulses)
+        counted = update_grid(grid, model, poses[step], impulses)
         enter_reaction(impulse, bins[step], counted, (impulses[1, 0], impulses[1, 1]))
-        lost = update_particles(soil, grid, material, fading, stepping, turned[step], impulses)
+        lost = update_particles(soil, grid, model, turned[step], impulses)
         if lost >= 0:
             return lost
         write_books(audit, impulses, momentum)
     return -1
 
 
-def empty_reaction(bins: int) -> FloatArray:
-    """Impulse of the soil on the leg in each bin of a history, before the first step [kg/s].
-
-    Parameters
-    ----------
-    bins
-        Number of bins.
-
-    Returns
-    -------
-    ndarray
-        (x, z) as the contact counts it, and (x, z) as it was applied to the soil, shape [bin, 4].
-        The two differ for ``contact = "unbalanced"`` alone.
-    """
-    return np.zeros((bins, 4))
-
-
-@kernel
-def enter_reaction(
-    impulse: FloatArray, bin_: int, counted: tuple[float, float], applied: tuple[float, float]
-) -> None:
-    """Add to a bin the impulse on the leg: the negative of what it gave the soil in a step [kg/s].
-
-    ``counted`` is that of the contact's own count, ``applied`` that which the soil received.
-    """
-    impulse[bin_, 0] -= counted[0]
-    impulse[bin_, 1] -= counted[1]
-    impulse[bin_, 2] -= applied[0]
-    impulse[bin_, 3] -= applied[1]
-
-
-@kernel
-def close_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
-    """Compare the soil's momentum [kg/s] with that before the last step and its impulses [kg/s].
-
-    The largest mismatch so far, over the sum of the impulses' magnitudes, goes to ``audit.worst``.
-    """
-    scale = np.abs(impulses).sum()
-    if scale > 0.0:
-        miss = abs(momentum[0] - audit.last[1, 0]) + abs(momentum[1] - audit.last[1, 1])
-        audit.worst[0] = max(audit.worst[0], miss / scale)
-
-
-@kernel
-def write_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
-    """Add the impulses of a step [kg/s] to the ledger, and keep what the momentum should become.
-
-    ``momentum`` is that of the soil when the step began (x, z) [kg/s].
-    """
-    for axis in range(2):
-        audit.last[0, axis] = momentum[axis]
-        audit.last[1, axis] = momentum[axis] + impulses[:, axis].sum()
-        for row in range(impulses.shape[0]):
-            audit.ledger[row, axis] += impulses[row, axis]
-            audit.impulses[row, axis] = impulses[row, axis]
-
-
 @kernel
 def update_grid(
-    grid: Grid, intruder: Intruder, stepping: Stepping, pose: FloatArray, impulses: FloatArray
+    grid: Grid, model: Model, pose: FloatArray, impulses: FloatArray
 ) -> tuple[float, float]:
-    """Turn momenta into velocities and apply gravity, leg, walls and damping, in that order.
+    """Turn momenta into velocities, and apply gravity, leg, walls and damping, in that order.
 
-    Damping comes before the leg instead where :class:`Stepping` says so.
+    Damping comes before the leg instead where the model says so.
 
     Parameters
     ----------
     grid
         Holds momenta; holds velocities afterwards.
-    intruder, stepping
+    model
         Constants.
     pose
         One row of the poses.
     impulses
-        Filled with what each of gravity, leg, walls and damping gave the soil [kg/s].
+        What gravity, leg, walls and damping gave the soil is added to its rows [kg/s].
 
     Returns
     -------
     tuple
         What the contact counts as given by the leg (x, z) [kg/s].
     """
-    leg_pose = pose_of(pose)
+    leg = pose_of(pose)
     counted_x, counted_z = 0.0, 0.0
     for j in range(grid.mass.shape[0]):
         for i in range(grid.mass.shape[1]):
             mass = grid.mass[j, i]
             if mass <= 0.0:
                 continue
+            # v = (mv)/m, and gravity: v_z -= g Δt.
             vx, vz = grid.vx[j, i] / mass, grid.vz[j, i] / mass
-            vz -= stepping.gravity * stepping.time_step
-            impulses[0, 1] -= mass * stepping.gravity * stepping.time_step
-            vx, vz = damped(vx, vz, mass, stepping.damping_before, impulses)
+            vz -= model.gravity * model.time_step
+            impulses[0, 1] -= mass * model.gravity * model.time_step
+            vx, vz = damped(vx, vz, mass, model.damping_before, impulses)
 
-            x, z = i * stepping.cell_size, j * stepping.cell_size
+            # The leg, then the walls: soil between both cannot pass the wall. What the leg gives
+            # to the node, m Δv, is over Δt the negative of the force on the leg.
+            x, z = i * model.cell_size, j * model.cell_size
             px, pz = vx, vz
-            if stepping.unbalanced:
-                vx, vz, cx, cz = against_leg_unbalanced(
-                    vx, vz, x, z, intruder, stepping.band, stepping.cell_size, leg_pose
-                )
-            else:
-                vx, vz = against_leg(vx, vz, x, z, intruder, stepping.band, leg_pose)
-                cx, cz = vx - px, vz - pz
+            vx, vz, cx, cz = against_leg(vx, vz, x, z, model, leg)
             impulses[1, 0] += mass * (vx - px)
             impulses[1, 1] += mass * (vz - pz)
             counted_x += mass * cx
             counted_z += mass * cz
 
             px, pz = vx, vz
-            vx, vz = against_walls(
-                vx, vz, x, z, stepping.left, stepping.right, stepping.floor, stepping.rough
-            )
+            vx, vz = against_walls(vx, vz, x, z, model)
             impulses[2, 0] += mass * (vx - px)
             impulses[2, 1] += mass * (vz - pz)
 
-            vx, vz = damped(vx, vz, mass, stepping.damping_after, impulses)
+            vx, vz = damped(vx, vz, mass, model.damping_after, impulses)
             grid.vx[j, i] = vx
             grid.vz[j, i] = vz
     return counted_x, counted_z
@@ -308,74 +139,89 @@ def damped(
     vx: float, vz: float, mass: float, factor: float, impulses: FloatArray
 ) -> tuple[float, float]:
     """A node's velocity times a factor; what that gives to the soil is added to the impulses."""
-    loss = factor - 1.0
-    impulses[3, 0] += mass * vx * loss
-    impulses[3, 1] += mass * vz * loss
+    impulses[3, 0] += mass * vx * (factor - 1.0)
+    impulses[3, 1] += mass * vz * (factor - 1.0)
     return vx * factor, vz * factor
 
 
 @kernel
 def update_particles(
-    soil: Particles,
-    grid: Grid,
-    material: Material,
-    fading: Fading,
-    stepping: Stepping,
-    turned: float,
-    impulses: FloatArray,
+    soil: Particles, grid: Grid, model: Model, turned: float, impulses: FloatArray
 ) -> int:
-    """Move the particles with the grid and update stress, volume and weight.
+    """Move the particles with the grid and update their stresses and weights.
 
     Parameters
     ----------
-    soil, grid, material, fading, stepping
-        As in :func:`advance`.
+    soil, grid, model
+        As in :func:`advance`; the grid holds velocities.
     turned
         |Δθ| of this step once θ > 0 [rad].
     impulses
-        Its last row is filled with what the relief took from the soil [kg/s].
+        What the relief took from the soil is added to its last row [kg/s].
 
     Returns
     -------
     int
         Index of the first particle to leave the grid, or -1.
     """
-    low = 0.5 * stepping.cell_size
-    high = (grid.mass.shape[0] - 2.5) * stepping.cell_size
-    time_step = stepping.time_step
-    factor = decay(turned, fading)
+    # Where splines find all their nodes.
+    low, high = 0.5 * model.cell_size, (grid.mass.shape[0] - 2.5) * model.cell_size
+    material = model.material
+    factor = math.exp(-model.relief_rate * turned)
     for p in range(soil.mass.size):
-        vx, vz, gradient = grid_to_particle(soil, grid, p, stepping.cell_size)
+        vx, vz, gradient = grid_to_particle(soil, grid, p, model.cell_size)
+        # Explicit: the strain of this step makes the stress that acts in the next.
         stress = (soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2], soil.stress[p, 3])
         trial = jaumann_predictor(
             stress,
             gradient,
-            time_step,
+            model.time_step,
             material.lame_lambda,
             material.shear_modulus,
-            stepping.turning,
+            model.turning,
         )
         stress = return_mapping(trial, material)
         for c in range(4):
-            soil.gradient[p, c] = stepping.affine * gradient[c]
+            soil.gradient[p, c] = model.affine * gradient[c]
             soil.stress[p, c] = stress[c]
         soil.velocity[p, 0] = vx
         soil.velocity[p, 1] = vz
-        if stepping.update_volume:
-            soil.stretch[p] *= 1.0 + (gradient[0] + gradient[3]) * time_step
 
-        x = soil.position[p, 0] + vx * time_step
-        z = soil.position[p, 1] + vz * time_step
+        x = soil.position[p, 0] + vx * model.time_step
+        z = soil.position[p, 1] + vz * model.time_step
         # Written so that a position that is not a number counts as outside.
         if not (low < x < high and low < z < high):
             return p
         soil.position[p, 0] = x
         soil.position[p, 1] = z
 
+        # Soil that fades takes momentum with it, which is entered in the ledger.
         weight = soil.weight[p]
-        new = faded(weight, x - soil.start[p, 0], z - soil.start[p, 1], factor, fading)
+        new = faded(weight, x - soil.start[p, 0], z - soil.start[p, 1], factor, model)
         if new != weight:
             soil.weight[p] = new
             impulses[4, 0] += (new - weight) * soil.mass[p] * vx
             impulses[4, 1] += (new - weight) * soil.mass[p] * vz
     return -1
+
+
+@kernel
+def faded(weight: float, dx: float, dz: float, factor: float, model: Model) -> float:
+    """Weight of a particle after a step: q ← max(q_min, q exp(-rate |Δθ|)) once it is far.
+
+    The relief of Xu & Wang: soil that the leg has carried far from its place fades. Without
+    branches, so that it can be done to a whole vector register.
+
+    Parameters
+    ----------
+    weight
+        q [-].
+    dx, dz
+        Displacement since the start [m].
+    factor
+        exp(-rate |Δθ|) of the step [-].
+    model
+        Constants.
+    """
+    less = max(model.relief_least, weight * factor)
+    return less if math.sqrt(dx * dx + dz * dz) > model.relief_distance else weight

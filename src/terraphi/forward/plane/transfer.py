@@ -1,34 +1,29 @@
 """Transfer between particles and grid: quadratic B-splines, affine velocities.
 
 APIC (Jiang et al., 2015, doi 10.1145/2766996) in its moving-least-squares form (Hu et al., 2018,
-doi 10.1145/3197517.3201293). The affine term m C in the momentum is essential: without it the
-transfer's own viscosity triples the forces at steps this small.
+doi 10.1145/3197517.3201293), with w the spline weights, p a particle and i a node:
+
+    m_i = Σ w m_p,     (mv)_i = Σ w (m_p v_p + (m_p C_p - 4 Δt/Δx² V_p σ_p) (x_i - x_p))
+    v_p = Σ w v_i,      C_p = 4/Δx² Σ w v_i (x_i - x_p)
+
+4/Δx² is the inverse of the spline's second moment. The affine term m C in the momentum is
+essential: without it (``transfer = "pic"``) the transfer's own viscosity triples the forces at
+steps this small. A particle's mass and volume count with its weight q.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from terraphi.forward.compiled import kernel
 from terraphi.forward.plane.bed import Grid, Particles
 
-FloatArray = NDArray[np.float64]
+Three = tuple[float, float, float]
 
 
 @kernel
-def weights(offset: float) -> tuple[float, float, float]:
-    """Quadratic B-spline weights of the three nodes from a base node on.
+def weights(offset: float) -> Three:
+    """Quadratic B-spline weights [-] of the three nodes from a base node on.
 
-    Parameters
-    ----------
-    offset
-        Distance of the particle from the base node in cells, 0.5 to 1.5 [-].
-
-    Returns
-    -------
-    tuple
-        Three weights [-] that sum to one.
+    ``offset`` is the distance of the particle from the base node in cells, 0.5 to 1.5.
     """
     before, middle, after = 1.5 - offset, offset - 1.0, offset - 0.5
     return 0.5 * (before * before), 0.75 - middle * middle, 0.5 * (after * after)
@@ -38,29 +33,29 @@ def weights(offset: float) -> tuple[float, float, float]:
 def particle_to_grid(
     soil: Particles, grid: Grid, p: int, cell_size: float, time_step: float
 ) -> tuple[float, float]:
-    """Scatter one particle.
+    """Add one particle to the grid; returns its momentum (x, z) [kg/s].
 
     Parameters
     ----------
-    soil, grid, cell_size, time_step
-        As in :func:`particles_to_grid`; the grid is added to.
+    soil
+        :class:`~terraphi.forward.plane.bed.Particles`.
+    grid
+        :class:`~terraphi.forward.plane.bed.Grid`, of masses and momenta.
     p
         Index of the particle.
-
-    Returns
-    -------
-    tuple
-        Momentum (x, z) of the particle per metre of width [kg/s].
+    cell_size, time_step
+        Δx [m], Δt [s].
     """
     per_cell = 1.0 / cell_size
     stress_scale = -4.0 * time_step * per_cell * per_cell
+    # The base node (i, j), and the place of the particle from it [cell].
     i = int(soil.position[p, 0] * per_cell - 0.5)
     j = int(soil.position[p, 1] * per_cell - 0.5)
     fx = soil.position[p, 0] * per_cell - i
     fz = soil.position[p, 1] * per_cell - j
     wx, wz = weights(fx), weights(fz)
     mass = soil.weight[p] * soil.mass[p]
-    k = stress_scale * soil.weight[p] * soil.volume[p] * soil.stretch[p]
+    k = stress_scale * soil.weight[p] * soil.volume[p]
     sxx, szz, sxz = soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2]
     # The affine part of the momentum, per cell of distance from the particle.
     axx = (k * sxx + mass * soil.gradient[p, 0]) * cell_size
@@ -83,24 +78,7 @@ def particle_to_grid(
 def particles_to_grid(
     soil: Particles, grid: Grid, cell_size: float, time_step: float
 ) -> tuple[float, float]:
-    """Scatter mass and momentum, the latter with the impulse of the stresses.
-
-    Parameters
-    ----------
-    soil
-        :class:`~terraphi.forward.plane.bed.Particles`.
-    grid
-        :class:`~terraphi.forward.plane.bed.Grid`; cleared first.
-    cell_size
-        Δx [m].
-    time_step
-        Δt [s].
-
-    Returns
-    -------
-    tuple
-        Momentum (x, z) of the particles per metre of width [kg/s].
-    """
+    """Clear the grid and add all particles; returns the soil's momentum (x, z) [kg/s]."""
     grid.mass[:] = 0.0
     grid.vx[:] = 0.0
     grid.vz[:] = 0.0
@@ -113,89 +91,15 @@ def particles_to_grid(
 
 
 @kernel
-def stress_to_grid(
-    soil: Particles,
-    grid: Grid,
-    p: int,
-    stress: tuple[float, float, float],
-    cell_size: float,
-    time_step: float,
-) -> None:
-    """Scatter the impulse of one particle's stress alone.
-
-    Parameters
-    ----------
-    soil, cell_size, time_step
-        As in :func:`particles_to_grid`.
-    grid
-        Holds momenta; added to.
-    p
-        Index of the particle.
-    stress
-        (σ_xx, σ_zz, σ_xz) to take for it [Pa].
-    """
-    per_cell = 1.0 / cell_size
-    i = int(soil.position[p, 0] * per_cell - 0.5)
-    j = int(soil.position[p, 1] * per_cell - 0.5)
-    fx = soil.position[p, 0] * per_cell - i
-    fz = soil.position[p, 1] * per_cell - j
-    wx, wz = weights(fx), weights(fz)
-    k = -4.0 * time_step * per_cell * soil.weight[p] * soil.volume[p] * soil.stretch[p]
-    sxx, szz, sxz = k * stress[0], k * stress[1], k * stress[2]
-    for b in range(3):
-        rz = b - fz
-        for a in range(3):
-            rx = a - fx
-            w = wz[b] * wx[a]
-            grid.vx[j + b, i + a] += w * (sxx * rx + sxz * rz)
-            grid.vz[j + b, i + a] += w * (sxz * rx + szz * rz)
-
-
-@kernel
-def gather_values(
-    first: FloatArray, second: FloatArray, x: float, z: float, cell_size: float
-) -> tuple[float, float]:
-    """Interpolate two values of the nodes at a place.
-
-    Parameters
-    ----------
-    first, second
-        Values of the nodes, shape [row, column].
-    x, z
-        The place [m].
-    cell_size
-        Δx [m].
-
-    Returns
-    -------
-    tuple
-        Both values there.
-    """
-    per_cell = 1.0 / cell_size
-    i, j = int(x * per_cell - 0.5), int(z * per_cell - 0.5)
-    wx, wz = weights(x * per_cell - i), weights(z * per_cell - j)
-    one, two = 0.0, 0.0
-    for b in range(3):
-        for a in range(3):
-            one += wz[b] * wx[a] * first[j + b, i + a]
-            two += wz[b] * wx[a] * second[j + b, i + a]
-    return one, two
-
-
-@kernel
 def grid_to_particle(
     soil: Particles, grid: Grid, p: int, cell_size: float
 ) -> tuple[float, float, tuple[float, float, float, float]]:
-    """Gather velocity and velocity gradient of one particle.
+    """Velocity and its gradient at one particle, from the velocities of the grid.
 
     Parameters
     ----------
-    soil, grid
-        As in :func:`particles_to_grid`; the grid holds velocities.
-    p
-        Index of the particle.
-    cell_size
-        Δx [m].
+    soil, grid, p, cell_size
+        As in :func:`particle_to_grid`; the grid holds velocities.
 
     Returns
     -------

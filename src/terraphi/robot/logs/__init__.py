@@ -1,7 +1,6 @@
-"""Logs of a walking robot: whatever the format, one JointLog comes out.
+"""Logs of a walking robot: CSV, Parquet, MCAP and rosbag2 become a JointLog.
 
-:func:`read_log` knows CSV and npz files, MCAP files and rosbag2 folders (SQLite and MCAP storage)
-with ``unitree_go/msg/LowState`` or ``sensor_msgs/msg/JointState`` messages. Bags need the extra
+Bags hold ``unitree_go/msg/LowState`` or ``sensor_msgs/msg/JointState`` messages and need the extra
 ``robot`` (``pip install 'terraphi[robot]'``); ROS 2 need not be installed.
 """
 

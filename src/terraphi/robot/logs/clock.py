@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.robot.joint_log import JointLog
 
-Clock = Literal["time_s", "time", "tick", "header stamp"]
-"""Column of a CSV or npz [s], tick of a LowState [ms], header of a JointState [ns]."""
+Clock = Literal["time_s", "tick", "header stamp"]
+"""Column of a table [s], tick of a LowState [ms], header of a JointState [ns]."""
 
 GAP_STEPS, GAP_S = 5.0, 0.02
 """A pause is a gap if longer than this many usual steps, and than this many seconds [s]."""
@@ -23,9 +23,8 @@ REORDERED = 0.01
 _SAMPLES = 60_000
 """Samples that are looked at."""
 LEAST_MICROSECONDS = 500.0
-"""Ticks from one message to the next from which they are microseconds: of the A1 by the header of
-its SDK; milliseconds would make a message every half a second, which the times of recording tell
-where they are known."""
+"""Ticks from one message to the next from which they may be microseconds, as of the A1; the times
+of recording decide."""
 STALLED = 0.9
 """Fraction of steps without advance beyond which a clock stands still."""
 
@@ -34,7 +33,7 @@ UNEVEN = 0.07
 SET_BACK = 20.0
 """A clock that goes back by more than this many steps [-] was set, or is another's."""
 _LOSS, _DRIFT, _ROUNDS = 41, 1001, 5
-"""Samples before and after a place by which a lost sample is told from a late stamp; samples over
+"""Samples before and after a place by which a lost sample differs from a late stamp; samples over
 which the clock's own drift against the usual step is averaged; rounds in which losses are found
 that lie close to others."""
 
@@ -52,7 +51,7 @@ def seconds(
     stamp
         As the format has it, see :data:`Clock`; shape [sample].
     recorded
-        When each message was recorded [ns]; None if unknown.
+        When each message was recorded [ns]; ``None`` if unknown.
     clock
         What the stamps are.
 
@@ -66,32 +65,27 @@ def seconds(
     dict
         What to report besides.
     """
-    if clock in {"time_s", "time"}:
+    if clock == "time_s" or recorded is None:
         return stamp.astype(np.float64), clock, {}
-    if recorded is not None and len(stamp) > 1 and np.mean(np.diff(stamp) == 0) > STALLED:
-        facts = {
-            "start_ns": int(recorded[0]),
-            "notes": [f"the messages' {clock} stands still; times are those of recording"],
-        }
-        return (recorded - recorded[0]) / 1e9, "recording time", facts
+    if len(stamp) > 1 and np.mean(np.diff(stamp) == 0) > STALLED:
+        notes = [f"the messages' {clock} stands still; times are those of recording"]
+        start = int(recorded[0])
+        return (recorded - start) / 1e9, "recording time", {"start_ns": start, "notes": notes}
     if clock == "header stamp":
         return (stamp - stamp[0]) / 1e9, clock, {"start_ns": int(stamp[0])}
     # Differences modulo 2³² of the smallest size: forwards across a wrap, backwards after a glitch.
     steps = np.diff(stamp.astype(np.uint32)).view(np.int32).astype(np.int64)
     ticks = stamp[0] + np.concatenate([[0], np.cumsum(steps)])
-    report: dict[str, Any] = {}
-    microseconds = len(stamp) > 1 and float(np.median(steps)) >= LEAST_MICROSECONDS
-    per_ns = 0.0
-    if recorded is not None and len(stamp) > 1 and recorded[-1] > recorded[0]:
-        per_ns = float(ticks[-1] - ticks[0]) / float(recorded[-1] - recorded[0])
-    if microseconds and per_ns > 0.0:
-        microseconds = abs(math.log(per_ns * 1e3)) < abs(math.log(per_ns * 1e6))
+    span = float(recorded[-1] - recorded[0])
+    if not span > 0.0:
+        return ticks / 1e3, clock, {}
+    per_s = 1e9 * float(ticks[-1] - ticks[0]) / span
+    microseconds = float(np.median(steps)) >= LEAST_MICROSECONDS and per_s > 1e3 * math.sqrt(1e3)
     unit = 1e6 if microseconds else 1e3
+    facts: dict[str, Any] = {"clock_ratio": round(per_s / unit, 6)}
     if microseconds:
-        report["notes"] = ["the tick counts microseconds"]
-    if per_ns:
-        report["clock_ratio"] = round(per_ns * 1e9 / unit, 6)
-    return ticks / unit, clock, report
+        facts["notes"] = ["the tick counts microseconds"]
+    return ticks / unit, clock, facts
 
 
 def evened(
@@ -99,10 +93,10 @@ def evened(
 ) -> tuple[FloatArray, dict[str, Any]]:
     """Put samples that were taken at a constant rate back to even times.
 
-    A message's stamp tells when it was written, which is late by as much as the computer was busy.
-    Forces follow from changes of velocity over time, and a stamp that is off by half a step doubles
-    them. Whether the samples or only their stamps are uneven, the joints know: their angles change
-    by velocity times the true step.
+    A message's stamp is the time when it was written, which is late by as much as the computer was
+    busy. Forces follow from changes of velocity over time, and a stamp that is off by half a step
+    doubles them. The joints show whether the samples or only their stamps are uneven: their angles
+    change by velocity times the true step.
 
     Parameters
     ----------
@@ -125,12 +119,19 @@ def evened(
     jitter = float(step[np.abs(step - period) < period].std())
     if jitter <= UNEVEN * period or step.min() < -SET_BACK * period:
         return time, {}
-    even = _even(time)
-    if even is None or (velocity is not None and not _fits_better(time, even, angle, velocity)):
+    even, why = _even(time), ""
+    if not np.all(np.diff(even) > 0.0):
         return time, {}
-    off = float(np.std(time - even))
-    why = "" if velocity is None else ", with which angles and velocities agree better"
-    note = f"stamps are off by {1e3 * off:.2g} ms (standard deviation) from a constant rate{why}"
+    if velocity is not None:
+        part, why = slice(0, _SAMPLES), ", with which angles and velocities agree better"
+        mean = 0.5 * (velocity[part][1:] + velocity[part][:-1]).astype(np.float64)
+        moved = np.diff(angle[part], axis=0)
+        steps = (np.diff(each[part])[:, None, None] for each in (time, even))
+        own, other = (float(np.mean(np.abs(moved - mean * step)[2:-2])) for step in steps)
+        if other >= own:
+            return time, {}
+    off = 1e3 * float(np.std(time - even))
+    note = f"stamps are off by {off:.2g} ms (standard deviation) from a constant rate{why}"
     return even, {"jitter_s": jitter, "notes": [f"{note}: samples are put at even times"]}
 
 
@@ -143,14 +144,13 @@ def regular(log: JointLog) -> JointLog:
     return replace(log, time=time, report={**log.report, **facts, "notes": notes})
 
 
-def _even(time: FloatArray) -> FloatArray | None:
-    """Times at a constant rate that follow stamps; None if those are not of one."""
+def _even(time: FloatArray) -> FloatArray:
+    """Times at a constant rate that follow stamps."""
     from scipy import ndimage  # slow to import, and logs are mostly even
 
-    order = np.arange(len(time))
     # Medians of many steps, for single ones may be anything.
     period = float(np.median(time[_LOSS:] - time[:-_LOSS])) / _LOSS
-    place = order.astype(np.int64)
+    place = np.arange(len(time))
     for _ in range(_ROUNDS):
         late = time - period * place
         after = ndimage.median_filter(late, _LOSS, origin=-(_LOSS // 2), mode="nearest")
@@ -168,28 +168,15 @@ def _even(time: FloatArray) -> FloatArray | None:
         slope = np.polynomial.Polynomial.fit(place, time, 1).convert().coef[1]
         period = float(slope) if slope > 0.0 else period
     late = time - period * place
-    even = period * place + ndimage.uniform_filter1d(late, _DRIFT, mode="nearest")
-    return even if np.all(np.diff(even) > 0.0) else None
-
-
-def _fits_better(
-    time: FloatArray, even: FloatArray, angle: NDArray[Any], velocity: NDArray[Any]
-) -> bool:
-    """Whether velocities times steps explain the changes of the angles better at even times."""
-    part = slice(0, _SAMPLES)
-    mean = 0.5 * (velocity[part][1:] + velocity[part][:-1]).astype(np.float64)
-    moved = np.diff(angle[part], axis=0)
-    steps = (np.diff(each[part])[:, None, None] for each in (time, even))
-    first, second = (float(np.mean(np.abs(moved - mean * step)[2:-2])) for step in steps)
-    return second < first
+    return np.asarray(period * place + ndimage.uniform_filter1d(late, _DRIFT, mode="nearest"))
 
 
 def increasing(time: FloatArray) -> tuple[BoolArray, Counter[str]]:
     """Choose samples whose time increases strictly.
 
-    Repeated stamps are dropped, single stamps that jump away and back, and a few samples out of
-    order. If the clock was set back for good, only the longest piece is kept, because pieces of
-    different runs must not be joined.
+    Repeated stamps are dropped, and the few that are out of order. If there are more than a few,
+    the clock was set back: only the longest piece is kept, because pieces of different runs must
+    not be joined.
 
     Parameters
     ----------
@@ -204,45 +191,18 @@ def increasing(time: FloatArray) -> tuple[BoolArray, Counter[str]]:
         Reasons and numbers of those that go.
     """
     keep = np.ones(len(time), dtype=bool)
-    dropped: Counter[str] = Counter()
-    if np.all(np.diff(time) > 0):
-        return keep, dropped
     keep[1:] &= np.diff(time) != 0
-    dropped[REPEATED] = int((~keep).sum())
-    for _ in range(4):
-        bad = _strays(time[keep])
-        if not len(bad):
-            break
-        keep[np.flatnonzero(keep)[bad]] = False
-    index = np.flatnonzero(keep)
-    keep[:] = False
-    keep[index[_best(time[index])]] = True
-    dropped[BACKWARDS] = int((~keep).sum()) - dropped[REPEATED]
-    return keep, +dropped
-
-
-def _strays(t: FloatArray) -> NDArray[np.intp]:
-    """Indices of single stamps that jump away from their neighbours and back."""
-    back = np.flatnonzero(np.diff(t) <= 0)
-    before = np.where(back > 0, t[back - 1], -np.inf)
-    after = np.append(t, np.inf)[back + 2]
-    ahead = before < t[back + 1]  # without the one before the step, time increases
-    behind = ~ahead & (after > t[back])  # without the one after it
-    return np.unique(np.concatenate([back[ahead], back[behind] + 1]))
-
-
-def _best(t: FloatArray) -> NDArray[np.intp] | slice:
-    """Largest increasing choice: all but a few out of order, or one unbroken piece."""
-    if np.all(np.diff(t) > 0):
-        return slice(None)
+    repeated, t = int((~keep).sum()), time[keep]
     highest = np.maximum.accumulate(np.concatenate([[-np.inf], t[:-1]]))
     lowest = np.minimum.accumulate(np.concatenate([[np.inf], t[:0:-1]]))[::-1]
-    for choice in (t > highest, t < lowest):
-        if np.mean(~choice) <= REORDERED:
-            return np.flatnonzero(choice)
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(t) <= 0) + 1, [len(t)]])
-    longest = int(np.diff(edges).argmax())
-    return slice(int(edges[longest]), int(edges[longest + 1]))
+    chosen = max((t > highest, t < lowest), key=np.count_nonzero)
+    if np.mean(~chosen) > REORDERED:
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(t) <= 0) + 1, [len(t)]])
+        piece = int(np.diff(edges).argmax())
+        chosen = np.zeros(len(t), dtype=bool)
+        chosen[edges[piece] : edges[piece + 1]] = True
+    keep[keep] = chosen
+    return keep, +Counter({REPEATED: repeated, BACKWARDS: int((~chosen).sum())})
 
 
 def describe(time: FloatArray) -> dict[str, Any]:
@@ -262,17 +222,17 @@ def describe(time: FloatArray) -> dict[str, Any]:
         every pause longer than ``gap_limit_s`` [s].
     """
     if len(time) < 2:
-        return {
-            "duration_s": 0.0,
+        none: dict[str, Any] = {
             "rate_hz": None,
             "jitter_s": 0.0,
             "missing": 0,
             "gap_limit_s": GAP_S,
             "gaps": [],
         }
+        return {"duration_s": 0.0, **none}
     steps = np.diff(time)
     ordinary = steps[steps <= 1.5 * float(np.median(steps))]
-    # Clocks of whole milliseconds make 400 Hz out of steps of 2 and 3 ms: the mean knows.
+    # Clocks of whole milliseconds make 400 Hz out of steps of 2 and 3 ms: the mean is right.
     usual = float(ordinary.mean())
     limit = max(GAP_STEPS * usual, GAP_S)
     wide = np.flatnonzero(steps > limit)

@@ -1,16 +1,24 @@
-"""A TOML that says which columns of someone's CSV are what, such as those of an SDK's logger."""
+"""CSV and Parquet tables of a robot's log, and which of their columns are what.
+
+Terraphi's own names: ``time_s`` [s]; for each foot FR, FL, RR, RL and joint hip, thigh, calf
+``FR_hip_angle_rad`` [rad] and ``FR_hip_torque_Nm`` [N m]; optionally, a group whole or not at all,
+``FR_hip_velocity_rad_s`` [rad/s], ``quaternion_w`` to ``_z``, ``angular_velocity_x_rad_s`` to
+``_z_`` [rad/s], ``acceleration_x_m_s2`` to ``_z_`` [m/s²] and ``FR_foot_counts``; in any order. A
+TOML (:class:`Columns`) names the columns of other tables, such as those of an SDK's logger.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import pi, prod
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from terraphi.experiment.documents import Strict, parse_toml
-from terraphi.experiment.errors import InputError, nearest
-from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS
-from terraphi.robot.logs.collect import REQUIRED, SHAPES
+import numpy as np
+
+from terraphi.experiment.documents import Strict
+from terraphi.experiment.errors import InputError, nearest, needing
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, SHAPES
 
 Names = str | tuple[str, ...]
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -18,7 +26,7 @@ _RADIANS = {"rad": 1.0, "deg": pi / 180.0}
 
 
 class Columns(Strict):
-    """Names of a CSV's columns, and their units.
+    """Names of a table's columns, and their units.
 
     A name with ``{motor}`` stands for the twelve motors, numbered from 0 in the robot's order, one
     with ``{foot}`` and ``{joint}`` for FR, FL, RR, RL and hip, thigh, calf. An array has one name
@@ -46,86 +54,106 @@ class Columns(Strict):
     foot_counts: Names | None = None
     """Columns of the foot sensors."""
 
-    @property
-    def scales(self) -> dict[str, float]:
-        """What each group is multiplied by; time's is ``time``."""
-        angle = _RADIANS[self.angle_unit]
-        return {"time": _SECONDS[self.time_unit], "angle": angle, "velocity": angle}
-
-    def groups(self, motors: Sequence[str], source: Path) -> dict[str, list[str]]:
-        """Columns of each group that is there, in the order of a JointLog; joints that exist.
-
-        Parameters
-        ----------
-        motors
-            Which joint each motor moves, as ``FR_hip``.
-        source
-            The CSV, for messages.
-
-        Raises
-        ------
-        InputError
-            If a group has the wrong number of names.
-        """
-        found = {}
-        for group, shape in SHAPES.items():
-            names = getattr(self, group)
-            if names is None:
-                continue
-            listed = [names] if isinstance(names, str) else list(names)
-            count = len(motors) if shape == SHAPES["angle"] else prod(shape)
-            if isinstance(names, str):
-                filled = [_filled(names, name, motors) for name in JOINT_NAMES if name in motors]
-                listed = list(dict.fromkeys(filled))
-            if len(listed) != count:
-                raise InputError(
-                    f"{source}: columns give '{group}' {len(listed)} different names; "
-                    f"{count} are expected, by an array or by {{motor}}, {{foot}} and {{joint}}"
-                )
-            found[group] = listed
-        return found
+    def group(self, group: str, motors: Sequence[str]) -> list[str]:
+        """Columns of a group in the order of a JointLog; none if the group is not there."""
+        names = getattr(self, group) or ()
+        if not isinstance(names, str):
+            return list(names)
+        filled = []
+        for name in (joint for joint in JOINT_NAMES if joint in motors):
+            foot, joint = name.split("_")
+            numbers = {"motor": list(motors).index(name), "foot": foot, "joint": joint}
+            numbers |= {"foot_number": FEET.index(foot), "joint_number": JOINTS.index(joint)}
+            text = names
+            for key, value in numbers.items():
+                text = text.replace("{" + key + "}", str(value))
+            filled.append(text)
+        return list(dict.fromkeys(filled))
 
 
-def _filled(pattern: str, name: str, motors: Sequence[str]) -> str:
-    foot, joint = name.split("_")
-    for key, value in (
-        ("motor", str(list(motors).index(name))),
-        ("foot", foot),
-        ("joint", joint),
-        ("foot_number", str(FEET.index(foot))),
-        ("joint_number", str(JOINTS.index(joint))),
-    ):
-        pattern = pattern.replace("{" + key + "}", value)
-    return pattern
+OWN = Columns(
+    time="time_s",
+    angle="{foot}_{joint}_angle_rad",
+    torque="{foot}_{joint}_torque_Nm",
+    velocity="{foot}_{joint}_velocity_rad_s",
+    quaternion=tuple(f"quaternion_{part}" for part in "wxyz"),
+    angular_velocity=tuple(f"angular_velocity_{axis}_rad_s" for axis in "xyz"),
+    acceleration=tuple(f"acceleration_{axis}_m_s2" for axis in "xyz"),
+    foot_counts="{foot}_foot_counts",
+)
+"""Terraphi's own names."""
 
 
-def read_columns(path: Path | str) -> Columns:
-    """Read a map of columns; raises InputError that names file and key if it cannot be used."""
-    return parse_toml(Path(path), Columns)
+def read_table(path: Path, columns: Columns | None, motors: Sequence[str]) -> dict[str, Any]:
+    """Read a CSV, or a Parquet file by its suffix.
 
+    Parameters
+    ----------
+    path
+        The file.
+    columns
+        Which of its columns are what; ``None`` for :data:`OWN`.
+    motors
+        Which joint each motor moves; of joints that no motor moves, all is zero.
 
-def places(
-    columns: Columns, header: list[str], motors: Sequence[str], source: Path
-) -> dict[str, list[int]]:
-    """Where the columns of each group stand in a header, the time as ``time``.
-
-    A joint that the robot does not have stands at −1.
+    Returns
+    -------
+    dict
+        Columns of a JointLog, and ``stamp`` [s].
 
     Raises
     ------
     InputError
-        If one is not there, or stands twice.
+        If a column is missing.
     """
-    wanted = {"time": [columns.time], **columns.groups(motors, source)}
-    assert wanted.keys() >= {*REQUIRED}
-    for names in wanted.values():
+    table = _table(path)
+    header = [str(name).strip().strip('"') for name in table.columns]
+    table.columns = header
+    named = columns or OWN
+    wanted = {"time": [named.time]}
+    wanted |= {group: names for group in SHAPES if (names := named.group(group, motors))}
+    if columns is None:
+        wanted = {
+            group: names for group, names in wanted.items()
+            if group in {"time", "angle", "torque"} or set(names) & set(header)
+        }  # fmt: skip
+    found: dict[str, Any] = {}
+    for group, names in wanted.items():
+        shape = SHAPES.get(group, ())
+        joints = shape == SHAPES["angle"]
+        count = len(motors) if joints else prod(shape)
+        if len(names) != count:
+            raise InputError(
+                f"{path}: columns give '{group}' {len(names)} different names; {count} are "
+                "expected, by an array or by {motor}, {foot} and {joint}"
+            )
         for name in names:
-            if header.count(name) != 1:
-                how = "stands twice" if name in header else f"is missing; {nearest(name, header)}"
-                raise InputError(f"{source}, line 1: column '{name[:60]}' {how}")
-    found = {group: [header.index(name) for name in names] for group, names in wanted.items()}
-    for group, at in found.items():
-        if SHAPES.get(group) == SHAPES["angle"]:
-            there = iter(at)
-            found[group] = [next(there) if name in motors else -1 for name in JOINT_NAMES]
+            if name not in header:
+                hint = nearest(name, header)[:200]
+                raise InputError(f"{path}: column '{name[:60]}' is missing; {hint}")
+        values = table[names].to_numpy(dtype=np.float64)
+        if joints and count < len(JOINT_NAMES):
+            whole = np.zeros((len(values), len(JOINT_NAMES)))
+            whole[:, [name in motors for name in JOINT_NAMES]] = values
+            values = whole
+        scale = {"time": _SECONDS[named.time_unit]}
+        scale |= dict.fromkeys(("angle", "velocity"), _RADIANS[named.angle_unit])
+        found[group] = scale.get(group, 1.0) * values.reshape(len(values), *shape)
+    found["stamp"] = found.pop("time")
     return found
+
+
+def _table(path: Path) -> Any:
+    """The table as numbers; cells that are none become NaN."""
+    import pandas as pd
+
+    try:
+        if path.suffix == ".parquet":
+            with needing(f"{path}: reading Parquet", "the package pyarrow", extra="parquet"):
+                return pd.read_parquet(path)
+        table = pd.read_csv(path, encoding="utf-8-sig", skipinitialspace=True, low_memory=False)
+    except (ValueError, UnicodeDecodeError) as error:  # pandas' own errors are ValueErrors
+        why = " ".join(str(error).split())
+        raise InputError(f"{path}: cannot be read as a table ({why}); copy it again") from error
+    numbers = table.select_dtypes(exclude="number").columns
+    return table.assign(**{n: pd.to_numeric(table[n], errors="coerce") for n in numbers})

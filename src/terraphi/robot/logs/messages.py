@@ -1,184 +1,236 @@
-"""The types of message that hold joint states, decoded by the package ``rosbags``.
+"""Messages of a robot's joint states and IMU, decoded by the package ``rosbags``.
 
-A log of 60 s at 500 Hz takes 2 s of one core to decode as ``unitree_go/msg/LowState``, and less
-than 1 s as ``sensor_msgs/msg/JointState``.
+``unitree_go/msg/LowState`` (Go2, B2) and ``unitree_legged_msgs/msg/LowState`` (A1, Go1) number
+their motors, of which the first twelve are the legs'. ``sensor_msgs/msg/JointState`` names its
+joints and may list them in any order; ``sensor_msgs/msg/Imu`` goes with it.
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
 from functools import cache
+from operator import attrgetter
 from typing import Any
 
-_IMU = """
-        float32[4] quaternion
-        float32[3] gyroscope
-        float32[3] accelerometer
-        float32[3] rpy
-        int8 temperature
-"""
-_MOTOR = """
-        uint8 mode
-        float32 q
-        float32 dq
-        float32 ddq
-        float32 tau_est
-        float32 q_raw
-        float32 dq_raw
-        float32 ddq_raw
-        int8 temperature"""
-UNITREE_GO = {
-    "LowState": """
-        uint8[2] head
-        uint8 level_flag
-        uint8 frame_reserve
-        uint32[2] sn
-        uint32[2] version
-        uint16 bandwidth
-        IMUState imu_state
-        MotorState[20] motor_state
-        BmsState bms_state
-        int16[4] foot_force
-        int16[4] foot_force_est
-        uint32 tick
-        uint8[40] wireless_remote
-        uint8 bit_flag
-        float32 adc_reel
-        int8 temperature_ntc1
-        int8 temperature_ntc2
-        float32 power_v
-        float32 power_a
-        uint16[4] fan_frequency
-        uint32 reserve
-        uint32 crc
-    """,
-    "IMUState": _IMU,
-    "MotorState": f"""{_MOTOR}
-        uint32 lost
-        uint32[2] reserve
-    """,
-    "BmsState": """
-        uint8 version_high
-        uint8 version_low
-        uint8 status
-        uint8 soc
-        int32 current
-        uint16 cycle
-        int8[2] bq_ntc
-        int8[2] mcu_ntc
-        uint16[15] cell_vol
-    """,
-}
-"""Message definitions of the package ``unitree_go``, which ``rosbags`` does not ship; from
-https://github.com/unitreerobotics/unitree_ros2 ."""
+import numpy as np
 
+from terraphi.experiment.documents import shipped_file
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
 
-UNITREE_LEGGED = {
-    "LowState": """
-        uint8[2] head
-        uint8 level_flag
-        uint8 frame_reserve
-        uint32[2] sn
-        uint32[2] version
-        uint16 band_width
-        IMU imu
-        MotorState[20] motor_state
-        BmsState bms
-        int16[4] foot_force
-        int16[4] foot_force_est
-        uint32 tick
-        uint8[40] wireless_remote
-        uint32 reserve
-        uint32 crc
-    """,
-    "IMU": _IMU,
-    "MotorState": f"""{_MOTOR}
-        uint32[2] reserve
-    """,
-    "BmsState": """
-        uint8 version_h
-        uint8 version_l
-        uint8 bms_status
-        uint8 soc
-        int32 current
-        uint16 cycle
-        int8[2] bq_ntc
-        int8[2] mcu_ntc
-        uint16[10] cell_vol
-    """,
-}
-"""Messages of the Go1 and the A1, where a bag does not bring its own definitions, which differ from
-one version of the package to the next; as in SDK 3.8 of
-https://github.com/unitreerobotics/unitree_legged_sdk ."""
-LEGGED = "unitree_legged_msgs"
+LOW_STATE = "unitree_go/msg/LowState"
+LEGGED_STATE = "unitree_legged_msgs/msg/LowState"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+IMU = "sensor_msgs/msg/Imu"
+MOTORS = len(JOINT_NAMES)
+URDF_NAMES = tuple(f"{name}_joint" for name in JOINT_NAMES)
+"""Names of the joints in Unitree's robot descriptions, in the order of a JointLog."""
+MALFORMED = "not a message of its type"
+OTHERS = "joints of something else"
 
 
 @cache
 def typestore() -> Any:
-    """Message types of ROS 2 Humble and of Unitree's packages for the package ``rosbags``.
-
-    Returns
-    -------
-    rosbags.typesys.store.Typestore
-
-    Raises
-    ------
-    ImportError
-        If the package is not installed.
-    """
+    """Message types of ROS 2 Humble, and those of Unitree, which ``rosbags`` does not ship."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    for package, messages in (("unitree_go", UNITREE_GO), (LEGGED, UNITREE_LEGGED)):
-        for name, text in messages.items():
-            store.register(get_types_from_msg(text, f"{package}/msg/{name}"))
+    for kind in (LOW_STATE, LEGGED_STATE):
+        text = shipped_file("robots", kind.partition("/")[0], ".msg").read_text(encoding="utf-8")
+        store.register(get_types_from_msg(text, kind))
     return store
 
 
-def typestore_of(kind: str, definition: str) -> Any:
-    """Message types as a bag defines them for a topic.
-
-    Parameters
-    ----------
-    kind
-        Type of the topic's messages.
-    definition
-        Its definition and those of its parts, as MCAP and rosbag2 keep them.
-
-    Returns
-    -------
-    rosbags.typesys.store.Typestore or None
-        ``None`` if the definition cannot be read.
-    """
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.EMPTY)
+def decoded(raw: bytes, kind: str, store: Any, dropped: Counter[str]) -> Any | None:
+    """A message; ``None``, and counted, if the bytes are no message of that type."""
     try:
-        store.register(get_types_from_msg(definition, kind))
-    except Exception:  # the parser raises errors of its own
-        return None
-    return store
-
-
-def decoded(message: bytes, kind: str, store: Any = None) -> Any | None:
-    """Decode a serialised message.
-
-    Parameters
-    ----------
-    message
-        In CDR, the wire format of ROS 2, either byte order.
-    kind
-        Its type, such as ``sensor_msgs/msg/JointState``.
-    store
-        Of types; by default :func:`typestore`.
-
-    Returns
-    -------
-    object or None
-        With the fields of the message as attributes; None if the bytes are no message of that type.
-    """
-    try:
-        return (store or typestore()).deserialize_cdr(message, kind)
-    except ImportError:
-        raise
+        return store.deserialize_cdr(raw, kind)
     except Exception:  # damaged bytes raise struct.error, ValueError, SerdeError and more
+        dropped[MALFORMED] += 1
         return None
+
+
+Raw = Iterable[tuple[int, bytes]]
+"""When messages were recorded [ns], and messages in the wire format of ROS 2."""
+
+
+def low_states(
+    messages: Raw, motors: Sequence[str], dropped: Counter[str], kind: str, store: Any
+) -> dict[str, Any]:
+    """Columns of a JointLog from LowState messages, ``stamp`` (the tick) and ``recorded`` [ns].
+
+    ``motors`` are the joints that the first twelve motors move.
+    """
+    whole = joint = None
+    stamps: list[tuple[int, int]] = []
+    rows = []
+    for recorded, raw in messages:
+        state = decoded(raw, kind, store, dropped)
+        if state is None:
+            continue
+        whole = whole or _getter(
+            state, ("tick",), ("motorstate",), ("imustate", "imu"), ("footforce",)
+        )
+        tick, states, imu, counts = whole(state)
+        joint = joint or _getter(states[0], ("q",), ("dq",), ("tauest",))
+        stamps.append((tick, recorded))
+        numbers = [number for motor in states[:MOTORS] for number in joint(motor)]
+        numbers += [*imu.quaternion, *imu.gyroscope, *imu.accelerometer, *counts]
+        rows.append(np.array(numbers, dtype=np.float32))
+    table = np.array(rows, dtype=np.float64).reshape(-1, 3 * MOTORS + 14)
+    order = [list(motors).index(name) for name in JOINT_NAMES]
+    legs = table[:, : 3 * MOTORS].reshape(-1, MOTORS, 3)[:, order].reshape(-1, 4, 3, 3)
+    joints = {"angle": legs[..., 0], "velocity": legs[..., 1], "torque": legs[..., 2]}
+    names = ("quaternion", "angular_velocity", "acceleration", "foot_counts")
+    body = np.split(table[:, 3 * MOTORS :], [4, 7, 10], axis=1)
+    return {**joints, **dict(zip(names, body, strict=True)), **_times(stamps)}
+
+
+def _times(stamps: list[tuple[int, int]]) -> dict[str, Any]:
+    stamp, recorded = np.array(stamps, dtype=np.int64).reshape(-1, 2).T
+    return {"stamp": stamp, "recorded": recorded}
+
+
+def _stamp(message: Any) -> int:
+    """Header stamp [ns]."""
+    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
+
+
+def _getter(message: Any, *wanted: tuple[str, ...]) -> attrgetter[Any]:
+    """Gets fields of such messages, however their names are written."""
+    plain = {field.name.replace("_", "").lower(): field.name for field in fields(message)}
+    return attrgetter(*(next(plain[n] for n in names if n in plain) for names in wanted))
+
+
+_FIELDS = {"angle": "position", "velocity": "velocity", "torque": "effort"}
+
+
+def joint_states(
+    messages: Raw,
+    joint_names: Sequence[str] | None,
+    joints: Sequence[str],
+    dropped: Counter[str],
+    notes: list[str],
+) -> dict[str, Any]:
+    """Columns of a JointLog from JointState messages, ``stamp`` (header) and ``recorded`` [ns].
+
+    ``joint_names`` and ``joints`` as in :func:`joint_order`. Messages without the joints, or with
+    other columns than the first ones, are left out.
+
+    Raises
+    ------
+    InputError
+        If no message has the legs' joints and their efforts.
+    """
+    orders: dict[tuple[str, ...], list[int] | None] = {}
+    columns: tuple[str, ...] = ()
+    stamps: list[tuple[int, int]] = []
+    refusal, rows, ignored = "", [], set()
+    for recorded, raw in messages:
+        message = decoded(raw, JOINT_STATE, typestore(), dropped)
+        if message is None:
+            continue
+        names = tuple(message.name)
+        if names not in orders:
+            try:
+                own = orders[names] = joint_order(names, joint_names, joints)
+                ignored |= {name for i, name in enumerate(names) if i not in own}
+            except InputError as error:
+                orders[names], refusal = None, refusal or str(error)
+        order = orders[names]
+        present = tuple(c for c, f in _FIELDS.items() if len(getattr(message, f)) == len(names))
+        if order is not None and "torque" not in present:
+            refusal = refusal or "the joint states carry no efforts, and forces need torques"
+        sound = order is not None and {"angle", "torque"} <= {*present}
+        columns = columns or (present if sound else ())
+        if not sound or present != columns:
+            dropped[OTHERS] += 1
+            continue
+        stamps.append((_stamp(message), recorded))
+        # Joints that are not there have the last place, which is zero.
+        rows.append([np.append(getattr(message, _FIELDS[c]), 0.0)[order] for c in present])
+    if refusal and not rows:
+        raise InputError(refusal)
+    if ignored:
+        more = f" and {len(ignored) - 6} more" if len(ignored) > 6 else ""
+        notes.append(f"joints of no leg, ignored: {', '.join(sorted(ignored)[:6])}{more}")
+    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(columns), 4, 3)
+    return {**{name: table[:, k] for k, name in enumerate(columns)}, **_times(stamps)}
+
+
+def imu_readings(messages: Raw) -> dict[str, Any]:
+    """Columns of a JointLog from Imu messages, ``stamp`` (header) and ``recorded`` [ns].
+
+    Its axes are taken to be the body's. What it does not measure, by a covariance of −1, is not a
+    number.
+    """
+    stamps: list[tuple[int, int]] = []
+    rows = []
+    for recorded, raw in messages:
+        message = decoded(raw, IMU, typestore(), Counter())
+        if message is None:
+            continue
+        q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
+        parts = (
+            ([q.w, q.x, q.y, q.z], message.orientation_covariance),
+            ([w.x, w.y, w.z], message.angular_velocity_covariance),
+            ([a.x, a.y, a.z], message.linear_acceleration_covariance),
+        )
+        stamps.append((_stamp(message), recorded))
+        rows.append([v if of[0] != -1.0 else np.nan for part, of in parts for v in part])
+    table = np.array(rows, dtype=np.float64).reshape(-1, 10)
+    names = ("quaternion", "angular_velocity", "acceleration")
+    return {**dict(zip(names, np.split(table, [4, 7], axis=1), strict=True)), **_times(stamps)}
+
+
+def joint_order(
+    names: Sequence[str], wanted: Sequence[str] | None, joints: Sequence[str]
+) -> list[int]:
+    """Indices of the twelve joints in a message's list of names; −1 where there is none.
+
+    Parameters
+    ----------
+    names
+        Names in the message.
+    wanted
+        Names of the legs' joints, FR, FL, RR, RL × hip, thigh, calf; ``None`` goes by patterns.
+    joints
+        Those that the robot has, as ``FR_hip``.
+
+    Raises
+    ------
+    InputError
+        If a joint is missing, stands twice or is not known; the message does not name the file.
+    """
+    if wanted is not None:
+        for name in wanted:
+            if name not in names:
+                raise InputError(f"no joint '{name}' in the messages; {nearest(name, names)}")
+            if list(wanted).count(name) > 1:
+                raise InputError(f"joint '{name}' stands twice among the joint names")
+        given = iter(wanted)
+        return [list(names).index(next(given)) if j in joints else -1 for j in JOINT_NAMES]
+    found: dict[str, int] = {}
+    hint = "say which twelve are meant (--joint-names; in Python joint_names)"
+    for i, name in enumerate(names):
+        place = joint_place(name)
+        if place is None:
+            continue
+        joint = f"{FEET[place[0]]}_{JOINTS[place[1]]}"
+        if joint in found:
+            raise InputError(
+                f"joints '{names[found[joint]][:60]}' and '{name[:60]}' both look like the "
+                f"{joint.replace('_', ' ')}; {hint}"
+            )
+        found[joint] = i
+    for joint in joints:
+        if joint not in found:
+            unknown = [name for name in names if joint_place(name) is None]
+            strange = f", and '{unknown[0][:60]}' is not known" if unknown else ""
+            raise InputError(
+                f"{len(names)} joints, and none for the {joint.replace('_', ' ')}{strange}; "
+                f"expected twelve named like {URDF_NAMES[0]}, or {hint}"
+            )
+    return [found[joint] if joint in joints else -1 for joint in JOINT_NAMES]

@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
-from functools import partial
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.documents import parse_toml
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file
 from terraphi.robot.joint_log import JOINT_NAMES, JointLog
-from terraphi.robot.logs import imu, jointstate, lowstate
-from terraphi.robot.logs import tables as npz_file
-from terraphi.robot.logs.bags import MAGIC as MCAP_MAGIC
-from terraphi.robot.logs.bags import SQLITE_MAGIC, McapFile, Storage, Topic, open_bag, open_database
-from terraphi.robot.logs.collect import Block, Collector, Messages, Precision
-from terraphi.robot.logs.columns import Columns, read_columns
-from terraphi.robot.logs.messages import typestore, typestore_of
-from terraphi.robot.logs.tables import read_csv, read_npz
+from terraphi.robot.logs import messages as msg
+from terraphi.robot.logs.columns import Columns, read_table
+from terraphi.robot.logs.samples import joint_log
 
-ROS1_MAGIC = b"#ROSBAG V"
-FORMATS = "CSV, npz, MCAP or the folder of a rosbag2"
-
-_LOW_STATES = ("unitree_go/LowState", "unitree_legged_msgs/LowState")
-_JOINT_STATE, _IMU = "sensor_msgs/JointState", "sensor_msgs/Imu"
+FORMATS = "CSV, Parquet, MCAP or the folder of a rosbag2"
+LONGEST_GAP = 0.1
+"""Joint states further than this from the nearest message of the IMU [s] are left out."""
 
 
 def read_log(
@@ -35,7 +29,6 @@ def read_log(
     topic: str | None = None,
     joint_names: Sequence[str] | None = None,
     motors: Sequence[str] = JOINT_NAMES,
-    precision: Precision = "double",
     columns: Columns | Path | str | None = None,
 ) -> JointLog:
     """Read the log of a walking robot.
@@ -43,9 +36,8 @@ def read_log(
     Parameters
     ----------
     path
-        A CSV (:mod:`~terraphi.robot.logs.tables` has its columns), an npz
-        (:mod:`~terraphi.robot.logs.tables` has its arrays), an MCAP file, the folder of a rosbag2
-        or one of its files. The content decides, not the name.
+        A CSV or Parquet table (:mod:`~terraphi.robot.logs.columns` has its columns), an MCAP file,
+        or the folder of a rosbag2.
     topic
         Topic of a bag to read; by default the one with ``unitree_go/msg/LowState`` or
         ``unitree_legged_msgs/msg/LowState`` messages, or else ``sensor_msgs/msg/JointState``, with
@@ -57,10 +49,8 @@ def read_log(
         Which joint each of the first twelve motors of a LowState moves, as ``FR_hip``: a robot's
         :attr:`~terraphi.robot.model.Quadruped.joint_order`. Joints that it lacks are sought in no
         log, and zero in it.
-    precision
-        Of everything but time: ``single`` is what LowState messages hold, and halves the memory.
     columns
-        Which columns of a CSV are what, or a TOML that says so
+        Which columns of a table are what, or a TOML that says so
         (:class:`~terraphi.robot.logs.columns.Columns`).
 
     Returns
@@ -77,7 +67,7 @@ def read_log(
         a package is missing.
     """
     path = Path(path)
-    named = columns if isinstance(columns, Columns | None) else read_columns(columns)
+    named = columns if isinstance(columns, Columns | None) else parse_toml(Path(columns), Columns)
     if joint_names is not None and len(joint_names) != len(motors):
         raise InputError(
             f"{len(joint_names)} joint names given; {len(motors)} are expected, in the order "
@@ -85,157 +75,169 @@ def read_log(
         )
     if path.name == "metadata.yaml":
         path = path.parent
+    bag = path.is_dir() or path.suffix in {".mcap", ".db3"}
+    if not path.is_dir():
+        check_is_file(path, FORMATS)
+    useless = {"columns": named} if bag else {"topic": topic, "joint names": joint_names}
+    for name, value in useless.items():
+        if value is not None:
+            raise InputError(f"{path}: has no use for {name}; leave the {name} out")
     try:
-        with ExitStack() as stack:
-            kind, source = _sniff(path, stack)
-            if named is not None and kind != "csv":
-                raise InputError(f"{path}: {kind} names its columns itself; leave the columns out")
-            if isinstance(source, list):
-                return _read_bag(path, kind, source, topic, joint_names, motors, precision)
-            if topic is not None:
-                raise InputError(f"{path}: a {kind} file has no topics; leave '{topic}' out")
-            if joint_names is not None:
-                raise InputError(
-                    f"{path}: {kind} names its joints itself; leave the joint names out"
-                )
-            collector = Collector(path, "time_s" if kind == "csv" else "time", precision)
-            for block in read_csv(path, named, motors) if kind == "csv" else source(path):
-                collector.add(block)
-            collector.facts |= {"format": kind, "topic": None}
-            return collector.finish()
+        if bag:
+            return _read_bag(path, topic, joint_names, motors)
+        values = read_table(path, named, motors)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-
-
-def _sniff(
-    path: Path, stack: ExitStack
-) -> tuple[str, list[Storage] | Callable[[Path], Iterator[Block]]]:
-    """Recognise the format by the content; its name, and what reads it."""
-    if path.is_dir():
-        storages = open_bag(path, stack)
-        inner = "mcap" if isinstance(storages[0], McapFile) else "sqlite3"
-        return f"rosbag2 ({inner})", storages
-    check_is_file(path, FORMATS)
-    with path.open("rb") as stream:
-        magic = stream.read(64)
-    if not magic:
-        raise InputError(f"{path}: the file is empty; record or copy it again")
-    if magic.startswith(MCAP_MAGIC):
-        return "mcap", [McapFile(path)]
-    if magic.startswith(SQLITE_MAGIC):
-        return "rosbag2 (sqlite3)", [open_database(path, stack)]
-    if magic.startswith(npz_file.MAGIC):
-        return "npz", read_npz
-    if magic.startswith(ROS1_MAGIC):
-        raise InputError(
-            f"{path}: a bag of ROS 1; convert it with rosbags-convert (pip install rosbags)"
-        )
-    if b"\0" in magic or path.suffix in {".mcap", ".db3", ".npz"}:
-        raise InputError(f"{path}: not a log, or damaged at its start; expected {FORMATS}")
-    return "csv", read_csv
+    kind = "parquet" if path.suffix == ".parquet" else "csv"
+    facts: dict[str, Any] = {"notes": [], "format": kind, "topic": None}
+    return joint_log(path, values, "time_s", Counter(), facts)
 
 
 def _read_bag(
+    path: Path, topic: str | None, joint_names: Sequence[str] | None, motors: Sequence[str]
+) -> JointLog:
+    with needing(f"{path}: reading bags", "the package rosbags", extra="robot"):
+        from rosbags.rosbag2 import Reader
+    reader = None
+    try:
+        reader = Reader(path)
+        reader.open()
+        return _from_bag(path, reader, topic, joint_names, motors)
+    except (InputError, OSError, MemoryError):
+        raise
+    except Exception as error:  # damage raises errors of rosbags, of databases, of decompressors
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: not a whole bag ({why}); copy or record it again") from error
+    finally:
+        if reader is not None and reader.is_open:
+            reader.close()
+
+
+def _from_bag(
     path: Path,
-    kind: str,
-    storages: list[Storage],
+    bag: Any,
     topic: str | None,
     joint_names: Sequence[str] | None,
     motors: Sequence[str],
-    precision: Precision,
 ) -> JointLog:
-    present = [(storage, storage.topics()) for storage in storages]
-    if not any(topics for _, topics in present) and any(s.notes for s in storages):
-        raise InputError(f"{path}: cut off or damaged before its first message; copy it again")
-    chosen = _choose(path, [t for _, topics in present for t in topics], topic)
-    low = chosen.plain_type in _LOW_STATES
-    with needing(f"{path}: reading bags", "the package rosbags", extra="robot"):
-        typestore()
-    if low and joint_names is not None:
-        raise InputError(
-            f"{path}, topic '{chosen.name}': {lowstate.TYPE} numbers its motors and has no names; "
-            "leave the joint names out"
-        )
-    if low and len(motors) != lowstate.MOTORS:
-        raise InputError(
-            f"{path}, topic '{chosen.name}': a LowState is of a robot with {lowstate.MOTORS} "
-            f"joints, and this one has {len(motors)}"
-        )
-    decoder = jointstate.JointStateDecoder(joint_names, motors)
-    decode: Callable[[list[bytes], NDArray[np.int64]], Block] = decoder.decode
-    if low:
-        legged = chosen.plain_type != _LOW_STATES[0]
-        kind_of = lowstate.LEGGED_TYPE if legged else lowstate.TYPE
-        store = typestore_of(kind_of, chosen.definition) if legged and chosen.definition else None
-        decode = partial(lowstate.decode, motors=motors, kind=kind_of, store=store)
-    collector = Collector(path, "tick" if low else "header stamp", precision)
-    for batch in _batches(present, chosen):
-        collector.add(decode(*batch))
-    for storage, _ in present:
-        collector.facts["notes"] += storage.notes
-    every = {t.name for _, topics in present for t in topics if _supported(t)}
-    others = sorted(every - {chosen.name})
+    chosen = _choose(path, bag.connections, topic)
+    kind, place = _plain(chosen.msgtype), f"{path}, topic '{chosen.topic}'"
+    dropped: Counter[str] = Counter()
+    facts: dict[str, Any] = {"notes": [], "format": "rosbag2" if path.is_dir() else "mcap"}
+    facts |= {"topic": chosen.topic, "message": chosen.msgtype}
+    raw = _messages(bag, chosen.topic)
+    others = {c.topic for c in bag.connections if _plain(c.msgtype) in _KINDS} - {chosen.topic}
     if others:
-        collector.facts["notes"].append(f"also there, not read: {', '.join(others)}")
-    if decoder.ignored:
-        names = sorted(decoder.ignored)
-        more = f" and {len(names) - 6} more" if len(names) > 6 else ""
-        collector.facts["notes"].append(f"joints of no leg, ignored: {', '.join(names[:6])}{more}")
-    collector.facts |= {"format": kind, "topic": chosen.name, "message": chosen.type}
-    if decoder.refusal and set(collector.dropped) == {jointstate.OTHERS} and collector.empty:
-        raise InputError(f"{path}, topic '{chosen.name}': {decoder.refusal}")
-    log = collector.finish()
-    return log if low else _with_imu(log, present)
+        facts["notes"].append(f"also there, not read: {', '.join(sorted(others))}")
+    if kind == msg.JOINT_STATE:
+        try:
+            values = msg.joint_states(raw, joint_names, motors, dropped, facts["notes"])
+        except InputError as error:
+            raise InputError(f"{place}: {error}") from error
+        log = joint_log(path, values, "header stamp", dropped, facts)
+        imus = sorted({c.topic for c in bag.connections if _plain(c.msgtype) == msg.IMU}, key=len)
+        return _with_imu(log, msg.imu_readings(_messages(bag, imus[0])), imus) if imus else log
+    if joint_names is not None:
+        raise InputError(
+            f"{place}: {kind} numbers its motors and has no names; leave the joint names out"
+        )
+    if len(motors) != msg.MOTORS:
+        raise InputError(
+            f"{place}: a LowState is of a robot with {msg.MOTORS} joints, and this one has "
+            f"{len(motors)}"
+        )
+    store = msg.typestore()
+    if kind == msg.LEGGED_STATE and chosen.msgdef.data:  # of the version that was recorded
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        store = get_typestore(Stores.EMPTY)
+        store.register(get_types_from_msg(chosen.msgdef.data, kind))
+    return joint_log(
+        path, msg.low_states(raw, motors, dropped, kind, store), "tick", dropped, facts
+    )
 
 
-def _with_imu(log: JointLog, present: list[tuple[Storage, list[Topic]]]) -> JointLog:
-    """Joint states with the readings of an IMU in the same bag, if there is one."""
-    imus = {t.name: t for _, topics in present for t in topics if t.plain_type == _IMU}
-    if not imus:
-        return log
-    best = imus[min(imus, key=lambda name: (len(name), name))]
-    read = [imu.decode(*batch) for batch in _batches(present, best)]
-    return imu.merged(log, read, best.name, sorted(imus.keys() - {best.name}))
+_KINDS = (msg.LOW_STATE, msg.LEGGED_STATE, msg.JOINT_STATE)
 
 
-def _batches(present: list[tuple[Storage, list[Topic]]], chosen: Topic) -> Iterator[Messages]:
-    """Messages of a topic in all files of a bag."""
-    for storage, topics in present:
-        wanted = [t for t in topics if (t.name, t.type) == (chosen.name, chosen.type)]
-        if wanted:
-            yield from storage.batches(wanted)
+def _plain(kind: str) -> str:
+    """Type of a message as ROS 2 names it; ``pkg::msg::dds_::Name_`` on the robot's own bus."""
+    parts = [part for part in kind.replace("::", "/").split("/") if part]
+    return f"{parts[0]}/msg/{parts[-1].rstrip('_')}"
 
 
-def _supported(topic: Topic) -> bool:
-    return topic.plain_type in {*_LOW_STATES, _JOINT_STATE} and topic.encoding == "cdr"
+def _messages(bag: Any, topic: str) -> msg.Raw:
+    found = bag.messages([c for c in bag.connections if c.topic == topic])
+    return ((recorded, raw) for _, recorded, raw in found)
 
 
-def _choose(path: Path, topics: list[Topic], wanted: str | None) -> Topic:
+def _choose(path: Path, connections: Sequence[Any], wanted: str | None) -> Any:
     """Choose the topic to read."""
-    listed = ", ".join(sorted({f"'{t.name}' ({t.type})" for t in topics})[:12]) or "none"
-    expected = f"expected {lowstate.TYPE}, {lowstate.LEGGED_TYPE} or {jointstate.TYPE}"
+    listed = ", ".join(sorted({f"'{c.topic}' ({c.msgtype})" for c in connections})[:12]) or "none"
+    expected = f"expected {', '.join(_KINDS)}"
     if wanted is not None:
-        named = [t for t in topics if t.name.strip("/") == wanted.strip("/")]
+        named = [c for c in connections if c.topic.strip("/") == wanted.strip("/")]
         if not named:
-            hint = nearest(wanted, {t.name for t in topics})
+            hint = nearest(wanted, {c.topic for c in connections})
             hint = f"; {hint}" if hint.startswith("did") else ""
             raise InputError(f"{path}: no topic '{wanted}'; present: {listed}{hint}")
-        if not _supported(named[0]):
+        if _plain(named[0].msgtype) not in _KINDS:
             raise InputError(
-                f"{path}: topic '{wanted}' has {named[0].type} messages ({named[0].encoding}); "
-                f"{expected} in cdr"
+                f"{path}: topic '{wanted}' has {named[0].msgtype} messages; {expected}"
             )
         return named[0]
-    supported = [t for t in topics if _supported(t)]
+    supported = [c for c in connections if _plain(c.msgtype) in _KINDS]
     if not supported:
         raise InputError(f"{path}: no topic with joint states; {expected}; present: {listed}")
     # Robots repeat their state on lf/lowstate at a low frequency.
     return min(
         supported,
-        key=lambda t: (
-            t.plain_type not in _LOW_STATES,
-            "lf" in t.name.split("/"),
-            len(t.name),
-            t.name,
+        key=lambda c: (
+            _plain(c.msgtype) == msg.JOINT_STATE,
+            "lf" in c.topic.split("/"),
+            len(c.topic),
+            c.topic,
         ),
     )
+
+
+def _with_imu(log: JointLog, imu: dict[str, Any], topics: Sequence[str]) -> JointLog:
+    """Joint states with the readings of an IMU, linearly between its messages.
+
+    Samples that no message is near to are left out. The log stays as it was, with a note, if that
+    leaves less than half of it.
+    """
+    name, notes = topics[0], [*log.report["notes"]]
+    stamp = imu["recorded" if log.report["clock"] == "recording time" else "stamp"]
+    time, order = np.unique((stamp - log.report["start_ns"]) / 1e9, return_index=True)
+    groups = {n: imu[n][order] for n in ("quaternion", "angular_velocity", "acceleration")}
+    # What it does not measure is never a number.
+    groups = {n: c for n, c in groups.items() if 2 * np.isfinite(c).all(axis=1).sum() > len(c)}
+    whole = np.all([np.isfinite(c).all(axis=1) & c.any() for c in groups.values()] or [time < 0], 0)
+    time, groups = time[whole], {n: c[whole] for n, c in groups.items()}
+    if not whole.all():
+        notes.append(f"{(~whole).sum()} messages on {name} that are not all numbers left out")
+    after = np.clip(np.searchsorted(time, log.time), 1, max(len(time) - 1, 1))
+    near = np.zeros(len(log.time), dtype=bool)
+    if len(time) > 1:
+        off = [np.abs(log.time - time[after - k]) for k in (0, 1)]
+        near = np.minimum(*off) <= LONGEST_GAP
+    if 2 * near.sum() < len(near):
+        why = "its stamps do not overlap with those of the joints" if len(time) else "no messages"
+        notes.append(f"{name} not used: {why}")
+        return replace(log, report={**log.report, "notes": notes})
+    if len(topics) > 1:
+        notes.append(f"attitude from {name}; also there, not read: {', '.join(topics[1:])}")
+    if not near.all():
+        notes.append(f"{(~near).sum()} joint states without a message on {name} left out")
+    if "quaternion" in groups:  # q and −q are the same attitude
+        own = groups["quaternion"]
+        sense = np.where(np.sum(own[1:] * own[:-1], axis=1) < 0.0, -1.0, 1.0)
+        groups["quaternion"] = own * np.cumprod(np.concatenate([[1.0], sense]))[:, None]
+    at = log.time[near]
+    found = {n: np.stack([np.interp(at, time, c) for c in g.T], axis=1) for n, g in groups.items()}
+    if "quaternion" in found:
+        found["quaternion"] /= np.linalg.norm(found["quaternion"], axis=1, keepdims=True)
+    joints = {n: getattr(log, n)[near] for n in ("time", "angle", "velocity", "torque")}
+    report = {**log.report, "notes": notes, "imu_topic": name, "samples": int(near.sum())}
+    return replace(log, **joints, **found, report=report)

@@ -1,0 +1,267 @@
+r"""Force of soil on a robot's foot: a ball or a flat disc, pressed in from a level surface.
+
+A law takes the foot (:class:`Foot`), the depth of its lowest point, the direction of its motion
+and the soil, and gives the force; :class:`FootLaw` is that interface. Two kinds of law rest on
+different evidence, so that their difference shows how much the choice matters:
+
+``rft``
+    Resistive force theory in three dimensions (Agarwal, Goldman & Kamrin, 2023; see
+    :mod:`~terraphi.forward.rft`), summed over the faces of the foot that lead and are submerged.
+``meyerhof``, ``vesic``, ``hansen``
+    Bearing capacity of a circular footing,
+
+.. math::
+    q_{ult} = q\,N_q s_q d_q + \tfrac12\,\gamma B\,N_\gamma s_\gamma d_\gamma,
+    \qquad N_q = e^{\pi\tan\varphi}\tan^2(45^\circ + \varphi/2),
+
+with q = γD the weight of the soil above the base. Textbooks tabulate three sets of factors:
+
+=========  =====================  ==================  ==============  =======================
+set        N_γ                    s_q                 s_γ             depth
+=========  =====================  ==================  ==============  =======================
+Meyerhof   (N_q − 1) tan 1.4φ     1 + 0.1 K_p B/L     as s_q          d = 1 + 0.1 √K_p D/B
+Hansen     1.5 (N_q − 1) tan φ    1 + sin φ B/L       1 − 0.4 B/L     d_q below, d_γ = 1
+Vesić      2 (N_q + 1) tan φ      1 + tan φ B/L       1 − 0.4 B/L     as Hansen
+=========  =====================  ==================  ==============  =======================
+
+d_q = 1 + 2 tan φ (1 − sin φ)² k, with k = D/B up to D = B and arctan(D/B) [rad] beyond;
+K_p = tan²(45° + φ/2). G. G. Meyerhof, *Can. Geotech. J.* 1 (1963) 16; J. B. Hansen, *Danish
+Geotech. Inst. Bull.* 28 (1970); A. S. Vesić, *J. Soil Mech. Found. Div.* 99 (1973) 45. Here B = L:
+the footings are circles.
+
+All are quasi-static, for dry soil without cohesion, and proportional to its weight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from terraphi.experiment.scenario import GRAVITY
+from terraphi.forward.rft import stress_per_depth_3d, stress_scale
+
+FloatArray = NDArray[np.float64]
+
+RINGS, SECTORS = 100, 24
+"""Faces of half a ball, whose other half is its mirror image: rings of equal area, and faces in
+each; the lift is right within 0.2 %."""
+DEPTHS = np.linspace(0.0, 2.0, 201)
+"""Depths over the radius that are tabulated [-]; beyond the last all faces are submerged."""
+DESCENTS = 61
+"""Directions of motion that are tabulated, from straight up to straight down."""
+
+
+@dataclass(frozen=True)
+class Foot:
+    """The part of a robot that touches the soil.
+
+    Attributes
+    ----------
+    radius
+        [m].
+    shape
+        ``ball``, or ``disc``: a flat plate that stays level and is thin.
+    """
+
+    radius: float
+    shape: Literal["ball", "disc"] = "ball"
+
+
+@dataclass(frozen=True)
+class FootLaw:
+    """A law for the force on a foot.
+
+    Attributes
+    ----------
+    name
+        Name of the law.
+    formula
+        What :meth:`force` returns, of the same arguments in their order.
+    """
+
+    name: str
+    formula: Callable[..., FloatArray]
+
+    def force(
+        self,
+        foot: Foot,
+        depth: ArrayLike,
+        descent: ArrayLike,
+        *,
+        friction_angle_deg: ArrayLike,
+        density: float,
+        surface_friction: float,
+    ) -> FloatArray:
+        """Force of the soil on a foot that moves.
+
+        Parameters
+        ----------
+        foot
+            What is pressed in.
+        depth
+            Of its lowest point below the surface [m]; above it there is no force.
+        descent
+            Angle of its velocity below the horizontal [rad]: π/2 is straight down.
+        friction_angle_deg
+            φ in the law's own meaning [deg].
+        density
+            Bulk density ρ [kg/m³].
+        surface_friction
+            Coulomb coefficient between foot and soil [-].
+
+        Returns
+        -------
+        ndarray
+            Along the horizontal part of the motion, and up [N]; shape [..., 2] over what the
+            arrays broadcast to.
+        """
+        return self.formula(foot, depth, descent, friction_angle_deg, density, surface_friction)
+
+
+def resistive_force(
+    foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike, density: float, mu: float
+) -> FloatArray:
+    r"""ξ(φ, ρ) R³ T(depth/R, descent, μ_s): the faces' forces by resistive force theory.
+
+    T is tabulated once for each μ_s and shape; between its nodes it is linear.
+    """
+    force, slope = _table(foot.shape, float(mu))
+    ratio, turn = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent)
+    inside = np.clip(ratio, 0.0, DEPTHS[-1])
+    low, part = _between(inside / DEPTHS[1], len(DEPTHS))
+    below, share = _between((turn / np.pi + 0.5) * (DESCENTS - 1), DESCENTS)
+
+    def at(row: NDArray[np.int64]) -> FloatArray:
+        value = force[row, low] + part * (force[row, low + 1] - force[row, low])
+        return np.asarray(value + (ratio - inside).clip(0.0)[..., None] * slope[row])
+
+    first = at(below)
+    unit = first + share * (at(below + 1) - first)
+    scale = stress_scale(phi_deg, density) * foot.radius**3
+    return np.asarray(scale[..., None] * unit)
+
+
+def bearing_capacity(
+    name: str,
+    foot: Foot,
+    depth: ArrayLike,
+    descent: ArrayLike,
+    phi_deg: ArrayLike,
+    density: float,
+    _mu: float,
+) -> FloatArray:
+    """Bearing capacity of a circular footing that stands for the foot, with one set of factors.
+
+    A ball of radius R with its lowest point at depth z touches the soil over a circle of radius
+    a = √(z(2R − z)), R once z > R. The footing is that circle, founded at the mean depth of the
+    ball's submerged lower face, volume over area. The load is taken as vertical and the base as
+    rough, so that μ_s and the direction of motion (as long as it is downward) play no part.
+    """
+    z = np.maximum(np.asarray(depth, dtype=np.float64), 0.0)
+    radius, base = np.full_like(z, foot.radius), z
+    if foot.shape == "ball":
+        cap = np.minimum(z, foot.radius)
+        radius = np.sqrt(cap * (2.0 * foot.radius - cap))
+        # Volume of the cap over its circle, π c² (3R − c) / 3 over π c (2R − c).
+        base = cap * (3.0 * foot.radius - cap) / (3.0 * (2.0 * foot.radius - cap)) + z - cap
+    breadth = 2.0 * np.maximum(radius, 1e-9)
+    deep, wide = bearing_factors(name, phi_deg, base / breadth)
+    pressure = density * GRAVITY * (base * deep + 0.5 * breadth * wide)
+    sinking = (np.asarray(descent) > 0.0) & (z > 0.0)
+    lift = np.where(sinking, pressure * math.pi * radius**2, 0.0)
+    return np.stack([np.zeros_like(lift), lift], axis=-1)
+
+
+LAWS: Mapping[str, FootLaw] = {
+    "rft": FootLaw("rft", resistive_force),
+    **{
+        name: FootLaw(name, partial(bearing_capacity, name))
+        for name in ("meyerhof", "vesic", "hansen")
+    },
+}
+"""Laws by name."""
+
+
+def bearing_factors(
+    name: str, friction_angle_deg: ArrayLike, ratio: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Bearing-capacity factors of a circle with shape and depth: N_q s_q d_q and N_γ s_γ d_γ [-].
+
+    Parameters
+    ----------
+    name
+        ``meyerhof``, ``vesic`` or ``hansen``.
+    friction_angle_deg
+        φ [deg], below 60.
+    ratio
+        Depth of the base over the diameter, D/B [-].
+    """
+    phi = np.radians(np.asarray(friction_angle_deg, dtype=np.float64))
+    ratio = np.asarray(ratio, dtype=np.float64)
+    passive = np.tan(0.25 * np.pi + 0.5 * phi) ** 2
+    n_q = np.exp(np.pi * np.tan(phi)) * passive
+    if name == "meyerhof":
+        both = (1.0 + 0.1 * passive) * (1.0 + 0.1 * np.sqrt(passive) * ratio)
+        return np.asarray(n_q * both), np.asarray((n_q - 1.0) * np.tan(1.4 * phi) * both)
+    k = np.where(ratio <= 1.0, ratio, np.arctan(ratio))
+    d_q = 1.0 + 2.0 * np.tan(phi) * (1.0 - np.sin(phi)) ** 2 * k
+    if name == "hansen":
+        s_q, n_gamma = 1.0 + np.sin(phi), 1.5 * (n_q - 1.0) * np.tan(phi)
+    else:
+        s_q, n_gamma = 1.0 + np.tan(phi), 2.0 * (n_q + 1.0) * np.tan(phi)
+    return np.asarray(n_q * s_q * d_q), np.asarray(0.6 * n_gamma * np.ones_like(ratio))
+
+
+def _faces(shape: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Faces of a foot of unit radius on one side of its motion, with the area of both sides.
+
+    Heights of their centres above the lowest point, shape [face]; outward normals, [face, 3];
+    areas, [face].
+    """
+    if shape == "disc":
+        return np.zeros(2), np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]), np.full(2, math.pi)
+    up = -1.0 + (2.0 * np.arange(RINGS) + 1.0) / RINGS  # rings of equal area
+    turn = np.pi * (np.arange(SECTORS) + 0.5) / SECTORS
+    up, turn = np.repeat(up, SECTORS), np.tile(turn, RINGS)
+    level = np.sqrt(1.0 - up**2)
+    normal = np.stack([level * np.cos(turn), level * np.sin(turn), up], axis=-1)
+    return 1.0 + up, normal, np.full(len(up), 4.0 * math.pi / (RINGS * SECTORS))
+
+
+@lru_cache(maxsize=64)
+def _table(shape: str, surface_friction: float) -> tuple[FloatArray, FloatArray]:
+    """Force over ξ R³ of a foot of unit radius, by descent and depth, and its slope beyond them.
+
+    Shapes [descent, depth, 2] and [descent, 2].
+    """
+    height, normal, area = _faces(shape)
+    levels, ring = np.unique(height, return_inverse=True)
+    force = np.empty((DESCENTS, len(DEPTHS), 2))
+    slope = np.empty((DESCENTS, 2))
+    submerged = np.maximum(DEPTHS[:, None] - levels, 0.0)  # of each ring's centre
+    for i, descent in enumerate(np.linspace(-0.5 * np.pi, 0.5 * np.pi, DESCENTS)):
+        direction = np.array([math.cos(descent), 0.0, -math.sin(descent)])
+        alpha = stress_per_depth_3d(
+            normal,
+            np.broadcast_to(direction, normal.shape),
+            friction_angle_deg=30.0,
+            density=1.0,
+            surface_friction=surface_friction,
+        )
+        pushed = alpha[:, (0, 2)] * area[:, None] / stress_scale(30.0, 1.0)
+        rings = np.stack([np.bincount(ring, pushed[:, k]) for k in range(2)], axis=-1)
+        force[i], slope[i] = submerged @ rings, rings.sum(axis=0)
+    return force, slope
+
+
+def _between(place: FloatArray, count: int) -> tuple[NDArray[np.int64], FloatArray]:
+    """Index of the node below a place on a grid of ``count`` nodes, and how far beyond it."""
+    place = np.clip(place, 0.0, count - 1.0)
+    low = np.minimum(place.astype(np.int64), count - 2)
+    return low, (place - low)[..., None]

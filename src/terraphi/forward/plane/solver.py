@@ -1,0 +1,82 @@
+"""What the driver needs of the solver in plane strain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terraphi.experiment.motion import bin_centres
+from terraphi.experiment.scenario import Scenario
+from terraphi.forward.checkpoint import State
+from terraphi.forward.driver import Kernel, Path
+from terraphi.forward.ledger import LEDGER_ROWS, Audit
+from terraphi.forward.plane import packets, scalar
+from terraphi.forward.plane.bed import Particles, empty_grid, geostatic_bed
+from terraphi.forward.plane.model import model_of
+
+FloatArray = NDArray[np.float64]
+
+APPLIED_BINS = 10
+"""Bins of the history over which the applied force is averaged: a degree of a rotation."""
+
+
+class PlaneSolver:
+    """A kernel with its constants and working memory, for the driver."""
+
+    ledger_rows = LEDGER_ROWS
+
+    def __init__(self, scenario: Scenario, kernel: Kernel) -> None:
+        self._scenario, self.width = scenario, scenario.leg.width
+        self._advance = packets.advance if kernel == "packets" else scalar.advance
+        self._constants = (empty_grid(scenario), model_of(scenario))
+
+    def bed(self) -> Particles:
+        """Soil before the first step."""
+        return geostatic_bed(self._scenario)
+
+    def advance(self, soil: Particles, path: Path, impulse: FloatArray, audit: Audit) -> int:
+        """Take some steps; index of the first particle to leave the grid, or -1."""
+        grid, model = self._constants
+        return int(
+            self._advance(soil, grid, model, path.poses, path.turned, path.bins, impulse, audit)
+        )
+
+    def fields(self, soil: Particles) -> tuple[FloatArray, dict[str, NDArray[Any]]]:
+        """Places (x, 0, z) [m] of the particles; velocities [m/s], stresses [Pa], weight [-]."""
+        sxx, szz, sxz, syy = soil.stress.T
+        return np.insert(soil.position, 1, 0.0, axis=1), {
+            "velocity": np.insert(soil.velocity, 1, 0.0, axis=1),
+            "speed": np.hypot(*soil.velocity.T),
+            "displacement": np.insert(soil.position - soil.start, 1, 0.0, axis=1),
+            "pressure": -0.5 * (sxx + szz),
+            "mohr_radius": np.hypot(0.5 * (sxx - szz), sxz),
+            "stress_xx": sxx,
+            "stress_zz": szz,
+            "stress_xz": sxz,
+            "stress_yy": syy,
+            "weight": soil.weight,
+        }
+
+    def provenance(self, state: State) -> dict[str, Any]:
+        """What the leg applied to the soil if its contact counts something else."""
+        scenario = self._scenario
+        if scenario.numerics.contact != "unbalanced":
+            return {}
+        edges = np.arange(0, len(state.held), APPLIED_BINS)
+        held = np.add.reduceat(state.held, edges)
+        position = np.add.reduceat(bin_centres(scenario.motion) * state.held, edges) / held
+        applied = np.add.reduceat(state.impulse[:, 2:], edges) * self.width
+        force = applied / (held * scenario.numerics.time_step)[:, None]
+        total = state.impulse.sum(axis=0) * self.width
+        return {
+            "momentum": "not balanced by design: the contact counts another force than it applies",
+            "counted_impulse_kg_m_s": total[:2].tolist(),
+            "applied_impulse_kg_m_s": total[2:].tolist(),
+            "applied_force": {
+                "position": position.tolist(),
+                "x_N": force[:, 0].tolist(),
+                "z_N": force[:, 1].tolist(),
+            },
+        }

@@ -1,0 +1,489 @@
+"""Logs of every format, as this and other programs write them; what is wrong with one is said."""
+
+from __future__ import annotations
+
+import runpy
+from collections.abc import Callable, Iterator
+from dataclasses import fields, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from go2.logs import EPOCH_NS, write_csv, write_mcap, write_parquet, write_rosbag2
+from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from terraphi.experiment.documents import shipped_file
+from terraphi.experiment.errors import InputError
+from terraphi.robot.joint_log import JOINT_NAMES, SHAPES, JointLog
+from terraphi.robot.logs import read_log
+from terraphi.robot.logs.clock import increasing, seconds
+from terraphi.robot.logs.messages import (
+    IMU,
+    JOINT_STATE,
+    LEGGED_STATE,
+    URDF_NAMES,
+    typestore,
+)
+
+helpers = SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name("log_samples.py"))))
+log = helpers.walking()
+NINE_DIGITS, ROUNDING = 5e-9, np.finfo(np.float64).eps
+TWO_JOINTS = tuple(name for name in JOINT_NAMES if not name.endswith("hip"))
+
+WRITERS: dict[str, Callable[..., None]] = {
+    "log.csv": write_csv,
+    "log.parquet": write_parquet,
+    "log.mcap": write_mcap,
+    "lz4.mcap": lambda path, log, **kw: write_mcap(path, log, compression="lz4", **kw),
+    "flat.mcap": lambda path, log, **kw: write_mcap(path, log, chunked=False, **kw),
+    "sqlite": write_rosbag2,
+    "folder": lambda path, log, **kw: write_rosbag2(path, log, storage="mcap", **kw),
+}
+BAGS = list(WRITERS)[2:]
+Rows = Iterator[tuple[int, Any]]
+
+
+def changed(**columns: np.ndarray) -> JointLog:
+    """The walking log with some columns replaced, which may break it."""
+    every = {name: getattr(log, name) for name in ("time", *SHAPES)}
+    return JointLog(**(every | columns))
+
+
+def refused(path: Path, *words: str, **options: Any) -> None:
+    """A log is refused in one sentence that names the file and holds some words."""
+    with pytest.raises(InputError) as caught:
+        read_log(path, **options)
+    message = str(caught.value)
+    assert path.name in message
+    assert "\n" not in message
+    for word in words:
+        assert word in message, message
+
+
+# -- what is written is read ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_format_comes_back(tmp_path: Path, name: str) -> None:
+    if name == "log.parquet":
+        pytest.importorskip("pyarrow")
+    WRITERS[name](tmp_path / name, log)
+    found = read_log(tmp_path / name)
+    helpers.assert_same(found, log, rounding=NINE_DIGITS if name == "log.csv" else ROUNDING)
+    report = found.report
+    assert report["topic"] == ("/lowstate" if name in BAGS else None)
+    assert report["clock"] == ("tick" if name in BAGS else "time_s")
+    assert (report["samples"], report["dropped"], report["gaps"]) == (len(log.time), {}, [])
+    assert report["rate_hz"] == pytest.approx(500.0)
+    assert report.get("clock_ratio", 1.0) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("name", ["log.mcap", "sqlite"])
+def test_joint_states_come_back(tmp_path: Path, name: str) -> None:
+    WRITERS[name](tmp_path / name, log, message="jointstate")
+    found = read_log(tmp_path / name)
+    helpers.assert_prefix(found, log, rounding=ROUNDING)
+    assert len(found.time) == len(log.time)
+    assert found.quaternion is None
+    assert found.report["clock"] == "header stamp"
+    assert found.report["start_ns"] == EPOCH_NS + round(log.time[0] * 1e9)
+
+
+def test_motors_in_another_order_give_the_same_log(tmp_path: Path) -> None:
+    order = [JOINT_NAMES[i] for i in (3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8)]
+    joints = ("angle", "velocity", "torque")
+    other = replace(log, **{name: getattr(log, name)[:, [1, 0, 3, 2]] for name in joints})
+    write_mcap(tmp_path / "a.mcap", other)
+    found = read_log(tmp_path / "a.mcap", motors=order)
+    for name in joints:
+        np.testing.assert_array_equal(getattr(found, name), getattr(log, name))
+
+
+def test_tables_lack_what_is_optional_and_stand_in_any_order(tmp_path: Path) -> None:
+    bare = JointLog(log.time, log.angle, None, log.torque)  # type: ignore[arg-type]
+    write_csv(tmp_path / "log.csv", bare)
+    lines = (tmp_path / "log.csv").read_text().splitlines()
+    turned = "\r\n".join(",".join(reversed(line.split(","))) for line in lines)
+    (tmp_path / "turned.csv").write_bytes(b"\xef\xbb\xbf" + turned.encode() + b"\r\n")
+    found = read_log(tmp_path / "turned.csv")
+    np.testing.assert_allclose(found.angle, log.angle, rtol=NINE_DIGITS)
+    assert found.quaternion is None
+    # Central differences of 0.5 sin(7t): error 7²/6 step² of the amplitude, and rounding/step.
+    np.testing.assert_allclose(found.velocity[1:-1], log.velocity[1:-1], atol=1e-3)
+    assert "central differences" in found.report["notes"][0]
+
+
+# -- other programs and robots -------------------------------------------------------------------
+
+
+def bag(path: Path, topics: dict[str, tuple[str, Rows]], store: Any = None) -> Path:
+    store = store or typestore()
+    with Writer(path, version=9) as writer:
+        for name, (kind, rows) in topics.items():
+            connection = writer.add_connection(name, kind, typestore=store)
+            for stamp, message in rows:
+                writer.write(connection, stamp, store.serialize_cdr(message, kind))
+    return path
+
+
+def header(stamp: int) -> Any:
+    types = typestore().types
+    time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+    return types["std_msgs/msg/Header"](stamp=time, frame_id="")
+
+
+def joint_states(names: list[str], order: np.ndarray) -> Rows:
+    """Joint states of some names, each the joint of that number; 12 is none of the legs'."""
+    kind = typestore().types[JOINT_STATE]
+    for i, at in enumerate(log.time):
+        stamp = EPOCH_NS + round(at * 1e9)
+        columns = (getattr(log, n)[i].ravel() for n in ("angle", "velocity", "torque"))
+        yield stamp, kind(header(stamp), names, *(np.append(c, 9.0)[order] for c in columns))
+
+
+def imu_states(quaternion: np.ndarray, *, oriented: bool = True, late_ns: int = 700_000) -> Rows:
+    types = typestore().types
+    vector, turn = (types[f"geometry_msgs/msg/{n}"] for n in ("Vector3", "Quaternion"))
+    nothing, missing = np.zeros(9), np.array([-1.0, *np.zeros(8)])
+    for i, at in enumerate(log.time):
+        stamp = EPOCH_NS + round(at * 1e9) + late_ns
+        w, x, y, z = quaternion[i]
+        yield stamp, types[IMU](
+            header(stamp), turn(x, y, z, w), nothing if oriented else missing,
+            vector(0.0, 0.0, 0.1), nothing, vector(0.0, 0.0, 9.81), nothing,
+        )  # fmt: skip
+
+
+EVERY = np.arange(12)
+SWAY = np.column_stack([np.ones(200), 0.02 * np.sin(log.time), np.zeros((200, 2))])
+SWAY /= np.linalg.norm(SWAY, axis=1, keepdims=True)
+
+
+def test_joints_of_any_order_and_of_an_arm(tmp_path: Path) -> None:
+    order = np.array([*np.random.default_rng(0).permutation(12), 12])
+    legs = dict(zip(("FR", "FL", "RR", "RL"), ("RF", "LF", "RH", "LH"), strict=True))
+    joints = dict(zip(("hip", "thigh", "calf"), ("HAA", "HFE", "KFE"), strict=True))
+    words = [name.split("_") for name in JOINT_NAMES]
+    names = [*(f"{legs[foot]}_{joints[joint]}" for foot, joint in words), "arm_1"]
+    rows = joint_states([names[i] for i in order], order)
+    found = read_log(bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, rows)}))
+    np.testing.assert_array_equal(found.angle, log.angle)
+    np.testing.assert_array_equal(found.torque, log.torque)
+    assert any(note.endswith("ignored: arm_1") for note in found.report["notes"])
+
+
+def test_imu_of_the_same_bag_goes_with_the_joints(tmp_path: Path) -> None:
+    worn = SWAY * np.where(np.arange(200) % 7 < 3, -1.0, 1.0)[:, None]  # the same attitudes
+    worn[[20, 21]] = np.nan
+    topics = {
+        "/joint_states": (JOINT_STATE, joint_states(list(URDF_NAMES), EVERY)),
+        "/imu/data": (IMU, imu_states(worn)),
+        "/camera/imu/data": (IMU, imu_states(SWAY, oriented=False)),
+    }
+    found = read_log(bag(tmp_path / "bag", topics))
+    expected = [np.interp(log.time - 7e-4, log.time, c) for c in SWAY.T]
+    sense = np.sign(found.quaternion[:, :1])
+    np.testing.assert_allclose(sense * found.quaternion, np.stack(expected, axis=1), atol=2e-5)
+    np.testing.assert_allclose(found.acceleration, [[0.0, 0.0, 9.81]] * 200)
+    notes = found.report["notes"]
+    assert any("/camera/imu/data" in note for note in notes)
+    assert "2 messages on /imu/data that are not all numbers left out" in notes
+
+
+@pytest.mark.parametrize(
+    ("options", "left", "words"),
+    [
+        ({"oriented": False}, True, ""),
+        ({"late_ns": 10**12}, False, "do not overlap"),
+    ],
+)
+def test_imu_that_does_not_measure_or_was_not_there(
+    tmp_path: Path, options: dict[str, Any], left: bool, words: str
+) -> None:
+    topics = {
+        "/joint_states": (JOINT_STATE, joint_states(list(URDF_NAMES), EVERY)),
+        "/imu": (IMU, imu_states(SWAY, **options)),
+    }
+    found = read_log(bag(tmp_path / "bag", topics))
+    assert found.quaternion is None
+    assert (found.acceleration is not None) == left
+    assert words in " ".join(found.report["notes"])
+
+
+def legged_states(store: Any, tick_hz: float) -> Rows:
+    names = ("LowState", "IMU", "MotorState", "BmsState")
+    types = {n: store.types[f"unitree_legged_msgs/msg/{n}"] for n in names}
+
+    def made(name: str, **values: Any) -> Any:
+        kind, filled = types[name], {}
+        blank = {"head": 2, "sn": 2, "version": 2, "reserve": 2, "rpy": 3, "footforceest": 4,
+                 "wirelessremote": 40}  # fmt: skip
+        kinds = {"head": np.uint8, "wirelessremote": np.uint8, "rpy": np.float32,
+                 "footforceest": np.int16}  # fmt: skip
+        for field in fields(kind):
+            plain = field.name.replace("_", "").lower()
+            if field.name != "__msgtype__":
+                size = 0 if name == "LowState" and plain == "reserve" else blank.get(plain, 0)
+                zeros = np.zeros(size, kinds.get(plain, np.uint32)) if size else 0
+                filled[field.name] = values.get(plain, zeros)
+        return kind(**filled)
+
+    battery = made("BmsState", bqntc=np.zeros(2, np.int8), mcuntc=np.zeros(2, np.int8),
+                   cellvol=np.zeros(10, np.uint16))  # fmt: skip
+    idle = [made("MotorState") for _ in range(8)]
+    for i, at in enumerate(log.time):
+        columns = (getattr(log, n)[i].ravel() for n in ("angle", "velocity", "torque"))
+        legs = [
+            made("MotorState", q=q, dq=v, tauest=tau) for q, v, tau in zip(*columns, strict=True)
+        ]
+        imu = made("IMU", quaternion=log.quaternion[i].astype(np.float32),
+                   gyroscope=log.angular_velocity[i].astype(np.float32),
+                   accelerometer=log.acceleration[i].astype(np.float32))  # fmt: skip
+        force = log.foot_counts[i].astype(np.int16)
+        yield EPOCH_NS + round(at * 1e9), made(
+            "LowState", imu=imu, motorstate=legs + idle, bms=battery, footforce=force,
+            tick=round((5.0 + at) * tick_hz),
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize(("tick_hz", "own"), [(1e3, False), (1e6, True)])
+def test_low_states_of_an_a1_and_a_go1(tmp_path: Path, tick_hz: float, own: bool) -> None:
+    store = typestore()
+    if own:  # the package's ROS 1 names, and a battery of another version: the bag defines them
+        store = get_typestore(Stores.EMPTY)
+        text = shipped_file("robots", "unitree_legged_msgs", ".msg").read_text()
+        for snake, camel in (("motor_state", "motorState"), ("foot_force", "footForce"),
+                             ("tau_est", "tauEst"), ("uint8 soc", "float64 soc")):  # fmt: skip
+            text = text.replace(snake, camel)
+        store.register(get_types_from_msg(text, LEGGED_STATE))
+    topics = {"/low_state": (LEGGED_STATE, legged_states(store, tick_hz))}
+    found = read_log(bag(tmp_path / "bag", topics, store))
+    np.testing.assert_allclose(np.diff(found.time), np.diff(log.time), atol=1e-6)
+    for name in ("angle", "velocity", "torque", "quaternion", "acceleration", "foot_counts"):
+        np.testing.assert_allclose(getattr(found, name), getattr(log, name), rtol=2e-6, atol=1e-6)
+
+
+SDK = """
+time = "tick"
+time_unit = "ms"
+angle = "q_{motor}"
+velocity = "dq[{motor}]"
+torque = "{foot}_{joint}_tau"
+angle_unit = "deg"
+quaternion = ["qw", "qx", "qy", "qz"]
+"""
+
+
+def sdk_csv(path: Path, motors: list[str]) -> None:
+    order = [JOINT_NAMES.index(name) for name in motors]
+    table = {"tick": np.round(1e3 * log.time), "battery": np.ones(len(log.time))}
+    for i, at in enumerate(order):
+        table[f"q_{i}"] = np.degrees(log.angle.reshape(-1, 12)[:, at])
+        table[f"dq[{i}]"] = np.degrees(log.velocity.reshape(-1, 12)[:, at])
+    torque = log.torque.reshape(-1, 12).T
+    table |= {f"{name}_tau": column for name, column in zip(JOINT_NAMES, torque, strict=True)}
+    table |= {f"q{part}": column for part, column in zip("wxyz", log.quaternion.T, strict=True)}
+    rows = "\n".join(",".join(f"{v:.9g}" for v in row) for row in zip(*table.values(), strict=True))
+    path.write_text(f"{','.join(table)}\n{rows}\n")
+
+
+def test_csv_of_an_sdk_by_a_map_of_its_columns(tmp_path: Path) -> None:
+    motors = [*JOINT_NAMES[3:6], *JOINT_NAMES[:3], *JOINT_NAMES[6:]]
+    (tmp_path / "columns.toml").write_text(SDK)
+    sdk_csv(tmp_path / "log.csv", motors)
+    found = read_log(tmp_path / "log.csv", columns=tmp_path / "columns.toml", motors=motors)
+    np.testing.assert_allclose(found.time, log.time, atol=1e-9)
+    for name in ("angle", "velocity", "torque", "quaternion"):
+        np.testing.assert_allclose(getattr(found, name), getattr(log, name), atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("q_{motor}", "p_{motor}", "column 'p_0' is missing; did you mean 'q_0'"),
+        ("q_{motor}", "q_3", "'angle' 1 different names; 12 are expected"),
+        ('"qx", ', "", "'quaternion' 3 different names; 4 are expected"),
+        ('"ms"', '"us"', "look at the units of times"),
+        ("torque", "torqe", "did you mean 'torque'"),
+    ],
+)
+def test_wrong_map_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+    (tmp_path / "columns.toml").write_text(SDK.replace(old, new, 1))
+    sdk_csv(tmp_path / "log.csv", list(JOINT_NAMES))
+    with pytest.raises(InputError, match=words):
+        read_log(tmp_path / "log.csv", columns=tmp_path / "columns.toml")
+
+
+@pytest.mark.parametrize("kind", ["bag", "csv"])
+def test_robots_without_hips(tmp_path: Path, kind: str) -> None:
+    order = np.array([JOINT_NAMES.index(name) for name in TWO_JOINTS])
+    path = tmp_path / f"log.{kind}"
+    if kind == "bag":
+        rows = joint_states([URDF_NAMES[i] for i in order], order)
+        bag(path, {"/joint_states": (JOINT_STATE, rows)})
+    else:
+        write_csv(tmp_path / "whole.csv", log)
+        cells = [line.split(",") for line in (tmp_path / "whole.csv").read_text().splitlines()]
+        kept = [i for i, name in enumerate(cells[0]) if "_hip_" not in name]
+        path.write_text("\n".join(",".join(row[i] for i in kept) for row in cells) + "\n")
+    found = read_log(path, motors=TWO_JOINTS)
+    np.testing.assert_allclose(found.torque[..., 1:], log.torque[..., 1:], rtol=NINE_DIGITS)
+    assert not found.torque[..., 0].any()
+    # A robot of three joints asks for the hips as before.
+    refused(path, "none for the FR hip" if kind == "bag" else "FR_hip_angle_rad")
+
+
+# -- what is wrong with a log --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["log.csv", "log.parquet", "log.mcap", "log.db3", "log"])
+@pytest.mark.parametrize("content", [b"", b"\0\1\2\3" * 100, b"\x89MCAP0\r\n", b"hello"])
+def test_not_a_log_at_all(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    refused(tmp_path / name)
+    refused(tmp_path / "absent.mcap", "no such file", "MCAP")
+
+
+@pytest.mark.parametrize("name", ["log.mcap", "flat.mcap", "sqlite"])
+def test_a_log_that_was_cut_off_is_refused(tmp_path: Path, name: str) -> None:
+    WRITERS[name](tmp_path / name, log)
+    file = tmp_path / name / "sqlite.db3" if name == "sqlite" else tmp_path / name
+    whole = file.read_bytes()
+    for part in (0.3, 0.8):
+        file.write_bytes(whole[: int(part * len(whole))])
+        refused(tmp_path / name, "copy")
+
+
+def edited(path: Path, edit: Callable[[str], str]) -> Path:
+    write_csv(path, log)
+    path.write_text(edit(path.read_text()))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("FR_hip_angle_rad", "FR_hip_angel_rad", "FR_hip_angle_rad"),
+        ("FR_hip_angle_rad", "FR_hip_angle_deg", "FR_hip_angle_rad"),
+        ("RL_calf_torque_Nm", "RR_calf_torque_Nm", "column 'RL_calf_torque_Nm' is missing"),
+        ("quaternion_w", "quaternion_a", "column 'quaternion_w' is missing"),
+        (",", ";", "time_s"),
+    ],
+)
+def test_header_of_a_csv(tmp_path: Path, old: str, new: str, words: str) -> None:
+    count = -1 if old == "," else 1
+    refused(edited(tmp_path / "log.csv", lambda text: text.replace(old, new, count)), words)
+
+
+def test_csv_with_a_comma_too_many_and_one_without_samples(tmp_path: Path) -> None:
+    refused(edited(tmp_path / "a.csv", lambda t: t.replace("\n5.01,", "\n5.01,,")), "line 7")
+    refused(edited(tmp_path / "b.csv", lambda t: t.partition("\n")[0] + "\n"), "no samples")
+
+
+every_kind = pytest.mark.parametrize("name", ["log.csv", "log.mcap"])
+
+
+@every_kind
+@pytest.mark.parametrize(
+    ("broken", "words"),
+    [
+        (lambda: {"angle": np.degrees(log.angle) + 360.0}, "radians are expected"),
+        (lambda: {"velocity": np.degrees(log.velocity)}, "57.3 times"),
+        (lambda: {"quaternion": np.full_like(log.quaternion, 2.0)}, "(w, x, y, z)"),
+        (lambda: {"torque": np.where(np.arange(200) < 101, np.nan, log.torque.T).T},
+         "101 of 200 samples: not a finite number"),
+    ],
+)  # fmt: skip
+def test_logs_of_no_use_are_refused(
+    tmp_path: Path, name: str, broken: Callable[[], dict[str, np.ndarray]], words: str
+) -> None:
+    WRITERS[name](tmp_path / name, changed(**broken()))
+    refused(tmp_path / name, words)
+
+
+@every_kind
+def test_unsound_samples_are_dropped_and_counted(tmp_path: Path, name: str) -> None:
+    angle, torque = log.angle.copy(), log.torque.copy()
+    quaternion, time = log.quaternion.copy(), log.time.copy()
+    angle[17, 2, 1], torque[[30, 31], 0, 0] = np.nan, [np.inf, 1e30]
+    angle[40, 0, 0] = 7.0
+    quaternion[5], quaternion[9] = 0.0, 3.0
+    time[50], time[[100, 101]] = time[49], time[[101, 100]]
+    time[150:] += 0.5
+    wrong = changed(angle=angle, torque=torque, quaternion=quaternion, time=time)
+    WRITERS[name](tmp_path / name, wrong)
+    found = read_log(tmp_path / name)
+    assert found.report["dropped"] == {
+        "not a finite number": 3,
+        "joint angle beyond a full turn": 1, "attitude is not a unit quaternion": 2,
+        "repeated time": 1,
+    } | ({"time ran backwards": 1} if name == "log.csv" else {})  # fmt: skip
+    assert len(found.time) == len(log.time) - sum(found.report["dropped"].values())
+    [gap] = found.report["gaps"]
+    assert (gap["start_s"], gap["end_s"]) == pytest.approx((time[149], time[150]))
+
+
+def test_clock_set_back_keeps_the_longest_run(tmp_path: Path) -> None:
+    time = np.concatenate([log.time[:70] + 3.0, log.time[70:]])
+    write_csv(tmp_path / "log.csv", changed(time=time))
+    found = read_log(tmp_path / "log.csv")
+    assert found.report["dropped"] == {"time ran backwards": 70}
+    np.testing.assert_allclose(found.time, log.time[70:], rtol=1e-14)
+    write_csv(tmp_path / "log.csv", changed(time=log.time[::-1]))
+    refused(tmp_path / "log.csv", "199 of 200 samples: time ran backwards")
+
+
+def test_few_stamps_out_of_order_or_far_ahead_do_not_cut_a_log() -> None:
+    time = np.arange(1000.0)
+    time[[500, 501, 502, 503]] = time[[502, 503, 500, 501]]
+    keep, dropped = increasing(time)
+    assert dropped == {"time ran backwards": 2}
+    assert np.all(np.diff(time[keep]) > 0)
+    time = np.arange(1000.0)
+    time[300] = 4e9
+    keep, dropped = increasing(time)
+    assert dropped == {"time ran backwards": 1}
+    assert np.flatnonzero(~keep).tolist() == [300]
+
+
+def test_tick_wraps(tmp_path: Path) -> None:
+    time = (2**32 - 101) / 1e3 + 0.002 * np.arange(len(log.time))
+    write_mcap(tmp_path / "log.mcap", changed(time=time))
+    found = read_log(tmp_path / "log.mcap")
+    assert found.report["dropped"] == {}
+    np.testing.assert_allclose(found.time, time, rtol=1e-12)
+
+
+def test_tick_that_stands_still() -> None:
+    recorded = 10**18 + 2_000_000 * np.arange(50)
+    time, clock, facts = seconds(np.zeros(50, dtype=np.int64), recorded, "tick")
+    assert clock == "recording time"
+    assert "stands still" in facts["notes"][0]
+    np.testing.assert_allclose(time, 0.002 * np.arange(50), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("step_s", "tick_hz"), [(1.0, 1e3), (0.002, 1e6), (5.0, 1e6)])
+def test_recording_sets_the_unit_of_slow_ticks(step_s: float, tick_hz: float) -> None:
+    at = step_s * np.arange(50)
+    recorded = 10**18 + np.rint(1.001e9 * at).astype(np.int64)
+    time, _, facts = seconds(np.rint(tick_hz * at).astype(np.int64), recorded, "tick")
+    np.testing.assert_allclose(time, at, atol=1e-9)
+    assert facts["clock_ratio"] == pytest.approx(1.0, abs=2e-3)
+
+
+def test_topics_and_options_that_do_not_fit(tmp_path: Path) -> None:
+    write_rosbag2(tmp_path / "bag", log)
+    refused(tmp_path / "bag", "no topic '/lowstat'", "'/lowstate' (unitree_go", topic="/lowstat")
+    refused(tmp_path / "bag", "leave the joint names out", joint_names=list(URDF_NAMES))
+    write_csv(tmp_path / "log.csv", log)
+    refused(tmp_path / "log.csv", "leave the topic out", topic="/lowstate")
+    imu = bag(tmp_path / "imu", {"/imu": (IMU, imu_states(SWAY))})
+    refused(imu, "'/imu' (sensor_msgs/msg/Imu)", "unitree_go/msg/LowState")
+    refused(imu, "has sensor_msgs/msg/Imu messages", topic="/imu")
+    names = [f"m{i}" for i in range(12)]
+    path = bag(tmp_path / "m", {"/joint_states": (JOINT_STATE, joint_states(names, EVERY))})
+    refused(path, "'m0' is not known", "--joint-names")
+    np.testing.assert_array_equal(read_log(path, joint_names=names).angle, log.angle)
