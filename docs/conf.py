@@ -29,6 +29,7 @@ extensions = [
 root_doc = "index"
 exclude_patterns = ["_build", "reference/*-keys.md"]
 nitpicky = False
+smartquotes = False  # it would make a dash of the -- of options
 
 myst_enable_extensions = ["attrs_block", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4
