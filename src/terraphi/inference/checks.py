@@ -46,8 +46,8 @@ BETTER = 0.6
 """Residual of a record read differently, over that as given, at which that is proposed [-]."""
 USUAL_DEG = (15.0, 50.0)
 """Friction angles of dry soils in plane strain [deg]."""
-LATE_DEG = 4.0
-"""Shift of θ above which the zero of the angle is doubted [deg]."""
+USUAL_SHIFT_DEG = (-6.0, 15.0)
+"""Shift of θ of measured forces against the model's that real soils show [deg]."""
 UNITS = {
     "pounds-force": 4.448,
     "kilograms-force": 9.807,

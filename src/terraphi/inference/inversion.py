@@ -18,8 +18,8 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.checks import (
-    LATE_DEG,
     USUAL_DEG,
+    USUAL_SHIFT_DEG,
     doubts,
     in_air,
     shift_of_theta,
@@ -39,6 +39,8 @@ FAR = 4.0
 """Standard normal deviate of chi-square above which a simulated record is a misfit."""
 OUTSIDE = 0.3
 """Probability that φ lies beyond the library's range above which the answer says so."""
+SEVERAL = 1.3
+"""Limit of a residual of several records with one angle, over that of one [-]: legs differ."""
 UNINFORMED = 0.9
 """Share of the prior's standard deviation above which the forces say nothing about φ."""
 
@@ -252,7 +254,11 @@ def _answer(
         verdict=verdict,
         reason=why,
         edge=edge,
-        budget_deg=likelihood.budget(_within(likelihood, middle)) if PHI in keys else {},
+        budget_deg=(
+            likelihood.budget(_within(likelihood, middle))
+            if PHI in keys and likelihood.beyond is None
+            else {}
+        ),
         density_kg_m3=likelihood.density[0],
         density_sd_kg_m3=sd[0],
         density_assumed=records[0].density_kg_m3 is None or records[0].density_assumed,
@@ -373,16 +379,17 @@ def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
     """A sentence if a record differs from the model by more than real soils do."""
     for fit in fits:
         error = likelihood.errors[fit.leg]
+        limit = error.nrmsd_limit * (SEVERAL if len(fits) > 1 else 1.0)
         best = fit.curve if fit.expected is None else fit.expected
         size = float(_nrmsd(fit.data, best).max())
-        if size > error.nrmsd_limit:
+        if size > limit:
             residual = (fit.data - best) / np.ptp(fit.data, axis=1)[:, None]
             i, j = np.unravel_index(np.abs(residual).argmax(), residual.shape)
             return (
                 f"Misfit: {('Fx', 'Fz')[i]} differs from the model by "
                 f"{100.0 * residual[i, j]:+.0f} % of its range at {fit.theta_deg[j]:.0f}°. The "
                 f"residual is {_percent(size, digits=1)}; of training soils it is at most "
-                f"{_percent(error.nrmsd_limit, digits=1)}. Do not use the angle."
+                f"{_percent(limit, digits=1)}. Do not use the angle."
             )
     return ""
 
@@ -405,6 +412,12 @@ def _edge(likelihood: Likelihood) -> str | None:
     """End of the library's range beyond which φ lies, by the forces alone."""
     if PHI not in likelihood.keys:
         return None
+    if likelihood.beyond is not None:
+        return (
+            "high"
+            if likelihood.beyond[0] > 0.5 * (likelihood.low[0] + likelihood.high[0])
+            else "low"
+        )
     i = likelihood.keys.index(PHI)
     read = float(likelihood.least_squares[i])
     sd = _sd_without(likelihood, ("model: offset", "model: leg", "density"))
@@ -434,7 +447,7 @@ def _about(
     if likelihood.measured and verdict != "misfit":
         for record, fit in zip(likelihood.records, fits, strict=True):
             shift = shift_of_theta(record, fit.curve)
-            if abs(shift) > LATE_DEG:
+            if not USUAL_SHIFT_DEG[0] <= shift <= USUAL_SHIFT_DEG[1]:
                 found.append(
                     f"{record.source}: the forces come {abs(shift):.0f}° "
                     f"{'later' if shift > 0 else 'earlier'} than the model's; check the zero of "

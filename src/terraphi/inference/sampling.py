@@ -29,7 +29,8 @@ class Drawn(NamedTuple):
 def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:
     """Posterior density of φ under a uniform prior, on a grid that resolves its peak.
 
-    The prior reaches from 12° below the library's smallest angle to 12° above its largest.
+    The prior reaches from 12° below the library's smallest angle to 12° above its largest. Where no
+    angle fits even there, the density is uniform over the 12° beyond that end.
 
     Parameters
     ----------
@@ -43,6 +44,9 @@ def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:
     """
     low = max(float(likelihood.low[0]) - BEYOND_DEG, LIMITS_DEG[0])
     high = min(float(likelihood.high[0]) + BEYOND_DEG, LIMITS_DEG[1])
+    if likelihood.beyond is not None:
+        grid = np.linspace(*likelihood.beyond, NODES)
+        return grid, np.full(NODES, 1.0 / BEYOND_DEG)
     # A coarse grid can miss a narrow peak by hundreds of log units; least squares is close to it.
     grid = np.union1d(np.linspace(low, high, 257), likelihood.least_squares)
     for _ in range(3):
@@ -105,7 +109,8 @@ def sample(likelihood: Likelihood, *, seed: int = 0, steps: int = STEPS) -> Draw
 def split_rhat(draws: FloatArray) -> float:
     """Rank-normalized split-R̂ between ensembles [-] (Vehtari et al., Bayesian Anal. 16:667, 2021).
 
-    Draws have the shape [ensemble, walker, step]. The early and the late half of an ensemble, each pooled over its walkers, count as two chains.
+    Draws have the shape [ensemble, walker, step]. The early and the late half of an ensemble, each
+    pooled over its walkers, count as two chains.
     The larger of the bulk and the folded value is returned: ensembles that agree in location but
     not in spread are noticed too. 1 if all draws are equal.
     """
