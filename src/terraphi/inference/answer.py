@@ -126,7 +126,7 @@ class Answer:
     density_kg_m3, density_sd_kg_m3, density_assumed
         Bulk density that the curves were scaled to.
     library, library_reason
-        Its name, and why it was taken if nobody named it.
+        Its name, and why it was taken if none was named.
     second_opinion
         Library, median and standard deviation of the answer by other physics, or ``None``.
     questions

@@ -45,6 +45,7 @@ from functools import cached_property
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import InputError
 from terraphi.inference.emulator import emulator_of
 from terraphi.inference.records import Record
 from terraphi.inference.soils import Calibration, model_error
@@ -99,8 +100,20 @@ class Likelihood:
         self.keys = first.curves.keys
         self._phi = self.keys.index(PHI) if PHI in self.keys else None
         own = first.curves.scenario.soil.density
-        self.density = [record.density_kg_m3 or own for record in records]
+        # A library that varies the density needs no scaling.
+        self._scaled = "soil.density" not in self.keys
+        self.density = [
+            (record.density_kg_m3 or own) if self._scaled else own for record in records
+        ]
         self._ratio = np.array(self.density) / own
+        for record in records:
+            theta = self._curves_of(record).theta_deg
+            if record.theta_deg[0] < theta[0] - 4.4 or record.theta_deg[-1] > theta[-1] + 4.4:
+                raise InputError(
+                    f"library '{library.name}' covers theta from {theta[0]:.0f} to {theta[-1]:.0f} "
+                    f"deg only, {record.source} {record.theta_deg[0]:.0f} to "
+                    f"{record.theta_deg[-1]:.0f} deg; cut the record or build the library anew"
+                )
         self.operators = [r.operator(self._curves_of(r).theta_deg) for r in records]
         ends = np.cumsum([0, *(2 * r.theta_deg.size for r in records)])
         self.parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
@@ -255,6 +268,8 @@ class Likelihood:
     @property
     def _density_error(self) -> FloatArray:
         """Relative standard deviation of the density at each window mean [-], shape [n]."""
+        if not self._scaled:
+            return np.zeros(self.data.size)
         of_records = [
             UNKNOWN_DENSITY if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
             for r in self.records
