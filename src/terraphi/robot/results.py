@@ -21,7 +21,7 @@ from terraphi.robot.friction import HANGING_SHARE
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import GRAVITY
 from terraphi.robot.logs import read_log
-from terraphi.robot.logs.clock import describe, regular
+from terraphi.robot.logs.clock import describe
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import AXES, Criteria, Ensemble, Stance, find_stances
 
@@ -125,7 +125,7 @@ def opened(
     """A log and its robot, each as it is or read; options of ``read_log``."""
     body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
     if isinstance(log, JointLog):
-        return regular(log), body
+        return log, body
     return read_log(log, motors=body.joint_order, **reading), body
 
 

@@ -1,29 +1,28 @@
 """Messages of a robot's joint states and IMU, decoded by the package ``rosbags``.
 
-``unitree_go/msg/LowState`` (Go2, B2) and ``unitree_legged_msgs/msg/LowState`` (A1, Go1) number
-their motors, of which the first twelve are the legs'. ``sensor_msgs/msg/JointState`` names its
-joints and may list them in any order; ``sensor_msgs/msg/Imu`` goes with it.
+``unitree_go/msg/LowState`` (Go2, B2) numbers its motors, of which the first twelve are the legs'.
+``sensor_msgs/msg/JointState`` names its joints and may list them in any order;
+``sensor_msgs/msg/Imu`` goes with it.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import fields
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, SHAPES, joint_place
 
 LOW_STATE = "unitree_go/msg/LowState"
-LEGGED_STATE = "unitree_legged_msgs/msg/LowState"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 IMU = "sensor_msgs/msg/Imu"
+MEASURED = ("quaternion", "angular_velocity", "acceleration")
+"""Columns of a JointLog that an Imu message has."""
 MOTORS = len(JOINT_NAMES)
 URDF_NAMES = tuple(f"{name}_joint" for name in JOINT_NAMES)
 """Names of the joints in Unitree's robot descriptions, in the order of a JointLog."""
@@ -37,55 +36,43 @@ def typestore() -> Any:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    for kind in (LOW_STATE, LEGGED_STATE):
-        text = shipped_file("robots", kind.partition("/")[0], ".msg").read_text(encoding="utf-8")
-        store.register(get_types_from_msg(text, kind))
+    text = shipped_file("robots", "unitree_go", ".msg").read_text(encoding="utf-8")
+    store.register(get_types_from_msg(text, LOW_STATE))
     return store
-
-
-def decoded(raw: bytes, kind: str, store: Any, dropped: Counter[str]) -> Any | None:
-    """A message; ``None``, and counted, if the bytes are no message of that type."""
-    try:
-        return store.deserialize_cdr(raw, kind)
-    except Exception:  # damaged bytes raise struct.error, ValueError, SerdeError and more
-        dropped[MALFORMED] += 1
-        return None
 
 
 Raw = Iterable[tuple[int, bytes]]
 """When messages were recorded [ns], and messages in the wire format of ROS 2."""
 
 
-def low_states(
-    messages: Raw, motors: Sequence[str], dropped: Counter[str], kind: str, store: Any
-) -> dict[str, Any]:
+def decoded(messages: Raw, kind: str, dropped: Counter[str]) -> Iterator[tuple[int, Any]]:
+    """Messages of a type; bytes that are none are counted."""
+    for recorded, raw in messages:
+        try:
+            message = typestore().deserialize_cdr(raw, kind)
+        except Exception:  # damaged bytes raise struct.error, ValueError, SerdeError and more
+            dropped[MALFORMED] += 1
+        else:
+            yield recorded, message
+
+
+def low_states(messages: Raw, motors: Sequence[str], dropped: Counter[str]) -> dict[str, Any]:
     """Columns of a JointLog from LowState messages, ``stamp`` (the tick) and ``recorded`` [ns].
 
     ``motors`` are the joints that the first twelve motors move.
     """
-    whole = joint = None
-    stamps: list[tuple[int, int]] = []
-    rows = []
-    for recorded, raw in messages:
-        state = decoded(raw, kind, store, dropped)
-        if state is None:
-            continue
-        whole = whole or _getter(
-            state, ("tick",), ("motorstate",), ("imustate", "imu"), ("footforce",)
-        )
-        tick, states, imu, counts = whole(state)
-        joint = joint or _getter(states[0], ("q",), ("dq",), ("tauest",))
-        stamps.append((tick, recorded))
-        numbers = [number for motor in states[:MOTORS] for number in joint(motor)]
-        numbers += [*imu.quaternion, *imu.gyroscope, *imu.accelerometer, *counts]
+    stamps, rows = [], []
+    for recorded, state in decoded(messages, LOW_STATE, dropped):
+        stamps.append((state.tick, recorded))
+        imu, legs = state.imu_state, state.motor_state[:MOTORS]
+        numbers = [number for m in legs for number in (m.q, m.dq, m.tau_est)]
+        numbers += [*imu.quaternion, *imu.gyroscope, *imu.accelerometer, *state.foot_force]
         rows.append(np.array(numbers, dtype=np.float32))
     table = np.array(rows, dtype=np.float64).reshape(-1, 3 * MOTORS + 14)
     order = [list(motors).index(name) for name in JOINT_NAMES]
-    legs = table[:, : 3 * MOTORS].reshape(-1, MOTORS, 3)[:, order].reshape(-1, 4, 3, 3)
-    joints = {"angle": legs[..., 0], "velocity": legs[..., 1], "torque": legs[..., 2]}
-    names = ("quaternion", "angular_velocity", "acceleration", "foot_counts")
-    body = np.split(table[:, 3 * MOTORS :], [4, 7, 10], axis=1)
-    return {**joints, **dict(zip(names, body, strict=True)), **_times(stamps)}
+    joints = table[:, : 3 * MOTORS].reshape(-1, MOTORS, 3)[:, order].reshape(-1, 4, 3, 3)
+    columns = [*np.moveaxis(joints, -1, 0), *np.split(table[:, 3 * MOTORS :], [4, 7, 10], axis=1)]
+    return dict(zip(SHAPES, columns, strict=True)) | _times(stamps)
 
 
 def _times(stamps: list[tuple[int, int]]) -> dict[str, Any]:
@@ -96,12 +83,6 @@ def _times(stamps: list[tuple[int, int]]) -> dict[str, Any]:
 def _stamp(message: Any) -> int:
     """Header stamp [ns]."""
     return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
-
-
-def _getter(message: Any, *wanted: tuple[str, ...]) -> attrgetter[Any]:
-    """Gets fields of such messages, however their names are written."""
-    plain = {field.name.replace("_", "").lower(): field.name for field in fields(message)}
-    return attrgetter(*(next(plain[n] for n in names if n in plain) for names in wanted))
 
 
 _FIELDS = {"angle": "position", "velocity": "velocity", "torque": "effort"}
@@ -126,12 +107,9 @@ def joint_states(
     """
     orders: dict[tuple[str, ...], list[int] | None] = {}
     columns: tuple[str, ...] = ()
-    stamps: list[tuple[int, int]] = []
-    refusal, rows, ignored = "", [], set()
-    for recorded, raw in messages:
-        message = decoded(raw, JOINT_STATE, typestore(), dropped)
-        if message is None:
-            continue
+    refusal, ignored = "", set()
+    stamps, rows = [], []
+    for recorded, message in decoded(messages, JOINT_STATE, dropped):
         names = tuple(message.name)
         if names not in orders:
             try:
@@ -143,11 +121,14 @@ def joint_states(
         present = tuple(c for c, f in _FIELDS.items() if len(getattr(message, f)) == len(names))
         if order is not None and "torque" not in present:
             refusal = refusal or "the joint states carry no efforts, and forces need torques"
-        sound = order is not None and {"angle", "torque"} <= {*present}
-        columns = columns or (present if sound else ())
-        if not sound or present != columns:
+        if (
+            order is None
+            or not {"angle", "torque"} <= {*present}
+            or present != (columns or present)
+        ):
             dropped[OTHERS] += 1
             continue
+        columns = present
         stamps.append((_stamp(message), recorded))
         # Joints that are not there have the last place, which is zero.
         rows.append([np.append(getattr(message, _FIELDS[c]), 0.0)[order] for c in present])
@@ -157,21 +138,17 @@ def joint_states(
         more = f" and {len(ignored) - 6} more" if len(ignored) > 6 else ""
         notes.append(f"joints of no leg, ignored: {', '.join(sorted(ignored)[:6])}{more}")
     table = np.array(rows, dtype=np.float64).reshape(len(rows), len(columns), 4, 3)
-    return {**{name: table[:, k] for k, name in enumerate(columns)}, **_times(stamps)}
+    return {name: table[:, k] for k, name in enumerate(columns)} | _times(stamps)
 
 
 def imu_readings(messages: Raw) -> dict[str, Any]:
     """Columns of a JointLog from Imu messages, ``stamp`` (header) and ``recorded`` [ns].
 
-    Its axes are taken to be the body's. What it does not measure, by a covariance of −1, is not a
-    number.
+    Its axes are taken to be the body's. A quantity that it does not measure, by a covariance of −1,
+    is not a number.
     """
-    stamps: list[tuple[int, int]] = []
-    rows = []
-    for recorded, raw in messages:
-        message = decoded(raw, IMU, typestore(), Counter())
-        if message is None:
-            continue
+    stamps, rows = [], []
+    for recorded, message in decoded(messages, IMU, Counter()):
         q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
         parts = (
             ([q.w, q.x, q.y, q.z], message.orientation_covariance),
@@ -180,9 +157,8 @@ def imu_readings(messages: Raw) -> dict[str, Any]:
         )
         stamps.append((_stamp(message), recorded))
         rows.append([v if of[0] != -1.0 else np.nan for part, of in parts for v in part])
-    table = np.array(rows, dtype=np.float64).reshape(-1, 10)
-    names = ("quaternion", "angular_velocity", "acceleration")
-    return {**dict(zip(names, np.split(table, [4, 7], axis=1), strict=True)), **_times(stamps)}
+    columns = np.split(np.array(rows, dtype=np.float64).reshape(-1, 10), [4, 7], axis=1)
+    return dict(zip(MEASURED, columns, strict=True)) | _times(stamps)
 
 
 def joint_order(
@@ -208,29 +184,23 @@ def joint_order(
         for name in wanted:
             if name not in names:
                 raise InputError(f"no joint '{name}' in the messages; {nearest(name, names)}")
-            if list(wanted).count(name) > 1:
-                raise InputError(f"joint '{name}' stands twice among the joint names")
+        if len(set(wanted)) < len(wanted):
+            raise InputError("a joint stands twice among the joint names")
         given = iter(wanted)
         return [list(names).index(next(given)) if j in joints else -1 for j in JOINT_NAMES]
-    found: dict[str, int] = {}
     hint = "say which twelve are meant (--joint-names; in Python joint_names)"
-    for i, name in enumerate(names):
-        place = joint_place(name)
-        if place is None:
-            continue
-        joint = f"{FEET[place[0]]}_{JOINTS[place[1]]}"
-        if joint in found:
-            raise InputError(
-                f"joints '{names[found[joint]][:60]}' and '{name[:60]}' both look like the "
-                f"{joint.replace('_', ' ')}; {hint}"
-            )
-        found[joint] = i
-    for joint in joints:
-        if joint not in found:
-            unknown = [name for name in names if joint_place(name) is None]
-            strange = f", and '{unknown[0][:60]}' is not known" if unknown else ""
-            raise InputError(
-                f"{len(names)} joints, and none for the {joint.replace('_', ' ')}{strange}; "
-                f"expected twelve named like {URDF_NAMES[0]}, or {hint}"
-            )
+    found: dict[str, int] = {}
+    for i, place in enumerate(map(joint_place, names)):
+        joint = place and f"{FEET[place[0]]}_{JOINTS[place[1]]}"
+        if joint and found.setdefault(joint, i) != i:
+            both = f"joints '{names[found[joint]][:60]}' and '{names[i][:60]}'"
+            raise InputError(f"{both} both look like the {joint.replace('_', ' ')}; {hint}")
+    missing = [joint.replace("_", " ") for joint in joints if joint not in found]
+    if missing:
+        unknown = [name for name in names if joint_place(name) is None]
+        strange = f", and '{unknown[0][:60]}' is not known" if unknown else ""
+        raise InputError(
+            f"{len(names)} joints, and none for the {missing[0]}{strange}; expected twelve named "
+            f"like {URDF_NAMES[0]}, or {hint}"
+        )
     return [found[joint] if joint in joints else -1 for joint in JOINT_NAMES]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.documents import parse_toml
-from terraphi.experiment.errors import InputError, nearest, needing
+from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import check_is_file
 from terraphi.robot.joint_log import JOINT_NAMES, JointLog
 from terraphi.robot.logs import messages as msg
@@ -21,6 +21,7 @@ from terraphi.robot.logs.samples import joint_log
 FORMATS = "CSV, Parquet, MCAP or the folder of a rosbag2"
 LONGEST_GAP = 0.1
 """Joint states further than this from the nearest message of the IMU [s] are left out."""
+_KINDS = (msg.LOW_STATE, msg.JOINT_STATE)
 
 
 def read_log(
@@ -39,18 +40,16 @@ def read_log(
         A CSV or Parquet table (:mod:`~terraphi.robot.logs.columns` has its columns), an MCAP file,
         or the folder of a rosbag2.
     topic
-        Topic of a bag to read; by default the one with ``unitree_go/msg/LowState`` or
-        ``unitree_legged_msgs/msg/LowState`` messages, or else ``sensor_msgs/msg/JointState``, with
-        the ``sensor_msgs/msg/Imu`` of the same bag if there is one.
+        Topic of a bag to read; by default the one with ``unitree_go/msg/LowState`` messages, or
+        else ``sensor_msgs/msg/JointState``, with the ``sensor_msgs/msg/Imu`` of the same bag.
     joint_names
         Names of the twelve joints in JointState messages, FR, FL, RR, RL × hip, thigh, calf, where
         they are not named like ``FR_hip_joint`` or ``RF_HAA``.
     motors
         Which joint each of the first twelve motors of a LowState moves, as ``FR_hip``: a robot's
-        :attr:`~terraphi.robot.model.Quadruped.joint_order`. Joints that it lacks are sought in no
-        log, and zero in it.
+        :attr:`~terraphi.robot.model.Quadruped.joint_order`. Joints that it lacks are zero.
     columns
-        Which columns of a table are what, or a TOML that says so
+        Which columns of a table are what, or a TOML file of it
         (:class:`~terraphi.robot.logs.columns.Columns`).
 
     Returns
@@ -58,7 +57,7 @@ def read_log(
     JointLog
         Time comes from the messages themselves: the tick of a LowState, counted from the
         robot's start; the header stamp of a JointState, counted from the first; the time of
-        recording only where these stand still. ``report`` says what was read and what was dropped.
+        recording only where these stand still. ``report`` lists what was read and dropped.
 
     Raises
     ------
@@ -73,8 +72,7 @@ def read_log(
             f"{len(joint_names)} joint names given; {len(motors)} are expected, in the order "
             f"{', '.join(name for name in JOINT_NAMES if name in motors)}"
         )
-    if path.name == "metadata.yaml":
-        path = path.parent
+    path = path.parent if path.name == "metadata.yaml" else path
     bag = path.is_dir() or path.suffix in {".mcap", ".db3"}
     if not path.is_dir():
         check_is_file(path, FORMATS)
@@ -98,19 +96,14 @@ def _read_bag(
 ) -> JointLog:
     with needing(f"{path}: reading bags", "the package rosbags", extra="robot"):
         from rosbags.rosbag2 import Reader
-    reader = None
     try:
-        reader = Reader(path)
-        reader.open()
-        return _from_bag(path, reader, topic, joint_names, motors)
+        with Reader(path) as bag:
+            return _from_bag(path, bag, topic, joint_names, motors)
     except (InputError, OSError, MemoryError):
         raise
     except Exception as error:  # damage raises errors of rosbags, of databases, of decompressors
         why = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: not a whole bag ({why}); copy or record it again") from error
-    finally:
-        if reader is not None and reader.is_open:
-            reader.close()
 
 
 def _from_bag(
@@ -120,55 +113,40 @@ def _from_bag(
     joint_names: Sequence[str] | None,
     motors: Sequence[str],
 ) -> JointLog:
+    def raw(topic: str) -> msg.Raw:
+        found = bag.messages([c for c in bag.connections if c.topic == topic])
+        return ((recorded, data) for _, recorded, data in found)
+
     chosen = _choose(path, bag.connections, topic)
-    kind, place = _plain(chosen.msgtype), f"{path}, topic '{chosen.topic}'"
+    name, place = chosen.topic, f"{path}, topic '{chosen.topic}'"
     dropped: Counter[str] = Counter()
-    facts: dict[str, Any] = {"notes": [], "format": "rosbag2" if path.is_dir() else "mcap"}
-    facts |= {"topic": chosen.topic, "message": chosen.msgtype}
-    raw = _messages(bag, chosen.topic)
-    others = {c.topic for c in bag.connections if _plain(c.msgtype) in _KINDS} - {chosen.topic}
-    if others:
-        facts["notes"].append(f"also there, not read: {', '.join(sorted(others))}")
-    if kind == msg.JOINT_STATE:
+    others = {c.topic for c in bag.connections if _plain(c.msgtype) in _KINDS} - {name}
+    notes = [f"also there, not read: {', '.join(sorted(others))}"] if others else []
+    facts: dict[str, Any] = {
+        "notes": notes, "format": "rosbag2" if path.is_dir() else "mcap",
+        "topic": name, "message": chosen.msgtype,
+    }  # fmt: skip
+    if _plain(chosen.msgtype) == msg.JOINT_STATE:
         try:
-            values = msg.joint_states(raw, joint_names, motors, dropped, facts["notes"])
+            values = msg.joint_states(raw(name), joint_names, motors, dropped, notes)
         except InputError as error:
             raise InputError(f"{place}: {error}") from error
         log = joint_log(path, values, "header stamp", dropped, facts)
         imus = sorted({c.topic for c in bag.connections if _plain(c.msgtype) == msg.IMU}, key=len)
-        return _with_imu(log, msg.imu_readings(_messages(bag, imus[0])), imus) if imus else log
+        return _with_imu(log, msg.imu_readings(raw(imus[0])), imus) if imus else log
     if joint_names is not None:
         raise InputError(
-            f"{place}: {kind} numbers its motors and has no names; leave the joint names out"
+            f"{place}: a LowState numbers its motors and has no names; leave the joint names out"
         )
     if len(motors) != msg.MOTORS:
-        raise InputError(
-            f"{place}: a LowState is of a robot with {msg.MOTORS} joints, and this one has "
-            f"{len(motors)}"
-        )
-    store = msg.typestore()
-    if kind == msg.LEGGED_STATE and chosen.msgdef.data:  # of the version that was recorded
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        store = get_typestore(Stores.EMPTY)
-        store.register(get_types_from_msg(chosen.msgdef.data, kind))
-    return joint_log(
-        path, msg.low_states(raw, motors, dropped, kind, store), "tick", dropped, facts
-    )
-
-
-_KINDS = (msg.LOW_STATE, msg.LEGGED_STATE, msg.JOINT_STATE)
+        raise InputError(f"{place}: of a robot with {msg.MOTORS} joints, this has {len(motors)}")
+    return joint_log(path, msg.low_states(raw(name), motors, dropped), "tick", dropped, facts)
 
 
 def _plain(kind: str) -> str:
     """Type of a message as ROS 2 names it; ``pkg::msg::dds_::Name_`` on the robot's own bus."""
     parts = [part for part in kind.replace("::", "/").split("/") if part]
     return f"{parts[0]}/msg/{parts[-1].rstrip('_')}"
-
-
-def _messages(bag: Any, topic: str) -> msg.Raw:
-    found = bag.messages([c for c in bag.connections if c.topic == topic])
-    return ((recorded, raw) for _, recorded, raw in found)
 
 
 def _choose(path: Path, connections: Sequence[Any], wanted: str | None) -> Any:
@@ -178,13 +156,10 @@ def _choose(path: Path, connections: Sequence[Any], wanted: str | None) -> Any:
     if wanted is not None:
         named = [c for c in connections if c.topic.strip("/") == wanted.strip("/")]
         if not named:
-            hint = nearest(wanted, {c.topic for c in connections})
-            hint = f"; {hint}" if hint.startswith("did") else ""
-            raise InputError(f"{path}: no topic '{wanted}'; present: {listed}{hint}")
+            raise InputError(f"{path}: no topic '{wanted}'; present: {listed}")
         if _plain(named[0].msgtype) not in _KINDS:
-            raise InputError(
-                f"{path}: topic '{wanted}' has {named[0].msgtype} messages; {expected}"
-            )
+            kind = named[0].msgtype
+            raise InputError(f"{path}: topic '{wanted}' has {kind} messages; {expected}")
         return named[0]
     supported = [c for c in connections if _plain(c.msgtype) in _KINDS]
     if not supported:
@@ -193,12 +168,9 @@ def _choose(path: Path, connections: Sequence[Any], wanted: str | None) -> Any:
     return min(
         supported,
         key=lambda c: (
-            _plain(c.msgtype) == msg.JOINT_STATE,
-            "lf" in c.topic.split("/"),
-            len(c.topic),
-            c.topic,
+            _plain(c.msgtype) == msg.JOINT_STATE, "lf" in c.topic.split("/"), len(c.topic), c.topic
         ),
-    )
+    )  # fmt: skip
 
 
 def _with_imu(log: JointLog, imu: dict[str, Any], topics: Sequence[str]) -> JointLog:
@@ -210,16 +182,16 @@ def _with_imu(log: JointLog, imu: dict[str, Any], topics: Sequence[str]) -> Join
     name, notes = topics[0], [*log.report["notes"]]
     stamp = imu["recorded" if log.report["clock"] == "recording time" else "stamp"]
     time, order = np.unique((stamp - log.report["start_ns"]) / 1e9, return_index=True)
-    groups = {n: imu[n][order] for n in ("quaternion", "angular_velocity", "acceleration")}
-    # What it does not measure is never a number.
+    groups = {n: imu[n][order] for n in msg.MEASURED}
+    # A quantity that it does not measure is never a number.
     groups = {n: c for n, c in groups.items() if 2 * np.isfinite(c).all(axis=1).sum() > len(c)}
     whole = np.all([np.isfinite(c).all(axis=1) & c.any() for c in groups.values()] or [time < 0], 0)
     time, groups = time[whole], {n: c[whole] for n, c in groups.items()}
     if not whole.all():
         notes.append(f"{(~whole).sum()} messages on {name} that are not all numbers left out")
-    after = np.clip(np.searchsorted(time, log.time), 1, max(len(time) - 1, 1))
     near = np.zeros(len(log.time), dtype=bool)
     if len(time) > 1:
+        after = np.clip(np.searchsorted(time, log.time), 1, len(time) - 1)
         off = [np.abs(log.time - time[after - k]) for k in (0, 1)]
         near = np.minimum(*off) <= LONGEST_GAP
     if 2 * near.sum() < len(near):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.logs import clock as clocks
@@ -59,9 +58,9 @@ def joint_log(
     values
         Columns of a JointLog but the time, ``stamp``, and ``recorded`` [ns] if known.
     clock
-        What the stamps are.
+        Kind of the stamps.
     dropped, facts
-        Samples dropped before, by reason, and what else to report, with ``notes``.
+        Samples dropped before, by reason, and other entries of the report, with ``notes``.
 
     Returns
     -------
@@ -75,69 +74,57 @@ def joint_log(
         If no sample is sound, if over half are not for one reason, or if the units are wrong.
     """
     if len(values["stamp"]):
-        for reason, bad in _unsound(values):
-            dropped[reason] += int(bad.sum())
-            values = {name: column[~bad] for name, column in values.items()}
+        values = _sound(values, dropped)
     _refuse_if_hopeless(path, dropped, len(values["stamp"]))
-    if not len(values["stamp"]):
-        raise InputError(f"{path}: no samples in it; record the log again")
-    time, name, more = clocks.seconds(values.pop("stamp"), values.pop("recorded", None), clock)
-    for _ in range(2):  # again without what ran backwards
-        time, jitter = clocks.evened(time, values["angle"], values.get("velocity"))
-        facts["notes"] += [*more.pop("notes", []), *jitter.pop("notes", [])]
-        facts |= {**more, **jitter}
-        keep, lost = clocks.increasing(time)
-        if keep.all():
-            break
-        dropped.update(lost)
-        time, values = time[keep], {name: column[keep] for name, column in values.items()}
-        _refuse_if_hopeless(path, dropped, len(time))
+    time, facts_of_time = clocks.seconds(values.pop("stamp"), values.pop("recorded", None), clock)
+    notes = [*facts["notes"], *facts_of_time.get("notes", ())]
+    keep, lost = clocks.increasing(time)
+    dropped.update(lost)
+    time, values = time[keep], {name: column[keep] for name, column in values.items()}
+    _refuse_if_hopeless(path, dropped, len(time))
     silent = [name for name in _IMU if name in values and not values[name].any()]
     if silent:
-        facts["notes"].append(f"always zero, taken as absent: {', '.join(silent)}")
+        notes.append(f"always zero, taken as absent: {', '.join(silent)}")
         values = {name: column for name, column in values.items() if name not in silent}
     if "quaternion" in values:
         values["quaternion"] /= np.linalg.norm(values["quaternion"], axis=1, keepdims=True)
     if "velocity" in values:
         _check_units(path, time, values["angle"], values["velocity"])
     else:
-        facts["notes"].append("no velocities in the log: central differences of the angles")
-        short = len(time) < 2
+        notes.append("no velocities in the log: central differences of the angles")
         angle = values["angle"]
-        values["velocity"] = np.zeros_like(angle) if short else np.gradient(angle, time, axis=0)
-    report = {
-        "samples": len(time),
-        "dropped": dict(sorted((+dropped).items())),
-        **clocks.describe(time),
-        "clock": name,
-        **facts,
-    }
+        values["velocity"] = np.gradient(angle, time, axis=0) if len(time) > 1 else 0.0 * angle
+    counts = {"samples": len(time), "dropped": dict(sorted((+dropped).items()))}
+    report = {**counts, **clocks.describe(time), **facts, **facts_of_time, "notes": notes}
     return JointLog(time, **values, report=report)
 
 
-def _unsound(values: dict[str, Any]) -> Iterator[tuple[str, BoolArray]]:
-    """Reasons against samples, and which they are among those that are left."""
+def _sound(values: dict[str, Any], dropped: Counter[str]) -> dict[str, Any]:
+    """Samples whose numbers are those of sensors; the others are counted."""
     columns = {name: c.reshape(len(c), -1) for name, c in values.items() if name != "recorded"}
-    sound = np.abs(columns["stamp"].astype(np.float64))[:, 0] < LATEST_S
+    finite = np.abs(columns["stamp"].astype(np.float64))[:, 0] < LATEST_S
     for name in columns.keys() - {"stamp"}:
-        sound &= (np.abs(columns[name]) < LARGEST).all(axis=1)
-    yield NOT_FINITE, ~sound
-    turned = (np.abs(columns["angle"][sound]) > FULL_TURN).any(axis=1)
-    yield TURNED, turned
+        finite &= (np.abs(columns[name]) < LARGEST).all(axis=1)
+    within = (np.abs(columns["angle"]) <= FULL_TURN).all(axis=1)
+    unit = np.ones_like(within)
     if "quaternion" in columns:
-        size = np.linalg.norm(columns["quaternion"][sound][~turned], axis=1)
+        size = np.linalg.norm(columns["quaternion"], axis=1)
         # A zero quaternion is none, unless all samples lack their attitude.
-        yield ATTITUDE, (np.abs(size - 1.0) >= 0.1) & ((size > 0.0) | size.any())
+        unit = (np.abs(size - 1.0) < 0.1) | ((size == 0.0) & ~size[finite & within].any())
+    keep = finite & within & unit
+    bad = {NOT_FINITE: ~finite, TURNED: finite & ~within, ATTITUDE: finite & within & ~unit}
+    dropped.update({reason: int(which.sum()) for reason, which in bad.items()})
+    return {name: column[keep] for name, column in values.items()}
 
 
 def _refuse_if_hopeless(path: Path, dropped: Counter[str], kept: int) -> None:
-    lost = dropped.total()
-    if not lost:
-        return
-    reason, number = dropped.most_common(1)[0]
-    if 2 * number > kept + lost or not kept:
+    if not kept and not dropped.total():
+        raise InputError(f"{path}: no samples in it; record the log again")
+    reason, number = (dropped or Counter({"": 0})).most_common(1)[0]
+    if 2 * number > kept + dropped.total() or not kept:
         remedy = _REMEDIES.get(reason, "check what wrote it, or record it again")
-        raise InputError(f"{path}: {number} of {kept + lost} samples: {reason}; {remedy}")
+        whole = kept + dropped.total()
+        raise InputError(f"{path}: {number} of {whole} samples: {reason}; {remedy}")
 
 
 def _check_units(path: Path, time: FloatArray, angle: FloatArray, velocity: FloatArray) -> None:
