@@ -79,7 +79,7 @@ def forces(
     """
     from terraphi.experiment.outputs import check_file, check_folder, filling
     from terraphi.robot import results as results_file
-    from terraphi.robot.results import analyse
+    from terraphi.robot.results import foot_forces
     from terraphi.view import plots
     from terraphi.view import robot_plots as pictures
 
@@ -87,7 +87,7 @@ def forces(
         check_file(out, kind=results_file.KIND)
     if figures is not None:
         check_folder(figures, kind="forces", names=["forces.png", "stance.png"])
-    found = analyse(log, estimator=estimator, frame=frame, **reading)
+    found = foot_forces(log, estimator=estimator, frame=frame, **reading)
     if out is not None:
         results_file.write_forces(found, out)
     if figures is not None:

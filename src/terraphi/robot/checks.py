@@ -2,8 +2,8 @@
 
 Over whole strides the ground pushes up with the robot's weight and pushes it nowhere; the attitude
 turns as the gyroscope does, and feet that stand move as one rigid body, turned likewise. Torques in
-another unit, an attitude that is another's, legs in another order and angles with another zero
-break one of these, and mostly not the others.
+another unit, an attitude that is another's and legs in another order break one of these, and mostly
+not the others.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.robot.forces import FootForces
 from terraphi.robot.friction import HANGING_SHARE
-from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, JointLog
+from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import GRAVITY, Legs, body_rate, rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import Stance
@@ -31,11 +31,8 @@ MOST_PUSH = 0.085
 """Part of the weight with which the feet may push sideways on average [-]."""
 BELIEVABLE_LIFT, BELIEVABLE_PUSH = (0.7, 1.4), 0.12
 """Beyond these, a finding is grave: no payload and no gain of the motors explains it [-]."""
-COARSEST_ANGLE = 0.005
-"""Steps of the angles [rad] beyond which they were rounded."""
-LEAST_SPEED, SOFT_SPEED = 0.01, 0.06
-"""Speed [m/s] below which feet that stand do not slide, and above which soil gives way under them,
-so that sliding does not point to a joint's zero."""
+LEAST_SPEED = 0.01
+"""Speed [m/s] below which feet that stand do not slide."""
 EXCHANGED = 0.75
 """Legs are exchanged if another order leaves less than this part of the sliding [-]."""
 TORQUES_EXCHANGED = 0.5
@@ -47,8 +44,6 @@ swing together can be exchanged at will, and the one that moves fewest is named.
 HELD_UP = 0.005
 """Feet that bear are lower than when they do not, by as much as they are lifted; if they are higher
 by this [m], torques are those of other feet."""
-OFF_RAD, OFF_GAIN = (0.1, 0.5), 0.1
-"""A joint's zero is off if a shift between these [rad] takes off this part of the sliding."""
 TURN_S = 0.1
 """Attitude and gyroscope are compared over this time [s]: long enough to average noise, short
 against a stride."""
@@ -112,24 +107,25 @@ def check(
     InputError
         If the feet pull at the ground, or bear the robot's weight several times over.
     """
-    attitude, angles = _attitude(log), _angles(log)
+    attitude = _attitude(log)
     try:
         weight = _weight(mean, robot)
     except InputError as error:
         # An attitude that is upside down makes the feet pull.
         raise InputError("; and ".join([*(f.text for f in attitude), str(error)])) from error
     if any(finding.grave for finding in attitude):
-        return [*weight, *angles, *attitude]  # with a wrong attitude, feet that stand seem to slide
+        return [*weight, *attitude]  # with a wrong attitude, feet that stand seem to slide
     legs = _legs(log, robot, np.nan_to_num(forces.force[..., 2]))
     if attitude and legs:
         both = f"{attitude[0].text}; or, if they are right, {legs[0].text}"
         attitude, legs = [], [Finding(both, True)]
-    sound = not (legs or weight or angles)
-    if mean is not None and mean.push > MOST_PUSH and sound and forces.frame != "body":
+    if legs or weight or mean is None or forces.frame == "body":
+        return [*weight, *attitude, *legs]
+    if mean.push > MOST_PUSH:
         push = f"the feet push the robot sideways with {mean.push:.0%} of its weight on average"
         text = f"{push}: are the angles' zeros and the attitude right?"
         legs = [Finding(text, mean.push > BELIEVABLE_PUSH)]
-    return [*weight, *angles, *attitude, *legs]
+    return [*weight, *attitude, *legs]
 
 
 def _weight(mean: Balance | None, robot: Quadruped) -> list[Finding]:
@@ -148,16 +144,6 @@ def _weight(mean: Balance | None, robot: Quadruped) -> list[Finding]:
     text = f"{bears}: are torques about {1.0 / lift:.2g} times as large, or its mass "
     grave = not BELIEVABLE_LIFT[0] < lift < BELIEVABLE_LIFT[1]
     return [Finding(f"{text}{lift * robot.mass:.3g} kg?", grave)]
-
-
-def _angles(log: JointLog) -> list[Finding]:
-    """Angles that were rounded."""
-    steps = np.abs(np.diff(log.angle[: 20 * _SAMPLES].astype(np.float64), axis=0))
-    step = float(steps.min(where=steps > 1e-6, initial=np.inf))
-    if not COARSEST_ANGLE <= step < np.inf:
-        return []
-    text = f"angles come in steps of {step:.2g} rad: forces turn by as much; write more digits"
-    return [Finding(text)]
 
 
 def _attitude(log: JointLog) -> list[Finding]:
@@ -218,7 +204,7 @@ def _attitude(log: JointLog) -> list[Finding]:
 
 
 def _legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[Finding]:
-    """Legs or torques in another order, or a joint whose angle has another zero."""
+    """Legs or torques in another order."""
     if log.angular_velocity is None:
         return []
     every = slice(None, None, max(1, len(log.time) // _SAMPLES))
@@ -233,35 +219,35 @@ def _legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[Finding]:
     load = np.maximum(bears - _BEARING, 0.0)
     if not np.any(np.count_nonzero(load, axis=1) > 1):
         return []
-
-    def moving(angle: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-        # Velocities of the balls' lowest points, as seen from a world in which the body turns in
-        # its place; and heights of the feet.
-        legs = Legs(robot, angle)
-        speed = np.einsum("sfij,sfj->sfi", legs.jacobian(arm), velocity)
-        height = np.einsum("si,sfi->sf", turn[:, 2], legs.place)
-        return speed + np.cross(spin[:, None], legs.place + arm), height
-
-    # Of each foot with the angles of each leg, shape [sample, foot, leg, 3].
+    # Velocities of the balls' lowest points, as seen from a world in which the body turns in its
+    # place, of each foot with the angles of each leg: shape [sample, foot, leg, 3].
     feet, speeds = np.arange(len(FEET)), np.empty((len(angle), 4, 4, 3))
-    height = np.empty((len(angle), 4))
     for shift in range(len(FEET) - 1, -1, -1):
         legs = np.roll(feet, shift)
-        speeds[:, feet, legs], height = moving(angle[:, legs], velocity[:, legs])
-    sliding = _sliding(speeds[:, feet, feet], load)
-    up = _held_up(height, bears)
-    if up > HELD_UP:
-        bear = f"feet that bear are held {1e3 * up:.0f} mm higher than when they do not"
+        found = Legs(robot, angle[:, legs])
+        speed = np.einsum("sfij,sfj->sfi", found.jacobian(arm), velocity[:, legs])
+        speeds[:, feet, legs] = speed + np.cross(spin[:, None], found.place + arm)
+        height = np.einsum("si,sfi->sf", turn[:, 2], found.place)
+    # Feet that bear are lower than when they do not. Heights are above the mean of all feet, of
+    # each foot by itself, so that neither slopes nor stairs matter.
+    height = height - height.mean(axis=1, keepdims=True)
+    rises = [
+        one[on > _BEARING].mean() - one[on < 0.5 * _BEARING].mean()
+        for one, on in zip(height.T, bears.T, strict=True)
+        if (on > _BEARING).any() and (on < 0.5 * _BEARING).any()
+    ]
+    if rises and np.mean(rises) > HELD_UP:
+        bear = f"feet that bear are held {1e3 * np.mean(rises):.0f} mm higher than when they do not"
         text = f"{bear}: torques are of other legs than angles; check the order of the torques"
         return [Finding(text, True)]
-    size = _size(sliding)
+    size = _sliding(speeds[:, feet, feet], load)
     if size < LEAST_SPEED:
         return []
     slide = f"feet that stand slide at {size:.2g} m/s"
     orders = list(itertools.permutations(range(len(FEET))))
-    whole = {o: _size(_sliding(speeds[:, feet, o], load[:, o])) for o in orders}
+    whole = {o: _sliding(speeds[:, feet, o], load[:, o]) for o in orders}
     # Of torques alone: who swings seems to bear, whatever the leg that makes the force.
-    torques = {o: _size(_sliding(speeds[:, feet, feet], load[:, o])) for o in orders}
+    torques = {o: _sliding(speeds[:, feet, feet], load[:, o]) for o in orders}
     best, least = min(whole, key=whole.__getitem__), min(torques.values())
     if least < min(whole[best], TORQUES_EXCHANGED * size):
         alike = [_moved(order) for order, value in torques.items() if value <= AS_GOOD * least]
@@ -270,50 +256,17 @@ def _legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[Finding]:
     if whole[best] < EXCHANGED * size:
         other = f"at {whole[best]:.2g} m/s if legs were exchanged: {_moved(best)}"
         return [Finding(f"{slide}, and {other}; check the order of the joints", True)]
-    if size > SOFT_SPEED:
-        return []
-    # A joint, or the same one of all legs, whose angle is off by a constant.
-    shifts = {name: np.eye(12)[i].reshape(4, 3) for i, name in enumerate(JOINT_NAMES)}
-    shifts |= {f"every {name}": np.tile(np.eye(3)[j], (4, 1)) for j, name in enumerate(JOINTS)}
-    joint, off, gain = "", 0.0, 0.0
-    for name, shift in shifts.items():
-        slope = (_sliding(moving(angle + 0.02 * shift, velocity)[0], load) - sliding) / 0.02
-        by = float(np.sum(-slope * sliding) / max(float(np.sum(slope**2)), 1e-30))
-        if (less := 1.0 - _size(sliding + by * slope) / size) > gain:
-            joint, off, gain = name, -by, less
-    if gain < OFF_GAIN or not OFF_RAD[0] <= abs(off) <= OFF_RAD[1]:
-        return []
-    other = f"{gain:.0%} less if the angle of {joint} were {off:+.2f} rad off"
-    return [Finding(f"{slide}, and {other}: check the zeros of the joints", True)]
+    return []
 
 
-def _sliding(speed: FloatArray, load: FloatArray) -> FloatArray:
-    """Velocities of loaded feet against their mean, weighted by load, shape [sample, foot, 3]."""
+def _sliding(speed: FloatArray, load: FloatArray) -> float:
+    """Root mean square speed of loaded feet against their mean, weighted by load [m/s]."""
     several = np.count_nonzero(load, axis=1) > 1
     share = load[several] / load[several].sum(axis=1, keepdims=True)
     speed = speed[several] - np.sum(share[..., None] * speed[several], axis=1, keepdims=True)
-    return np.asarray(speed * np.sqrt(share)[..., None])
-
-
-def _size(sliding: FloatArray) -> float:
-    return float(np.sqrt(np.sum(sliding**2) / len(sliding)))
+    return float(np.sqrt(np.sum(share[..., None] * speed**2) / len(speed)))
 
 
 def _moved(order: Sequence[int]) -> str:
     """Legs that stand elsewhere in an order."""
     return ", ".join(f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(order) if i != j)
-
-
-def _held_up(height: FloatArray, bears: FloatArray) -> float:
-    """How much higher feet are while they bear than while they do not [m].
-
-    Heights are above the mean of all feet, of each foot by itself, so that neither slopes nor
-    stairs matter. ``bears`` is in parts of the robot's weight, shape [sample, foot].
-    """
-    height = height - height.mean(axis=1, keepdims=True)
-    rises = [
-        one[on > _BEARING].mean() - one[on < 0.5 * _BEARING].mean()
-        for one, on in zip(height.T, bears.T, strict=True)
-        if (on > _BEARING).any() and (on < 0.5 * _BEARING).any()
-    ]
-    return float(np.mean(rises)) if rises else 0.0

@@ -149,7 +149,6 @@ def pool(
     n = len(SENSORS)
     amplitude, length, scatter = _learnt(kept, shared, mean)
     shared = _taught(kept, shared, amplitude, length, scatter, mean)
-    system = _System(kept, amplitude, length, scatter, mean)
     stretches = [points for _, points in anchors]
     # Rows: the path's points, then each anchor's stretch as the mean of its points.
     average = np.zeros((len(path) + len(anchors), len(path) + sum(map(len, stretches))))
@@ -158,7 +157,15 @@ def pool(
     for i, points in enumerate(stretches):
         average[len(path) + i, at : at + len(points)] = 1.0 / len(points)
         at += len(points)
-    found, spread, moves = system.at(np.concatenate([path, *stretches]), average)
+    # Posterior mean and covariance of these averages of φ, and their S, θ known.
+    places = np.concatenate([path, *stretches])
+    matrix = covariance(kept.place, kept.place, amplitude, length)
+    matrix[np.diag_indices(len(matrix))] += kept.sd**2 + scatter**2
+    lower = np.asarray(np.linalg.cholesky(matrix))
+    half = _solve(lower, (average @ covariance(places, kept.place, amplitude, length)).T)
+    weights = half.T @ _solve(lower, np.column_stack([kept.phi - mean, kept.shared]))
+    before = average @ covariance(places, places, amplitude, length) @ average.T
+    found, spread, moves = mean + weights[:, 0], before - half.T @ half, weights[:, 1:]
     relative = np.diag(spread) + _spread(moves[:, :n], shared.covariance[:n, :n])
     # φ = found − moves (θ − θ₀): anchors are seen now, footfalls have been.
     theta = shared.covariance
@@ -193,30 +200,6 @@ def pool(
 def _spread(rows: FloatArray, matrix: FloatArray) -> FloatArray:
     """Variance of each row's product with something of that covariance."""
     return np.asarray(np.einsum("ni,ij,nj->n", rows, matrix, rows).clip(0.0))
-
-
-class _System:
-    """Covariance of the footfalls with what they share known, and what follows from it."""
-
-    def __init__(
-        self, seen: Observed, amplitude: float, length: float, scatter: float, mean: float
-    ) -> None:
-        self._seen, self._mean = seen, mean
-        self._amplitude, self._length = amplitude, length
-        matrix = covariance(seen.place, seen.place, amplitude, length)
-        matrix[np.diag_indices(len(matrix))] += seen.sd**2 + scatter**2
-        self._lower = np.asarray(np.linalg.cholesky(matrix))
-
-    def at(
-        self, places: FloatArray, average: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Posterior mean and covariance of averages of φ over places, and their S."""
-        cross = covariance(places, self._seen.place, self._amplitude, self._length)
-        half = _solve(self._lower, (average @ cross).T)
-        before = average @ covariance(places, places, self._amplitude, self._length) @ average.T
-        weights = half.T @ _solve(self._lower, np.column_stack([self._seen.phi - self._mean,
-                                                                self._seen.shared]))  # fmt: skip
-        return self._mean + weights[:, 0], before - half.T @ half, weights[:, 1:]
 
 
 def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
@@ -228,26 +229,21 @@ def estimate(
 def _levelled(turn: FloatArray) -> FloatArray:
     """Rotations from the trunk's frame to one that heads where it does, but is level."""
     heading = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
-    back = np.zeros_like(turn)
-    back[:, 0, 0] = back[:, 1, 1] = np.cos(heading)
-    back[:, 0, 1], back[:, 1, 0], back[:, 2, 2] = np.sin(heading), -np.sin(heading), 1.0
-    return np.asarray(back @ turn)
+    return np.asarray(Rotation.from_euler("z", -heading[:, None]).as_matrix() @ turn)
 
 
 def _headings(log: JointLog) -> list[float] | None:
     """Directions of the trunk's x in the world, 5, 50 and 95 % of the time below [deg].
 
-    Counted from their mean direction, so that a robot that heads to 180° has no jump; ``None``
-    without attitude.
+    ``None`` without attitude. A robot that heads to 180° has no jump there.
     """
     if log.quaternion is None:
         return None
     every = slice(None, None, max(1, len(log.time) // 10_000))
     x, y = rotation(log.quaternion[every])[:, :2, 0].T
     middle = math.atan2(y.mean(), x.mean())
-    off = np.arctan2(y, x) - middle
-    off = np.degrees(np.arctan2(np.sin(off), np.cos(off)))
-    found: list[float] = (math.degrees(middle) + np.quantile(off, [0.05, 0.5, 0.95])).tolist()
+    off = np.arctan2(np.sin(np.arctan2(y, x) - middle), np.cos(np.arctan2(y, x) - middle))
+    found: list[float] = np.degrees(middle + np.quantile(off, [0.05, 0.5, 0.95])).tolist()
     return found
 
 

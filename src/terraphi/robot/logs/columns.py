@@ -59,7 +59,7 @@ class Columns(Strict):
         names = getattr(self, group) or ()
         if not isinstance(names, str):
             return list(names)
-        filled = {}  # each name once: those of feet repeat for their joints
+        filled: dict[str, None] = {}  # each name once: those of feet repeat for their joints
         for name in (joint for joint in JOINT_NAMES if joint in motors):
             foot, joint = name.split("_")
             text = names.replace("{motor}", str(list(motors).index(name)))
