@@ -17,13 +17,13 @@ from rosbags.rosbag2 import Writer
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import JOINT_NAMES, SHAPES, JointLog
 from terraphi.robot.logs import read_log
-from terraphi.robot.logs.clock import increasing, seconds
-from terraphi.robot.logs.messages import (
+from terraphi.robot.logs.bags import (
     IMU,
     JOINT_STATE,
     URDF_NAMES,
     typestore,
 )
+from terraphi.robot.logs.samples import increasing, seconds
 
 helpers = SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name("log_samples.py"))))
 log = helpers.walking()

@@ -59,7 +59,7 @@ def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
     type=Choice(FRAMES),
     default="world",
     show_default=True,
-    help="Axes of the forces: the world's, level ones along the robot, or the body's.",
+    help="Axes of the forces: the world's or the body's.",
 )
 @click.option("--out", type=PATH, help="NetCDF file for forces and stances.")
 @click.option("--figures", type=PATH, help="Folder for forces.png and stance.png.")

@@ -35,15 +35,6 @@ LEAST_SPEED = 0.01
 """Speed [m/s] below which feet that stand do not slide."""
 EXCHANGED = 0.75
 """Legs are exchanged if another order leaves less than this part of the sliding [-]."""
-TORQUES_EXCHANGED = 0.5
-"""The same for torques alone: where they are exchanged, feet that swing seem to slide, and the
-right order leaves 0.02 to 0.32; of sound trots on soft sand, other orders leave 0.74 and more."""
-AS_GOOD = 1.5
-"""Orders of the torques that leave this many times the least sliding [-] are as good: feet that
-swing together can be exchanged at will, and the one that moves fewest is named."""
-HELD_UP = 0.005
-"""Feet that bear are lower than when they do not, by as much as they are lifted; if they are higher
-by this [m], torques are those of other feet."""
 TURN_S = 0.1
 """Attitude and gyroscope are compared over this time [s]: long enough to average noise, short
 against a stride."""
@@ -204,7 +195,7 @@ def _attitude(log: JointLog) -> list[Finding]:
 
 
 def _legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[Finding]:
-    """Legs or torques in another order."""
+    """Legs in another order."""
     if log.angular_velocity is None:
         return []
     every = slice(None, None, max(1, len(log.time) // _SAMPLES))
@@ -227,34 +218,16 @@ def _legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[Finding]:
         found = Legs(robot, angle[:, legs])
         speed = np.einsum("sfij,sfj->sfi", found.jacobian(arm), velocity[:, legs])
         speeds[:, feet, legs] = speed + np.cross(spin[:, None], found.place + arm)
-        height = np.einsum("si,sfi->sf", turn[:, 2], found.place)
-    # Feet that bear are lower than when they do not. Heights are above the mean of all feet, of
-    # each foot by itself, so that neither slopes nor stairs matter.
-    height = height - height.mean(axis=1, keepdims=True)
-    rises = [
-        one[on > _BEARING].mean() - one[on < 0.5 * _BEARING].mean()
-        for one, on in zip(height.T, bears.T, strict=True)
-        if (on > _BEARING).any() and (on < 0.5 * _BEARING).any()
-    ]
-    if rises and np.mean(rises) > HELD_UP:
-        bear = f"feet that bear are held {1e3 * np.mean(rises):.0f} mm higher than when they do not"
-        text = f"{bear}: torques are of other legs than angles; check the order of the torques"
-        return [Finding(text, True)]
     size = _sliding(speeds[:, feet, feet], load)
     if size < LEAST_SPEED:
         return []
     slide = f"feet that stand slide at {size:.2g} m/s"
     orders = list(itertools.permutations(range(len(FEET))))
     whole = {o: _sliding(speeds[:, feet, o], load[:, o]) for o in orders}
-    # Of torques alone: who swings seems to bear, whatever the leg that makes the force.
-    torques = {o: _sliding(speeds[:, feet, feet], load[:, o]) for o in orders}
-    best, least = min(whole, key=whole.__getitem__), min(torques.values())
-    if least < min(whole[best], TORQUES_EXCHANGED * size):
-        alike = [_moved(order) for order, value in torques.items() if value <= AS_GOOD * least]
-        other = f"at {least:.2g} m/s if torques were exchanged, such as {min(alike, key=len)}"
-        return [Finding(f"{slide}, and {other}; check the order of the torques", True)]
+    best = min(whole, key=whole.__getitem__)
     if whole[best] < EXCHANGED * size:
-        other = f"at {whole[best]:.2g} m/s if legs were exchanged: {_moved(best)}"
+        moved = ", ".join(f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(best) if i != j)
+        other = f"at {whole[best]:.2g} m/s if legs were exchanged: {moved}"
         return [Finding(f"{slide}, and {other}; check the order of the joints", True)]
     return []
 
@@ -265,8 +238,3 @@ def _sliding(speed: FloatArray, load: FloatArray) -> float:
     share = load[several] / load[several].sum(axis=1, keepdims=True)
     speed = speed[several] - np.sum(share[..., None] * speed[several], axis=1, keepdims=True)
     return float(np.sqrt(np.sum(share[..., None] * speed**2) / len(speed)))
-
-
-def _moved(order: Sequence[int]) -> str:
-    """Legs that stand elsewhere in an order."""
-    return ", ".join(f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(order) if i != j)

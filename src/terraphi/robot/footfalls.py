@@ -16,15 +16,13 @@ from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.robot.footfall_fit import LAW_SETS, PHI_RANGE, SHARED, Fit, Prior, fit
-from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool
+from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool, weigh
 from terraphi.robot.forces import without_broken_accelerometer
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import rotation
 from terraphi.robot.model import Quadruped
-from terraphi.robot.odometry import Motion, track
 from terraphi.robot.results import foot_forces
-from terraphi.robot.touchdowns import FEWEST, Touchdowns, sensitivity, touchdowns
-from terraphi.robot.weighing import weigh
+from terraphi.robot.touchdowns import FEWEST, Motion, Touchdowns, sensitivity, touchdowns, track
 
 USABLE = "usable"
 SHALLOW, TRODDEN, MISFIT = "too little sinkage", "not virgin ground", "the law does not fit"

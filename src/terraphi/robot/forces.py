@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -10,7 +9,6 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
@@ -19,20 +17,18 @@ from terraphi.robot.estimators import (
     GAP_STEPS,
     OBSERVER_GAIN,
     Estimator,
+    JointFriction,
     chunks,
     contact_torque,
     signals,
 )
-from terraphi.robot.friction import JointFriction
+from terraphi.robot.friction import Survey, survey
 from terraphi.robot.joint_log import FEET, JOINTS, SHAPES, JointLog
 from terraphi.robot.legs import GRAVITY, rotation
 from terraphi.robot.model import Quadruped
-from terraphi.robot.survey import Survey, survey
-
-logger = logging.getLogger(__name__)
 
 SingleArray = NDArray[np.float32]
-Frame = Literal["world", "heading", "body"]
+Frame = Literal["world", "body"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 DEFAULT_ESTIMATOR: Estimator = "momentum_observer"
@@ -100,8 +96,8 @@ class FootForces:
     estimator
         How the forces were found.
     frame
-        ``world``: x where the world's x points, z up; ``heading``: x where the robot heads, level,
-        z up; ``body``: x forward, y left, tilted with the trunk.
+        ``world``: x where the world's x points, z up; ``body``: x forward, y left, tilted with the
+        trunk.
     friction
         Of the joints, found in swing and taken off; ``None`` if it was not.
     provenance
@@ -144,7 +140,7 @@ def estimate(
         accounted for. ``momentum_observer``: weight and inertia of the links too, and the ground
         pushes on the ball's lowest point.
     frame
-        ``world`` or ``heading``, by the log's attitude, or ``body``.
+        ``world``, by the log's attitude, or ``body``.
     friction
         Find the joints' friction in swing and take it off; ``quasi_static`` never does.
     priors
@@ -154,7 +150,7 @@ def estimate(
     ------
     InputError
         If the log has the wrong shape, is empty, runs backwards, holds something that is not a
-        number or angles in degrees, lacks the attitude that ``world`` and ``heading`` take, or an
+        number or angles in degrees, lacks the attitude that ``world`` takes, or an
         option is unknown.
     """
     for name, value, known in (("estimator", estimator, ESTIMATORS), ("frame", frame, FRAMES)):
@@ -167,7 +163,7 @@ def estimate(
     moving = estimator != "quasi_static"
     overview = survey(log, robot, estimator, gap, friction=moving and friction)
     noise = _torque_sigma(overview)
-    limit = np.minimum(SATURATED * np.array(robot.torque_limit or (np.inf,) * 3), overview.ceiling)
+    limit = SATURATED * np.array(robot.torque_limit or (np.inf,) * 3)
     count, shared = len(log.time), priors or Priors()
     force, sigma = (np.empty((count, 4, 3), dtype=np.float32) for _ in range(2))
     place, lift_per_torque = np.empty((2, count, 4, 3))
@@ -187,7 +183,7 @@ def estimate(
         lift_per_torque[rows] = np.einsum("si,sfij->sfj", seen.turn[inner][:, 2], inverse)
         if frame != "body":
             turn = seen.turn[inner]
-            inverse = (_levelled(turn) if frame == "heading" else turn)[:, None] @ inverse
+            inverse = turn[:, None] @ inverse
         with np.errstate(over="ignore", invalid="ignore"):  # where a knee is singular
             force[rows] = found = np.einsum("sfij,sfj->sfi", inverse, torque)
             variance = np.einsum("sfij,sfj->sfi", inverse**2, own + common)
@@ -216,7 +212,7 @@ def estimate(
             "robot_source": robot.source,
             "estimator": estimator,
             "frame": frame,
-            "headings_deg": _headings(log),
+            "heading_deg": _heading(log),
             "gain_per_s": OBSERVER_GAIN if moving else None,
             "priors": asdict(shared),
             "friction": None if overview.friction is None else overview.friction.summary(),
@@ -226,25 +222,13 @@ def estimate(
     )
 
 
-def _levelled(turn: FloatArray) -> FloatArray:
-    """Rotations from the trunk's frame to one that heads where it does, but is level."""
-    heading = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
-    return np.asarray(Rotation.from_euler("z", -heading[:, None]).as_matrix() @ turn)
-
-
-def _headings(log: JointLog) -> list[float] | None:
-    """Directions of the trunk's x in the world, 5, 50 and 95 % of the time below [deg].
-
-    ``None`` without attitude. A robot that heads to 180° has no jump there.
-    """
+def _heading(log: JointLog) -> float | None:
+    """Mean direction of the trunk's x in the world [deg]; ``None`` without attitude."""
     if log.quaternion is None:
         return None
     every = slice(None, None, max(1, len(log.time) // 10_000))
-    x, y = rotation(log.quaternion[every])[:, :2, 0].T
-    middle = math.atan2(y.mean(), x.mean())
-    off = np.arctan2(np.sin(np.arctan2(y, x) - middle), np.cos(np.arctan2(y, x) - middle))
-    found: list[float] = np.degrees(middle + np.quantile(off, [0.05, 0.5, 0.95])).tolist()
-    return found
+    x, y = rotation(log.quaternion[every])[:, :2, 0].mean(axis=0)
+    return math.degrees(math.atan2(y, x))
 
 
 def _torque_sigma(overview: Survey) -> FloatArray:
@@ -354,20 +338,18 @@ def without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
 
 def _assumed(log: JointLog, robot: Quadruped, overview: Survey, broken: list[str]) -> list[str]:
     """What was assumed where the log lacks something."""
-    assumed = list(broken)
-    if log.quaternion is None:
-        assumed.append("no attitude: gravity is taken along the body's z")
-    if log.acceleration is None:
-        assumed.append("no accelerometer: the trunk is taken to be unaccelerated")
-    if log.angular_velocity is None:
-        assumed.append("no gyroscope: the trunk is taken not to turn")
-    if not robot.there.all():
-        assumed.append("legs of two joints: the force across their plane is taken to be zero")
+    lacking = {
+        "no attitude: gravity is taken along the body's z": log.quaternion is None,
+        "no accelerometer: the trunk is taken to be unaccelerated": log.acceleration is None,
+        "no gyroscope: the trunk is taken not to turn": log.angular_velocity is None,
+        "legs of two joints: the force across their plane is taken to be zero": (
+            not robot.there.all()
+        ),
+    }
+    assumed = [*broken, *(text for text, lacks in lacking.items() if lacks)]
     lost = overview.friction
     if lost is not None and not (lost.found | ~robot.there).all():
         unknown = [f"{FEET[i]}_{JOINTS[j]}" for i, j in np.argwhere(~lost.found & robot.there)]
         whose = ", ".join(unknown) if lost.found.any() else "any joint"
         assumed.append(f"too little swing to find the friction of {whose}")
-    if assumed:
-        logger.info("foot forces: %s", "; ".join(assumed))
     return assumed

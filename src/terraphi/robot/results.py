@@ -20,7 +20,7 @@ from terraphi.robot.friction import HANGING_SHARE
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import GRAVITY
 from terraphi.robot.logs import read_log
-from terraphi.robot.logs.clock import UNEVEN, describe
+from terraphi.robot.logs.samples import UNEVEN, describe
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import AXES, Criteria, Ensemble, Stance, find_stances
 
@@ -199,11 +199,10 @@ def _notes(
     criteria: Criteria,
 ) -> list[str]:
     notes = []
-    headings = forces.provenance["headings_deg"]
-    if forces.frame == "world" and max(map(abs, headings)) > ASKEW_DEG:
-        low, _, high = headings
-        turned = f"the robot heads {low:.0f} to {high:.0f}° from the world's x"
-        notes.append(f"{turned}, along which Fx counts; frame 'heading' counts it along the robot")
+    heading = forces.provenance["heading_deg"]
+    if forces.frame == "world" and abs(heading) > ASKEW_DEG:
+        turned = f"the robot heads {heading:.0f}° from the world's x, along which Fx counts"
+        notes.append(f"{turned}; frame 'body' counts it along the robot")
     uneven = report["jitter_s"] * (report["rate_hz"] or 0.0)
     if uneven > UNEVEN:
         notes.append(f"time stamps vary by {uneven:.0%} of a step: forces are noisier")
@@ -234,16 +233,14 @@ def _why_no_stances(forces: FootForces, weight: float, criteria: Criteria) -> st
     if not len(lift):
         return "no sample has the forces of all four feet"
     total = float(np.median(lift, axis=0).sum())
-    carry = f"feet carry {total:.0f} N of {weight:.0f} N"
+    carry = f"its feet carry {total:.0f} N of {weight:.0f} N"
     step = float(np.median(np.diff(forces.time))) if len(forces.time) > 1 else 0.0
     if step > criteria.gap_s:
-        every = f"samples are {step:.3g} s apart, and a stance takes one every {criteria.gap_s:g} s"
-        return f"{every}; the {carry}"
+        return f"samples are {step:.3g} s apart, more than {criteria.gap_s:g} s; {carry}"
     if total > STANDING_SHARE * weight:
-        return f"the robot stands still, its {carry}"
-    if total < HANGING_SHARE * weight:
-        return f"the robot hangs or lies, its {carry}"
-    return f"no foot was set down and lifted again, the {carry}"
+        return f"the robot stands still, {carry}"
+    hangs = total < HANGING_SHARE * weight
+    return f"{'the robot hangs or lies' if hangs else 'no foot was set down and lifted'}, {carry}"
 
 
 def write_forces(result: RobotForces, path: Path | str) -> None:
