@@ -186,7 +186,6 @@ def test_imu_of_the_same_bag_goes_with_the_joints(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.acceleration, [[0.0, 0.0, 9.81]] * 200)
     notes = found.report["notes"]
     assert any("/camera/imu/data" in note for note in notes)
-    assert "2 messages on /imu/data that are not all numbers left out" in notes
 
 
 @pytest.mark.parametrize(
@@ -410,13 +409,13 @@ def test_tick_that_stands_still() -> None:
 
 def test_topics_and_options_that_do_not_fit(tmp_path: Path) -> None:
     write_rosbag2(tmp_path / "bag", log)
-    refused(tmp_path / "bag", "no topic '/lowstat'", "'/lowstate' (unitree_go", topic="/lowstat")
+    refused(tmp_path / "bag", "on topic '/lowstat'", "'/lowstate' (unitree_go", topic="/lowstat")
     refused(tmp_path / "bag", "leave the joint names out", joint_names=list(URDF_NAMES))
     write_csv(tmp_path / "log.csv", log)
     refused(tmp_path / "log.csv", "leave the topic out", topic="/lowstate")
     imu = bag(tmp_path / "imu", {"/imu": (IMU, imu_states(SWAY))})
     refused(imu, "'/imu' (sensor_msgs/msg/Imu)", "unitree_go/msg/LowState")
-    refused(imu, "has sensor_msgs/msg/Imu messages", topic="/imu")
+    refused(imu, "no joint states on topic '/imu'", topic="/imu")
     names = [f"m{i}" for i in range(12)]
     path = bag(tmp_path / "m", {"/joint_states": (JOINT_STATE, joint_states(names, EVERY))})
     refused(path, "'m0' is not known", "--joint-names")

@@ -325,7 +325,8 @@ def _learnt(seen: Observed, shared: Shared, mean: float) -> tuple[float, float, 
 
     def surprise(logs: FloatArray) -> float:
         amplitude, length, scatter = np.exp(logs)
-        lower = np.linalg.cholesky(_observed(part, amplitude, length, scatter) + common)
+        matrix = _observed(part, amplitude, length, scatter) + common
+        lower = np.asarray(np.linalg.cholesky(matrix))
         half = _solve(lower, left)
         prior = (((logs - centre) / width) ** 2).sum()
         return float(0.5 * (half @ half + prior) + np.log(np.diag(lower)).sum())

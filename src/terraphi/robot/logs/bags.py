@@ -1,0 +1,323 @@
+"""Bags of ROS 2 with a robot's joint states and IMU, read by the package ``rosbags``.
+
+``unitree_go/msg/LowState`` (Go2, B2) numbers its motors, of which the first twelve are the legs'.
+``sensor_msgs/msg/JointState`` names its joints and may list them in any order;
+``sensor_msgs/msg/Imu`` goes with it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from terraphi.experiment.documents import shipped_file
+from terraphi.experiment.errors import InputError, nearest, needing
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, SHAPES, JointLog, joint_place
+from terraphi.robot.logs.samples import joint_log
+
+LOW_STATE = "unitree_go/msg/LowState"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+IMU = "sensor_msgs/msg/Imu"
+MEASURED = ("quaternion", "angular_velocity", "acceleration")
+"""Columns of a JointLog that an Imu message has."""
+MOTORS = len(JOINT_NAMES)
+URDF_NAMES = tuple(f"{name}_joint" for name in JOINT_NAMES)
+"""Names of the joints in Unitree's robot descriptions, in the order of a JointLog."""
+MALFORMED = "not a message of its type"
+OTHERS = "joints of something else"
+
+_KINDS = (LOW_STATE, JOINT_STATE)
+LONGEST_GAP = 0.1
+"""Joint states further than this from the nearest message of the IMU [s] are left out."""
+
+
+@cache
+def typestore() -> Any:
+    """Message types of ROS 2 Humble, and those of Unitree, which ``rosbags`` does not ship."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    text = shipped_file("robots", "unitree_go", ".msg").read_text(encoding="utf-8")
+    store.register(get_types_from_msg(text, LOW_STATE))
+    return store
+
+
+Raw = Iterable[tuple[int, bytes]]
+"""When messages were recorded [ns], and messages in the wire format of ROS 2."""
+
+
+def decoded(messages: Raw, kind: str, dropped: Counter[str]) -> Iterator[tuple[int, Any]]:
+    """Messages of a type; bytes that are none are counted."""
+    for recorded, raw in messages:
+        try:
+            message = typestore().deserialize_cdr(raw, kind)
+        except Exception:  # damaged bytes raise struct.error, ValueError, SerdeError and more
+            dropped[MALFORMED] += 1
+        else:
+            yield recorded, message
+
+
+def low_states(messages: Raw, motors: Sequence[str], dropped: Counter[str]) -> dict[str, Any]:
+    """Columns of a JointLog from LowState messages, ``stamp`` (the tick) and ``recorded`` [ns].
+
+    ``motors`` are the joints that the first twelve motors move.
+    """
+    stamps, rows = [], []
+    for recorded, state in decoded(messages, LOW_STATE, dropped):
+        stamps.append((state.tick, recorded))
+        imu, legs = state.imu_state, state.motor_state[:MOTORS]
+        numbers = [number for m in legs for number in (m.q, m.dq, m.tau_est)]
+        numbers += [*imu.quaternion, *imu.gyroscope, *imu.accelerometer, *state.foot_force]
+        rows.append(np.array(numbers, dtype=np.float32))
+    table = np.array(rows, dtype=np.float64).reshape(-1, 3 * MOTORS + 14)
+    order = [list(motors).index(name) for name in JOINT_NAMES]
+    joints = table[:, : 3 * MOTORS].reshape(-1, MOTORS, 3)[:, order].reshape(-1, 4, 3, 3)
+    columns = [*np.moveaxis(joints, -1, 0), *np.split(table[:, 3 * MOTORS :], [4, 7, 10], axis=1)]
+    return dict(zip(SHAPES, columns, strict=True)) | _times(stamps)
+
+
+def _times(stamps: list[tuple[int, int]]) -> dict[str, Any]:
+    stamp, recorded = np.array(stamps, dtype=np.int64).reshape(-1, 2).T
+    return {"stamp": stamp, "recorded": recorded}
+
+
+def _stamp(message: Any) -> int:
+    """Header stamp [ns]."""
+    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
+
+
+_FIELDS = {"angle": "position", "velocity": "velocity", "torque": "effort"}
+
+
+def joint_states(
+    messages: Raw,
+    joint_names: Sequence[str] | None,
+    joints: Sequence[str],
+    dropped: Counter[str],
+    notes: list[str],
+) -> dict[str, Any]:
+    """Columns of a JointLog from JointState messages, ``stamp`` (header) and ``recorded`` [ns].
+
+    ``joint_names`` and ``joints`` as in :func:`joint_order`. Messages without the joints, or with
+    other columns than the first ones, are left out.
+
+    Raises
+    ------
+    InputError
+        If no message has the legs' joints and their efforts.
+    """
+    orders: dict[tuple[str, ...], list[int] | None] = {}
+    columns: tuple[str, ...] = ()
+    refusal, ignored = "", set()
+    stamps, rows = [], []
+    for recorded, message in decoded(messages, JOINT_STATE, dropped):
+        names = tuple(message.name)
+        if names not in orders:
+            try:
+                own = orders[names] = joint_order(names, joint_names, joints)
+                ignored |= {name for i, name in enumerate(names) if i not in own}
+            except InputError as error:
+                orders[names], refusal = None, refusal or str(error)
+        order = orders[names]
+        present = tuple(c for c, f in _FIELDS.items() if len(getattr(message, f)) == len(names))
+        whole = {"angle", "torque"} <= {*present} and present == (columns or present)
+        if order is None or not whole:
+            dropped[OTHERS] += 1
+            continue
+        columns = present
+        stamps.append((_stamp(message), recorded))
+        # Joints that are not there have the last place, which is zero.
+        rows.append([np.append(getattr(message, _FIELDS[c]), 0.0)[order] for c in present])
+    if orders and not rows:
+        raise InputError(refusal or "the joint states carry no efforts, and forces need torques")
+    if ignored:
+        more = f" and {len(ignored) - 6} more" if len(ignored) > 6 else ""
+        notes.append(f"joints of no leg, ignored: {', '.join(sorted(ignored)[:6])}{more}")
+    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(columns), 4, 3)
+    return {name: table[:, k] for k, name in enumerate(columns)} | _times(stamps)
+
+
+def imu_readings(messages: Raw) -> dict[str, Any]:
+    """Columns of a JointLog from Imu messages, ``stamp`` (header) and ``recorded`` [ns].
+
+    Its axes are taken to be the body's. A quantity that it does not measure, by a covariance of −1,
+    is not a number.
+    """
+    stamps, rows = [], []
+    for recorded, message in decoded(messages, IMU, Counter()):
+        q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
+        parts = (
+            ([q.w, q.x, q.y, q.z], message.orientation_covariance),
+            ([w.x, w.y, w.z], message.angular_velocity_covariance),
+            ([a.x, a.y, a.z], message.linear_acceleration_covariance),
+        )
+        stamps.append((_stamp(message), recorded))
+        rows.append([v if of[0] != -1.0 else np.nan for part, of in parts for v in part])
+    columns = np.split(np.array(rows, dtype=np.float64).reshape(-1, 10), [4, 7], axis=1)
+    return dict(zip(MEASURED, columns, strict=True)) | _times(stamps)
+
+
+def joint_order(
+    names: Sequence[str], wanted: Sequence[str] | None, joints: Sequence[str]
+) -> list[int]:
+    """Indices of the twelve joints in a message's list of names; −1 where there is none.
+
+    Parameters
+    ----------
+    names
+        Names in the message.
+    wanted
+        Names of the legs' joints, FR, FL, RR, RL × hip, thigh, calf; ``None`` goes by patterns.
+    joints
+        Those that the robot has, as ``FR_hip``.
+
+    Raises
+    ------
+    InputError
+        If a joint is missing, stands twice or is not known; the message does not name the file.
+    """
+    found: dict[str, int] = {}
+    hint = "say which twelve are meant (--joint-names; in Python joint_names)"
+    for name in wanted or ():
+        if name not in names or list(wanted or ()).count(name) > 1:
+            raise InputError(f"joint '{name}' is not once in the messages; {nearest(name, names)}")
+    if wanted is not None:
+        legs = [joint for joint in JOINT_NAMES if joint in joints]
+        found = dict(zip(legs, map(list(names).index, wanted), strict=True))
+    for i, place in enumerate(map(joint_place, names if wanted is None else ())):
+        joint = place and f"{FEET[place[0]]}_{JOINTS[place[1]]}"
+        if joint and found.setdefault(joint, i) != i:
+            both = f"joints '{names[found[joint]][:60]}' and '{names[i][:60]}'"
+            raise InputError(f"{both} both look like the {joint.replace('_', ' ')}; {hint}")
+    missing = [joint.replace("_", " ") for joint in joints if joint not in found]
+    if missing:
+        unknown = [f", and '{name[:60]}' is not known" for name in names if not joint_place(name)]
+        raise InputError(
+            f"{len(names)} joints, and none for the {missing[0]}{(unknown or [''])[0]}; expected "
+            f"twelve named like {URDF_NAMES[0]}, or {hint}"
+        )
+    return [found[joint] if joint in joints else -1 for joint in JOINT_NAMES]
+
+
+def read_bag(
+    path: Path, topic: str | None, joint_names: Sequence[str] | None, motors: Sequence[str]
+) -> JointLog:
+    """Read an MCAP file or the folder of a rosbag2; options of ``read_log``."""
+    with needing(f"{path}: reading bags", "the package rosbags", extra="robot"):
+        from rosbags.rosbag2 import Reader
+    try:
+        with Reader(path) as bag:
+            return _from_bag(path, bag, topic, joint_names, motors)
+    except (InputError, OSError, MemoryError):
+        raise
+    except Exception as error:  # damage raises errors of rosbags, of databases, of decompressors
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: not a whole bag ({why}); copy or record it again") from error
+
+
+def _from_bag(
+    path: Path,
+    bag: Any,
+    topic: str | None,
+    joint_names: Sequence[str] | None,
+    motors: Sequence[str],
+) -> JointLog:
+    def raw(topic: str) -> Raw:
+        found = bag.messages([c for c in bag.connections if c.topic == topic])
+        return ((recorded, data) for _, recorded, data in found)
+
+    chosen = _choose(path, bag.connections, topic)
+    name, place = chosen.topic, f"{path}, topic '{chosen.topic}'"
+    dropped: Counter[str] = Counter()
+    others = {c.topic for c in bag.connections if _plain(c.msgtype) in _KINDS} - {name}
+    notes = [f"also there, not read: {', '.join(sorted(others))}"] if others else []
+    facts: dict[str, Any] = {
+        "notes": notes, "format": "rosbag2" if path.is_dir() else "mcap",
+        "topic": name, "message": chosen.msgtype,
+    }  # fmt: skip
+    if _plain(chosen.msgtype) == JOINT_STATE:
+        try:
+            values = joint_states(raw(name), joint_names, motors, dropped, notes)
+        except InputError as error:
+            raise InputError(f"{place}: {error}") from error
+        log = joint_log(path, values, "header stamp", dropped, facts)
+        imus = sorted({c.topic for c in bag.connections if _plain(c.msgtype) == IMU}, key=len)
+        return _with_imu(log, imu_readings(raw(imus[0])), imus) if imus else log
+    if joint_names is not None:
+        raise InputError(
+            f"{place}: a LowState numbers its motors and has no names; leave the joint names out"
+        )
+    if len(motors) != MOTORS:
+        raise InputError(f"{place}: of a robot with {MOTORS} joints, this has {len(motors)}")
+    return joint_log(path, low_states(raw(name), motors, dropped), "tick", dropped, facts)
+
+
+def _plain(kind: str) -> str:
+    """Type of a message as ROS 2 names it; ``pkg::msg::dds_::Name_`` on the robot's own bus."""
+    parts = [part for part in kind.replace("::", "/").split("/") if part]
+    return f"{parts[0]}/msg/{parts[-1].rstrip('_')}"
+
+
+def _choose(path: Path, connections: Sequence[Any], wanted: str | None) -> Any:
+    """Choose the topic to read."""
+    usable = [
+        c for c in connections
+        if _plain(c.msgtype) in _KINDS and (wanted or c.topic).strip("/") == c.topic.strip("/")
+    ]  # fmt: skip
+    if not usable:
+        listed = ", ".join(sorted({f"'{c.topic}' ({c.msgtype})" for c in connections})[:12])
+        where = "in it" if wanted is None else f"on topic '{wanted}'"
+        kinds = f"expected {' or '.join(_KINDS)}; present: {listed or 'nothing'}"
+        raise InputError(f"{path}: no joint states {where}; {kinds}")
+
+    def rank(connection: Any) -> tuple[bool, bool, int, str]:
+        # Robots repeat their state on lf/lowstate at a low frequency.
+        topic = connection.topic
+        named = _plain(connection.msgtype) == JOINT_STATE
+        return named, "lf" in topic.split("/"), len(topic), topic
+
+    return min(usable, key=rank)
+
+
+def _with_imu(log: JointLog, imu: dict[str, Any], topics: Sequence[str]) -> JointLog:
+    """Joint states with the readings of an IMU, linearly between its messages.
+
+    Samples that no message is near to are left out. The log stays as it was, with a note, if that
+    leaves less than half of it.
+    """
+    name, notes = topics[0], [*log.report["notes"]]
+    stamp = imu["recorded" if log.report["clock"] == "recording time" else "stamp"]
+    time, order = np.unique((stamp - log.report["start_ns"]) / 1e9, return_index=True)
+    groups = {n: imu[n][order] for n in MEASURED}
+    # A quantity that it does not measure is never a number.
+    groups = {n: c for n, c in groups.items() if 2 * np.isfinite(c).all(axis=1).sum() > len(c)}
+    whole = np.all([np.isfinite(c).all(axis=1) & c.any() for c in groups.values()] or [time < 0], 0)
+    time, groups = time[whole], {n: c[whole] for n, c in groups.items()}
+    near = np.zeros(len(log.time), dtype=bool)
+    if len(time) > 1:
+        after = np.clip(np.searchsorted(time, log.time), 1, len(time) - 1)
+        off = [np.abs(log.time - time[after - k]) for k in (0, 1)]
+        near = np.minimum(*off) <= LONGEST_GAP
+    if 2 * near.sum() < len(near):
+        why = "its stamps do not overlap with those of the joints" if len(time) else "no messages"
+        notes.append(f"{name} not used: {why}")
+        return replace(log, report={**log.report, "notes": notes})
+    if len(topics) > 1:
+        notes.append(f"attitude from {name}; also there, not read: {', '.join(topics[1:])}")
+    if "quaternion" in groups:  # q and −q are the same attitude
+        own = groups["quaternion"]
+        sense = np.where(np.sum(own[1:] * own[:-1], axis=1) < 0.0, -1.0, 1.0)
+        groups["quaternion"] = own * np.cumprod(np.concatenate([[1.0], sense]))[:, None]
+    at = log.time[near]
+    found = {n: np.stack([np.interp(at, time, c) for c in g.T], axis=1) for n, g in groups.items()}
+    if "quaternion" in found:
+        found["quaternion"] /= np.linalg.norm(found["quaternion"], axis=1, keepdims=True)
+    joints = {n: getattr(log, n)[near] for n in ("time", "angle", "velocity", "torque")}
+    report = {**log.report, "notes": notes, "imu_topic": name, "samples": int(near.sum())}
+    return replace(log, **joints, **found, report=report)
