@@ -128,6 +128,11 @@ def signals(log: JointLog, robot: Quadruped, part: slice, *, moving: bool = True
     return Signals(time, velocity, torque, turn, trunk, slopes, legs)
 
 
+def upward(turn: FloatArray, inverse: FloatArray) -> FloatArray:
+    """Upward force per torque of each joint [1/m], shape [sample, foot, joint]."""
+    return np.asarray(np.einsum("si,sfij->sfj", turn[:, 2], inverse))
+
+
 def trunk_motion(
     log: JointLog, robot: Quadruped, part: slice = slice(None)
 ) -> tuple[FloatArray, TrunkMotion]:

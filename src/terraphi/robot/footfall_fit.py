@@ -209,7 +209,7 @@ def fit(seen: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     """
     known = LAWS[law] if isinstance(law, str) else law
     parts = [
-        _fit(seen.part(slice(i, i + BLOCK)), known, prior)
+        _fit(Touchdowns._make(column[i : i + BLOCK] for column in seen), known, prior)
         for i in range(0, max(len(seen.foot), 1), BLOCK)
     ]
     return Fit(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

@@ -21,6 +21,7 @@ from terraphi.robot.estimators import (
     chunks,
     contact_torque,
     signals,
+    upward,
 )
 from terraphi.robot.friction import Survey, survey
 from terraphi.robot.joint_log import FEET, JOINTS, SHAPES, JointLog
@@ -36,8 +37,6 @@ LEAST_LEVER = 0.05
 """A knee is near-singular below this lever of J over the leg's length [-]; about 11° of bend."""
 SATURATED = 0.99
 """Torques above this share of the motor's limit are taken to be cut off [-]."""
-WIDEST_ANGLE = 10.0
-"""Joint angles beyond this [rad] are degrees."""
 WORST_ACCELEROMETER = 3.0
 """Mean specific force may differ by this much from gravity's [m/s²], or it is not one."""
 UNFELT_PART = 0.3
@@ -164,37 +163,33 @@ def estimate(
     overview = survey(log, robot, estimator, gap, friction=moving and friction)
     noise = _torque_sigma(overview)
     limit = SATURATED * np.array(robot.torque_limit or (np.inf,) * 3)
-    count, shared = len(log.time), priors or Priors()
-    force, sigma = (np.empty((count, 4, 3), dtype=np.float32) for _ in range(2))
-    place, lift_per_torque = np.empty((2, count, 4, 3))
-    flagged, saturated = np.empty((2, count, 4), dtype=np.bool_)
+    shared, parts = priors or Priors(), []
     for chunk in chunks(log.time):
-        rows, inner = chunk.rows, chunk.inner
-        seen = signals(log, robot, chunk.wide, moving=moving)
+        seen, inner = signals(log, robot, chunk.wide, moving=moving), chunk.inner
         torque = contact_torque(seen, estimator, gap, overview.friction)
         own = noise**2 + _timing_variance(seen.time, torque, gap)[inner]
-        torque, velocity = torque[inner], seen.velocity[inner]
+        torque, velocity, turn = torque[inner], seen.velocity[inner], seen.turn[inner]
         if overview.friction is not None:
             own += overview.friction.doubt(velocity) ** 2
         common = _shared_variance(seen.torque[inner], velocity, overview, shared)
         low = -robot.foot_radius * seen.turn[:, None, 2, :] if moving else None
         inverse, lever = (each[inner] for each in seen.legs.force_per_torque(low))
         near = lever < LEAST_LEVER * robot.leg_length
-        lift_per_torque[rows] = np.einsum("si,sfij->sfj", seen.turn[inner][:, 2], inverse)
-        if frame != "body":
-            turn = seen.turn[inner]
+        lift_per_torque = upward(turn, inverse)
+        if frame == "world":
             inverse = turn[:, None] @ inverse
         with np.errstate(over="ignore", invalid="ignore"):  # where a knee is singular
-            force[rows] = found = np.einsum("sfij,sfj->sfi", inverse, torque)
+            force = np.einsum("sfij,sfj->sfi", inverse, torque)
             variance = np.einsum("sfij,sfj->sfi", inverse**2, own + common)
             if not robot.there.all():
-                variance += _unfelt_variance(robot, inverse, found)
-            if frame != "body":
-                variance += _tilt_variance(found, shared)
-            sigma[rows] = np.sqrt(variance)
-        force[rows][near], sigma[rows][near] = np.nan, np.nan
-        place[rows], flagged[rows] = seen.legs.place[inner], near
-        saturated[rows] = (np.abs(seen.torque[inner]) >= limit).any(axis=-1)
+                variance += _unfelt_variance(robot, inverse, force)
+            if frame == "world":
+                variance += _tilt_variance(force, shared)
+            both = np.asarray([force, np.sqrt(variance)], dtype=np.float32)
+        both[:, near] = np.nan
+        saturated = (np.abs(seen.torque[inner]) >= limit).any(axis=-1)
+        parts.append((*both, near, saturated, seen.legs.place[inner], lift_per_torque))
+    force, sigma, flagged, saturated, place, lift = map(np.concatenate, zip(*parts, strict=True))
     return FootForces(
         time=np.asarray(log.time, dtype=np.float64),
         force=force,
@@ -202,7 +197,7 @@ def estimate(
         flagged=flagged,
         saturated=saturated,
         place=place,
-        lift_per_torque=lift_per_torque,
+        lift_per_torque=lift,
         swing_residual=overview.residual,
         estimator=estimator,
         frame=frame,
@@ -236,12 +231,11 @@ def _torque_sigma(overview: Survey) -> FloatArray:
 
     A foot that never swings is given what the others show, or else the torques' noise.
     """
-    residual = overview.residual.copy()
-    unknown = np.isnan(residual[:, 0])
-    if unknown.all():
+    residual, known = overview.residual, np.isfinite(overview.residual[:, 0])
+    if not known.any():
         residual = overview.noise
-    elif unknown.any():
-        residual[unknown] = np.median(residual[~unknown], axis=0)
+    others = np.median(residual[known], axis=0) if known.any() else 0.0
+    residual = np.where(known[:, None] | ~known.any(), residual, others)
     return np.asarray(np.sqrt(residual**2 + overview.resolution**2 / 12.0))
 
 
@@ -304,9 +298,6 @@ def _check_log(log: JointLog, frame: Frame) -> None:
     back = np.flatnonzero(np.diff(log.time) <= 0.0)
     if back.size:
         raise InputError(f"time runs backwards at sample {back[0] + 1}; it should increase")
-    widest = float(np.abs(log.angle).max())
-    if widest > WIDEST_ANGLE:
-        raise InputError(f"joint angles reach {widest:.1f}; radians are expected, not degrees")
     if log.quaternion is None:
         if frame != "body":
             raise InputError(f"the log has no attitude, which frame '{frame}' needs; use 'body'")

@@ -8,7 +8,8 @@ torque is not among them: a joint that swings mostly one way cannot separate it 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from terraphi.robot.estimators import (
     contact_torque,
     friction_terms,
     signals,
+    upward,
 )
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.legs import GRAVITY
@@ -62,13 +64,7 @@ _GAUSS = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 
-def in_swing(
-    time: FloatArray,
-    lift: FloatArray,
-    *,
-    touch: float,
-    leave: float,
-) -> BoolArray:
+def in_swing(time: FloatArray, lift: FloatArray, *, leave: float) -> BoolArray:
     """When feet are in the air, from the forces on them.
 
     Parameters
@@ -77,15 +73,16 @@ def in_swing(
         [s], shape [sample].
     lift
         Upward force of the ground on the feet [N], shape [sample, foot].
-    touch, leave
-        A foot stands once it is above ``touch`` and swings once it is below ``leave`` [N].
+    leave
+        A foot swings once it is below this force, and stands once it is above
+        :data:`TOUCH_OVER_LEAVE` times as much [N].
 
     Returns
     -------
     ndarray
         Shape [sample, foot].
     """
-    event = np.where(lift > touch, 1, np.where(lift < leave, -1, 0))
+    event = np.where(lift > TOUCH_OVER_LEAVE * leave, 1, np.where(lift < leave, -1, 0))
     event[0] = np.where(event[0] == 0, 1, event[0])
     rows = np.arange(len(time))[:, None]
     latest = np.maximum.accumulate(np.where(event != 0, rows, 0), axis=0)
@@ -231,7 +228,9 @@ def _robust(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def spread(deviation: FloatArray) -> FloatArray:
-    """Robust standard deviation of errors about zero, along the first axis."""
+    """Robust standard deviation of errors about zero, along the first axis; NaN of none."""
+    if not len(deviation):
+        return np.full(deviation.shape[1:], np.nan)
     return np.asarray(_GAUSS * np.median(np.abs(deviation), axis=0))
 
 
@@ -257,17 +256,6 @@ class Survey(NamedTuple):
     noise: FloatArray
 
 
-class _Window(NamedTuple):
-    seen: Signals
-    inner: slice
-    lift: FloatArray
-    """Upward force for each torque, shape [sample, foot, joint]."""
-    torque: FloatArray
-    terms: FloatArray
-    sure: BoolArray
-    """Whether a joint keeps moving one way, shape [sample, foot, joint]."""
-
-
 def survey(
     log: JointLog,
     robot: Quadruped,
@@ -289,71 +277,54 @@ def survey(
     """
     every = list(chunks(log.time))
     picked = np.unique(np.linspace(0, len(every) - 1, min(len(every), SURVEY // CHUNK + 1)))
-    windows = []
-    for chunk in (every[int(i)] for i in picked):
-        seen, inner = signals(log, robot, chunk.wide), chunk.inner
-        row = np.einsum("si,sfij->sfj", seen.turn[:, 2], seen.legs.force_per_torque()[0])
-        windows.append(
-            _Window(
-                seen,
-                inner,
-                np.where(np.isfinite(row), row, 0.0)[inner],
-                contact_torque(seen, "momentum_observer", gap)[inner],
-                friction_terms(seen, gap)[inner],
-                one_way(seen.time, seen.velocity)[inner],
-            )
+    parts = [every[int(i)] for i in picked]
+    windows = [(signals(log, robot, part.wide), part.inner) for part in parts]
+
+    def joined(values: Callable[[Signals], Any]) -> Any:
+        return np.concatenate([values(seen)[inner] for seen, inner in windows])
+
+    # Swing phases follow from the forces and friction from the swing phases, alternately.
+    torque = joined(lambda seen: contact_torque(seen, "momentum_observer", gap))
+    terms = joined(lambda seen: friction_terms(seen, gap))
+    sure = joined(lambda seen: one_way(seen.time, seen.velocity))
+    per = joined(lambda seen: upward(seen.turn, seen.legs.force_per_torque()[0]))
+    ends = np.cumsum([part.rows.stop - part.rows.start for part in parts])[:-1]
+    weight = robot.mass * GRAVITY
+
+    def found(rest: FloatArray, part: float, share: float) -> tuple[JointFriction, Any, FloatArray]:
+        lifts = np.split(np.nansum(per * rest, axis=-1), ends)
+        air = np.concatenate(
+            [
+                in_swing(seen.time[inner], lift, leave=share * weight)
+                & clear_of_ground(
+                    seen.legs.place[inner], seen.turn[inner][:, 2], lift, weight=weight, part=part
+                )
+                for (seen, inner), lift in zip(windows, lifts, strict=True)
+            ]
         )
-    found, swings = _alternate(windows, robot.mass * GRAVITY)
-    kept = found if friction else None
+        lost = fit(torque, terms, air, sure)
+        numbers = np.stack([lost.coulomb, lost.viscous, lost.inertia], axis=-1)
+        return lost, air, torque + np.sum(numbers * terms, axis=-1)
+
+    high = found(torque, HIGH_PART, LEAVE_SHARES[0])
+    for share in LEAVE_SHARES[1:]:
+        high = found(high[2], HIGH_PART, share)
+    low = found(high[2], LOW_PART, LEAVE_SHARES[-1])
+    scales = [[spread(r[a[:, i], i].ravel()) for i in range(4)] for _, a, r in (low, high)]
+    # Soil that a foot scratches there would show as torques that no friction explains.
+    scratched = np.any(np.array(scales[0]) > MOST_SCRATCHED * np.array(scales[1]))
+    lost, swing, _ = high if scratched else low
+    kept = lost if friction else None
     residual = np.full((4, 3), np.nan)
-    deviation = np.concatenate(
-        [contact_torque(w.seen, estimator, gap, kept)[w.inner] for w in windows]
-    )
-    swing = np.concatenate(swings)
+    deviation = joined(lambda seen: contact_torque(seen, estimator, gap, kept))
     for foot in np.flatnonzero(swing.any(axis=0)):
         own = np.abs(deviation[swing[:, foot], foot])
         # Root mean square, errors that are far out cut short; right for ±c as for a bell.
         residual[foot] = np.sqrt(np.mean(np.minimum(own, 3.0 * spread(own)) ** 2, axis=0))
-    steps = np.concatenate([np.diff(w.seen.torque, axis=0) for w in windows])
+    steps = np.concatenate([np.diff(seen.torque, axis=0) for seen, _ in windows])
     sizes = np.abs(steps)
     smallest = np.where(sizes > 1e-6, sizes, np.inf).min(axis=0, initial=np.inf)
     resolution = np.where(np.isfinite(smallest), smallest, 0.0)
     # Second differences, to which the motion hardly contributes.
-    bends, noise = np.diff(steps, axis=0), np.zeros((4, 3))
-    if len(bends):
-        noise = spread(bends) / np.sqrt(6.0)
+    noise = np.nan_to_num(spread(np.diff(steps, axis=0)) / np.sqrt(6.0))
     return Survey(kept, residual, resolution, noise)
-
-
-def _alternate(windows: list[_Window], weight: float) -> tuple[JointFriction, list[BoolArray]]:
-    """Find swing phases from the forces and friction from the swing phases, alternately."""
-    torque = np.concatenate([w.torque for w in windows])
-    terms = np.concatenate([w.terms for w in windows])
-    sure = np.concatenate([w.sure for w in windows])
-
-    def tried(part: float, leave: float) -> tuple[JointFriction, list[BoolArray], FloatArray]:
-        swings = []
-        for w, own in zip(windows, left, strict=True):
-            lift = np.sum(w.lift * own, axis=-1)
-            air = in_swing(w.seen.time[w.inner], lift, touch=TOUCH_OVER_LEAVE * leave, leave=leave)
-            place, up = w.seen.legs.place[w.inner], w.seen.turn[w.inner][:, 2]
-            swings.append(air & clear_of_ground(place, up, lift, weight=weight, part=part))
-        air = np.concatenate(swings)
-        friction = fit(torque, terms, air, sure)
-        numbers = np.stack([friction.coulomb, friction.viscous, friction.inertia], axis=-1)
-        rest = torque + np.sum(numbers * terms, axis=-1)
-        left[:] = np.split(rest, np.cumsum([len(w.torque) for w in windows[:-1]]))
-        scales = [
-            spread(rest[air[:, i], i].ravel()) if air[:, i].any() else np.nan for i in range(4)
-        ]
-        return friction, swings, np.array(scales)
-
-    left = [w.torque for w in windows]
-    for share in LEAVE_SHARES[:-1]:
-        tried(HIGH_PART, share * weight)
-    high = tried(HIGH_PART, LEAVE_SHARES[-1] * weight)
-    low = tried(LOW_PART, LEAVE_SHARES[-1] * weight)
-    # Soil that a foot scratches there would show as torques that no friction explains.
-    scratched = np.any(low[2] > MOST_SCRATCHED * high[2])
-    friction, swings, _ = high if scratched else low
-    return friction, swings

@@ -181,10 +181,6 @@ class Touchdowns(NamedTuple):
     torn: BoolArray
     saturated: BoolArray
 
-    def part(self, which: slice) -> Touchdowns:
-        """Some of them."""
-        return Touchdowns(**{name: column[which] for name, column in self._asdict().items()})
-
 
 class Sensitivity(NamedTuple):
     """What errors of a joint's torque add to the upward forces [N], shape [sample, foot, joint]."""
