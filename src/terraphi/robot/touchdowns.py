@@ -22,7 +22,7 @@ of the robot's weight. All touch-downs of a log lie in arrays of one shape, to b
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -220,50 +220,35 @@ def touchdowns(
     radius
         Of the feet [m].
     """
-    step = float(np.median(np.diff(log.time)))
-    half = max(1, round(0.5 * SMOOTH_S / step))
-    count = len(stances)
-    made = {
-        name: np.zeros((count, POINTS)) for name in ("time", "drop", "descent", "speed", "force")
+    cut = [_touchdown(log, forces, motion, stance, per) for stance in stances]
+    inner = {"place": (3,), "per_gain": (POINTS, 3), "per_friction": (POINTS, 3)}
+    inner |= dict.fromkeys(("foot", "begin", "torn", "saturated"), ())
+    columns: dict[str, Any] = {
+        name: np.reshape([one[name] for one in cut], (len(cut), *inner.get(name, (POINTS,))))
+        for name in Touchdowns._fields
     }
-    made |= {name: np.zeros((count, POINTS, 3)) for name in ("per_gain", "per_friction")}
-    used, torn = np.zeros((count, POINTS), dtype=bool), np.ones(count, dtype=bool)
-    saturated, place = np.zeros(count, dtype=bool), np.zeros((count, 3))
-    feet = np.array([FEET.index(stance.foot) for stance in stances], dtype=np.int64)
-    for i, (foot, stance) in enumerate(zip(feet, stances, strict=True)):
-        lift = forces.force[:, foot, 2].astype(np.float64)
-        rows, columns, good, last = _piece(log.time, lift, motion.feet[:, foot], stance, half)
-        n = len(rows)
-        if not n:
-            continue
-        columns |= {"per_gain": per.gain[rows, foot], "per_friction": per.friction[rows, foot]}
-        for name, values in columns.items():
-            made[name][i, :n] = values
-        made["time"][i, n:], used[i, :n] = made["time"][i, n - 1], good
-        part = slice(rows[0], last + 1)
-        late = np.diff(log.time[part]) > WIDEST_STEP * step
-        torn[i] = FEWEST * step > WINDOW_S or bool(late.any())
-        saturated[i] = bool(forces.saturated[part, foot].any())
-        place[i] = motion.feet[last, foot]
-    place[:, 2] -= radius
-    begin = np.array([stance.begin for stance in stances], dtype=np.float64)
-    return Touchdowns(
-        foot=feet, begin=begin, place=place, used=used, torn=torn, saturated=saturated, **made
-    )
+    for name, kind in {"foot": int, "used": bool, "torn": bool, "saturated": bool}.items():
+        columns[name] = columns[name].astype(kind)
+    columns["place"][:, 2] -= radius
+    return Touchdowns(**columns)
 
 
-def _piece(
-    time: FloatArray, lift: FloatArray, place: FloatArray, stance: Stance, half: int
-) -> tuple[IntArray, dict[str, FloatArray], BoolArray, int]:
-    """Samples of one touch-down, what they hold, which are used, and where it ends."""
+def _touchdown(
+    log: JointLog, forces: FootForces, motion: Motion, stance: Stance, per: Sensitivity
+) -> dict[str, Any]:
+    """Fields of one touch-down; the places of samples that it lacks repeat its last."""
+    time, foot = log.time, FEET.index(stance.foot)
+    lift, place = forces.force[:, foot, 2].astype(np.float64), motion.feet[:, foot]
+    step = float(np.median(np.diff(time)))
+    half = max(1, round(0.5 * SMOOTH_S / step))
     start = int(np.searchsorted(time, stance.begin))
     first = max(int(np.searchsorted(time, stance.begin - BEFORE_S)), half)
     last = int(np.searchsorted(time, min(stance.begin + WINDOW_S, stance.end)))
     rows = np.arange(first, max(min(last, len(time) - half - 1), first))
-    if len(rows) < 2:
-        return rows[:0], {}, np.zeros(0, dtype=bool), first
-    moved = place[rows + half] - place[rows - half]
-    velocity = moved / (time[rows + half] - time[rows - half])[:, None]
+    short = len(rows) < 2
+    rows = np.array([start]) if short else rows
+    before, after = np.maximum(rows - half, 0), np.minimum(rows + half, len(time) - 1)
+    velocity = (place[after] - place[before]) / (time[after] - time[before])[:, None]
     down, force = -velocity[:, 2], lift[rows]
     drop = place[start, 2] - place[rows, 2]
     good = np.isfinite(force) & (down > GOES_ON * max(float(down[rows >= start].max(initial=0)), 0))
@@ -272,15 +257,25 @@ def _piece(
     good &= drop > np.maximum.accumulate(drop) - 3e-4
     force = np.nan_to_num(force)
     good &= (force > 0.9 * np.maximum.accumulate(force) - 2.0) | (rows < start)
-    last = int(rows[np.flatnonzero(good)[-1]]) if good.any() else int(max(rows[-1] + 1, first))
+    last = int(rows[good][-1] if good.any() else min(rows[-1] + 1, len(time) - 1))
     chosen = np.flatnonzero(rows <= last)
     if len(chosen) > POINTS:
         chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, POINTS).round().astype(int))]
-    columns = {
-        "time": time[rows] - stance.begin,
-        "drop": drop,
-        "descent": np.arctan2(down, np.hypot(velocity[:, 0], velocity[:, 1])),
-        "speed": np.linalg.norm(velocity, axis=1),
-        "force": force,
+    part = slice(rows[0], last + 1)
+    late = np.diff(time[part]) > WIDEST_STEP * step
+    count, chosen = len(chosen), chosen[np.minimum(np.arange(POINTS), len(chosen) - 1)]
+    return {
+        "foot": foot,
+        "begin": stance.begin,
+        "place": place[last],
+        "time": time[rows[chosen]] - stance.begin,
+        "drop": drop[chosen],
+        "descent": np.arctan2(down, np.hypot(velocity[:, 0], velocity[:, 1]))[chosen],
+        "speed": np.linalg.norm(velocity, axis=1)[chosen],
+        "force": force[chosen],
+        "per_gain": per.gain[rows[chosen], foot],
+        "per_friction": per.friction[rows[chosen], foot],
+        "used": good[chosen] & (np.arange(POINTS) < count) & (not short),
+        "torn": short or FEWEST * step > WINDOW_S or bool(late.any()),
+        "saturated": bool(forces.saturated[part, foot].any()),
     }
-    return rows[chosen], {k: v[chosen] for k, v in columns.items()}, good[chosen], last
