@@ -77,21 +77,8 @@ def test_observer_converges_as_its_gain_grows(truth: Any, monkeypatch: pytest.Mo
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
 
 
-@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, -150.0])
-def test_forces_along_the_robot_do_not_know_the_compass(truth: Any, yaw_deg: float) -> None:
-    half = np.radians(0.5 * yaw_deg)
-    w, x, y, z = truth.log.quaternion.T
-    c, s = np.cos(half), np.sin(half)
-    turned = np.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], axis=1)
-    log = replace(truth.log, quaternion=turned)
-    known = estimate(truth.log, robot=GO2, frame="heading").force
-    found = estimate(log, robot=GO2, frame="heading")
-    np.testing.assert_allclose(found.force, known, atol=2e-3)
-    # Level: the lift is that of the world.
-    world = estimate(log, robot=GO2)
-    np.testing.assert_allclose(found.force[..., 2], world.force[..., 2], atol=2e-3)
-    off = (np.array(world.provenance["headings_deg"]) - yaw_deg + 180.0) % 360.0 - 180.0
-    assert off == pytest.approx([0.0, 0.0, 0.0], abs=6.0)
+def test_direction_of_the_trunk_is_reported(truth: Any) -> None:
+    assert estimate(truth.log, robot=GO2).provenance["heading_deg"] == pytest.approx(0.0, abs=1.0)
 
 
 def test_result_does_not_depend_on_how_the_log_is_cut(
@@ -227,7 +214,6 @@ def with_value(name: str, at: tuple[int, ...], value: float) -> JointLog:
         (with_value("torque", (7, 2, 1), np.nan), {}, "torque is not a number at sample 7"),
         (with_value("angle", (9, 0, 0), np.inf), {}, "angle is not a number at sample 9"),
         (with_value("time", (5,), 0.0), {}, "at sample 5; it should increase"),
-        (broken(angle=np.degrees(standing().angle)), {}, "radians are expected, not degrees"),
         (broken(quaternion=np.zeros((200, 4))), {}, "quaternion at sample 0 has not the length 1"),
     ],
 )
@@ -246,12 +232,3 @@ def test_a_few_frames_of_a_standing_robot_carry_its_weight(count: int, estimator
     assert np.isfinite(found.force).all()
     whole = estimate(standing(), robot=GO2, estimator=estimator, friction=False)
     np.testing.assert_allclose(found.force[0], whole.force[100], atol=1e-3)
-
-
-def test_torques_that_were_cut_off_are_marked() -> None:
-    log = standing(1000)
-    torque = log.torque * (1.0 + np.sin(0.05 * np.arange(1000)))[:, None, None]
-    assert not estimate(replace(log, torque=torque), robot=GO2).saturated.any()
-    limit = 0.8 * np.abs(torque).max()
-    cut = estimate(replace(log, torque=torque.clip(-limit, limit)), robot=GO2).saturated
-    np.testing.assert_array_equal(cut, (np.abs(torque) > limit).any(axis=-1))

@@ -15,7 +15,7 @@ from go2.logs import write_csv
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import Legs
 from terraphi.robot.model import Quadruped
-from terraphi.robot.results import RobotForces, analyse, write_forces
+from terraphi.robot.results import RobotForces, foot_forces, write_forces
 from terraphi.view import robot_plots as plots
 
 STEP, PERIOD = 0.002, 0.4
@@ -51,7 +51,7 @@ def made_log(force: np.ndarray, *, counts: bool = True) -> JointLog:
 
 @pytest.fixture(scope="module")
 def found() -> RobotForces:
-    return analyse(made_log(pulses(STEP * np.arange(5000))), estimator="quasi_static")
+    return foot_forces(made_log(pulses(STEP * np.arange(5000))), estimator="quasi_static")
 
 
 def test_forces_that_were_put_in_come_out(found: RobotForces) -> None:
@@ -84,7 +84,7 @@ def test_summary_has_the_agreed_keys(found: RobotForces) -> None:
 def test_no_stances_are_explained(load: float, word: str, tmp_path: Path) -> None:
     force = np.zeros((2000, 4, 3))
     force[:, :, 2] = load
-    found = analyse(made_log(force), estimator="quasi_static")
+    found = foot_forces(made_log(force), estimator="quasi_static")
     summary = found.summary()
     assert summary["pooled"] == {
         "stances": 0, "mean_duration_s": None, "mean_peak_Fz_N": None, "mean_peak_Fx_N": None,
@@ -100,12 +100,12 @@ def test_sensor_of_a_wrong_foot_is_noticed() -> None:
     log = made_log(pulses(STEP * np.arange(3000)))
     assert log.foot_counts is not None
     swapped = replace(log, foot_counts=log.foot_counts[:, [1, 0, 2, 3]])
-    found = analyse(swapped, estimator="quasi_static")
+    found = foot_forces(swapped, estimator="quasi_static")
     assert any("foot sensors of FR, FL" in note for note in found.notes)
     # They are looked at, and never used.
     assert (
         found.summary()["pooled"]["stances"]
-        == analyse(log, estimator="quasi_static").summary()["pooled"]["stances"]
+        == foot_forces(log, estimator="quasi_static").summary()["pooled"]["stances"]
     )
 
 
