@@ -94,25 +94,6 @@ def test_a_foot_that_hardly_goes_down_is_shallow_and_in_time() -> None:
     assert set(footfalls(thin).verdict) == {TORN}
 
 
-def test_the_weight_is_spoken_of_once() -> None:
-    log = Walk(duration=5.0).log()[0]
-    found = footfalls(replace(log, torque=1.25 * log.torque))
-    assert "density 1550 ± 80 kg/m³, assumed" in found.notes
-    assert sum("weight" in note for note in found.notes) == 1
-
-
-@pytest.mark.slow
-def test_hard_ground_tells_nothing() -> None:
-    pytest.importorskip("mujoco")
-    from sand_walk import sand_log, sand_walk
-
-    recording = sand_walk("walk", seed=0, law="floor", duration=5.0).run()
-    found = footfalls(sand_log(recording, seed=0))
-    assert len(found.verdict) > 8
-    assert not found.usable.any()
-    assert "no footfall is usable: the map is empty" in found.notes
-
-
 @pytest.mark.parametrize("text", ["x=0:0.5,phi=34±1", "x = 0.5 : 0, phi = 34 +- 1"])
 def test_an_anchor_as_people_write_it(text: str) -> None:
     assert anchor_from(text) == (0.0, 0.5, 34.0, 1.0, "x")

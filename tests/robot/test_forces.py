@@ -77,10 +77,6 @@ def test_observer_converges_as_its_gain_grows(truth: Any, monkeypatch: pytest.Mo
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
 
 
-def test_direction_of_the_trunk_is_reported(truth: Any) -> None:
-    assert estimate(truth.log, robot=GO2).provenance["heading_deg"] == pytest.approx(0.0, abs=1.0)
-
-
 def test_result_does_not_depend_on_how_the_log_is_cut(
     truth: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,12 +169,6 @@ def test_hole_in_the_log_disturbs_nothing_else(truth: Any) -> None:
     error = np.abs(found.force - truth.force[keep])
     assert error[10:-10].max() < 2.0  # beside it one side only is known, as in a causal filter
     assert np.delete(error, np.s_[695:705], axis=0)[10:-10].max() < 0.2
-
-
-def test_without_imu_the_assumptions_are_named() -> None:
-    log = replace(standing(), quaternion=None)
-    found = estimate(log, robot=GO2, frame="body")
-    assert len([a for a in found.provenance["assumed"] if a.startswith("no ")]) == 3
 
 
 @pytest.mark.parametrize("factor", [0.0, 1.0 / 9.81, -1.0])

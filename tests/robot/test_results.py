@@ -16,7 +16,6 @@ from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import Legs
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import RobotForces, foot_forces, write_forces
-from terraphi.view import robot_plots as plots
 
 STEP, PERIOD = 0.002, 0.4
 KEYS = {"samples", "duration_s", "rate_hz", "dropped", "feet", "pooled", "estimator", "frame"}
@@ -54,13 +53,9 @@ def found() -> RobotForces:
     return foot_forces(made_log(pulses(STEP * np.arange(5000))), estimator="quasi_static")
 
 
-def test_forces_that_were_put_in_come_out(found: RobotForces) -> None:
-    truth = pulses(STEP * np.arange(5000))
-    assert found.forces.force == pytest.approx(truth, abs=1e-3)  # single precision
-    assert [note[:26] for note in found.notes] == ["the feet bear 0.613 times "]
-
-
 def test_summary_has_the_agreed_keys(found: RobotForces) -> None:
+    # Single precision.
+    assert found.forces.force == pytest.approx(pulses(STEP * np.arange(5000)), abs=1e-3)
     summary = json.loads(json.dumps(found.summary()))
     assert set(summary) >= KEYS
     assert (summary["samples"], summary["dropped"]) == (5000, 0)
@@ -92,8 +87,6 @@ def test_no_stances_are_explained(load: float, word: str, tmp_path: Path) -> Non
     assert any(word in note for note in summary["notes"])
     json.dumps(summary, allow_nan=False)
     write_forces(found, tmp_path / "still.nc")
-    plots.forces_figure(found)
-    plots.stance_figure(found)
 
 
 def test_sensor_of_a_wrong_foot_is_noticed() -> None:
@@ -116,17 +109,11 @@ def test_file_has_labelled_axes_and_knows_where_it_comes_from(
     with xr.open_dataset(tmp_path / "forces.nc", engine="h5netcdf") as opened:
         data = opened.load()
     assert data.force.dims == ("time", "foot", "axis")
-    assert [str(foot) for foot in data.foot.values] == list(FEET)
-    assert [str(axis) for axis in data.axis.values] == ["x", "y", "z"]
-    assert (data.force.attrs["units"], data.time.attrs["units"]) == ("N", "s")
-    assert data.sigma.shape == data.force.shape
-    assert data.flagged.dims == ("time", "foot")
     assert data.stance_count.values.tolist() == [25, 24, 24, 25]
     assert data.stance_foot.values.tolist() == [stance.foot for stance in found.stances]
     assert data.stance_begin.values.tolist() == [stance.begin for stance in found.stances]
     assert data.stance_end.values.tolist() == [stance.end for stance in found.stances]
     assert float(data.pooled_mean.sel(axis="z").max()) == pytest.approx(76.0, rel=2e-3)
-    assert (data.attrs["frame"], data.attrs["estimator"]) == ("world", "quasi_static")
     provenance = json.loads(data.attrs["provenance"])
     assert {"terraphi", "robot", "log"} <= set(provenance)
     assert json.loads(data.attrs["summary"]) == json.loads(json.dumps(found.summary()))
@@ -142,21 +129,3 @@ def test_the_command_writes_its_file_and_figures(terraphi: Any, tmp_path: Path) 
     assert "all feet" in out
     assert {p.name for p in (tmp_path / "figures").glob("*.png")} == {"forces.png", "stance.png"}
     assert Path("forces.nc").exists()
-
-
-@pytest.mark.parametrize(
-    ("args", "word"),
-    [
-        (("no.mcap",), "no such file"),
-        (("log.csv", "--robot", "go3"), "go2"),
-        (("log.csv", "--estimator", "observer"), "momentum_observer"),
-        (("log.csv", "--joint-names", "a,b"), "2 joint names given; 12 are expected"),
-        (("log.csv", "--out", "f.csv"), "f.csv: is written as NetCDF; name it f.nc"),
-    ],
-)
-def test_unusable_words(args: tuple[str, ...], word: str, terraphi: Any) -> None:
-    write_csv("log.csv", made_log(pulses(STEP * np.arange(400))))
-    status, out, err = terraphi("forces", *args)
-    assert (status, out) == (2, "")
-    assert word in err
-    assert len(err.strip().splitlines()) == 1

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from terraphi.robot.joint_log import FEET
-from terraphi.robot.stance import Criteria, Ensemble, Stance, find_stances
+from terraphi.robot.stance import Ensemble, Stance, find_stances
 
 STEP = 0.002
 PERIOD, DUTY, PEAK = 0.4, 0.5, 80.0
@@ -103,14 +103,6 @@ def test_standing_and_hanging_make_none() -> None:
         force = rng.normal(0.0, 3.0, (len(time), 4, 3))
         force[:, :, 2] += load
         assert find_stances(time, force) == ()
-
-
-def test_put_down_and_picked_up_again_stood_still() -> None:
-    time = np.arange(0.0, 8.0, STEP)
-    force = np.zeros((len(time), 4, 3))
-    force[(time > 2.0) & (time < 6.0), :, 2] = 40.0
-    assert find_stances(time, force) == ()
-    assert counts(find_stances(time, force, criteria=Criteria(longest_s=10.0))) == [1, 1, 1, 1]
 
 
 def test_single_lost_samples_do_not_matter_and_gaps_do() -> None:

@@ -60,17 +60,13 @@ class Finding(NamedTuple):
     """Whether it makes directions of forces and places of feet useless."""
 
 
-class Balance(NamedTuple):
-    """What the feet do on average over whole strides, as a part of the robot's weight."""
+def balance(
+    forces: FootForces, stances: Sequence[Stance], weight: float
+) -> tuple[float, float] | None:
+    """Mean force of the feet over whole strides, upwards and sideways, in weights of the robot [-].
 
-    lift: float
-    """Upwards [-]; 1 is expected."""
-    push: float
-    """Sideways [-]; 0 is expected."""
-
-
-def balance(forces: FootForces, stances: Sequence[Stance], weight: float) -> Balance | None:
-    """Mean force of the ground on the robot; ``None`` if no sample has those of all feet."""
+    1 and 0 are expected; ``None`` if no sample has the forces of all feet.
+    """
     feet = [stance.foot for stance in stances]
     often = max(FEET, key=feet.count)
     begins = [stance.begin for stance in stances if stance.foot == often]
@@ -79,12 +75,12 @@ def balance(forces: FootForces, stances: Sequence[Stance], weight: float) -> Bal
         known &= (forces.time >= begins[0]) & (forces.time < begins[-1])
     if not known.any():
         return None
-    total = forces.force[known].sum(axis=1, dtype=np.float64).mean(axis=0) / weight
-    return Balance(float(total[2]), float(np.hypot(*total[:2])))
+    x, y, z = forces.force[known].sum(axis=1, dtype=np.float64).mean(axis=0) / weight
+    return float(z), float(np.hypot(x, y))
 
 
 def check(
-    log: JointLog, robot: Quadruped, forces: FootForces, mean: Balance | None
+    log: JointLog, robot: Quadruped, forces: FootForces, mean: tuple[float, float] | None
 ) -> list[Finding]:
     """Compare a log with its robot.
 
@@ -100,7 +96,7 @@ def check(
     """
     attitude = _attitude(log)
     try:
-        weight = _weight(mean, robot)
+        weight = [] if mean is None else _weight(mean[0], robot)
     except InputError as error:
         # An attitude that is upside down makes the feet pull.
         raise InputError("; and ".join([*(f.text for f in attitude), str(error)])) from error
@@ -112,18 +108,16 @@ def check(
         attitude, legs = [], [Finding(both, True)]
     if legs or weight or mean is None or forces.frame == "body":
         return [*weight, *attitude, *legs]
-    if mean.push > MOST_PUSH:
-        push = f"the feet push the robot sideways with {mean.push:.0%} of its weight on average"
+    if mean[1] > MOST_PUSH:
+        push = f"the feet push the robot sideways with {mean[1]:.0%} of its weight on average"
         text = f"{push}: are the angles' zeros and the attitude right?"
-        legs = [Finding(text, mean.push > BELIEVABLE_PUSH)]
+        legs = [Finding(text, mean[1] > BELIEVABLE_PUSH)]
     return [*weight, *attitude, *legs]
 
 
-def _weight(mean: Balance | None, robot: Quadruped) -> list[Finding]:
+def _weight(lift: float, robot: Quadruped) -> list[Finding]:
     """Torques in another unit or with another sign, or a robot of another mass."""
-    if mean is None:
-        return []
-    lift, weight = mean.lift, robot.mass * GRAVITY
+    weight = robot.mass * GRAVITY
     bears = f"the feet bear {lift:.3g} times the robot's weight of {weight:.0f} N on average"
     if lift < -HANGING_SHARE:
         raise InputError(f"{bears}; torques that motors exert on joints are expected, not theirs")

@@ -77,24 +77,14 @@ def smooth_sign(velocity: FloatArray) -> FloatArray:
     return np.tanh(velocity / STANDSTILL)
 
 
-class Chunk(NamedTuple):
-    """A part of a log to estimate."""
-
-    rows: slice
-    wide: slice
-    """With the samples before and after that the filters need."""
-    inner: slice
-    """Place of the part within the wide one."""
-
-
-def chunks(time: FloatArray, *, size: int = CHUNK) -> Iterator[Chunk]:
-    """Cut a log into parts, each with a margin on both sides."""
+def chunks(time: FloatArray, *, size: int = CHUNK) -> Iterator[tuple[slice, slice]]:
+    """Cut a log into parts: each with a margin on both sides, and its place within that."""
     for start in range(0, len(time), size):
         stop = min(start + size, len(time))
         # Two samples more, for the differences at the margins' ends.
         first = max(int(np.searchsorted(time, time[start] - MARGIN_S)) - 2, 0)
         last = int(np.searchsorted(time, time[stop - 1] + MARGIN_S, side="right")) + 2
-        yield Chunk(slice(start, stop), slice(first, last), slice(start - first, stop - first))
+        yield slice(first, last), slice(start - first, stop - first)
 
 
 class Signals(NamedTuple):

@@ -89,9 +89,6 @@ class FootForces:
         Centres of the feet's balls in the frame of the trunk [m], shape [sample, foot, 3].
     lift_per_torque
         Upward force per torque of each joint [1/m], shape [sample, foot, joint].
-    swing_residual
-        Spread of the contact torques in swing, where the truth is zero [N m], shape [foot,
-        joint]; NaN for feet that do not swing.
     estimator
         How the forces were found.
     frame
@@ -110,7 +107,6 @@ class FootForces:
     saturated: BoolArray
     place: FloatArray
     lift_per_torque: FloatArray
-    swing_residual: FloatArray
     estimator: Estimator
     frame: Frame
     friction: JointFriction | None = None
@@ -164,8 +160,8 @@ def estimate(
     noise = _torque_sigma(overview)
     limit = SATURATED * np.array(robot.torque_limit or (np.inf,) * 3)
     shared, parts = priors or Priors(), []
-    for chunk in chunks(log.time):
-        seen, inner = signals(log, robot, chunk.wide, moving=moving), chunk.inner
+    for wide, inner in chunks(log.time):
+        seen = signals(log, robot, wide, moving=moving)
         torque = contact_torque(seen, estimator, gap, overview.friction)
         own = noise**2 + _timing_variance(seen.time, torque, gap)[inner]
         torque, velocity, turn = torque[inner], seen.velocity[inner], seen.turn[inner]
@@ -198,7 +194,6 @@ def estimate(
         saturated=saturated,
         place=place,
         lift_per_torque=lift,
-        swing_residual=overview.residual,
         estimator=estimator,
         frame=frame,
         friction=overview.friction,

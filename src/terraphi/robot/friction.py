@@ -277,8 +277,7 @@ def survey(
     """
     every = list(chunks(log.time))
     picked = np.unique(np.linspace(0, len(every) - 1, min(len(every), SURVEY // CHUNK + 1)))
-    parts = [every[int(i)] for i in picked]
-    windows = [(signals(log, robot, part.wide), part.inner) for part in parts]
+    windows = [(signals(log, robot, every[i][0]), every[i][1]) for i in picked.astype(int)]
 
     def joined(values: Callable[[Signals], Any]) -> Any:
         return np.concatenate([values(seen)[inner] for seen, inner in windows])
@@ -288,7 +287,7 @@ def survey(
     terms = joined(lambda seen: friction_terms(seen, gap))
     sure = joined(lambda seen: one_way(seen.time, seen.velocity))
     per = joined(lambda seen: upward(seen.turn, seen.legs.force_per_torque()[0]))
-    ends = np.cumsum([part.rows.stop - part.rows.start for part in parts])[:-1]
+    ends = np.cumsum([inner.stop - inner.start for _, inner in windows])[:-1]
     weight = robot.mass * GRAVITY
 
     def found(rest: FloatArray, part: float, share: float) -> tuple[JointFriction, Any, FloatArray]:

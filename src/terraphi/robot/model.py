@@ -126,13 +126,9 @@ class Quadruped:
 
 
 def _loaded(path: Path, own: RobotFile, toml: str = "") -> Quadruped:
-    try:
-        text = read_bytes(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file; URDF or MJCF in UTF-8 is expected") from error
     import mujoco
 
-    model, title = _compiled(text, str(path))
+    model, title = _compiled(read_bytes(path), str(path))
     joint = _leg_joints(model, str(path))
     names = [name for name, there in zip(JOINT_NAMES, (joint >= 0).ravel(), strict=True) if there]
     order = own.joint_order or tuple(names)
@@ -162,7 +158,7 @@ def _loaded(path: Path, own: RobotFile, toml: str = "") -> Quadruped:
     )
 
 
-def _compiled(text: str, source: str) -> tuple[mujoco.MjModel, str]:
+def _compiled(text: bytes, source: str) -> tuple[mujoco.MjModel, str]:
     """MuJoCo's model of a URDF or MJCF without meshes, and the robot's name."""
     import mujoco
 

@@ -87,13 +87,10 @@ class RobotForces:
         report, forces = self.report, self.forces
         return {
             "samples": len(forces.time),
-            "duration_s": report["duration_s"],
-            "rate_hz": report["rate_hz"],
+            **{key: report[key] for key in ("duration_s", "rate_hz", "missing", "gaps")},
             # Samples that were left out are missing as well, but for repeats.
             "dropped": max(report["missing"], sum(report["dropped"].values())),
             "dropped_by_reason": dict(report["dropped"]),
-            "missing": report["missing"],
-            "gaps": list(report["gaps"]),
             "flagged": int(forces.flagged.sum()),
             "saturated": int(forces.saturated.sum()),
             "lift_over_weight": self.lift,
@@ -171,7 +168,7 @@ def foot_forces(
         grave=tuple(finding.text for finding in reversed(findings) if finding.grave),
         sensor_correlation=correlation,
         report=report,
-        lift=None if mean is None else mean.lift,
+        lift=None if mean is None else mean[0],
     )
 
 

@@ -100,7 +100,6 @@ def joint_states(
     joint_names: Sequence[str] | None,
     joints: Sequence[str],
     dropped: Counter[str],
-    notes: list[str],
 ) -> dict[str, Any]:
     """Columns of a JointLog from JointState messages, ``stamp`` (header) and ``recorded`` [ns].
 
@@ -114,14 +113,12 @@ def joint_states(
     """
     orders: dict[tuple[str, ...], list[int] | None] = {}
     columns: tuple[str, ...] = ()
-    refusal, ignored = "", set()
-    stamps, rows = [], []
+    refusal, stamps, rows = "", [], []
     for recorded, message in decoded(messages, JOINT_STATE, dropped):
         names = tuple(message.name)
         if names not in orders:
             try:
-                own = orders[names] = joint_order(names, joint_names, joints)
-                ignored |= {name for i, name in enumerate(names) if i not in own}
+                orders[names] = joint_order(names, joint_names, joints)
             except InputError as error:
                 orders[names], refusal = None, refusal or str(error)
         order = orders[names]
@@ -136,9 +133,6 @@ def joint_states(
         rows.append([np.append(getattr(message, _FIELDS[c]), 0.0)[order] for c in present])
     if orders and not rows:
         raise InputError(refusal or "the joint states carry no efforts, and forces need torques")
-    if ignored:
-        more = f" and {len(ignored) - 6} more" if len(ignored) > 6 else ""
-        notes.append(f"joints of no leg, ignored: {', '.join(sorted(ignored)[:6])}{more}")
     table = np.array(rows, dtype=np.float64).reshape(len(rows), len(columns), 4, 3)
     return {name: table[:, k] for k, name in enumerate(columns)} | _times(stamps)
 
@@ -235,15 +229,11 @@ def _from_bag(
     chosen = _choose(path, bag.connections, topic)
     name, place = chosen.topic, f"{path}, topic '{chosen.topic}'"
     dropped: Counter[str] = Counter()
-    others = {c.topic for c in bag.connections if _plain(c.msgtype) in _KINDS} - {name}
-    notes = [f"also there, not read: {', '.join(sorted(others))}"] if others else []
-    facts: dict[str, Any] = {
-        "notes": notes, "format": "rosbag2" if path.is_dir() else "mcap",
-        "topic": name, "message": chosen.msgtype,
-    }  # fmt: skip
+    facts: dict[str, Any] = {"notes": [], "format": "rosbag2" if path.is_dir() else "mcap"}
+    facts |= {"topic": name, "message": chosen.msgtype}
     if _plain(chosen.msgtype) == JOINT_STATE:
         try:
-            values = joint_states(raw(name), joint_names, motors, dropped, notes)
+            values = joint_states(raw(name), joint_names, motors, dropped)
         except InputError as error:
             raise InputError(f"{place}: {error}") from error
         log = joint_log(path, values, "header stamp", dropped, facts)
