@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -321,7 +320,6 @@ DENSITY_PART = 0.05
 """Standard deviation of a density that comes without one, as a part of it [-]."""
 DENSITIES = (500.0, 3000.0)
 """Bulk densities of soils [kg/m³]."""
-_ANCHOR = re.compile(r"\s*([xys])\s*=([-+.\deE\s]+):([-+.\deE\s]+),\s*phi\s*=(.+(?:±|\+/?-).+)")
 
 
 def anchor_from(text: str) -> Anchor:
@@ -329,13 +327,15 @@ def anchor_from(text: str) -> Anchor:
 
     Raises InputError if it is written otherwise, or out of range.
     """
+    where, _, phi = text.replace(" ", "").partition(",phi=")
+    axis, _, ends = where.partition("=")
     low, high = PHI_RANGE
     try:
-        axis, *ends, phi = _ANCHOR.fullmatch(text).groups()  # type: ignore[union-attr]
-        (a, b), (mean, sd) = map(plain_number, ends), number_with_sd(phi)
-        if sd is not None and low <= mean <= high and 0.0 < sd <= 15.0:
-            return Anchor(min(a, b), max(a, b), mean, sd, axis)
-    except (AttributeError, ValueError):
+        begin, end = sorted(map(plain_number, ends.split(":")))
+        mean, sd = number_with_sd(phi)
+        if axis in {"x", "y", "s"} and low <= mean <= high and sd is not None and 0 < sd <= 15:
+            return Anchor(begin, end, mean, sd, axis)
+    except ValueError:
         pass
     raise InputError(
         f"anchor '{text}': expected one such as x=0:0.5,phi=34±1 (or phi=34+-1), with phi from "

@@ -185,15 +185,11 @@ def estimate(
         both[:, near] = np.nan
         saturated = (np.abs(seen.torque[inner]) >= limit).any(axis=-1)
         parts.append((*both, near, saturated, seen.legs.place[inner], lift_per_torque))
-    force, sigma, flagged, saturated, place, lift = map(np.concatenate, zip(*parts, strict=True))
+    names = ("force", "sigma", "flagged", "saturated", "place", "lift_per_torque")
+    columns = map(np.concatenate, zip(*parts, strict=True))
     return FootForces(
         time=np.asarray(log.time, dtype=np.float64),
-        force=force,
-        sigma=sigma,
-        flagged=flagged,
-        saturated=saturated,
-        place=place,
-        lift_per_torque=lift,
+        **dict(zip(names, columns, strict=True)),
         estimator=estimator,
         frame=frame,
         friction=overview.friction,

@@ -163,7 +163,7 @@ def foot_forces(
         notes=(
             *report.get("notes", ()),
             *(finding.text for finding in findings),
-            *_notes(forces, stances, correlation, report, weight, chosen),
+            *_notes(forces, stances, correlation, report, weight),
         ),
         grave=tuple(finding.text for finding in reversed(findings) if finding.grave),
         sensor_correlation=correlation,
@@ -193,7 +193,6 @@ def _notes(
     correlation: Mapping[str, float],
     report: Mapping[str, Any],
     weight: float,
-    criteria: Criteria,
 ) -> list[str]:
     notes = []
     heading = forces.provenance["heading_deg"]
@@ -213,7 +212,7 @@ def _notes(
         )
     walked = {stance.foot for stance in stances}
     if not walked:
-        notes.append(f"no stances: {_why_no_stances(forces, weight, criteria)}")
+        notes.append(f"no stances: {_why_no_stances(forces, weight)}")
     elif len(walked) < len(FEET):
         notes.append(f"no stances of {', '.join(foot for foot in FEET if foot not in walked)}")
     unlike = [foot for foot, value in correlation.items() if value < SENSOR_AGREEMENT]
@@ -225,15 +224,12 @@ def _notes(
     return notes
 
 
-def _why_no_stances(forces: FootForces, weight: float, criteria: Criteria) -> str:
+def _why_no_stances(forces: FootForces, weight: float) -> str:
     lift = forces.force[np.isfinite(forces.force[:, :, 2]).all(axis=1), :, 2].astype(np.float64)
     if not len(lift):
         return "no sample has the forces of all four feet"
     total = float(np.median(lift, axis=0).sum())
     carry = f"its feet carry {total:.0f} N of {weight:.0f} N"
-    step = float(np.median(np.diff(forces.time))) if len(forces.time) > 1 else 0.0
-    if step > criteria.gap_s:
-        return f"samples are {step:.3g} s apart, more than {criteria.gap_s:g} s; {carry}"
     if total > STANDING_SHARE * weight:
         return f"the robot stands still, {carry}"
     hangs = total < HANGING_SHARE * weight

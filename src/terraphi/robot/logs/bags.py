@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -236,9 +235,10 @@ def _from_bag(
             values = joint_states(raw(name), joint_names, motors, dropped)
         except InputError as error:
             raise InputError(f"{place}: {error}") from error
-        log = joint_log(path, values, "header stamp", dropped, facts)
         imus = sorted({c.topic for c in bag.connections if _plain(c.msgtype) == IMU}, key=len)
-        return _with_imu(log, imu_readings(raw(imus[0])), imus) if imus else log
+        if imus and len(values["stamp"]):
+            _add_imu(values, imu_readings(raw(imus[0])), imus, facts["notes"])
+        return joint_log(path, values, "header stamp", dropped, facts)
     if joint_names is not None:
         raise InputError(
             f"{place}: a LowState numbers its motors and has no names; leave the joint names out"
@@ -275,39 +275,31 @@ def _choose(path: Path, connections: Sequence[Any], wanted: str | None) -> Any:
     return min(usable, key=rank)
 
 
-def _with_imu(log: JointLog, imu: dict[str, Any], topics: Sequence[str]) -> JointLog:
-    """Joint states with the readings of an IMU, linearly between its messages.
+def _add_imu(
+    values: dict[str, Any], imu: dict[str, Any], topics: Sequence[str], notes: list[str]
+) -> None:
+    """Add the readings of an IMU to joint states, linearly between its messages.
 
-    Samples that no message is near to are left out. The log stays as it was, with a note, if that
-    leaves less than half of it.
+    Samples without a message nearby become NaN; a quantity that half of them lack is left out.
     """
-    name, notes = topics[0], [*log.report["notes"]]
-    stamp = imu["recorded" if log.report["clock"] == "recording time" else "stamp"]
-    time, order = np.unique((stamp - log.report["start_ns"]) / 1e9, return_index=True)
-    groups = {n: imu[n][order] for n in MEASURED}
-    # A quantity that it does not measure is never a number.
-    groups = {n: c for n, c in groups.items() if 2 * np.isfinite(c).all(axis=1).sum() > len(c)}
-    whole = np.all([np.isfinite(c).all(axis=1) & c.any() for c in groups.values()] or [time < 0], 0)
-    time, groups = time[whole], {n: c[whole] for n, c in groups.items()}
-    near = np.zeros(len(log.time), dtype=bool)
-    if len(time) > 1:
-        after = np.clip(np.searchsorted(time, log.time), 1, len(time) - 1)
-        off = [np.abs(log.time - time[after - k]) for k in (0, 1)]
-        near = np.minimum(*off) <= LONGEST_GAP
-    if 2 * near.sum() < len(near):
-        why = "its stamps do not overlap with those of the joints" if len(time) else "no messages"
-        notes.append(f"{name} not used: {why}")
-        return replace(log, report={**log.report, "notes": notes})
+    clock = "stamp" if np.ptp(values["stamp"]) else "recorded"
+    start = values[clock][0]
+    at = (values[clock] - start) / 1e9
+    every, order = np.unique((imu[clock] - start) / 1e9, return_index=True)
+    for name in MEASURED:
+        known = np.isfinite(imu[name][order]).all(axis=1)
+        time, column = every[known], imu[name][order][known]
+        if len(time) < 2:
+            continue
+        after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+        near = np.minimum(np.abs(at - time[after]), np.abs(at - time[after - 1])) <= LONGEST_GAP
+        if near.mean() < 0.5:
+            notes.append(f"{name} of {topics[0]}: stamps do not overlap with those of the joints")
+            continue
+        if name == "quaternion":  # q and −q are the same attitude
+            sense = np.where(np.sum(column[1:] * column[:-1], axis=1) < 0.0, -1.0, 1.0)
+            column = column * np.cumprod(np.concatenate([[1.0], sense]))[:, None]
+        values[name] = np.stack([np.interp(at, time, c) for c in column.T], axis=1)
+        values[name][~near] = np.nan
     if len(topics) > 1:
-        notes.append(f"attitude from {name}; also there, not read: {', '.join(topics[1:])}")
-    if "quaternion" in groups:  # q and −q are the same attitude
-        own = groups["quaternion"]
-        sense = np.where(np.sum(own[1:] * own[:-1], axis=1) < 0.0, -1.0, 1.0)
-        groups["quaternion"] = own * np.cumprod(np.concatenate([[1.0], sense]))[:, None]
-    at = log.time[near]
-    found = {n: np.stack([np.interp(at, time, c) for c in g.T], axis=1) for n, g in groups.items()}
-    if "quaternion" in found:
-        found["quaternion"] /= np.linalg.norm(found["quaternion"], axis=1, keepdims=True)
-    joints = {n: getattr(log, n)[near] for n in ("time", "angle", "velocity", "torque")}
-    report = {**log.report, "notes": notes, "imu_topic": name, "samples": int(near.sum())}
-    return replace(log, **joints, **found, report=report)
+        notes.append(f"attitude from {topics[0]}; also there, not read: {', '.join(topics[1:])}")
