@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -87,19 +86,6 @@ def test_no_stances_are_explained(load: float, word: str, tmp_path: Path) -> Non
     assert any(word in note for note in summary["notes"])
     json.dumps(summary, allow_nan=False)
     write_forces(found, tmp_path / "still.nc")
-
-
-def test_sensor_of_a_wrong_foot_is_noticed() -> None:
-    log = made_log(pulses(STEP * np.arange(3000)))
-    assert log.foot_counts is not None
-    swapped = replace(log, foot_counts=log.foot_counts[:, [1, 0, 2, 3]])
-    found = foot_forces(swapped, estimator="quasi_static")
-    assert any("foot sensors of FR, FL" in note for note in found.notes)
-    # They are looked at, and never used.
-    assert (
-        found.summary()["pooled"]["stances"]
-        == foot_forces(log, estimator="quasi_static").summary()["pooled"]["stances"]
-    )
 
 
 def test_file_has_labelled_axes_and_knows_where_it_comes_from(

@@ -49,7 +49,6 @@ surely, and if another reading of them leaves less than half of that. Sound ones
 most, even with an attitude that is 20 ms late in a trot."""
 _BEARING = 0.15
 _SAMPLES = 2500
-_UNITS = {1e3: "N mm", 100.0 / GRAVITY: "kgf cm"}
 
 
 class Finding(NamedTuple):
@@ -122,8 +121,7 @@ def _weight(lift: float, robot: Quadruped) -> list[Finding]:
     if lift < -HANGING_SHARE:
         raise InputError(f"{bears}; torques that motors exert on joints are expected, not theirs")
     if lift > MOST_WEIGHTS:
-        unit = [n for factor, n in _UNITS.items() if abs(lift / factor - 1.0) < WEIGHT_AGREEMENT]
-        raise InputError(", not ".join([f"{bears}; torques in N m are expected", *unit]))
+        raise InputError(f"{bears}; torques in N m are expected, not N mm or kgf cm")
     if abs(lift - 1.0) <= WEIGHT_AGREEMENT or lift < HANGING_SHARE:
         return []
     text = f"{bears}: are torques about {1.0 / lift:.2g} times as large, or its mass "
@@ -165,19 +163,14 @@ def _attitude(log: JointLog) -> list[Finding]:
     off, turning = unlike(quaternion, felt)
     if turning < LEAST_TURNING or off < SOMEWHAT_UNLIKE:
         return []
-    others = {
-        "the quaternion is that of the world in the body's frame (conjugate)": (
-            quaternion * np.array([1.0, -1.0, -1.0, -1.0]), felt,
-        ),
-        "the quaternion comes as x, y, z, w (w first is expected)": (
-            quaternion[:, [3, 0, 1, 2]], felt,
-        ),
-        "the gyroscope is in degrees per second (rad/s is expected)": (
-            quaternion, np.radians(felt),
-        ),
-        "the gyroscope's signs are reversed": (quaternion, -felt),
-    }  # fmt: skip
-    left = {words: unlike(*other)[0] for words, other in others.items()}
+    conjugate, last = quaternion * np.array([1.0, -1.0, -1.0, -1.0]), quaternion[:, [3, 0, 1, 2]]
+    others = (
+        ("the quaternion is that of the world in the body's frame (conjugate)", conjugate, felt),
+        ("the quaternion comes as x, y, z, w (w first is expected)", last, felt),
+        ("the gyroscope is in degrees per second, not rad/s", quaternion, np.radians(felt)),
+        ("the gyroscope's signs are reversed", quaternion, -felt),
+    )
+    left = {words: unlike(*other)[0] for words, *other in others}
     best = min(left.values())
     disagree = f"attitude and gyroscope disagree by {off:.0%} of how the robot turns"
     if best < 0.5 * off and best < UNLIKE:

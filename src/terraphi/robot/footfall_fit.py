@@ -121,8 +121,6 @@ class Fit(NamedTuple):
         Mode of φ [deg].
     sd
         Its standard deviation, with what is shared known [deg].
-    level, drift
-        Modes of z₀ [m] and w [m/s].
     sinkage
         Depth of the lowest point at the end of the loading [m].
     gained
@@ -136,8 +134,6 @@ class Fit(NamedTuple):
 
     phi: FloatArray
     sd: FloatArray
-    level: FloatArray
-    drift: FloatArray
     sinkage: FloatArray
     gained: FloatArray
     misfit: FloatArray
@@ -197,7 +193,7 @@ def fit(seen: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     Parameters
     ----------
     seen
-        The touch-downs, none or more; those without used samples come out at the prior.
+        The touch-downs, one or more; those without used samples come out at the prior.
     law
         One of :data:`~terraphi.forward.foot.LAWS`, by its name, or another.
     prior
@@ -210,7 +206,7 @@ def fit(seen: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     known = LAWS[law] if isinstance(law, str) else law
     parts = [
         _fit(Touchdowns._make(column[i : i + BLOCK] for column in seen), known, prior)
-        for i in range(0, max(len(seen.foot), 1), BLOCK)
+        for i in range(0, len(seen.foot), BLOCK)
     ]
     return Fit(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
@@ -288,7 +284,7 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     sd = np.sqrt(covariance[:, 0, 0] * np.maximum(misfit, 1.0))
     sinkage = np.where(np.isfinite(sinkage), sinkage, 0.0)
     gained = np.where(rising.any(axis=1), bottom - top, 0.0)
-    return Fit(state[:, 0], sd, state[:, 1], state[:, 2], sinkage, gained, misfit, shared)
+    return Fit(state[:, 0], sd, sinkage, gained, misfit, shared)
 
 
 def _slopes(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
@@ -163,14 +164,11 @@ def footfalls(
     known = [anchor_from(a) if isinstance(a, str) else a for a in anchors]
     name = "the log" if isinstance(log, JointLog) else str(log)
     analysis = foot_forces(log, robot=body, **reading)
+    if not analysis.stances:
+        raise InputError(f"{name}: {analysis.notes[-1]}")
     if analysis.grave:
         raise InputError(f"{name}: no footfall can be read: {analysis.grave[0]}")
     log, forces = without_broken_accelerometer(analysis.log)[0], analysis.forces
-    if len(log.time) < FEWEST:
-        raise InputError(
-            f"{name}: a footfall takes {FEWEST} samples or more, found {len(log.time)}; give the "
-            "log of a walk"
-        )
     lift = forces.force[:, :, 2].astype(np.float64)
     motion = _from_the_start(track(log, body, forces.place, lift), log)
     per = sensitivity(log, forces)
@@ -180,7 +178,7 @@ def footfalls(
     # The mean of several laws' fits; the best of their misfits.
     found = Fit(*(np.mean(column, axis=0) for column in zip(*fits.values(), strict=True)))
     found = found._replace(misfit=np.min([each.misfit for each in fits.values()], axis=0))
-    verdict = np.array(verdicts(seen, found, chosen.radius), dtype=str)
+    verdict = verdicts(seen, found, chosen.radius)
     usable = verdict == USABLE
     path = _path(motion, log.time)
     stretches = [(anchor, _stretch(anchor, path)) for anchor in known]
@@ -202,7 +200,7 @@ def footfalls(
     notes = [note for note in analysis.notes if "along which Fx counts" not in note]
     if density is None and prior is None:
         notes.insert(0, f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed")
-    if len(usable) and not usable.any():
+    if not usable.any():
         notes.append("no footfall is usable: the map is empty")
     if usable.any() and not known:
         notes.append("no anchor: only differences along the path are as sure as the relative band")
@@ -229,7 +227,7 @@ def footfalls(
 find_footfalls = footfalls
 
 
-def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
+def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
     """Verdict of each footfall: the first reason against it, else :data:`USABLE`.
 
     Parameters
@@ -242,9 +240,8 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
     from scipy.spatial import cKDTree
 
     trodden = np.zeros(len(seen.foot), dtype=bool)
-    if len(trodden):
-        tree = cKDTree(seen.place[:, :2])
-        trodden[[max(pair) for pair in tree.query_pairs(NEAR_RADII * radius)]] = True
+    near = cKDTree(seen.place[:, :2]).query_pairs(NEAR_RADII * radius)
+    trodden[[max(pair) for pair in near]] = True
     rests = seen.used.sum(axis=1) < FEWEST
     low, high = PHI_RANGE[0] + NEAR_EDGE_DEG, PHI_RANGE[1] - NEAR_EDGE_DEG
     reasons = (
@@ -256,7 +253,7 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
         (MISFIT, found.misfit > WORST_MISFIT),
     )
     words = [word for word, _ in reasons]
-    return np.select([holds for _, holds in reasons], words, USABLE).tolist()
+    return np.select([holds for _, holds in reasons], words, USABLE)
 
 
 def _from_the_start(motion: Motion, log: JointLog) -> Motion:

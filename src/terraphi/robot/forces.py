@@ -307,10 +307,8 @@ def without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
     if log.quaternion is not None:
         felt = np.einsum("sij,sj->si", rotation(log.quaternion[every]), felt)
     mean = felt.mean(axis=0)
-    off = float(np.linalg.norm(mean - [0.0, 0.0, GRAVITY]))
-    if log.quaternion is None:
-        off = abs(float(np.linalg.norm(mean)) - GRAVITY)
-    if off <= WORST_ACCELEROMETER:
+    up = mean / np.linalg.norm(mean) if log.quaternion is None else [0.0, 0.0, 1.0]
+    if np.linalg.norm(mean - GRAVITY * np.asarray(up)) <= WORST_ACCELEROMETER:
         return log, []
     text = ", ".join(f"{value:.1f}" for value in mean)
     return replace(log, acceleration=None), [

@@ -30,8 +30,6 @@ STANDING_SHARE = 0.7
 """Part of the robot's weight above which it stands [-]."""
 ASKEW_DEG = 15.0
 """Heading from the world's x above which a note says what Fx means [deg]."""
-SENSOR_AGREEMENT = 0.5
-"""Correlation of a foot sensor with the vertical force below which one of them is doubtful [-]."""
 KIND = "foot forces"
 SCHEMA = 1
 
@@ -114,7 +112,6 @@ def foot_forces(
     robot: Quadruped | Path | str = "go2",
     estimator: Estimator = DEFAULT_ESTIMATOR,
     frame: Frame = "world",
-    criteria: Criteria | None = None,
     **reading: Any,
 ) -> RobotForces:
     """Foot forces, stances and mean stances of a log.
@@ -127,8 +124,6 @@ def foot_forces(
         The robot, or its name, TOML, URDF or MJCF.
     estimator, frame
         See :func:`~terraphi.robot.forces.estimate`.
-    criteria
-        Thresholds of stances; by default a tenth of the robot's weight has to be reached.
     **reading
         ``topic``, ``joint_names`` and ``columns`` of :func:`~terraphi.robot.logs.read_log`.
 
@@ -142,17 +137,15 @@ def foot_forces(
     if not isinstance(log, JointLog):
         log = read_log(log, motors=body.joint_order, **reading)
     weight = body.mass * GRAVITY
-    chosen = criteria or Criteria(rise_N=max(Criteria.rise_N, RISE_SHARE * weight))
+    criteria = Criteria(rise_N=max(Criteria.rise_N, RISE_SHARE * weight))
     try:
         forces = estimate(log, robot=body, estimator=estimator, frame=frame)
-        stances = find_stances(forces.time, forces.force, criteria=chosen)
+        stances = find_stances(forces.time, forces.force, criteria=criteria)
         mean = balance(forces, stances, weight)
         findings = check(log, body, forces, mean)
     except InputError as error:
         raise InputError(f"{source}: {error}" if source else str(error)) from error
-    correlation = _sensor_correlation(log, forces)
-    named = {"source": source} if source else {}
-    report = {"dropped": {}, **named, **describe(log.time), **log.report}
+    report = {"dropped": {}, "source": source, **describe(log.time), **log.report}
     return RobotForces(
         log=log,
         robot=body,
@@ -163,10 +156,10 @@ def foot_forces(
         notes=(
             *report.get("notes", ()),
             *(finding.text for finding in findings),
-            *_notes(forces, stances, correlation, report, weight),
+            *_notes(forces, stances, report, weight),
         ),
         grave=tuple(finding.text for finding in reversed(findings) if finding.grave),
-        sensor_correlation=correlation,
+        sensor_correlation=_sensor_correlation(log, forces),
         report=report,
         lift=None if mean is None else mean[0],
     )
@@ -177,28 +170,29 @@ analyse = foot_forces
 
 def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
     """Correlation of each foot sensor that ever changes with the vertical force."""
+    if log.foot_counts is None:
+        return {}
     found = {}
-    for i, foot in enumerate(FEET if log.foot_counts is not None else ()):
-        assert log.foot_counts is not None
-        known = np.isfinite(forces.force[:, i, 2])
-        both = log.foot_counts[known, i], forces.force[known, i, 2]
-        if known.sum() > 1 and all(np.ptp(each) > 0 for each in both):
-            found[foot] = float(np.corrcoef(*both)[0, 1])
+    for foot, counts, lift in zip(FEET, log.foot_counts.T, forces.force[..., 2].T, strict=True):
+        known = np.isfinite(lift)
+        if known.sum() > 1 and np.ptp(counts[known]) > 0 and np.ptp(lift[known]) > 0:
+            found[foot] = float(np.corrcoef(counts[known], lift[known])[0, 1])
     return found
 
 
 def _notes(
     forces: FootForces,
     stances: Sequence[Stance],
-    correlation: Mapping[str, float],
     report: Mapping[str, Any],
     weight: float,
 ) -> list[str]:
     notes = []
     heading = forces.provenance["heading_deg"]
     if forces.frame == "world" and abs(heading) > ASKEW_DEG:
-        turned = f"the robot heads {heading:.0f}° from the world's x, along which Fx counts"
-        notes.append(f"{turned}; frame 'body' counts it along the robot")
+        notes.append(
+            f"the robot heads {heading:.0f}° from the world's x, along which Fx counts; frame "
+            "'body' counts it along the robot"
+        )
     uneven = report["jitter_s"] * (report["rate_hz"] or 0.0)
     if uneven > UNEVEN:
         notes.append(f"time stamps vary by {uneven:.0%} of a step: forces are noisier")
@@ -212,28 +206,17 @@ def _notes(
         )
     walked = {stance.foot for stance in stances}
     if not walked:
-        notes.append(f"no stances: {_why_no_stances(forces, weight)}")
+        known = np.isfinite(forces.force[:, :, 2]).all(axis=1)
+        lift = np.median(forces.force[known, :, 2], axis=0) if known.any() else np.zeros(4)
+        did = "no foot was set down and lifted again"
+        if lift.sum() > STANDING_SHARE * weight:
+            did = "the robot stands still"
+        elif lift.sum() < HANGING_SHARE * weight:
+            did = "the robot hangs or lies"
+        notes.append(f"no stances: {did}, its feet carry {lift.sum():.0f} N of {weight:.0f} N")
     elif len(walked) < len(FEET):
         notes.append(f"no stances of {', '.join(foot for foot in FEET if foot not in walked)}")
-    unlike = [foot for foot, value in correlation.items() if value < SENSOR_AGREEMENT]
-    if walked and unlike:
-        notes.append(
-            f"foot sensors of {', '.join(unlike)} do not follow the vertical force "
-            f"(correlation below {SENSOR_AGREEMENT:g})"
-        )
     return notes
-
-
-def _why_no_stances(forces: FootForces, weight: float) -> str:
-    lift = forces.force[np.isfinite(forces.force[:, :, 2]).all(axis=1), :, 2].astype(np.float64)
-    if not len(lift):
-        return "no sample has the forces of all four feet"
-    total = float(np.median(lift, axis=0).sum())
-    carry = f"its feet carry {total:.0f} N of {weight:.0f} N"
-    if total > STANDING_SHARE * weight:
-        return f"the robot stands still, {carry}"
-    hangs = total < HANGING_SHARE * weight
-    return f"{'the robot hangs or lies' if hangs else 'no foot was set down and lifted'}, {carry}"
 
 
 def write_forces(result: RobotForces, path: Path | str) -> None:

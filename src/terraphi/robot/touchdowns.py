@@ -216,19 +216,12 @@ def touchdowns(
         A log, the forces on its feet in the world, their motion, and how the forces depend on the
         torques.
     stances
-        Those of the log.
+        Those of the log, one or more.
     radius
         Of the feet [m].
     """
     cut = [_touchdown(log, forces, motion, stance, per) for stance in stances]
-    inner = {"place": (3,), "per_gain": (POINTS, 3), "per_friction": (POINTS, 3)}
-    inner |= dict.fromkeys(("foot", "begin", "torn", "saturated"), ())
-    columns: dict[str, Any] = {
-        name: np.reshape([one[name] for one in cut], (len(cut), *inner.get(name, (POINTS,))))
-        for name in Touchdowns._fields
-    }
-    for name, kind in {"foot": int, "used": bool, "torn": bool, "saturated": bool}.items():
-        columns[name] = columns[name].astype(kind)
+    columns = {name: np.array([one[name] for one in cut]) for name in Touchdowns._fields}
     columns["place"][:, 2] -= radius
     return Touchdowns(**columns)
 

@@ -204,48 +204,37 @@ def read_bag(
     """Read an MCAP file or the folder of a rosbag2; options of ``read_log``."""
     with needing(f"{path}: reading bags", "the package rosbags", extra="robot"):
         from rosbags.rosbag2 import Reader
-    try:
-        with Reader(path) as bag:
-            return _from_bag(path, bag, topic, joint_names, motors)
-    except (InputError, OSError, MemoryError):
-        raise
-    except Exception as error:  # damage raises errors of rosbags, of databases, of decompressors
-        why = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: not a whole bag ({why}); copy or record it again") from error
+    dropped: Counter[str] = Counter()
+    facts: dict[str, Any] = {"notes": [], "format": "rosbag2" if path.is_dir() else "mcap"}
 
-
-def _from_bag(
-    path: Path,
-    bag: Any,
-    topic: str | None,
-    joint_names: Sequence[str] | None,
-    motors: Sequence[str],
-) -> JointLog:
     def raw(topic: str) -> Raw:
         found = bag.messages([c for c in bag.connections if c.topic == topic])
         return ((recorded, data) for _, recorded, data in found)
 
-    chosen = _choose(path, bag.connections, topic)
-    name, place = chosen.topic, f"{path}, topic '{chosen.topic}'"
-    dropped: Counter[str] = Counter()
-    facts: dict[str, Any] = {"notes": [], "format": "rosbag2" if path.is_dir() else "mcap"}
-    facts |= {"topic": name, "message": chosen.msgtype}
-    if _plain(chosen.msgtype) == JOINT_STATE:
-        try:
-            values = joint_states(raw(name), joint_names, motors, dropped)
-        except InputError as error:
-            raise InputError(f"{place}: {error}") from error
-        imus = sorted({c.topic for c in bag.connections if _plain(c.msgtype) == IMU}, key=len)
-        if imus and len(values["stamp"]):
-            _add_imu(values, imu_readings(raw(imus[0])), imus, facts["notes"])
-        return joint_log(path, values, "header stamp", dropped, facts)
-    if joint_names is not None:
-        raise InputError(
-            f"{place}: a LowState numbers its motors and has no names; leave the joint names out"
-        )
-    if len(motors) != MOTORS:
-        raise InputError(f"{place}: of a robot with {MOTORS} joints, this has {len(motors)}")
-    return joint_log(path, low_states(raw(name), motors, dropped), "tick", dropped, facts)
+    try:
+        with Reader(path) as bag:
+            chosen = _choose(bag.connections, topic)
+            name, named = chosen.topic, _plain(chosen.msgtype) == JOINT_STATE
+            facts |= {"topic": name, "message": chosen.msgtype}
+            if not named and (joint_names is not None or len(motors) != MOTORS):
+                what = f"has {MOTORS} motors without names, the robot {len(motors)}"
+                raise InputError(f"topic '{name}' {what}; leave the joint names out")
+            if named:
+                values = joint_states(raw(name), joint_names, motors, dropped)
+                imus = {c.topic for c in bag.connections if _plain(c.msgtype) == IMU}
+                if imus and len(values["stamp"]):
+                    first, *others = sorted(imus, key=len)
+                    _add_imu(values, imu_readings(raw(first)), [first, *others], facts["notes"])
+            else:
+                values = low_states(raw(name), motors, dropped)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:  # damage raises errors of rosbags, of databases, of decompressors
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: not a whole bag ({why}); copy or record it again") from error
+    return joint_log(path, values, "header stamp" if named else "tick", dropped, facts)
 
 
 def _plain(kind: str) -> str:
@@ -254,7 +243,7 @@ def _plain(kind: str) -> str:
     return f"{parts[0]}/msg/{parts[-1].rstrip('_')}"
 
 
-def _choose(path: Path, connections: Sequence[Any], wanted: str | None) -> Any:
+def _choose(connections: Sequence[Any], wanted: str | None) -> Any:
     """Choose the topic to read."""
     usable = [
         c for c in connections
@@ -264,7 +253,7 @@ def _choose(path: Path, connections: Sequence[Any], wanted: str | None) -> Any:
         listed = ", ".join(sorted({f"'{c.topic}' ({c.msgtype})" for c in connections})[:12])
         where = "in it" if wanted is None else f"on topic '{wanted}'"
         kinds = f"expected {' or '.join(_KINDS)}; present: {listed or 'nothing'}"
-        raise InputError(f"{path}: no joint states {where}; {kinds}")
+        raise InputError(f"no joint states {where}; {kinds}")
 
     def rank(connection: Any) -> tuple[bool, bool, int, str]:
         # Robots repeat their state on lf/lowstate at a low frequency.

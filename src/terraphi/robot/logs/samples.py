@@ -86,8 +86,7 @@ def joint_log(
     InputError
         If no sample is sound, if over half are not for one reason, or if the units are wrong.
     """
-    if len(values["stamp"]):
-        values = _sound(values, dropped)
+    values = _sound(values, dropped)
     _refuse_if_hopeless(path, dropped, len(values["stamp"]))
     time, facts_of_time = seconds(values.pop("stamp"), values.pop("recorded", None), clock)
     notes = [*facts["notes"], *facts_of_time.get("notes", ())]
