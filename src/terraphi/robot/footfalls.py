@@ -197,7 +197,7 @@ def footfalls(
             values[usable if key not in of_path else slice(None)] = getattr(pooled, key)
         shared = _shared_summary(pooled, chosen)
     sinkage = np.where(verdict == SHALLOW, found.gained, found.sinkage)
-    notes = [note for note in analysis.notes if "along which Fx counts" not in note]
+    notes = [note for note in analysis.notes if "the axis of Fx" not in note]
     if density is None and prior is None:
         notes.insert(0, f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed")
     if not usable.any():

@@ -189,10 +189,8 @@ def _notes(
     notes = []
     heading = forces.provenance["heading_deg"]
     if forces.frame == "world" and abs(heading) > ASKEW_DEG:
-        notes.append(
-            f"the robot heads {heading:.0f}° from the world's x, along which Fx counts; frame "
-            "'body' counts it along the robot"
-        )
+        turned = f"the robot heads {heading:.0f}° from the world's x"
+        notes.append(f"{turned}, the axis of Fx; frame 'body' turns with it")
     uneven = report["jitter_s"] * (report["rate_hz"] or 0.0)
     if uneven > UNEVEN:
         notes.append(f"time stamps vary by {uneven:.0%} of a step: forces are noisier")
@@ -200,10 +198,7 @@ def _notes(
     counts = forces.saturated.sum(axis=0).tolist()
     limited = [f"{foot} ({n})" for foot, n in zip(FEET, counts, strict=True) if n]
     if limited:
-        notes.append(
-            f"motors of {', '.join(limited)} at their limit for as many samples, where forces may "
-            "be larger"
-        )
+        notes.append(f"motors at their limit: {', '.join(limited)} samples; forces may be larger")
     walked = {stance.foot for stance in stances}
     if not walked:
         known = np.isfinite(forces.force[:, :, 2]).all(axis=1)

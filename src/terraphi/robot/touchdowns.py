@@ -35,8 +35,6 @@ from terraphi.robot.legs import GRAVITY
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import Stance, running_mean
 
-IntArray = NDArray[np.int64]
-
 ACCELERATION_SD = 0.3
 """Of the accelerometer's readings, with what the trunk shakes between samples [m/s²]."""
 UNKNOWN_ACCELERATION_SD = 3.0
@@ -167,7 +165,7 @@ class Touchdowns(NamedTuple):
         A motor of the leg is at its limit in it; shape [touchdown].
     """
 
-    foot: IntArray
+    foot: NDArray[np.int64]
     begin: FloatArray
     place: FloatArray
     time: FloatArray

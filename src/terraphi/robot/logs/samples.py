@@ -35,7 +35,6 @@ BACKWARDS = "time ran backwards"
 FULL_TURN = 2.0 * np.pi
 LARGEST = 1e6
 """Numbers beyond this are no sensor's, and count as not finite."""
-LATEST_S = 1e30
 
 NOT_FINITE = "not a finite number"
 TURNED = "joint angle beyond a full turn"
@@ -114,7 +113,7 @@ def joint_log(
 def _sound(values: dict[str, Any], dropped: Counter[str]) -> dict[str, Any]:
     """Samples whose numbers are those of sensors; the others are counted."""
     columns = {name: c.reshape(len(c), -1) for name, c in values.items() if name != "recorded"}
-    finite = np.abs(columns["stamp"].astype(np.float64))[:, 0] < LATEST_S
+    finite = np.abs(columns["stamp"].astype(np.float64))[:, 0] < 1e30
     for name in columns.keys() - {"stamp"}:
         finite &= (np.abs(columns[name]) < LARGEST).all(axis=1)
     within = (np.abs(columns["angle"]) <= FULL_TURN).all(axis=1)
