@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 from go2.logs import write_csv
-from terraphi.forward.plane.fields import FieldSeries
 
 from terraphi.cli.invert import save_inversion
 from terraphi.experiment.measurements import measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
+from terraphi.forward.plane.fields import FieldSeries
 from terraphi.inference.answer import Inversion
 from terraphi.inference.inversion import invert
 from terraphi.library.store import Library
