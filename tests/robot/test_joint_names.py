@@ -11,15 +11,10 @@ from terraphi.robot.joint_log import FEET, JOINTS, joint_place
     ("name", "meaning"),
     [
         ("FR_hip_joint", "FR hip"),
-        ("FR_thigh", "FR thigh"),
-        ("go2/RL_calf_joint", "RL calf"),
         ("LF_HAA", "FL hip"),
-        ("RH_KFE", "RR calf"),
         ("LR_upper_leg", "RL thigh"),
-        ("BL_hip", "RL hip"),
         ("front_left_hip_x", "FL hip"),
         ("rear_right_hip_y", "RR thigh"),
-        ("fore_left_knee_pitch", "FL calf"),
         ("FL_hip_pitch_joint", "FL thigh"),
         ("fr.hx", "FR hip"),
         ("FL_2", "FL calf"),
@@ -28,7 +23,6 @@ from terraphi.robot.joint_log import FEET, JOINTS, joint_place
         ("FR_FL_hip", None),
         ("FR_foot", None),
         ("FL_hip_rotor_joint", None),
-        ("hip", None),
         ("", None),
     ],
 )
