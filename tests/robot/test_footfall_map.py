@@ -68,3 +68,18 @@ def test_an_anchor_takes_what_is_shared_away() -> None:
     assert held.phi == pytest.approx(free.phi - 4.0, abs=0.1)
     assert held.path_absolute_sd.max() < 0.5
     assert held.shared_sd.max() < 0.5
+
+
+def test_feet_teach_the_gains_that_differ_between_them() -> None:
+    """Two feet by turns on even ground, one of them high: its gain takes the difference."""
+    place = np.column_stack([np.linspace(0.0, 2.0, 40), np.zeros(40)])
+    shared = np.zeros((40, M))
+    shared[::2, 2], shared[1::2, 5] = 6.0, 6.0
+    phi = np.where(np.arange(40) % 2, 33.0, 33.6)
+    sd = np.zeros(M)
+    sd[[2, 5]] = 0.1
+    seen = Observed(phi, np.full(40, 0.1), shared, place)
+    found = pool(seen, Shared(np.zeros(M), np.diag(sd**2)), place[:3], [], mean=32.0)
+    assert found.shared_mean[2] - found.shared_mean[5] == pytest.approx(0.1, abs=0.01)
+    assert np.ptp(found.phi) < 0.1
+    assert found.sd.min() > 0.2  # what both have in common is not known

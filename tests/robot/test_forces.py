@@ -159,6 +159,15 @@ def test_straight_knee_is_flagged_and_not_divided_by() -> None:
         np.testing.assert_array_equal(np.isnan(found.sigma).any(axis=-1), expected)
 
 
+def test_motor_at_its_limit_is_named() -> None:
+    log = standing()
+    torque = log.torque.copy()
+    torque[20, 1, 2] = -45.43
+    torque[21, 1, 0] = 23.0
+    found = estimate(replace(log, torque=torque), robot=GO2)
+    assert np.argwhere(found.saturated).tolist() == [[20, 1]]
+
+
 def test_hole_in_the_log_disturbs_nothing_else(truth: Any) -> None:
     keep = np.ones(len(truth.log.time), dtype=bool)
     keep[700:760] = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,16 @@ def test_every_format_comes_back(tmp_path: Path, name: str) -> None:
     assert report["clock"] == ("tick" if name in BAGS else "time_s")
     assert (report["samples"], report["dropped"], report["gaps"]) == (len(log.time), {}, [])
     assert report["rate_hz"] == pytest.approx(500.0)
+
+
+def test_motors_in_another_order_give_the_same_log(tmp_path: Path) -> None:
+    order = [JOINT_NAMES[i] for i in (3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8)]
+    joints = ("angle", "velocity", "torque")
+    other = replace(log, **{name: getattr(log, name)[:, [1, 0, 3, 2]] for name in joints})
+    write_mcap(tmp_path / "a.mcap", other)
+    found = read_log(tmp_path / "a.mcap", motors=order)
+    for name in joints:
+        np.testing.assert_array_equal(getattr(found, name), getattr(log, name))
 
 
 def test_tables_lack_what_is_optional_and_stand_in_any_order(tmp_path: Path) -> None:
