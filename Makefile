@@ -90,7 +90,7 @@ $(DEV): pyproject.toml constraints.txt | $(BIN)/python
 	@touch $(RUN) $@
 
 clean:
-	rm -rf build dist demo-output docs/_build docs/gallery docs/reference/*-keys.md .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf build dist demo-output docs/_build docs/reference/*-keys.md .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find src tests studies verification benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean

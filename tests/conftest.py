@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pytest
 from hypothesis import settings
@@ -33,41 +33,14 @@ class Ran(NamedTuple):
     err: str
 
 
-@pytest.fixture(autouse=True)
-def _as_loud_as_at_first() -> Iterator[None]:
-    """What one test asks to be told, another does not."""
-    yield
-    if "terraphi.view.console" in sys.modules:
-        sys.modules["terraphi.view.console"].listen()
-
-
-_READ: dict[Path, Any] = {}
-
-
 @pytest.fixture
 def terraphi(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> Callable[..., Ran]:
-    """Run a command in an empty folder, in this process.
-
-    A shipped library is read once for all tests, and so made ready once for its inversions.
-    """
+    """Run a command in an empty folder, in this process."""
     from terraphi.cli.main import main
-    from terraphi.experiment.documents import DATA
-    from terraphi.library.store import Library
 
     monkeypatch.chdir(tmp_path)
-    read = Library.load
-
-    def recalled(source: Path | str) -> Library:
-        place = DATA / "libraries" / f"{source}.nc"
-        if Path(source).exists() or not place.is_file():
-            return read(source)
-        if place not in _READ:
-            _READ[place] = read(source)
-        return _READ[place]
-
-    monkeypatch.setattr(Library, "load", recalled)
 
     def run(*args: str) -> Ran:
         monkeypatch.setattr(sys, "argv", ["terraphi", *args])

@@ -9,24 +9,30 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from terraphi.experiment.errors import InputError, SimulationError
-    from terraphi.experiment.history import ForceHistory
-    from terraphi.experiment.leg import Leg
-    from terraphi.experiment.motion import Rotation, Translation
-    from terraphi.experiment.scenario import Scenario
-    from terraphi.experiment.soil import Soil
-    from terraphi.forward import simulate
-    from terraphi.inference.answer import Inversion
-    from terraphi.inference.inversion import invert
-    from terraphi.inference.many import invert_many
-    from terraphi.library.build import build
-    from terraphi.library.plan import Plan
-    from terraphi.library.store import Library
+    from terraphi.experiment.errors import InputError as InputError
+    from terraphi.experiment.errors import SimulationError as SimulationError
+    from terraphi.experiment.history import ForceHistory as ForceHistory
+    from terraphi.experiment.leg import Leg as Leg
+    from terraphi.experiment.measurements import measurement as measurement
+    from terraphi.experiment.motion import Rotation as Rotation
+    from terraphi.experiment.motion import Translation as Translation
+    from terraphi.experiment.scenario import Scenario as Scenario
+    from terraphi.experiment.soil import Soil as Soil
+    from terraphi.forward import simulate as simulate
+    from terraphi.inference.answer import Answer as Answer
+    from terraphi.inference.inversion import calibrate as calibrate
+    from terraphi.inference.inversion import invert as invert
+    from terraphi.inference.inversion import invert_many as invert_many
+    from terraphi.library.build import build as build
+    from terraphi.library.plan import Plan as Plan
+    from terraphi.library.store import Library as Library
+    from terraphi.robot.footfalls import footfalls as footfalls
+    from terraphi.robot.results import foot_forces as foot_forces
 
-_HOMES = {
+_PLACES = {
+    "Answer": "inference.answer",
     "ForceHistory": "experiment.history",
     "InputError": "experiment.errors",
-    "Inversion": "inference.answer",
     "Leg": "experiment.leg",
     "Library": "library.store",
     "Plan": "library.plan",
@@ -36,35 +42,25 @@ _HOMES = {
     "Soil": "experiment.soil",
     "Translation": "experiment.motion",
     "build": "library.build",
+    "calibrate": "inference.inversion",
+    "foot_forces": "robot.results",
+    "footfalls": "robot.footfalls",
     "invert": "inference.inversion",
-    "invert_many": "inference.many",
+    "invert_many": "inference.inversion",
+    "measurement": "experiment.measurements",
     "simulate": "forward",
 }
+"""Public name to its module, and to its name there where that differs."""
 
-__all__ = [
-    "ForceHistory",
-    "InputError",
-    "Inversion",
-    "Leg",
-    "Library",
-    "Plan",
-    "Rotation",
-    "Scenario",
-    "SimulationError",
-    "Soil",
-    "Translation",
-    "build",
-    "invert",
-    "invert_many",
-    "simulate",
-]
+__all__ = [*_PLACES]
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name from its room."""
-    if name not in _HOMES:
+    """Load a public name."""
+    if name not in _PLACES:
         raise AttributeError(f"module 'terraphi' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"terraphi.{_HOMES[name]}"), name)
+    module, _, other = _PLACES[name].partition(":")
+    return getattr(importlib.import_module(f"terraphi.{module}"), other or name)
 
 
 def __dir__() -> list[str]:

@@ -92,7 +92,7 @@ def test_a_record_of_faults_is_refused() -> None:
     def mostly_zero(theta, force):
         force[(theta > -70) & (theta < 60) & (np.arange(len(theta)) % 4 != 0)] = 0.0
 
-    with pytest.raises(InputError, match="faulty|no reading"):
+    with pytest.raises(InputError, match=r"faulty|no reading"):
         answer_to(mostly_zero)
 
 

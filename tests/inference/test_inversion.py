@@ -37,7 +37,6 @@ def test_intervals_hold_truths_drawn_from_the_library(sand3d: Library, leg: str)
     """Of 200 records with particle scatter, 68 and 95 % intervals hold as many."""
     emulator, rng = Emulator(sand3d.curves(leg)), np.random.default_rng(7)
     theta = emulator.curves.theta_deg
-    scenario = emulator.curves.scenario
     record = open_record(ForceHistory(np.radians(theta), np.ones((len(theta), 2))))
     inside = []
     for _ in range(200):

@@ -1,12 +1,6 @@
-"""``python -m terraphi.cli``, and what the script ``terraphi`` calls."""
+"""``python -m terraphi.cli``."""
 
-
-def main() -> None:
-    """Import the command line and run it."""
-    from terraphi.cli.main import main as run
-
-    run()
-
+from terraphi.cli.main import main
 
 if __name__ == "__main__":
     main()

@@ -1,239 +1,160 @@
-"""``terraphi invert``: one history or several, one parameter or several."""
+"""``terraphi invert``, ``terraphi calibrate`` and ``terraphi demo``."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from terraphi.cli.options import (
-    DISCREPANCIES,
-    LEGS,
-    LIKELIHOODS,
     PATH,
-    SAMPLERS,
-    Choice,
     Float,
-    Grouped,
-    IntRange,
+    WithSd,
+    density_option,
     json_option,
-    library_names,
+    leg_option,
+    library_option,
 )
 from terraphi.experiment.errors import InputError
-from terraphi.view.console import as_text, print_inversion, print_json, progress_bar
-
-if TYPE_CHECKING:
-    from terraphi.experiment.measurements import Measurement
-    from terraphi.inference.answer import Inversion
-    from terraphi.inference.trials import Trial
-
-DEFAULT_LIKELIHOOD = "calibrated"
-DEFAULT_SAMPLER = "quadrature"
-KIND, ANSWER = "inversion", "answer.json"
-MADE = (ANSWER, "posterior.nc", "figure.png", "corner.png")
-"""Files that an inversion of any kind may leave in its folder."""
+from terraphi.view.answers import headline, print_answer
+from terraphi.view.console import print_json, print_table, progress_bar
+from terraphi.view.table import Table
 
 
-class _Density(Float):
-    """A density; one with its error is a prior, and refused with what to type."""
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """The number."""
-        from terraphi.inference.prior import DENSITIES, Marginal, parsed
-
-        try:
-            prior = parsed("density", str(value), Marginal(*DENSITIES))
-        except InputError:
-            prior = None
-        if prior is not None and DENSITIES[0] <= prior.low < prior.high <= DENSITIES[1]:
-            written = f"{prior.low:g}:{prior.high:g}"
-            if prior.normal is not None:
-                written = "{:g}+-{:g}".format(*prior.normal)
-            remedy = f"--density {prior.middle:g}, or --prior density={written} to infer it too"
-            self.fail(f"{value!r} is not a number; give {remedy}", param, ctx)
-        return super().convert(value, param, ctx)
-
-
-@click.command(
-    cls=Grouped,
-    groups={
-        "What is inverted": ("--leg", "--density", "--library", "--prior"),
-        "How": ("--likelihood", "--noise", "--discrepancy", "--calibration", "--sampler", "--seed"),
-    },
-)
+@click.command()
 @click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
+@leg_option
+@density_option
+@library_option
+@click.option("--noise", type=Float(), help="Noise of a reading [N].  [default: estimated]")
+@click.option("--calibration", type=PATH, help="File of 'terraphi calibrate'.")
 @click.option(
-    "--leg",
-    "legs",
-    type=Choice(LEGS),
-    multiple=True,
-    help="Shape of the leg: once for all FORCES, or once for each in their order.  [default: as "
-    "measured, else straight]",
+    "--simulated/--measured",
+    default=None,
+    help="Whether the forces are simulated.  [default: as in FORCES]",
 )
-@click.option(
-    "--density",
-    type=_Density(),
-    help="Bulk density of the soil [kg/m³].  [default: as measured, else the library's]",
-)
-@click.option(
-    "--library",
-    help="Name of a shipped library, or a .nc file.  [default: the best for measured soils, "
-    "quick-plane-strain for simulated forces]",
-    shell_complete=library_names,
-)
-@click.option(
-    "--prior",
-    multiple=True,
-    metavar="KEY=PRIOR",
-    help="Prior of a parameter: LOW:HIGH, MEAN+-SD or VALUE, as density=1500:1700; may be "
-    "repeated.",
-)
-@click.option(
-    "--likelihood",
-    type=Choice(LIKELIHOODS),
-    help=f"Error model of φ alone.  [default: {DEFAULT_LIKELIHOOD}]",
-)
-@click.option(
-    "--noise",
-    help="Noise of a force reading [N], or a TOML file on the sensor.  [default: inferred]",
-)
-@click.option(
-    "--discrepancy",
-    type=Choice(DISCREPANCIES),
-    help="What the model leaves unexplained: nothing, a Gaussian process, or as of real soils.  "
-    "[default: soils, gp where that was not learnt, none for simulated forces]",
-)
-@click.option(
-    "--calibration",
-    type=PATH,
-    help="Soils of known friction angle, from 'terraphi calibrate'.",
-)
-@click.option(
-    "--sampler",
-    type=Choice(SAMPLERS),
-    help="How the posterior is computed: quadrature is exact, and for φ alone.  [default: "
-    f"{DEFAULT_SAMPLER}; emcee for several parameters]",
-)
-@click.option("--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of emcee.")
-@click.option(
-    "--out",
-    type=PATH,
-    help="Folder for answer.json, posterior.nc (opens in ArviZ) and figures.",
-)
-@click.option(
-    "--table",
-    type=PATH,
-    help="Invert each of FORCES (files, folders, patterns) by itself: a .csv or .parquet file "
-    "with a row each.",
-)
+@click.option("--out", type=PATH, help="Folder for answer.json, .nc (ArviZ) and .png.")
+@click.option("--table", type=PATH, help="CSV file with a row for each of FORCES, inverted alone.")
+@click.option("-v", "--verbose", is_flag=True, help="Print all warnings, and tables.")
 @json_option
 def invert(
     forces: tuple[str, ...],
-    legs: tuple[str, ...],
-    library: str | None,
     out: Path | None,
     table: Path | None,
+    verbose: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Infer the friction angle, and what else a library varies, from FORCES.
+    """Infer the friction angle from FORCES.
 
-    FORCES is a CSV with exactly the columns theta_deg,Fx_N,Fz_N over -85 to 85 deg (theta
-    from the downward vertical, increasing in time; x forward, z up; the soil's force on the leg),
-    a NetCDF that terraphi wrote, or a shipped measurement such as li2013:yuma/c.
+    FORCES is a CSV with the columns theta_deg,Fx_N,Fz_N (theta from the downward vertical; x
+    forward, z up; force of the soil on the leg), a NetCDF of terraphi, or a shipped measurement
+    li2013:MEDIUM/LEG. Several FORCES are records of one soil.
 
-    Several FORCES, of several legs or repeated trials in one soil, are inverted as one data set.
-    With a library of several parameters, or a --prior on the density, these are inferred too.
+    Example: terraphi invert forces.csv --leg c --density 1600±80 --out answer
 
-    Example: terraphi invert forces.csv --density 1600 --out answer
-
-    Example: terraphi invert straight.csv c.csv --leg straight --leg c --prior density=1500:1700
-
-    Example: terraphi invert records --table answers.csv
+    Example: terraphi invert records/*.csv --table angles.csv
     """
+    from terraphi.inference import inversion
+
     if table is not None:
-        if out is not None or len(legs) > 1:
-            raise InputError("--table goes with one --leg at most, and not with --out")
-        tabulate(forces, table, legs, library, as_json, options)
+        if out is not None:
+            raise InputError("--table and --out exclude each other; give one of them")
+        tabulate(forces, table, as_json, options)
         return
-    from terraphi.experiment.measurements import open_forces
-    from terraphi.experiment.outputs import check_folder
-    from terraphi.inference.inversion import invert as run
-    from terraphi.library.store import Library
-
+    answer = inversion.invert(list(forces), **options)
     if out is not None:
-        check_folder(out, kind=KIND, names=MADE)
-    measured = [open_forces(source) for source in forces]
-    found = run(
-        trials_of(legs, measured), library=Library.load(library) if library else None, **options
-    )
-    made = () if out is None else save_inversion(found, out)
+        answer.save(out)
     if as_json:
-        print_json(found.as_dict())
+        print_json(answer.as_dict())
         return
-    print_inversion(found)
-    if made:
-        click.echo(f"Written: {out}/{', '.join(made)}")
+    print_answer(answer, verbose=verbose)
+    if out is not None:
+        click.echo(f"Written: {out}/answer.json, answer.nc, answer.png")
 
 
-def tabulate(
-    forces: Sequence[str],
-    table: Path,
-    legs: Sequence[str],
-    library: str | None,
-    as_json: bool,
-    options: dict[str, Any],
-) -> None:
-    """Invert many records, each by itself, and write a row each."""
-    from terraphi.inference.many import check_table, invert_many, records_in, write_table
-    from terraphi.library.store import Library
+def tabulate(forces: tuple[str, ...], table: Path, as_json: bool, options: dict[str, Any]) -> None:
+    """Invert records one by one and write a row for each."""
+    from terraphi.inference.inversion import invert_many
+    from terraphi.view.answers import check_table, write_table
 
     check_table(table)
-    sources = records_in(forces)
-    leg = legs[0] if legs else None
     with progress_bar("inverting") as report:
-        named = Library.load(library) if library else None
-        found = invert_many(sources, library=named, leg=leg, progress=report, **options)
-    write_table(found, table)
-    verdicts = found["verdict"].fillna("failed").value_counts().to_dict()
+
+        def counted(function: Any, rows: Any) -> Any:
+            for done, row in enumerate(rows, start=1):
+                yield function(row)
+                report(done, len(rows))
+
+        found = invert_many([{"forces": one, **options} for one in forces], map_=counted)
+    if isinstance(found[0], InputError) and all(isinstance(one, InputError) for one in found):
+        raise found[0]
+    counts = write_table(forces, found, table)
     if as_json:
-        print_json({"table": str(table), "records": len(found), "verdicts": verdicts})
+        print_json({"table": str(table), "records": len(forces), "verdicts": counts})
         return
-    counts = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in verdicts.items())
-    click.echo(f"{len(found)} records: {counts}")
-    click.echo(f"Written: {table}")
+    verdicts = ", ".join(f"{count} {name}" for name, count in counts.items())
+    click.echo(f"{len(forces)} records: {verdicts}\nWritten: {table}")
 
 
-def trials_of(legs: Sequence[str], measured: Sequence[Measurement]) -> list[Trial]:
-    """Each history with its leg: as asked for, else as measured."""
-    from terraphi.inference.trials import Trial
+@click.command()
+@click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
+@click.option(
+    "--phi", type=WithSd(), required=True, metavar="MEAN±SD", help="Known friction angle [deg]."
+)
+@leg_option
+@density_option
+@library_option
+@click.option("--out", type=PATH, required=True, help="TOML file for 'invert --calibration'.")
+@json_option
+def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **options: Any) -> None:
+    """Learn the offset of your apparatus from soils of known angle.
 
-    if not legs:
-        return [Trial.of(one) for one in measured]
-    shapes = [legs[0] for _ in measured] if len(legs) == 1 else list(legs)
-    if len(shapes) != len(measured):
-        raise InputError(
-            f"there are {len(measured)} histories and {len(legs)} legs; give --leg once for all, "
-            "or once for each history in their order"
-        )
-    for leg, one in zip(shapes, measured, strict=True):
-        if one.source and leg != one.leg:
-            remedy = "give --leg for each history, in their order" if measured[1:] else "drop it"
-            raise InputError(f"--leg {leg}: {one.name} was measured on leg '{one.leg}'; {remedy}")
-    return [Trial.of(one, leg) for one, leg in zip(measured, shapes, strict=True)]
+    FORCES were measured in a soil of angle --phi, in the convention of the library (plane strain
+    for sand3d). 'invert --calibration FILE' then gives narrower intervals.
+
+    Example: terraphi calibrate li2013:poppy_loose/straight --phi 36±2 --out poppy.toml
+    """
+    from terraphi.experiment.files import number_with_sd
+    from terraphi.inference.inversion import calibrate as run
+
+    mean, sd = number_with_sd(phi)
+    if sd is None:
+        raise InputError(f"--phi {phi}: give mean and standard deviation, such as 36±2")
+    found = run(list(forces), mean, sd, **options)
+    found.save(out)
+    if as_json:
+        print_json({"file": str(out), **found.model_dump(mode="json")})
+        return
+    rows = [
+        (one.source, one.leg, f"{one.phi_deg:g} ± {one.phi_sd_deg:g}", f"{one.read_deg:.1f}")
+        for one in found.soils
+    ]
+    header = ("soil", "leg", "known φ [deg]", f"by {found.library} [deg]")
+    print_table(Table("", header, rows))
+    click.echo(f"Written: {out}")
 
 
-def save_inversion(found: Inversion, place: Path) -> tuple[str, ...]:
-    """Write posterior, figures and answer, the answer last; their names."""
-    from terraphi.experiment.outputs import filling
-    from terraphi.view import plots
+@click.command()
+@click.option(
+    "--out", type=PATH, default="demo-output", show_default=True, help="Folder for the results."
+)
+@json_option
+def demo(out: Path, as_json: bool) -> None:
+    """Recover a known angle, then infer those of two measured soils.
 
-    figures = plots.figures_of(found)
-    with filling(place, kind=KIND, last=ANSWER) as made:
-        found.to_netcdf(made / "posterior.nc")
-        for name, figure in figures.items():
-            plots.save(figure, made.joinpath(name))
-        made.joinpath(ANSWER).write_text(as_text(found.as_dict()), encoding="utf-8")
-    return ANSWER, "posterior.nc", *figures
+    Example: terraphi demo
+    """
+    from terraphi.view.demo import TRUTH_DEG, run
+
+    answers, picture = run(out)
+    if as_json:
+        print_json({"answers": [one.as_dict() for one in answers], "picture": str(picture)})
+        return
+    click.echo(f"Simulated with φ = {TRUTH_DEG:g}°, then inverted; and two measured soils.\n")
+    for answer in answers:
+        click.echo(f"{headline(answer)}\n{answer.reason}\n")
+    click.echo(
+        f"Picture: {picture}\nYour own: terraphi invert FORCES.csv --leg LEG --density KG_M3"
+    )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +36,9 @@ FRAMES = 100
 def simulate(
     scenario: str, changes: tuple[str, ...], out: Path | None, vtk: Path | None, as_json: bool
 ) -> None:
-    """Simulate SCENARIO, a TOML file or a preset: quick (1 s), sand3d, paper-1, paper-code-1.
+    """Simulate SCENARIO, a TOML file or the name of a preset.
+
+    Presets: quick (seconds), sand3d (hours), paper-1 and paper-code-1 (half an hour).
 
     With --out an interrupted simulation continues by the same command, with the same result to the
     last bit. 'terraphi keys' lists the keys of a scenario.
@@ -55,6 +59,7 @@ def simulate(
         from terraphi.forward.vtk import FieldSeries
 
         observe = FieldSeries(vtk, chosen, frames=FRAMES)
+    announce([chosen])
     kept = forward.Checkpoint(out.with_name(f"{out.name}.checkpoint")) if out else None
     with progress_bar("simulating") as report:
         history = forward.simulate(
@@ -71,6 +76,17 @@ def simulate(
         print_json(summary)
         return
     print_pairs(summary)
+
+
+def announce(scenarios: Sequence[Scenario], workers: int = 1) -> None:
+    """Print what looks like a mistake in scenarios and, on a terminal, how long they will take."""
+    from terraphi.experiment.plausibility import doubts
+    from terraphi.forward.forecast import forecast
+
+    for doubt in dict.fromkeys(doubt for one in scenarios for doubt in doubts(one)):
+        click.echo(f"terraphi: {doubt}", err=True)
+    if sys.stderr.isatty():
+        click.echo(forecast(scenarios).sentence(workers), err=True)
 
 
 def changed(scenario: Scenario, changes: tuple[str, ...]) -> Scenario:

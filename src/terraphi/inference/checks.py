@@ -46,8 +46,8 @@ BETTER = 0.6
 """Residual of a record read differently, over that as given, at which that is proposed [-]."""
 USUAL_DEG = (15.0, 50.0)
 """Friction angles of dry soils in plane strain [deg]."""
-LATE_DEG = 4.0
-"""Shift of θ above which the zero of the angle is doubted [deg]."""
+USUAL_SHIFT_DEG = (-6.0, 15.0)
+"""Shift of θ of measured forces against the model's that real soils show [deg]."""
 UNITS = {
     "pounds-force": 4.448,
     "kilograms-force": 9.807,
@@ -206,9 +206,10 @@ def in_air(likelihood: Likelihood) -> list[str]:
         force = np.abs(emulator(inside[None])[0])
         touching = emulator.curves.theta_deg[np.any(force > IN_AIR * force.max(), axis=0)]
         theta = record.history.theta_deg
-        for side, air in (
-            ("before the leg meets the soil", theta < touching[0] - MARGIN_DEG),
-            ("after it has left the soil", theta > touching[-1] + MARGIN_DEG),
+        # Soil that the leg carries along may press on it a little where the model has none left.
+        for side, air, limit in (
+            ("before the leg meets the soil", theta < touching[0] - MARGIN_DEG, OFFSET),
+            ("after it has left the soil", theta > touching[-1] + MARGIN_DEG, 2.0 * OFFSET),
         ):
             for name, values in (("Fx", record.history.Fx), ("Fz", record.history.Fz)):
                 if air.sum() < 3 or record.simulated:
@@ -216,7 +217,7 @@ def in_air(likelihood: Likelihood) -> list[str]:
                 # Soil that is met early is met more and more; an offset is there all the way.
                 size = float(np.quantile(np.abs(values[air]), 0.2))
                 size *= float(np.sign(np.median(values[air])))
-                if abs(size) > OFFSET * np.ptp(values):
+                if abs(size) > limit * np.ptp(values):
                     found.append(
                         f"{record.source}: {name} is {size:.2g} N {side}; tare the sensor, or "
                         "check the leg."
@@ -242,7 +243,7 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
         if record.leg_assumed:
             yield f"{name}The leg is assumed to be straight; give --leg."
         if record.density_kg_m3 is None or record.density_assumed:
-            yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 2°."
+            yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 1°."
         if record.scenario is not None:
             apart = differences(record.scenario, library.cases[0].scenario)
             if apart:

@@ -195,7 +195,7 @@ def emulator_of(library: Library, leg: str, *, corrected: bool) -> Emulator:
 class _Process:
     """A Gaussian process with a polynomial mean, fitted to one weight.
 
-    With A = K + λ diag(b²), K of unit variance, F the polynomials at the cases, β their coefficients,
+    With A = K + λ diag(b²), K of unit variance, F the polynomials at the cases with coefficients β,
     ``solved`` is A⁻¹(w − Fβ), ``inverse`` A⁻¹ and ``spread`` (F'A⁻¹F)⁻¹.
     """
 
@@ -254,8 +254,10 @@ def _fitted(
         own = w[:, column : column + 1]
         end = start if t.shape[1] == 1 else _refined(t, f, own, scale, start)
         lengths, noise = np.exp(end[:-1]), float(np.exp(end[-1]))
-        inverse: FloatArray = np.linalg.inv(_kernel(t, t, lengths) + noise * np.diag(rough**2))
-        spread: FloatArray = np.linalg.inv(basis.T @ inverse @ basis)
+        inverse = np.linalg.inv(_kernel(t, t, lengths) + noise * np.diag(rough**2)).astype(
+            np.float64
+        )
+        spread = np.linalg.inv(basis.T @ inverse @ basis).astype(np.float64)
         beta = spread @ basis.T @ inverse @ weights[:, column]
         rest = weights[:, column] - basis @ beta
         sigma2 = float(rest @ inverse @ rest) / max(len(t) - basis.shape[1], 1)

@@ -18,8 +18,8 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.checks import (
-    LATE_DEG,
     USUAL_DEG,
+    USUAL_SHIFT_DEG,
     doubts,
     in_air,
     shift_of_theta,
@@ -39,6 +39,8 @@ FAR = 4.0
 """Standard normal deviate of chi-square above which a simulated record is a misfit."""
 OUTSIDE = 0.3
 """Probability that φ lies beyond the library's range above which the answer says so."""
+SEVERAL = 1.3
+"""Limit of a residual of several records with one angle, over that of one [-]: legs differ."""
 UNINFORMED = 0.9
 """Share of the prior's standard deviation above which the forces say nothing about φ."""
 
@@ -94,12 +96,28 @@ def invert(
     >>> terraphi.invert("li2013:poppy_loose/straight").verdict
     'consistent'
     """
+    from threadpoolctl import threadpool_limits
+
     began = time.perf_counter()
+    # The matrices are small: threads would only wait for each other.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _invert(
+            forces, library, calibration, seed, began,
+            leg=leg, density=density, noise=noise, simulated=simulated,
+        )  # fmt: skip
+
+
+def _invert(
+    forces: Any,
+    library: Library | Path | str | None,
+    calibration: Calibration | Path | str | None,
+    seed: int,
+    began: float,
+    **options: Any,
+) -> Answer:
+    """The same, without a limit on threads."""
     every = list(forces) if isinstance(forces, list | tuple) else [forces]
-    records = [
-        without_faults(open_record(one, leg=leg, density=density, noise=noise, simulated=simulated))
-        for one in every
-    ]
+    records = [without_faults(open_record(one, **options)) for one in every]
     library, reason = _library_for(records, library)
     known = Calibration.load(calibration) if isinstance(calibration, str | Path) else calibration
     if known is not None:
@@ -220,7 +238,7 @@ def _answer(
         *(note if len(records) == 1 else f"{record.source}: {note}"
           for record in records for note in record.notes),
         *air,
-        *doubts(likelihood, library, misfit=verdict == "misfit"),
+        *doubts(likelihood, library, misfit=verdict != "consistent"),
         *_about(likelihood, fits, parameters, verdict),
     ]  # fmt: skip
     if library.caveat:
@@ -236,7 +254,11 @@ def _answer(
         verdict=verdict,
         reason=why,
         edge=edge,
-        budget_deg=likelihood.budget(_within(likelihood, middle)) if PHI in keys else {},
+        budget_deg=(
+            likelihood.budget(_within(likelihood, middle))
+            if PHI in keys and likelihood.beyond is None
+            else {}
+        ),
         density_kg_m3=likelihood.density[0],
         density_sd_kg_m3=sd[0],
         density_assumed=records[0].density_kg_m3 is None or records[0].density_assumed,
@@ -291,8 +313,10 @@ def _fits(
     for record, part in zip(likelihood.records, likelihood.parts, strict=True):
         low, high, curve = (one.reshape(2, -1) for one in curves[:, part])
         residual = likelihood.errors[record.leg].mean_residual(curve, record.theta_deg)
+        size = _nrmsd(record.data, curve)
         expected = None if record.simulated or residual is None else curve + residual
-        size = np.sqrt(np.square(record.data - curve).mean(axis=1)) / record.span
+        if expected is not None and _nrmsd(record.data, expected).max() > size.max():
+            expected = None  # this soil does not differ as others do
         found.append(
             RecordFit(
                 source=record.source, leg=record.leg, leg_assumed=record.leg_assumed,
@@ -304,6 +328,16 @@ def _fits(
             )
         )  # fmt: skip
     return found
+
+
+def _nrmsd(data: FloatArray, curve: FloatArray) -> FloatArray:
+    """Root mean square of the residual of Fx and Fz over the data's peak-to-peak [-], shape [2]."""
+    return np.asarray(np.sqrt(np.square(data - curve).mean(axis=1)) / np.ptp(data, axis=1))
+
+
+def _percent(share: float, *, digits: int = 0) -> str:
+    """A share as a percentage."""
+    return f"{100.0 * share:.{digits}f} %"
 
 
 def _verdict(
@@ -335,8 +369,8 @@ def _verdict(
         return "consistent", "Consistent: noise and scatter explain the residual.", None
     worst = {name: max(fit.nrmsd[name] for fit in fits) for name in ("Fx", "Fz")}
     why = (
-        f"Consistent: the model follows Fx within {worst['Fx']:.0%} and Fz within "
-        f"{worst['Fz']:.0%} of their range, usual for sand."
+        f"Consistent: the model follows Fx within {_percent(worst['Fx'])} and Fz within "
+        f"{_percent(worst['Fz'])} of their range, usual for sand."
     )
     return "consistent", why, None
 
@@ -345,18 +379,17 @@ def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
     """A sentence if a record differs from the model by more than real soils do."""
     for fit in fits:
         error = likelihood.errors[fit.leg]
-        sizes = [max(fit.nrmsd.values())]
-        spans = np.ptp(fit.data, axis=1)
-        if fit.expected is not None:
-            apart = np.sqrt(np.square(fit.data - fit.expected).mean(axis=1)) / spans
-            sizes.append(float(apart.max()))
-        if min(sizes) > error.nrmsd_limit:
-            residual = (fit.data - fit.curve) / spans[:, None]
+        limit = error.nrmsd_limit * (SEVERAL if len(fits) > 1 else 1.0)
+        best = fit.curve if fit.expected is None else fit.expected
+        size = float(_nrmsd(fit.data, best).max())
+        if size > limit:
+            residual = (fit.data - best) / np.ptp(fit.data, axis=1)[:, None]
             i, j = np.unravel_index(np.abs(residual).argmax(), residual.shape)
             return (
-                f"Misfit: {('Fx', 'Fz')[i]} differs from the model by {residual[i, j]:+.0%} of its "
-                f"range at {fit.theta_deg[j]:.0f}°. The residual is {min(sizes):.0%}; of training "
-                f"soils it is at most {error.nrmsd_limit:.0%}. Do not use the angle."
+                f"Misfit: {('Fx', 'Fz')[i]} differs from the model by "
+                f"{100.0 * residual[i, j]:+.0f} % of its range at {fit.theta_deg[j]:.0f}°. The "
+                f"residual is {_percent(size, digits=1)}; of training soils it is at most "
+                f"{_percent(limit, digits=1)}. Do not use the angle."
             )
     return ""
 
@@ -379,6 +412,12 @@ def _edge(likelihood: Likelihood) -> str | None:
     """End of the library's range beyond which φ lies, by the forces alone."""
     if PHI not in likelihood.keys:
         return None
+    if likelihood.beyond is not None:
+        return (
+            "high"
+            if likelihood.beyond[0] > 0.5 * (likelihood.low[0] + likelihood.high[0])
+            else "low"
+        )
     i = likelihood.keys.index(PHI)
     read = float(likelihood.least_squares[i])
     sd = _sd_without(likelihood, ("model: offset", "model: leg", "density"))
@@ -408,7 +447,7 @@ def _about(
     if likelihood.measured and verdict != "misfit":
         for record, fit in zip(likelihood.records, fits, strict=True):
             shift = shift_of_theta(record, fit.curve)
-            if abs(shift) > LATE_DEG:
+            if not USUAL_SHIFT_DEG[0] <= shift <= USUAL_SHIFT_DEG[1]:
                 found.append(
                     f"{record.source}: the forces come {abs(shift):.0f}° "
                     f"{'later' if shift > 0 else 'earlier'} than the model's; check the zero of "

@@ -1,8 +1,8 @@
 r"""Records: measured or simulated forces as window means, and how a library's curve becomes alike.
 
-A record is compared with the library through m window means of each force: 40 windows over
-|θ| ≤ 85°, as Xu & Wang have it, or those of them that the record covers. With x the readings, taken to
-be linear in between, the means are W x; a curve y known as means over 1° is read at the angles of the
+A record is compared with the library through m window means of each force: 40 windows over |θ| ≤
+85°, as Xu & Wang have it, or those of them that the record covers. With x the readings, taken to be
+linear in between, the means are W x; a curve y known as means over 1° is read at the angles of the
 readings, R y, so that
 
     d = W x,    g = W R y,    cov(noise) = σ² W W'.
@@ -217,7 +217,10 @@ def open_record(
     made_by = scenario_of(history, name=known.name)
     mean, sd, assumed = known.density_kg_m3, None, known.density_assumed
     if density is not None:
-        mean, sd = number_with_sd(density) if isinstance(density, str) else (float(density), None)
+        try:
+            mean, sd = number_with_sd(str(density))
+        except ValueError:
+            raise InputError(f"density = '{density}'; give kg/m³ as 1600 or 1600±80") from None
         assumed = False
     if mean is not None and not 100.0 <= mean <= 10_000.0:
         raise InputError(f"density = {mean:g} kg/m³; 100 to 10000 kg/m³ are accepted")

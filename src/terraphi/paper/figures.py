@@ -17,7 +17,8 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
 from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward import Snapshot, simulate
+from terraphi.forward import simulate
+from terraphi.forward.driver import Snapshot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -224,9 +224,6 @@ def footfalls(
     )  # fmt: skip
 
 
-find_footfalls = footfalls
-
-
 def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
     """Verdict of each footfall: the first reason against it, else :data:`USABLE`.
 

@@ -165,9 +165,6 @@ def foot_forces(
     )
 
 
-analyse = foot_forces
-
-
 def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
     """Correlation of each foot sensor that ever changes with the vertical force."""
     if log.foot_counts is None:

@@ -1,1 +1,1 @@
-"""Pictures, tables in a terminal, the HTML report and the app."""
+"""Answers and other results on a terminal, in pictures, in a page, and in a local app."""

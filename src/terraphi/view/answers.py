@@ -1,79 +1,194 @@
-"""Tables of an inversion's answer, as ``answer.json`` has it: for a terminal and for a page."""
+"""An answer in a few lines for a terminal, and many answers as rows of a CSV file."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+import csv
+import math
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from terraphi.inference.answer import PHI, decimals, decimals_of_sd
+import click
+
+from terraphi.experiment.errors import InputError
+from terraphi.view.console import print_table
 from terraphi.view.table import Table
 
-Answer = Mapping[str, Any]
+if TYPE_CHECKING:
+    from terraphi.inference.answer import Answer, Estimate
+
+MOST_LINES = 10
+"""Lines of an answer, without tables."""
+LEAST_SHARE = 0.1
+"""Terms of the interval below this share of the largest are left out [-]."""
+PHI = "soil.friction_angle_deg"
+CONVENTIONS = {
+    "plane_strain": "plane strain",
+    "triaxial": "triaxial compression",
+    "paper": "yield criterion of the paper",
+    "rft3d": "angle of 3-D resistive force theory",
+}
+LEGS = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C leg"}
+ADVICE = {
+    "model on real grains": "More readings will not narrow it; a soil of known angle will.",
+    "density": "A measured density (--density) will narrow it.",
+    "hip height": "A measured height of the hip will narrow it.",
+    "noise": "More readings will narrow it.",
+}
+"""What narrows the interval, by its largest term."""
+COLUMNS = (
+    *("source", "leg", "phi_deg", "sd_deg", "ci68_low_deg", "ci68_high_deg", "ci95_low_deg"),
+    *("ci95_high_deg", "yield", "phi_plane_strain_deg", "verdict", "reason", "nrmsd_Fx"),
+    *("nrmsd_Fz", "density_kg_m3", "density_assumed", "library", "warnings"),
+)
 
 
-def was_drawn(answer: Answer) -> bool:
-    """Whether several parameters were inferred, from draws, and not φ alone by quadrature."""
-    return "acceptance_fraction" in answer
-
-
-def _inferred(answer: Answer) -> Mapping[str, Any]:
-    """Parameters by their keys; the files of the first schema have φ alone."""
-    found: Mapping[str, Any] = answer.get("parameters", {PHI: answer["phi_deg"]})
-    return found
-
-
-def names_of(answer: Answer) -> list[str]:
-    """Parameters with their units, φ with its convention."""
-    return [
-        f"φ, {answer['phi_deg']['yield']} [deg]"
-        if key == PHI
-        else f"{one['name']} [{one['unit'] or '-'}]"
-        for key, one in _inferred(answer).items()
+def headline(answer: Answer) -> str:
+    """What was inverted, and φ: two lines."""
+    legs = ", ".join(LEGS.get(leg, leg) for leg in answer.leg.split(", "))
+    source = answer.source if len(answer.records) < 3 else f"{len(answer.records)} records"
+    assumed = " (assumed)" if answer.density_assumed else ""
+    lines = [
+        f"{source} · {legs} · {answer.density_kg_m3:g} kg/m³{assumed} · library {answer.library}"
     ]
+    if PHI in answer.parameters:
+        lines.append(f"φ = {answer.phi}    {CONVENTIONS.get(answer.convention, answer.convention)}")
+    return "\n".join(lines)
 
 
-def parameters(answer: Answer, title: str) -> Table:
-    """Median and intervals of each parameter, and of the equivalent of φ in plane strain.
-
-    Of drawn ones also the interval with all others known, R-hat and the number of effective draws.
-    """
-    drawn = was_drawn(answer)
-    rows, digits = [], {}
-    for name, (key, one) in zip(names_of(answer), _inferred(answer).items(), strict=True):
-        row: tuple[str, ...] = ()
-        digits[key] = decimals(one["ci68"])
-        if drawn:
-            known, sound = one["conditional"], one["convergence"]
-            digits[key] = decimals_of_sd(min(one["sd"], known["sd"]))
-            row = (
-                between(known["ci68"], digits[key]),
-                f"{sound['split_rhat']:.3f}",
-                f"{sound['effective_sample_size']:.0f}",
-            )
-        rows.append((name, *_told(one, digits[key]), *row))
-    equal = answer["phi_plane_strain_deg"]
-    if equal and answer["phi_deg"]["yield"] != "plane_strain":
-        name = "φ, equivalent in plane strain [deg]"
-        rows.append((name, *_told(equal, digits[PHI]), *(["-"] * 3 if drawn else [])))
-    more = ("68 %, others known", "R-hat", "effective draws") if drawn else ()
-    return Table(title, ("", "median", "68 %", "95 %", *more), rows)
+def in_words(answer: Answer) -> list[str]:
+    """Angle, verdict, what the interval comes from, and all warnings: a line each."""
+    lines = [*headline(answer).splitlines(), answer.reason]
+    plane = answer.phi_plane_strain
+    if plane is not None and answer.convention != "plane_strain":
+        lines.append(f"  In plane strain: φ = {plane}")
+    for key, one in answer.parameters.items():
+        if key != PHI:
+            lines.append("  {} = {} ± {}".format(key, *_rounded(one)))
+    if answer.budget_deg:
+        lines.append(f"  ± is: {_terms(answer)}")
+    other = answer.second_opinion
+    if other is not None:
+        where = "" if answer.convention == "plane_strain" else " in plane strain"
+        lines.append(f"  Second opinion: {other['library']} {other['median']:.0f}°{where}.")
+    return lines + [f"  Warning: {sentence}" for sentence in answer.questions]
 
 
-def expected(answer: Answer) -> Table:
-    """What each leg alone, and all together, would leave of every parameter."""
+def print_answer(answer: Answer, *, verbose: bool = False) -> None:
+    """Print an answer in at most ten lines; ``verbose`` adds the other warnings and tables."""
+    lines = in_words(answer)
+    more = len(lines) - MOST_LINES
+    if more > 0 and not verbose:
+        lines = [*lines[: MOST_LINES - 1], f"  {more + 1} more warnings: -v prints them."]
+    bold = 1 if PHI in answer.parameters else 0
+    for i, line in enumerate(lines):
+        click.secho(line, bold=i == bold)
+    if verbose:
+        click.echo()
+        for table in tables(answer):
+            print_table(table)
+
+
+def tables(answer: Answer) -> list[Table]:
+    """Parameters, terms of the interval and records."""
+    names: list[str] = []
+    parameters: list[tuple[str, ...]] = [
+        (key, *_rounded(one)) for key, one in answer.parameters.items()
+    ]
+    if len(parameters) > 1:
+        frame = answer.summary().filter(like="corr")
+        names, correlations = list(frame.columns), frame.to_numpy().tolist()
+        parameters = [
+            (*row, *(f"{value:.2f}" for value in more))
+            for row, more in zip(parameters, correlations, strict=True)
+        ]
+    terms = [(name, f"{sd:.2f}") for name, sd in answer.budget_deg.items()]
+    records = [
+        (
+            one.source, one.leg, str(one.n_readings), str(one.n_left_out),
+            f"{one.nrmsd['Fx']:.1%}", f"{one.nrmsd['Fz']:.1%}",
+        )
+        for one in answer.records
+    ]  # fmt: skip
+    found = [
+        Table("Parameters", ("key", "median", "sd", "68 %", "95 %", *names), parameters),
+        Table("Standard deviation of φ by term", ("term", "[deg]"), terms),
+        Table(
+            "Records",
+            ("source", "leg", "readings", "left out", "residual Fx", "residual Fz"),
+            records,
+            "Residuals: root mean square over the range of the force.",
+        ),
+    ]
+    return [table for table in found if table.rows]
+
+
+def _terms(answer: Answer) -> str:
+    """Terms of the interval, those of the model together, the largest first."""
+    squares: Counter[str] = Counter()
+    for name, sd in answer.budget_deg.items():
+        squares["model on real grains" if name.startswith("model") else name] += sd**2  # type: ignore[assignment]
+    terms = {name: math.sqrt(square) for name, square in squares.most_common()}
+    (largest, most), digits = next(iter(terms.items())), 1 if max(terms.values()) > 0.3 else 3
+    named = [f"{n} {sd:.{digits}f}°" for n, sd in terms.items() if sd >= LEAST_SHARE * most]
+    return f"{', '.join(named)}. {ADVICE.get(largest, '')}".rstrip()
+
+
+def _rounded(one: Estimate) -> tuple[str, str, str, str]:
+    """Median, standard deviation, 68 and 95 % interval in the digits that they deserve."""
+    digits = max(0, 1 - math.floor(math.log10(max(one.sd, 1e-12))))
+    inner, outer = (f"{low:.{digits}f} to {high:.{digits}f}" for low, high in (one.ci68, one.ci95))
+    return f"{one.median:.{digits}f}", f"{one.sd:.{digits}f}", inner, outer
+
+
+# -- many answers --------------------------------------------------------------------------------
+
+
+def check_table(path: Path) -> None:
+    """Raise InputError if a file is there that is no table of answers."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a CSV file")
+    if path.is_file() and not path.read_bytes().startswith(f"{COLUMNS[0]},{COLUMNS[1]},".encode()):
+        raise InputError(f"{path}: is there, and no table of answers; name another file")
+
+
+def write_table(
+    sources: Sequence[str], found: Sequence[Answer | InputError], path: Path
+) -> dict[str, int]:
+    """Write a row for each record as CSV; return the number of records by verdict."""
+    from terraphi.experiment.files import replacing
+
     rows = [
-        ("all" if leg == "all" else f"leg {leg} alone", *(f"{sd:.3g}" for sd in by.values()))
-        for leg, by in answer["expected_sd"].items()
+        {"source": source, "verdict": "failed", "reason": str(one)}
+        if isinstance(one, InputError)
+        else row(source, one)
+        for source, one in zip(sources, found, strict=True)
     ]
-    return Table("", ("expected standard deviation", *names_of(answer)), rows)
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+    return dict(Counter(str(one["verdict"]).replace("_", " ") for one in rows))
 
 
-def between(ends: Sequence[float], digits: int) -> str:
-    """An interval."""
-    return f"{ends[0]:.{digits}f} to {ends[1]:.{digits}f}"
-
-
-def _told(one: Mapping[str, Any], digits: int) -> list[str]:
-    """Median and both intervals."""
-    ends = (between(one[level], digits) for level in ("ci68", "ci95"))
-    return [f"{one['median']:.{digits}f}", *ends]
+def row(source: str, answer: Answer) -> dict[str, Any]:
+    """An answer by column."""
+    phi, plane = answer.parameters.get(PHI), answer.phi_plane_strain
+    ends = [] if phi is None else [phi.median, phi.sd, *phi.ci68, *phi.ci95]
+    rounded = [f"{value:.6g}" for value in ends] or [""] * 6
+    return {
+        "source": source,
+        "leg": answer.leg,
+        **dict(zip(COLUMNS[2:8], rounded, strict=True)),
+        "yield": answer.convention,
+        "phi_plane_strain_deg": "" if plane is None else f"{plane.median:.6g}",
+        "verdict": answer.verdict,
+        "reason": answer.reason,
+        "nrmsd_Fx": f"{answer.nrmsd['Fx']:.4f}",
+        "nrmsd_Fz": f"{answer.nrmsd['Fz']:.4f}",
+        "density_kg_m3": f"{answer.density_kg_m3:g}",
+        "density_assumed": answer.density_assumed,
+        "library": answer.library,
+        "warnings": " ".join(answer.questions),
+    }

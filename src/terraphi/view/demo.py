@@ -1,69 +1,58 @@
-"""The demonstration: an angle that is known is recovered, then those of measured sands inferred."""
+"""The demonstration: a known angle recovered, two measured soils inferred, a picture."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.measurements import measurement
+from terraphi.view.plots import save
 
 if TYPE_CHECKING:
-    from terraphi.inference.answer import Inversion
+    from terraphi.experiment.history import ForceHistory
+    from terraphi.inference.answer import Answer
 
-TRUTHS, TRUTH_DEG = "quick-plane-strain-truths", 33.97
-"""Fresh simulations, off the grid of their library and of other seeds, and the one that is used."""
-NOISE_N = 0.1
-"""Standard deviation of the noise that is added to each of its readings [N]."""
+TRUTH_DEG = 33.0
+"""Friction angle that is simulated [deg]."""
+NOISE_N = 0.5
+"""Standard deviation of the noise that is added to each simulated reading [N]."""
+SOILS = {"yuma": "li2013:yuma/straight", "poppy": "li2013:poppy_loose/straight"}
+"""Measured records, by the name of their folder."""
 
 
-def answers(sources: Sequence[str]) -> list[Inversion]:
-    """Inversions of the known record and of shipped measurements, in that order."""
+def run(out: Path) -> tuple[list[Answer], Path]:
+    """Invert the three records; write their answers and a picture into a folder.
+
+    Returns
+    -------
+    answers, path of the picture
+    """
+    from matplotlib.figure import Figure
+
+    from terraphi.experiment.files import made_folder
     from terraphi.inference.inversion import invert
-    from terraphi.inference.trials import Trial
 
-    trials = [Trial(known_record(), "straight", f"simulated, φ = {TRUTH_DEG:g}°")]
-    trials += [Trial.of(measurement(source)) for source in sources]
-    return [invert(trial) for trial in trials]
+    answers = {"simulated": invert(known_record(), noise=NOISE_N)}
+    answers |= {name: invert(source) for name, source in SOILS.items()}
+    made_folder(out)
+    figure = Figure(figsize=(11.0, 9.6), layout="constrained")
+    rows: Any = figure.subfigures(len(answers), 1)
+    for (name, answer), row in zip(answers.items(), rows, strict=True):
+        answer.save(out / name)
+        answer.plot(row)
+        row.suptitle(f"{answer.source}: {answer.verdict.replace('_', ' ')}", fontsize="medium")
+    save(figure, out / "demo.png")
+    return list(answers.values()), out / "demo.png"
 
 
 def known_record() -> ForceHistory:
-    """A simulation of known friction angle, with noise."""
-    from terraphi.library.store import Library
+    """A simulation of known friction angle (3-D resistive force theory), with noise."""
+    from terraphi.experiment.scenario import Scenario
+    from terraphi.forward import simulate
 
-    cases = Library.load(TRUTHS).cases
-    truth = next(
-        case.history
-        for case in cases
-        if case.history and abs(case.scenario.soil.friction_angle_deg - TRUTH_DEG) < 1e-6
-    )
+    truth = simulate(Scenario.load("quick").replace(**{"soil.friction_angle_deg": TRUTH_DEG}))
     noise = NOISE_N * np.random.default_rng(0).standard_normal(truth.force.shape)
-    return replace(truth, force=truth.force + noise)
-
-
-def told(found: Sequence[Inversion]) -> list[str]:
-    """A sentence for each, of at most 25 words."""
-    known, *measured = found
-    low, high = known.phi.ci95
-    inside = "inside" if low <= TRUTH_DEG <= high else "outside"
-    sentences = [
-        f"Simulated with {TRUTH_DEG:g}° and noise: {_angle(known)}, the truth {inside} 95 %."
-    ]
-    for one in measured:
-        words = {
-            "consistent": "The model fits it as well as it fits other sands.",
-            "misfit": "The model fits it worse than other sands: check the record.",
-        }
-        said = words.get(one.verdict.verdict, "It lies at the library's edge.")
-        sentences.append(f"{one.source}: {_angle(one)}. {said}")
-    return sentences
-
-
-def _angle(one: Inversion) -> str:
-    """φ with half of its 68 % interval, in the digits that it has."""
-    form = one.digits("soil.friction_angle_deg")
-    half = 0.5 * (one.phi.ci68[1] - one.phi.ci68[0])
-    return f"φ = {one.phi.median:{form}} ± {half:{form}}°"
+    named = {**truth.provenance, "file": f"simulation with φ = {TRUTH_DEG:g}°"}
+    return replace(truth, force=truth.force + noise, provenance=named)

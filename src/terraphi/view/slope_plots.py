@@ -1,4 +1,4 @@
-"""Pictures of slope maps, under the hill's contour lines."""
+"""Slope maps with the elevation's contour lines."""
 
 from __future__ import annotations
 
@@ -14,51 +14,40 @@ if TYPE_CHECKING:
     from terraphi.terrain.map import SlopeMap
 
 MOST_PIXELS = 800
-"""Along the longer side of a picture; larger maps are thinned out."""
+"""Along the longer side of a picture; larger maps are thinned."""
 PANELS = (
     ("p_unstable", "probability of a factor of safety below 1", "YlOrRd", (0.0, 1.0)),
-    ("phi_median", "φ in plane strain, median [deg]", "viridis", None),
-    ("phi_sd", "φ, standard deviation [deg]", "Purples", None),
+    ("phi_median", "φ in plane strain, median [deg]", "viridis", (None, None)),
+    ("phi_sd", "φ, standard deviation [deg]", "Purples", (None, None)),
     ("phi_share", "share of the variance that is due to φ", "Blues", (0.0, None)),
 )
 
 
 def map_figure(found: SlopeMap) -> Figure:
-    """Four maps with contour lines, the points, and hatching where the field extrapolates."""
+    """Four maps with the points, hatched where the field extrapolates."""
     every = max(1, -(-max(found.dem.height.shape) // MOST_PIXELS))
     thin = (slice(None, None, every), slice(None, None, every))
-    x, y = found.dem.x, found.dem.y
-    half = 0.5 * found.dem.cell
+    x, y, half = found.dem.x, found.dem.y, 0.5 * found.dem.cell
     extent = (x[0] - half, x[-1] + half, y[-1] - half, y[0] + half)
+    on_map: dict[str, Any] = {"extent": extent, "origin": "upper"}
     height = np.ma.masked_invalid(found.dem.height[thin])
-    tall = (extent[3] - extent[2]) / (extent[1] - extent[0])
-    size = 5.2 * min(max(tall, 0.4), 2.0)
+    beyond = (found.layers["extrapolated"][thin] == 1).astype(float)
+    size = 5.2 * min(max((extent[3] - extent[2]) / (extent[1] - extent[0]), 0.4), 2.0)
     figure, grid = panels_of(2, 2, size=(11.0, 1.7 * size + 0.6), sharex=True, sharey=True)
-    beyond = found.layers["extrapolated"][thin] == 1
-    for axes, (name, title, colours, limits) in zip(grid.flat, PANELS, strict=True):
+    for axes, (name, title, colours, (low, high)) in zip(grid.flat, PANELS, strict=True):
         values = np.ma.masked_invalid(found.layers[name][thin])
-        low, high = limits or (None, None)
-        shown = axes.imshow(values, cmap=colours, extent=extent, vmin=low, vmax=high)
+        shown = axes.imshow(values, cmap=colours, vmin=low, vmax=high, **on_map)
         figure.colorbar(shown, ax=axes, shrink=0.8)
         if min(height.shape) > 1 and height.min() < height.max():
-            lines: dict[str, Any] = {"colors": "black", "linewidths": 0.4, "alpha": 0.6}
-            axes.contour(height, 10, extent=extent, origin="upper", **lines)
-        _hatched(axes, beyond, extent)
+            axes.contour(height, 10, colors="black", linewidths=0.4, alpha=0.6, **on_map)
+        if beyond.any():
+            axes.contourf(beyond, levels=[0.5, 1.5], colors="none", hatches=["////"], **on_map)
         axes.plot(found.points.x_m, found.points.y_m, "k.", ms=2.5)
         axes.set_title(title, fontsize=10)
         axes.ticklabel_format(useOffset=False, style="plain")
         axes.tick_params(labelsize=7)
     figure.supxlabel("x [m]", fontsize=9)
     figure.supylabel("y [m]", fontsize=9)
-    told = "Points: where φ was measured. Hatched: the field extrapolates. Thin lines: elevation."
-    figure.suptitle(told, fontsize=10)
+    legend = "Points: measured φ. Hatched: extrapolated. Thin lines: elevation."
+    figure.suptitle(legend, fontsize=10)
     return figure
-
-
-def _hatched(axes: Any, where: Any, extent: tuple[float, float, float, float]) -> None:
-    """Hatch a part of a map."""
-    if where.any():
-        axes.contourf(
-            where.astype(float), levels=[0.5, 1.5], colors="none", hatches=["////"],
-            extent=extent, origin="upper",
-        )  # fmt: skip

@@ -146,27 +146,39 @@ def press(
 
 @kernel
 def affine_velocity(
-    nodes: Nodes, cell: int, place: Three, lattice: Lattice, affine: FloatArray
-) -> None:
-    """Fill v and 4 Σ N v r at a place, a row (1, x, y, z) for each component [m/s, cell m/s]."""
-    affine[:] = 0.0
+    nodes: Nodes, cell: int, place: Three, lattice: Lattice
+) -> tuple[Three, tuple[Three, Three, Three]]:
+    """Velocity at a place [m/s], and four times its first moments about it [cell m/s]."""
     wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    vx, vy, vz = 0.0, 0.0, 0.0
+    xx, xy, xz = 0.0, 0.0, 0.0
+    yx, yy, yz = 0.0, 0.0, 0.0
+    zx, zy, zz = 0.0, 0.0, 0.0
     for c in range(3):
+        rz = 4.0 * (c - 1 - place[2])
         for b in range(3):
             q = cell + (c - 1) * lattice.layer + (b - 1) * lattice.row - 1
+            ry = 4.0 * (b - 1 - place[1])
             for a in range(3):
+                rx = 4.0 * (a - 1 - place[0])
                 w = wx[a] * wy[b] * wz[c]
-                for axis in range(3):
-                    given = w * nodes[axis, q + a]
-                    affine[axis, 0] += given
-                    affine[axis, 1] += given * (4.0 * (a - 1 - place[0]))
-                    affine[axis, 2] += given * (4.0 * (b - 1 - place[1]))
-                    affine[axis, 3] += given * (4.0 * (c - 1 - place[2]))
+                gx, gy, gz = w * nodes[0, q + a], w * nodes[1, q + a], w * nodes[2, q + a]
+                vx, vy, vz = vx + gx, vy + gy, vz + gz
+                xx, xy, xz = xx + gx * rx, xy + gx * ry, xz + gx * rz
+                yx, yy, yz = yx + gy * rx, yy + gy * ry, yz + gy * rz
+                zx, zy, zz = zx + gz * rx, zy + gz * ry, zz + gz * rz
+    return (vx, vy, vz), ((xx, xy, xz), (yx, yy, yz), (zx, zy, zz))
 
 
 @kernel
 def scatter(
-    grid: FloatArray, cell: int, place: Three, mass: float, lattice: Lattice, affine: FloatArray
+    grid: FloatArray,
+    cell: int,
+    place: Three,
+    mass: float,
+    velocity: Three,
+    affine: tuple[Three, Three, Three],
+    lattice: Lattice,
 ) -> None:
     """Give mass and momentum of a particle to the grid (mass, then momenta; shape [4, node])."""
     wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
@@ -175,13 +187,15 @@ def scatter(
         for b in range(3):
             q = cell + (c - 1) * lattice.layer + (b - 1) * lattice.row - 1
             ry = b - 1 - place[1]
+            share = mass * wz[c] * wy[b]
             for a in range(3):
                 rx = a - 1 - place[0]
-                w = mass * wz[c] * wy[b] * wx[a]
+                w = share * wx[a]
                 grid[0, q + a] += w
                 for axis in range(3):
-                    v = affine[axis]
-                    grid[1 + axis, q + a] += w * (v[0] + v[1] * rx + v[2] * ry + v[3] * rz)
+                    along = affine[axis]
+                    speed = velocity[axis] + along[0] * rx + along[1] * ry + along[2] * rz
+                    grid[1 + axis, q + a] += w * speed
 
 
 @kernel
@@ -210,13 +224,12 @@ def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
         Index of the first particle to leave the grid, or -1.
     """
     grid[:] = 0.0
-    affine = np.zeros((3, 4))
     held, most = 0, 1 + soil.cell.size // THROWN_OF
     row, layer, per_cell = lattice.row, lattice.layer, 1.0 / lattice.cell_size
     for p in range(soil.cell.size):
         cell, at = soil.cell[p], offset_of(soil, p)
         # Velocity, its gradient and displacement, all where the particle was during the phase.
-        affine_velocity(soil.velocity, cell, at, lattice, affine)
+        velocity, affine = affine_velocity(soil.velocity, cell, at, lattice)
         moved = gather(shift, cell, at, lattice)
         x = at[0] + moved[0] * per_cell
         y = at[1] + moved[1] * per_cell
@@ -245,5 +258,5 @@ def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
         cell = k * layer + j * row + i
         soil.cell[p] = cell
         soil.offset[p, 0], soil.offset[p, 1], soil.offset[p, 2] = x - di, y - dj, z - dk
-        scatter(grid, cell, offset_of(soil, p), soil.mass[p], lattice, affine)
+        scatter(grid, cell, offset_of(soil, p), soil.mass[p], velocity, affine, lattice)
     return -1

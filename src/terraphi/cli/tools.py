@@ -1,0 +1,105 @@
+"""``terraphi report``, ``app``, ``doctor`` and ``keys``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from terraphi.cli.options import PATH, Choice, IntRange, json_option
+from terraphi.experiment.errors import InputError
+from terraphi.view.console import print_json, print_table
+from terraphi.view.table import Table
+
+
+@click.command()
+@click.argument("results", nargs=-1, required=True, metavar="RESULT...")
+@click.option("--out", type=PATH, required=True, help="HTML file to make.")
+@click.option("--robot", default="go2", show_default=True, help="Robot, for logs.")
+@json_option
+def report(results: tuple[str, ...], out: Path, robot: str, as_json: bool) -> None:
+    """Put RESULTs into one HTML file that works offline.
+
+    RESULT is a folder of 'invert --out', 'demo --out' or 'map --out', a NetCDF of another command's
+    --out (library, simulation, foot forces, footfalls), a shipped library, or a robot's log.
+
+    Example: terraphi report answer --out report.html
+    """
+    from terraphi.experiment.outputs import check_file
+    from terraphi.view.report import sections, write
+
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{out}: a report is written as HTML; name it {out.stem}.html")
+    check_file(out)
+    found = sections(results, robot=robot)
+    write(found, out)
+    if as_json:
+        print_json({"report": str(out), "results": [one.headline for one in found]})
+        return
+    for one in found:
+        click.echo(f"{one.title}: {one.headline}")
+    click.echo(f"Written: {out}")
+
+
+@click.command()
+@click.option(
+    "--port", type=IntRange(0, 65535), default=8321, show_default=True, help="Port on 127.0.0.1."
+)
+def app(port: int) -> None:
+    """Serve a local page that answers whatever is dropped on it.
+
+    Forces on a leg (CSV, NetCDF) give an answer, a robot's log its foot forces and footfalls.
+
+    Example: terraphi app
+    """
+    from terraphi.view.app import serve
+
+    serve(port, ready=lambda address: click.echo(f"Open {address} in a browser; Ctrl-C ends it."))
+
+
+@click.command()
+@json_option
+def doctor(as_json: bool) -> None:
+    """Check versions, compiled kernels and shipped files.
+
+    The first run compiles the kernels (half a minute). The exit status is 1 if there is a problem.
+
+    Example: terraphi doctor
+    """
+    from terraphi.view.doctor import examine
+
+    checks = examine()
+    sound = all(check.sound for check in checks)
+    if as_json:
+        print_json({"sound": sound, "checks": [check._asdict() for check in checks]})
+    else:
+        rows = [(one.name, "ok" if one.sound else "problem", one.found) for one in checks]
+        print_table(Table("", ("check", "state", "found"), rows))
+    if not sound:
+        sys.exit(1)
+
+
+@click.command()
+@click.argument(
+    "document",
+    type=Choice(("scenario", "plan", "robot", "columns")),
+    default="scenario",
+    metavar="[DOCUMENT]",
+)
+@json_option
+def keys(document: str, as_json: bool) -> None:
+    """List the keys of a TOML file.
+
+    With unit, default, choices and meaning. DOCUMENT is scenario (default), plan, robot, or
+    columns (of a robot's log).
+
+    Example: terraphi keys plan
+    """
+    from terraphi.view.keys import as_dict, tables
+
+    if as_json:
+        print_json(as_dict(document))
+        return
+    for table in tables(document):
+        print_table(table)

@@ -1,0 +1,409 @@
+"""A section of a page for each kind of result: a headline, plots, tables."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from terraphi.experiment.errors import InputError
+from terraphi.view.answers import CONVENTIONS, LEGS, PHI, in_words, tables
+from terraphi.view.console import words
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
+from terraphi.view.table import Table
+
+if TYPE_CHECKING:
+    from terraphi.experiment.history import ForceHistory
+    from terraphi.inference.answer import Answer
+
+SHOWN_S = 10.0
+"""Part of a robot's log that is shown over time [s]."""
+MOST_POINTS = 1500
+"""Points of a curve."""
+THETA = "leg angle θ [deg]"
+FORCES = {"Fx": "F<sub>x</sub> [N], forward", "Fz": "F<sub>z</sub> [N], up"}
+PALE_BLUE, PALE_GREY = "rgba(0,114,178,0.22)", "rgba(102,102,102,0.25)"
+Trace = dict[str, Any]
+
+
+class Plot(NamedTuple):
+    """A plot: traces and layout as Plotly takes them."""
+
+    title: str
+    traces: Sequence[Trace]
+    layout: Mapping[str, Any]
+    note: str = ""
+    wide: bool = False
+
+
+class Picture(NamedTuple):
+    """An image as a ``data:`` URL."""
+
+    title: str
+    image: str
+
+
+class Section(NamedTuple):
+    """One result; its status is ``good``, ``bad`` or empty."""
+
+    kind: str
+    title: str
+    headline: str
+    lines: Sequence[str]
+    parts: Sequence[Plot | Picture | Table]
+    origin: Sequence[tuple[str, str]]
+    status: str = ""
+
+
+def section_of(
+    source: str, kind: str, *, name: str = "", robot: str = "go2", **options: Any
+) -> Section:
+    """The section of a result; raises InputError if it cannot be used.
+
+    Parameters
+    ----------
+    source, kind
+        As in :func:`terraphi.view.report.kind_of`.
+    name
+        Name of measured forces in the page; that of the file if not given.
+    robot
+        Of a log.
+    options
+        Of :func:`terraphi.invert`, for forces.
+    """
+    path = Path(source)
+    if kind == "answer":
+        from terraphi.inference.answer import Answer
+
+        return of_answer(Answer.load(path))
+    if kind == "forces":
+        from terraphi.experiment.measurements import open_forces
+        from terraphi.inference.inversion import invert
+
+        measured = open_forces(source)
+        return of_answer(invert(replace(measured, name=name or measured.name), **options))
+    if kind == "library":
+        return of_library(source)
+    if kind == "simulation":
+        return of_simulation(path)
+    if kind == "map":
+        return of_map(path)
+    if kind == "footfalls":
+        from terraphi.robot.footfall_files import read_footfalls
+
+        return of_footfalls(read_footfalls(path), path.name)
+    return of_foot_forces(path, robot)
+
+
+# -- answers -------------------------------------------------------------------------------------
+
+
+def of_answer(answer: Answer) -> Section:
+    """φ and verdict, forces with the model's curves, posterior, terms of the interval."""
+    about, headline, *lines = in_words(answer)
+    source, _, about = about.partition(" · ")
+    parts: list[Plot | Picture | Table] = []
+    for record in answer.records:
+        where = f", {record.source}" if len(answer.records) > 1 else ""
+        fit = record.curve if record.expected is None else record.expected
+        for i, (force, label) in enumerate(FORCES.items()):
+            theta, low, high = record.theta_deg, *record.band[:, i]
+            traces = [band(theta, low, high, "model, 95 % of φ", PALE_BLUE)]
+            if record.expected is not None:
+                traces.append(line(theta, record.curve[i], "bare model", BLUE, dash="dash"))
+            traces += [
+                line(theta, fit[i], "model", BLUE),
+                points(theta, record.data[i], "data", ORANGE),
+            ]
+            title = f"{force}{where}: residual {record.nrmsd[force]:.0%} of its range"
+            parts.append(Plot(title, traces, axes(THETA, label)))
+    parts += _posterior(answer)
+    if answer.budget_deg:
+        names, values = list(answer.budget_deg)[::-1], list(answer.budget_deg.values())[::-1]
+        bars = {"type": "bar", "orientation": "h", "x": numbers(values), "y": names}
+        traces = [{**bars, "marker": {"color": BLUE}}]
+        parts.append(
+            Plot("Terms of the interval", traces, axes("standard deviation of φ [deg]", ""))
+        )
+    parts += [one for one in tables(answer) if "term" not in one.header]
+    status = "good" if answer.verdict == "consistent" else "bad"
+    origin = pairs(answer.as_dict()["provenance"])
+    return Section(
+        "answer", source, headline.replace("    ", ", "), [*lines, about], parts, origin, status
+    )
+
+
+def _posterior(answer: Answer) -> list[Plot]:
+    """Posterior density of φ, the 68 % interval shaded."""
+    if PHI not in answer.parameters:
+        return []
+    grid, density = answer.grid_deg, answer.density
+    if not grid.size:
+        density, edges = np.histogram(answer.phi_draws(), bins=60, density=True)
+        grid = 0.5 * (edges[1:] + edges[:-1])
+    seen = density > 1e-4 * density.max()
+    inside = (grid >= answer.phi.ci68[0]) & (grid <= answer.phi.ci68[1])
+    traces = [
+        band(grid[inside], 0.0 * grid[inside], density[inside], "68 %", PALE_BLUE),
+        line(grid[seen], density[seen], "posterior", BLUE),
+    ]
+    label = f"φ [deg], {CONVENTIONS.get(answer.convention, answer.convention)}"
+    return [Plot("Friction angle", traces, axes(label, "density [1/deg]"))]
+
+
+# -- simulations ---------------------------------------------------------------------------------
+
+
+def of_library(source: str) -> Section:
+    """Force curves and peaks of each leg over the friction angle."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    from terraphi.library.store import Library
+
+    library = Library.load(source)
+    summary = library.summary()
+    low, high = summary["phi_deg"]
+    parts: list[Plot | Picture | Table] = []
+    for leg in library.legs:
+        cases = [c for c in library.cases if c.history and c.scenario.leg.shape == leg]
+        cases.sort(key=lambda case: case.scenario.soil.friction_angle_deg)
+        for force, label in FORCES.items():
+            traces = []
+            for case in cases:
+                assert case.history is not None
+                phi = case.scenario.soil.friction_angle_deg
+                colour = to_hex(colormaps["viridis"](0.9 * (phi - low) / max(high - low, 1e-9)))
+                x, y = curve(case.history, force)
+                traces.append(line(x, y, f"φ = {phi:g}°", colour) | {"showlegend": False})
+            note = f"Dark to light: φ = {low:g} to {high:g}°."
+            where = position_label(cases[0].history)
+            parts.append(Plot(f"{force}, {LEGS.get(leg, leg)}", traces, axes(where, label), note))
+    known = summary.pop("provenance")
+    contents = {key: value for key, value in summary.items() if value not in ("", [], {}, None)}
+    parts.append(Table("Contents", ("", ""), pairs(contents)))
+    headline = (
+        f"{summary['cases']} simulations, φ = {low:g} to {high:g}° "
+        f"({CONVENTIONS.get(summary['convention'], summary['convention'])})"
+    )
+    lines = [text for text in (library.description, library.caveat) if text]
+    status = "bad" if summary["failures"] else ""
+    return Section("library", library.name, headline, lines, parts, pairs(known), status)
+
+
+def of_simulation(path: Path) -> Section:
+    """Both forces of a simulation along its path."""
+    from terraphi.experiment.history import ForceHistory
+
+    history = ForceHistory.from_netcdf(path)
+    scenario = history.provenance.get("scenario", {})
+    plots = [
+        Plot(
+            force, [line(*curve(history, force), force, BLUE)], axes(position_label(history), label)
+        )
+        for force, label in FORCES.items()
+    ]
+    summary = history.summary()
+    headline = f"Peak Fx {summary['peak_Fx_N']:.1f} N, peak Fz {summary['peak_Fz_N']:.1f} N"
+    if scenario:
+        leg, phi = scenario["leg"]["shape"], scenario["soil"]["friction_angle_deg"]
+        headline += f"; {LEGS.get(leg, leg)}, φ = {phi:g}°"
+    parts: list[Plot | Picture | Table] = [*plots, Table("In numbers", ("", ""), pairs(summary))]
+    return Section("simulation", path.name, headline, [], parts, pairs(history.provenance))
+
+
+def curve(history: ForceHistory, force: str) -> tuple[Any, Any]:
+    """Means of a force over 1° of a rotation, or a thinned history: position, force [N]."""
+    if history.coordinate != "theta":
+        kept = np.linspace(0, len(history.position) - 1, 300).round().astype(int)
+        scale = 1e3 if history.coordinate == "displacement" else 1.0
+        return scale * history.position[kept], getattr(history, force)[kept]
+    low, high = history.theta_deg[[0, -1]]
+    theta = np.arange(math.ceil(low), math.floor(high) + 1.0)
+    means = history.means(np.radians(theta), math.radians(0.5))
+    return theta, means[:, history.axes.index(force[1])]
+
+
+def position_label(history: ForceHistory | None) -> str:
+    """Label of the axis of positions."""
+    names = {"theta": THETA, "displacement": "displacement [mm]", "time": "time [s]"}
+    return names[history.coordinate] if history is not None else ""
+
+
+# -- robots and slopes ---------------------------------------------------------------------------
+
+
+def of_foot_forces(path: Path, robot: str) -> Section:
+    """Foot forces over time with the stances, and the mean stance, of a file or a log."""
+    from terraphi.experiment.files import open_netcdf
+    from terraphi.robot import results
+    from terraphi.view.robot_plots import FOOT_NAMES, feet_table
+
+    if path.suffix == ".nc":
+        data: Any = open_netcdf(path, kind=results.KIND, schema=results.SCHEMA)
+    else:
+        data = results.dataset_of(results.foot_forces(path, robot=robot))
+    summary = json.loads(data.attrs["summary"])
+    time, force = data["time"].values, data["force"].values
+    begins = data["stance_begin"].values
+    start = max(float(begins.min()) - 0.1 if len(begins) else time[0], time[0])
+    shown = (time >= start) & (time <= start + SHOWN_S)
+    parts: list[Plot | Picture | Table] = [feet_table(summary, "Mean stances")]
+    feet = list(map(str, data["foot"].values))
+    for i, foot in enumerate(feet):
+        traces = [
+            line(time[shown], force[shown, i, k], name, colour)
+            for name, k, colour in (("Fz", 2, BLUE), ("Fx", 0, ORANGE))
+        ]
+        title = f"{FOOT_NAMES[foot].capitalize()} foot, {SHOWN_S:g} s from the first stance"
+        parts.append(Plot(title, traces, axes("time [s]", "force [N]")))
+    if len(begins):
+        part, mean = data["part"].values, data["pooled_mean"].values
+        spread, each = data["pooled_spread"].values, data["stance_mean"].values
+        for name, k in (("Fz", 2), ("Fx", 0)):
+            low, high = mean[:, k] - spread[:, k], mean[:, k] + spread[:, k]
+            traces = [
+                band(part, low, high, "± one standard deviation", PALE_GREY),
+                line(part, mean[:, k], f"all, {len(begins)} stances", "black"),
+            ]
+            colours = (BLUE, ORANGE, GREEN, PURPLE)
+            traces += [
+                line(part, one[:, k], foot, colour)
+                for foot, one, colour in zip(feet, each, colours, strict=True)
+                if np.isfinite(one).any()
+            ]
+            layout = axes("part of the stance [-]", FORCES[name])
+            parts.append(Plot(f"Mean stance, {name}", traces, layout))
+    pooled = summary["pooled"]
+    headline = f"{pooled['stances']} stances in {summary['duration_s']:.0f} s"
+    if pooled["stances"]:
+        headline += f", mean peak lift {pooled['mean_peak_Fz_N']:.0f} N"
+    lines = [f"{summary['estimator'].replace('_', ' ')}, frame: {summary['frame']}"]
+    lines += [f"{note[:1].upper()}{note[1:]}." for note in summary["notes"]]
+    origin = pairs(json.loads(data.attrs["provenance"]))
+    return Section("foot forces", path.name, headline, lines, parts, origin)
+
+
+def of_footfalls(found: Any, name: str) -> Section:
+    """Friction angles of footfalls on the ground and along the path."""
+    usable, place = found.usable, found.place
+    rows = [(verdict, str(count)) for verdict, count in found.counts().items()]
+    parts: list[Plot | Picture | Table] = []
+    headline = f"None of {len(usable)} footfalls determines φ"
+    if usable.any():
+        phi, s = found.phi[usable], found.path[:, 0]
+        wide, narrow = found.path_absolute_sd, found.path_relative_sd
+        x, y = place[:, :2].T
+        coloured = points(x[usable], y[usable], "usable", BLUE)
+        scale = {
+            "colorscale": "Viridis",
+            "showscale": True,
+            "colorbar": {"title": {"text": "φ [deg]"}},
+        }
+        coloured["marker"] |= {"color": numbers(phi), **scale}
+        plan = [
+            line(found.path[:, 1], found.path[:, 2], "path", GREY, dash="dot"),
+            points(x[~usable], y[~usable], "refused", GREY, symbol="x"),
+            coloured,
+        ]
+        layout = axes("x, along the first heading [m]", "y [m]")
+        layout["yaxis"]["scaleanchor"] = "x"
+        parts.append(Plot("Footfalls", plan, layout, wide=True))
+        course = [
+            band(s, found.path_phi - wide, found.path_phi + wide, "68 %, absolute", PALE_GREY),
+            band(s, found.path_phi - narrow, found.path_phi + narrow, "68 %, relative", PALE_BLUE),
+            line(s, found.path_phi, "footfalls pooled", BLUE),
+        ]
+        note = "Relative: between places. Absolute: with density, foot and force law uncertain."
+        parts.append(Plot("Along the path", course, axes("s [m]", "φ [deg]"), note, wide=True))
+        headline = (
+            f"φ = {found.path_phi.min():.0f} to {found.path_phi.max():.0f}° along {s[-1]:.1f} m, "
+            f"± {np.median(narrow):.1f}° between places, ± {np.median(wide):.1f}° in all"
+        )
+    parts.append(Table("Footfalls", ("verdict", "count"), rows))
+    lines = [f"{note[:1].upper()}{note[1:]}." for note in found.notes]
+    status = "" if usable.any() else "bad"
+    return Section("footfalls", name, headline, lines, parts, pairs(found.provenance), status)
+
+
+def of_map(folder: Path) -> Section:
+    """Sentences and picture of a slope map."""
+    from terraphi.terrain.map import in_words as sentences
+
+    try:
+        summary = json.loads((folder / "map.json").read_text(encoding="utf-8"))
+        first, headline, *lines = sentences(summary)
+        image = base64.b64encode((folder / "map.png").read_bytes()).decode("ascii")
+    except (KeyError, OSError, ValueError) as error:
+        raise InputError(f"{folder}: not a whole folder of 'terraphi map'") from error
+    picture = Picture("Maps", f"data:image/png;base64,{image}")
+    name = folder.resolve().name
+    return Section("slope map", name, headline, [first, *lines], [picture], pairs(summary))
+
+
+# -- Plotly --------------------------------------------------------------------------------------
+
+
+def numbers(values: ArrayLike) -> list[float | None]:
+    """Numbers rounded to six digits, to keep a page small; None where one is not finite."""
+    flat = np.asarray(values, dtype=np.float64).ravel().tolist()
+    return [float(f"{value:.6g}") if math.isfinite(value) else None for value in flat]
+
+
+def line(x: ArrayLike, y: ArrayLike, name: str, colour: str, *, dash: str = "solid") -> Trace:
+    """A curve, thinned to a number of points."""
+    step = max(1, np.size(x) // MOST_POINTS)
+    x, y = np.asarray(x)[::step], np.asarray(y)[::step]
+    look = {"color": colour, "dash": dash, "width": 2}
+    return {"mode": "lines", "x": numbers(x), "y": numbers(y), "name": escaped(name), "line": look}
+
+
+def points(x: ArrayLike, y: ArrayLike, name: str, colour: str, *, symbol: str = "circle") -> Trace:
+    """Points."""
+    look = {"color": colour, "symbol": symbol, "size": 6}
+    return {
+        "mode": "markers",
+        "x": numbers(x),
+        "y": numbers(y),
+        "name": escaped(name),
+        "marker": look,
+    }
+
+
+def band(x: ArrayLike, low: ArrayLike, high: ArrayLike, name: str, colour: str) -> Trace:
+    """The area between two curves."""
+    there, back = np.asarray(x), np.asarray(x)[::-1]
+    outline = np.concatenate([np.asarray(high), np.asarray(low)[::-1]])
+    return {
+        "mode": "lines", "x": numbers(np.concatenate([there, back])), "y": numbers(outline),
+        "name": escaped(name), "fill": "toself", "fillcolor": colour, "line": {"width": 0},
+        "hoverinfo": "skip",
+    }  # fmt: skip
+
+
+def axes(x: str, y: str) -> dict[str, Any]:
+    """A layout with the labels of both axes."""
+    return {"xaxis": {"title": {"text": x}}, "yaxis": {"title": {"text": y}}}
+
+
+def escaped(text: str) -> str:
+    """A text for Plotly, which has a markup of its own."""
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def pairs(data: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """Nested values as pairs of a dotted name and words."""
+    found: list[tuple[str, str]] = []
+    for key, value in data.items():
+        if isinstance(value, Mapping) and value:
+            found += pairs(value, f"{prefix}{key}.")
+        else:
+            found.append((f"{prefix}{key}", words(value)))
+    return found

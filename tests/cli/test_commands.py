@@ -1,0 +1,252 @@
+"""The commands: their help, their results, and what they refuse."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+
+import terraphi as package
+from terraphi.cli import options
+from terraphi.cli.main import cli
+from terraphi.experiment.leg import LEG_SHAPES
+from terraphi.experiment.measurements import names
+
+Terraphi = Callable[..., Any]
+QUICK = ("--library", "rft3d")
+LINES = 30
+"""Lines of a help."""
+MEASURED = "li2013:poppy_loose/straight"
+PLAN = """
+name = "small"
+[sweep]
+"soil.friction_angle_deg" = [20.0, 30.0, 40.0]
+[scenario]
+model = "rft"
+dimensions = 3
+"""
+
+
+def commands(command: click.Command = cli, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    yield path
+    if isinstance(command, click.Group):
+        for name, inner in command.commands.items():
+            yield from commands(inner, (*path, name))
+
+
+# -- help ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", list(commands()), ids=" ".join)
+def test_help_fits_a_screen_and_has_an_example(path: tuple[str, ...], terraphi: Terraphi) -> None:
+    status, out, _ = terraphi(*path, "--help")
+    assert status == 0
+    assert len(out.splitlines()) <= LINES + 2 * (path[:1] in (("forces",), ("footfalls",)))
+    assert " ".join(["Example: terraphi", *path]) in " ".join(out.split())
+
+
+def test_help_loads_neither_numpy_nor_rich() -> None:
+    code = (
+        "import sys; from terraphi.cli.main import cli; "
+        "cli.main(['invert', '--help'], standalone_mode=False); "
+        "print([m for m in ('numpy', 'scipy', 'rich', 'pydantic', 'numba') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_legs_are_those_of_scenarios() -> None:
+    assert set(options.LEGS) == {leg for leg in LEG_SHAPES if leg != "plate"}
+
+
+# -- answers -------------------------------------------------------------------------------------
+
+
+def test_invert_prints_the_answer_of_python(terraphi: Terraphi) -> None:
+    answer = json.loads(terraphi("invert", MEASURED, *QUICK, "--json").out)
+    same = package.invert(MEASURED, library="rft3d")
+    assert answer["phi_deg"]["median"] == pytest.approx(same.phi.median, abs=1e-9)
+    assert (answer["density_kg_m3"], answer["density_assumed"]) == (638.0, False)
+    assert (answer["library"], answer["leg"]) == ("rft3d", "straight")
+
+
+def test_invert_prints_angle_and_verdict_within_ten_lines(terraphi: Terraphi) -> None:
+    ran = terraphi("invert", *names())
+    first, phi, verdict, *rest = ran.out.splitlines()
+    assert ran.status == 0
+    assert first.startswith("12 records")
+    assert first.endswith("library sand3d")
+    assert phi.startswith("φ = ")
+    assert phi.endswith("plane strain")
+    assert verdict.split(":")[0] in ("Consistent", "Misfit", "Out of range")
+    assert len(rest) == 7
+    assert rest[-1].endswith("more warnings: -v prints them.")
+    assert "model: offset" in terraphi("invert", "li2013:yuma/c", "-v").out
+
+
+def test_invert_out_writes_what_python_reads(terraphi: Terraphi, tmp_path: Path) -> None:
+    assert terraphi("invert", MEASURED, *QUICK, "--out", "o").status == 0
+    found = {path.name for path in (tmp_path / "o").iterdir()}
+    assert {"answer.json", "answer.nc", "answer.png"} <= found
+    answer = json.loads((tmp_path / "o" / "answer.json").read_text())
+    read = package.Answer.load(tmp_path / "o")
+    assert read.phi.median == pytest.approx(answer["phi_deg"]["median"])
+
+
+def test_table_has_a_row_for_each_record_and_the_reason_of_a_failure(
+    terraphi: Terraphi, tmp_path: Path
+) -> None:
+    (tmp_path / "bad.csv").write_text("theta_deg,Fx_N,Fz_N\n1,2,three\n")
+    arguments = ("invert", MEASURED, "bad.csv", *QUICK, "--table", "t.csv")
+    ran = terraphi(*arguments, "--json")
+    assert ran.status == 0, ran.err
+    assert json.loads(ran.out)["verdicts"]["failed"] == 1
+    with (tmp_path / "t.csv").open() as stream:
+        good, bad = csv.DictReader(stream)
+    alone = json.loads(terraphi("invert", MEASURED, *QUICK, "--json").out)
+    assert float(good["phi_deg"]) == pytest.approx(alone["phi_deg"]["median"], rel=1e-4)
+    assert float(good["ci95_high_deg"]) == pytest.approx(alone["phi_deg"]["ci95"][1], rel=1e-4)
+    assert (bad["phi_deg"], bad["verdict"]) == ("", "failed")
+    assert "line 2" in bad["reason"]
+    assert terraphi(*arguments).status == 0  # over its own table
+    assert "no table of answers" in terraphi(*arguments[:-1], "bad.csv").err
+
+
+def test_a_calibration_narrows_the_interval(terraphi: Terraphi) -> None:
+    known = ("calibrate", MEASURED, "--phi", "36±1", "--out", "c.toml", "--json")
+    soil = json.loads(terraphi(*known).out)["soils"][0]
+    assert (soil["phi_deg"], soil["phi_sd_deg"]) == (36.0, 1.0)
+    before = json.loads(terraphi("invert", "li2013:yuma/c", "--json").out)["phi_deg"]
+    calibrated = ("invert", "li2013:yuma/c", "--calibration", "c.toml", "--json")
+    after = json.loads(terraphi(*calibrated).out)["phi_deg"]
+    assert after["sd"] < before["sd"]
+
+
+@pytest.mark.parametrize("leg", ["straight", "c"])
+def test_a_simulation_inverts_to_its_own_angle(leg: str, terraphi: Terraphi) -> None:
+    changes = ("--set", "soil.friction_angle_deg=33", "--set", f"leg.shape={leg}")
+    summary = json.loads(terraphi("simulate", "quick", *changes, "--out", "h.nc", "--json").out)
+    assert summary["peak_Fz_N"] > 0.0
+    answer = json.loads(terraphi("invert", "h.nc", "--json").out)
+    assert (answer["leg"], answer["library"]) == (leg, "rft3d")
+    assert answer["phi_deg"]["median"] == pytest.approx(33.0, abs=0.1)
+
+
+def test_a_library_is_built_listed_shown_and_used(terraphi: Terraphi, tmp_path: Path) -> None:
+    (tmp_path / "p.toml").write_text(PLAN)
+    ran = terraphi("library", "build", "p.toml", "--out", "l.nc", "--workers", "1", "--json")
+    assert json.loads(ran.out)["cases"] == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["l.nc", "p.toml"]
+    assert "small" in terraphi("library", "show", "l.nc").out
+    answer = json.loads(terraphi("invert", MEASURED, "--library", "l.nc", "--json").out)
+    assert answer["library"] == "small"
+    listed = json.loads(terraphi("library", "list", "--json").out)["libraries"]
+    assert [one["name"] for one in listed][:2] == ["sand3d", "rft3d"]
+
+
+def test_the_demo_recovers_the_angle(terraphi: Terraphi, tmp_path: Path) -> None:
+    ran = terraphi("demo", "--out", "d", "--json")
+    known, *sands = json.loads(ran.out)["answers"]
+    low, high = known["phi_deg"]["ci95"]
+    assert low <= 33.0 <= high
+    assert known["verdict"] == "consistent"
+    assert [one["library"] for one in sands] == ["sand3d", "sand3d"]
+    assert (tmp_path / "d" / "demo.png").stat().st_size > 20_000
+    ran = terraphi("report", "d", "--out", "r.html", "--json")
+    assert len(json.loads(ran.out)["results"]) == 3
+
+
+# -- refusals ------------------------------------------------------------------------------------
+
+HEADER = "theta_deg,Fx_N,Fz_N\n"
+
+
+def rows(theta: np.ndarray, force: float = 1.0) -> str:
+    return HEADER + "".join(f"{t:.3f},{force},{force * t}\n" for t in theta)
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [
+        ("", "empty"),
+        ("theta_deg,Fx_N,Fz\n1,2,3\n", "did you mean 'Fz_N'"),
+        (HEADER + "1,2,three\n", "line 2"),
+        (HEADER + "1,nan,3\n", "line 2"),
+        (HEADER + "8,2,3\n7,2,3\n9,2,3\n", "line 3"),
+        (rows(np.arange(-90.0, 91.0), 0.0), "zero"),
+        ("\x00\x01\x02", ""),
+    ],
+)
+def test_unusable_forces_are_one_sentence_and_write_nothing(
+    content: str, word: str, terraphi: Terraphi, tmp_path: Path
+) -> None:
+    (tmp_path / "bad.csv").write_text(content)
+    status, out, err = terraphi("invert", "bad.csv", *QUICK, "--out", "o")
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert "bad.csv" in err
+    assert word in err
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.csv"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ("invrt x.csv", "invert"),
+        ("invert no.csv", "no such file"),
+        ("invert li2013:yuma/strait", "li2013:yuma/straight"),
+        ("invert li2013:yuma/c --library rtf3d", "rft3d"),
+        ("invert li2013:yuma/c --leg strait", "straight"),
+        ("invert li2013:yuma/c --density heavy", "heavy"),
+        ("invert li2013:yuma/c --noise nan", "nan"),
+        ("invert li2013:yuma/c --densty 1600", "--density"),
+        ("invert li2013:yuma/c --table t.csv --out o", "--table"),
+        ("calibrate li2013:yuma/c --phi 35 --out c.toml", "36±2"),
+        ("simulate quik", "quick"),
+        ("simulate quick --set soil.frction_angle_deg=30", "friction_angle_deg"),
+        ("simulate quick --set leg.shape=strait", "straight"),
+        ("simulate quick --out h.csv", ".nc"),
+        ("library show rft3", "rft3d"),
+        ("library build rft3 --out x.nc", "rft3d"),
+        ("report no --out r.html", "no result"),
+        ("report rft3d --out r.pdf", "r.html"),
+        ("keys scenaro", "scenario"),
+    ],
+)
+def test_a_mistake_is_one_sentence_that_names_the_remedy(
+    arguments: str, word: str, terraphi: Terraphi, tmp_path: Path
+) -> None:
+    status, out, err = terraphi(*arguments.split())
+    assert (status, out) == (2, "")
+    assert word in err
+    assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_ends_with_130_and_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "p.toml").write_text(PLAN.replace("[20.0, 30.0, 40.0]", str(list(range(10, 60)))))
+    command = ["library", "build", "p.toml", "--out", "l.nc", "--workers", "1"]
+    running = subprocess.Popen(
+        [sys.executable, "-m", "terraphi.cli", *command],
+        cwd=tmp_path, env=dict(os.environ), stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    while not list(tmp_path.glob("l.nc.cases/*.nc")):
+        time.sleep(0.05)
+        assert running.poll() is None
+    running.send_signal(signal.SIGINT)
+    _, err = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert "continues with the same command" in err
+    assert "Traceback" not in err
+    assert not (tmp_path / "l.nc").exists()

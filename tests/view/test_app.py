@@ -1,0 +1,206 @@
+"""The app as a browser and as somebody hostile meet it, over a real socket."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http.client
+import json
+import os
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import urlencode
+
+import pytest
+
+from terraphi import InputError, measurement
+from terraphi.view import app
+from terraphi.view.app import Limits, application, work
+
+uvicorn = pytest.importorskip("uvicorn")
+
+USUAL = {"leg": "straight", "density": "", "name": "mine.csv"}
+HOSTILE = "</script><img src=x onerror=alert(1)>"
+MOST_BYTES = 300_000
+FLAT = (
+    "theta_deg,Fx_N,Fz_N\n" + "".join(f"{theta},0,{theta}\n" for theta in range(-100, 101))
+).encode()
+
+
+class Reply(NamedTuple):
+    status: int
+    headers: dict[str, str]
+    text: str
+
+
+class Served:
+    """A running app."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+
+    def ask(self, method: str, path: str, body: Any = None, **headers: str) -> Reply:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
+        with contextlib.closing(connection):
+            connection.request(method, path, body, headers)
+            reply = connection.getresponse()
+            known = {name.lower(): value for name, value in reply.getheaders()}
+            return Reply(reply.status, known, reply.read().decode())
+
+    def drop(self, body: Any, **options: str) -> Reply:
+        query = urlencode({**USUAL, **options})
+        return self.ask("POST", f"/answer?{query}", body, **{"x-terraphi": "1"})
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Where the app makes its temporary folders."""
+    before, tempfile.tempdir = tempfile.tempdir, str(tmp_path_factory.mktemp("temporary"))
+    yield Path(tempfile.tempdir)
+    tempfile.tempdir = before
+
+
+@contextlib.contextmanager
+def running(limits: Limits) -> Iterator[Served]:
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        options: dict[str, Any] = {"log_level": "critical", "lifespan": "off"}
+        server = uvicorn.Server(uvicorn.Config(application(limits), **options))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]})
+        thread.start()
+        while not server.started:
+            time.sleep(0.01)
+        yield Served(bound.getsockname()[1])
+        server.should_exit = True
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def served(places: Path) -> Iterator[Served]:
+    assert places.is_dir()
+    with running(Limits(bytes=MOST_BYTES, idle_seconds=1.0)) as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def forces(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("forces") / "f.csv"
+    measurement("li2013:poppy_loose/straight").history.to_csv(path)
+    return path.read_bytes()
+
+
+def test_dropped_forces_become_an_answer_and_nothing_stays(
+    served: Served, forces: bytes, places: Path
+) -> None:
+    found = served.drop(forces, name=f"../../etc/{HOSTILE}.csv", density="700±30")
+    assert found.status == 200, found.text
+    page = served.ask("GET", json.loads(found.text)["page"])
+    assert "plane strain" in page.text
+    assert "700 kg/m³" in page.text
+    assert "<img" not in page.text
+    assert "etc/" not in page.text.split("<h1>")[1].split("</h1>")[0]
+    assert list(places.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("body", "name", "word"),
+    [
+        (f"{HOSTILE},theta_deg,Fz_N\n1,2,3\n".encode(), "a.csv", "column"),
+        (FLAT, "b.csv", "zero"),
+        (b"time,q,a\n0,1,2\n", "it.csv", ""),
+        (os.urandom(5000), "a.mcap", ""),
+        (b"SQLite format 3\x00" + bytes(5000), "a.db3", ""),
+        (b"\x89HDF", "a.nc", ""),
+    ],
+)
+def test_what_cannot_be_read_ends_in_a_sentence_with_its_own_name(
+    body: bytes, name: str, word: str, tmp_path: Path
+) -> None:
+    file = f"dropped{Path(name).suffix}"
+    (tmp_path / file).write_bytes(body)
+    job = {"file": file, "name": name, "options": {"leg": None, "density": None}}
+    (tmp_path / "job.json").write_text(json.dumps(job), encoding="utf-8")
+    work(tmp_path)
+    sentence = (tmp_path / "refused.txt").read_text(encoding="utf-8")
+    assert word in sentence
+    assert name in sentence
+    assert "dropped." not in sentence
+    assert str(tmp_path) not in sentence
+
+
+def test_too_much_is_refused_whether_announced_or_not(served: Served, places: Path) -> None:
+    assert served.drop(bytes(MOST_BYTES + 1)).status == 413
+    pieces = (bytes(50_000) for _ in range(20))  # sent in chunks, without a length
+    with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # closed while we still send
+        assert served.drop(pieces).status == 413
+    time.sleep(0.2)
+    assert list(places.iterdir()) == []
+
+
+def test_an_upload_that_stops_is_given_up(served: Served, places: Path) -> None:
+    head = f"POST /answer?{urlencode(USUAL)} HTTP/1.1\r\nHost: 127.0.0.1\r\nx-terraphi: 1\r\n"
+    with socket.create_connection(("127.0.0.1", served.port), timeout=60) as sending:
+        sending.sendall(f"{head}Content-Length: 100000\r\n\r\ntheta_deg,Fx".encode())
+        reply = http.client.HTTPResponse(sending)
+        reply.begin()
+        assert reply.status == 408
+    assert list(places.iterdir()) == []
+
+
+def test_another_site_can_neither_send_nor_name_the_app(served: Served, forces: bytes) -> None:
+    front = served.ask("GET", "/")
+    assert "default-src 'none'" in front.headers["content-security-policy"]
+    assert "frame-ancestors 'none'" in front.headers["content-security-policy"]
+    assert served.ask("POST", f"/answer?{urlencode(USUAL)}", forces).status == 403
+    assert served.ask("GET", "/", Host="evil.example").status == 400
+    preflight = served.ask("OPTIONS", "/answer", Origin="http://evil.example")
+    assert preflight.status == 405
+    assert "access-control-allow-origin" not in preflight.headers
+    assert served.ask("GET", "/page/..%2f..%2fetc%2fpasswd").status == 404
+
+
+@pytest.mark.parametrize(
+    "options", [{"leg": "x"}, {"leg": "plate"}, {"name": "a.exe"}, {"name": ""}]
+)
+def test_wrong_options_are_refused(options: dict[str, str], served: Served) -> None:
+    assert served.drop(b"x", **options).status in (400, 415)
+
+
+def test_work_that_takes_too_long_is_ended(forces: bytes, tmp_path: Path) -> None:
+    job = {"file": "dropped.csv", "name": "a.csv", "options": {}}
+    (tmp_path / "job.json").write_text(json.dumps(job))
+    (tmp_path / "dropped.csv").write_bytes(forces)
+    with pytest.raises(app.RefusedError, match=r"not done within 0\.05 s"):
+        asyncio.run(app._work(tmp_path, "a.csv", 0.05))
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_a_port_in_use_is_refused() -> None:
+    with socket.socket() as busy:
+        busy.bind(("127.0.0.1", 0))
+        busy.listen()
+        with pytest.raises(InputError, match="--port"):
+            app.serve(busy.getsockname()[1], ready=pytest.fail)
+
+
+@pytest.mark.slow
+def test_a_file_dropped_in_a_browser_ends_in_its_page(
+    browser: Any, served: Served, forces: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "mine.csv").write_bytes(forces)
+    (tmp_path / "bad.csv").write_bytes(FLAT)
+    page = browser.new_page()
+    trouble: list[str] = []
+    page.on("pageerror", lambda error: trouble.append(str(error)))
+    page.goto(f"http://127.0.0.1:{served.port}/")
+    page.set_input_files("#file", tmp_path / "bad.csv")
+    page.get_by_text("is zero").wait_for()
+    page.set_input_files("#file", tmp_path / "mine.csv")
+    page.locator("html[data-drawn]").wait_for(state="attached")
+    assert page.locator(".headline").inner_text().startswith("φ = ")
+    assert trouble == []

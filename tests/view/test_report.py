@@ -1,0 +1,114 @@
+"""Pages: a section of each kind, offline, safe from what stands in files."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from terraphi import Answer, InputError
+from terraphi.view.report import kind_of, render, sections
+from terraphi.view.sections import Plot, Section, band, line, of_answer, points
+from terraphi.view.table import Table
+
+HOSTILE = "</script><img src=x onerror=alert(1)>"
+
+
+def plots_of(page: str) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="plots">(.*?)</script>', page)
+    assert found is not None
+    plots: dict[str, Any] = json.loads(found[1])
+    return plots
+
+
+def test_each_kind_of_result_is_recognised_and_drawn(results: dict[str, str]) -> None:
+    assert {kind_of(source) for source in results.values()} == {*results}
+    found = sections(list(results.values()))
+    assert [one.kind for one in found] == [*results]
+    page = render(found)
+    for i, section in enumerate(found):
+        assert section.headline in page.replace("&#39;", "'").replace("&gt;", ">")
+        plots = [j for j, part in enumerate(section.parts) if isinstance(part, Plot)]
+        assert len(plots) >= 2
+        assert all(f'id="plot-{i}-{j}"' in page for j in plots)
+        assert {f"plot-{i}-{j}" for j in plots} <= plots_of(page).keys()
+
+
+def test_the_fit_is_the_curve_with_the_mean_model_error(answer: Answer) -> None:
+    fx = of_answer(answer).parts[0]
+    assert isinstance(fx, Plot)
+    traces = {trace["name"]: trace for trace in fx.traces}
+    record = answer.records[0]
+    assert record.expected is not None
+    np.testing.assert_allclose(traces["model"]["y"], record.expected[0], rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(traces["bare model"]["y"], record.curve[0], rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(traces["data"]["y"], record.data[0], rtol=1e-5, atol=1e-9)
+    assert (traces["model"]["line"]["dash"], traces["bare model"]["line"]["dash"]) == (
+        "solid",
+        "dash",
+    )
+
+
+def test_names_from_files_stay_text_and_scripts_are_those_of_the_policy() -> None:
+    plot = Plot(HOSTILE, [points([1.0], [2.0], HOSTILE, "black")], {"title": HOSTILE})
+    part = Table(HOSTILE, (HOSTILE,), [(HOSTILE,)], HOSTILE)
+    section = Section("answer", HOSTILE, HOSTILE, [HOSTILE], [plot, part], [(HOSTILE, HOSTILE)])
+    page = render([section])
+    assert "<img" not in page
+    assert plots_of(page)["plot-0-0"]["data"][0]["name"].startswith("&lt;/script&gt;")
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]+)"', page)
+    assert policy is not None
+    assert "default-src &#39;none&#39;" in policy[1]
+    (script,) = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert digest in policy[1].replace("&#43;", "+").replace("&#x2b;", "+")
+
+
+def test_a_page_loads_nothing_and_is_small(results: dict[str, str]) -> None:
+    page = render(sections([results["answer"]]))
+    outside = page.split('id="plotly"')[0]
+    assert not re.search(r'(src|href)="(?!data:)', outside)
+    assert len(page) < 3_000_000
+
+
+def test_no_number_is_not_a_number_in_a_page() -> None:
+    assert line([0.0, 1.0], [np.nan, 2.0], "a", "black")["y"] == [None, 2.0]
+    area = band([0.0, 1.0], [1.0, 2.0], [3.0, 4.0], "a", "black")
+    assert (area["x"], area["y"]) == ([0.0, 1.0, 1.0, 0.0], [3.0, 4.0, 2.0, 1.0])
+
+
+@pytest.mark.parametrize("name", ["a.txt", "a.nc", "folder"])
+def test_what_is_no_result_is_refused(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.mkdir() if name == "folder" else path.write_bytes(b"\x89HDF nothing")
+    with pytest.raises(InputError, match=name):
+        kind_of(str(path))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [360, 1280])
+def test_a_browser_draws_every_plot_offline(
+    width: int, browser: Any, results: dict[str, str], tmp_path: Path
+) -> None:
+    (tmp_path / "r.html").write_text(render(sections(list(results.values()))))
+    context = browser.new_context(offline=True, viewport={"width": width, "height": 800})
+    page = context.new_page()
+    trouble: list[str] = []
+    page.on("pageerror", lambda error: trouble.append(str(error)))
+    page.on("console", lambda one: trouble.append(one.text) if one.type != "log" else None)
+    page.goto((tmp_path / "r.html").as_uri())
+    page.locator("html[data-drawn]").wait_for(state="attached")
+    drawn = page.evaluate(
+        "[...document.querySelectorAll('.drawing')].map(d => d.querySelectorAll("
+        "'.scatterlayer .js-line, .scatterlayer .point, .barlayer .point').length)"
+    )
+    assert min(drawn) > 0
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert trouble == []
+    context.close()

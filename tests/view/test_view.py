@@ -1,0 +1,113 @@
+"""Tables, keys, the check of an installation, pictures."""
+
+from __future__ import annotations
+
+import io
+import re
+import tomllib
+from typing import Any
+
+import pytest
+from markdown_it import MarkdownIt
+from pydantic import ValidationError
+from rich.console import Console
+
+from terraphi import Scenario
+from terraphi.view import doctor
+from terraphi.view.footfall_plots import footfalls_figure
+from terraphi.view.keys import DOCUMENTS, markdown, tables
+from terraphi.view.plots import save
+from terraphi.view.robot_plots import forces_figure, stance_figure
+from terraphi.view.table import Table
+
+TABLE = Table(
+    "Peaks",
+    ("leg", "peak", "where"),
+    [("c", "7.2 N", "at -36°"), ("a|b", "-", "<b>"), ("d", "−12.0 N", "")],
+)
+NUMBERS = [
+    (table.title.split("]")[0].strip("["), name, allowed)
+    for table in tables("scenario")
+    for name, _, _, allowed, _ in table.rows
+    if re.search("[≥>≤<]", allowed) and table.title.startswith("[") and "," not in table.title
+]
+
+
+def test_markdown_has_every_cell() -> None:
+    html = MarkdownIt("commonmark", {"html": False}).enable("table").render(TABLE.markdown())
+    found = re.findall(r"<t[hd]>(.*?)</t[hd]>", html)
+    wanted = [*TABLE.header, *(cell for row in TABLE.rows for cell in row)]
+    assert found == [cell.replace("<b>", "&lt;b&gt;") for cell in wanted]
+
+
+def test_numbers_are_aligned_to_the_right() -> None:
+    seen = io.StringIO()
+    Console(file=seen, width=80, markup=False).print(TABLE.terminal())
+    lines = seen.getvalue().splitlines()
+    cells = [(r"peak", lines[0]), (r"7\.2 N", lines[2]), (r"−12\.0 N", lines[4])]
+    matches = [re.search(pattern, text) for pattern, text in cells]
+    assert len({match.end() for match in matches if match}) == 1
+    assert TABLE.numeric == [False, True, False]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_every_key_has_a_meaning_and_every_number_a_unit(document: str) -> None:
+    for table in tables(document):
+        for name, unit, _, allowed, meaning in table.rows:
+            assert len(meaning) > 2, f"{table.title} {name}: document it"
+            if re.match(r"number|list of \d: number", allowed):
+                assert unit or document == "plan", f"{table.title} {name}: put its unit in brackets"
+        assert f"| `{table.rows[0][0]}` |" in markdown(document)
+
+
+def test_defaults_written_out_are_the_defaults() -> None:
+    lines = []
+    for table in tables("scenario"):
+        names, _, _ = table.title.partition(": ")
+        if "translation" in names:
+            continue
+        lines += re.findall(r"\[[a-z]+\]", names)
+        lines += [f"{row[0]} = {row[2]}" for row in table.rows if row[2] != "not given"]
+    written = Scenario.model_validate(tomllib.loads("\n".join(lines)))
+    exact = {"numerics.damping_rate": Scenario().numerics.damping_rate}
+    assert written.replace(**exact).hash == Scenario().hash
+
+
+@pytest.mark.parametrize(("section", "name", "allowed"), NUMBERS)
+def test_limits_are_those_that_are_checked(section: str, name: str, allowed: str) -> None:
+    part = getattr(Scenario(), section)
+    for sign, limit in re.findall(r"([≥>≤<]) ([-\d.e]+)", allowed):
+        step = 1 if allowed.startswith("whole") else 1e-6
+        value = float(limit) + {"≥": -step, "≤": step, ">": 0, "<": 0}[sign]
+        with pytest.raises(ValidationError):
+            type(part).model_validate({name: int(value) if step == 1 else value})
+
+
+def test_doctor_finds_a_missing_package_and_a_broken_library(
+    monkeypatch: pytest.MonkeyPatch, terraphi: Any
+) -> None:
+    monkeypatch.setattr(doctor, "_kernels", lambda: "not tried")
+    assert terraphi("doctor").status == 0
+    needed = ["numpy>=1", "nosuchpackage>=2"]
+    monkeypatch.setattr(doctor.importlib.metadata, "requires", lambda _: needed)
+
+    def broken() -> str:
+        raise OSError("cut short")
+
+    monkeypatch.setattr(doctor, "_libraries", broken)
+    ran = terraphi("doctor", "--json")
+    assert ran.status == 1
+    assert "pip install 'nosuchpackage>=2'" in ran.out
+    assert "cut short" in ran.out
+
+
+def test_pictures_of_robots_are_drawn(robot_forces: Any, footfalls: Any, tmp_path: Any) -> None:
+    figures = [
+        forces_figure(robot_forces),
+        stance_figure(robot_forces),
+        footfalls_figure(footfalls),
+    ]
+    assert [len(figure.axes) for figure in figures] == [8, 2, 3]
+    for figure in figures:
+        save(figure, tmp_path / "f.png", dpi=50)
+        assert (tmp_path / "f.png").stat().st_size > 5000
