@@ -17,7 +17,7 @@ from terraphi.inference.inversion import invert
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_record
 from terraphi.inference.sampling import quadrature, sample
-from terraphi.inference.soils import Calibration, KnownSoil, ModelError
+from terraphi.inference.soils import Calibration, CalibrationSoil, ModelError
 from terraphi.library.store import PHI, Case, Library
 
 RECORDS = [name for name in names() if name.startswith("li2013:")]
@@ -80,7 +80,7 @@ def test_records_of_one_soil_share_what_they_share(sand3d: Library) -> None:
 
 def test_known_soils_narrow_and_shift(sand3d: Library) -> None:
     def with_soils(count: int, apart: float) -> Calibration:
-        soil = KnownSoil(
+        soil = CalibrationSoil(
             source="x", leg="straight", phi_deg=30.0, phi_sd_deg=1.0, read_deg=30.0 + apart,
             read_sd_deg=1.0,
         )  # fmt: skip
@@ -99,8 +99,8 @@ def test_calibration_is_the_posterior_of_its_normal_model() -> None:
     error = ModelError(offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0)
     soil = {"source": "x", "leg": "c", "phi_sd_deg": 1.5, "read_sd_deg": 0.5}
     soils = [
-        KnownSoil(phi_deg=30.0, read_deg=33.0, **soil),
-        KnownSoil(phi_deg=25.0, read_deg=29.0, **soil),
+        CalibrationSoil(phi_deg=30.0, read_deg=33.0, **soil),
+        CalibrationSoil(phi_deg=25.0, read_deg=29.0, **soil),
     ]
     mean, sd = Calibration(library="x", library_hash="", soils=soils).common(error)
     b = np.linspace(-20.0, 20.0, 40_001)

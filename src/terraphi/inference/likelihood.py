@@ -17,22 +17,25 @@ zero of θ                 1° times dg/dθ
 density                   relative standard deviation times g, to which forces are proportional
 model: offset             what looks like another angle: (b² + s²) (∂g/∂φ)(∂g/∂φ)' (``soils``)
 model: leg                the same of each leg by itself, l²
-model: shape              everything else by which real soils differ
+shape                     whatever does not look like a change of x
 ========================  ==========================================================================
 
-Those from the corrections on are of measured records; particle scatter is of simulated ones. All
+Corrections and what follows, but for the shape, are of measured records; particle scatter is of
+simulated ones. All
 terms are taken at the best point, so that their size is no evidence of x. For measured records g is
 linear about that point: several of the terms are degrees wide and known to first order only, and
 the curvature of g would move the median by what is not known.
 
 **Shape.** Let S = ∂g/∂x, A = diag(1/p²), p the peak-to-peak of each force, and c = (S'AS)⁻¹S'A the
-least-squares estimator. The shape of the residual of a real soil is unknown: it has the covariance
-P (κp)² P' with P = I − Sc and κ large, which is nothing along S. Then the estimate is that of least
-squares whatever the other terms are, and its variance is the sum of c C_t c' over these (a large
-covariance in directions that c does not see can neither move nor narrow an estimate). A model error
-that is allowed to look like a change of φ would take its place (Brynjarsdottir & O'Hagan 2014, doi
-10.1088/0266-5611/30/11/114007). Without that term (simulated records) the estimate is generalised
-least squares.
+least-squares estimator. How the residual of a real soil varies with θ is unknown, and that of
+particle scatter is known from few simulations. So the residual has the covariance P (κp)² P' with P
+= I − Sc and κ large, which is nothing along S. Then the estimate is that of least squares whatever
+the other terms are, and its variance is the sum of c C_t c' over these (a large covariance in
+directions that c does not see can neither move nor narrow an estimate). A model error that is
+allowed to look like a change of φ would take its place (Brynjarsdottir & O'Hagan 2014, doi
+10.1088/0266-5611/30/11/114007). Curves left out of `sand3d` in turn are read with errors as large
+as stated so, and up to 1.7 times larger if scatter is taken at its word (generalised least
+squares).
 """
 
 from __future__ import annotations
@@ -253,6 +256,7 @@ class Likelihood:
                 both = ratio * np.kron(np.eye(2), operator)
                 blocks.append(both @ scatter[record.leg] @ both.T)
             found["particle scatter"] = self._blocks(blocks)
+            found["shape"] = self._shape(slope)
             return found
         found |= self._of_corrections(inside)
         if self._phi is not None:
@@ -262,7 +266,7 @@ class Likelihood:
         found["zero of θ"] = self._blocks(
             [np.outer(turned[part], turned[part]) for part in self.parts]
         )
-        found["model: shape"] = self._shape(slope)
+        found["shape"] = self._shape(slope)
         return found
 
     @property
@@ -366,8 +370,10 @@ class Likelihood:
         return np.asarray(-0.5 * np.square((self.data - curves) @ self._whitening.T).sum(axis=1))
 
     def chi2(self, x: FloatArray) -> float:
-        """Squared residual at a point, over the covariance [-]."""
-        return -2.0 * float(self(x[None])[0])
+        """Squared residual at a point, over all terms but the shape [-]."""
+        known = self.covariance - self.terms["shape"]
+        residual = self.data - self.curves(x[None])[0]
+        return float(residual @ np.linalg.solve(known, residual))
 
     def sd(self, x: FloatArray) -> FloatArray:
         """Standard deviation of each parameter from all terms, linear about a point, [key]."""
