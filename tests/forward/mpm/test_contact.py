@@ -89,3 +89,20 @@ def test_body_and_particle_have_their_sizes(space, body) -> None:
         assert distance == pytest.approx(0.02 - 0.5 * LEG["width"])
         assert normal == pytest.approx((0.0, 0.0, np.sign(y)))
     assert distance_to_body(body, 0.03, 0.01, 0.0)[0] == pytest.approx(0.01 - 0.004)
+
+
+@pytest.mark.parametrize("shape", ["c", "reversed_c"])
+@pytest.mark.parametrize("inset", [0.0, 1.7])
+def test_normals_of_a_bent_leg_are_gradients_of_its_distance(space, shape, inset) -> None:
+    scenario = space.scenario(**{"leg.shape": shape, "numerics.tip_inset_cells": inset})
+    body, step = contact_of(scenario), 1e-7
+    for place in np.random.default_rng(5).uniform([-0.01, -0.03], [0.08, 0.03], (40, 2)):
+        distance, normal = distance_to_body(body, *place, 0.0)
+        if distance < 1e-3:
+            continue  # inside, or too near
+        rises = [
+            distance_to_body(body, *(place + sign * step * axis), 0.0)[0]
+            for axis in np.eye(2) for sign in (1.0, -1.0)
+        ]  # fmt: skip
+        gradient = np.array([rises[0] - rises[1], rises[2] - rises[3]]) / (2.0 * step)
+        np.testing.assert_allclose(normal[:2], gradient, atol=1e-4)
