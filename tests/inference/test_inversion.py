@@ -97,6 +97,15 @@ def test_wrong_records_are_misfits_with_a_remedy(medium: str, leg: str) -> None:
         assert answer.verdict != "consistent"
 
 
+@pytest.mark.parametrize(("factor", "verdict"), [(1.0, "consistent"), (1.15, "misfit")])
+def test_simulated_forces_that_noise_does_not_explain_are_a_misfit(
+    history_at: Callable[..., ForceHistory], factor: float, verdict: str
+) -> None:
+    history = turned(history_at(33.0, noise=0.05), 1.0, factor)
+    answer = invert(history, library="rft3d", simulated=True, noise=0.05)
+    assert answer.verdict == verdict
+
+
 def test_an_angle_beyond_the_library_is_out_of_range(
     history_at: Callable[..., ForceHistory],
 ) -> None:

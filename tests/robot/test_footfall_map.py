@@ -51,6 +51,23 @@ def test_bands_are_the_exact_posterior(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.path_absolute_sd == pytest.approx(np.sqrt(np.diag(left + everything)))
     assert found.shared_mean == pytest.approx(shared.mean)
     assert np.all(found.path_absolute_sd > found.path_relative_sd)
+    of_sensors, of_soil = (
+        np.einsum("ni,ij,nj->n", seen.shared[:, part], shared.covariance[part, part],
+                  seen.shared[:, part])
+        for part in (slice(N), slice(N, M))
+    )  # fmt: skip
+    assert found.sd == pytest.approx(np.sqrt(seen.sd**2 + FIELD[2] ** 2 + of_sensors))
+    assert found.shared_sd == pytest.approx(np.sqrt(of_soil))
+
+
+def test_an_anchor_of_some_doubt_is_weighed_by_its_variance() -> None:
+    seen, shared, path = problem()
+    free = pool(seen, shared, path, [], mean=32.0)
+    held = pool(seen, shared, path, [(Anchor(0.0, 0.5, 30.0, 0.5), path[:1])], mean=32.0)
+    own, given = free.path_absolute_sd[0] ** 2, 0.5**2
+    mean = (free.path_phi[0] * given + 30.0 * own) / (own + given)
+    assert held.path_phi[0] == pytest.approx(mean)
+    assert held.path_absolute_sd[0] == pytest.approx(np.sqrt(own * given / (own + given)))
 
 
 def test_an_anchor_takes_what_is_shared_away() -> None:
