@@ -38,12 +38,12 @@ test: lint
 
 # The numerical tests as on processors with AVX2 at most, and with neither: Numba and OpenBLAS are
 # held to those. Nothing else than x86 knows these names.
-NUMERICAL := tests/forward/plane tests/forward/mpm $(wildcard tests/paper)
+NUMERICAL := tests/forward/plane/test_packets.py tests/forward/mpm
 test-processors: $(DEV)
 	NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Haswell \
-		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL)
+		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL) tests/inference/test_emulator.py
 	NUMBA_CPU_NAME=x86-64 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Nehalem \
-		$(BIN)/pytest -n $(WORKERS) tests/forward/plane tests/forward/mpm
+		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL)
 
 test-slow: $(DEV)
 	$(BIN)/pytest -n $(WORKERS) -m slow
@@ -90,7 +90,7 @@ $(DEV): pyproject.toml constraints.txt | $(BIN)/python
 	@touch $(RUN) $@
 
 clean:
-	rm -rf build dist demo-output docs/_build docs/gallery docs/reference/*-keys.md .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf build dist demo-output docs/_build docs/reference/*-keys.md .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find src tests studies verification benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean

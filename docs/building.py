@@ -1,4 +1,4 @@
-"""What the documentation needs beside Sphinx's own: figures, formulas, tables of keys."""
+"""Formulas as MathML and tables of keys, for Sphinx."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from docutils.utils.math import latex2mathml
-from sphinx_gallery.scrapers import figure_rst
 
 from terraphi.experiment.files import replacing
 from terraphi.view.keys import DOCUMENTS, markdown
@@ -15,27 +14,8 @@ from terraphi.view.keys import DOCUMENTS, markdown
 HERE = Path(__file__).parent
 
 
-def figures(_block: Any, variables: dict[str, Any], conf: dict[str, Any]) -> str:
-    """Save the figures that a block of a notebook has made, and show them.
-
-    terraphi's figures are made without pyplot, which Sphinx-Gallery's own scraper looks at.
-    """
-    from matplotlib.figure import Figure
-
-    known = variables.setdefault("figures_shown", set())
-    paths = []
-    for value in variables["example_globals"].values():
-        if isinstance(value, Figure) and id(value) not in known:
-            known.add(id(value))
-            path = next(variables["image_path_iterator"])
-            value.savefig(path, dpi=110)
-            paths.append(path)
-    # One below the other: side by side, nobody could read them.
-    return "".join(figure_rst([path], conf["src_dir"]) for path in paths)
-
-
 def inline_math(translator: Any, node: Any) -> None:
-    """Write a formula as MathML, which browsers draw without a script from elsewhere."""
+    """Write a formula as MathML, which browsers draw without a script."""
     _math(translator, node, block=False)
 
 

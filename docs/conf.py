@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "examples")]
+sys.path.insert(0, str(HERE))
 
-import building  # noqa: E402 - beside this file
+import building  # noqa: E402 - in this folder
 
 project = "terraphi"
 author = "The terraphi developers"
@@ -25,11 +25,11 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_click",
     "sphinx_copybutton",
-    "sphinx_gallery.gen_gallery",
 ]
 root_doc = "index"
-exclude_patterns = ["_build", "notebooks/*", "reference/*-keys.md"]
+exclude_patterns = ["_build", "reference/*-keys.md"]
 nitpicky = False
+smartquotes = False  # it would make a dash of the -- of options
 
 myst_enable_extensions = ["attrs_block", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4
@@ -48,23 +48,6 @@ napoleon_use_rtype = True
 copybutton_prompt_text = "$ "
 copybutton_line_continuation_character = "\\"
 
-sphinx_gallery_conf = {
-    "examples_dirs": "notebooks",
-    "gallery_dirs": "gallery",
-    "filename_pattern": r"\.py$",
-    "image_scrapers": (building.figures,),
-    "capture_repr": (),
-    "abort_on_example_error": True,
-    "download_all_examples": False,
-    "show_signature": False,
-    "show_memory": False,
-    "min_reported_time": 10_000,
-    "remove_config_comments": True,
-    "only_warn_on_example_error": False,
-    "plot_gallery": True,
-    "write_computation_times": False,
-}
-
 html_theme = "furo"
 html_title = f"terraphi {release}"
 html_static_path = ["_static"]
@@ -82,8 +65,12 @@ suppress_warnings = ["config.cache", "ref.python"]
 
 
 def plain_bars(_app: Any, _what: str, _name: str, _object: Any, _options: Any, lines: Any) -> None:
-    """Keep |θ| in docstrings from being read as a substitution."""
-    lines[:] = [re.sub(r"(?<!`)\|(?=[^\s|`]+\|)", r"\\|", line) for line in lines]
+    """Keep |θ| in docstrings from being read as a substitution, and tables as line blocks."""
+    text = "\n".join(lines)
+    table = re.compile(r"(?:^\|.*\|\n?)+", re.MULTILINE)
+    text = table.sub(lambda found: "::\n\n" + re.sub("^", "    ", found[0], flags=re.M), text)
+    bars = re.compile(r"(?<!`)\|(?=[^\s|`](?:[^|`\n]*[^\s|`])?\|)")
+    lines[:] = [s if s.startswith("    |") else bars.sub(r"\\|", s) for s in text.split("\n")]
 
 
 def examples_as_code(_app: Any, _context: Any, lines: list[str]) -> None:
@@ -92,7 +79,7 @@ def examples_as_code(_app: Any, _context: Any, lines: list[str]) -> None:
 
 
 def setup(app: Any) -> None:
-    """Connect what is ours."""
+    """Connect our own functions."""
     app.connect("autodoc-process-docstring", plain_bars, priority=900)
     app.connect("sphinx-click-process-description", examples_as_code)
     app.connect("builder-inited", building.write_keys)

@@ -18,7 +18,7 @@ from go2.walk import Recording
 from sand_walk import sand_log, sand_walk
 
 from terraphi.robot.footfall_map import Anchor
-from terraphi.robot.footfalls import FootfallMap, find_footfalls
+from terraphi.robot.footfalls import FootfallMap, footfalls
 
 CASES = {"rft": 33.0, "floor": 0.0, "meyerhof": 38.5, "vesic": 38.5, "hansen": 38.5}
 """Laws of the world, and the mean φ at which a Go2 does not sink too deep to walk [deg]."""
@@ -57,7 +57,7 @@ def score(gait: str, law: str, seed: int, recording: Recording) -> Score:
     """Compare what a walk's log tells with what was true."""
     walk = sand_walk(gait, seed=seed, law=law, mean=CASES[law])
     log = sand_log(recording, seed=100 + seed)
-    found = find_footfalls(log)
+    found = footfalls(log)
     usable = int(found.usable.sum())
     if walk.sand is None or not usable:
         return Score(len(found.verdict), usable, *[np.nan] * 6)
@@ -70,7 +70,7 @@ def score(gait: str, law: str, seed: int, recording: Recording) -> Score:
     # The shear test errs as it says.
     err = np.random.default_rng(seed).normal(0.0, ANCHOR_SD / 3.0)
     anchor = Anchor(-1.0, ANCHOR_M, float(truth[near].mean() + err), ANCHOR_SD / 3.0)
-    held = find_footfalls(log, anchors=[anchor])
+    held = footfalls(log, anchors=[anchor])
     return Score(
         len(found.verdict),
         usable,

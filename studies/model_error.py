@@ -30,14 +30,18 @@ MARGIN = 1.1
 """Limit of a misfit over the largest residual of a training record [-]."""
 
 
-def read(library: Library, medium: str, leg: str) -> tuple[float, np.ndarray]:
-    """Angle [deg] by least squares, and residual over the model's peak-to-peak [-], [2, theta]."""
+def read(library: Library, medium: str, leg: str) -> tuple[float, np.ndarray, np.ndarray]:
+    """Angle by least squares [deg], and residual over the model's peak-to-peak [-], [2, theta].
+
+    The last is the model's peak-to-peak of each force over the data's [-], [2].
+    """
     record = without_faults(open_record(f"li2013:{medium}/{leg}"))
     likelihood = Likelihood([record], replace(library, model_error={}))
     best = likelihood.least_squares
     curve = likelihood.curves(best[None])[0].reshape(2, -1)
     share = (record.data - curve) / np.ptp(curve, axis=1)[:, None]
-    return float(best[0]), np.stack([np.interp(THETA_DEG, record.theta_deg, row) for row in share])
+    rows = np.stack([np.interp(THETA_DEG, record.theta_deg, row) for row in share])
+    return float(best[0]), rows, np.ptp(curve, axis=1) / record.span
 
 
 def learn(library: Library) -> dict[str, dict]:
@@ -56,7 +60,9 @@ def learn(library: Library) -> dict[str, dict]:
         residual = {medium: found[medium, leg][1] for medium in MEDIA}
         for medium in MEDIA:
             others = np.mean([residual[one] for one in MEDIA if one != medium], axis=0)
-            left = [np.sqrt(np.square(r).mean(axis=1)).max()
+            # Over the data's peak-to-peak, as the verdict has it.
+            spans = found[medium, leg][2]
+            left = [(np.sqrt(np.square(r).mean(axis=1)) * spans).max()
                     for r in (residual[medium], residual[medium] - others)]  # fmt: skip
             sizes[medium, leg] = min(left)
             print(
@@ -74,7 +80,6 @@ def learn(library: Library) -> dict[str, dict]:
         }
     limit = MARGIN * max(sizes.values())
     for leg in errors:
-        errors[leg] |= {"nrmsd": round(float(np.mean(list(sizes.values()))), 3)}
         errors[leg] |= {"nrmsd_limit": round(float(limit), 3)}
     print({key: value for key, value in errors["straight"].items() if not isinstance(value, list)})
     return errors

@@ -10,6 +10,10 @@ from typing import NamedTuple
 
 import pytest
 from hypothesis import settings
+from threadpoolctl import threadpool_limits
+
+# Tests run side by side; their small matrices gain nothing from threads.
+threadpool_limits(limits=1, user_api="blas")
 
 # A busy machine is no error.
 settings.register_profile("untimed", deadline=None)

@@ -16,8 +16,8 @@ import pandas as pd
 
 from terraphi.experiment.files import replacing
 from terraphi.robot.joint_log import JOINT_NAMES, SHAPES, JointLog
+from terraphi.robot.logs.bags import JOINT_STATE, LOW_STATE, MOTORS, URDF_NAMES, typestore
 from terraphi.robot.logs.columns import OWN
-from terraphi.robot.logs.messages import JOINT_STATE, LOW_STATE, MOTORS, URDF_NAMES, typestore
 
 Message = Literal["lowstate", "jointstate"]
 TYPES = {"lowstate": LOW_STATE, "jointstate": JOINT_STATE}

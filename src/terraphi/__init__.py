@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from terraphi.library.build import build as build
     from terraphi.library.plan import Plan as Plan
     from terraphi.library.store import Library as Library
-    from terraphi.robot.footfalls import find_footfalls as footfalls  # noqa: F401
-    from terraphi.robot.results import analyse as foot_forces  # noqa: F401
+    from terraphi.robot.footfalls import footfalls as footfalls
+    from terraphi.robot.results import foot_forces as foot_forces
 
 _PLACES = {
     "Answer": "inference.answer",
@@ -43,8 +43,8 @@ _PLACES = {
     "Translation": "experiment.motion",
     "build": "library.build",
     "calibrate": "inference.inversion",
-    "foot_forces": "robot.results:analyse",
-    "footfalls": "robot.footfalls:find_footfalls",
+    "foot_forces": "robot.results",
+    "footfalls": "robot.footfalls",
     "invert": "inference.inversion",
     "invert_many": "inference.inversion",
     "measurement": "experiment.measurements",

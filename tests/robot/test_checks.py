@@ -13,7 +13,7 @@ import pytest
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import JointLog
-from terraphi.robot.results import analyse
+from terraphi.robot.results import foot_forces
 
 Walk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["Walk"]
 WALKS = {
@@ -37,16 +37,9 @@ def legs(log: JointLog, order: list[int]) -> JointLog:
     return replace(log, **{name: getattr(log, name)[:, order] for name in names})
 
 
-def off(log: JointLog, foot: int | slice, joint: int, by: float) -> JointLog:
-    angle = log.angle.copy()
-    angle[:, foot, joint] += by
-    return replace(log, angle=angle)
-
-
 @pytest.mark.parametrize("name", WALKS)
-@pytest.mark.parametrize("heading", [0.0, 1.0])
-def test_a_sound_log_is_not_doubted(name: str, heading: float) -> None:
-    found = analyse(turned(WALKS[name].log()[0], 2.0 * heading), frame="heading")
+def test_a_sound_log_is_not_doubted(name: str) -> None:
+    found = foot_forces(WALKS[name].log()[0])
     assert found.notes == ()
     assert found.summary()["lift_over_weight"] == pytest.approx(1.0, abs=0.03)
 
@@ -58,16 +51,12 @@ def test_a_sound_log_is_not_doubted(name: str, heading: float) -> None:
         (lambda log: torque(log, 1.3), r"bear 1.2\d times the robot's weight of 158 N"),
         (lambda log: legs(log, [1, 0, 3, 2]), "exchanged: FL for FR, FR for FL, RL for RR"),
         (lambda log: legs(log, [2, 3, 0, 1]), "exchanged: RR for FR, RL for FL, FR for RR"),
-        (lambda log: replace(log, angle=log.angle.round(2)), r"in steps of 0.01 rad"),
-        (lambda log: off(log, 0, 2, 0.2), r"angle of FR_calf were \+0.[12]"),
-        (lambda log: off(log, slice(None), 1, 0.2), "zeros"),
-        (lambda log: off(log, slice(None), 2, -0.2), "zeros"),
     ],
 )
 def test_what_cannot_be_is_said(
     log: JointLog, wrong: Callable[[JointLog], JointLog], words: str
 ) -> None:
-    notes = " | ".join(analyse(wrong(log)).notes)
+    notes = " | ".join(foot_forces(wrong(log)).notes)
     assert re.search(words, notes), notes
 
 
@@ -104,9 +93,9 @@ def test_an_attitude_that_turns_otherwise_than_the_gyroscope(
     wrong = imu(turned(log, heading), order, signs, factor)
     if order[0] and heading > 2.0:  # upside down, so that the feet pull
         with pytest.raises(InputError, match="^attitude and gyroscope.*" + words):
-            analyse(wrong)
+            foot_forces(wrong)
         return
-    found = analyse(wrong)
+    found = foot_forces(wrong)
     assert re.search(words, found.grave[0]), found.grave
     assert not any("exchanged" in note or "zeros" in note for note in found.notes)
 
@@ -121,7 +110,7 @@ def test_an_attitude_that_turns_otherwise_than_the_gyroscope(
 def test_an_imu_that_no_known_slip_explains_is_a_note(
     log: JointLog, order: list[int], signs: list[float], factor: float
 ) -> None:
-    found = analyse(imu(log, order, signs, factor))
+    found = foot_forces(imu(log, order, signs, factor))
     assert any(note.startswith("attitude and gyroscope disagree") for note in found.notes)
     assert not any(re.search(r"and by \d+% if", note) for note in found.notes)
 
@@ -131,7 +120,7 @@ def test_noise_bias_delay_and_a_corrected_heading_are_no_finding(log: JointLog) 
     assert log.angular_velocity is not None
     half = (np.arange(len(log.time)) > len(log.time) // 2)[:, None]
     corrected = np.where(half, turned(log, 0.5).quaternion, log.quaternion)
-    assert not any("gyroscope" in n for n in analyse(replace(log, quaternion=corrected)).notes)
+    assert not any("gyroscope" in n for n in foot_forces(replace(log, quaternion=corrected)).notes)
     rng = np.random.default_rng(0)
     late = np.roll(log.quaternion, 10, axis=0)  # 20 ms
     late[:10] = log.quaternion[0]
@@ -140,26 +129,13 @@ def test_noise_bias_delay_and_a_corrected_heading_are_no_finding(log: JointLog) 
         quaternion=late + rng.normal(0.0, 5e-4, late.shape),
         angular_velocity=log.angular_velocity + rng.normal(0.02, 0.05, log.angular_velocity.shape),
     )
-    assert not any("gyroscope" in note for note in analyse(noisy).notes)
-
-
-@pytest.mark.parametrize("order", [[1, 0, 2, 3], [2, 1, 0, 3]])
-def test_torques_of_other_feet_are_seen(
-    log: JointLog, order: list[int], request: pytest.FixtureRequest
-) -> None:
-    found = analyse(replace(log, torque=log.torque[:, order]))
-    feet = ("FR", "FL", "RR", "RL")
-    moves = ", ".join(f"{feet[j]} for {feet[i]}" for i, j in enumerate(order) if i != j)
-    assert "check the order of the torques" in found.grave[0]
-    if request.node.callspec.params["log"] == "walk":
-        named = re.search("such as (.*);", found.grave[0])
-        assert named is None or named[1] == moves
-    # In a trot, those of a diagonal bear alike: nobody can tell which of them were exchanged.
+    assert not any("gyroscope" in note for note in foot_forces(noisy).notes)
 
 
 @pytest.mark.parametrize(
-    ("factor", "words"), [(1000.0, "not N mm"), (-1.0, "bear -0.[89]"), (9.81, "not kgf")]
+    ("factor", "words"),
+    [(1000.0, "not N mm"), (-1.0, "bear -0.[89]"), (9.81, "or kgf cm")],
 )
 def test_forces_of_no_robot_are_refused(log: JointLog, factor: float, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        analyse(torque(log, factor))
+        foot_forces(torque(log, factor))

@@ -41,8 +41,8 @@ def test_laplace_agrees_with_quadrature() -> None:
     half = 4.0 * found.sd[0]
     axes = [
         found.phi[0] + np.linspace(-half, half, 41),
-        found.level[0] + np.linspace(-0.012, 0.012, 61),
-        np.linspace(-0.035, 0.035, 21) + found.drift[0],
+        0.003 + np.linspace(-0.012, 0.012, 61),
+        np.linspace(-0.035, 0.035, 21),
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     repeated = Touchdowns(*(np.repeat(column, len(grid), axis=0) for column in seen))

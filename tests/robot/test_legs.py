@@ -12,7 +12,7 @@ import pytest
 
 from terraphi.robot.forces import estimate
 from terraphi.robot.joint_log import FEET, JointLog, joint_place
-from terraphi.robot.legs import Legs, TrunkMotion, body_rate, inverse_transpose, rotation
+from terraphi.robot.legs import Legs, TrunkMotion, inverse_transpose
 from terraphi.robot.model import Quadruped
 from terraphi.robot.touchdowns import sensitivity
 
@@ -147,30 +147,6 @@ def test_forces_of_a_robot_that_stands_come_out(pair: Pair) -> None:
     np.testing.assert_allclose(100.0 * (more - found.force[..., 2]), added, rtol=1e-2, atol=0.1)
 
 
-def test_formulas_of_a_leg_with_equal_links() -> None:
-    a, t, k = 0.2, 0.8, -1.5
-    length, lateral, hip = 0.213, 0.0955, np.array([0.1934, 0.0465, 0.0])
-    z_s = -length * (np.cos(t) + np.cos(t + k))
-    place = Legs(GO2, np.tile([a, t, k], (1, 4, 1))).place[0]
-    for foot, front, side in (("FL", 1.0, 1.0), ("RR", -1.0, -1.0)):
-        expected = [
-            -length * (np.sin(t) + np.sin(t + k)),
-            side * lateral * np.cos(a) - z_s * np.sin(a),
-            side * lateral * np.sin(a) + z_s * np.cos(a),
-        ]
-        found = place[FEET.index(foot)] - hip * [front, side, 0.0]
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15)
-
-
-def test_jacobian_is_the_derivative() -> None:
-    angle, step = np.random.default_rng(0).uniform(-2.0, 2.0, (30, 4, 3)), 1e-6
-    for joint in range(3):
-        nudge = step * np.eye(3)[joint]
-        slope = (Legs(GO2, angle + nudge).place - Legs(GO2, angle - nudge).place) / (2 * step)
-        found = Legs(GO2, angle).jacobian()[..., joint]
-        np.testing.assert_allclose(found, slope, rtol=0, atol=1e-9)
-
-
 def test_power_of_the_torques_is_the_rate_of_kinetic_energy() -> None:
     rng = np.random.default_rng(5)
     q = rng.uniform(-2.5, 2.5, (40, 4, 3))
@@ -211,12 +187,3 @@ def test_inverse_transpose_and_lever() -> None:
     product = np.swapaxes(inverse, -1, -2) @ matrix
     whole = np.broadcast_to(np.eye(3), product[good].shape)
     np.testing.assert_allclose(product[good], whole, rtol=0, atol=1e-9)
-
-
-def test_rotation_about_known_axes() -> None:
-    half = np.sqrt(0.5)
-    about = rotation(2.0 * np.array([[half, 0.0, -half, 0.0], [half, 0.0, 0.0, half]]))
-    # Nose up is a negative turn about y (left); then a turn to the left.
-    np.testing.assert_allclose(about @ [1.0, 0.0, 0.0], [[0, 0, 1], [0, 1, 0]], atol=1e-15)
-    turned = np.array([[1.0, 0.0, 0.0, 0.0], [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]])
-    np.testing.assert_allclose(body_rate(turned, np.array([0.5])), [[0.0, 0.0, 0.4]], atol=1e-12)

@@ -2,34 +2,64 @@
 
 from __future__ import annotations
 
-import runpy
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from go2.logs import EPOCH_NS, write_csv, write_mcap, write_parquet, write_rosbag2
 from rosbags.rosbag2 import Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
-from terraphi.robot.joint_log import JOINT_NAMES, SHAPES, JointLog
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, SHAPES, JointLog
 from terraphi.robot.logs import read_log
-from terraphi.robot.logs.clock import increasing, seconds
-from terraphi.robot.logs.messages import (
+from terraphi.robot.logs.bags import (
     IMU,
     JOINT_STATE,
-    LEGGED_STATE,
     URDF_NAMES,
     typestore,
 )
+from terraphi.robot.logs.samples import seconds
 
-helpers = SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name("log_samples.py"))))
-log = helpers.walking()
+
+def walking(samples: int = 200, *, step_s: float = 0.002, start_s: float = 5.0) -> JointLog:
+    """A log of whole milliseconds and single precision, as a robot would send it."""
+    rng = np.random.default_rng(7)
+    time = np.rint((start_s + step_s * np.arange(samples)) * 1e3) / 1e3
+    phase = rng.uniform(0, 6, (len(FEET), len(JOINTS)))
+    turned = 7.0 * time[:, None, None] + phase
+    quaternion = rng.normal(size=(samples, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+
+    def single(values: np.ndarray) -> np.ndarray:
+        return values.astype(np.float32).astype(np.float64)
+
+    return JointLog(
+        time,
+        single(0.5 * np.sin(turned)),
+        single(3.5 * np.cos(turned)),
+        single(rng.normal(size=turned.shape)),
+        single(quaternion),
+        single(rng.normal(size=(samples, 3))),
+        single(rng.normal(size=(samples, 3))),
+        rng.integers(-50, 300, (samples, 4)).astype(np.float64),
+    )
+
+
+def assert_same(found: JointLog, log: JointLog, *, rounding: float) -> None:
+    """Every column of a log as it was written, to a relative rounding error."""
+    np.testing.assert_allclose(found.time, log.time, rtol=1e-14)
+    for name in SHAPES:
+        # The reader makes quaternions unit again, which moves them by their own rounding.
+        atol = 1e-7 if name == "quaternion" else 0.0
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(log, name), rtol=rounding, atol=atol, err_msg=name
+        )
+
+
+log = walking()
 NINE_DIGITS, ROUNDING = 5e-9, np.finfo(np.float64).eps
 TWO_JOINTS = tuple(name for name in JOINT_NAMES if not name.endswith("hip"))
 
@@ -72,24 +102,12 @@ def test_every_format_comes_back(tmp_path: Path, name: str) -> None:
         pytest.importorskip("pyarrow")
     WRITERS[name](tmp_path / name, log)
     found = read_log(tmp_path / name)
-    helpers.assert_same(found, log, rounding=NINE_DIGITS if name == "log.csv" else ROUNDING)
+    assert_same(found, log, rounding=NINE_DIGITS if name == "log.csv" else ROUNDING)
     report = found.report
     assert report["topic"] == ("/lowstate" if name in BAGS else None)
     assert report["clock"] == ("tick" if name in BAGS else "time_s")
     assert (report["samples"], report["dropped"], report["gaps"]) == (len(log.time), {}, [])
     assert report["rate_hz"] == pytest.approx(500.0)
-    assert report.get("clock_ratio", 1.0) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("name", ["log.mcap", "sqlite"])
-def test_joint_states_come_back(tmp_path: Path, name: str) -> None:
-    WRITERS[name](tmp_path / name, log, message="jointstate")
-    found = read_log(tmp_path / name)
-    helpers.assert_prefix(found, log, rounding=ROUNDING)
-    assert len(found.time) == len(log.time)
-    assert found.quaternion is None
-    assert found.report["clock"] == "header stamp"
-    assert found.report["start_ns"] == EPOCH_NS + round(log.time[0] * 1e9)
 
 
 def test_motors_in_another_order_give_the_same_log(tmp_path: Path) -> None:
@@ -172,7 +190,6 @@ def test_joints_of_any_order_and_of_an_arm(tmp_path: Path) -> None:
     found = read_log(bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, rows)}))
     np.testing.assert_array_equal(found.angle, log.angle)
     np.testing.assert_array_equal(found.torque, log.torque)
-    assert any(note.endswith("ignored: arm_1") for note in found.report["notes"])
 
 
 def test_imu_of_the_same_bag_goes_with_the_joints(tmp_path: Path) -> None:
@@ -190,7 +207,6 @@ def test_imu_of_the_same_bag_goes_with_the_joints(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.acceleration, [[0.0, 0.0, 9.81]] * 200)
     notes = found.report["notes"]
     assert any("/camera/imu/data" in note for note in notes)
-    assert "2 messages on /imu/data that are not all numbers left out" in notes
 
 
 @pytest.mark.parametrize(
@@ -211,59 +227,6 @@ def test_imu_that_does_not_measure_or_was_not_there(
     assert found.quaternion is None
     assert (found.acceleration is not None) == left
     assert words in " ".join(found.report["notes"])
-
-
-def legged_states(store: Any, tick_hz: float) -> Rows:
-    names = ("LowState", "IMU", "MotorState", "BmsState")
-    types = {n: store.types[f"unitree_legged_msgs/msg/{n}"] for n in names}
-
-    def made(name: str, **values: Any) -> Any:
-        kind, filled = types[name], {}
-        blank = {"head": 2, "sn": 2, "version": 2, "reserve": 2, "rpy": 3, "footforceest": 4,
-                 "wirelessremote": 40}  # fmt: skip
-        kinds = {"head": np.uint8, "wirelessremote": np.uint8, "rpy": np.float32,
-                 "footforceest": np.int16}  # fmt: skip
-        for field in fields(kind):
-            plain = field.name.replace("_", "").lower()
-            if field.name != "__msgtype__":
-                size = 0 if name == "LowState" and plain == "reserve" else blank.get(plain, 0)
-                zeros = np.zeros(size, kinds.get(plain, np.uint32)) if size else 0
-                filled[field.name] = values.get(plain, zeros)
-        return kind(**filled)
-
-    battery = made("BmsState", bqntc=np.zeros(2, np.int8), mcuntc=np.zeros(2, np.int8),
-                   cellvol=np.zeros(10, np.uint16))  # fmt: skip
-    idle = [made("MotorState") for _ in range(8)]
-    for i, at in enumerate(log.time):
-        columns = (getattr(log, n)[i].ravel() for n in ("angle", "velocity", "torque"))
-        legs = [
-            made("MotorState", q=q, dq=v, tauest=tau) for q, v, tau in zip(*columns, strict=True)
-        ]
-        imu = made("IMU", quaternion=log.quaternion[i].astype(np.float32),
-                   gyroscope=log.angular_velocity[i].astype(np.float32),
-                   accelerometer=log.acceleration[i].astype(np.float32))  # fmt: skip
-        force = log.foot_counts[i].astype(np.int16)
-        yield EPOCH_NS + round(at * 1e9), made(
-            "LowState", imu=imu, motorstate=legs + idle, bms=battery, footforce=force,
-            tick=round((5.0 + at) * tick_hz),
-        )  # fmt: skip
-
-
-@pytest.mark.parametrize(("tick_hz", "own"), [(1e3, False), (1e6, True)])
-def test_low_states_of_an_a1_and_a_go1(tmp_path: Path, tick_hz: float, own: bool) -> None:
-    store = typestore()
-    if own:  # the package's ROS 1 names, and a battery of another version: the bag defines them
-        store = get_typestore(Stores.EMPTY)
-        text = shipped_file("robots", "unitree_legged_msgs", ".msg").read_text()
-        for snake, camel in (("motor_state", "motorState"), ("foot_force", "footForce"),
-                             ("tau_est", "tauEst"), ("uint8 soc", "float64 soc")):  # fmt: skip
-            text = text.replace(snake, camel)
-        store.register(get_types_from_msg(text, LEGGED_STATE))
-    topics = {"/low_state": (LEGGED_STATE, legged_states(store, tick_hz))}
-    found = read_log(bag(tmp_path / "bag", topics, store))
-    np.testing.assert_allclose(np.diff(found.time), np.diff(log.time), atol=1e-6)
-    for name in ("angle", "velocity", "torque", "quaternion", "acceleration", "foot_counts"):
-        np.testing.assert_allclose(getattr(found, name), getattr(log, name), rtol=2e-6, atol=1e-6)
 
 
 SDK = """
@@ -305,7 +268,6 @@ def test_csv_of_an_sdk_by_a_map_of_its_columns(tmp_path: Path) -> None:
     [
         ("q_{motor}", "p_{motor}", "column 'p_0' is missing; did you mean 'q_0'"),
         ("q_{motor}", "q_3", "'angle' 1 different names; 12 are expected"),
-        ('"qx", ', "", "'quaternion' 3 different names; 4 are expected"),
         ('"ms"', '"us"', "look at the units of times"),
         ("torque", "torqe", "did you mean 'torque'"),
     ],
@@ -317,23 +279,15 @@ def test_wrong_map_is_refused(tmp_path: Path, old: str, new: str, words: str) ->
         read_log(tmp_path / "log.csv", columns=tmp_path / "columns.toml")
 
 
-@pytest.mark.parametrize("kind", ["bag", "csv"])
-def test_robots_without_hips(tmp_path: Path, kind: str) -> None:
+def test_robots_without_hips(tmp_path: Path) -> None:
     order = np.array([JOINT_NAMES.index(name) for name in TWO_JOINTS])
-    path = tmp_path / f"log.{kind}"
-    if kind == "bag":
-        rows = joint_states([URDF_NAMES[i] for i in order], order)
-        bag(path, {"/joint_states": (JOINT_STATE, rows)})
-    else:
-        write_csv(tmp_path / "whole.csv", log)
-        cells = [line.split(",") for line in (tmp_path / "whole.csv").read_text().splitlines()]
-        kept = [i for i, name in enumerate(cells[0]) if "_hip_" not in name]
-        path.write_text("\n".join(",".join(row[i] for i in kept) for row in cells) + "\n")
+    rows = joint_states([URDF_NAMES[i] for i in order], order)
+    path = bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, rows)})
     found = read_log(path, motors=TWO_JOINTS)
-    np.testing.assert_allclose(found.torque[..., 1:], log.torque[..., 1:], rtol=NINE_DIGITS)
+    np.testing.assert_array_equal(found.torque[..., 1:], log.torque[..., 1:])
     assert not found.torque[..., 0].any()
-    # A robot of three joints asks for the hips as before.
-    refused(path, "none for the FR hip" if kind == "bag" else "FR_hip_angle_rad")
+    # A robot of three joints asks for the hips.
+    refused(path, "none for the FR hip")
 
 
 # -- what is wrong with a log --------------------------------------------------------------------
@@ -355,32 +309,6 @@ def test_a_log_that_was_cut_off_is_refused(tmp_path: Path, name: str) -> None:
     for part in (0.3, 0.8):
         file.write_bytes(whole[: int(part * len(whole))])
         refused(tmp_path / name, "copy")
-
-
-def edited(path: Path, edit: Callable[[str], str]) -> Path:
-    write_csv(path, log)
-    path.write_text(edit(path.read_text()))
-    return path
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("FR_hip_angle_rad", "FR_hip_angel_rad", "FR_hip_angle_rad"),
-        ("FR_hip_angle_rad", "FR_hip_angle_deg", "FR_hip_angle_rad"),
-        ("RL_calf_torque_Nm", "RR_calf_torque_Nm", "column 'RL_calf_torque_Nm' is missing"),
-        ("quaternion_w", "quaternion_a", "column 'quaternion_w' is missing"),
-        (",", ";", "time_s"),
-    ],
-)
-def test_header_of_a_csv(tmp_path: Path, old: str, new: str, words: str) -> None:
-    count = -1 if old == "," else 1
-    refused(edited(tmp_path / "log.csv", lambda text: text.replace(old, new, count)), words)
-
-
-def test_csv_with_a_comma_too_many_and_one_without_samples(tmp_path: Path) -> None:
-    refused(edited(tmp_path / "a.csv", lambda t: t.replace("\n5.01,", "\n5.01,,")), "line 7")
-    refused(edited(tmp_path / "b.csv", lambda t: t.partition("\n")[0] + "\n"), "no samples")
 
 
 every_kind = pytest.mark.parametrize("name", ["log.csv", "log.mcap"])
@@ -436,19 +364,6 @@ def test_clock_set_back_keeps_the_longest_run(tmp_path: Path) -> None:
     refused(tmp_path / "log.csv", "199 of 200 samples: time ran backwards")
 
 
-def test_few_stamps_out_of_order_or_far_ahead_do_not_cut_a_log() -> None:
-    time = np.arange(1000.0)
-    time[[500, 501, 502, 503]] = time[[502, 503, 500, 501]]
-    keep, dropped = increasing(time)
-    assert dropped == {"time ran backwards": 2}
-    assert np.all(np.diff(time[keep]) > 0)
-    time = np.arange(1000.0)
-    time[300] = 4e9
-    keep, dropped = increasing(time)
-    assert dropped == {"time ran backwards": 1}
-    assert np.flatnonzero(~keep).tolist() == [300]
-
-
 def test_tick_wraps(tmp_path: Path) -> None:
     time = (2**32 - 101) / 1e3 + 0.002 * np.arange(len(log.time))
     write_mcap(tmp_path / "log.mcap", changed(time=time))
@@ -459,30 +374,21 @@ def test_tick_wraps(tmp_path: Path) -> None:
 
 def test_tick_that_stands_still() -> None:
     recorded = 10**18 + 2_000_000 * np.arange(50)
-    time, clock, facts = seconds(np.zeros(50, dtype=np.int64), recorded, "tick")
-    assert clock == "recording time"
+    time, facts = seconds(np.zeros(50, dtype=np.int64), recorded, "tick")
+    assert facts["clock"] == "recording time"
     assert "stands still" in facts["notes"][0]
     np.testing.assert_allclose(time, 0.002 * np.arange(50), rtol=1e-12)
 
 
-@pytest.mark.parametrize(("step_s", "tick_hz"), [(1.0, 1e3), (0.002, 1e6), (5.0, 1e6)])
-def test_recording_sets_the_unit_of_slow_ticks(step_s: float, tick_hz: float) -> None:
-    at = step_s * np.arange(50)
-    recorded = 10**18 + np.rint(1.001e9 * at).astype(np.int64)
-    time, _, facts = seconds(np.rint(tick_hz * at).astype(np.int64), recorded, "tick")
-    np.testing.assert_allclose(time, at, atol=1e-9)
-    assert facts["clock_ratio"] == pytest.approx(1.0, abs=2e-3)
-
-
 def test_topics_and_options_that_do_not_fit(tmp_path: Path) -> None:
     write_rosbag2(tmp_path / "bag", log)
-    refused(tmp_path / "bag", "no topic '/lowstat'", "'/lowstate' (unitree_go", topic="/lowstat")
+    refused(tmp_path / "bag", "on topic '/lowstat'", "'/lowstate' (unitree_go", topic="/lowstat")
     refused(tmp_path / "bag", "leave the joint names out", joint_names=list(URDF_NAMES))
     write_csv(tmp_path / "log.csv", log)
     refused(tmp_path / "log.csv", "leave the topic out", topic="/lowstate")
     imu = bag(tmp_path / "imu", {"/imu": (IMU, imu_states(SWAY))})
     refused(imu, "'/imu' (sensor_msgs/msg/Imu)", "unitree_go/msg/LowState")
-    refused(imu, "has sensor_msgs/msg/Imu messages", topic="/imu")
+    refused(imu, "no joint states on topic '/imu'", topic="/imu")
     names = [f"m{i}" for i in range(12)]
     path = bag(tmp_path / "m", {"/joint_states": (JOINT_STATE, joint_states(names, EVERY))})
     refused(path, "'m0' is not known", "--joint-names")

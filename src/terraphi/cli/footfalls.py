@@ -53,16 +53,14 @@ def footfalls(
     """
     from terraphi.experiment.outputs import SIGNATURE, check_file
     from terraphi.robot import footfall_files as files
-    from terraphi.robot.footfalls import anchor_from, find_footfalls, prior_for
+    from terraphi.robot.footfalls import footfalls as find
     from terraphi.view import footfall_plots, plots
 
-    prior = prior_for(density) if density is not None else None
-    known = [anchor_from(text) for text in anchors]
     if out is not None:
         check_file(out, kind=files.KIND)
         for suffix in (".csv", ".geojson", ".png"):
             check_file(out.with_suffix(suffix))
-    found = find_footfalls(log, prior=prior, anchors=known, **options)
+    found = find(log, density=density, anchors=anchors, **options)
     made: tuple[Path, ...] = ()
     if out is not None:
         picture = out.with_suffix(".png")

@@ -59,7 +59,7 @@ def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
     type=Choice(FRAMES),
     default="world",
     show_default=True,
-    help="Axes of the forces: the world's, level ones along the robot, or the body's.",
+    help="Axes of the forces: the world's or the body's.",
 )
 @click.option("--out", type=PATH, help="NetCDF file for forces and stances.")
 @click.option("--figures", type=PATH, help="Folder for forces.png and stance.png.")
@@ -79,7 +79,7 @@ def forces(
     """
     from terraphi.experiment.outputs import check_file, check_folder, filling
     from terraphi.robot import results as results_file
-    from terraphi.robot.results import analyse
+    from terraphi.robot.results import foot_forces
     from terraphi.view import plots
     from terraphi.view import robot_plots as pictures
 
@@ -87,7 +87,7 @@ def forces(
         check_file(out, kind=results_file.KIND)
     if figures is not None:
         check_folder(figures, kind="forces", names=["forces.png", "stance.png"])
-    found = analyse(log, estimator=estimator, frame=frame, **reading)
+    found = foot_forces(log, estimator=estimator, frame=frame, **reading)
     if out is not None:
         results_file.write_forces(found, out)
     if figures is not None:

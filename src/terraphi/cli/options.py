@@ -16,7 +16,7 @@ from terraphi.experiment.errors import nearest
 LEGS = ("straight", "c", "reversed_c")
 ESTIMATORS = ("quasi_static", "momentum_observer")
 LAW_SETS = ("rft", "bearing", "all")
-FRAMES = ("world", "heading", "body")
+FRAMES = ("world", "body")
 SIMULATORS = ("genesis", "newton", "isaaclab", "chrono-crm", "chrono-scm", "geotaichi", "mujoco")
 MATCHES = ("plane-strain", "triaxial")
 DP_TYPES = ("Circumscribed", "MiddleCircumscribed", "Inscribed")

@@ -40,7 +40,11 @@ def doubts(scenario: Scenario) -> list[str]:
             found.append(f"{key} = {value:g} is unusual: in {unit}, mostly {least:g} to {most:g}")
     soil, damping = scenario.soil, scenario.numerics.stiffness_damping
     in_3d = (scenario.model, scenario.dimensions) == ("mpm", 3)
-    if in_3d and damping < ENOUGH and soil.friction_angle_deg > SHAKEN_DEG[soil.yield_surface]:
+    if (
+        in_3d
+        and damping < ENOUGH
+        and soil.friction_angle_deg > SHAKEN_DEG.get(soil.yield_surface, 31.0)
+    ):
         found.append(
             f"undamped soil of {soil.friction_angle_deg:g}° shakes and carries less than its "
             "strength; set numerics.stiffness_damping = 0.25"

@@ -245,6 +245,9 @@ class Scenario(Strict):
 
     @model_validator(mode="after")
     def _can_be_simulated(self) -> Self:
+        if "relief" not in self.model_fields_set and (self.dimensions == 3 or self.model == "rft"):
+            # The paper's, in 2-D; elsewhere off unless somebody asks for it.
+            object.__setattr__(self, "relief", Relief(enabled=False))
         try:
             if self.model == "rft":
                 self._refuse_keys(NOT_IN_RFT, "model = 'mpm'")

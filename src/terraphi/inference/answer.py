@@ -126,7 +126,7 @@ class Answer:
     density_kg_m3, density_sd_kg_m3, density_assumed
         Bulk density that the curves were scaled to.
     library, library_reason
-        Its name, and why it was taken if nobody named it.
+        Its name, and why it was taken if none was named.
     second_opinion
         Library, median and standard deviation of the answer by other physics, or ``None``.
     questions
@@ -299,7 +299,7 @@ class Answer:
         of_phi.fill_between(grid[inside], density[inside], color="C0", alpha=0.3, lw=0)
         seen = grid[density > 1e-4 * density.max()]
         of_phi.set(
-            xlabel=f"φ [deg], {self.convention}",
+            xlabel=f"φ [deg], {self.convention.replace('_', ' ')}",
             ylabel="posterior density [1/deg]",
             xlim=(seen[0], seen[-1]),
             ylim=(0.0, None),

@@ -1,8 +1,8 @@
 """What looks wrong with a record: sensor faults before inference, units and signs after.
 
 Faults that hide a few readings (dropouts, held values, spikes) are left out. Faults that shift many
-readings (a clipped top, a step, a force in air) are left in, since nobody knows which readings are
-right, and make any answer a misfit. A doubt is a sentence with one remedy.
+readings (a clipped top, a step, a force in air) are left in, since the right readings cannot be
+identified, and make any answer a misfit. A doubt is a sentence with one remedy.
 """
 
 from __future__ import annotations
@@ -42,12 +42,14 @@ IN_AIR, MARGIN_DEG, OFFSET = 0.005, 5.0, 0.04
 soil that is sure to be air [deg]; force there that is an offset, of peak-to-peak [-]."""
 MOST_LEFT_OUT = 0.5
 """Share of the readings that may be left out [-]."""
+ALIKE = 1.1
+"""Ratio of densities up to which records may be of one soil [-]."""
 BETTER = 0.6
 """Residual of a record read differently, over that as given, at which that is proposed [-]."""
 USUAL_DEG = (15.0, 50.0)
 """Friction angles of dry soils in plane strain [deg]."""
-LATE_DEG = 4.0
-"""Shift of θ above which the zero of the angle is doubted [deg]."""
+USUAL_SHIFT_DEG = (-6.0, 15.0)
+"""Shift of θ of measured forces against the model's that real soils show [deg]."""
 UNITS = {
     "pounds-force": 4.448,
     "kilograms-force": 9.807,
@@ -59,7 +61,9 @@ UNITS = {
 
 
 def without_faults(record: Record) -> Record:
-    """A record without readings that no leg in soil makes, with a note on each kind.
+    """A record without readings that no leg in soil makes, averaged in bins if it is long.
+
+    Each kind of fault leaves a note.
 
     Raises
     ------
@@ -96,7 +100,7 @@ def without_faults(record: Record) -> Record:
             if sentence:
                 notes.append(sentence)
                 damaged = True
-    return record.without(bad, notes, damaged=damaged)
+    return record.without(bad, notes, damaged=damaged).binned().checked()
 
 
 def _dropouts(force: FloatArray, both_zero: Mask, largest: float) -> Mask:
@@ -168,6 +172,8 @@ def _step(name: str, force: FloatArray, theta: FloatArray) -> str:
     if len(force) < 20 or np.median(np.diff(theta)) > STEP_SPACING_DEG:
         return ""
     width = max(3, int(2.0 / np.median(np.diff(theta))))
+    if 2 * width >= len(force):
+        return ""
     means = np.convolve(force, np.ones(width) / width, "valid")
     jumps = means[width:] - means[:-width]
     sharp = np.abs(np.diff(force))[width - 1 : width - 1 + len(jumps)]
@@ -238,14 +244,20 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
         Whether the model describes them badly; only then other readings of them are proposed.
     """
     several = len(likelihood.records) > 1
+    if max(likelihood.density) > ALIKE * min(likelihood.density):
+        yield (
+            f"The records have densities from {min(likelihood.density):g} to "
+            f"{max(likelihood.density):g} kg/m³, and are inverted as one soil: check that they are."
+        )
     for record, density in zip(likelihood.records, likelihood.density, strict=True):
         name = f"{record.source}: " if several else ""
         if record.leg_assumed:
             yield f"{name}The leg is assumed to be straight; give --leg."
         if record.density_kg_m3 is None or record.density_assumed:
-            yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 2°."
+            yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 1°."
         if record.scenario is not None:
             apart = differences(record.scenario, library.cases[0].scenario)
+            apart = [key for key in apart if key not in likelihood.keys]
             if apart:
                 listed = ", ".join(apart[:3]) + (", …" if len(apart) > 3 else "")
                 yield (

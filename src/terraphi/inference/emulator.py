@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.library.store import PHI, Curves, Library
@@ -68,8 +69,13 @@ class Emulator:
     def _basis(self, x: FloatArray) -> FloatArray:
         """Polynomials of the mean: constant, linear and, with cases enough, quadratic, [k, q]."""
         t = (x - self._scale[0]) / self._scale[1]
-        enough = len(self.curves.x) > 3 * (1 + 2 * t.shape[1])
-        return np.hstack([np.ones((len(t), 1)), t, *([t * t] if enough else [])])
+        return np.hstack([np.ones((len(t), 1)), t, t[:, self._curved] ** 2])
+
+    @cached_property
+    def _curved(self) -> NDArray[np.bool_]:
+        """Parameters of which the mean has a square: of three values or more, with cases enough."""
+        enough = len(self.curves.x) > 3 * (1 + 2 * self.curves.x.shape[1])
+        return np.array([enough and np.unique(column).size > 2 for column in self.curves.x.T])
 
     @cached_property
     def _size(self) -> FloatArray:
@@ -113,7 +119,7 @@ class Emulator:
 
     @cached_property
     def _rest(self) -> FloatArray:
-        """What the other curves cannot describe of each, over a(x) [-], shape [case, 2 theta]."""
+        """Residual of each curve outside the span of the others, over a(x) [-], [case, 2 theta]."""
         count = len(self.curves.x)
         z = self.curves.force.reshape(count, -1) / self.size(self.curves.x)[:, None]
         rest = np.empty_like(z)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import importlib.metadata
 import math
 import time
@@ -18,18 +17,18 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.checks import (
-    LATE_DEG,
     USUAL_DEG,
+    USUAL_SHIFT_DEG,
     doubts,
     in_air,
     shift_of_theta,
     without_faults,
 )
-from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.likelihood import UNKNOWN_DENSITY, Likelihood
 from terraphi.inference.records import Record, open_record
 from terraphi.inference.sampling import Drawn, quadrature, sample
-from terraphi.inference.soils import Calibration, KnownSoil
-from terraphi.library.store import PHI, Library, nearest_library
+from terraphi.inference.soils import Calibration, CalibrationSoil
+from terraphi.library.store import PHI, Library, nearest_library, shipped_library
 
 DEFAULT = "sand3d"
 """Library for measured forces."""
@@ -39,8 +38,10 @@ FAR = 4.0
 """Standard normal deviate of chi-square above which a simulated record is a misfit."""
 OUTSIDE = 0.3
 """Probability that φ lies beyond the library's range above which the answer says so."""
+SEVERAL = 1.3
+"""Limit of a residual of several records with one angle, over that of one [-]: legs differ."""
 UNINFORMED = 0.9
-"""Share of the prior's standard deviation above which the forces say nothing about φ."""
+"""Share of the prior's standard deviation above which the posterior counts as the prior [-]."""
 
 
 def invert(
@@ -62,9 +63,9 @@ def invert(
         A CSV (``theta_deg,Fx_N,Fz_N``) or NetCDF file, a shipped measurement such as
         ``"li2013:yuma/c"``, a force history, a DataFrame; or a list of these, of one soil.
     leg
-        Shape of the leg: ``straight``, ``c`` or ``reversed_c``; ``None``: as the forces say.
+        Shape of the leg: ``straight``, ``c`` or ``reversed_c``; ``None``: from the forces' file.
     density
-        Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: as the forces say,
+        Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: from the forces' file,
         else the library's.
     library
         Library, file or shipped name; ``None``: ``sand3d`` for measured forces, for simulated ones
@@ -75,8 +76,8 @@ def invert(
     calibration
         Soils of known friction angle in the same apparatus, or their file.
     simulated
-        Whether the forces are simulated, so that the library's model is exact; ``None``: as they
-        say.
+        Whether the forces are simulated, so that the library's model is exact; ``None``: from
+        their file.
     seed
         Of the draws, where several parameters are inferred.
 
@@ -113,7 +114,7 @@ def _invert(
     began: float,
     **options: Any,
 ) -> Answer:
-    """The same, without a limit on threads."""
+    """Records, library and likelihood of :func:`invert`, and the answer from them."""
     every = list(forces) if isinstance(forces, list | tuple) else [forces]
     records = [without_faults(open_record(one, **options)) for one in every]
     library, reason = _library_for(records, library)
@@ -137,7 +138,7 @@ def calibrate(
     Parameters
     ----------
     forces
-        As of :func:`invert`; each record of a list counts as a soil of this angle.
+        As of :func:`invert`; the records of a list are of one soil.
     phi_deg, phi_sd_deg
         Friction angle in the library's convention and its standard deviation [deg].
     library, options
@@ -148,6 +149,8 @@ def calibrate(
     InputError
         As :func:`invert` does.
     """
+    if not (0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
+        raise InputError(f"phi = {phi_deg:g} ± {phi_sd_deg:g}°; 0 to 90° are accepted")
     every = list(forces) if isinstance(forces, list | tuple) else [forces]
     soils = []
     found: Library | None = None
@@ -157,12 +160,17 @@ def calibrate(
         likelihood = Likelihood([record], found)
         if not likelihood.measured:
             raise InputError(f"{record.source}: simulated forces calibrate nothing")
-        offset = likelihood.offset(record.leg)
+        best = likelihood.least_squares
+        fits = _fits(likelihood, best, {})
+        verdict, why, _ = _verdict(likelihood, fits, best, found, damaged=bool(in_air(likelihood)))
+        if verdict != "consistent":
+            raise InputError(f"{record.source}: cannot calibrate with it. {why}")
+        read = float(best[likelihood.keys.index(PHI)]) + likelihood.offset(record.leg)
+        sd = _sd_without(likelihood, ("model: offset", "model: leg"))
         soils.append(
-            KnownSoil(
+            CalibrationSoil(
                 source=record.source, leg=record.leg, phi_deg=phi_deg, phi_sd_deg=phi_sd_deg,
-                read_deg=float(likelihood.least_squares[0]) + offset,
-                read_sd_deg=_sd_without(likelihood, ("model: offset", "model: leg")),
+                read_deg=read, read_sd_deg=sd,
             )
         )  # fmt: skip
     assert found is not None
@@ -192,27 +200,21 @@ def _attempt(row: dict[str, Any]) -> Answer | InputError:
         return error
 
 
-@functools.cache
-def _shipped(name: str) -> Library:
-    """A shipped library, kept for the next record."""
-    return Library.load(name)
-
-
 def _library_for(
     records: Sequence[Record], library: Library | Path | str | None
 ) -> tuple[Library, str]:
-    """The library to take, and why, if nobody named one."""
+    """The library to take, and why, if none was named."""
     if isinstance(library, Library):
         return library, ""
     if library is not None:
         named = str(library)
-        return (_shipped(named) if named in Library.names() else Library.load(library)), ""
+        return (shipped_library(named) if named in Library.names() else Library.load(library)), ""
     scenarios = [record.scenario for record in records]
     if all(scenario is not None for scenario in scenarios):
         assert scenarios[0] is not None
         found = nearest_library(scenarios[0])
-        return _shipped(found.name), "the nearest to the simulation"
-    return _shipped(DEFAULT), "the default for measured forces"
+        return found, "the nearest to the simulation"
+    return shipped_library(DEFAULT), "the default for measured forces"
 
 
 def _answer(
@@ -243,7 +245,10 @@ def _answer(
         questions.append(f"Library {library.name}: {library.caveat}")
     phi, scenario = parameters.get(PHI), library.cases[0].scenario
     plane, no_plane = _plane_strain(phi, scenario) if phi else (None, "φ was not inferred")
-    sd = [0.0 if r.density_kg_m3 is None else r.density_sd_kg_m3 for r in records]
+    sd = [
+        UNKNOWN_DENSITY * density if r.density_kg_m3 is None else r.density_sd_kg_m3
+        for r, density in zip(records, likelihood.density, strict=True)
+    ]
     return Answer(
         parameters=parameters,
         convention=scenario.convention,
@@ -252,7 +257,11 @@ def _answer(
         verdict=verdict,
         reason=why,
         edge=edge,
-        budget_deg=likelihood.budget(_within(likelihood, middle)) if PHI in keys else {},
+        budget_deg=(
+            likelihood.budget(_within(likelihood, middle))
+            if PHI in keys and likelihood.beyond is None
+            else {}
+        ),
         density_kg_m3=likelihood.density[0],
         density_sd_kg_m3=sd[0],
         density_assumed=records[0].density_kg_m3 is None or records[0].density_assumed,
@@ -297,8 +306,7 @@ def _fits(
     likelihood: Likelihood, middle: FloatArray, parameters: dict[str, Estimate]
 ) -> list[RecordFit]:
     """Each record with the curve at the median, and the curves at the ends of the 95 % interval."""
-    best = likelihood.least_squares if likelihood.measured else middle
-    points = np.stack([middle, middle, best])
+    points = np.stack([middle, middle, middle])
     if PHI in parameters:
         points[:2, likelihood.keys.index(PHI)] = parameters[PHI].ci95
     points[:2] = np.clip(points[:2], likelihood.low, likelihood.high)
@@ -350,7 +358,8 @@ def _verdict(
     )
     edge = _edge(likelihood)
     if edge is not None:
-        low, high = likelihood.low[0], likelihood.high[0]
+        i = likelihood.keys.index(PHI)
+        low, high = likelihood.low[i], likelihood.high[i]
         end, word = (low, "below") if edge == "low" else (high, "above")
         why = (
             f"Out of range: φ lies {word} {end:g}°, the "
@@ -373,16 +382,17 @@ def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
     """A sentence if a record differs from the model by more than real soils do."""
     for fit in fits:
         error = likelihood.errors[fit.leg]
+        limit = error.nrmsd_limit * (SEVERAL if len(fits) > 1 else 1.0)
         best = fit.curve if fit.expected is None else fit.expected
         size = float(_nrmsd(fit.data, best).max())
-        if size > error.nrmsd_limit:
+        if size > limit:
             residual = (fit.data - best) / np.ptp(fit.data, axis=1)[:, None]
             i, j = np.unravel_index(np.abs(residual).argmax(), residual.shape)
             return (
                 f"Misfit: {('Fx', 'Fz')[i]} differs from the model by "
                 f"{100.0 * residual[i, j]:+.0f} % of its range at {fit.theta_deg[j]:.0f}°. The "
-                f"residual is {_percent(size, digits=1)}; of training soils it is at most "
-                f"{_percent(error.nrmsd_limit, digits=1)}. Do not use the angle."
+                f"residual is {_percent(size, digits=1)}; the limit is "
+                f"{_percent(limit, digits=1)}, from training soils. Do not use the angle."
             )
     return ""
 
@@ -405,6 +415,12 @@ def _edge(likelihood: Likelihood) -> str | None:
     """End of the library's range beyond which φ lies, by the forces alone."""
     if PHI not in likelihood.keys:
         return None
+    if likelihood.beyond is not None:
+        return (
+            "high"
+            if likelihood.beyond[0] > 0.5 * (likelihood.low[0] + likelihood.high[0])
+            else "low"
+        )
     i = likelihood.keys.index(PHI)
     read = float(likelihood.least_squares[i])
     sd = _sd_without(likelihood, ("model: offset", "model: leg", "density"))
@@ -434,7 +450,7 @@ def _about(
     if likelihood.measured and verdict != "misfit":
         for record, fit in zip(likelihood.records, fits, strict=True):
             shift = shift_of_theta(record, fit.curve)
-            if abs(shift) > LATE_DEG:
+            if not USUAL_SHIFT_DEG[0] <= shift <= USUAL_SHIFT_DEG[1]:
                 found.append(
                     f"{record.source}: the forces come {abs(shift):.0f}° "
                     f"{'later' if shift > 0 else 'earlier'} than the model's; check the zero of "
@@ -490,10 +506,12 @@ def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     """Angle of measured forces by resistive force theory, as one of plane strain."""
     if not likelihood.measured or SECOND not in Library.names():
         return None
-    other = Likelihood(likelihood.records, _shipped(SECOND))
+    other = Likelihood(likelihood.records, shipped_library(SECOND))
     read = float(other.least_squares[0])
+    if not other.low[0] <= read <= other.high[0]:
+        return None
     estimate = Estimate(read, 0.0, (read - 1.0, read + 1.0), (read - 2.0, read + 2.0))
-    plane, _ = _plane_strain(estimate, _shipped(SECOND).cases[0].scenario)
+    plane, _ = _plane_strain(estimate, shipped_library(SECOND).cases[0].scenario)
     if plane is None:
         return None
     ratio = (plane.ci68[1] - plane.ci68[0]) / 2.0

@@ -5,18 +5,20 @@ x (the friction angle, or several), read and averaged as the records were,
 
     d = g(x) + Σ_t e_t,    e_t ~ N(0, C_t).
 
-| term | covariance |
-|---|---|
-| noise | of the readings, through the windows |
-| emulator | of the curves between the library's cases |
-| particle scatter | between seeds: of a simulated record |
-| cells, speed-up | of the correction to small cells and a slow motion |
-| leg friction, hip height | a standard deviation of each, times how the curves change with it |
-| zero of θ | 1° times dg/dθ |
-| density | its relative standard deviation times g, for forces are proportional to density |
-| model: offset | what looks like another angle: (b² + s²) (∂g/∂φ)(∂g/∂φ)' (`soils`) |
-| model: leg | the same of each leg by itself, l² |
-| model: shape | everything else by which real soils differ |
+========================  ==========================================================================
+term                      covariance
+========================  ==========================================================================
+noise                     of the readings, through the windows
+emulator                  of the curves between the library's cases
+particle scatter          between seeds: of a simulated record
+cells, speed-up           of the correction to small cells and a slow motion
+leg friction, hip height  a standard deviation of each, times how the curves change with it
+zero of θ                 1° times dg/dθ
+density                   relative standard deviation times g, to which forces are proportional
+model: offset             what looks like another angle: (b² + s²) (∂g/∂φ)(∂g/∂φ)' (``soils``)
+model: leg                the same of each leg by itself, l²
+model: shape              everything else by which real soils differ
+========================  ==========================================================================
 
 Those from the corrections on are of measured records; particle scatter is of simulated ones. All
 terms are taken at the best point, so that their size is no evidence of x. For measured records g is
@@ -43,6 +45,7 @@ from functools import cached_property
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import InputError
 from terraphi.inference.emulator import emulator_of
 from terraphi.inference.records import Record
 from terraphi.inference.soils import Calibration, model_error
@@ -58,6 +61,8 @@ UNKNOWN_DENSITY = 0.10
 """Relative standard deviation of a density of which nothing is known [-]."""
 BEYOND_DEG = 12.0
 """How far beyond the library's ends angles are looked for, with forces that continue linearly."""
+FAR_OFF = 3.0
+"""Factor between data and best curve at which no angle fits [-]."""
 STEP = 1e-3
 """Step of numerical derivatives, of a parameter's range [-]."""
 
@@ -95,8 +100,20 @@ class Likelihood:
         self.keys = first.curves.keys
         self._phi = self.keys.index(PHI) if PHI in self.keys else None
         own = first.curves.scenario.soil.density
-        self.density = [record.density_kg_m3 or own for record in records]
+        # A library that varies the density needs no scaling.
+        self._scaled = "soil.density" not in self.keys
+        self.density = [
+            (record.density_kg_m3 or own) if self._scaled else own for record in records
+        ]
         self._ratio = np.array(self.density) / own
+        for record in records:
+            theta = self._curves_of(record).theta_deg
+            if record.theta_deg[0] < theta[0] - 4.4 or record.theta_deg[-1] > theta[-1] + 4.4:
+                raise InputError(
+                    f"library '{library.name}' covers theta from {theta[0]:.0f} to {theta[-1]:.0f} "
+                    f"deg only, {record.source} {record.theta_deg[0]:.0f} to "
+                    f"{record.theta_deg[-1]:.0f} deg; cut the record or build the library anew"
+                )
         self.operators = [r.operator(self._curves_of(r).theta_deg) for r in records]
         ends = np.cumsum([0, *(2 * r.theta_deg.size for r in records)])
         self.parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
@@ -197,6 +214,24 @@ class Likelihood:
             reach[self._phi] = BEYOND_DEG
         return np.clip(x, self.low - reach, self.high + reach)
 
+    @cached_property
+    def beyond(self) -> tuple[float, float] | None:
+        """Where φ lies if no angle within 12° of the library fits [deg]; ``None`` if one does.
+
+        None fits if the best curve ends at the bound, or would have to be three times as large.
+        """
+        if self._phi is None:
+            return None
+        best, i = float(self.least_squares[self._phi]), self._phi
+        low, high = float(self.low[i]), float(self.high[i])
+        curve, data = self.curves(self.least_squares[None])[0] / self.span, self.data / self.span
+        scale = float(curve @ data) / max(float(curve @ curve), 1e-12)
+        if best >= high + 0.999 * BEYOND_DEG or scale > FAR_OFF:
+            return high, high + BEYOND_DEG
+        if best <= low - 0.999 * BEYOND_DEG or abs(scale) < 1.0 / FAR_OFF:
+            return low - BEYOND_DEG, low
+        return None
+
     # -- covariance ------------------------------------------------------------------------------
 
     @cached_property
@@ -233,6 +268,8 @@ class Likelihood:
     @property
     def _density_error(self) -> FloatArray:
         """Relative standard deviation of the density at each window mean [-], shape [n]."""
+        if not self._scaled:
+            return np.zeros(self.data.size)
         of_records = [
             UNKNOWN_DENSITY if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
             for r in self.records

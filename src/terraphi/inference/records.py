@@ -12,6 +12,7 @@ Whatever the readings' spacing, both sides are averaged alike.
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -136,6 +137,22 @@ class Record:
         """W R: turns a curve of means over 1° at leg angles [deg] into window means, [m, n]."""
         return self._windows[1] @ _interpolation(self.history.theta_deg, theta_deg)
 
+    def checked(self) -> Record:
+        """The same record; raises InputError if a force is constant or nearly nothing was read."""
+        for axis, name in zip(self.data, ("Fx", "Fz"), strict=True):
+            if np.ptp(axis) <= 1e-9 * max(float(np.abs(self.data).max()), 1e-300):
+                raise InputError(
+                    f"{self.source}: {name} is the same at every angle; check the sensor"
+                )
+        return self
+
+    def binned(self) -> Record:
+        """The same record, averaged in equal bins of the leg angle if it is long."""
+        history = _binned(self.history)
+        fewer = np.sqrt(len(history.position) / len(self.history.position))
+        noise = (self.noise_N[0] * fewer, self.noise_N[1] * fewer)
+        return replace(self, history=history, noise_N=noise)
+
     def without(
         self, mask: NDArray[np.bool_], notes: Sequence[str], *, damaged: bool = False
     ) -> Record:
@@ -143,7 +160,9 @@ class Record:
         history = self.history
         if mask.any():
             kept = ~mask
-            history = replace(history, position=history.position[kept], force=history.force[kept])
+            history = replace(
+                history, position=history.position[kept], force=history.force[kept], moment=None
+            )
         return replace(
             self,
             history=history,
@@ -190,15 +209,16 @@ def open_record(
         Path of a CSV or NetCDF, ``li2013:MEDIUM/LEG``, a measurement, a force history, or a
         DataFrame with the columns ``theta_deg``, ``Fx_N``, ``Fz_N``.
     leg
-        Shape of the leg; ``None``: as the forces say, else straight.
+        Shape of the leg; ``None``: from the forces' file, else straight.
     density
-        Bulk density [kg/m³], as a number or as ``"1600±80"``; ``None``: as the forces say. Without
-        a standard deviation 5 % are assumed.
+        Bulk density [kg/m³], as a number or as ``"1600±80"``; ``None``: from the forces' file.
+        Without a standard deviation 5 % are assumed.
     noise
         Standard deviation of a reading [N], of both forces or of each; ``None``: from the readings'
         roughness.
     simulated
-        Whether the forces are a simulation's; ``None``: as they say.
+        Whether the forces are a simulation's; ``None``: from
+        their file.
 
     Raises
     ------
@@ -224,21 +244,23 @@ def open_record(
         assumed = False
     if mean is not None and not 100.0 <= mean <= 10_000.0:
         raise InputError(f"density = {mean:g} kg/m³; 100 to 10000 kg/m³ are accepted")
+    if mean is not None and sd is not None and not 0.0 <= sd < mean:
+        raise InputError(f"density = {density}: a standard deviation of 0 to {mean:g} is accepted")
     if made_by is not None and density is None:
         sd = 0.0
     if mean is not None and sd is None:
         sd = DENSITY_SD * mean
     sensor = _noise_N(history)
     if noise is not None:
-        sensor = (noise, noise) if isinstance(noise, int | float) else noise
-    if min(sensor) < 0.0 or max(sensor) > np.ptp(history.force):
+        sensor = (float(noise), float(noise)) if isinstance(noise, numbers.Real) else noise
+    if not all(0.0 <= one <= np.ptp(history.force) for one in sensor):
         raise InputError(
             f"noise = {max(sensor):g} N; 0 N to {np.ptp(history.force):.3g} N, the range of the "
             "forces, is accepted"
         )
-    record = Record(
+    return Record(
         source=known.name,
-        history=_binned(history),
+        history=history,
         leg=leg or known.leg,
         leg_assumed=known.leg_assumed and leg is None,
         density_kg_m3=mean,
@@ -249,14 +271,10 @@ def open_record(
         measurement=str(history.provenance.get("measurement", "")),
         noise_N=sensor,
     )
-    for axis, name in zip(record.data, ("Fx", "Fz"), strict=True):
-        if not np.any(axis):
-            raise InputError(f"{known.name}: {name} is zero at every angle; check the sensor")
-    return record
 
 
 def _measurement(forces: Any) -> Measurement:
-    """What the forces say about themselves."""
+    """Forces with leg and density, from any input."""
     if isinstance(forces, Measurement):
         return forces
     if isinstance(forces, ForceHistory):
@@ -274,7 +292,10 @@ def _measurement(forces: Any) -> Measurement:
         )
     theta, fx, fz = (np.asarray(forces[name], dtype=np.float64) for name in columns)
     order = np.argsort(theta, kind="stable")
-    history = ForceHistory(np.radians(theta[order]), np.stack([fx, fz], axis=1)[order])
+    try:
+        history = ForceHistory(np.radians(theta[order]), np.stack([fx, fz], axis=1)[order])
+    except ValueError as error:
+        raise InputError(f"DataFrame: {error}") from error
     return measurement_of(history, "DataFrame")
 
 

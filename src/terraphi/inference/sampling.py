@@ -29,7 +29,8 @@ class Drawn(NamedTuple):
 def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:
     """Posterior density of φ under a uniform prior, on a grid that resolves its peak.
 
-    The prior reaches from 12° below the library's smallest angle to 12° above its largest.
+    The prior reaches from 12° below the library's smallest angle to 12° above its largest. Where no
+    angle fits even there, the density is uniform over the 12° beyond that end.
 
     Parameters
     ----------
@@ -43,6 +44,9 @@ def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:
     """
     low = max(float(likelihood.low[0]) - BEYOND_DEG, LIMITS_DEG[0])
     high = min(float(likelihood.high[0]) + BEYOND_DEG, LIMITS_DEG[1])
+    if likelihood.beyond is not None:
+        grid = np.linspace(*likelihood.beyond, NODES)
+        return grid, np.full(NODES, 1.0 / BEYOND_DEG)
     # A coarse grid can miss a narrow peak by hundreds of log units; least squares is close to it.
     grid = np.union1d(np.linspace(low, high, 257), likelihood.least_squares)
     for _ in range(3):
@@ -92,15 +96,39 @@ def sample(likelihood: Likelihood, *, seed: int = 0, steps: int = STEPS) -> Draw
     for i, key in enumerate(likelihood.keys):
         values = every[..., i]
         flat = values.reshape(ENSEMBLES, -1)
-        halves = values.reshape(2 * ENSEMBLES, -1)
-        within = halves.var(axis=1, ddof=1).mean()
-        # An ensemble of correlated walkers counts as one chain.
-        between = halves.mean(axis=1).var(ddof=1)
         ess = ENSEMBLES * walkers * (steps - steps // 4) / float(tau[i])
         draws[key] = flat
         diagnostics[key] = {
-            "rhat": float(np.sqrt(1.0 + between / within)),
+            "rhat": split_rhat(values.transpose(0, 2, 1)),
             "ess": ess,
             "tau": float(tau[i]),
         }
     return Drawn(draws, diagnostics)
+
+
+def split_rhat(draws: FloatArray) -> float:
+    """Rank-normalized split-R̂ between ensembles [-] (Vehtari et al., Bayesian Anal. 16:667, 2021).
+
+    Draws have the shape [ensemble, walker, step]. The early and the late half of an ensemble, each
+    pooled over its walkers, count as two chains.
+    The larger of the bulk and the folded value is returned: ensembles that agree in location but
+    not in spread are noticed too. 1 if all draws are equal.
+    """
+    from scipy.special import ndtri
+    from scipy.stats import rankdata
+
+    half = draws.shape[2] // 2
+    halves = np.stack([draws[:, :, :half], draws[:, :, -half:]], axis=1)
+    chains = halves.reshape(2 * len(draws), -1)
+
+    def rhat(values: FloatArray) -> float:
+        ranks = rankdata(values, axis=None).reshape(values.shape)
+        scores = ndtri((ranks - 0.375) / (values.size + 0.25))
+        within = float(scores.var(axis=1, ddof=1).mean())
+        between = float(scores.mean(axis=1).var(ddof=1))
+        if within == 0.0:
+            return 1.0 if between == 0.0 else float(np.finfo(float).max)
+        size = scores.shape[1]
+        return float(np.sqrt((size - 1) / size + between / within))
+
+    return max(rhat(chains), rhat(np.abs(chains - np.median(chains))))

@@ -9,7 +9,8 @@ show none of them: they look like another angle. They are learnt from soils whos
 otherwise, and stand in the library's file.
 
 A calibration is such a soil in the user's own apparatus. With n of them, each with y_i = φ_read,i −
-φ_i − offset and variance v_i = s² + var(φ_i) + var(φ_read,i),
+φ_i − offset and variance v_i = s² + l²/legs + var(φ_i) + var(φ_read,i), where φ_read,i is the mean
+of the soil's records,
 
     1/var(b) = 1/b² + Σ 1/v_i,    E(b) = var(b) Σ y_i / v_i,
 
@@ -18,6 +19,7 @@ so that an interval can only become narrower.
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -42,8 +44,6 @@ class ModelError(Strict):
     """Standard deviation of s, between soils [deg]."""
     leg_sd_deg: float = Field(2.0, ge=0)
     """Standard deviation of l, between legs in one soil [deg]."""
-    nrmsd: float = Field(0.15, gt=0)
-    """Usual residual of a real soil, of peak-to-peak [-]."""
     nrmsd_limit: float = Field(0.25, gt=0)
     """Residual above which a record is a misfit [-]."""
     theta_deg: tuple[float, ...] = ()
@@ -63,11 +63,11 @@ class ModelError(Strict):
 
 
 def model_error(library: Library, leg: str) -> ModelError:
-    """What a library knows of real soils on a leg; cautious defaults where it knows nothing."""
+    """Model error of a leg; wide defaults if the library has none."""
     return ModelError.model_validate(library.model_error.get(leg, {}))
 
 
-class KnownSoil(Strict):
+class CalibrationSoil(Strict):
     """A record in a soil of known friction angle."""
 
     source: str
@@ -91,7 +91,7 @@ class Calibration(Strict):
     """Name of the library."""
     library_hash: str
     """Its hash."""
-    soils: list[KnownSoil] = Field(min_length=1)
+    soils: list[CalibrationSoil] = Field(min_length=1)
     """The records."""
 
     def check(self, library: Library) -> None:
@@ -111,10 +111,18 @@ class Calibration(Strict):
     def common(self, error: ModelError) -> tuple[float, float]:
         """Mean and standard deviation of b, given the known soils [deg]."""
         precision, total = 1.0 / max(error.common_sd_deg, 1e-6) ** 2, 0.0
+        # Records of one soil share s, φ and most of what makes φ_read uncertain.
+        of_soils: dict[tuple[float, float], list[CalibrationSoil]] = {}
         for soil in self.soils:
-            variance = error.soil_sd_deg**2 + soil.phi_sd_deg**2 + soil.read_sd_deg**2
-            precision += 1.0 / max(variance, 1e-6)
-            total += (soil.read_deg - soil.phi_deg - error.offset_deg) / max(variance, 1e-6)
+            of_soils.setdefault((soil.phi_deg, soil.phi_sd_deg), []).append(soil)
+        for (phi, phi_sd), every in of_soils.items():
+            legs = len({one.leg for one in every})
+            of_leg = error.leg_sd_deg**2 / legs
+            of_read = float(np.mean([one.read_sd_deg**2 for one in every]))
+            variance = max(error.soil_sd_deg**2 + of_leg + phi_sd**2 + of_read, 1e-6)
+            read = float(np.mean([one.read_deg for one in every]))
+            precision += 1.0 / variance
+            total += (read - phi - error.offset_deg) / variance
         return total / precision, math.sqrt(1.0 / precision)
 
     def save(self, path: Path | str) -> None:
@@ -123,8 +131,7 @@ class Calibration(Strict):
         for soil in self.soils:
             lines += ["", "[[soils]]"]
             for key, value in soil.model_dump().items():
-                quoted = f'"{value}"'.replace("\\", "/") if isinstance(value, str) else value
-                lines.append(f"{key} = {quoted}")
+                lines.append(f"{key} = {json.dumps(value, ensure_ascii=False)}")
         with replacing(Path(path)) as temporary:
             temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

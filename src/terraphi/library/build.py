@@ -12,9 +12,12 @@ import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+
+from pydantic import ValidationError
 
 from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import held, made_folder
@@ -45,8 +48,8 @@ def build(
     plan
         What to simulate.
     path
-        File of the library. Cases that it holds already, or that an interrupted build left beside
-        it, are not simulated again.
+        File of the library. Cases that it holds already, or that an interrupted build left in
+        FILE.nc.cases, are not simulated again.
     executor
         Runs the cases; ``None`` runs them here, one after another.
     progress
@@ -92,6 +95,15 @@ def build(
         cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in wanted]
         known = {"plan": plan.model_dump(mode="json"), **software(plan.scenario)}
         library = Library(plan.name, tuple(cases), plan.description, plan.caveat, provenance=known)
+        if path.exists():
+            old = Library.load(path)
+            if [c.scenario.hash for c in old.cases] == [scenario.hash for scenario in wanted]:
+                library = replace(
+                    library,
+                    replicates=old.replicates,
+                    corrections=old.corrections,
+                    model_error=old.model_error,
+                )
         library.save(path)
         shutil.rmtree(folder)
     return library
@@ -161,7 +173,10 @@ def _is_current(key: str, history: ForceHistory) -> bool:
     known = history.provenance.get("scenario")
     if known is None:
         return False
-    scenario = Scenario.model_validate(known)
+    try:
+        scenario = Scenario.model_validate(known)
+    except ValidationError:  # of a version with other keys
+        return False
     current = model_version(scenario)
     return scenario.hash == key and history.provenance.get("model_version") == current
 

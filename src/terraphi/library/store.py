@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 from collections.abc import Mapping
@@ -56,7 +57,7 @@ class Curves(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What finer simulations say about the curves of one leg.
+    """Correction of one leg's curves, from finer simulations.
 
     Attributes
     ----------
@@ -131,9 +132,12 @@ class Library:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the scenarios of all cases, hexadecimal."""
-        joined = "".join(case.scenario.hash for case in self.cases)
-        return hashlib.sha256(joined.encode()).hexdigest()
+        """SHA-256 of the scenarios of all cases, corrections and model error, hexadecimal."""
+        digest = hashlib.sha256("".join(case.scenario.hash for case in self.cases).encode())
+        for leg in sorted(self.corrections):
+            digest.update(np.float32(self.corrections[leg].force).tobytes())
+        digest.update(json.dumps(dict(self.model_error), sort_keys=True).encode())
+        return digest.hexdigest()
 
     @property
     def phi_deg_by_leg(self) -> dict[str, tuple[float, float]]:
@@ -196,10 +200,12 @@ class Library:
                 "a material point method or in three-dimensional resistive force theory"
             )
         keys = _varied(chosen)
-        if len(chosen) < 2 * len(keys) + 1 or not keys:
+        if PHI not in keys:
+            raise InputError(f"library '{self.name}' does not vary {PHI} on leg '{leg}'")
+        if len(chosen) < 2 * len(keys) + 1:
             raise InputError(
                 f"library '{self.name}' has {len(chosen)} cases of leg '{leg}', too few to "
-                f"interpolate over {', '.join(keys) or 'the friction angle'}"
+                f"interpolate over {', '.join(keys)}"
             )
         chosen += [case for case in self.replicates if _moved(case, leg)]
         x = np.array([[value_of(case.scenario, key) for key in keys] for case in chosen], float)
@@ -331,7 +337,7 @@ class Library:
             if f"correction_{leg}" not in names:
                 continue
             start = f"modes_{leg}_"
-            modes = {n[len(start) :]: data[n].values for n in names if n.startswith(start)}
+            modes = {n[len(start) :]: data[n].values for n in sorted(names) if n.startswith(start)}
             corrections[leg] = Correction(
                 data[f"{leg}_phi_deg"].values,
                 data["correction_theta_deg"].values,
@@ -406,9 +412,15 @@ def differences(one: Scenario, other: Scenario) -> list[str]:
     return [k for k in {**ours, **theirs} if ours.get(k) != theirs.get(k) and k not in ignored]
 
 
+@functools.cache
+def shipped_library(name: str) -> Library:
+    """A shipped library, kept for the next record."""
+    return Library.load(name)
+
+
 def nearest_library(scenario: Scenario) -> Library:
-    """The shipped library whose scenario differs least from a simulation's, as simulated."""
-    loaded = [Library.load(name) for name in Library.names()]
+    """The shipped library whose scenario differs least from a simulation's."""
+    loaded = [shipped_library(name) for name in Library.names()]
     same_model = [
         one
         for one in loaded

@@ -222,33 +222,6 @@ def effective_sample_size(draws: FloatArray) -> float:
     return float(np.sum(draws.shape[1] * draws.shape[2] / autocorrelation_time(draws)))
 
 
-def split_rhat(draws: FloatArray) -> float:
-    """Rank-normalized split-R̂ between ensembles [-] (Vehtari et al., Bayesian Anal. 16:667, 2021).
-
-    The early and the late half of an ensemble, each pooled over its walkers, count as two chains.
-    The larger of the bulk and the folded value is returned: ensembles that agree in location but
-    not in spread are noticed too. 1 if all draws are equal.
-    """
-    from scipy.special import ndtri
-    from scipy.stats import rankdata
-
-    half = draws.shape[2] // 2
-    halves = np.stack([draws[:, :, :half], draws[:, :, -half:]], axis=1)
-    chains = halves.reshape(2 * len(draws), -1)
-
-    def rhat(values: FloatArray) -> float:
-        ranks = rankdata(values, axis=None).reshape(values.shape)
-        scores = ndtri((ranks - 0.375) / (values.size + 0.25))
-        within = float(scores.var(axis=1, ddof=1).mean())
-        between = float(scores.mean(axis=1).var(ddof=1))
-        if within == 0.0:
-            return 1.0 if between == 0.0 else float(np.finfo(float).max)
-        size = scores.shape[1]
-        return float(np.sqrt((size - 1) / size + between / within))
-
-    return max(rhat(chains), rhat(np.abs(chains - np.median(chains))))
-
-
 def median_standard_error(draws: FloatArray) -> float:
     """Monte Carlo standard error of the median, in the unit of the draws (Vehtari et al. 2021).
 

@@ -2,8 +2,8 @@
 
 Over whole strides the ground pushes up with the robot's weight and pushes it nowhere; the attitude
 turns as the gyroscope does, and feet that stand move as one rigid body, turned likewise. Torques in
-another unit, an attitude that is another's, legs in another order and angles with another zero
-break one of these, and mostly not the others.
+another unit, an attitude that is another's and legs in another order break one of these, and mostly
+not the others.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.robot.forces import FootForces
 from terraphi.robot.friction import HANGING_SHARE
-from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, JointLog
+from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import GRAVITY, Legs, body_rate, rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import Stance
@@ -31,24 +31,10 @@ MOST_PUSH = 0.085
 """Part of the weight with which the feet may push sideways on average [-]."""
 BELIEVABLE_LIFT, BELIEVABLE_PUSH = (0.7, 1.4), 0.12
 """Beyond these, a finding is grave: no payload and no gain of the motors explains it [-]."""
-COARSEST_ANGLE = 0.005
-"""Steps of the angles [rad] beyond which they were rounded."""
-LEAST_SPEED, SOFT_SPEED = 0.01, 0.06
-"""Speed [m/s] below which feet that stand do not slide, and above which soil gives way under them,
-so that sliding does not point to a joint's zero."""
+LEAST_SPEED = 0.01
+"""Speed [m/s] below which feet that stand do not slide."""
 EXCHANGED = 0.75
 """Legs are exchanged if another order leaves less than this part of the sliding [-]."""
-TORQUES_EXCHANGED = 0.5
-"""The same for torques alone: where they are exchanged, feet that swing seem to slide, and the
-right order leaves 0.02 to 0.32; of sound trots on soft sand, other orders leave 0.74 and more."""
-AS_GOOD = 1.5
-"""Orders of the torques that leave this many times the least sliding [-] are as good: feet that
-swing together can be exchanged at will, and the one that moves fewest is named."""
-HELD_UP = 0.005
-"""Feet that bear are lower than when they do not, by as much as they are lifted; if they are higher
-by this [m], torques are those of other feet."""
-OFF_RAD, OFF_GAIN = (0.1, 0.5), 0.1
-"""A joint's zero is off if a shift between these [rad] takes off this part of the sliding."""
 TURN_S = 0.1
 """Attitude and gyroscope are compared over this time [s]: long enough to average noise, short
 against a stride."""
@@ -63,7 +49,6 @@ surely, and if another reading of them leaves less than half of that. Sound ones
 most, even with an attitude that is 20 ms late in a trot."""
 _BEARING = 0.15
 _SAMPLES = 2500
-_UNITS = {1e3: "N mm", 100.0 / GRAVITY: "kgf cm"}
 
 
 class Finding(NamedTuple):
@@ -74,17 +59,13 @@ class Finding(NamedTuple):
     """Whether it makes directions of forces and places of feet useless."""
 
 
-class Balance(NamedTuple):
-    """What the feet do on average over whole strides, as a part of the robot's weight."""
+def balance(
+    forces: FootForces, stances: Sequence[Stance], weight: float
+) -> tuple[float, float] | None:
+    """Mean force of the feet over whole strides, upwards and sideways, in weights of the robot [-].
 
-    lift: float
-    """Upwards [-]; 1 is expected."""
-    push: float
-    """Sideways [-]; 0 is expected."""
-
-
-def balance(forces: FootForces, stances: Sequence[Stance], weight: float) -> Balance | None:
-    """Mean force of the ground on the robot; ``None`` if no sample has those of all feet."""
+    1 and 0 are expected; ``None`` if no sample has the forces of all feet.
+    """
     feet = [stance.foot for stance in stances]
     often = max(FEET, key=feet.count)
     begins = [stance.begin for stance in stances if stance.foot == often]
@@ -93,12 +74,12 @@ def balance(forces: FootForces, stances: Sequence[Stance], weight: float) -> Bal
         known &= (forces.time >= begins[0]) & (forces.time < begins[-1])
     if not known.any():
         return None
-    total = forces.force[known].sum(axis=1, dtype=np.float64).mean(axis=0) / weight
-    return Balance(float(total[2]), float(np.hypot(*total[:2])))
+    x, y, z = forces.force[known].sum(axis=1, dtype=np.float64).mean(axis=0) / weight
+    return float(z), float(np.hypot(x, y))
 
 
 def check(
-    log: JointLog, robot: Quadruped, forces: FootForces, mean: Balance | None
+    log: JointLog, robot: Quadruped, forces: FootForces, mean: tuple[float, float] | None
 ) -> list[Finding]:
     """Compare a log with its robot.
 
@@ -112,52 +93,40 @@ def check(
     InputError
         If the feet pull at the ground, or bear the robot's weight several times over.
     """
-    attitude, angles = _attitude(log), _angles(log)
+    attitude = _attitude(log)
     try:
-        weight = _weight(mean, robot)
+        weight = [] if mean is None else _weight(mean[0], robot)
     except InputError as error:
         # An attitude that is upside down makes the feet pull.
         raise InputError("; and ".join([*(f.text for f in attitude), str(error)])) from error
     if any(finding.grave for finding in attitude):
-        return [*weight, *angles, *attitude]  # with a wrong attitude, feet that stand seem to slide
+        return [*weight, *attitude]  # with a wrong attitude, feet that stand seem to slide
     legs = _legs(log, robot, np.nan_to_num(forces.force[..., 2]))
     if attitude and legs:
         both = f"{attitude[0].text}; or, if they are right, {legs[0].text}"
         attitude, legs = [], [Finding(both, True)]
-    sound = not (legs or weight or angles)
-    if mean is not None and mean.push > MOST_PUSH and sound and forces.frame != "body":
-        push = f"the feet push the robot sideways with {mean.push:.0%} of its weight on average"
+    if legs or weight or mean is None or forces.frame == "body":
+        return [*weight, *attitude, *legs]
+    if mean[1] > MOST_PUSH:
+        push = f"the feet push the robot sideways with {mean[1]:.0%} of its weight on average"
         text = f"{push}: are the angles' zeros and the attitude right?"
-        legs = [Finding(text, mean.push > BELIEVABLE_PUSH)]
-    return [*weight, *angles, *attitude, *legs]
+        legs = [Finding(text, mean[1] > BELIEVABLE_PUSH)]
+    return [*weight, *attitude, *legs]
 
 
-def _weight(mean: Balance | None, robot: Quadruped) -> list[Finding]:
+def _weight(lift: float, robot: Quadruped) -> list[Finding]:
     """Torques in another unit or with another sign, or a robot of another mass."""
-    if mean is None:
-        return []
-    lift, weight = mean.lift, robot.mass * GRAVITY
+    weight = robot.mass * GRAVITY
     bears = f"the feet bear {lift:.3g} times the robot's weight of {weight:.0f} N on average"
     if lift < -HANGING_SHARE:
         raise InputError(f"{bears}; torques that motors exert on joints are expected, not theirs")
     if lift > MOST_WEIGHTS:
-        unit = [n for factor, n in _UNITS.items() if abs(lift / factor - 1.0) < WEIGHT_AGREEMENT]
-        raise InputError(", not ".join([f"{bears}; torques in N m are expected", *unit]))
+        raise InputError(f"{bears}; torques in N m are expected, not N mm or kgf cm")
     if abs(lift - 1.0) <= WEIGHT_AGREEMENT or lift < HANGING_SHARE:
         return []
     text = f"{bears}: are torques about {1.0 / lift:.2g} times as large, or its mass "
     grave = not BELIEVABLE_LIFT[0] < lift < BELIEVABLE_LIFT[1]
     return [Finding(f"{text}{lift * robot.mass:.3g} kg?", grave)]
-
-
-def _angles(log: JointLog) -> list[Finding]:
-    """Angles that were rounded."""
-    steps = np.abs(np.diff(log.angle[: 20 * _SAMPLES].astype(np.float64), axis=0))
-    step = float(steps.min(where=steps > 1e-6, initial=np.inf))
-    if not COARSEST_ANGLE <= step < np.inf:
-        return []
-    text = f"angles come in steps of {step:.2g} rad: forces turn by as much; write more digits"
-    return [Finding(text)]
 
 
 def _attitude(log: JointLog) -> list[Finding]:
@@ -194,19 +163,14 @@ def _attitude(log: JointLog) -> list[Finding]:
     off, turning = unlike(quaternion, felt)
     if turning < LEAST_TURNING or off < SOMEWHAT_UNLIKE:
         return []
-    others = {
-        "the quaternion is that of the world in the body's frame (conjugate)": (
-            quaternion * np.array([1.0, -1.0, -1.0, -1.0]), felt,
-        ),
-        "the quaternion comes as x, y, z, w (w first is expected)": (
-            quaternion[:, [3, 0, 1, 2]], felt,
-        ),
-        "the gyroscope is in degrees per second (rad/s is expected)": (
-            quaternion, np.radians(felt),
-        ),
-        "the gyroscope's signs are reversed": (quaternion, -felt),
-    }  # fmt: skip
-    left = {words: unlike(*other)[0] for words, other in others.items()}
+    conjugate, last = quaternion * np.array([1.0, -1.0, -1.0, -1.0]), quaternion[:, [3, 0, 1, 2]]
+    others = (
+        ("the quaternion is that of the world in the body's frame (conjugate)", conjugate, felt),
+        ("the quaternion comes as x, y, z, w (w first is expected)", last, felt),
+        ("the gyroscope is in degrees per second, not rad/s", quaternion, np.radians(felt)),
+        ("the gyroscope's signs are reversed", quaternion, -felt),
+    )
+    left = {words: unlike(*other)[0] for words, *other in others}
     best = min(left.values())
     disagree = f"attitude and gyroscope disagree by {off:.0%} of how the robot turns"
     if best < 0.5 * off and best < UNLIKE:
@@ -218,7 +182,7 @@ def _attitude(log: JointLog) -> list[Finding]:
 
 
 def _legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[Finding]:
-    """Legs or torques in another order, or a joint whose angle has another zero."""
+    """Legs in another order."""
     if log.angular_velocity is None:
         return []
     every = slice(None, None, max(1, len(log.time) // _SAMPLES))
@@ -233,87 +197,31 @@ def _legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[Finding]:
     load = np.maximum(bears - _BEARING, 0.0)
     if not np.any(np.count_nonzero(load, axis=1) > 1):
         return []
-
-    def moving(angle: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-        # Velocities of the balls' lowest points, as seen from a world in which the body turns in
-        # its place; and heights of the feet.
-        legs = Legs(robot, angle)
-        speed = np.einsum("sfij,sfj->sfi", legs.jacobian(arm), velocity)
-        height = np.einsum("si,sfi->sf", turn[:, 2], legs.place)
-        return speed + np.cross(spin[:, None], legs.place + arm), height
-
-    # Of each foot with the angles of each leg, shape [sample, foot, leg, 3].
+    # Velocities of the balls' lowest points, as seen from a world in which the body turns in its
+    # place, of each foot with the angles of each leg: shape [sample, foot, leg, 3].
     feet, speeds = np.arange(len(FEET)), np.empty((len(angle), 4, 4, 3))
-    height = np.empty((len(angle), 4))
     for shift in range(len(FEET) - 1, -1, -1):
         legs = np.roll(feet, shift)
-        speeds[:, feet, legs], height = moving(angle[:, legs], velocity[:, legs])
-    sliding = _sliding(speeds[:, feet, feet], load)
-    up = _held_up(height, bears)
-    if up > HELD_UP:
-        bear = f"feet that bear are held {1e3 * up:.0f} mm higher than when they do not"
-        text = f"{bear}: torques are of other legs than angles; check the order of the torques"
-        return [Finding(text, True)]
-    size = _size(sliding)
+        found = Legs(robot, angle[:, legs])
+        speed = np.einsum("sfij,sfj->sfi", found.jacobian(arm), velocity[:, legs])
+        speeds[:, feet, legs] = speed + np.cross(spin[:, None], found.place + arm)
+    size = _sliding(speeds[:, feet, feet], load)
     if size < LEAST_SPEED:
         return []
     slide = f"feet that stand slide at {size:.2g} m/s"
     orders = list(itertools.permutations(range(len(FEET))))
-    whole = {o: _size(_sliding(speeds[:, feet, o], load[:, o])) for o in orders}
-    # Of torques alone: who swings seems to bear, whatever the leg that makes the force.
-    torques = {o: _size(_sliding(speeds[:, feet, feet], load[:, o])) for o in orders}
-    best, least = min(whole, key=whole.__getitem__), min(torques.values())
-    if least < min(whole[best], TORQUES_EXCHANGED * size):
-        alike = [_moved(order) for order, value in torques.items() if value <= AS_GOOD * least]
-        other = f"at {least:.2g} m/s if torques were exchanged, such as {min(alike, key=len)}"
-        return [Finding(f"{slide}, and {other}; check the order of the torques", True)]
+    whole = {o: _sliding(speeds[:, feet, o], load[:, o]) for o in orders}
+    best = min(whole, key=whole.__getitem__)
     if whole[best] < EXCHANGED * size:
-        other = f"at {whole[best]:.2g} m/s if legs were exchanged: {_moved(best)}"
+        moved = ", ".join(f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(best) if i != j)
+        other = f"at {whole[best]:.2g} m/s if legs were exchanged: {moved}"
         return [Finding(f"{slide}, and {other}; check the order of the joints", True)]
-    if size > SOFT_SPEED:
-        return []
-    # A joint, or the same one of all legs, whose angle is off by a constant.
-    shifts = {name: np.eye(12)[i].reshape(4, 3) for i, name in enumerate(JOINT_NAMES)}
-    shifts |= {f"every {name}": np.tile(np.eye(3)[j], (4, 1)) for j, name in enumerate(JOINTS)}
-    joint, off, gain = "", 0.0, 0.0
-    for name, shift in shifts.items():
-        slope = (_sliding(moving(angle + 0.02 * shift, velocity)[0], load) - sliding) / 0.02
-        by = float(np.sum(-slope * sliding) / max(float(np.sum(slope**2)), 1e-30))
-        if (less := 1.0 - _size(sliding + by * slope) / size) > gain:
-            joint, off, gain = name, -by, less
-    if gain < OFF_GAIN or not OFF_RAD[0] <= abs(off) <= OFF_RAD[1]:
-        return []
-    other = f"{gain:.0%} less if the angle of {joint} were {off:+.2f} rad off"
-    return [Finding(f"{slide}, and {other}: check the zeros of the joints", True)]
+    return []
 
 
-def _sliding(speed: FloatArray, load: FloatArray) -> FloatArray:
-    """Velocities of loaded feet against their mean, weighted by load, shape [sample, foot, 3]."""
+def _sliding(speed: FloatArray, load: FloatArray) -> float:
+    """Root mean square speed of loaded feet against their mean, weighted by load [m/s]."""
     several = np.count_nonzero(load, axis=1) > 1
     share = load[several] / load[several].sum(axis=1, keepdims=True)
     speed = speed[several] - np.sum(share[..., None] * speed[several], axis=1, keepdims=True)
-    return np.asarray(speed * np.sqrt(share)[..., None])
-
-
-def _size(sliding: FloatArray) -> float:
-    return float(np.sqrt(np.sum(sliding**2) / len(sliding)))
-
-
-def _moved(order: Sequence[int]) -> str:
-    """Legs that stand elsewhere in an order."""
-    return ", ".join(f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(order) if i != j)
-
-
-def _held_up(height: FloatArray, bears: FloatArray) -> float:
-    """How much higher feet are while they bear than while they do not [m].
-
-    Heights are above the mean of all feet, of each foot by itself, so that neither slopes nor
-    stairs matter. ``bears`` is in parts of the robot's weight, shape [sample, foot].
-    """
-    height = height - height.mean(axis=1, keepdims=True)
-    rises = [
-        one[on > _BEARING].mean() - one[on < 0.5 * _BEARING].mean()
-        for one, on in zip(height.T, bears.T, strict=True)
-        if (on > _BEARING).any() and (on < 0.5 * _BEARING).any()
-    ]
-    return float(np.mean(rises)) if rises else 0.0
+    return float(np.sqrt(np.sum(share[..., None] * speed**2) / len(speed)))

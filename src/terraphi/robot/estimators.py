@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Literal, NamedTuple, get_args
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
-from terraphi.robot.friction import JointFriction, smooth_sign
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.legs import GRAVITY, Legs, TrunkMotion, rotation
 from terraphi.robot.model import Quadruped
@@ -33,26 +33,58 @@ OBSERVER_GAIN = 900.0
 MARGIN_S = 30.0 / OBSERVER_GAIN
 """The observer has forgotten, to e⁻³⁰, what is this long ago [s]."""
 _NEGLIGIBLE = 1e-17
+STANDSTILL = 0.05
+"""Velocity below which the sense of Coulomb friction fades [rad/s]."""
 
 
-class Chunk(NamedTuple):
-    """A part of a log to estimate."""
+@dataclass(frozen=True)
+class JointFriction:
+    """Friction and rotor inertia of each joint; each shape [foot, joint].
 
-    rows: slice
-    wide: slice
-    """With the samples before and after that the filters need."""
-    inner: slice
-    """Place of the part within the wide one."""
+    Attributes
+    ----------
+    coulomb
+        [N m].
+    viscous
+        [N m s/rad].
+    inertia
+        Of the rotor, seen from the joint [kg m²].
+    found
+        Whether there was enough swing to find them; they are zero where not.
+    """
+
+    coulomb: FloatArray
+    viscous: FloatArray
+    inertia: FloatArray
+    found: BoolArray
+
+    def torque(self, velocity: FloatArray) -> FloatArray:
+        """Torque lost at joint velocities [rad/s], without the rotor's inertia [N m]."""
+        return self.coulomb * smooth_sign(velocity) + self.viscous * velocity
+
+    def doubt(self, velocity: FloatArray) -> FloatArray:
+        """Coulomb torque whose sign is unknown because the joint hardly moves [N m]."""
+        return self.coulomb * np.sqrt(np.maximum(1.0 - smooth_sign(velocity) ** 2, 0.0))
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers by name, feet and joints, JSON-able; zero where they were not found."""
+        names = {"coulomb_Nm": self.coulomb, "viscous_Nms": self.viscous}
+        return {name: v.tolist() for name, v in (names | {"inertia_kgm2": self.inertia}).items()}
 
 
-def chunks(time: FloatArray, *, size: int = CHUNK) -> Iterator[Chunk]:
-    """Cut a log into parts, each with a margin on both sides."""
+def smooth_sign(velocity: FloatArray) -> FloatArray:
+    """Smooth sign of a velocity, tanh(velocity / :data:`STANDSTILL`)."""
+    return np.tanh(velocity / STANDSTILL)
+
+
+def chunks(time: FloatArray, *, size: int = CHUNK) -> Iterator[tuple[slice, slice]]:
+    """Cut a log into parts: each with a margin on both sides, and its place within that."""
     for start in range(0, len(time), size):
         stop = min(start + size, len(time))
         # Two samples more, for the differences at the margins' ends.
         first = max(int(np.searchsorted(time, time[start] - MARGIN_S)) - 2, 0)
         last = int(np.searchsorted(time, time[stop - 1] + MARGIN_S, side="right")) + 2
-        yield Chunk(slice(start, stop), slice(first, last), slice(start - first, stop - first))
+        yield slice(first, last), slice(start - first, stop - first)
 
 
 class Signals(NamedTuple):
@@ -84,6 +116,11 @@ def signals(log: JointLog, robot: Quadruped, part: slice, *, moving: bool = True
     accelerations = (0.0 * before, after, before) if moving else ()
     legs = Legs(robot, angle, velocity, *accelerations, trunk=trunk)
     return Signals(time, velocity, torque, turn, trunk, slopes, legs)
+
+
+def upward(turn: FloatArray, inverse: FloatArray) -> FloatArray:
+    """Upward force per torque of each joint [1/m], shape [sample, foot, joint]."""
+    return np.asarray(np.einsum("si,sfij->sfj", turn[:, 2], inverse))
 
 
 def trunk_motion(
@@ -139,7 +176,7 @@ def contact_torque(
     if friction is not None:
         rate += friction.inertia * seen.slopes
         values += friction.torque(seen.velocity)
-    return low_pass(seen.time, OBSERVER_GAIN, values=values, slopes=rate, gap=gap)
+    return low_pass(seen.time, OBSERVER_GAIN, values, rate, gap)
 
 
 def friction_terms(seen: Signals, gap: float) -> FloatArray:
@@ -147,23 +184,16 @@ def friction_terms(seen: Signals, gap: float) -> FloatArray:
 
     They multiply Coulomb torque, viscous coefficient and reflected inertia.
     """
-    sign = smooth_sign(seen.velocity)
-    terms: list[dict[str, FloatArray]] = [
-        {"values": sign}, {"values": seen.velocity}, {"slopes": seen.slopes}
-    ]  # fmt: skip
-    columns = [low_pass(seen.time, OBSERVER_GAIN, gap=gap, **term) for term in terms]
+    sign, none = smooth_sign(seen.velocity), np.zeros_like(seen.velocity)
+    terms = (sign, none[1:]), (seen.velocity, none[1:]), (none, seen.slopes)
+    columns = [low_pass(seen.time, OBSERVER_GAIN, *term, gap) for term in terms]
     return np.stack(columns, axis=-1)
 
 
 def low_pass(
-    time: FloatArray,
-    gain: float,
-    *,
-    values: FloatArray | None = None,
-    slopes: FloatArray | None = None,
-    gap: float = math.inf,
+    time: FloatArray, gain: float, values: FloatArray, slopes: FloatArray, gap: float = math.inf
 ) -> FloatArray:
-    """Filter values that are linear between samples, rates that are constant, or their sum.
+    """Filter the sum of values that are linear between samples and rates that are constant there.
 
     Parameters
     ----------
@@ -185,8 +215,7 @@ def low_pass(
     """
     step = np.diff(time)
     forward = lagged(step, gain, values, slopes, gap)
-    values, slopes = (None if each is None else each[::-1] for each in (values, slopes))
-    back = lagged(step[::-1], gain, values, slopes, gap)[::-1]
+    back = lagged(step[::-1], gain, values[::-1], slopes[::-1], gap)[::-1]
     # Next to a gap, and at the record's ends, only the side with a past is of use.
     alone = np.concatenate([[True], step > gap, [True]])
     share = np.where(alone[:-1] & ~alone[1:], 0.0, np.where(alone[1:] & ~alone[:-1], 1.0, 0.5))
@@ -195,11 +224,7 @@ def low_pass(
 
 
 def lagged(
-    step: FloatArray,
-    gain: float,
-    values: FloatArray | None,
-    slopes: FloatArray | None,
-    gap: float = math.inf,
+    step: FloatArray, gain: float, values: FloatArray, slopes: FloatArray, gap: float = math.inf
 ) -> FloatArray:
     """The filter forwards only, over steps [s], which delays by 1/K; shape [sample, ...].
 
@@ -209,19 +234,12 @@ def lagged(
     # Weights of the value at the step's near and far end, from the integral over the step.
     near = 1.0 - (1.0 - decay) / (gain * step)
     decay[step > gap] = 0.0
-    like = slopes if values is None else values
-    assert like is not None, "values or slopes"
-    trailing = (1,) * (like.ndim - 1)
+    trailing = (1,) * (values.ndim - 1)
     decay, near = decay.reshape(-1, *trailing), near.reshape(-1, *trailing)
-    whole = decay == 0.0
-    total = np.zeros((len(decay) + 1, *like.shape[1:]))
-    if values is not None:
-        total[0] = values[0]
-        far = 1.0 - decay - near
-        total[1:] = np.where(whole, values[1:], near * values[1:] + far * values[:-1])
-    if slopes is not None and len(slopes):
-        total[0] += slopes[0]
-        total[1:] += np.where(whole, 0.0, (1.0 - decay) * slopes)
+    total = values.astype(np.float64)
+    added = near * values[1:] + (1.0 - decay - near) * values[:-1] + (1.0 - decay) * slopes
+    total[1:] = np.where(decay == 0.0, values[1:], added)
+    total[:1] += slopes[:1].sum(axis=0)
     # Doubling: after each round, a sample has taken in twice as many of those before it.
     factor = np.concatenate([np.zeros((1, *trailing)), decay])
     reach = 1

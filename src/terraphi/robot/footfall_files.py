@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, replacing, write_netcdf
 from terraphi.experiment.outputs import SIGNATURE
@@ -21,84 +22,70 @@ CI95 = 1.959964
 EARTH_RADIUS = 6_371_000.0
 """[m]."""
 COLUMNS = {
-    "time_s": ("time", "s", "touch-down"),
-    "sinkage_m": ("sinkage", "m", "depth of the foot at the end of the loading"),
-    "phi_deg": ("phi", "degree", "friction angle, by this footfall alone"),
-    "sd_deg": ("sd", "degree", "its own standard deviation (relative)"),
-    "shared_sd_deg": ("shared_sd", "degree", "that it shares with all footfalls"),
-    "chi2": ("misfit", "1", "chi squared over the degrees of freedom"),
-    "path_phi_deg": ("path_phi", "degree", "friction angle, footfalls pooled"),
-    "path_relative_sd_deg": ("path_relative_sd", "degree", "standard deviation, relative"),
-    "path_absolute_sd_deg": ("path_absolute_sd", "degree", "standard deviation, absolute"),
+    "time_s": ("time", None, "s", "touch-down"),
+    "x_m": ("place", 0, "m", "along the first heading"),
+    "y_m": ("place", 1, "m", "to its left"),
+    "surface_m": ("place", 2, "m", "level of the surface"),
+    "sinkage_m": ("sinkage", None, "m", "depth of the foot at the end of the loading"),
+    "phi_deg": ("phi", None, "degree", "friction angle, by this footfall alone"),
+    "sd_deg": ("sd", None, "degree", "its own standard deviation (relative)"),
+    "shared_sd_deg": ("shared_sd", None, "degree", "that it shares with all footfalls"),
+    "chi2": ("misfit", None, "1", "chi squared over the degrees of freedom"),
+    "s_m": ("path", 0, "m", "along the path"),
+    "path_x_m": ("path", 1, "m", "along the first heading"),
+    "path_y_m": ("path", 2, "m", "to its left"),
+    "path_phi_deg": ("path_phi", None, "degree", "friction angle, footfalls pooled"),
+    "path_relative_sd_deg": ("path_relative_sd", None, "degree", "standard deviation, relative"),
+    "path_absolute_sd_deg": ("path_absolute_sd", None, "degree", "standard deviation, absolute"),
 }
-"""Variable of a file to the field of a map that it holds, its unit and meaning."""
-PLACES = {
-    "x_m": ("place", 0, "along the first heading"),
-    "y_m": ("place", 1, "to its left"),
-    "surface_m": ("place", 2, "level of the surface"),
-    "s_m": ("path", 0, "along the path"),
-    "path_x_m": ("path", 1, "along the first heading"),
-    "path_y_m": ("path", 2, "to its left"),
-}
-"""The same for the columns of a field [m]."""
+"""Variable of a file to the field of a map that it holds, the column in it, unit and meaning."""
 TEXTS = {"shared": "shared", "by_law_deg": "by_law", "notes": "notes", "provenance": "provenance"}
 """Attribute of a file to the field that it holds as JSON."""
 
 
-def _number(value: float, digits: int = 4) -> float | None:
-    return round(float(value), digits) if math.isfinite(value) else None
+def _numbers(values: Any, digits: int = 4) -> list[float | None]:
+    return [round(float(v), digits) if math.isfinite(v) else None for v in values]
 
 
-def _over(field: str) -> str:
-    return "point" if field.startswith("path") else "footfall"
-
-
-def _interval(phi: float, half: float) -> list[float | None]:
-    return [_number(phi - half), _number(phi + half)]
+def _bands(phi: FloatArray, sds: dict[str, FloatArray]) -> dict[str, list[list[float | None]]]:
+    """Intervals of 68 and 95 %, by name."""
+    return {
+        f"ci{percent}{kind}": list(
+            map(list, zip(_numbers(phi - factor * sd), _numbers(phi + factor * sd), strict=True))
+        )
+        for kind, sd in sds.items()
+        for percent, factor in ((68, 1.0), (95, CI95))
+    }
 
 
 def summary(found: FootfallMap) -> dict[str, Any]:
     """All numbers, JSON-able; null where there is none.
 
     ``ci68`` and ``ci95`` of a footfall are its relative interval, independent of the others';
-    with ``_absolute``, what it shares with them is in it too.
+    those ``_absolute`` include the uncertainty that it shares with them.
     """
-    whole = np.hypot(found.sd, found.shared_sd)
-    footfalls = [
-        {
-            "t_s": _number(found.time[i], 4),
-            "foot": found.foot[i],
-            "x_m": _number(found.place[i, 0]),
-            "y_m": _number(found.place[i, 1]),
-            "surface_mm": _number(1e3 * found.place[i, 2], 2),
-            "sinkage_mm": _number(1e3 * found.sinkage[i], 2),
-            "phi_deg": None if math.isnan(found.phi[i]) else {
-                "median": _number(found.phi[i]),
-                "ci68": _interval(found.phi[i], found.sd[i]),
-                "ci95": _interval(found.phi[i], CI95 * found.sd[i]),
-                "ci68_absolute": _interval(found.phi[i], whole[i]),
-                "ci95_absolute": _interval(found.phi[i], CI95 * whole[i]),
-            },
-            "chi2": _number(found.misfit[i]),
-            "verdict": verdict,
-        }
-        for i, verdict in enumerate(found.verdict)
-    ]  # fmt: skip
-    columns = zip(("s_m", "x_m", "y_m"), found.path.T, strict=True)
-    path: dict[str, Any] = {name: list(map(_number, column)) for name, column in columns}
-    path["phi_deg"] = list(map(_number, found.path_phi))
-    sds = {"relative": found.path_relative_sd, "absolute": found.path_absolute_sd}
-    for kind, sd in sds.items():
-        for percent, factor in ((68, 1.0), (95, CI95)):
-            band = zip(found.path_phi, factor * sd, strict=True)
-            path[f"ci{percent}_{kind}"] = [_interval(*each) for each in band]
+    x, y, surface = found.place.T
+    bands = _bands(found.phi, {"": found.sd, "_absolute": np.hypot(found.sd, found.shared_sd)})
+    phi = [
+        None if median is None else {"median": median, **{k: v[i] for k, v in bands.items()}}
+        for i, median in enumerate(_numbers(found.phi))
+    ]
+    footfalls = {
+        "t_s": _numbers(found.time), "foot": found.foot, "x_m": _numbers(x), "y_m": _numbers(y),
+        "surface_mm": _numbers(1e3 * surface, 2), "sinkage_mm": _numbers(1e3 * found.sinkage, 2),
+        "phi_deg": phi, "chi2": _numbers(found.misfit), "verdict": found.verdict,
+    }  # fmt: skip
+    sds = {"_relative": found.path_relative_sd, "_absolute": found.path_absolute_sd}
+    path = dict(zip(("s_m", "x_m", "y_m"), map(_numbers, found.path.T), strict=True))
     return {
         "law": found.provenance.get("law"),
         "counts": found.counts(),
-        "footfalls": footfalls,
-        "path": path,
+        "footfalls": [
+            dict(zip(footfalls, row, strict=True)) for row in zip(*footfalls.values(), strict=True)
+        ],
+        "path": {**path, "phi_deg": _numbers(found.path_phi), **_bands(found.path_phi, sds)},
         "shared": found.shared,
-        "by_law_deg": {name: _number(value) for name, value in found.by_law.items()},
+        "by_law_deg": dict(zip(found.by_law, _numbers(found.by_law.values()), strict=True)),
         "notes": list(found.notes),
     }
 
@@ -109,14 +96,14 @@ def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
     Parameters
     ----------
     found
-        What :func:`~terraphi.robot.footfalls.find_footfalls` found.
+        A map of :func:`~terraphi.robot.footfalls.footfalls`.
     path
         The NetCDF to make or replace; the others have its name with ``.geojson`` and ``.csv``.
 
     Returns
     -------
     tuple of Path
-        What was written.
+        The files.
 
     Raises
     ------
@@ -126,72 +113,63 @@ def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
     import pandas as pd
     import xarray as xr
 
-    variables: dict[str, Any] = {
-        name: (_over(field), getattr(found, field), {"units": units, "long_name": about})
-        for name, (field, units, about) in COLUMNS.items()
-    }
-    variables |= {
-        name: (_over(field), getattr(found, field)[:, i], {"units": "m", "long_name": about})
-        for name, (field, i, about) in PLACES.items()
-    }
+    variables: dict[str, Any] = {}
+    for name, (field, column, units, about) in COLUMNS.items():
+        values = getattr(found, field)
+        values = values if column is None else values[:, column]
+        over = "point" if field.startswith("path") else "footfall"
+        variables[name] = (over, values, {"units": units, "long_name": about})
     variables["foot"] = ("footfall", np.array(found.foot, dtype="U2"))
     variables["verdict"] = ("footfall", np.array(found.verdict, dtype="U24"))
     texts = {name: json.dumps(getattr(found, field)) for name, field in TEXTS.items()}
-    dataset = xr.Dataset(
-        variables, attrs={"terraphi_file": KIND, "terraphi_schema": SCHEMA, **texts}
-    ).set_coords("s_m")
+    attributes = {"terraphi_file": KIND, "terraphi_schema": SCHEMA, **texts}
     names = path, path.with_suffix(".geojson"), path.with_suffix(".csv")
-    write_netcdf(dataset, names[0])
-    table = {
-        "t_s": found.time, "foot": found.foot,
-        **dict(zip(("x_m", "y_m", "surface_m"), found.place.T, strict=True)),
-        "sinkage_m": found.sinkage, "phi_deg": found.phi, "sd_deg": found.sd,
-        "shared_sd_deg": found.shared_sd, "verdict": found.verdict,
-    }  # fmt: skip
+    write_netcdf(xr.Dataset(variables, attrs=attributes).set_coords("s_m"), path)
+    columns = ("time_s", "foot", "x_m", "y_m", "surface_m", "sinkage_m", "phi_deg", "sd_deg",
+               "shared_sd_deg", "verdict")  # fmt: skip
+    table = pd.DataFrame({name: variables[name][1] for name in columns})
+    table = table.rename(columns={"time_s": "t_s"})
     with replacing(names[2]) as temporary, temporary.open("w", newline="") as stream:
         stream.write(f"# {SIGNATURE}: footfalls; x, y from the robot's first place and heading\n")
-        pd.DataFrame(table).to_csv(stream, index=False, float_format="%.4f", lineterminator="\n")
+        table.to_csv(stream, index=False, float_format="%.4f", lineterminator="\n")
     with replacing(names[1]) as temporary:
         temporary.write_text(json.dumps(_geojson(found), ensure_ascii=False), encoding="utf-8")
     return names
 
 
 def read_footfalls(path: Path) -> FootfallMap:
-    """Read what :func:`write_footfalls` wrote; raises InputError if it is not whole."""
+    """Read a file of :func:`write_footfalls`; raises InputError if it is not whole."""
     data = open_netcdf(path, kind=KIND, schema=SCHEMA)
     try:
-        fields: dict[str, Any] = {f: data[name].values for name, (f, *_) in COLUMNS.items()}
+        columns: dict[str, list[FloatArray]] = {}
+        for name, (field, *_) in COLUMNS.items():
+            columns.setdefault(field, []).append(data[name].values)
+        fields: dict[str, Any] = {
+            field: np.column_stack(each) if len(each) > 1 else each[0]
+            for field, each in columns.items()
+        }
         fields |= {f: json.loads(data.attrs[name]) for name, f in TEXTS.items()}
-        for whole in ("place", "path"):
-            names = [name for name, (field, *_) in PLACES.items() if field == whole]
-            fields[whole] = np.column_stack([data[name].values for name in names])
         fields |= {name: tuple(map(str, data[name].values)) for name in ("foot", "verdict")}
-        found = FootfallMap(**{**fields, "notes": tuple(fields["notes"])})
-        unknown = set(found.verdict) - set(VERDICTS)
-        if unknown:
+        fields["notes"] = tuple(fields["notes"])
+        if unknown := set(fields["verdict"]) - set(VERDICTS):
             raise ValueError(f"verdict {unknown.pop()!r}")
     except (KeyError, TypeError, ValueError) as error:
         why = f"{path}: not as terraphi writes footfalls ({error}); make it again"
         raise InputError(why) from error
-    return found
+    return FootfallMap(**fields)
 
 
 def _geojson(found: FootfallMap) -> dict[str, Any]:
     """Footfalls as points, metres east and north of (0°, 0°) as degrees: a map without a place."""
-    degrees = 180.0 / (math.pi * EARTH_RADIUS)
+    degrees = found.place[:, :2] * 180.0 / (math.pi * EARTH_RADIUS)
+    keys = ("t_s", "foot", "x_m", "y_m", "sinkage_mm", "phi_deg", "verdict")
     features = [
         {
             "type": "Feature",
-            "geometry": {
-                "type": "Point",
-                "coordinates": [round(float(v) * degrees, 9) for v in found.place[i, :2]],
-            },
-            "properties": {
-                key: entry[key]
-                for key in ("t_s", "foot", "x_m", "y_m", "sinkage_mm", "phi_deg", "verdict")
-            },
+            "geometry": {"type": "Point", "coordinates": _numbers(place, 9)},
+            "properties": {key: entry[key] for key in keys},
         }
-        for i, entry in enumerate(summary(found)["footfalls"])
+        for place, entry in zip(degrees, summary(found)["footfalls"], strict=True)
     ]
     about = (
         f"{SIGNATURE}; a log has no place on earth: x_m and y_m are metres from the robot's first "

@@ -17,7 +17,7 @@ This is the one module of the folder that uses force laws.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -106,19 +106,10 @@ SHARED = (*SENSORS, *SOIL)
 
 def shared_sd(prior: Prior) -> FloatArray:
     """Standard deviations of :data:`SHARED`, in their units."""
-    return np.array(
-        [prior.gain_sd] * 12
-        + [prior.friction_sd] * 12
-        + [
-            prior.drop_sd,
-            prior.density_sd / prior.density,
-            prior.surface_friction_sd,
-            prior.radius_sd,
-            prior.law_sd_deg,
-            prior.exponent_sd,
-            prior.slope_sd,
-        ]
-    )
+    p = prior
+    soil = [p.density_sd / p.density, p.surface_friction_sd, p.radius_sd]
+    law = [p.law_sd_deg, p.exponent_sd, p.slope_sd]
+    return np.array([p.gain_sd] * 12 + [p.friction_sd] * 12 + [p.drop_sd, *soil, *law])
 
 
 class Fit(NamedTuple):
@@ -130,8 +121,6 @@ class Fit(NamedTuple):
         Mode of φ [deg].
     sd
         Its standard deviation, with what is shared known [deg].
-    level, drift
-        Modes of z₀ [m] and w [m/s].
     sinkage
         Depth of the lowest point at the end of the loading [m].
     gained
@@ -145,8 +134,6 @@ class Fit(NamedTuple):
 
     phi: FloatArray
     sd: FloatArray
-    level: FloatArray
-    drift: FloatArray
     sinkage: FloatArray
     gained: FloatArray
     misfit: FloatArray
@@ -154,7 +141,7 @@ class Fit(NamedTuple):
 
 
 def predicted(
-    law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray, **changed: float
+    law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray, exponent: float = 0.0
 ) -> FloatArray:
     """Upward force of the law [N], shape [touchdown, sample].
 
@@ -166,20 +153,18 @@ def predicted(
         The touch-downs.
     state
         φ [deg], z₀ [m] and w [m/s], shape [touchdown, 3].
-    **changed
-        Other values of the prior's ``density``, ``surface_friction`` or ``radius``, and
-        ``exponent``.
+    exponent
+        Of the depth over :data:`REFERENCE_DEPTH`, a factor on the law [-].
     """
     depth = seen.drop + state[:, 1:2] + state[:, 2:3] * seen.time
     lift = law.force(
-        Foot(changed.get("radius", prior.radius), prior.shape),  # type: ignore[arg-type]
+        Foot(prior.radius, prior.shape),  # type: ignore[arg-type]
         depth,
         seen.descent,
         friction_angle_deg=state[:, :1],
-        density=changed.get("density", prior.density),
-        surface_friction=changed.get("surface_friction", prior.surface_friction),
+        density=prior.density,
+        surface_friction=prior.surface_friction,
     )[..., 1]
-    exponent = changed.get("exponent", 0.0)
     if exponent:
         lift = lift * (np.maximum(depth, 1e-4) / REFERENCE_DEPTH) ** exponent
     return np.asarray(lift, dtype=np.float64)
@@ -208,7 +193,7 @@ def fit(seen: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     Parameters
     ----------
     seen
-        The touch-downs, none or more; those without used samples come out at the prior.
+        The touch-downs, one or more; those without used samples come out at the prior.
     law
         One of :data:`~terraphi.forward.foot.LAWS`, by its name, or another.
     prior
@@ -220,8 +205,8 @@ def fit(seen: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     """
     known = LAWS[law] if isinstance(law, str) else law
     parts = [
-        _fit(seen.part(slice(i, i + BLOCK)), known, prior)
-        for i in range(0, max(len(seen.foot), 1), BLOCK)
+        _fit(Touchdowns._make(column[i : i + BLOCK] for column in seen), known, prior)
+        for i in range(0, len(seen.foot), BLOCK)
     ]
     return Fit(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
@@ -256,33 +241,6 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
         damping = np.clip(np.where(better, damping * 0.2, damping * 8.0), 1e-9, 1e6)
         if better.all() and moved < 1e-4:
             break
-    return _at_mode(seen, law, prior, state, weight, precision, left)
-
-
-def _slopes(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> FloatArray:
-    """Derivatives of forces by (φ, z₀, w), shape [touchdown, sample, 3]."""
-    by_phi = _difference(law, prior, seen, state, np.array([0.1, 0.0, 0.0]))
-    by_level = _difference(law, prior, seen, state, np.array([0.0, 1e-4, 0.0]))
-    slope = np.stack([by_phi, by_level, by_level * seen.time], axis=-1)
-    return np.where(seen.used[..., None], slope, 0.0)
-
-
-def _difference(
-    law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray, step: FloatArray
-) -> FloatArray:
-    after, before = (predicted(law, prior, seen, state + s * step) for s in (1.0, -1.0))
-    return np.asarray((after - before) / (2.0 * step.sum()))
-
-
-def _at_mode(
-    seen: Touchdowns,
-    law: FootLaw,
-    prior: Prior,
-    state: FloatArray,
-    weight: FloatArray,
-    precision: FloatArray,
-    left: FloatArray,
-) -> Fit:
     slope = _slopes(law, prior, seen, state)
     weighted = np.einsum("nki,nkl->nil", slope, weight)
     covariance = np.linalg.inv(weighted @ slope + precision)
@@ -296,17 +254,27 @@ def _at_mode(
         shared[rows, 12 + column] = np.einsum("nl,nl->n", gain, seen.per_friction[..., joint])
     # How far φ̂ is off where the truth is above what is assumed: forces are higher than expected
     # by so much, and a drop that reads too large makes the expected ones too high.
-    rises = {"drop": -slope[..., 1] * seen.drop} | _of_soil(law, prior, seen, state)
+    rises = {"drop": -slope[..., 1] * seen.drop}
+    for name, key, step, scale in (
+        ("log_density", "density", 0.01 * prior.density, prior.density),
+        ("surface_friction", "surface_friction", 0.05, 1.0),
+        ("radius", "radius", 2e-4, 1.0),
+    ):
+        after, before = (
+            predicted(law, replace(prior, **{key: getattr(prior, key) + s}), seen, state)
+            for s in (step, -step)
+        )
+        rises[name] = (after - before) * scale / (2.0 * step)
+    after, before = (predicted(law, prior, seen, state, exponent) for exponent in (0.05, -0.05))
+    rises["law_exponent"] = (after - before) / 0.1
     for name, rise in rises.items():
         shared[:, SHARED.index(name)] = np.einsum("nl,nl->n", gain, rise)
     shared[:, SHARED.index("law_offset")] = 1.0
     shared[:, SHARED.index("law_slope")] = state[:, 0] - prior.phi_deg
     chi = np.einsum("nk,nkl,nl->n", left, weight, left)
-    free = np.maximum(seen.used.sum(axis=1) - 2.0, 1.0)
-    misfit = chi / free
+    misfit = chi / np.maximum(seen.used.sum(axis=1) - 2.0, 1.0)
     depth = seen.drop + state[:, 1:2] + state[:, 2:3] * seen.time
-    depth = np.where(seen.used, depth, -np.inf)
-    sinkage = depth.max(axis=1, initial=-np.inf)
+    sinkage = np.where(seen.used, depth, -np.inf).max(axis=1, initial=-np.inf)
     force = np.where(seen.used, seen.force, 0.0)
     end = force.max(axis=1, keepdims=True, initial=0.0)
     rising = seen.used & (force > end / 6.0)
@@ -314,24 +282,17 @@ def _at_mode(
     bottom = np.where(rising, seen.drop, -np.inf).max(axis=1, initial=-np.inf)
     top = np.where(rising, seen.drop, np.inf).min(axis=1, initial=np.inf)
     sd = np.sqrt(covariance[:, 0, 0] * np.maximum(misfit, 1.0))
-    found = np.isfinite(sinkage)
-    sinkage = np.where(found, sinkage, 0.0)
+    sinkage = np.where(np.isfinite(sinkage), sinkage, 0.0)
     gained = np.where(rising.any(axis=1), bottom - top, 0.0)
-    return Fit(state[:, 0], sd, state[:, 1], state[:, 2], sinkage, gained, misfit, shared)
+    return Fit(state[:, 0], sd, sinkage, gained, misfit, shared)
 
 
-def _of_soil(
-    law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray
-) -> dict[str, FloatArray]:
-    """Derivatives of forces by what they share of soil, foot and law, by its name."""
-    made = {}
-    for name, key, centre, step, scale in (
-        ("log_density", "density", prior.density, 0.01 * prior.density, prior.density),
-        ("surface_friction", "surface_friction", prior.surface_friction, 0.05, 1.0),
-        ("radius", "radius", prior.radius, 2e-4, 1.0),
-        ("law_exponent", "exponent", 0.0, 0.05, 1.0),
-    ):
-        after = predicted(law, prior, seen, state, **{key: centre + step})
-        before = predicted(law, prior, seen, state, **{key: centre - step})
-        made[name] = (after - before) * scale / (2.0 * step)
-    return made
+def _slopes(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> FloatArray:
+    """Derivatives of forces by (φ, z₀, w), shape [touchdown, sample, 3]."""
+    by_phi, by_level = (
+        (predicted(law, prior, seen, state + step) - predicted(law, prior, seen, state - step))
+        / (2.0 * step.sum())
+        for step in (np.array([0.1, 0.0, 0.0]), np.array([0.0, 1e-4, 0.0]))
+    )
+    slope = np.stack([by_phi, by_level, by_level * seen.time], axis=-1)
+    return np.where(seen.used[..., None], slope, 0.0)

@@ -13,6 +13,11 @@ not grow into certainty with the length of a log. They do not teach soil, foot a
 slope of the law differs from another field in nothing but the field's prior. So θ otherwise keeps
 its prior and moves the map as a whole, until there is an anchor: a cut posterior.
 
+Gains of the motors and friction of the joints come from the robot's own weight first
+(:func:`weigh`): at every moment Σ F_z = m (g + a_z). The upward forces are linear in errors of the
+torques' gains and in friction that was not accounted for, so the times in which different legs
+carry different shares separate the errors by linear least squares with priors.
+
 Two bands come out. **Relative**: soil, foot and law taken as assumed (density, surface friction,
 radius, law at their most probable values), as when places of one walk are compared. **Absolute**:
 all that is shared is uncertain.
@@ -26,7 +31,9 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.robot.footfall_fit import SENSORS, TORQUES
+from terraphi.robot.footfall_fit import SENSORS, TORQUES, Prior, shared_sd
+from terraphi.robot.legs import GRAVITY
+from terraphi.robot.touchdowns import Sensitivity
 
 FIELD_MEAN_SD = 8.0
 """Of the process's mean about the prior's [deg]."""
@@ -41,6 +48,16 @@ ANCHOR_POINTS = 9
 """Points that stand for an anchor's stretch."""
 MOST = 6000
 """Footfalls that are pooled at most, evenly chosen: memory grows with the square."""
+
+AVERAGED_S = 0.05
+"""Forces are averaged over this time, which counts as one weighing [s]."""
+MASS_SD = 0.02
+"""What the robot weighs is known to this part: battery, payload [-]."""
+LEAST_NOISE = 0.01
+"""Of a weighing, as a part of the weight [-]."""
+MOST_NEWS = 100.0
+"""Weighings at most that count as independent: a gait repeats itself, and what the weight leaves
+out, such as the legs' own swinging, does so too. A longer log is not surer."""
 
 
 class Anchor(NamedTuple):
@@ -111,6 +128,69 @@ class Shared(NamedTuple):
     covariance: FloatArray
 
 
+def weigh(
+    time: FloatArray,
+    lift: FloatArray,
+    lift_acceleration: FloatArray,
+    per: Sensitivity,
+    prior: Prior,
+    *,
+    mass: float,
+) -> Shared:
+    """Compare the feet's forces with the weight.
+
+    Parameters
+    ----------
+    time
+        [s], shape [sample].
+    lift
+        Upward forces on the feet [N], shape [sample, foot]; not a number where unknown.
+    lift_acceleration
+        Of the trunk [m/s²], shape [sample].
+    per
+        What errors of the torques add to the forces.
+    prior
+        Of all that footfalls share.
+    mass
+        Of the robot [kg].
+
+    Returns
+    -------
+    Shared
+        The prior with gains and friction of the torques as the weight has them; as it was, where
+        no sample is known or the robot does not stand on its feet.
+    """
+    each, n = shared_sd(prior), len(TORQUES)
+    shared, sd = Shared(np.zeros(len(each)), np.diag(each**2)), each[:n]
+    weight = mass * GRAVITY
+    known = np.isfinite(lift).all(axis=1)
+    if known.sum() < 2:
+        return shared
+    errors = np.concatenate([per.gain.reshape(-1, 12), per.friction.reshape(-1, 12)], axis=1)
+    # The last column is the relative error of the mass itself.
+    expected = mass * (GRAVITY + lift_acceleration)
+    rows = np.column_stack([lift.sum(axis=1) - expected, errors, expected])[known]
+    number = np.floor((time[known] - time[known][0]) / AVERAGED_S).astype(np.int64)
+    starts = np.flatnonzero(np.diff(number, prepend=-1))
+    counts = np.diff(np.append(starts, len(rows)))
+    rows = np.add.reduceat(rows, starts) / counts[:, None]
+    bears = np.abs(rows[:, 0]) < 0.4 * weight
+    if bears.sum() < 20 or bears.mean() < 0.5:
+        return shared
+    rows = rows[bears]
+    precision = np.diag(np.append(sd, MASS_SD) ** -2.0)
+    noise = 0.1 * weight
+    covariance, mean = np.linalg.inv(precision), np.zeros(len(sd) + 1)
+    for _ in range(3):
+        share = min(1.0, MOST_NEWS / len(rows)) / noise**2
+        covariance = np.linalg.inv(share * rows[:, 1:].T @ rows[:, 1:] + precision)
+        mean = share * covariance @ rows[:, 1:].T @ rows[:, 0]
+        left = rows[:, 0] - rows[:, 1:] @ mean
+        noise = max(LEAST_NOISE * weight, 1.4826 * float(np.median(np.abs(left))))
+    shared.mean[:n], shared.covariance[:n, :n] = mean[:-1], covariance[:-1, :-1]
+    return shared
+
+
 def covariance(a: FloatArray, b: FloatArray, amplitude: float, length: float) -> FloatArray:
     """Matérn covariance of smoothness 5/2 between places [m], with the unknown mean's [deg²]."""
     apart = np.sqrt(((a[:, None] - b[None]) ** 2).sum(axis=-1)) * (math.sqrt(5.0) / length)
@@ -145,20 +225,23 @@ def pool(
     -------
     Pooled
     """
+    from scipy.linalg import block_diag
+
     kept = _some(seen, MOST)
     n = len(SENSORS)
     amplitude, length, scatter = _learnt(kept, shared, mean)
     shared = _taught(kept, shared, amplitude, length, scatter, mean)
-    system = _System(kept, amplitude, length, scatter, mean)
     stretches = [points for _, points in anchors]
     # Rows: the path's points, then each anchor's stretch as the mean of its points.
-    average = np.zeros((len(path) + len(anchors), len(path) + sum(map(len, stretches))))
-    average[: len(path), : len(path)] = np.eye(len(path))
-    at = len(path)
-    for i, points in enumerate(stretches):
-        average[len(path) + i, at : at + len(points)] = 1.0 / len(points)
-        at += len(points)
-    found, spread, moves = system.at(np.concatenate([path, *stretches]), average)
+    means = [np.full((1, len(points)), 1.0 / len(points)) for points in stretches]
+    average = block_diag(np.eye(len(path)), *means)
+    # Posterior mean and covariance of these averages of φ, and their S, θ known.
+    places = np.concatenate([path, *stretches])
+    lower = np.asarray(np.linalg.cholesky(_observed(kept, amplitude, length, scatter)))
+    half = _solve(lower, (average @ covariance(places, kept.place, amplitude, length)).T)
+    weights = half.T @ _solve(lower, np.column_stack([kept.phi - mean, kept.shared]))
+    before = average @ covariance(places, places, amplitude, length) @ average.T
+    found, spread, moves = mean + weights[:, 0], before - half.T @ half, weights[:, 1:]
     relative = np.diag(spread) + _spread(moves[:, :n], shared.covariance[:n, :n])
     # φ = found − moves (θ − θ₀): anchors are seen now, footfalls have been.
     theta = shared.covariance
@@ -195,28 +278,11 @@ def _spread(rows: FloatArray, matrix: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("ni,ij,nj->n", rows, matrix, rows).clip(0.0))
 
 
-class _System:
-    """Covariance of the footfalls with what they share known, and what follows from it."""
-
-    def __init__(
-        self, seen: Observed, amplitude: float, length: float, scatter: float, mean: float
-    ) -> None:
-        self._seen, self._mean = seen, mean
-        self._amplitude, self._length = amplitude, length
-        matrix = covariance(seen.place, seen.place, amplitude, length)
-        matrix[np.diag_indices(len(matrix))] += seen.sd**2 + scatter**2
-        self._lower = np.asarray(np.linalg.cholesky(matrix))
-
-    def at(
-        self, places: FloatArray, average: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Posterior mean and covariance of averages of φ over places, and their S."""
-        cross = covariance(places, self._seen.place, self._amplitude, self._length)
-        half = _solve(self._lower, (average @ cross).T)
-        before = average @ covariance(places, places, self._amplitude, self._length) @ average.T
-        weights = half.T @ _solve(self._lower, np.column_stack([self._seen.phi - self._mean,
-                                                                self._seen.shared]))  # fmt: skip
-        return self._mean + weights[:, 0], before - half.T @ half, weights[:, 1:]
+def _observed(seen: Observed, amplitude: float, length: float, scatter: float) -> FloatArray:
+    """Covariance of footfalls, the quantities that they share known [deg²]."""
+    matrix = covariance(seen.place, seen.place, amplitude, length)
+    matrix[np.diag_indices(len(matrix))] += seen.sd**2 + scatter**2
+    return matrix
 
 
 def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:
@@ -238,8 +304,7 @@ def _taught(
     """What is shared, after footfalls have taught the errors of the torques."""
     part, n = _some(seen, TEACHERS), len(TORQUES)
     each, torques = part.shared[:, :n], shared.covariance[:n, :n]
-    matrix = covariance(part.place, part.place, amplitude, length) + each @ torques @ each.T
-    matrix[np.diag_indices(len(matrix))] += part.sd**2 + scatter**2
+    matrix = _observed(part, amplitude, length, scatter) + each @ torques @ each.T
     gain = np.linalg.solve(matrix, each @ torques).T
     centre, spread = shared.mean.copy(), shared.covariance.copy()
     centre[:n] += gain @ (part.phi - mean - part.shared @ shared.mean)
@@ -260,8 +325,7 @@ def _learnt(seen: Observed, shared: Shared, mean: float) -> tuple[float, float, 
 
     def surprise(logs: FloatArray) -> float:
         amplitude, length, scatter = np.exp(logs)
-        matrix = covariance(part.place, part.place, amplitude, length) + common
-        matrix[np.diag_indices(len(left))] += part.sd**2 + scatter**2
+        matrix = _observed(part, amplitude, length, scatter) + common
         lower = np.asarray(np.linalg.cholesky(matrix))
         half = _solve(lower, left)
         prior = (((logs - centre) / width) ** 2).sum()

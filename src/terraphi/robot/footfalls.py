@@ -4,34 +4,25 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd, plain_number
-from terraphi.robot.footfall_fit import (
-    LAW_SETS,
-    PHI_RANGE,
-    SHARED,
-    Fit,
-    Prior,
-    fit,
-)
-from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool
+from terraphi.robot.footfall_fit import LAW_SETS, PHI_RANGE, SHARED, Fit, Prior, fit
+from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool, weigh
 from terraphi.robot.forces import without_broken_accelerometer
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import rotation
 from terraphi.robot.model import Quadruped
-from terraphi.robot.odometry import Motion, track
-from terraphi.robot.results import analyse, opened
-from terraphi.robot.touchdowns import FEWEST, Touchdowns, sensitivity, touchdowns
-from terraphi.robot.weighing import weigh
+from terraphi.robot.results import foot_forces
+from terraphi.robot.touchdowns import FEWEST, Motion, Touchdowns, sensitivity, touchdowns, track
 
 USABLE = "usable"
 SHALLOW, TRODDEN, MISFIT = "too little sinkage", "not virgin ground", "the law does not fit"
@@ -124,13 +115,14 @@ class FootfallMap:
         return {v: self.verdict.count(v) for v in VERDICTS if v in self.verdict}
 
 
-def find_footfalls(
+def footfalls(
     log: Path | str | JointLog,
     *,
     robot: Quadruped | Path | str = "go2",
+    density: str | float | None = None,
     law: str = "rft",
     prior: Prior | None = None,
-    anchors: Sequence[Anchor] = (),
+    anchors: Sequence[Anchor | str] = (),
     **reading: Any,
 ) -> FootfallMap:
     """φ under each footfall of a walk, and a map of it along the path.
@@ -138,17 +130,19 @@ def find_footfalls(
     Parameters
     ----------
     log
-        A file or folder that :func:`~terraphi.robot.logs.read_log` reads, or what it read.
+        A file or folder that :func:`~terraphi.robot.logs.read_log` reads, or its result.
     robot
         The robot, or its name, TOML, URDF or MJCF.
+    density
+        Bulk density of the soil [kg/m³], such as ``1550`` (5 % uncertain) or ``"1550±80"``.
+        ``None``: that of the prior, with a note.
     law
         One of :data:`~terraphi.robot.footfall_fit.LAW_SETS`: the results of several laws are
         averaged.
     prior
-        What is known of soil, foot, sensors and law; the foot's radius is the robot's. ``None``:
-        the usual, with a note that the density is assumed.
+        Distributions of soil, foot, sensors and law; the foot's radius is the robot's.
     anchors
-        Friction angles known on stretches of the path.
+        Friction angles known on stretches of the path, such as ``"x=0:0.5,phi=34±1"``.
     **reading
         ``topic``, ``joint_names`` and ``columns`` of :func:`~terraphi.robot.logs.read_log`.
 
@@ -163,25 +157,19 @@ def find_footfalls(
         raise InputError(f"law '{law}' is unknown; {nearest(law, LAW_SETS)}")
     if body.foot_radius <= 0.0:
         raise InputError(f"robot '{body.name}' lacks its foot_radius, which footfalls need")
-    name = "the log" if isinstance(log, JointLog) else str(log)
-    log, _ = opened(log, body, **reading)
-    if log.quaternion is None:
-        raise InputError(f"{name}: has no attitude, so that down is not known")
-    if len(log.time) < FEWEST:
-        raise InputError(
-            f"{name}: a footfall takes {FEWEST} samples or more, found {len(log.time)}; give the "
-            "log of a walk"
-        )
     chosen = replace(prior or Prior(), radius=body.foot_radius)
-    try:
-        analysis = analyse(log, robot=body)
-        if analysis.grave:
-            raise InputError(f"no footfall can be read: {analysis.grave[0]}")
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from error
-    forces = analysis.forces
+    if density is not None:
+        mean, sd = _density(str(density))
+        chosen = replace(chosen, density=mean, density_sd=sd)
+    known = [anchor_from(a) if isinstance(a, str) else a for a in anchors]
+    name = "the log" if isinstance(log, JointLog) else str(log)
+    analysis = foot_forces(log, robot=body, **reading)
+    if not analysis.stances:
+        raise InputError(f"{name}: {analysis.notes[-1]}")
+    if analysis.grave:
+        raise InputError(f"{name}: no footfall can be read: {analysis.grave[0]}")
+    log, forces = without_broken_accelerometer(analysis.log)[0], analysis.forces
     lift = forces.force[:, :, 2].astype(np.float64)
-    log, _ = without_broken_accelerometer(log)  # as the forces did, whose notes say so
     motion = _from_the_start(track(log, body, forces.place, lift), log)
     per = sensitivity(log, forces)
     seen = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
@@ -191,58 +179,52 @@ def find_footfalls(
     found = Fit(*(np.mean(column, axis=0) for column in zip(*fits.values(), strict=True)))
     found = found._replace(misfit=np.min([each.misfit for each in fits.values()], axis=0))
     verdict = verdicts(seen, found, chosen.radius)
-    usable = np.array([v == USABLE for v in verdict], dtype=bool)
+    usable = verdict == USABLE
     path = _path(motion, log.time)
-    stretches = [(anchor, _stretch(anchor, path)) for anchor in anchors]
-    each = np.full((3, len(verdict)), np.nan)
-    along = np.full((3, len(path)), np.nan)
+    stretches = [(anchor, _stretch(anchor, path)) for anchor in known]
+    fields = {key: np.full(len(verdict), np.nan) for key in ("phi", "sd", "shared_sd")}
+    of_path = ("path_phi", "path_relative_sd", "path_absolute_sd")
+    fields |= {key: np.full(len(path), np.nan) for key in of_path}
     shared: dict[str, Any] = {}
     if usable.any():
-        # The noise is scaled to what the log shows on the whole.
+        # The noise is scaled to the median misfit of the log.
         misfit = found.misfit[usable]
         scale = max(LEAST_SCALE, math.sqrt(float(np.median(np.minimum(misfit, 1.0)))))
         own = found.sd[usable] * scale * np.maximum(1.0, np.sqrt(misfit) / scale) ** 0.5
         observed = Observed(found.phi[usable], own, found.shared[usable], seen.place[usable, :2])
         pooled = pool(observed, common, path[:, 1:], stretches, mean=chosen.phi_deg)
-        each[:, usable] = pooled.phi, pooled.sd, pooled.shared_sd
-        along = np.stack([pooled.path_phi, pooled.path_relative_sd, pooled.path_absolute_sd])
+        for key, values in fields.items():
+            values[usable if key not in of_path else slice(None)] = getattr(pooled, key)
         shared = _shared_summary(pooled, chosen)
-    shallow = np.array([v == SHALLOW for v in verdict], dtype=bool)
-    sinkage = np.where(shallow, found.gained, found.sinkage)
-    notes = [note for note in analysis.notes if note not in analysis.of_axes]
-    if prior is None:
-        assumed = f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed"
-        notes.insert(0, assumed)
-    if len(usable) and not usable.any():
+    sinkage = np.where(verdict == SHALLOW, found.gained, found.sinkage)
+    notes = [note for note in analysis.notes if "the axis of Fx" not in note]
+    if density is None and prior is None:
+        notes.insert(0, f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed")
+    if not usable.any():
         notes.append("no footfall is usable: the map is empty")
-    if usable.any() and not anchors:
+    if usable.any() and not known:
         notes.append("no anchor: only differences along the path are as sure as the relative band")
     return FootfallMap(
         time=seen.begin,
         foot=tuple(FEET[i] for i in seen.foot),
         place=seen.place + np.outer(sinkage, [0.0, 0.0, 1.0]),
         sinkage=sinkage,
-        phi=each[0],
-        sd=each[1],
-        shared_sd=each[2],
+        **fields,
         misfit=found.misfit,
-        verdict=tuple(verdict),
+        verdict=tuple(verdict.tolist()),
         path=path,
-        path_phi=along[0],
-        path_relative_sd=along[1],
-        path_absolute_sd=along[2],
         shared=shared,
         by_law={k: float(f.phi[usable].mean()) for k, f in fits.items()} if usable.any() else {},
         notes=tuple(notes),
         provenance={
             "log": name, "robot": body.name, "law": law, "laws": list(fits),
-            "prior": asdict(chosen), "anchors": [anchor._asdict() for anchor in anchors],
+            "prior": asdict(chosen), "anchors": [anchor._asdict() for anchor in known],
             "terraphi": importlib.metadata.version("terraphi"), "forces": analysis.provenance(),
         },
     )  # fmt: skip
 
 
-def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
+def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
     """Verdict of each footfall: the first reason against it, else :data:`USABLE`.
 
     Parameters
@@ -255,12 +237,11 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
     from scipy.spatial import cKDTree
 
     trodden = np.zeros(len(seen.foot), dtype=bool)
-    if len(trodden):
-        tree = cKDTree(seen.place[:, :2])
-        trodden[[max(pair) for pair in tree.query_pairs(NEAR_RADII * radius)]] = True
+    near = cKDTree(seen.place[:, :2]).query_pairs(NEAR_RADII * radius)
+    trodden[[max(pair) for pair in near]] = True
     rests = seen.used.sum(axis=1) < FEWEST
     low, high = PHI_RANGE[0] + NEAR_EDGE_DEG, PHI_RANGE[1] - NEAR_EDGE_DEG
-    against = (
+    reasons = (
         (TORN, seen.torn),
         (SATURATED, seen.saturated),
         (SHALLOW, (found.sinkage < LEAST_SINKAGE) | (found.gained < LEAST_GAINED) | rests),
@@ -268,10 +249,8 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> list[str]:
         (EDGE, (found.phi < low) | (found.phi > high)),
         (MISFIT, found.misfit > WORST_MISFIT),
     )
-    found_to_be = np.full(len(seen.foot), USABLE, dtype=object)
-    for word, holds in reversed(against):
-        found_to_be[holds] = word
-    return [str(word) for word in found_to_be]
+    words = [word for word, _ in reasons]
+    return np.select([holds for _, holds in reasons], words, USABLE)
 
 
 def _from_the_start(motion: Motion, log: JointLog) -> Motion:
@@ -310,25 +289,23 @@ def _stretch(anchor: Anchor, path: FloatArray) -> FloatArray:
 
 
 def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
-    """What footfalls share, by kind: value, standard deviation and part of φ's."""
+    """Value, standard deviation and part of φ's standard deviation of each shared quantity."""
     mean, sd, terms = pooled.shared_mean, pooled.shared_sd_each, pooled.terms
     found: dict[str, Any] = {}
-    for name, first in (("torque_gain", 0), ("joint_friction_Nm", 12)):
-        rows = slice(first, first + 12)
+    for name, rows in (("torque_gain", slice(12)), ("joint_friction_Nm", slice(12, 24))):
         worth = float(np.sqrt((terms[rows] ** 2).sum()))
         found[name] = {"mean": mean[rows].tolist(), "sd": sd[rows].tolist(), "worth_deg": worth}
-    for name, key, centre, scale in (
-        ("odometry_drop", "drop", 0.0, 1.0),
-        ("density_kg_m3", "log_density", prior.density, prior.density),
-        ("surface_friction", "surface_friction", prior.surface_friction, 1.0),
-        ("foot_radius_mm", "radius", 1e3 * prior.radius, 1e3),
-        ("law_offset_deg", "law_offset", 0.0, 1.0),
-        ("law_exponent", "law_exponent", 0.0, 1.0),
-        ("law_slope", "law_slope", 0.0, 1.0),
-    ):
-        i = SHARED.index(key)
+    shown = {
+        "drop": ("odometry_drop", 0.0, 1.0),
+        "log_density": ("density_kg_m3", prior.density, prior.density),
+        "surface_friction": ("surface_friction", prior.surface_friction, 1.0),
+        "radius": ("foot_radius_mm", 1e3 * prior.radius, 1e3),
+        "law_offset": ("law_offset_deg", 0.0, 1.0),
+    }
+    for i, key in enumerate(SHARED[24:], start=24):
+        name, centre, scale = shown.get(key, (key, 0.0, 1.0))
         numbers = {"mean": centre + scale * mean[i], "sd": scale * sd[i], "worth_deg": terms[i]}
-        found[name] = {key: float(value) for key, value in numbers.items()}
+        found[name] = {what: float(value) for what, value in numbers.items()}
     sizes = {"amplitude_deg": pooled.amplitude, "length_m": pooled.length}
     return {**found, "field": {**sizes, "scatter_deg": pooled.scatter}}
 
@@ -337,47 +314,40 @@ DENSITY_PART = 0.05
 """Standard deviation of a density that comes without one, as a part of it [-]."""
 DENSITIES = (500.0, 3000.0)
 """Bulk densities of soils [kg/m³]."""
-_ANCHOR = re.compile(r"\s*([xys])\s*=([-+.\deE\s]+):([-+.\deE\s]+),\s*phi\s*=(.+(?:±|\+/?-).+)")
 
 
 def anchor_from(text: str) -> Anchor:
-    """An anchor as people write it, ``x=0:0.5,phi=34±1``; ``+-`` will do for ``±``.
+    """Parse an anchor such as ``x=0:0.5,phi=34±1`` (or ``34+-1``).
 
     Raises InputError if it is written otherwise, or out of range.
     """
-    match = _ANCHOR.fullmatch(text)
+    where, _, phi = text.replace(" ", "").partition(",phi=")
+    axis, _, ends = where.partition("=")
     low, high = PHI_RANGE
-    wrong = InputError(
+    try:
+        begin, end = sorted(map(plain_number, ends.split(":")))
+        mean, sd = number_with_sd(phi)
+        if axis in {"x", "y", "s"} and low <= mean <= high and sd is not None and 0 < sd <= 15:
+            return Anchor(begin, end, mean, sd, axis)
+    except ValueError:
+        pass
+    raise InputError(
         f"anchor '{text}': expected one such as x=0:0.5,phi=34±1 (or phi=34+-1), with phi from "
         f"{low:g} to {high:g} degrees and its uncertainty above 0 and at most 15"
     )
-    if match is None:
-        raise wrong
-    try:
-        a, b, (phi, sd) = plain_number(match[2]), plain_number(match[3]), number_with_sd(match[4])
-    except ValueError:
-        raise wrong from None
-    if sd is None or not (low <= phi <= high and 0.0 < sd <= 15.0):
-        raise wrong
-    return Anchor(min(a, b), max(a, b), phi, sd, match[1])
 
 
-def prior_for(density: str) -> Prior:
-    """The prior for a density as people write it, ``1550±80``, ``1550+-80`` or ``1550``.
-
-    Without a standard deviation it is :data:`DENSITY_PART` of the density.
-    Raises InputError if it is no such number, or no soil's.
-    """
+def _density(text: str) -> tuple[float, float]:
+    """Mean and standard deviation of a density such as ``1550±80``, ``1550+-80`` or ``1550``."""
     low, high = DENSITIES
-    wrong = InputError(
-        f"density '{density}': expected kg/m³ such as 1550 or 1550±80, from {low:g} to {high:g}, "
+    try:
+        mean, sd = number_with_sd(text)
+        sd = DENSITY_PART * mean if sd is None else sd
+        if low <= mean <= high and 0.0 < sd <= 0.3 * mean:
+            return mean, sd
+    except ValueError:
+        pass
+    raise InputError(
+        f"density '{text}': expected kg/m³ such as 1550 or 1550±80, from {low:g} to {high:g}, "
         "its standard deviation above 0 and at most 30 % of it"
     )
-    try:
-        mean, given = number_with_sd(density)
-    except ValueError:
-        raise wrong from None
-    sd = DENSITY_PART * mean if given is None else given
-    if not (low <= mean <= high and 0.0 < sd <= 0.3 * mean):
-        raise wrong
-    return Prior(density=mean, density_sd=sd)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -18,20 +17,19 @@ from terraphi.robot.estimators import (
     GAP_STEPS,
     OBSERVER_GAIN,
     Estimator,
+    JointFriction,
     chunks,
     contact_torque,
     signals,
+    upward,
 )
-from terraphi.robot.friction import JointFriction
+from terraphi.robot.friction import Survey, survey
 from terraphi.robot.joint_log import FEET, JOINTS, SHAPES, JointLog
 from terraphi.robot.legs import GRAVITY, rotation
 from terraphi.robot.model import Quadruped
-from terraphi.robot.survey import Survey, survey
-
-logger = logging.getLogger(__name__)
 
 SingleArray = NDArray[np.float32]
-Frame = Literal["world", "heading", "body"]
+Frame = Literal["world", "body"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 DEFAULT_ESTIMATOR: Estimator = "momentum_observer"
@@ -39,8 +37,6 @@ LEAST_LEVER = 0.05
 """A knee is near-singular below this lever of J over the leg's length [-]; about 11° of bend."""
 SATURATED = 0.99
 """Torques above this share of the motor's limit are taken to be cut off [-]."""
-WIDEST_ANGLE = 10.0
-"""Joint angles beyond this [rad] are degrees."""
 WORST_ACCELEROMETER = 3.0
 """Mean specific force may differ by this much from gravity's [m/s²], or it is not one."""
 UNFELT_PART = 0.3
@@ -93,14 +89,11 @@ class FootForces:
         Centres of the feet's balls in the frame of the trunk [m], shape [sample, foot, 3].
     lift_per_torque
         Upward force per torque of each joint [1/m], shape [sample, foot, joint].
-    swing_residual
-        Spread of the contact torques in swing, where the truth is zero [N m], shape [foot,
-        joint]; NaN for feet that do not swing.
     estimator
         How the forces were found.
     frame
-        ``world``: x where the world's x points, z up; ``heading``: x where the robot heads, level,
-        z up; ``body``: x forward, y left, tilted with the trunk.
+        ``world``: x where the world's x points, z up; ``body``: x forward, y left, tilted with the
+        trunk.
     friction
         Of the joints, found in swing and taken off; ``None`` if it was not.
     provenance
@@ -114,7 +107,6 @@ class FootForces:
     saturated: BoolArray
     place: FloatArray
     lift_per_torque: FloatArray
-    swing_residual: FloatArray
     estimator: Estimator
     frame: Frame
     friction: JointFriction | None = None
@@ -143,7 +135,7 @@ def estimate(
         accounted for. ``momentum_observer``: weight and inertia of the links too, and the ground
         pushes on the ball's lowest point.
     frame
-        ``world`` or ``heading``, by the log's attitude, or ``body``.
+        ``world``, by the log's attitude, or ``body``.
     friction
         Find the joints' friction in swing and take it off; ``quasi_static`` never does.
     priors
@@ -153,7 +145,7 @@ def estimate(
     ------
     InputError
         If the log has the wrong shape, is empty, runs backwards, holds something that is not a
-        number or angles in degrees, lacks the attitude that ``world`` and ``heading`` take, or an
+        number or angles in degrees, lacks the attitude that ``world`` takes, or an
         option is unknown.
     """
     for name, value, known in (("estimator", estimator, ESTIMATORS), ("frame", frame, FRAMES)):
@@ -166,47 +158,38 @@ def estimate(
     moving = estimator != "quasi_static"
     overview = survey(log, robot, estimator, gap, friction=moving and friction)
     noise = _torque_sigma(overview)
-    limit = np.minimum(SATURATED * np.array(robot.torque_limit or (np.inf,) * 3), overview.ceiling)
-    count, shared = len(log.time), priors or Priors()
-    force, sigma = (np.empty((count, 4, 3), dtype=np.float32) for _ in range(2))
-    place, lift_per_torque = np.empty((2, count, 4, 3))
-    flagged, saturated = np.empty((2, count, 4), dtype=np.bool_)
-    for chunk in chunks(log.time):
-        rows, inner = chunk.rows, chunk.inner
-        seen = signals(log, robot, chunk.wide, moving=moving)
+    limit = SATURATED * np.array(robot.torque_limit or (np.inf,) * 3)
+    shared, parts = priors or Priors(), []
+    for wide, inner in chunks(log.time):
+        seen = signals(log, robot, wide, moving=moving)
         torque = contact_torque(seen, estimator, gap, overview.friction)
         own = noise**2 + _timing_variance(seen.time, torque, gap)[inner]
-        torque, velocity = torque[inner], seen.velocity[inner]
+        torque, velocity, turn = torque[inner], seen.velocity[inner], seen.turn[inner]
         if overview.friction is not None:
             own += overview.friction.doubt(velocity) ** 2
         common = _shared_variance(seen.torque[inner], velocity, overview, shared)
         low = -robot.foot_radius * seen.turn[:, None, 2, :] if moving else None
         inverse, lever = (each[inner] for each in seen.legs.force_per_torque(low))
         near = lever < LEAST_LEVER * robot.leg_length
-        lift_per_torque[rows] = np.einsum("si,sfij->sfj", seen.turn[inner][:, 2], inverse)
-        if frame != "body":
-            turn = seen.turn[inner]
-            inverse = (_levelled(turn) if frame == "heading" else turn)[:, None] @ inverse
+        lift_per_torque = upward(turn, inverse)
+        if frame == "world":
+            inverse = turn[:, None] @ inverse
         with np.errstate(over="ignore", invalid="ignore"):  # where a knee is singular
-            force[rows] = found = np.einsum("sfij,sfj->sfi", inverse, torque)
+            force = np.einsum("sfij,sfj->sfi", inverse, torque)
             variance = np.einsum("sfij,sfj->sfi", inverse**2, own + common)
             if not robot.there.all():
-                variance += _unfelt_variance(robot, inverse, found)
-            if frame != "body":
-                variance += _tilt_variance(found, shared)
-            sigma[rows] = np.sqrt(variance)
-        force[rows][near], sigma[rows][near] = np.nan, np.nan
-        place[rows], flagged[rows] = seen.legs.place[inner], near
-        saturated[rows] = (np.abs(seen.torque[inner]) >= limit).any(axis=-1)
+                variance += _unfelt_variance(robot, inverse, force)
+            if frame == "world":
+                variance += _tilt_variance(force, shared)
+            both = np.asarray([force, np.sqrt(variance)], dtype=np.float32)
+        both[:, near] = np.nan
+        saturated = (np.abs(seen.torque[inner]) >= limit).any(axis=-1)
+        parts.append((*both, near, saturated, seen.legs.place[inner], lift_per_torque))
+    names = ("force", "sigma", "flagged", "saturated", "place", "lift_per_torque")
+    columns = map(np.concatenate, zip(*parts, strict=True))
     return FootForces(
         time=np.asarray(log.time, dtype=np.float64),
-        force=force,
-        sigma=sigma,
-        flagged=flagged,
-        saturated=saturated,
-        place=place,
-        lift_per_torque=lift_per_torque,
-        swing_residual=overview.residual,
+        **dict(zip(names, columns, strict=True)),
         estimator=estimator,
         frame=frame,
         friction=overview.friction,
@@ -215,7 +198,7 @@ def estimate(
             "robot_source": robot.source,
             "estimator": estimator,
             "frame": frame,
-            "headings_deg": _headings(log),
+            "heading_deg": _heading(log),
             "gain_per_s": OBSERVER_GAIN if moving else None,
             "priors": asdict(shared),
             "friction": None if overview.friction is None else overview.friction.summary(),
@@ -225,30 +208,13 @@ def estimate(
     )
 
 
-def _levelled(turn: FloatArray) -> FloatArray:
-    """Rotations from the trunk's frame to one that heads where it does, but is level."""
-    heading = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
-    back = np.zeros_like(turn)
-    back[:, 0, 0] = back[:, 1, 1] = np.cos(heading)
-    back[:, 0, 1], back[:, 1, 0], back[:, 2, 2] = np.sin(heading), -np.sin(heading), 1.0
-    return np.asarray(back @ turn)
-
-
-def _headings(log: JointLog) -> list[float] | None:
-    """Directions of the trunk's x in the world, 5, 50 and 95 % of the time below [deg].
-
-    Counted from their mean direction, so that a robot that heads to 180° has no jump; ``None``
-    without attitude.
-    """
+def _heading(log: JointLog) -> float | None:
+    """Mean direction of the trunk's x in the world [deg]; ``None`` without attitude."""
     if log.quaternion is None:
         return None
     every = slice(None, None, max(1, len(log.time) // 10_000))
-    x, y = rotation(log.quaternion[every])[:, :2, 0].T
-    middle = math.atan2(y.mean(), x.mean())
-    off = np.arctan2(y, x) - middle
-    off = np.degrees(np.arctan2(np.sin(off), np.cos(off)))
-    found: list[float] = (math.degrees(middle) + np.quantile(off, [0.05, 0.5, 0.95])).tolist()
-    return found
+    x, y = rotation(log.quaternion[every])[:, :2, 0].mean(axis=0)
+    return math.degrees(math.atan2(y, x))
 
 
 def _torque_sigma(overview: Survey) -> FloatArray:
@@ -256,12 +222,11 @@ def _torque_sigma(overview: Survey) -> FloatArray:
 
     A foot that never swings is given what the others show, or else the torques' noise.
     """
-    residual = overview.residual.copy()
-    unknown = np.isnan(residual[:, 0])
-    if unknown.all():
+    residual, known = overview.residual, np.isfinite(overview.residual[:, 0])
+    if not known.any():
         residual = overview.noise
-    elif unknown.any():
-        residual[unknown] = np.median(residual[~unknown], axis=0)
+    others = np.median(residual[known], axis=0) if known.any() else 0.0
+    residual = np.where(known[:, None] | ~known.any(), residual, others)
     return np.asarray(np.sqrt(residual**2 + overview.resolution**2 / 12.0))
 
 
@@ -324,9 +289,6 @@ def _check_log(log: JointLog, frame: Frame) -> None:
     back = np.flatnonzero(np.diff(log.time) <= 0.0)
     if back.size:
         raise InputError(f"time runs backwards at sample {back[0] + 1}; it should increase")
-    widest = float(np.abs(log.angle).max())
-    if widest > WIDEST_ANGLE:
-        raise InputError(f"joint angles reach {widest:.1f}; radians are expected, not degrees")
     if log.quaternion is None:
         if frame != "body":
             raise InputError(f"the log has no attitude, which frame '{frame}' needs; use 'body'")
@@ -345,10 +307,8 @@ def without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
     if log.quaternion is not None:
         felt = np.einsum("sij,sj->si", rotation(log.quaternion[every]), felt)
     mean = felt.mean(axis=0)
-    off = float(np.linalg.norm(mean - [0.0, 0.0, GRAVITY]))
-    if log.quaternion is None:
-        off = abs(float(np.linalg.norm(mean)) - GRAVITY)
-    if off <= WORST_ACCELEROMETER:
+    up = mean / np.linalg.norm(mean) if log.quaternion is None else [0.0, 0.0, 1.0]
+    if np.linalg.norm(mean - GRAVITY * np.asarray(up)) <= WORST_ACCELEROMETER:
         return log, []
     text = ", ".join(f"{value:.1f}" for value in mean)
     return replace(log, acceleration=None), [
@@ -358,20 +318,18 @@ def without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
 
 def _assumed(log: JointLog, robot: Quadruped, overview: Survey, broken: list[str]) -> list[str]:
     """What was assumed where the log lacks something."""
-    assumed = list(broken)
-    if log.quaternion is None:
-        assumed.append("no attitude: gravity is taken along the body's z")
-    if log.acceleration is None:
-        assumed.append("no accelerometer: the trunk is taken to be unaccelerated")
-    if log.angular_velocity is None:
-        assumed.append("no gyroscope: the trunk is taken not to turn")
-    if not robot.there.all():
-        assumed.append("legs of two joints: the force across their plane is taken to be zero")
+    lacking = {
+        "no attitude: gravity is taken along the body's z": log.quaternion is None,
+        "no accelerometer: the trunk is taken to be unaccelerated": log.acceleration is None,
+        "no gyroscope: the trunk is taken not to turn": log.angular_velocity is None,
+        "legs of two joints: the force across their plane is taken to be zero": (
+            not robot.there.all()
+        ),
+    }
+    assumed = [*broken, *(text for text, lacks in lacking.items() if lacks)]
     lost = overview.friction
     if lost is not None and not (lost.found | ~robot.there).all():
         unknown = [f"{FEET[i]}_{JOINTS[j]}" for i, j in np.argwhere(~lost.found & robot.there)]
         whose = ", ".join(unknown) if lost.found.any() else "any joint"
         assumed.append(f"too little swing to find the friction of {whose}")
-    if assumed:
-        logger.info("foot forces: %s", "; ".join(assumed))
     return assumed

@@ -8,15 +8,28 @@ torque is not among them: a joint that swings mostly one way cannot separate it 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.robot.estimators import (
+    CHUNK,
+    STANDSTILL,
+    Estimator,
+    JointFriction,
+    Signals,
+    chunks,
+    contact_torque,
+    friction_terms,
+    signals,
+    upward,
+)
+from terraphi.robot.joint_log import JointLog
+from terraphi.robot.legs import GRAVITY
+from terraphi.robot.model import Quadruped
 
-STANDSTILL = 0.05
-"""Velocity below which the sense of Coulomb friction fades [rad/s]."""
 LEAST_SWING = 50
 """Samples in swing that a foot needs for its friction to be found."""
 LEAST_RATE = 0.1
@@ -34,59 +47,24 @@ HANGING_SHARE = 0.3
 """A robot whose feet carry less than this share of its weight [-] hangs or lies."""
 LEAST_CLEARANCE = 0.01
 """A foot is clear of the ground at least this high above the soles of the standing feet [m]."""
+SURVEY = 60_000
+"""Samples, from all over the log, that are looked at."""
+LEAVE_SHARES = (0.2, 0.1, 0.05, 0.05)
+"""A foot swings below this share of the robot's weight [-], round by round: swing and friction are
+found each from the other, and before friction is known it looks like force."""
+HIGH_PART, LOW_PART, MOST_SCRATCHED = 0.6, 0.3, 1.25
+"""Parts of the height of its swing [-] above which a foot is surely, and perhaps, clear of the
+ground; and by how much torques in the latter may spread more [-] if it is. Low down a swing has
+slower movements too, which separate Coulomb from viscous friction."""
+TOUCH_OVER_LEAVE = 1.6
+"""A foot stands again above this many times as much [-]."""
 _HUBER = 1.345
 """Residuals beyond this many standard deviations count less (95 % efficient if normal)."""
 _GAUSS = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 
-@dataclass(frozen=True)
-class JointFriction:
-    """Friction and rotor inertia of each joint; each shape [foot, joint].
-
-    Attributes
-    ----------
-    coulomb
-        [N m].
-    viscous
-        [N m s/rad].
-    inertia
-        Of the rotor, seen from the joint [kg m²].
-    found
-        Whether there was enough swing to find them; they are zero where not.
-    """
-
-    coulomb: FloatArray
-    viscous: FloatArray
-    inertia: FloatArray
-    found: BoolArray
-
-    def torque(self, velocity: FloatArray) -> FloatArray:
-        """Torque lost at joint velocities [rad/s], without the rotor's inertia [N m]."""
-        return self.coulomb * smooth_sign(velocity) + self.viscous * velocity
-
-    def doubt(self, velocity: FloatArray) -> FloatArray:
-        """Coulomb torque whose sign is unknown because the joint hardly moves [N m]."""
-        return self.coulomb * np.sqrt(np.maximum(1.0 - smooth_sign(velocity) ** 2, 0.0))
-
-    def summary(self) -> dict[str, Any]:
-        """The numbers by name, feet and joints, JSON-able; zero where they were not found."""
-        names = {"coulomb_Nm": self.coulomb, "viscous_Nms": self.viscous}
-        return {name: v.tolist() for name, v in (names | {"inertia_kgm2": self.inertia}).items()}
-
-
-def smooth_sign(velocity: FloatArray) -> FloatArray:
-    """Smooth sign of a velocity, tanh(velocity / :data:`STANDSTILL`)."""
-    return np.tanh(velocity / STANDSTILL)
-
-
-def in_swing(
-    time: FloatArray,
-    lift: FloatArray,
-    *,
-    touch: float,
-    leave: float,
-) -> BoolArray:
+def in_swing(time: FloatArray, lift: FloatArray, *, leave: float) -> BoolArray:
     """When feet are in the air, from the forces on them.
 
     Parameters
@@ -95,15 +73,16 @@ def in_swing(
         [s], shape [sample].
     lift
         Upward force of the ground on the feet [N], shape [sample, foot].
-    touch, leave
-        A foot stands once it is above ``touch`` and swings once it is below ``leave`` [N].
+    leave
+        A foot swings once it is below this force, and stands once it is above
+        :data:`TOUCH_OVER_LEAVE` times as much [N].
 
     Returns
     -------
     ndarray
         Shape [sample, foot].
     """
-    event = np.where(lift > touch, 1, np.where(lift < leave, -1, 0))
+    event = np.where(lift > TOUCH_OVER_LEAVE * leave, 1, np.where(lift < leave, -1, 0))
     event[0] = np.where(event[0] == 0, 1, event[0])
     rows = np.arange(len(time))[:, None]
     latest = np.maximum.accumulate(np.where(event != 0, rows, 0), axis=0)
@@ -239,7 +218,7 @@ def _robust(x: FloatArray, y: FloatArray) -> FloatArray:
             weighted = x[:, free].T * weight
             solution[free] = np.linalg.lstsq(weighted @ x[:, free], weighted @ y, rcond=1e-10)[0]
             error = np.abs(y - x @ solution)
-            scale = max(spread(error), 1e-9)
+            scale = max(float(spread(error)), 1e-9)
             weight = np.minimum(1.0, _HUBER * scale / np.maximum(error, 1e-12))
         # The one that is furthest below zero, by the torque that it stands for.
         torque = solution * np.sqrt(np.mean(x**2, axis=0))
@@ -248,6 +227,103 @@ def _robust(x: FloatArray, y: FloatArray) -> FloatArray:
         free[np.argmin(torque)] = False
 
 
-def spread(deviation: FloatArray) -> float:
-    """Robust standard deviation of errors about zero."""
-    return float(_GAUSS * np.median(np.abs(deviation)))
+def spread(deviation: FloatArray) -> FloatArray:
+    """Robust standard deviation of errors about zero, along the first axis; NaN of none."""
+    if not len(deviation):
+        return np.full(deviation.shape[1:], np.nan)
+    return np.asarray(_GAUSS * np.median(np.abs(deviation), axis=0))
+
+
+class Survey(NamedTuple):
+    """Joint friction, resolution and noise of the torques of a log.
+
+    Attributes
+    ----------
+    friction
+        Of the joints; ``None`` if it was not asked for.
+    residual
+        Spread of contact torques in swing, where the truth is zero [N m], shape [foot, joint];
+        NaN for feet that were not seen to swing.
+    resolution
+        Smallest step of the torques [N m], shape [foot, joint].
+    noise
+        Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
+    """
+
+    friction: JointFriction | None
+    residual: FloatArray
+    resolution: FloatArray
+    noise: FloatArray
+
+
+def survey(
+    log: JointLog,
+    robot: Quadruped,
+    estimator: Estimator,
+    gap: float,
+    *,
+    friction: bool,
+) -> Survey:
+    """Find friction, resolution and noise from windows spread over a log.
+
+    Parameters
+    ----------
+    log, robot
+        The log, and of whom.
+    estimator, gap
+        See :func:`~terraphi.robot.estimators.contact_torque`; its residual in swing is wanted.
+    friction
+        Whether that of the joints is to be taken off.
+    """
+    every = list(chunks(log.time))
+    picked = np.unique(np.linspace(0, len(every) - 1, min(len(every), SURVEY // CHUNK + 1)))
+    windows = [(signals(log, robot, every[i][0]), every[i][1]) for i in picked.astype(int)]
+
+    def joined(values: Callable[[Signals], Any]) -> Any:
+        return np.concatenate([values(seen)[inner] for seen, inner in windows])
+
+    # Swing phases follow from the forces and friction from the swing phases, alternately.
+    torque = joined(lambda seen: contact_torque(seen, "momentum_observer", gap))
+    terms = joined(lambda seen: friction_terms(seen, gap))
+    sure = joined(lambda seen: one_way(seen.time, seen.velocity))
+    per = joined(lambda seen: upward(seen.turn, seen.legs.force_per_torque()[0]))
+    ends = np.cumsum([inner.stop - inner.start for _, inner in windows])[:-1]
+    weight = robot.mass * GRAVITY
+
+    def found(rest: FloatArray, part: float, share: float) -> tuple[JointFriction, Any, FloatArray]:
+        lifts = np.split(np.nansum(per * rest, axis=-1), ends)
+        air = np.concatenate(
+            [
+                in_swing(seen.time[inner], lift, leave=share * weight)
+                & clear_of_ground(
+                    seen.legs.place[inner], seen.turn[inner][:, 2], lift, weight=weight, part=part
+                )
+                for (seen, inner), lift in zip(windows, lifts, strict=True)
+            ]
+        )
+        lost = fit(torque, terms, air, sure)
+        numbers = np.stack([lost.coulomb, lost.viscous, lost.inertia], axis=-1)
+        return lost, air, torque + np.sum(numbers * terms, axis=-1)
+
+    high = found(torque, HIGH_PART, LEAVE_SHARES[0])
+    for share in LEAVE_SHARES[1:]:
+        high = found(high[2], HIGH_PART, share)
+    low = found(high[2], LOW_PART, LEAVE_SHARES[-1])
+    scales = [[spread(r[a[:, i], i].ravel()) for i in range(4)] for _, a, r in (low, high)]
+    # Soil that a foot scratches there would show as torques that no friction explains.
+    scratched = np.any(np.array(scales[0]) > MOST_SCRATCHED * np.array(scales[1]))
+    lost, swing, _ = high if scratched else low
+    kept = lost if friction else None
+    residual = np.full((4, 3), np.nan)
+    deviation = joined(lambda seen: contact_torque(seen, estimator, gap, kept))
+    for foot in np.flatnonzero(swing.any(axis=0)):
+        own = np.abs(deviation[swing[:, foot], foot])
+        # Root mean square, errors that are far out cut short; right for ±c as for a bell.
+        residual[foot] = np.sqrt(np.mean(np.minimum(own, 3.0 * spread(own)) ** 2, axis=0))
+    steps = np.concatenate([np.diff(seen.torque, axis=0) for seen, _ in windows])
+    sizes = np.abs(steps)
+    smallest = np.where(sizes > 1e-6, sizes, np.inf).min(axis=0, initial=np.inf)
+    resolution = np.where(np.isfinite(smallest), smallest, 0.0)
+    # Second differences, to which the motion hardly contributes.
+    noise = np.nan_to_num(spread(np.diff(steps, axis=0)) / np.sqrt(6.0))
+    return Survey(kept, residual, resolution, noise)

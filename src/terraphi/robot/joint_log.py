@@ -65,29 +65,25 @@ class JointLog:
 JOINT_NAMES = tuple(f"{foot}_{joint}" for foot in FEET for joint in JOINTS)
 """The twelve joints as ``FOOT_JOINT``, in the order of the Go2's motors."""
 
-_STRANGERS = {"rotor", "foot", "toe", "wheel", "arm", "fixed", "spring"}
-_FRONT, _REAR = {"front", "fore"}, {"rear", "hind", "back"}
-_SHORT = {
-    "FR": {"fr", "rf"},
-    "FL": {"fl", "lf"},
-    "RR": {"rr", "rh", "hr", "br"},
-    "RL": {"rl", "lr", "lh", "hl", "bl"},
-}
 _WORDS = {
-    "hip": {"hip", "haa", "abad", "abd", "abduct", "abductor", "abduction", "hx"},
-    "thigh": {"thigh", "hfe", "upper", "hy"},
-    "calf": {"calf", "kfe", "knee", "shank", "lower", "kn"},
+    "FR": "fr rf",
+    "FL": "fl lf",
+    "RR": "rr rh hr br",
+    "RL": "rl lr lh hl bl",
+    "F": "front fore",
+    "R": "rear hind back",
+    "hip": "hip haa abad abd abduct abductor abduction hx",
+    "thigh": "thigh hfe upper hy",
+    "calf": "calf kfe knee shank lower kn",
+    "right": "right",
+    "left": "left",
+    "leg": "leg joint",
+    "other": "rotor foot toe wheel arm fixed spring",
 }
+_MEANING = {word: meaning for meaning, words in _WORDS.items() for word in words.split()}
+_KNOWN = "|".join(sorted(_MEANING, key=len, reverse=True))
 _SWINGS = {"y", "pitch", "fe"}
 """Words that make a hip the thigh: hip_x abducts and hip_y swings."""
-_NUMBERS = dict(zip("012", JOINTS, strict=True))
-_KNOWN = f"(?:{'|'.join(sorted(set().union(*_WORDS.values())))})"
-_RUN_TOGETHER = {
-    "FR": r"fr|rf|front_?right|right_?front",
-    "FL": r"fl|lf|front_?left|left_?front",
-    "RR": r"rr|hr|rh|br|(rear|hind|back)_?right|right_?(rear|hind|back)",
-    "RL": r"rl|hl|lh|bl|(rear|hind|back)_?left|left_?(rear|hind|back)",
-}
 
 
 def joint_place(name: str) -> tuple[int, int] | None:
@@ -104,28 +100,19 @@ def joint_place(name: str) -> tuple[int, int] | None:
         Indices into :data:`~terraphi.robot.joint_log.FEET` and
         :data:`~terraphi.robot.joint_log.JOINTS`; ``None`` if the name means neither or several.
     """
-    words = re.findall(r"[a-z]+|\d+", name.lower())
-    present = set(words)
-    feet = [foot for foot, short in _SHORT.items() if short & present]
-    for ends, letter in ((_FRONT, "F"), (_REAR, "R")):
-        sides = [side for side in ("right", "left") if side in present]
-        if ends & present and len(sides) == 1:
-            feet.append(letter + sides[0][0].upper())
-    if present & _STRANGERS or len(feet) > 1:
-        return None
-    if not feet:  # as in LFHAA or frontleft_hip
-        stem = re.sub(r"_?joint$", "", re.sub(r"[\s./-]+", "_", name.strip().lower()))
-        for foot, pattern in _RUN_TOGETHER.items():
-            match = re.fullmatch(rf"(?:.*_)?(?:{pattern})_?(?:leg_)?(?P<rest>{_KNOWN}\w*)", stem)
-            if match is not None:
-                feet.append(foot)
-                words = re.findall(r"[a-z]+|\d+", match["rest"].replace("_", " "))
-        present = set(words)
-    joints = [joint for joint, known in _WORDS.items() if known & present]
-    if joints == ["hip"] and present & _SWINGS:
+    words = []
+    for word in re.findall(r"[a-z]+|\d+", name.lower()):  # LFHAA is LF and HAA
+        joined = re.fullmatch(f"({_KNOWN})+", word)
+        words += re.findall(_KNOWN, word) if joined else [word]
+    meant = {_MEANING.get(word, word) for word in words}
+    sides = [side for side in ("right", "left") if side in meant]
+    feet = [foot for foot in FEET if foot in meant]
+    feet += [end + side[0].upper() for end in ("F", "R") if end in meant for side in sides]
+    joints = [joint for joint in JOINTS if joint in meant]
+    if joints == ["hip"] and meant & _SWINGS:
         joints = ["thigh"]
-    if not joints:
-        joints = [_NUMBERS[word] for word in words[-1:] if word in _NUMBERS]
-    if len(feet) != 1 or len(joints) != 1:
+    if not joints and words and words[-1] in {"0", "1", "2"}:
+        joints = [JOINTS[int(words[-1])]]
+    if "other" in meant or len(feet) != 1 or len(joints) != 1:
         return None
     return FEET.index(feet[0]), JOINTS.index(joints[0])

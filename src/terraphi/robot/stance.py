@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,6 +146,15 @@ class Ensemble:
             return None
         course = self.mean[:, AXES.index(axis)]
         return float(course[np.abs(course).argmax()])
+
+    def summary(self) -> dict[str, Any]:
+        """Number, mean duration and peaks; null where there are no stances."""
+        return {
+            "stances": self.count,
+            "mean_duration_s": self.duration if self.count else None,
+            "mean_peak_Fz_N": self.peak("z"),
+            "mean_peak_Fx_N": self.peak("x"),
+        }
 
 
 def find_stances(

@@ -1,29 +1,52 @@
-"""Touch-downs: the moments in which a foot loads soil that nothing has loaded before.
+r"""Where the feet are, and when they load virgin soil.
 
-Of each stance the short part is cut out in which the foot goes down into virgin soil: from the
-first force to the end of the loading, at most :data:`WINDOW_S` later. What a foot feels there is
-the soil's resistance; later it rests, is unloaded and loaded again, and the force is a part of the
-robot's weight. All touch-downs of a log lie in arrays of one shape, so that
-they can be fitted together.
+**Odometry.** A log holds how the feet move against the trunk and how the trunk is turned, not
+where it is. Between two samples a foot that stands still gives the trunk's velocity, v = −Δp/Δt
+with p the foot's place seen from the trunk in the world's axes; the accelerometer gives its change.
+The velocities of a whole log are the minimum of
+
+.. math::
+    \sum_k \frac{|v_k - v_{k-1} - a_k\,\Delta t_k|^2}{(\sigma_a \Delta t_k)^2}
+    + \sum_{k,f} w_{kf}\,\frac{|v_k + \Delta p_{kf}/\Delta t_k|^2}{\sigma_v^2},
+
+a tridiagonal system. The weight of a foot is its share of load, and falls as Geman and McClure's
+where it does not stand still: a foot that sinks, slips or rises counts less than the
+others and the accelerometer.
+
+**Touch-downs.** Of each stance the short part is cut out in which the foot goes down into virgin
+soil: from the first force to the end of the loading, at most :data:`WINDOW_S` later. There a foot
+feels the soil's resistance; later it rests, is unloaded and loaded again, and the force is a part
+of the robot's weight. All touch-downs of a log lie in arrays of one shape, to be fitted together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.robot.estimators import smooth_sign, trunk_motion
 from terraphi.robot.forces import FootForces
-from terraphi.robot.friction import smooth_sign
 from terraphi.robot.joint_log import FEET, JointLog
-from terraphi.robot.odometry import Motion
-from terraphi.robot.stance import Stance
+from terraphi.robot.legs import GRAVITY
+from terraphi.robot.model import Quadruped
+from terraphi.robot.stance import Stance, running_mean
 
-IntArray = NDArray[np.int64]
-
+ACCELERATION_SD = 0.3
+"""Of the accelerometer's readings, with what the trunk shakes between samples [m/s²]."""
+UNKNOWN_ACCELERATION_SD = 3.0
+"""Of the trunk's acceleration without an accelerometer [m/s²]."""
+STANCE_SD = 0.01
+"""Of the velocity of a foot that stands, and the scale beyond which it does not stand [m/s]."""
+BEARING_SHARE = 0.15
+"""Part of the robot's weight with which a foot counts as fully loaded [-]."""
+ROUNDS = 8
+"""Of reweighting."""
+BIAS_S = 6.0
+"""Over this time the trunk does not accelerate on average: what remains is a bias [s]."""
 WINDOW_S = 0.12
 """Longest loading that is used [s]; after it, sinking and drift cannot be told apart."""
 BEFORE_S = 0.012
@@ -38,6 +61,75 @@ WIDEST_STEP = 4.0
 """A step between samples longer than this many usual ones breaks a touch-down [-]."""
 SMOOTH_S = 0.01
 """Velocities are differences over this time [s]."""
+
+
+class Motion(NamedTuple):
+    """Motion of the trunk and the feet in the world, which begins at (0, 0, 0).
+
+    Attributes
+    ----------
+    trunk
+        Place of the trunk [m], shape [sample, 3].
+    feet
+        Places of the balls' centres [m], shape [sample, foot, 3].
+    lift_acceleration
+        Of the trunk, upward, as the accelerometer has it [m/s²], shape [sample]; zero without one.
+    """
+
+    trunk: FloatArray
+    feet: FloatArray
+    lift_acceleration: FloatArray
+
+
+def track(log: JointLog, robot: Quadruped, place: FloatArray, load: FloatArray) -> Motion:
+    """Motion of the feet in the world.
+
+    Parameters
+    ----------
+    log, robot
+        A log with attitude, of three samples or more, and of whom.
+    place
+        Feet in the frame of the trunk [m], shape [sample, foot, 3].
+    load
+        Upward force of the ground on each foot [N], shape [sample, foot]; not a number counts as
+        none.
+    """
+    from scipy.linalg import solveh_banded
+    from scipy.ndimage import uniform_filter1d
+
+    turn, trunk_own = trunk_motion(log, robot)
+    place = np.einsum("sij,sfj->sfi", turn, place)
+    step = np.diff(log.time)
+    apparent = -np.diff(place, axis=0) / step[:, None, None]
+    felt = np.zeros((len(log.time), 3))
+    if log.acceleration is not None:
+        felt = np.einsum("sij,sj->si", turn, trunk_own.specific_force)
+        felt[:, 2] -= GRAVITY
+        felt -= running_mean(felt, max(1, round(BIAS_S / float(np.median(step))) // 2))
+    sd = UNKNOWN_ACCELERATION_SD if log.acceleration is None else ACCELERATION_SD
+    # v_k belongs to the middle of step k: the readings between two middles are a sample's.
+    between = 0.5 * (step[1:] + step[:-1])
+    stiff = 1.0 / (sd * between) ** 2
+    change = felt[1:-1] * between[:, None]
+    bearing = np.clip(np.nan_to_num(load) / (BEARING_SHARE * robot.mass * GRAVITY), 0.0, 1.0)
+    bearing = np.minimum(bearing[1:], bearing[:-1]) ** 2 / STANCE_SD**2
+    weight = bearing
+    velocity = np.zeros((len(step), 3))
+    for _ in range(ROUNDS):
+        diagonal = weight.sum(axis=1) + 1e-3
+        diagonal[1:] += stiff
+        diagonal[:-1] += stiff
+        right = np.einsum("kf,kfi->ki", weight, apparent)
+        right[1:] += stiff[:, None] * change
+        right[:-1] -= stiff[:, None] * change
+        banded = np.stack([diagonal, np.append(-stiff, 0.0)])
+        velocity = solveh_banded(banded, right, lower=True)
+        # The mean over five samples, so that the encoders' steps do not look like motion.
+        off = uniform_filter1d(velocity[:, None] - apparent, 5, axis=0, mode="constant")
+        off = np.linalg.norm(off, axis=-1)
+        weight = bearing / (1.0 + (off / STANCE_SD) ** 2) ** 2
+    trunk = np.concatenate([np.zeros((1, 3)), np.cumsum(velocity * step[:, None], axis=0)])
+    return Motion(trunk, trunk[:, None] + place, felt[:, 2])
 
 
 class Touchdowns(NamedTuple):
@@ -73,7 +165,7 @@ class Touchdowns(NamedTuple):
         A motor of the leg is at its limit in it; shape [touchdown].
     """
 
-    foot: IntArray
+    foot: NDArray[np.int64]
     begin: FloatArray
     place: FloatArray
     time: FloatArray
@@ -86,10 +178,6 @@ class Touchdowns(NamedTuple):
     used: BoolArray
     torn: BoolArray
     saturated: BoolArray
-
-    def part(self, which: slice) -> Touchdowns:
-        """Some of them."""
-        return Touchdowns(**{name: column[which] for name, column in self._asdict().items()})
 
 
 class Sensitivity(NamedTuple):
@@ -126,54 +214,32 @@ def touchdowns(
         A log, the forces on its feet in the world, their motion, and how the forces depend on the
         torques.
     stances
-        Those of the log.
+        Those of the log, one or more.
     radius
         Of the feet [m].
     """
-    step = float(np.median(np.diff(log.time)))
+    cut = [_touchdown(log, forces, motion, stance, per) for stance in stances]
+    columns = {name: np.array([one[name] for one in cut]) for name in Touchdowns._fields}
+    columns["place"][:, 2] -= radius
+    return Touchdowns(**columns)
+
+
+def _touchdown(
+    log: JointLog, forces: FootForces, motion: Motion, stance: Stance, per: Sensitivity
+) -> dict[str, Any]:
+    """Fields of one touch-down; the places of samples that it lacks repeat its last."""
+    time, foot = log.time, FEET.index(stance.foot)
+    lift, place = forces.force[:, foot, 2].astype(np.float64), motion.feet[:, foot]
+    step = float(np.median(np.diff(time)))
     half = max(1, round(0.5 * SMOOTH_S / step))
-    count = len(stances)
-    made = {
-        name: np.zeros((count, POINTS)) for name in ("time", "drop", "descent", "speed", "force")
-    }
-    made |= {name: np.zeros((count, POINTS, 3)) for name in ("per_gain", "per_friction")}
-    used, torn = np.zeros((count, POINTS), dtype=bool), np.ones(count, dtype=bool)
-    saturated, place = np.zeros(count, dtype=bool), np.zeros((count, 3))
-    feet = np.array([FEET.index(stance.foot) for stance in stances], dtype=np.int64)
-    for i, (foot, stance) in enumerate(zip(feet, stances, strict=True)):
-        lift = forces.force[:, foot, 2].astype(np.float64)
-        rows, columns, good, last = _piece(log.time, lift, motion.feet[:, foot], stance, half)
-        n = len(rows)
-        if not n:
-            continue
-        columns |= {"per_gain": per.gain[rows, foot], "per_friction": per.friction[rows, foot]}
-        for name, values in columns.items():
-            made[name][i, :n] = values
-        made["time"][i, n:], used[i, :n] = made["time"][i, n - 1], good
-        part = slice(rows[0], last + 1)
-        late = np.diff(log.time[part]) > WIDEST_STEP * step
-        torn[i] = FEWEST * step > WINDOW_S or bool(late.any())
-        saturated[i] = bool(forces.saturated[part, foot].any())
-        place[i] = motion.feet[last, foot]
-    place[:, 2] -= radius
-    begin = np.array([stance.begin for stance in stances], dtype=np.float64)
-    return Touchdowns(
-        foot=feet, begin=begin, place=place, used=used, torn=torn, saturated=saturated, **made
-    )
-
-
-def _piece(
-    time: FloatArray, lift: FloatArray, place: FloatArray, stance: Stance, half: int
-) -> tuple[IntArray, dict[str, FloatArray], BoolArray, int]:
-    """Samples of one touch-down, what they hold, which are used, and where it ends."""
     start = int(np.searchsorted(time, stance.begin))
     first = max(int(np.searchsorted(time, stance.begin - BEFORE_S)), half)
     last = int(np.searchsorted(time, min(stance.begin + WINDOW_S, stance.end)))
     rows = np.arange(first, max(min(last, len(time) - half - 1), first))
-    if len(rows) < 2:
-        return rows[:0], {}, np.zeros(0, dtype=bool), first
-    moved = place[rows + half] - place[rows - half]
-    velocity = moved / (time[rows + half] - time[rows - half])[:, None]
+    short = len(rows) < 2
+    rows = np.array([start]) if short else rows
+    before, after = np.maximum(rows - half, 0), np.minimum(rows + half, len(time) - 1)
+    velocity = (place[after] - place[before]) / (time[after] - time[before])[:, None]
     down, force = -velocity[:, 2], lift[rows]
     drop = place[start, 2] - place[rows, 2]
     good = np.isfinite(force) & (down > GOES_ON * max(float(down[rows >= start].max(initial=0)), 0))
@@ -182,15 +248,25 @@ def _piece(
     good &= drop > np.maximum.accumulate(drop) - 3e-4
     force = np.nan_to_num(force)
     good &= (force > 0.9 * np.maximum.accumulate(force) - 2.0) | (rows < start)
-    last = int(rows[np.flatnonzero(good)[-1]]) if good.any() else int(max(rows[-1] + 1, first))
+    last = int(rows[good][-1] if good.any() else min(rows[-1] + 1, len(time) - 1))
     chosen = np.flatnonzero(rows <= last)
     if len(chosen) > POINTS:
         chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, POINTS).round().astype(int))]
-    columns = {
-        "time": time[rows] - stance.begin,
-        "drop": drop,
-        "descent": np.arctan2(down, np.hypot(velocity[:, 0], velocity[:, 1])),
-        "speed": np.linalg.norm(velocity, axis=1),
-        "force": force,
+    part = slice(rows[0], last + 1)
+    late = np.diff(time[part]) > WIDEST_STEP * step
+    count, chosen = len(chosen), chosen[np.minimum(np.arange(POINTS), len(chosen) - 1)]
+    return {
+        "foot": foot,
+        "begin": stance.begin,
+        "place": place[last],
+        "time": time[rows[chosen]] - stance.begin,
+        "drop": drop[chosen],
+        "descent": np.arctan2(down, np.hypot(velocity[:, 0], velocity[:, 1]))[chosen],
+        "speed": np.linalg.norm(velocity, axis=1)[chosen],
+        "force": force[chosen],
+        "per_gain": per.gain[rows[chosen], foot],
+        "per_friction": per.friction[rows[chosen], foot],
+        "used": good[chosen] & (np.arange(POINTS) < count) & (not short),
+        "torn": short or FEWEST * step > WINDOW_S or bool(late.any()),
+        "saturated": bool(forces.saturated[part, foot].any()),
     }
-    return rows[chosen], {k: v[chosen] for k, v in columns.items()}, good[chosen], last

@@ -242,11 +242,11 @@ def answers(file: str, name: str, options: dict[str, Any]) -> list[Section]:
         return [section_of(file, kind, name=name, **options)]
     found = [section_of(file, kind)._replace(title=name)]
     if kind == "log":
-        from terraphi.robot.footfalls import find_footfalls
+        from terraphi.robot.footfalls import footfalls
         from terraphi.view.sections import of_footfalls
 
         try:
-            found.insert(0, of_footfalls(find_footfalls(file), name))
+            found.insert(0, of_footfalls(footfalls(file), name))
         except InputError as error:
             why = f"No footfalls: {str(error).replace(file, name)}."
             found[0] = found[0]._replace(lines=[*found[0].lines, why])

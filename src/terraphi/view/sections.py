@@ -249,7 +249,7 @@ def of_foot_forces(path: Path, robot: str) -> Section:
     if path.suffix == ".nc":
         data: Any = open_netcdf(path, kind=results.KIND, schema=results.SCHEMA)
     else:
-        data = results.dataset_of(results.analyse(path, robot=robot))
+        data = results.dataset_of(results.foot_forces(path, robot=robot))
     summary = json.loads(data.attrs["summary"])
     time, force = data["time"].values, data["force"].values
     begins = data["stance_begin"].values

@@ -16,7 +16,7 @@ normal n and the approach a = (v - V) · n < 0:
 With the true slip w the node is left with the relative velocity s w - (1 - s) |a| n. Part of its
 approach stays, to be counted again at the next step; and since s is small where the soil hardly
 slides, it nearly sticks. The counted momentum is therefore not the applied one, and grows with the
-leg's speed. ``docs/paper.md`` has the numbers.
+leg's speed. ``docs/explanation/model.md`` has the numbers.
 """
 
 from __future__ import annotations

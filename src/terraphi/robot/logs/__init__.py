@@ -6,6 +6,84 @@ Bags hold ``unitree_go/msg/LowState`` or ``sensor_msgs/msg/JointState`` messages
 
 from __future__ import annotations
 
-from terraphi.robot.logs.reading import read_log
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
-__all__ = ["read_log"]
+from terraphi.experiment.documents import parse_toml
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import check_is_file
+from terraphi.robot.joint_log import JOINT_NAMES, JointLog
+from terraphi.robot.logs.bags import read_bag
+from terraphi.robot.logs.columns import Columns, read_table
+from terraphi.robot.logs.samples import joint_log
+
+FORMATS = "CSV, Parquet, MCAP or the folder of a rosbag2"
+
+
+def read_log(
+    path: Path | str,
+    *,
+    topic: str | None = None,
+    joint_names: Sequence[str] | None = None,
+    motors: Sequence[str] = JOINT_NAMES,
+    columns: Columns | Path | str | None = None,
+) -> JointLog:
+    """Read the log of a walking robot.
+
+    Parameters
+    ----------
+    path
+        A CSV or Parquet table (:mod:`~terraphi.robot.logs.columns` has its columns), an MCAP file,
+        or the folder of a rosbag2.
+    topic
+        Topic of a bag to read; by default the one with ``unitree_go/msg/LowState`` messages, or
+        else ``sensor_msgs/msg/JointState``, with the ``sensor_msgs/msg/Imu`` of the same bag.
+    joint_names
+        Names of the twelve joints in JointState messages, FR, FL, RR, RL × hip, thigh, calf, where
+        they are not named like ``FR_hip_joint`` or ``RF_HAA``.
+    motors
+        Which joint each of the first twelve motors of a LowState moves, as ``FR_hip``: a robot's
+        :attr:`~terraphi.robot.model.Quadruped.joint_order`. Joints that it lacks are zero.
+    columns
+        Which columns of a table are what, or a TOML file of it
+        (:class:`~terraphi.robot.logs.columns.Columns`).
+
+    Returns
+    -------
+    JointLog
+        Time comes from the messages themselves: the tick of a LowState, counted from the
+        robot's start; the header stamp of a JointState, counted from the first; the time of
+        recording only where these stand still. ``report`` lists what was read and dropped.
+
+    Raises
+    ------
+    InputError
+        If the file is not a log, holds nothing sound, lacks what is needed or is mostly broken; or
+        a package is missing.
+    """
+    path = Path(path)
+    named = columns if isinstance(columns, Columns | None) else parse_toml(Path(columns), Columns)
+    if joint_names is not None and len(joint_names) != len(motors):
+        raise InputError(
+            f"{len(joint_names)} joint names given; {len(motors)} are expected, in the order "
+            f"{', '.join(name for name in JOINT_NAMES if name in motors)}"
+        )
+    path = path.parent if path.name == "metadata.yaml" else path
+    bag = path.is_dir() or path.suffix in {".mcap", ".db3"}
+    if not path.is_dir():
+        check_is_file(path, FORMATS)
+    useless = {"columns": named} if bag else {"topic": topic, "joint names": joint_names}
+    for name, value in useless.items():
+        if value is not None:
+            raise InputError(f"{path}: has no use for {name}; leave the {name} out")
+    try:
+        if bag:
+            return read_bag(path, topic, joint_names, motors)
+        values = read_table(path, named, motors)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    kind = "parquet" if path.suffix == ".parquet" else "csv"
+    facts: dict[str, Any] = {"notes": [], "format": kind, "topic": None}
+    return joint_log(path, values, "time_s", Counter(), facts)

@@ -18,7 +18,7 @@ import numpy as np
 
 from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError, nearest, needing
-from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, SHAPES
+from terraphi.robot.joint_log import JOINT_NAMES, SHAPES
 
 Names = str | tuple[str, ...]
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -59,16 +59,12 @@ class Columns(Strict):
         names = getattr(self, group) or ()
         if not isinstance(names, str):
             return list(names)
-        filled = []
+        filled: dict[str, None] = {}  # each name once: those of feet repeat for their joints
         for name in (joint for joint in JOINT_NAMES if joint in motors):
             foot, joint = name.split("_")
-            numbers = {"motor": list(motors).index(name), "foot": foot, "joint": joint}
-            numbers |= {"foot_number": FEET.index(foot), "joint_number": JOINTS.index(joint)}
-            text = names
-            for key, value in numbers.items():
-                text = text.replace("{" + key + "}", str(value))
-            filled.append(text)
-        return list(dict.fromkeys(filled))
+            text = names.replace("{motor}", str(list(motors).index(name)))
+            filled[text.replace("{foot}", foot).replace("{joint}", joint)] = None
+        return list(filled)
 
 
 OWN = Columns(
@@ -107,19 +103,16 @@ def read_table(path: Path, columns: Columns | None, motors: Sequence[str]) -> di
         If a column is missing.
     """
     table = _table(path)
-    header = [str(name).strip().strip('"') for name in table.columns]
-    table.columns = header
+    table.columns = header = [str(name).strip().strip('"') for name in table.columns]
     named = columns or OWN
-    wanted = {"time": [named.time]}
-    wanted |= {group: names for group in SHAPES if (names := named.group(group, motors))}
-    if columns is None:
-        wanted = {
-            group: names for group, names in wanted.items()
-            if group in {"time", "angle", "torque"} or set(names) & set(header)
-        }  # fmt: skip
+    scale = {"time": _SECONDS[named.time_unit]}
+    scale |= dict.fromkeys(("angle", "velocity"), _RADIANS[named.angle_unit])
     found: dict[str, Any] = {}
-    for group, names in wanted.items():
-        shape = SHAPES.get(group, ())
+    for group, shape in {"time": (), **SHAPES}.items():
+        names = [named.time] if group == "time" else named.group(group, motors)
+        optional = columns is None and group not in {"time", "angle", "torque"}
+        if not names or (optional and not set(names) & set(header)):
+            continue
         joints = shape == SHAPES["angle"]
         count = len(motors) if joints else prod(shape)
         if len(names) != count:
@@ -132,12 +125,10 @@ def read_table(path: Path, columns: Columns | None, motors: Sequence[str]) -> di
                 hint = nearest(name, header)[:200]
                 raise InputError(f"{path}: column '{name[:60]}' is missing; {hint}")
         values = table[names].to_numpy(dtype=np.float64)
-        if joints and count < len(JOINT_NAMES):
+        if joints:  # those that no motor moves are zero
             whole = np.zeros((len(values), len(JOINT_NAMES)))
             whole[:, [name in motors for name in JOINT_NAMES]] = values
             values = whole
-        scale = {"time": _SECONDS[named.time_unit]}
-        scale |= dict.fromkeys(("angle", "velocity"), _RADIANS[named.angle_unit])
         found[group] = scale.get(group, 1.0) * values.reshape(len(values), *shape)
     found["stamp"] = found.pop("time")
     return found

@@ -1,23 +1,40 @@
-"""From the columns of a log to a JointLog: unsound samples are dropped and counted, by reason."""
+"""From the columns of a log to a JointLog: seconds that increase, and only sound samples.
+
+Unsound samples are dropped and counted, by reason.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import JointLog
-from terraphi.robot.logs import clock as clocks
+
+Clock = Literal["time_s", "tick", "header stamp"]
+"""Column of a table [s], tick of a LowState [ms], header of a JointState [ns]."""
+
+GAP_STEPS, GAP_S = 5.0, 0.02
+"""A pause is a gap if longer than this many usual steps, and than this many seconds [s]."""
+REORDERED = 0.01
+"""Fraction of samples that may arrive out of order without the log having been restarted."""
+STALLED = 0.9
+"""Fraction of steps without advance beyond which a clock stands still."""
+UNEVEN = 0.15
+"""Steps that vary by more than this part of the usual one [-] make forces noisier."""
+
+REPEATED = "repeated time"
+BACKWARDS = "time ran backwards"
+
 
 FULL_TURN = 2.0 * np.pi
 LARGEST = 1e6
 """Numbers beyond this are no sensor's, and count as not finite."""
-LATEST_S = 1e30
 
 NOT_FINITE = "not a finite number"
 TURNED = "joint angle beyond a full turn"
@@ -28,25 +45,19 @@ _REMEDIES = {
     NOT_FINITE: f"none above {LARGEST:g} is expected either; remove or repair those rows",
     TURNED: "the angles look like degrees, radians are expected",
     ATTITUDE: "give (w, x, y, z) of length 1, or leave the attitude out",
-    clocks.REPEATED: "stamp every sample with its own time",
-    clocks.BACKWARDS: "sort the samples by time, or cut the log where its clock was set back",
+    REPEATED: "stamp every sample with its own time",
+    BACKWARDS: "sort the samples by time, or cut the log where its clock was set back",
 }
 _IMU = ("quaternion", "angular_velocity", "acceleration", "foot_counts")
 _MOTION_SAMPLES = 20_000
-_FASTEST = 30.0
-"""Mean speed of joints that no robot has [rad/s]."""
-_UNITS = {
-    "velocities look like degrees per second, rad/s are expected": np.degrees(1.0),
-    "times look like milliseconds, seconds are expected": 1e3,
-    "times look like microseconds, seconds are expected": 1e6,
-    "times look like nanoseconds, seconds are expected": 1e9,
-}
+_UNLIKE = 30.0
+"""Factor between joint velocities and the rate of their angles that shows wrong units [-]."""
 
 
 def joint_log(
     path: Path,
     values: dict[str, Any],
-    clock: clocks.Clock,
+    clock: Clock,
     dropped: Counter[str],
     facts: dict[str, Any],
 ) -> JointLog:
@@ -59,103 +70,177 @@ def joint_log(
     values
         Columns of a JointLog but the time, ``stamp``, and ``recorded`` [ns] if known.
     clock
-        What the stamps are.
+        Kind of the stamps.
     dropped, facts
-        Samples dropped before, by reason, and what else to report, with ``notes``.
+        Samples dropped before, by reason, and other entries of the report, with ``notes``.
 
     Returns
     -------
     JointLog
         With ``report``: ``samples``, ``dropped`` (number by reason), ``notes``, those of
-        :func:`~terraphi.robot.logs.clock.describe`, ``clock`` and the facts.
+        :func:`describe`, ``clock`` and the facts.
 
     Raises
     ------
     InputError
         If no sample is sound, if over half are not for one reason, or if the units are wrong.
     """
-    if len(values["stamp"]):
-        for reason, bad in _unsound(values):
-            dropped[reason] += int(bad.sum())
-            values = {name: column[~bad] for name, column in values.items()}
+    values = _sound(values, dropped)
     _refuse_if_hopeless(path, dropped, len(values["stamp"]))
-    if not len(values["stamp"]):
-        raise InputError(f"{path}: no samples in it; record the log again")
-    time, name, more = clocks.seconds(values.pop("stamp"), values.pop("recorded", None), clock)
-    for _ in range(2):  # again without what ran backwards
-        time, jitter = clocks.evened(time, values["angle"], values.get("velocity"))
-        facts["notes"] += [*more.pop("notes", []), *jitter.pop("notes", [])]
-        facts |= {**more, **jitter}
-        keep, lost = clocks.increasing(time)
-        if keep.all():
-            break
-        dropped.update(lost)
-        time, values = time[keep], {name: column[keep] for name, column in values.items()}
-        _refuse_if_hopeless(path, dropped, len(time))
+    time, facts_of_time = seconds(values.pop("stamp"), values.pop("recorded", None), clock)
+    notes = [*facts["notes"], *facts_of_time.get("notes", ())]
+    keep, lost = increasing(time)
+    dropped.update(lost)
+    time, values = time[keep], {name: column[keep] for name, column in values.items()}
+    _refuse_if_hopeless(path, dropped, len(time))
     silent = [name for name in _IMU if name in values and not values[name].any()]
     if silent:
-        facts["notes"].append(f"always zero, taken as absent: {', '.join(silent)}")
+        notes.append(f"always zero, taken as absent: {', '.join(silent)}")
         values = {name: column for name, column in values.items() if name not in silent}
     if "quaternion" in values:
         values["quaternion"] /= np.linalg.norm(values["quaternion"], axis=1, keepdims=True)
     if "velocity" in values:
         _check_units(path, time, values["angle"], values["velocity"])
     else:
-        facts["notes"].append("no velocities in the log: central differences of the angles")
-        short = len(time) < 2
+        notes.append("no velocities in the log: central differences of the angles")
         angle = values["angle"]
-        values["velocity"] = np.zeros_like(angle) if short else np.gradient(angle, time, axis=0)
-    report = {
-        "samples": len(time),
-        "dropped": dict(sorted((+dropped).items())),
-        **clocks.describe(time),
-        "clock": name,
-        **facts,
-    }
+        values["velocity"] = np.gradient(angle, time, axis=0) if len(time) > 1 else 0.0 * angle
+    counts = {"samples": len(time), "dropped": dict(sorted((+dropped).items()))}
+    report = {**counts, **describe(time), **facts, **facts_of_time, "notes": notes}
     return JointLog(time, **values, report=report)
 
 
-def _unsound(values: dict[str, Any]) -> Iterator[tuple[str, BoolArray]]:
-    """Reasons against samples, and which they are among those that are left."""
+def _sound(values: dict[str, Any], dropped: Counter[str]) -> dict[str, Any]:
+    """Samples whose numbers are those of sensors; the others are counted."""
     columns = {name: c.reshape(len(c), -1) for name, c in values.items() if name != "recorded"}
-    sound = np.abs(columns["stamp"].astype(np.float64))[:, 0] < LATEST_S
+    finite = np.abs(columns["stamp"].astype(np.float64))[:, 0] < 1e30
     for name in columns.keys() - {"stamp"}:
-        sound &= (np.abs(columns[name]) < LARGEST).all(axis=1)
-    yield NOT_FINITE, ~sound
-    turned = (np.abs(columns["angle"][sound]) > FULL_TURN).any(axis=1)
-    yield TURNED, turned
+        finite &= (np.abs(columns[name]) < LARGEST).all(axis=1)
+    within = (np.abs(columns["angle"]) <= FULL_TURN).all(axis=1)
+    unit = np.ones_like(within)
     if "quaternion" in columns:
-        size = np.linalg.norm(columns["quaternion"][sound][~turned], axis=1)
+        size = np.linalg.norm(columns["quaternion"], axis=1)
         # A zero quaternion is none, unless all samples lack their attitude.
-        yield ATTITUDE, (np.abs(size - 1.0) >= 0.1) & ((size > 0.0) | size.any())
+        unit = (np.abs(size - 1.0) < 0.1) | ((size == 0.0) & ~size[finite & within].any())
+    keep = finite & within & unit
+    bad = {NOT_FINITE: ~finite, TURNED: finite & ~within, ATTITUDE: finite & within & ~unit}
+    dropped.update({reason: int(which.sum()) for reason, which in bad.items()})
+    return {name: column[keep] for name, column in values.items()}
 
 
 def _refuse_if_hopeless(path: Path, dropped: Counter[str], kept: int) -> None:
-    lost = dropped.total()
-    if not lost:
-        return
-    reason, number = dropped.most_common(1)[0]
-    if 2 * number > kept + lost or not kept:
+    if not kept and not dropped.total():
+        raise InputError(f"{path}: no samples in it; record the log again")
+    reason, number = (dropped or Counter({"": 0})).most_common(1)[0]
+    if 2 * number > kept + dropped.total() or not kept:
         remedy = _REMEDIES.get(reason, "check what wrote it, or record it again")
-        raise InputError(f"{path}: {number} of {kept + lost} samples: {reason}; {remedy}")
+        whole = kept + dropped.total()
+        raise InputError(f"{path}: {number} of {whole} samples: {reason}; {remedy}")
 
 
 def _check_units(path: Path, time: FloatArray, angle: FloatArray, velocity: FloatArray) -> None:
-    """Refuse times that are not in seconds and velocities in degrees per second."""
+    """Refuse velocities that are not the rate at which the angles change."""
     steps = np.diff(time[:_MOTION_SAMPLES])[:, None, None]
     if not len(steps):
         return
     usual = steps <= 1.5 * np.median(steps)
     moved = float(np.abs(np.diff(angle[:_MOTION_SAMPLES], axis=0) / steps).mean(where=usual))
     logged = float(np.abs(velocity[1:_MOTION_SAMPLES]).mean(where=usual))
-    if moved > _FASTEST:
+    ratio = logged / max(moved, 1e-12)
+    if max(moved, logged) > 0.1 and not 1.0 / _UNLIKE < ratio < _UNLIKE:
         raise InputError(
-            f"{path}: the joints' angles change by {moved:.3g} rad/s on average, no more than "
-            f"{_FASTEST:g} are expected; look at the units of times and angles"
+            f"{path}: joint velocities are {ratio:.3g} times the rate at which the angles change; "
+            "look at the units of times (s), angles (rad) and velocities (rad/s)"
         )
-    for looks, number in _UNITS.items():
-        if logged > 0.1 and 0.5 * number < logged / max(moved, 1e-12) < 2.0 * number:
-            raise InputError(
-                f"{path}: joint velocities are {logged / moved:.3g} times the rate at which the "
-                f"angles change; {looks}"
-            )
+
+
+def seconds(
+    stamp: NDArray[Any], recorded: NDArray[np.int64] | None, clock: Clock
+) -> tuple[FloatArray, dict[str, Any]]:
+    """Convert time stamps into seconds.
+
+    Parameters
+    ----------
+    stamp
+        Stamps in the unit of their :data:`Clock`, shape [sample].
+    recorded
+        When each message was recorded [ns]; ``None`` if unknown.
+    clock
+        Kind of the stamps.
+
+    Returns
+    -------
+    ndarray
+        Time [s]. A tick counts from the robot's start, its wrap at 2³² ms undone; stamps and
+        recording times count from the first sample.
+    dict
+        ``clock``, the one used: the recording time where the messages' own stands still; ``notes``;
+        ``start_ns`` of a time that counts from the first sample.
+    """
+    if clock == "time_s" or recorded is None:
+        return stamp.astype(np.float64), {"clock": clock}
+    notes = []
+    if len(stamp) > 1 and np.mean(np.diff(stamp) == 0) > STALLED:
+        notes = [f"the messages' {clock} stands still; times are those of recording"]
+    elif clock == "tick":
+        # Differences modulo 2³² of the smallest size: forwards over a wrap, else backwards.
+        steps = np.diff(stamp.astype(np.uint32)).view(np.int32).astype(np.int64)
+        return (stamp[0] + np.concatenate([[0], np.cumsum(steps)])) / 1e3, {"clock": clock}
+    used, name = (recorded, "recording time") if notes else (stamp, clock)
+    return (used - used[0]) / 1e9, {"clock": name, "start_ns": int(used[0]), "notes": notes}
+
+
+def increasing(time: FloatArray) -> tuple[BoolArray, Counter[str]]:
+    """Choose samples whose time increases strictly.
+
+    Repeated stamps are dropped, and the few that are out of order. If there are more than a few,
+    the clock was set back: only the longest piece is kept, because pieces of different runs must
+    not be joined.
+
+    Returns
+    -------
+    ndarray
+        Which samples to keep, shape [sample].
+    Counter
+        Reasons and numbers of those that go.
+    """
+    keep = np.ones(len(time), dtype=bool)
+    keep[1:] &= np.diff(time) != 0
+    repeated, t = int((~keep).sum()), time[keep]
+    highest = np.maximum.accumulate(np.concatenate([[-np.inf], t[:-1]]))
+    lowest = np.minimum.accumulate(np.concatenate([[np.inf], t[:0:-1]]))[::-1]
+    chosen = max((t > highest, t < lowest), key=np.count_nonzero)
+    if np.mean(~chosen) > REORDERED:
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(t) <= 0) + 1, [len(t)]])
+        piece = int(np.diff(edges).argmax())
+        chosen = np.zeros(len(t), dtype=bool)
+        chosen[edges[piece] : edges[piece + 1]] = True
+    keep[keep] = chosen
+    return keep, +Counter({REPEATED: repeated, BACKWARDS: int((~chosen).sum())})
+
+
+def describe(time: FloatArray) -> dict[str, Any]:
+    """Duration, rate, jitter and gaps of strictly increasing times [s].
+
+    Returns
+    -------
+    dict
+        ``duration_s`` [s]; ``rate_hz`` [Hz], from the usual step, ``None`` for a single sample;
+        ``jitter_s`` [s], root mean square deviation of ordinary steps from the usual one;
+        ``missing``, number of samples that steps of several usual ones lack; ``gaps``, start and
+        end [s] of every long pause.
+    """
+    if len(time) < 2:
+        return {"duration_s": 0.0, "rate_hz": None, "jitter_s": 0.0, "missing": 0, "gaps": []}
+    steps = np.diff(time)
+    ordinary = steps[steps <= 1.5 * float(np.median(steps))]
+    # Clocks of whole milliseconds make 400 Hz out of steps of 2 and 3 ms: the mean is right.
+    usual = float(ordinary.mean())
+    wide = np.flatnonzero(steps > max(GAP_STEPS * usual, GAP_S))
+    return {
+        "duration_s": float(time[-1] - time[0]),
+        "rate_hz": 1.0 / usual,
+        "jitter_s": float(ordinary.std()),
+        "missing": int(np.rint(steps[steps > 1.5 * usual] / usual - 1.0).sum()),
+        "gaps": [{"start_s": float(time[i]), "end_s": float(time[i + 1])} for i in wide],
+    }
