@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from terraphi.robot import footfall_map
-from terraphi.robot.footfall_fit import SENSORS, SHARED
-from terraphi.robot.footfall_map import Anchor, Observed, Shared, covariance, pool
+from terraphi.robot.footfall_fit import SENSORS, SHARED, Prior
+from terraphi.robot.footfall_map import Anchor, Observed, Shared, covariance, pool, weigh
+from terraphi.robot.touchdowns import Sensitivity
 
 N, M = len(SENSORS), len(SHARED)
 FIELD = (1.2, 0.8, 0.1)
@@ -100,3 +101,20 @@ def test_feet_teach_the_gains_that_differ_between_them() -> None:
     assert found.shared_mean[2] - found.shared_mean[5] == pytest.approx(0.1, abs=0.01)
     assert np.ptp(found.phi) < 0.1
     assert found.sd.min() > 0.2  # what both have in common is not known
+
+
+def test_a_gain_is_found_from_the_weight_while_the_trunk_bobs() -> None:
+    """The motors of one foot read 10 % too much; it bears most when the trunk accelerates up."""
+    time, mass = np.arange(0.0, 30.0, 0.01), 15.0
+    wave = np.sin(2.0 * np.pi * time / 0.8)
+    share = np.column_stack([0.5 + 0.4 * wave, 0.5 - 0.4 * wave, 0.0 * wave, 0.0 * wave])
+    true = share * (mass * (9.81 + 2.5 * wave))[:, None]
+    gain = np.zeros((len(time), 4, 3))
+    gain[:, :, 2] = true
+    found = weigh(
+        time, true * [1.1, 1.0, 1.0, 1.0], 2.5 * wave, Sensitivity(gain, 0.0 * gain), Prior(),
+        mass=mass,
+    )  # fmt: skip
+    assert found.mean[2] - found.mean[5] == pytest.approx(0.1, abs=0.01)
+    assert found.mean[2] == pytest.approx(0.1, abs=0.03)  # less what the mass may be off by
+    assert found.covariance[2, 2] < Prior().gain_sd ** 2
