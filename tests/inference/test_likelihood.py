@@ -17,7 +17,7 @@ from terraphi.inference.inversion import invert
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_record
 from terraphi.inference.sampling import quadrature, sample
-from terraphi.inference.soils import Calibration, KnownSoil, ModelError
+from terraphi.inference.soils import Calibration, CalibrationSoil, ModelError
 from terraphi.library.store import PHI, Case, Library
 
 RECORDS = [name for name in names() if name.startswith("li2013:")]
@@ -109,11 +109,14 @@ def test_records_of_one_soil_share_what_they_share(sand3d: Library) -> None:
 
 def test_known_soils_narrow_and_shift(sand3d: Library) -> None:
     def with_soils(count: int, apart: float) -> Calibration:
-        soil = KnownSoil(
-            source="x", leg="straight", phi_deg=30.0, phi_sd_deg=1.0, read_deg=30.0 + apart,
-            read_sd_deg=1.0,
-        )  # fmt: skip
-        return Calibration(library="sand3d", library_hash=sand3d.hash, soils=[soil] * count)
+        soils = [
+            CalibrationSoil(
+                source="x", leg="straight", phi_deg=phi, phi_sd_deg=1.0, read_deg=phi + apart,
+                read_sd_deg=1.0,
+            )
+            for phi in 30.0 + 0.01 * np.arange(count)
+        ]  # fmt: skip
+        return Calibration(library="sand3d", library_hash=sand3d.hash, soils=soils)
 
     record = "li2013:glass03_loose/straight"
     plain = invert(record)
@@ -125,16 +128,20 @@ def test_known_soils_narrow_and_shift(sand3d: Library) -> None:
 
 
 def test_calibration_is_the_posterior_of_its_normal_model() -> None:
-    error = ModelError(offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0)
-    soil = {"source": "x", "leg": "c", "phi_sd_deg": 1.5, "read_sd_deg": 0.5}
+    """Two soils; the second was read twice, by two legs, and shares all but their errors."""
+    error = ModelError(offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0, leg_sd_deg=1.2)
+    soil = {"source": "x", "phi_sd_deg": 1.5, "read_sd_deg": 0.5}
     soils = [
-        KnownSoil(phi_deg=30.0, read_deg=33.0, **soil),
-        KnownSoil(phi_deg=25.0, read_deg=29.0, **soil),
+        CalibrationSoil(leg="c", phi_deg=30.0, read_deg=33.0, **soil),
+        CalibrationSoil(leg="c", phi_deg=25.0, read_deg=29.5, **soil),
+        CalibrationSoil(leg="straight", phi_deg=25.0, read_deg=28.5, **soil),
     ]
     mean, sd = Calibration(library="x", library_hash="", soils=soils).common(error)
     b = np.linspace(-20.0, 20.0, 40_001)
-    variance = 2.0**2 + 1.5**2 + 0.5**2
-    log_p = -0.5 * b**2 / 9.0 - sum(0.5 * (y - 1.0 - b) ** 2 / variance for y in (3.0, 4.0))
+    log_p = -0.5 * b**2 / 9.0
+    for apart, legs in ((3.0, 1), (4.0, 2)):
+        variance = 2.0**2 + 1.2**2 / legs + 1.5**2 + 0.5**2
+        log_p -= 0.5 * (apart - 1.0 - b) ** 2 / variance
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
     assert mean == pytest.approx(float(p @ b), abs=1e-3)

@@ -76,6 +76,8 @@ def test_what_is_shared_moves_the_answer_as_told() -> None:
     assert deeper == pytest.approx(0.02 * told["drop"], rel=0.15)
     state = np.array([[34.0, 0.003, 0.0]])
     force = predicted(LAWS["rft"], PRIOR, seen, state, exponent=0.05)
+    depth = seen.drop + 0.003  # an exponent does nothing at 20 mm
+    np.testing.assert_allclose(force, seen.force * (depth / 0.02) ** 0.05)
     steeper = fit(seen._replace(force=force), "rft", PRIOR).phi[0] - found.phi[0]
     assert steeper == pytest.approx(0.05 * told["law_exponent"], rel=0.15)
     assert told["law_slope"] == pytest.approx(34.0 - PRIOR.phi_deg, abs=0.1)
