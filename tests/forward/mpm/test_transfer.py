@@ -7,6 +7,7 @@ import pytest
 
 from terraphi.forward.mpm.bed import geostatic_bed
 from terraphi.forward.mpm.lattice import lattice_of, positions
+from terraphi.forward.mpm.solver import settle
 from terraphi.forward.mpm.transfer import push, renew
 
 
@@ -41,6 +42,22 @@ def test_affine_fields_survive_and_carry_particles(bed) -> None:
     after = positions(lattice, soil.cell, soil.offset)
     np.testing.assert_allclose(after, before + 0.002 * c.T + 0.01 * before @ d.T, atol=1e-12)
     assert np.ptp(after - before, axis=0).min() > 1e-4
+
+
+def test_a_field_that_its_mirror_image_continues_survives_at_the_plane(space) -> None:
+    """Soil that spreads from the plane of symmetry, and flows along it."""
+    scenario = space.scenario(**space.away)
+    soil, lattice = geostatic_bed(scenario), lattice_of(scenario)
+    nodes = np.arange(lattice.nodes, dtype=np.int32)
+    x, y, z = positions(lattice, nodes, np.zeros((lattice.nodes, 3))).T
+    field = np.stack([1.0 + 2.0 * x - 3.0 * z, 7.0 * y, 5.0 * x + z])
+    soil.velocity[:] = field
+    assert settle(soil, lattice, np.zeros_like(field), np.zeros((4, lattice.nodes))) == -1
+    row = nodes % lattice.layer // lattice.row
+    heavy = soil.node_mass > 1e-3 * soil.node_mass.max()
+    near = heavy & ((row == 1) | (row == 2))
+    assert near.sum() > 100
+    np.testing.assert_allclose(soil.velocity[:, near], field[:, near], atol=1e-9)
 
 
 def test_mass_and_both_momenta_are_conserved(bed) -> None:
