@@ -86,6 +86,7 @@ def test_return_follows_the_flow_rule_and_ends_on_the_surface(principal, angles,
         return
     # What was taken away is D times potentials of planes that touch, none of them pulled.
     active = f > -1e-5 * scale
+    assert active.any()
     stiffness = material.lame_lambda + 2.0 * material.shear_modulus * np.eye(3)
     flows = np.array([plane(material.sin_dilation, *pair) for pair in PAIRS])[active]
     if np.abs(new - tip).max() >= 1e-6 * scale or angles[1] == angles[0]:
