@@ -57,6 +57,8 @@ HYPER = {
     ("reversed_c", "speed-up"): (0.0379, 0.0131, 8.07, 20.0, 0.0047, 0.006),
 }
 """By leg and cause: level, amplitude, length over φ [deg], over θ [deg], offset, ripple [-]."""
+SCATTER = 0.44
+"""Standard deviation of a finer simulation's scatter over that of the library's [-]."""
 GRID_DEG = np.linspace(-85.0, 85.0, 40)
 """Leg angles at which corrections are computed [deg]: the windows of an inversion."""
 HALF = np.radians(85.0 / 39.0)
@@ -154,7 +156,7 @@ def correction(emulator: Emulator, leg: str, cause: str, phi_deg: np.ndarray) ->
     coarse = onto(emulator.curves.theta_deg, np.eye(emulator.curves.theta_deg.size), GRID_DEG)
     both = np.kron(np.eye(2), coarse.T)
     for i, phi in enumerate(rows.phi):
-        of_rows[i, i] += both @ emulator.scatter(np.array([phi])) @ both.T
+        of_rows[i, i] += SCATTER**2 * both @ emulator.scatter(np.array([phi])) @ both.T
         own = both @ emulator.interpolation(np.array([phi]))
         of_rows[i, rows.phi == phi] += own @ own.T
     limit = np.zeros(len(phi_deg))
@@ -215,10 +217,15 @@ def main() -> None:
     parser.add_argument("--out", required=True)
     options = parser.parse_args()
     library = terraphi.Library.load(options.library)
+    # Hyperparameters were found with curves every 5°, and go with these.
+    coarse = replace(
+        library,
+        cases=tuple(c for c in library.cases if c.scenario.soil.friction_angle_deg % 5 == 0),
+    )
     found = {}
     for leg in library.legs:
-        emulator = Emulator(library.curves(leg))
-        phi = np.unique(emulator.curves.x[:, 0])
+        emulator = Emulator(coarse.curves(leg))
+        phi = np.unique(library.curves(leg).x[:, 0])
         parts = {cause: correction(emulator, leg, cause, phi) for cause in FINER}
         modes = {cause: part[1] for cause, part in parts.items()}
         # What goes with the product of both causes is in both; the smaller may be any share of it.

@@ -117,8 +117,10 @@ def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **opt
     Example: terraphi calibrate li2013:poppy_loose/straight --phi 36±2 --out poppy.toml
     """
     from terraphi.experiment.files import number_with_sd
+    from terraphi.experiment.outputs import check_file
     from terraphi.inference.inversion import calibrate as run
 
+    check_file(out)
     mean, sd = number_with_sd(phi)
     if sd is None:
         raise InputError(f"--phi {phi}: give mean and standard deviation, such as 36±2")

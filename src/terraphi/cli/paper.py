@@ -29,7 +29,9 @@ NAMES = (
 @click.option("--out", type=PATH, help="Folder for data.json and figures.")
 @json_option
 def paper(name: str | None, library: str, out: Path | None, as_json: bool) -> None:
-    r"""Repeat the results of Xu & Wang: NAME, or all but the figures (about two minutes).
+    """Repeat the results of Xu & Wang.
+
+    NAME is one of these; without it all but the figures, in about two minutes.
 
     \b
     recovery         fourteen friction angles, by quadrature and by emcee

@@ -44,8 +44,9 @@ MOST_LEFT_OUT = 0.5
 """Share of the readings that may be left out [-]."""
 ALIKE = 1.1
 """Ratio of densities up to which records may be of one soil [-]."""
-BETTER = 0.6
-"""Residual of a record read differently, over that as given, at which that is proposed [-]."""
+BETTER, FITS = 0.6, 2.0
+"""Residual of a record read differently at which that is proposed, over that as given, and over the
+limit of a misfit [-]."""
 USUAL_DEG = (15.0, 50.0)
 """Friction angles of dry soils in plane strain [deg]."""
 USUAL_SHIFT_DEG = (-6.0, 15.0)
@@ -272,7 +273,8 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
 
 def _other_readings(likelihood: Likelihood, record: Record, library: Library) -> Iterator[str]:
     """Another leg, sign, unit or order that would describe a misfit much better."""
-    best, proposal = BETTER * _residual(record.data, record, likelihood, record.leg), ""
+    own = _residual(record.data, record, likelihood, record.leg)
+    best, proposal = min(BETTER * own, FITS * likelihood.errors[record.leg].nrmsd_limit), ""
     fx, fz = record.data
     options: dict[str, FloatArray] = {
         "the sign of Fx is turned (Fx points forward)": np.stack([-fx, fz]),

@@ -55,7 +55,7 @@ DIFFUSE = 30.0
 """κ: standard deviation of an unknown shape, of peak-to-peak [-]."""
 ZERO_SD_DEG = 1.0
 """Standard deviation of the zero of θ [deg]."""
-RIDGE = 1e-3
+RIDGE = 2e-3
 """Standard deviation added to each window mean, of peak-to-peak [-]."""
 UNKNOWN_DENSITY = 0.10
 """Relative standard deviation of a density of which nothing is known [-]."""
@@ -335,15 +335,16 @@ class Likelihood:
         return found
 
     def _shape(self, slope: FloatArray) -> FloatArray:
-        """P (κp)² P' of each record by itself."""
-        blocks = []
-        for part in self.parts:
-            s, p = slope[part], self.span[part]
-            weighted = s / p[:, None] ** 2
-            projector = np.eye(len(p)) - s @ np.linalg.pinv(s.T @ weighted) @ weighted.T
-            factor = projector * (DIFFUSE * p)
-            blocks.append(factor @ factor.T)
-        return self._blocks(blocks)
+        """P (κp)² P' of all records together.
+
+        So several records give the angle of their common least squares, between those of each. With
+        their shared errors as weights it could lie outside (Peelle's puzzle).
+        """
+        s, p = slope, self.span
+        weighted = s / p[:, None] ** 2
+        projector = np.eye(len(p)) - s @ np.linalg.pinv(s.T @ weighted) @ weighted.T
+        factor = projector * (DIFFUSE * p)
+        return np.asarray(factor @ factor.T)
 
     @cached_property
     def covariance(self) -> FloatArray:

@@ -12,7 +12,6 @@ Whatever the readings' spacing, both sides are averaged alike.
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -252,7 +251,7 @@ def open_record(
         sd = DENSITY_SD * mean
     sensor = _noise_N(history)
     if noise is not None:
-        sensor = (float(noise), float(noise)) if isinstance(noise, numbers.Real) else noise
+        sensor = noise if isinstance(noise, tuple) else (float(noise), float(noise))
     if not all(0.0 <= one <= np.ptp(history.force) for one in sensor):
         raise InputError(
             f"noise = {max(sensor):g} N; 0 N to {np.ptp(history.force):.3g} N, the range of the "

@@ -30,6 +30,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict, parse_toml
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import replacing
+from terraphi.experiment.outputs import SIGNATURE
 from terraphi.library.store import Library
 
 
@@ -127,7 +128,11 @@ class Calibration(Strict):
 
     def save(self, path: Path | str) -> None:
         """Write it as TOML; raises InputError if the place cannot be written."""
-        lines = [f'library = "{self.library}"', f'library_hash = "{self.library_hash}"']
+        lines = [
+            f"# {SIGNATURE}: a calibration",
+            f'library = "{self.library}"',
+            f'library_hash = "{self.library_hash}"',
+        ]
         for soil in self.soils:
             lines += ["", "[[soils]]"]
             for key, value in soil.model_dump().items():
