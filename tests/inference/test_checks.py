@@ -88,6 +88,15 @@ def test_faults_that_shift_readings_are_misfits(change) -> None:
     assert answer.questions
 
 
+@pytest.mark.parametrize(
+    ("change", "words"), [(clipped, "Fz is cut off at"), (step, "Fx jumps by 2.5 N at -1")]
+)
+def test_what_shifts_readings_is_named(change, words: str) -> None:
+    record = without_faults(open_record(damaged(change), density=638.0))
+    assert record.damaged
+    assert any(words in note for note in record.notes)
+
+
 def test_a_record_of_faults_is_refused() -> None:
     def mostly_zero(theta, force):
         force[(theta > -70) & (theta < 60) & (np.arange(len(theta)) % 4 != 0)] = 0.0

@@ -48,17 +48,22 @@ def test_two_parameters_are_predicted(rft3d: Library) -> None:
 
 
 def test_process_is_that_of_scikit_learn() -> None:
-    """Universal kriging is the limit of a process whose polynomial has a large prior variance."""
+    """Universal kriging is the limit of a process whose polynomial has a large prior variance.
+
+    The variance of the scatter goes with the square of the roughness of each case.
+    """
     rng = np.random.default_rng(0)
     t = np.linspace(-1.0, 1.0, 14)[:, None]
-    w = np.sin(2.0 * t) + 0.05 * rng.standard_normal(t.shape)
+    rough = np.linspace(0.3, 2.0, len(t))
+    w = np.sin(2.0 * t) + 0.05 * rough[:, None] * rng.standard_normal(t.shape)
     basis = np.hstack([np.ones_like(t), t])
-    (process,) = _fitted(t, basis, w, np.ones(len(t)))
+    (process,) = _fitted(t, basis, w, rough)
+    scatter = process.sigma2 * process.noise * rough**2
     new = np.array([[-0.77], [0.03], [0.61]])
     f = np.hstack([np.ones_like(new), new])
     # The residual about our polynomial is an ordinary process; scikit-learn predicts it.
     kernel = ConstantKernel(process.sigma2, "fixed") * Matern(process.lengths, "fixed", nu=2.5)
-    rival = GaussianProcessRegressor(kernel, alpha=process.sigma2 * process.noise, optimizer=None)
+    rival = GaussianProcessRegressor(kernel, alpha=scatter, optimizer=None)
     rival.fit(t, w[:, 0] - basis @ process.beta)
     mean, sd = rival.predict(new, return_std=True)
     ours = _kernel(new, t, process.lengths) @ process.solved
@@ -70,7 +75,7 @@ def test_process_is_that_of_scikit_learn() -> None:
     def k(a: np.ndarray, b: np.ndarray, fa: np.ndarray, fb: np.ndarray) -> np.ndarray:
         return kernel(a, b) + big * fa @ fb.T
 
-    total = k(t, t, basis, basis) + process.sigma2 * process.noise * np.eye(len(t))
+    total = k(t, t, basis, basis) + np.diag(scatter)
     across = k(new, t, f, basis)
     limit = np.diag(k(new, new, f, f)) - np.einsum(
         "ki,ki->k", across, np.linalg.solve(total, across.T).T

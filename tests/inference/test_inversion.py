@@ -97,6 +97,15 @@ def test_wrong_records_are_misfits_with_a_remedy(medium: str, leg: str) -> None:
         assert answer.verdict != "consistent"
 
 
+@pytest.mark.parametrize(("factor", "verdict"), [(1.0, "consistent"), (1.15, "misfit")])
+def test_simulated_forces_that_noise_does_not_explain_are_a_misfit(
+    history_at: Callable[..., ForceHistory], factor: float, verdict: str
+) -> None:
+    history = turned(history_at(33.0, noise=0.05), 1.0, factor)
+    answer = invert(history, library="rft3d", simulated=True, noise=0.05)
+    assert answer.verdict == verdict
+
+
 def test_an_angle_beyond_the_library_is_out_of_range(
     history_at: Callable[..., ForceHistory],
 ) -> None:
@@ -137,3 +146,14 @@ def test_calibrating_with_one_s_own_answer_centres_there(tmp_path) -> None:
     plain = invert(record)
     assert abs(answer.phi.median - 25.0) <= abs(plain.phi.median - 25.0)
     assert answer.phi.sd < plain.phi.sd
+
+
+def test_what_a_library_reads_too_high_is_taken_off(sand3d: Library) -> None:
+    """Once from an answer, and never from what a calibration has read."""
+    error = {"straight": {**sand3d.model_error["straight"], "offset_deg": 2.5}}
+    high, record = replace(sand3d, model_error=error), "li2013:glass03_loose/straight"
+    plain, lower = (invert(record, library=one) for one in (sand3d, high))
+    assert lower.phi.median == pytest.approx(plain.phi.median - 2.5, abs=0.05)
+    reads = [calibrate(record, 25.0, 1.0, library=one).soils[0].read_deg for one in (sand3d, high)]
+    assert reads[1] == pytest.approx(reads[0], abs=0.05)
+    assert reads[0] == pytest.approx(plain.phi.median, abs=0.2)

@@ -40,8 +40,13 @@ def test_median_of_measured_sand_is_that_of_least_squares(sand3d: Library, name:
     assert invert(name).phi.median == pytest.approx(best.x, abs=0.2)
 
 
-def test_squares_of_the_budget_are_the_variance() -> None:
+def test_squares_of_the_budget_are_the_variance(sand3d: Library) -> None:
+    """And what looks like another angle is worth what the library says."""
     answer = invert("li2013:poppy_loose/straight")
+    error = ModelError.model_validate(sand3d.model_error["straight"])
+    offset = np.hypot(error.common_sd_deg, error.soil_sd_deg)
+    assert answer.budget_deg["model: offset"] == pytest.approx(offset, rel=0.05)
+    assert answer.budget_deg["model: leg"] == pytest.approx(error.leg_sd_deg, rel=0.05)
     total = np.sqrt(np.square(list(answer.budget_deg.values())).sum())
     assert total == pytest.approx(answer.phi.sd, rel=0.01)
 
@@ -53,6 +58,30 @@ def test_density_is_worth_what_forces_in_proportion_to_it_make() -> None:
     other = invert("li2013:poppy_loose/straight", density="606.1±0")
     added = np.sqrt(wide.phi.sd**2 - known.phi.sd**2)
     assert added == pytest.approx(2.0 * abs(other.phi.median - known.phi.median), rel=0.1)
+
+
+def test_terms_are_what_their_causes_do_to_the_forces(sand3d: Library) -> None:
+    """A degree of the leg's angle, its own part of the density, and each mode of the correction."""
+    likelihood = Likelihood([open_record("li2013:poppy_loose/straight", density="638±20")], sand3d)
+    emulator = likelihood.emulators["straight"]
+    theta, x = emulator.curves.theta_deg, likelihood.least_squares + likelihood.offset("straight")
+    ratio, operator = 638.0 / 1650.0, likelihood.operators[0]
+    curve = ratio * emulator(x[None])[0]
+    late, early = (
+        np.stack([np.interp(theta - shift, theta, row) for row in curve]) for shift in (0.5, -0.5)
+    )
+    modes = sand3d.corrections["straight"].modes_at(float(x[0]))
+    expected = {
+        "zero of θ": [late - early],
+        "density": [20.0 / 638.0 * curve],
+        **{cause: ratio * np.array(mode) for cause, mode in modes.items()},
+    }
+    assert len(modes) == 4
+    for name, parts in expected.items():
+        means = np.array([(part @ operator.T).ravel() for part in parts])
+        sd = np.sqrt(np.square(means).sum(axis=0))
+        found = np.sqrt(np.diag(likelihood.terms[name]))
+        np.testing.assert_allclose(found, sd, atol=0.03 * sd.max(), err_msg=name)
 
 
 def test_noise_is_worth_what_it_does(history_at: Callable[..., ForceHistory]) -> None:
@@ -80,11 +109,14 @@ def test_records_of_one_soil_share_what_they_share(sand3d: Library) -> None:
 
 def test_known_soils_narrow_and_shift(sand3d: Library) -> None:
     def with_soils(count: int, apart: float) -> Calibration:
-        soil = CalibrationSoil(
-            source="x", leg="straight", phi_deg=30.0, phi_sd_deg=1.0, read_deg=30.0 + apart,
-            read_sd_deg=1.0,
-        )  # fmt: skip
-        return Calibration(library="sand3d", library_hash=sand3d.hash, soils=[soil] * count)
+        soils = [
+            CalibrationSoil(
+                source="x", leg="straight", phi_deg=phi, phi_sd_deg=1.0, read_deg=phi + apart,
+                read_sd_deg=1.0,
+            )
+            for phi in 30.0 + 0.01 * np.arange(count)
+        ]  # fmt: skip
+        return Calibration(library="sand3d", library_hash=sand3d.hash, soils=soils)
 
     record = "li2013:glass03_loose/straight"
     plain = invert(record)
@@ -96,16 +128,20 @@ def test_known_soils_narrow_and_shift(sand3d: Library) -> None:
 
 
 def test_calibration_is_the_posterior_of_its_normal_model() -> None:
-    error = ModelError(offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0)
-    soil = {"source": "x", "leg": "c", "phi_sd_deg": 1.5, "read_sd_deg": 0.5}
+    """Two soils; the second was read twice, by two legs, and shares all but their errors."""
+    error = ModelError(offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0, leg_sd_deg=1.2)
+    soil = {"source": "x", "phi_sd_deg": 1.5, "read_sd_deg": 0.5}
     soils = [
-        CalibrationSoil(phi_deg=30.0, read_deg=33.0, **soil),
-        CalibrationSoil(phi_deg=25.0, read_deg=29.0, **soil),
+        CalibrationSoil(leg="c", phi_deg=30.0, read_deg=33.0, **soil),
+        CalibrationSoil(leg="c", phi_deg=25.0, read_deg=29.5, **soil),
+        CalibrationSoil(leg="straight", phi_deg=25.0, read_deg=28.5, **soil),
     ]
     mean, sd = Calibration(library="x", library_hash="", soils=soils).common(error)
     b = np.linspace(-20.0, 20.0, 40_001)
-    variance = 2.0**2 + 1.5**2 + 0.5**2
-    log_p = -0.5 * b**2 / 9.0 - sum(0.5 * (y - 1.0 - b) ** 2 / variance for y in (3.0, 4.0))
+    log_p = -0.5 * b**2 / 9.0
+    for apart, legs in ((3.0, 1), (4.0, 2)):
+        variance = 2.0**2 + 1.2**2 / legs + 1.5**2 + 0.5**2
+        log_p -= 0.5 * (apart - 1.0 - b) ** 2 / variance
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
     assert mean == pytest.approx(float(p @ b), abs=1e-3)
@@ -123,6 +159,33 @@ def test_quadrature_resolves_a_narrow_peak(history_at: Callable[..., ForceHistor
     spread = np.sqrt(np.trapezoid((grid - mean) ** 2 * density, grid))
     assert spread == pytest.approx(sd, rel=0.02)
     assert mean == pytest.approx(31.234, abs=0.02)
+
+
+def test_draws_stay_within_the_library() -> None:
+    """Of a normal density whose centre lies at one end: half of it is left."""
+
+    def half_normal(x: np.ndarray) -> np.ndarray:
+        return -0.5 * np.square(x / [1.0, 0.1]).sum(axis=1)
+
+    half_normal.keys, half_normal.least_squares = ("a", "b"), np.zeros(2)
+    half_normal.low, half_normal.high = np.array([0.0, -1.0]), np.array([9.0, 1.0])
+    half_normal.sd = lambda _: np.array([1.0, 0.1])
+    drawn = sample(half_normal, seed=3, steps=800).draws
+    assert drawn["a"].min() >= 0.0
+    assert drawn["a"].mean() == pytest.approx(np.sqrt(2.0 / np.pi), rel=0.06)
+    assert drawn["b"].std() == pytest.approx(0.1, rel=0.06)
+
+
+def test_twice_the_density_and_twice_the_forces_are_as_sure(sand3d: Library) -> None:
+    """Of a simulated record, whose particle scatter grows with the forces."""
+    emulator = Emulator(sand3d.curves("c"))
+    theta, force = emulator.curves.theta_deg, emulator(np.array([[30.0]]))[0].T
+    sds = []
+    for factor in (1.0, 2.0):
+        history = ForceHistory(np.radians(theta), factor * force)
+        record = open_record(history, leg="c", density=f"{factor * 1650.0}±0", simulated=True)
+        sds.append(Likelihood([record], sand3d).sd(np.array([30.0]))[0])
+    assert sds[1] == pytest.approx(sds[0], rel=1e-6)
 
 
 def test_draws_of_two_parameters_agree_with_a_grid(rft3d: Library) -> None:

@@ -71,6 +71,29 @@ def test_what_is_shared_moves_the_answer_as_told() -> None:
     assert moved(density=1550.0 * 1.03) == pytest.approx(-0.03 * told["log_density"], rel=0.1)
     assert moved(surface_friction=0.55) == pytest.approx(-0.05 * told["surface_friction"], rel=0.15)
     assert moved(radius=0.0222) == pytest.approx(-2e-4 * told["radius"], rel=0.15)
+    # What reads the way down too large, and a law that grows otherwise with depth or with φ.
+    deeper = fit(seen._replace(drop=1.02 * seen.drop), "rft", PRIOR).phi[0] - found.phi[0]
+    assert deeper == pytest.approx(0.02 * told["drop"], rel=0.15)
+    state = np.array([[34.0, 0.003, 0.0]])
+    force = predicted(LAWS["rft"], PRIOR, seen, state, exponent=0.05)
+    depth = seen.drop + 0.003  # an exponent does nothing at 20 mm
+    np.testing.assert_allclose(force, seen.force * (depth / 0.02) ** 0.05)
+    steeper = fit(seen._replace(force=force), "rft", PRIOR).phi[0] - found.phi[0]
+    assert steeper == pytest.approx(0.05 * told["law_exponent"], rel=0.15)
+    assert told["law_slope"] == pytest.approx(34.0 - PRIOR.phi_deg, abs=0.1)
     louder = fit(seen._replace(force=1.02 * seen.force), "rft", PRIOR).phi[0] - found.phi[0]
     gains = sum(told[f"gain_{3 * 2 + joint}"] for joint in range(3))
     assert louder == pytest.approx(gains * 0.02 / 3.0, rel=0.1)
+
+
+def test_noise_has_its_three_parts() -> None:
+    seen = pressed(seed=None)
+    still = np.zeros_like(seen.time)
+    for force, speed in ((0.0, 0.0), (100.0, 0.0), (0.0, 2.0)):
+        one = seen._replace(force=still + force, speed=still + speed)
+        # What it takes to set the soil below the foot in motion is ρ A v².
+        inertia = PRIOR.density * np.pi * PRIOR.radius**2 * speed**2
+        sd = np.sqrt(1.5**2 + (0.04 * force) ** 2 + inertia**2)
+        matrix = noise_covariance(one, PRIOR)[0]
+        assert np.sqrt(np.diag(matrix)) == pytest.approx(sd, rel=1e-5)
+        assert matrix[0, 4] == pytest.approx(sd**2 * np.exp(-1.0))  # 8 ms apart

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from terraphi.robot import footfall_map
-from terraphi.robot.footfall_fit import SENSORS, SHARED
-from terraphi.robot.footfall_map import Anchor, Observed, Shared, covariance, pool
+from terraphi.robot.footfall_fit import SENSORS, SHARED, Prior
+from terraphi.robot.footfall_map import Anchor, Observed, Shared, covariance, pool, weigh
+from terraphi.robot.touchdowns import Sensitivity
 
 N, M = len(SENSORS), len(SHARED)
 FIELD = (1.2, 0.8, 0.1)
@@ -51,6 +52,23 @@ def test_bands_are_the_exact_posterior(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.path_absolute_sd == pytest.approx(np.sqrt(np.diag(left + everything)))
     assert found.shared_mean == pytest.approx(shared.mean)
     assert np.all(found.path_absolute_sd > found.path_relative_sd)
+    of_sensors, of_soil = (
+        np.einsum("ni,ij,nj->n", seen.shared[:, part], shared.covariance[part, part],
+                  seen.shared[:, part])
+        for part in (slice(N), slice(N, M))
+    )  # fmt: skip
+    assert found.sd == pytest.approx(np.sqrt(seen.sd**2 + FIELD[2] ** 2 + of_sensors))
+    assert found.shared_sd == pytest.approx(np.sqrt(of_soil))
+
+
+def test_an_anchor_of_some_doubt_is_weighed_by_its_variance() -> None:
+    seen, shared, path = problem()
+    free = pool(seen, shared, path, [], mean=32.0)
+    held = pool(seen, shared, path, [(Anchor(0.0, 0.5, 30.0, 0.5), path[:1])], mean=32.0)
+    own, given = free.path_absolute_sd[0] ** 2, 0.5**2
+    mean = (free.path_phi[0] * given + 30.0 * own) / (own + given)
+    assert held.path_phi[0] == pytest.approx(mean)
+    assert held.path_absolute_sd[0] == pytest.approx(np.sqrt(own * given / (own + given)))
 
 
 def test_an_anchor_takes_what_is_shared_away() -> None:
@@ -83,3 +101,20 @@ def test_feet_teach_the_gains_that_differ_between_them() -> None:
     assert found.shared_mean[2] - found.shared_mean[5] == pytest.approx(0.1, abs=0.01)
     assert np.ptp(found.phi) < 0.1
     assert found.sd.min() > 0.2  # what both have in common is not known
+
+
+def test_a_gain_is_found_from_the_weight_while_the_trunk_bobs() -> None:
+    """The motors of one foot read 10 % too much; it bears most when the trunk accelerates up."""
+    time, mass = np.arange(0.0, 30.0, 0.01), 15.0
+    wave = np.sin(2.0 * np.pi * time / 0.8)
+    share = np.column_stack([0.5 + 0.4 * wave, 0.5 - 0.4 * wave, 0.0 * wave, 0.0 * wave])
+    true = share * (mass * (9.81 + 2.5 * wave))[:, None]
+    gain = np.zeros((len(time), 4, 3))
+    gain[:, :, 2] = true
+    found = weigh(
+        time, true * [1.1, 1.0, 1.0, 1.0], 2.5 * wave, Sensitivity(gain, 0.0 * gain), Prior(),
+        mass=mass,
+    )  # fmt: skip
+    assert found.mean[2] - found.mean[5] == pytest.approx(0.1, abs=0.01)
+    assert found.mean[2] == pytest.approx(0.1, abs=0.03)  # less what the mass may be off by
+    assert found.covariance[2, 2] < Prior().gain_sd ** 2

@@ -6,15 +6,27 @@ import json
 import runpy
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from go2.logs import write_csv
+from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.footfall_files import read_footfalls, summary, write_footfalls
-from terraphi.robot.footfalls import SHALLOW, TORN, FootfallMap, anchor_from, footfalls
+from terraphi.robot.footfalls import (
+    EDGE,
+    SHALLOW,
+    TORN,
+    TRODDEN,
+    USABLE,
+    FootfallMap,
+    anchor_from,
+    footfalls,
+    verdicts,
+)
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.model import Quadruped
 
@@ -57,6 +69,30 @@ def test_files_come_back(found: FootfallMap, tmp_path: Path) -> None:
     assert summary(read_footfalls(place)) == json.loads(json.dumps(summary(found)))
     features = json.loads(names[1].read_text())["features"]
     assert len(features) == len(found.verdict) == len(names[2].read_text().splitlines()) - 2
+
+
+def test_the_map_begins_along_the_first_heading() -> None:
+    """Whichever way the compass says the robot went."""
+    log = Walk(duration=4.0).log()[0]
+    heading = Rotation.from_euler("z", 70.0, degrees=True)
+    turned = (heading * Rotation.from_quat(np.roll(log.quaternion, -1, axis=1))).as_quat()
+    other = replace(log, quaternion=np.roll(turned, 1, axis=1))
+    one, two = (footfalls(each) for each in (log, other))
+    assert one.path[-1, 1] > 0.2
+    assert abs(one.path[-1, 2]) < 0.05
+    np.testing.assert_allclose(two.path, one.path, atol=1e-3)
+    np.testing.assert_allclose(two.place, one.place, atol=1e-3)
+
+
+def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
+    places = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.02, 0.01, 0.0], [2.0, 0.0, 0.0]])
+    fair = {"torn": np.zeros(4, bool), "saturated": np.zeros(4, bool), "place": places}
+    seen = SimpleNamespace(foot=np.arange(4), used=np.ones((4, 20), bool), **fair)
+    found = SimpleNamespace(
+        phi=np.array([32.0, 33.0, 34.0, 49.9]), sinkage=np.full(4, 0.02), gained=np.full(4, 0.01),
+        misfit=np.ones(4),
+    )  # fmt: skip
+    assert verdicts(seen, found, 0.022).tolist() == [USABLE, USABLE, TRODDEN, EDGE]
 
 
 def test_a_log_of_exchanged_legs_tells_no_footfall() -> None:

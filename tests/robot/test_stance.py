@@ -74,6 +74,18 @@ def test_a_swing_that_never_comes_down_to_the_level_parts_stances_all_the_same()
         assert max(stance.duration for stance in own) < 1.7 * PERIOD * DUTY
 
 
+def test_stances_that_touch_are_parted_where_the_force_is_least() -> None:
+    time, force = walk()
+    phase = (time - 0.1) / PERIOD
+    swing = (phase > 4.25) & (phase < 5.25)
+    # A swing of FR that never comes down to the level, with its least force at 4.6 periods.
+    dip = 3.2 + 20.0 * np.abs(time - (0.1 + 4.6 * PERIOD))
+    force[swing, 0, 2] = np.maximum(force[swing, 0, 2], dip[swing])
+    own = [stance for stance in find_stances(time, force) if stance.foot == "FR"]
+    meeting = [(one.end, other.begin) for one, other in pairwise(own) if one.end == other.begin]
+    assert meeting == [pytest.approx((0.1 + 4.6 * PERIOD,) * 2, abs=STEP)]
+
+
 def test_bounce_and_dip_do_not_split_a_stance() -> None:
     time, force = walk()
     phase = ((time - 0.1) / PERIOD) % 1.0

@@ -72,18 +72,21 @@ def test_return_follows_the_flow_rule_and_ends_on_the_surface(principal, angles,
     new = np.diag(inside)
     scale = np.abs(principal).max() + 1.0
     assert np.abs(inside - np.diag(new)).max() < 1e-6 * scale  # the directions stay
-    normals = np.array([plane(material.sin_friction, *pair) for pair in PAIRS])
-    f = normals @ new - material.strength
+    phi = math.radians(ground.friction_angle_deg)
+    normals = np.array([plane(math.sin(phi), *pair) for pair in PAIRS])
+    strength = 2.0 * cohesion * math.cos(phi)
+    f = normals @ new - strength
     assert f.max() < 1e-6 * scale
-    if (normals @ old - material.strength).max() < -1e-6 * scale:
+    if (normals @ old - strength).max() < -1e-6 * scale:
         np.testing.assert_allclose(new, old, atol=1e-7 * scale)
         return
-    tip = ground.cohesion / math.tan(math.radians(ground.friction_angle_deg))
+    tip = cohesion / math.tan(phi)
     if np.abs(new - tip).max() < 1e-6 * scale and material.sin_dilation == 0.0:
         assert old.mean() > tip - 1e-3 * scale  # without dilation only tension leads to the tip
         return
     # What was taken away is D times potentials of planes that touch, none of them pulled.
     active = f > -1e-5 * scale
+    assert active.any()
     stiffness = material.lame_lambda + 2.0 * material.shear_modulus * np.eye(3)
     flows = np.array([plane(material.sin_dilation, *pair) for pair in PAIRS])[active]
     if np.abs(new - tip).max() >= 1e-6 * scale or angles[1] == angles[0]:
