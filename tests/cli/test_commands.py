@@ -183,7 +183,7 @@ def rows(theta: np.ndarray, force: float = 1.0) -> str:
         (HEADER + "1,2,three\n", "line 2"),
         (HEADER + "1,nan,3\n", "line 2"),
         (HEADER + "8,2,3\n7,2,3\n9,2,3\n", "line 3"),
-        (rows(np.arange(-90.0, 91.0), 0.0), "zero"),
+        (rows(np.arange(-90.0, 91.0), 0.0), "same at every angle"),
         ("\x00\x01\x02", ""),
     ],
 )

@@ -111,7 +111,7 @@ def test_dropped_forces_become_an_answer_and_nothing_stays(
     ("body", "name", "word"),
     [
         (f"{HOSTILE},theta_deg,Fz_N\n1,2,3\n".encode(), "a.csv", "column"),
-        (FLAT, "b.csv", "zero"),
+        (FLAT, "b.csv", "same at every angle"),
         (b"time,q,a\n0,1,2\n", "it.csv", ""),
         (os.urandom(5000), "a.mcap", ""),
         (b"SQLite format 3\x00" + bytes(5000), "a.db3", ""),
@@ -199,7 +199,7 @@ def test_a_file_dropped_in_a_browser_ends_in_its_page(
     page.on("pageerror", lambda error: trouble.append(str(error)))
     page.goto(f"http://127.0.0.1:{served.port}/")
     page.set_input_files("#file", tmp_path / "bad.csv")
-    page.get_by_text("is zero").wait_for()
+    page.get_by_text("same at every angle").wait_for()
     page.set_input_files("#file", tmp_path / "mine.csv")
     page.locator("html[data-drawn]").wait_for(state="attached")
     assert page.locator(".headline").inner_text().startswith("φ = ")
