@@ -56,7 +56,11 @@ __all__ = [*_PLACES]
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name."""
+    """Load a public name, or the version."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("terraphi")
     if name not in _PLACES:
         raise AttributeError(f"module 'terraphi' has no attribute '{name}'")
     module, _, other = _PLACES[name].partition(":")

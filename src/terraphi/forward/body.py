@@ -1,9 +1,9 @@
-"""Rigid bodies as the kernels see them: outline, pose, signed distance in the plane of motion.
+"""Rigid bodies in the kernels: outline, pose, signed distance in the plane of motion.
 
 A body is given in a frame of its own: the origin is the hip, s runs along the chord towards the
-tip, m points where the tip moves when θ grows. In space (x forward, z up) the axes are
-s = (-sin θ, -cos θ) and m = (-cos θ, sin θ). A body that turns with θ̇ > 0 turns from +z towards +x
-about +y, so that a point at r from the hip moves at θ̇ (r_z, -r_x).
+tip, m points where the tip moves when θ grows. In the frame of the soil (x forward, z up) the axes
+are s = (-sin θ, -cos θ) and m = (-cos θ, sin θ). A body that turns with θ̇ > 0 turns from +z
+towards +x about +y, so that a point at r from the hip moves at θ̇ (r_z, -r_x).
 """
 
 from __future__ import annotations
@@ -102,5 +102,5 @@ def pose_of(row: FloatArray) -> Pose:
 
 @kernel
 def out_of_leg_frame(ns: float, nm: float, pose: Pose) -> tuple[float, float]:
-    """A vector (s, m) of the leg's frame in space (x, z)."""
+    """A vector (s, m) of the leg's frame in that of the soil (x, z)."""
     return -pose.sine * ns - pose.cosine * nm, -pose.cosine * ns + pose.sine * nm

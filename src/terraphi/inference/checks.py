@@ -42,6 +42,8 @@ IN_AIR, MARGIN_DEG, OFFSET = 0.005, 5.0, 0.04
 soil that is sure to be air [deg]; force there that is an offset, of peak-to-peak [-]."""
 MOST_LEFT_OUT = 0.5
 """Share of the readings that may be left out [-]."""
+COARSE_DEG = 4.5
+"""Usual spacing of readings above which peaks are missed [deg]."""
 ALIKE = 1.1
 """Ratio of densities up to which records may be of one soil [-]."""
 BETTER, FITS = 0.6, 2.0
@@ -252,6 +254,9 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
         )
     for record, density in zip(likelihood.records, likelihood.density, strict=True):
         name = f"{record.source}: " if several else ""
+        spacing = float(np.median(np.diff(record.history.theta_deg)))
+        if spacing > COARSE_DEG:
+            yield f"{name}The readings are {spacing:.0f}° apart; peaks between them are missed."
         if record.leg_assumed:
             yield f"{name}The leg is assumed to be straight; give --leg."
         if record.density_kg_m3 is None or record.density_assumed:

@@ -110,7 +110,7 @@ class Calibration(Strict):
             )
 
     def common(self, error: ModelError) -> tuple[float, float]:
-        """Mean and standard deviation of b, given the known soils [deg]."""
+        """Mean and standard deviation of b, given the calibration soils [deg]."""
         precision, total = 1.0 / max(error.common_sd_deg, 1e-6) ** 2, 0.0
         # Records of one soil share s, φ and most of what makes φ_read uncertain.
         of_soils: dict[tuple[float, float], list[CalibrationSoil]] = {}

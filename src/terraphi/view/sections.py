@@ -136,7 +136,13 @@ def of_answer(answer: Answer) -> Section:
     status = "good" if answer.verdict == "consistent" else "bad"
     origin = pairs(answer.as_dict()["provenance"])
     return Section(
-        "answer", source, headline.replace("    ", ", "), [*lines, about], parts, origin, status
+        "answer",
+        source,
+        f"{headline.replace('    ', ', ')}, {answer.verdict.replace('_', ' ')}",
+        [*lines, about],
+        parts,
+        origin,
+        status,
     )
 
 
