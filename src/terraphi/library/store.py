@@ -333,9 +333,9 @@ class Library:
             case = Case(scenario, history, failure)
             (replicates if again[i] else cases).append(case)
         corrections = {}
-        for leg in ("straight", "c", "reversed_c"):
-            if f"correction_{leg}" not in names:
-                continue
+        for leg in sorted(
+            n.removeprefix("correction_") for n in names if n.startswith("correction_")
+        ):
             start = f"modes_{leg}_"
             modes = {n[len(start) :]: data[n].values for n in sorted(names) if n.startswith(start)}
             corrections[leg] = Correction(
