@@ -17,14 +17,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG
 from terraphi.experiment.measurements import measurement
 from terraphi.inference.checks import without_faults
 from terraphi.inference.likelihood import Likelihood
-from terraphi.inference.records import WINDOW_DEG, WINDOWS, open_record
+from terraphi.inference.records import open_record
 from terraphi.library.store import Library
 
 MEDIA = ("poppy_loose", "glass03_loose", "glass03_close", "yuma")
-THETA_DEG = np.linspace(-WINDOW_DEG, WINDOW_DEG, WINDOWS)
+THETA_DEG = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
 PRIOR_SOILS, PRIOR_SD_DEG = 4, 3.0
 MARGIN = 1.1
 """Limit of a misfit over the largest residual of a training record [-]."""

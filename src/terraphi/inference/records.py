@@ -22,19 +22,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd
-from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.history import (
+    OBSERVATION_ANGLES,
+    WIDEST_GAP_DEG,
+    WINDOW_DEG,
+    ForceHistory,
+)
 from terraphi.experiment.leg import LEG_SHAPES
 from terraphi.experiment.measurements import Measurement, measurement_of, open_forces, scenario_of
 from terraphi.experiment.scenario import Scenario
 
-WINDOW_DEG, WINDOWS = 85.0, 40
-"""Largest |θ| of a window's centre [deg], and windows over the whole range."""
 FEWEST_WINDOWS = 10
 """Windows that a record must have: about 40° of its path."""
-WIDEST_GAP_DEG = 20.0
-"""Widest gap between readings [deg]."""
 MOST_READINGS = 4000
 """Readings above which a record is averaged in bins of 0.05°, or wider."""
 DENSITY_SD = 0.05
@@ -89,8 +90,8 @@ class Record:
     def _windows(self) -> tuple[FloatArray, FloatArray]:
         """Centres of the windows that the record covers [deg], and their weights W [m, reading]."""
         theta = self.history.theta_deg
-        centre = np.linspace(-WINDOW_DEG, WINDOW_DEG, WINDOWS)
-        half = WINDOW_DEG / (WINDOWS - 1)
+        centre = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
+        half = WINDOW_DEG / (OBSERVATION_ANGLES - 1)
         low, high = np.maximum(centre - half, theta[0]), np.minimum(centre + half, theta[-1])
         first, last = np.searchsorted(theta, low), np.searchsorted(theta, high, side="right")
         kept = (high - low > 0.999 * half) & (last > first)
@@ -227,8 +228,6 @@ def open_record(
     """
     known = _measurement(forces)
     if leg is not None and leg not in LEG_SHAPES:
-        from terraphi.experiment.errors import nearest
-
         raise InputError(f"leg '{leg}' is not known; {nearest(leg, LEG_SHAPES)}")
     history = known.history
     for axis in "xz":

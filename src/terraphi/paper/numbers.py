@@ -203,7 +203,7 @@ def by_force(values: Iterable[Any]) -> Json:
 
 
 def both(values: Iterable[float], unit: str, digits: str = ".1f") -> str:
-    """(F_z, F_x) for people, such as ``8.6 / 10.2 N``."""
+    """(F_z, F_x) as text, such as ``8.6 / 10.2 N``."""
     return " / ".join(f"{value:{digits}}" for value in values) + unit
 
 
