@@ -61,9 +61,10 @@ def record(soil: engine.Soil, shape: str, seed: int, work: Path, out: Path) -> P
     )  # fmt: skip
     engine.run(deck, folder, shape)
     step, fx, _, fz, moment = np.loadtxt(folder / "leg.txt").T
-    theta = SWING_DEG[0] + np.degrees(
-        RATE * soil.time_step * (step - step[0] + 0.5 * step_of(step))
-    )
+    # Steps go on from the bed's; the first mean begins where its length next divides the step.
+    first = int((folder / "bed.dump").read_text().split(maxsplit=3)[2])
+    middle = step - first - 0.5 * (step[1] - step[0])
+    theta = SWING_DEG[0] + np.degrees(RATE * soil.time_step * middle)
     lines = [
         (
             f"# grains {soil.name}, seed {seed}: sliding friction {soil.sliding}, rolling "
@@ -80,11 +81,6 @@ def record(soil: engine.Soil, shape: str, seed: int, work: Path, out: Path) -> P
     with replacing(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n")
     return path
-
-
-def step_of(step: np.ndarray) -> float:
-    """Steps in one mean."""
-    return float(np.median(np.diff(step)))
 
 
 def main() -> None:
