@@ -13,11 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.leg import Leg, frame_axes
-
-FloatArray = NDArray[np.float64]
 
 DENSITY, YOUNGS, POISSON, RESTITUTION = 2500.0, 2.5e6, 0.3, 0.5
 """Of a grain [kg/m³], [Pa], [-], [-]. Soft, for long steps: overlaps are 1 % of a radius."""
@@ -56,16 +54,10 @@ class Soil:
         rayleigh = math.pi * radius * math.sqrt(DENSITY / shear) / (0.1631 * POISSON + 0.8766)
         return RAYLEIGH * rayleigh
 
-    @property
-    def packing(self) -> str:
-        """``loose``, ``medium`` or ``dense``."""
-        return self.name.split("-")[1]
 
-
-def contacts(soil: Soil, *, sliding: float | None = None, wall: float | None = None) -> str:
+def contacts(soil: Soil, sliding: float) -> str:
     """Material and integrator; type 1 are grains and walls alike, type 2 is the leg."""
-    sliding = soil.sliding if sliding is None else sliding
-    wall = soil.leg_friction if wall is None else wall
+    wall = soil.leg_friction
     return f"""
 fix m1 all property/global youngsModulus peratomtype {YOUNGS} {YOUNGS}
 fix m2 all property/global poissonsRatio peratomtype {POISSON} {POISSON}
@@ -90,12 +82,12 @@ def next_prime(number: int) -> int:
     return number
 
 
-def header(soil: Soil, boundary: str) -> str:
+def header(soil: Soil) -> str:
     """First lines of a deck."""
     return f"""units si
 atom_style granular
 atom_modify map array
-boundary {boundary}
+boundary f p f
 newton off
 soft_particles yes
 communicate single vel yes
@@ -105,7 +97,18 @@ neigh_modify delay 0
 """
 
 
-def pour(soil: Soil, seed: int, box: tuple[float, ...], thickness: float, *, walls: bool) -> str:
+def ground(box: tuple[float, ...]) -> str:
+    """Weight, floor and end walls of a box [m]; across, it is periodic."""
+    x0, x1, *_ = box
+    return f"""fix integrate all nve/sphere
+fix gravity all gravity {GRAVITY} vector 0 0 -1
+fix floor all {WALL} primitive type 1 zplane 0
+fix west all {WALL} primitive type 1 xplane {x0}
+fix east all {WALL} primitive type 1 xplane {x1}
+"""
+
+
+def pour(soil: Soil, seed: int, box: tuple[float, ...], thickness: float) -> str:
     """Grains that fall into a box [m] and settle to a bed about so thick [m]."""
     x0, x1, y0, y1, top = box
     # The engine takes primes above 10,000 for seeds.
@@ -122,18 +125,12 @@ def pour(soil: Soil, seed: int, box: tuple[float, ...], thickness: float, *, wal
         shares.append(f"p{i} {1.0 / len(SIZES)}")
     fall = math.sqrt(2.0 * tall / GRAVITY)
     steps = round((fall + 0.35 + 8.0 * math.sqrt(thickness / GRAVITY)) / soil.time_step)
-    sides = (
-        f"fix west all {WALL} primitive type 1 xplane {x0}\n"
-        f"fix east all {WALL} primitive type 1 xplane {x1}"
-        if walls
-        else ""
-    )
     return (
-        header(soil, "f p f" if walls else "p p f")
+        header(soil)
         + f"""region box block {x0} {x1} {y0} {y1} -0.001 {top} units box
 create_box 2 box
 """
-        + contacts(soil, sliding=soil.settled)
+        + contacts(soil, soil.settled)
         + "\n".join(templates)
         + f"""
 fix pdd all particledistribution/discrete {sizing} {len(SIZES)} {" ".join(shares)}
@@ -141,11 +138,7 @@ region column block {x0} {x1} {y0} {y1} 0 {tall:.5g} units box
 fix ins all insert/pack seed {placing} distributiontemplate pdd maxattempt 200 &
   insert_every once overlapcheck yes all_in yes vel uniform -0.1 0.1 -0.1 0.1 -0.3 0.0 &
   region column volumefraction_region {POUR}
-fix integrate all nve/sphere
-fix gravity all gravity {GRAVITY} vector 0 0 -1
-fix floor all {WALL} primitive type 1 zplane 0
-{sides}
-thermo 5000
+{ground(box)}thermo 5000
 thermo_style custom step atoms ke cpu
 run {steps}
 unfix ins
@@ -230,20 +223,14 @@ def stirring(
     stop_deg: float, rate: float, every_deg: float,
 ) -> str:  # fmt: skip
     """A leg that turns through the bed; means of its force and torque about the hip."""
-    x0, x1, *_ = box
     steps = round(math.radians(stop_deg - start_deg) / rate / soil.time_step)
     every = round(math.radians(every_deg) / rate / soil.time_step)
     return (
-        header(soil, "f p f")
+        header(soil)
         + "read_restart bed.restart\n"
-        + contacts(soil)
+        + contacts(soil, soil.sliding)
         + f"""
-fix integrate all nve/sphere
-fix gravity all gravity {GRAVITY} vector 0 0 -1
-fix floor all {WALL} primitive type 1 zplane 0
-fix west all {WALL} primitive type 1 xplane {x0}
-fix east all {WALL} primitive type 1 xplane {x1}
-fix leg all mesh/surface/stress file leg.stl type 2 reference_point {hip[0]} 0 {hip[1]}
+{ground(box)}fix leg all mesh/surface/stress file leg.stl type 2 reference_point {hip[0]} 0 {hip[1]}
 fix touch all {WALL} mesh n_meshes 1 meshes leg
 fix turn all move/mesh mesh leg rotate origin {hip[0]} 0 {hip[1]} axis 0 1 0 &
   period {2.0 * math.pi / rate:.8g}

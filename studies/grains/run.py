@@ -46,7 +46,7 @@ def record(soil: engine.Soil, shape: str, seed: int, work: Path, out: Path) -> P
         return path
     folder = work / f"{soil.name}_{seed}"
     if not (folder / "bed.dump").exists():
-        engine.run(engine.pour(soil, seed, BOX, THICKNESS, walls=True), folder, "bed")
+        engine.run(engine.pour(soil, seed, BOX, THICKNESS), folder, "bed")
     west, east, south, north, _ = BOX
     surface, fraction = engine.layering(
         engine.dump(folder / "bed.dump"), (east - west) * (north - south)
