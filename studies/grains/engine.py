@@ -19,13 +19,11 @@ from terraphi.experiment.leg import Leg, frame_axes
 
 DENSITY, YOUNGS, POISSON, RESTITUTION = 2500.0, 2.5e6, 0.3, 0.5
 """Of a grain [kg/m³], [Pa], [-], [-]. Soft, for long steps: overlaps are 1 % of a radius."""
-SIZES = np.array([0.85, 0.925, 1.0, 1.075, 1.15])
-"""Diameters over the mean, equal shares of the mass [-]."""
+SPREAD = 0.15
+"""Diameters are uniform within this share of the mean, either side [-]."""
 RAYLEIGH = 0.25
 """Time step over Rayleigh's time of the smallest grain [-]."""
 GRAVITY = 9.81
-POUR = 0.35
-"""Volume fraction at which grains are let fall [-]."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +38,7 @@ class Soil:
     leg_friction: float
     legs: tuple[str, ...]
     seeds: tuple[int, ...]
+    rate: float
 
     @property
     def diameter(self) -> float:
@@ -49,7 +48,7 @@ class Soil:
     @property
     def time_step(self) -> float:
         """[s]."""
-        radius = 0.5 * self.diameter * SIZES.min()
+        radius = 0.5 * self.diameter * (1.0 - SPREAD)
         shear = YOUNGS / (2.0 * (1.0 + POISSON))
         rayleigh = math.pi * radius * math.sqrt(DENSITY / shear) / (0.1631 * POISSON + 0.8766)
         return RAYLEIGH * rayleigh
@@ -73,13 +72,6 @@ timestep {soil.time_step:.4g}
 
 
 WALL = "wall/gran model hertz tangential history rolling_friction epsd2"
-
-
-def next_prime(number: int) -> int:
-    """The smallest prime not below a number."""
-    while any(number % divisor == 0 for divisor in range(2, math.isqrt(number) + 1)):
-        number += 1
-    return number
 
 
 def header(soil: Soil) -> str:
@@ -108,45 +100,66 @@ fix east all {WALL} primitive type 1 xplane {x1}
 """
 
 
-def pour(soil: Soil, seed: int, box: tuple[float, ...], thickness: float) -> str:
-    """Grains that fall into a box [m] and settle to a bed about so thick [m]."""
-    x0, x1, y0, y1, top = box
-    # The engine takes primes above 10,000 for seeds.
-    sizing, placing = (next_prime(20_011 + 1_000 * seed + 500 * i) for i in range(2))
-    tall = thickness * 0.58 / POUR
-    templates, shares = [], []
-    primes = (15485863, 32452843, 49979687, 67867967, 86028121)
-    for i, (size, prime) in enumerate(zip(SIZES, primes, strict=True)):
-        radius = 0.5 * soil.diameter * size
-        templates.append(
-            f"fix p{i} all particletemplate/sphere {prime} atom_type 1 density constant {DENSITY} "
-            f"radius constant {radius:.6g}"
-        )
-        shares.append(f"p{i} {1.0 / len(SIZES)}")
-    fall = math.sqrt(2.0 * tall / GRAVITY)
-    steps = round((fall + 0.35 + 8.0 * math.sqrt(thickness / GRAVITY)) / soil.time_step)
+def lattice(soil: Soil, seed: int, box: tuple[float, ...], thickness: float, path: Path) -> None:
+    """Write grains that will settle to a level bed about so thick [m], above the floor of a box.
+
+    They stand on a lattice that grains of any size fit, with sizes and velocities drawn at random.
+    """
+    rng = np.random.default_rng(seed)
+    x0, x1, y0, y1, _ = box
+    largest = soil.diameter * (1.0 + SPREAD)
+    counts = [int((x1 - x0) / largest), int((y1 - y0) / largest)]
+    pitch_x, pitch_y = (x1 - x0) / counts[0], (y1 - y0) / counts[1]
+    grain = math.pi / 6.0 * soil.diameter**3 * (1.0 + SPREAD**2)
+    layers = round(0.58 * thickness * pitch_x * pitch_y / grain)
+    ix, iy, iz = np.indices((*counts, layers)).reshape(3, -1)
+    x, y, z = x0 + pitch_x * (ix + 0.5), y0 + pitch_y * (iy + 0.5), largest * (iz + 0.5)
+    diameter = soil.diameter * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, x.size)
+    velocity = rng.uniform(-0.1, 0.1, (x.size, 3))
+    lines = [
+        "grains\n",
+        f"{x.size} atoms\n2 atom types",
+        f"{x0} {x1} xlo xhi\n{y0} {y1} ylo yhi\n-0.001 {largest * layers + 0.01:.6g} zlo zhi",
+        "\nAtoms\n",
+    ]
+    grains = enumerate(zip(diameter, x, y, z, strict=True), 1)
+    lines += [f"{i} 1 {d:.9g} {DENSITY} {a:.9g} {b:.9g} {c:.9g}" for i, (d, a, b, c) in grains]
+    lines.append("\nVelocities\n")
+    lines += [f"{i} {u:.6g} {v:.6g} {w:.6g} 0 0 0" for i, (u, v, w) in enumerate(velocity, 1)]
+    path.write_text("\n".join([*lines, ""]))
+
+
+def resting(soil: Soil, box: tuple[float, ...], sliding: float, source: str, time: float) -> str:
+    """Grains that fall in a box [m] and come to rest within a time [s]."""
     return (
         header(soil)
-        + f"""region box block {x0} {x1} {y0} {y1} -0.001 {top} units box
-create_box 2 box
-"""
-        + contacts(soil, soil.settled)
-        + "\n".join(templates)
+        + source
+        + contacts(soil, sliding)
         + f"""
-fix pdd all particledistribution/discrete {sizing} {len(SIZES)} {" ".join(shares)}
-region column block {x0} {x1} {y0} {y1} 0 {tall:.5g} units box
-fix ins all insert/pack seed {placing} distributiontemplate pdd maxattempt 200 &
-  insert_every once overlapcheck yes all_in yes vel uniform -0.1 0.1 -0.1 0.1 -0.3 0.0 &
-  region column volumefraction_region {POUR}
 {ground(box)}thermo 5000
 thermo_style custom step atoms ke cpu
-run {steps}
-unfix ins
+run {round(time / soil.time_step)}
 write_restart bed.restart
 dump last all custom 1 bed.dump id x y z radius
 run 0
 """
     )
+
+
+def bed(soil: Soil, seed: int, box: tuple[float, ...], thickness: float, folder: Path) -> None:
+    """Make a bed in a folder unless it is there: bed.restart, bed.dump.
+
+    Grains settle with the friction of their packing; then it is switched to their own, and they
+    rest again.
+    """
+    if (folder / "bed.dump").exists():
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    lattice(soil, seed, box, thickness, folder / "grains.data")
+    fall = 0.5 + 10.0 * math.sqrt(thickness / GRAVITY)
+    run(resting(soil, box, soil.settled, "read_data grains.data\n", fall), folder, "fall")
+    (folder / "bed.dump").replace(folder / "fallen.dump")
+    run(resting(soil, box, soil.sliding, "read_restart bed.restart\n", 0.3), folder, "bed")
 
 
 def run(deck: str, folder: Path, name: str) -> None:

@@ -26,8 +26,8 @@ BOX, THICKNESS = (-0.110, 0.110, -0.042, 0.042, 0.26), 0.105
 """West, east, south, north and top of the box, and about how thick the bed is [m]."""
 HIP = 0.020
 """Height of the hip above the surface [m]."""
-SWING_DEG, RATE, EVERY_DEG = (-85.0, 80.0), 1.0, 1.0
-"""Angles [deg], rate [rad/s], and the width of the means [deg]."""
+SWING_DEG, EVERY_DEG = (-85.0, 80.0), 1.0
+"""Angles, and the width of the means [deg]."""
 
 
 def soils() -> dict[str, engine.Soil]:
@@ -45,8 +45,7 @@ def record(soil: engine.Soil, shape: str, seed: int, work: Path, out: Path) -> P
     if path.exists():
         return path
     folder = work / f"{soil.name}_{seed}"
-    if not (folder / "bed.dump").exists():
-        engine.run(engine.pour(soil, seed, BOX, THICKNESS), folder, "bed")
+    engine.bed(soil, seed, BOX, THICKNESS, folder)
     west, east, south, north, _ = BOX
     surface, fraction = engine.layering(
         engine.dump(folder / "bed.dump"), (east - west) * (north - south)
@@ -56,7 +55,7 @@ def record(soil: engine.Soil, shape: str, seed: int, work: Path, out: Path) -> P
     leg = Leg(shape=shape, chord=0.0730, friction=soil.leg_friction)
     engine.leg_mesh(leg, math.radians(SWING_DEG[0]), hip, folder / "leg.stl")
     deck = engine.stirring(
-        soil, BOX, hip, start_deg=SWING_DEG[0], stop_deg=SWING_DEG[1], rate=RATE,
+        soil, BOX, hip, start_deg=SWING_DEG[0], stop_deg=SWING_DEG[1], rate=soil.rate,
         every_deg=EVERY_DEG,
     )  # fmt: skip
     engine.run(deck, folder, shape)
@@ -64,7 +63,7 @@ def record(soil: engine.Soil, shape: str, seed: int, work: Path, out: Path) -> P
     # Steps go on from the bed's; the first mean begins where its length next divides the step.
     first = int((folder / "bed.dump").read_text().split(maxsplit=3)[2])
     middle = step - first - 0.5 * (step[1] - step[0])
-    theta = SWING_DEG[0] + np.degrees(RATE * soil.time_step * middle)
+    theta = SWING_DEG[0] + np.degrees(soil.rate * soil.time_step * middle)
     lines = [
         (
             f"# grains {soil.name}, seed {seed}: sliding friction {soil.sliding}, rolling "
