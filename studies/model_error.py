@@ -1,98 +1,280 @@
-"""Learn how real soils differ from a library's model, and write that into the library's file.
+r"""Learn how real soils differ from a library's model, and write that into the library's file.
 
     python studies/model_error.py --library sand3d.nc
 
-Three of the shipped media have an angle of repose, which stands for φ here; all four have a
-residual. For each leg: the mean residual over the peak-to-peak of the model, the residual of each
-medium less the mean of the others, and the limit above which a record is a misfit, a tenth above
-the largest of these. In φ: the mean offset is not subtracted, since an angle of repose is no
-friction angle of dense soil; its square and the spread between media, with a prior worth four soils
-of 3°, are the width.
+Two kinds of soil teach it. Simulated grains (`grains/`) have friction angles that a shear cell
+measured, and an apparatus known exactly; the media of Li et al. (2013) are real, and three have an
+angle of repose.
+
+Grains of 4 to 9 mm on a leg of 25 mm raise its forces, and sand does not. So the **size of grains**
+is taken out of their records first: with F the force over density and peak-to-peak,
+
+    F(θ, d) = F(θ, 0) + d D(θ),
+
+D of each leg and force by least squares over soils stirred in several sizes, each with its own
+F(θ, 0), and smooth over θ. What a library reads off the records, by least squares with a shift of
+θ, then gives for a leg
+
+- the **offset**: over loose grains, the angle read less the critical angle, a line over φ;
+- what **soils** and **legs** differ by, from a soil's mean over legs and from each leg's distance
+  to that. What media of known repose differ by more is common to an apparatus. A prior worth
+  PRIOR_SOILS of PRIOR_SD_DEG keeps each from vanishing;
+- the **mean residual** over the model's peak-to-peak, and the limit of a misfit: what remains less
+  the mean of all other soils, at the quantile LIMIT over records, times MARGIN.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG
-from terraphi.experiment.measurements import measurement
+from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
+from terraphi.experiment.measurements import measurement, names
 from terraphi.inference.checks import without_faults
 from terraphi.inference.likelihood import Likelihood
-from terraphi.inference.records import open_record
+from terraphi.inference.records import Record, open_record
+from terraphi.inference.soils import CENTRE_DEG
 from terraphi.library.store import Library
 
-MEDIA = ("poppy_loose", "glass03_loose", "glass03_close", "yuma")
+sys.path.insert(0, str(Path(__file__).parent / "grains"))
+import elements
+import run
+
+GRAINS = Path(__file__).parent / "data" / "grains"
+ANGLES_DEG = np.arange(-84.0, 80.0)
+"""Leg angles of grains' forces [deg]."""
+SMOOTH_DEG = 5.0
+"""Width over which the share of the size of grains is smoothed [deg]."""
 THETA_DEG = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
-PRIOR_SOILS, PRIOR_SD_DEG = 4, 3.0
-MARGIN = 1.1
-"""Limit of a misfit over the largest residual of a training record [-]."""
+SIZES = ("coarse", "fine")
+"""Last parts of the names of soils that are others in another size."""
+PRIOR_SOILS, PRIOR_SD_DEG = 2, 1.0
+LIMIT, MARGIN = 0.9, 1.1
+SLOPE_SD = 0.3
+"""Standard deviation of the offset's slope over φ before anything is known [-]."""
+REPOSE_SD_DEG = 2.0
+"""Standard deviation of a critical angle that is known as an angle of repose [deg]."""
 
 
-def read(library: Library, medium: str, leg: str) -> tuple[float, np.ndarray, np.ndarray]:
-    """Angle by least squares [deg], and residual over the model's peak-to-peak [-], [2, theta].
+class Reading(NamedTuple):
+    """What a library reads off the record of one soil with one leg."""
 
-    The last is the model's peak-to-peak of each force over the data's [-], [2].
-    """
-    record = without_faults(open_record(f"li2013:{medium}/{leg}"))
-    likelihood = Likelihood([record], replace(library, model_error={}))
-    best = likelihood.least_squares
+    soil: str
+    leg: str
+    packing: str
+    """``loose``, ``medium`` or ``dense``; of a real medium, as Li et al. have it."""
+    real: bool
+    """Whether it is a medium of Li et al."""
+    record: Record
+    """Mean over beds, the size of grains taken out."""
+    critical_deg: float
+    """Friction angle in plane strain, critical state [deg]; NaN if unknown."""
+    peak_deg: float
+    """The same at the peak."""
+    read_deg: float
+    """Angle that the library reads [deg]."""
+    with_size_deg: float
+    """The same off the record of the finest grains as it is [deg]."""
+    shift_deg: float
+    """Shift of θ [deg]."""
+    residual: np.ndarray
+    """Data less curve over the model's peak-to-peak [-], shape [2, theta]."""
+    share: np.ndarray
+    """Peak-to-peak of the model over that of the data [-], shape [2]."""
+
+
+class Bed(NamedTuple):
+    """Forces on a leg in grains of one size, mean over beds."""
+
+    diameter_mm: float
+    force: np.ndarray
+    """[N], at ANGLES_DEG, shape [theta, 2]."""
+    density: float
+    """[kg/m³]."""
+
+
+def of_grains(folder: Path) -> dict[tuple[str, str], list[Bed]]:
+    """Mean forces over the beds of each simulated soil and leg, by size, the finest first."""
+    found: dict[tuple[str, str], list[Bed]] = {}
+    for name, soil in run.soils().items():
+        base, packing, *variant = name.split("-", 2)
+        if variant and variant[0] not in SIZES:
+            continue
+        for leg in soil.legs:
+            paths = sorted(folder.glob(f"{name}_{leg}_*.csv"))
+            if not paths:
+                continue
+            beds = [run.load(path) for path in paths]
+            force = np.mean([[np.interp(ANGLES_DEG, theta, f) for f in forces]
+                             for theta, forces, _ in beds], axis=0).T  # fmt: skip
+            density = float(np.mean([density for _, _, density in beds]))
+            found.setdefault((f"{base}-{packing}", leg), []).append(
+                Bed(soil.diameter_mm, force, density)
+            )
+    return {key: sorted(beds) for key, beds in found.items()}
+
+
+def of_size(beds: dict[tuple[str, str], list[Bed]], leg: str) -> np.ndarray:
+    """D: force over density and peak-to-peak, per millimetre of grains [1/mm], [theta, 2]."""
+    rows, diameters = [], []
+    for (_, shape), own in beds.items():
+        if shape == leg and len(own) > 1:
+            scale = np.ptp(own[0].force, axis=0) / own[0].density
+            forces = np.array([bed.force / bed.density / scale for bed in own])
+            d = np.array([bed.diameter_mm for bed in own])
+            rows.append(forces - forces.mean(axis=0))
+            diameters.append(d - d.mean())
+    d, y = np.concatenate(diameters), np.concatenate(rows)
+    slope = np.tensordot(d, y, axes=1) / (d @ d)
+    kernel = np.exp(-0.5 * np.square((ANGLES_DEG[:, None] - ANGLES_DEG) / SMOOTH_DEG))
+    return kernel @ slope / kernel.sum(axis=1)[:, None]
+
+
+def record_of(name: str, leg: str, force: np.ndarray, density: float) -> Record:
+    """A record of simulated grains."""
+    history = ForceHistory(np.radians(ANGLES_DEG), force)
+    record = open_record(history, leg=leg, density=f"{density:.1f}±{0.005 * density:.1f}")
+    return replace(record, source=f"grains {name}, {leg}")
+
+
+def read(library: Library, record: Record) -> tuple[float, float, np.ndarray, np.ndarray]:
+    """Angle, shift, residual and share of a record, as `Reading` has them."""
+    likelihood = Likelihood([without_faults(record)], replace(library, model_error={}))
+    best, record = likelihood.least_squares, likelihood.records[0]
     curve = likelihood.curves(best[None])[0].reshape(2, -1)
     share = (record.data - curve) / np.ptp(curve, axis=1)[:, None]
     rows = np.stack([np.interp(THETA_DEG, record.theta_deg, row) for row in share])
-    return float(best[0]), rows, np.ptp(curve, axis=1) / record.span
+    return float(best[0]), float(likelihood.shift_deg[0]), rows, np.ptp(curve, axis=1) / record.span
 
 
-def learn(library: Library) -> dict[str, dict]:
+def readings(library: Library, folder: Path = GRAINS) -> list[Reading]:
+    """All records of grains and of Li et al., read by a library."""
+    found = []
+    beds = of_grains(folder)
+    sizes = {leg: of_size(beds, leg) for leg in {leg for _, leg in beds}}
+    for (name, leg), own in beds.items():
+        known = elements.measured(folder, name)
+        spans = [np.ptp(bed.force, axis=0) for bed in own]
+        fine = [bed.force - bed.diameter_mm * span * sizes[leg]
+                for bed, span in zip(own, spans, strict=True)]  # fmt: skip
+        density = float(np.mean([bed.density for bed in own]))
+        record = record_of(name, leg, np.mean(fine, axis=0), density)
+        with_size = record_of(name, leg, own[0].force, own[0].density)
+        angle, *rest = read(library, record)
+        found.append(
+            Reading(name, leg, name.split("-")[1], False, record, known.phi_critical_deg,
+                    known.phi_peak_deg, angle, read(library, with_size)[0], *rest)
+        )  # fmt: skip
+    for name in names():
+        medium, leg = name.removeprefix("li2013:").split("/")
+        repose = measurement(name).angle_of_repose_deg
+        packing = "dense" if medium.endswith("close") else "loose"
+        critical = np.nan if repose is None or packing == "dense" else repose
+        peak = np.nan if repose is None else repose
+        record = open_record(name)
+        angle, *rest = read(library, record)
+        found.append(
+            Reading(medium, leg, packing, True, record, critical, peak, angle, angle, *rest)
+        )
+    return found
+
+
+def line(some: Sequence[Reading]) -> tuple[float, float]:
+    """Angle read less the critical one at CENTRE_DEG [deg], and its slope over φ [-].
+
+    The slope has a prior of 0 ± SLOPE_SD, against a scatter of 1° about the line.
+    """
+    phi = np.array([r.critical_deg for r in some]) - CENTRE_DEG
+    design = np.vstack([np.column_stack([np.ones_like(phi), phi]), [0.0, 1.0 / SLOPE_SD]])
+    excess = np.append([r.read_deg - r.critical_deg for r in some], 0.0)
+    offset, slope = np.linalg.lstsq(design, excess, rcond=None)[0]
+    return float(offset), float(slope)
+
+
+def learn(every: Sequence[Reading]) -> dict[str, dict]:
     """Model error by leg, as `terraphi.inference.soils.ModelError` has it."""
-    found = {(m, leg): read(library, m, leg) for m in MEDIA for leg in library.legs}
-    level = {}
-    for medium in MEDIA:
-        repose = measurement(f"li2013:{medium}/straight").angle_of_repose_deg
-        if repose is not None:
-            level[medium] = np.array([found[medium, leg][0] - repose for leg in library.legs])
-    means = np.array([each.mean() for each in level.values()])
-    square = (PRIOR_SOILS * PRIOR_SD_DEG**2 + means @ means) / (PRIOR_SOILS + len(means))
-    legs = np.sqrt(np.mean([each.var(ddof=1) for each in level.values()]))
-    sizes, errors = {}, {}
-    for leg in library.legs:
-        residual = {medium: found[medium, leg][1] for medium in MEDIA}
-        for medium in MEDIA:
-            others = np.mean([residual[one] for one in MEDIA if one != medium], axis=0)
-            # Over the data's peak-to-peak, as the verdict has it.
-            spans = found[medium, leg][2]
-            left = [(np.sqrt(np.square(r).mean(axis=1)) * spans).max()
-                    for r in (residual[medium], residual[medium] - others)]  # fmt: skip
-            sizes[medium, leg] = min(left)
-            print(
-                f"{medium:14} {leg:11} φ {found[medium, leg][0]:5.1f}°  residual {left[0]:.3f}, "
-                f"less the mean of the other media {left[1]:.3f}"
-            )
-        errors[leg] = {
-            "offset_deg": 0.0,
-            "common_sd_deg": round(float(np.sqrt(max(square - PRIOR_SD_DEG**2, 0.0))), 2),
-            "soil_sd_deg": PRIOR_SD_DEG,
-            "leg_sd_deg": round(float(legs), 2),
+    loose = [r for r in every if r.packing == "loose" and not np.isnan(r.critical_deg)]
+    grains, media = ([r for r in loose if r.real == real] for real in (False, True))
+    legs = sorted({r.leg for r in every})
+    lines = {leg: line([r for r in grains if r.leg == leg]) for leg in legs}
+
+    def of_soils(some: Sequence[Reading]) -> list[np.ndarray]:
+        """Angles read less those of the leg's line, as angles of the soil, by soil [deg]."""
+        apart: dict[str, list[float]] = {}
+        for r in some:
+            offset, slope = lines[r.leg]
+            excess = r.read_deg - r.critical_deg - offset - slope * (r.critical_deg - CENTRE_DEG)
+            apart.setdefault(r.soil, []).append(excess / (1.0 + slope))
+        return [np.array(values) for _, values in sorted(apart.items())]
+
+    def sd(squares: float, count: float) -> float:
+        """Root mean square of so many values, with the prior [deg]."""
+        total = PRIOR_SOILS * PRIOR_SD_DEG**2 + max(squares, 0.0)
+        return round(float(np.sqrt(total / (PRIOR_SOILS + count))), 2)
+
+    apart = of_soils(grains)
+    several = [one for one in apart if one.size > 1]
+    within = sum(float(np.square(one - one.mean()).sum()) for one in several)
+    leg_sd = sd(within, sum(one.size - 1 for one in several))
+    squares = [float(one.mean() ** 2) - leg_sd**2 / one.size for one in apart]
+    soil_sd = sd(sum(squares), len(apart) - 1)
+    of_media = [
+        float(one.mean() ** 2) - leg_sd**2 / one.size - soil_sd**2 - REPOSE_SD_DEG**2
+        for one in of_soils(media)
+    ]
+    common_sd = sd(sum(of_media), len(of_media))
+    found = {}
+    for leg in legs:
+        own = [r for r in every if r.leg == leg]
+        left = sorted(remaining(r, own) for r in own if r.packing == "loose" or r.real)
+        found[leg] = {
+            "offset_deg": round(lines[leg][0], 2),
+            "slope": round(lines[leg][1], 3),
+            "common_sd_deg": common_sd,
+            "soil_sd_deg": soil_sd,
+            "leg_sd_deg": leg_sd,
+            "shift_deg": round(float(np.mean([r.shift_deg for r in own])), 1),
+            "nrmsd_limit": round(MARGIN * float(np.quantile(left, LIMIT)), 3),
             "theta_deg": THETA_DEG.round(3).tolist(),
-            "residual": np.mean(list(residual.values()), axis=0).round(4).tolist(),
-            "training": [f"li2013:{medium}/{leg}" for medium in MEDIA],
+            "residual": np.mean([r.residual for r in own], axis=0).round(4).tolist(),
+            "training": sorted(r.record.source for r in own),
         }
-    limit = MARGIN * max(sizes.values())
-    for leg in errors:
-        errors[leg] |= {"nrmsd_limit": round(float(limit), 3)}
-    print({key: value for key, value in errors["straight"].items() if not isinstance(value, list)})
-    return errors
+    return found
+
+
+def remaining(reading: Reading, every: Sequence[Reading]) -> float:
+    """Residual of a record, with or without the mean of all other soils, of peak-to-peak [-]."""
+    others = np.mean([r.residual for r in every if r.soil != reading.soil], axis=0)
+    return min(
+        float((np.sqrt(np.square(rows).mean(axis=1)) * reading.share).max())
+        for rows in (reading.residual, reading.residual - others)
+    )
 
 
 def main() -> None:
     """Learn, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--library", required=True, help="file; changed in place")
-    library = Library.load(parser.parse_args().library)
     path = parser.parse_args().library
-    replace(library, model_error=learn(library)).save(path)
+    library = Library.load(path)
+    every = readings(library)
+    for r in every:
+        residual = np.sqrt(np.square(r.residual).mean(axis=1))
+        print(
+            f"{r.soil:14} {r.leg:11} φ {r.read_deg:5.1f}° (with size {r.with_size_deg:5.1f}°)  "
+            f"critical {r.critical_deg:5.1f}°  peak {r.peak_deg:5.1f}°  shift {r.shift_deg:+5.1f}°"
+            f"  residual {residual.round(3)}"
+        )
+    error = learn(every)
+    for leg, one in error.items():
+        print(leg, {key: value for key, value in one.items() if not isinstance(value, list)})
+    replace(library, model_error=error).save(path)
 
 
 if __name__ == "__main__":

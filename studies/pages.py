@@ -28,7 +28,10 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def write(out: Path, name: str, title: str, parts: Sequence[str], figure: Figure, alt: str) -> None:
+def write(
+    out: Path, name: str, title: str, parts: Sequence[str], figure: Figure, alt: str,
+    script: str = "",
+) -> None:  # fmt: skip
     """Write NAME.md and NAME.png, and print the page.
 
     Parameters
@@ -39,9 +42,11 @@ def write(out: Path, name: str, title: str, parts: Sequence[str], figure: Figure
         Heading, and paragraphs and tables.
     figure, alt
         Picture, and what it shows in words.
+    script
+        That writes it, if it is not called as the page is.
     """
     figure.savefig(out / f"{name}.png", dpi=150)
-    made = f"Written by `python studies/{name}.py`."
+    made = f"Written by `python studies/{script or f'{name}.py'}`."
     text = "\n\n".join([f"# {title}", *parts, f"![{alt}]({name}.png)", made]) + "\n"
     (out / f"{name}.md").write_text(text, encoding="utf-8")
     print(text)

@@ -57,6 +57,8 @@ HYPER = {
     ("reversed_c", "speed-up"): (0.0379, 0.0131, 8.07, 20.0, 0.0047, 0.006),
 }
 """By leg and cause: level, amplitude, length over φ [deg], over θ [deg], offset, ripple [-]."""
+FOUND_DEG = np.arange(15.0, 51.0, 5.0)
+"""Friction angles of the library's curves that the hyperparameters were found with [deg]."""
 SCATTER = 0.44
 """Standard deviation of a finer simulation's scatter over that of the library's [-]."""
 GRID_DEG = np.linspace(-85.0, 85.0, 40)
@@ -217,15 +219,22 @@ def main() -> None:
     parser.add_argument("--out", required=True)
     options = parser.parse_args()
     library = terraphi.Library.load(options.library)
-    # Hyperparameters were found with curves every 5°, and go with these.
+    # Hyperparameters were found with these curves, and go with them.
+    low, high = FOUND_DEG[0], FOUND_DEG[-1]
     coarse = replace(
         library,
-        cases=tuple(c for c in library.cases if c.scenario.soil.friction_angle_deg % 5 == 0),
+        cases=tuple(c for c in library.cases if c.scenario.soil.friction_angle_deg in FOUND_DEG),
+        replicates=tuple(
+            c for c in library.replicates if c.scenario.soil.friction_angle_deg in FOUND_DEG
+        ),
     )
     found = {}
     for leg in library.legs:
         emulator = Emulator(coarse.curves(leg))
-        phi = np.unique(library.curves(leg).x[:, 0])
+        every = np.unique(library.curves(leg).x[:, 0])
+        # Beyond, corrections are those of the last angle, in proportion to the forces.
+        phi = np.clip(every, low, high)
+        beyond = (emulator.size(every[:, None]) / emulator.size(phi[:, None]))[:, None, None]
         parts = {cause: correction(emulator, leg, cause, phi) for cause in FINER}
         modes = {cause: part[1] for cause, part in parts.items()}
         # What goes with the product of both causes is in both; the smaller may be any share of it.
@@ -238,8 +247,8 @@ def main() -> None:
         modes["hip height"] = sensitivity(emulator, leg, "sand3d-raised", "hip", HEIGHT_SD_MM, phi)
         theta = THETA_DEG[emulator.curves.theta_deg[-1] >= THETA_DEG]
         found[leg] = Correction(
-            phi, theta, onto(GRID_DEG, one + other, theta),
-            {cause: onto(GRID_DEG, mode, theta) for cause, mode in modes.items()},
+            every, theta, beyond * onto(GRID_DEG, one + other, theta),
+            {cause: beyond * onto(GRID_DEG, mode, theta) for cause, mode in modes.items()},
         )  # fmt: skip
     replace(library, corrections=found).save(options.out)
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import model_error
 import plates
 
 STUDIES = Path(plates.__file__).parent
@@ -40,10 +42,53 @@ def test_one_angle_is_that_of_the_tests() -> None:
     )
 
 
+def test_size_of_grains_is_found_from_soils_in_two_sizes() -> None:
+    """Forces that grow by a known share of their peak-to-peak for each millimetre."""
+    theta = model_error.ANGLES_DEG
+    share = np.stack([0.02 * np.cos(np.radians(theta)), 0.03 * np.exp(-np.square(theta / 40))], 1)
+    beds = {}
+    for soil, size in (("A-loose", 3.0), ("B-loose", 5.0)):
+        plain = size * np.stack([np.cos(np.radians(theta)), -np.sin(np.radians(theta))], axis=1)
+        span = np.ptp(plain, axis=0)
+        beds[soil, "straight"] = [
+            model_error.Bed(d, 1.4 * (plain + (d - 6.0) * span * share), 1400.0) for d in (6.0, 9.0)
+        ]
+    found = model_error.of_size(beds, "straight")
+    inside = np.abs(theta) < 60.0
+    np.testing.assert_allclose(found[inside], share[inside], atol=0.03 * share.max())
+
+
+def test_offset_and_spread_are_learnt_as_they_were_made() -> None:
+    """Forty soils on three legs: lines over φ and normal errors of soils and legs."""
+    rng = np.random.default_rng(2)
+    lines = {"straight": (1.0, 0.1), "c": (-4.0, -0.3), "reversed_c": (2.0, 0.2)}
+    every = []
+    for i, phi in enumerate(rng.uniform(20.0, 36.0, 40)):
+        of_soil = 2.0 * rng.standard_normal()
+        for leg, (offset, slope) in lines.items():
+            soil = phi + of_soil + 1.0 * rng.standard_normal()
+            read = soil + offset + slope * (soil - 27.0)
+            every.append(
+                model_error.Reading(
+                    f"{i}", leg, "loose", False, SimpleNamespace(source=f"{i}/{leg}"), phi,
+                    phi + 2.0, read, read, 0.0, np.zeros((2, 40)), np.ones(2),
+                )
+            )  # fmt: skip
+    found = model_error.learn(every)
+    for leg, (offset, slope) in lines.items():
+        assert found[leg]["offset_deg"] == pytest.approx(offset, abs=1.2)
+        assert found[leg]["slope"] == pytest.approx(slope, abs=0.2)
+        assert found[leg]["soil_sd_deg"] == pytest.approx(2.0, rel=0.3)
+        assert found[leg]["leg_sd_deg"] == pytest.approx(1.0, rel=0.2)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["plates", "resolution", "real_sand", "calibration"])
+@pytest.mark.parametrize(
+    "name", ["plates", "resolution", "real_sand", "calibration", "grains/table"]
+)
 def test_script_writes_its_page(name: str, tmp_path: Path) -> None:
     command = [sys.executable, str(STUDIES / f"{name}.py"), "--out", str(tmp_path)]
     subprocess.run(command, check=True, capture_output=True, text=True)
-    assert (tmp_path / f"{name}.png").is_file()
-    assert "| ---" in (tmp_path / f"{name}.md").read_text(encoding="utf-8")
+    page = name.removesuffix("/table")
+    assert (tmp_path / f"{page}.png").is_file()
+    assert "| ---" in (tmp_path / f"{page}.md").read_text(encoding="utf-8")

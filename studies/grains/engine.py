@@ -89,15 +89,16 @@ neigh_modify delay 0
 """
 
 
-def ground(box: tuple[float, ...]) -> str:
+def ground(box: tuple[float, ...], *, walls: bool = True) -> str:
     """Weight, floor and end walls of a box [m]; across, it is periodic."""
     x0, x1, *_ = box
-    return f"""fix integrate all nve/sphere
+    lines = f"""fix integrate all nve/sphere
 fix gravity all gravity {GRAVITY} vector 0 0 -1
 fix floor all {WALL} primitive type 1 zplane 0
-fix west all {WALL} primitive type 1 xplane {x0}
-fix east all {WALL} primitive type 1 xplane {x1}
 """
+    for name, x in (("west", x0), ("east", x1)) if walls else ():
+        lines += f"fix {name} all {WALL} primitive type 1 xplane {x}\n"
+    return lines
 
 
 def lattice(soil: Soil, seed: int, box: tuple[float, ...], thickness: float, path: Path) -> None:
@@ -129,37 +130,34 @@ def lattice(soil: Soil, seed: int, box: tuple[float, ...], thickness: float, pat
     path.write_text("\n".join([*lines, ""]))
 
 
-def resting(soil: Soil, box: tuple[float, ...], sliding: float, source: str, time: float) -> str:
-    """Grains that fall in a box [m] and come to rest within a time [s]."""
-    return (
-        header(soil)
-        + source
-        + contacts(soil, sliding)
-        + f"""
-{ground(box)}thermo 5000
-thermo_style custom step atoms ke cpu
-run {round(time / soil.time_step)}
-write_restart bed.restart
-dump last all custom 1 bed.dump id x y z radius
-run 0
-"""
-    )
-
-
-def bed(soil: Soil, seed: int, box: tuple[float, ...], thickness: float, folder: Path) -> None:
+def bed(
+    soil: Soil, seed: int, box: tuple[float, ...], thickness: float, folder: Path,
+    start: str, *, walls: bool = True,
+) -> None:  # fmt: skip
     """Make a bed in a folder unless it is there: bed.restart, bed.dump.
 
     Grains settle with the friction of their packing; then it is switched to their own, and they
-    rest again.
+    rest again. The deck begins with ``start``; without walls it must be periodic along.
     """
     if (folder / "bed.dump").exists():
         return
     folder.mkdir(parents=True, exist_ok=True)
     lattice(soil, seed, box, thickness, folder / "grains.data")
     fall = 0.5 + 10.0 * math.sqrt(thickness / GRAVITY)
-    run(resting(soil, box, soil.settled, "read_data grains.data\n", fall), folder, "fall")
-    (folder / "bed.dump").replace(folder / "fallen.dump")
-    run(resting(soil, box, soil.sliding, "read_restart bed.restart\n", 0.3), folder, "bed")
+    for name, sliding, source, time in (
+        ("fallen", soil.settled, "read_data grains.data", fall),
+        ("bed", soil.sliding, "read_restart fallen.restart", 0.3),
+    ):
+        deck = f"""{start}{source}
+{contacts(soil, sliding)}
+{ground(box, walls=walls)}thermo 5000
+thermo_style custom step atoms ke cpu
+run {round(time / soil.time_step)}
+write_restart {name}.restart
+dump last all custom 1 {name}.dump id x y z radius
+run 0
+"""
+        run(deck, folder, name)
 
 
 def run(deck: str, folder: Path, name: str) -> None:

@@ -45,7 +45,7 @@ def record(soil: engine.Soil, shape: str, seed: int, work: Path, out: Path) -> P
     if path.exists():
         return path
     folder = work / f"{soil.name}_{seed}"
-    engine.bed(soil, seed, BOX, THICKNESS, folder)
+    engine.bed(soil, seed, BOX, THICKNESS, folder, engine.header(soil))
     west, east, south, north, _ = BOX
     surface, fraction = engine.layering(
         engine.dump(folder / "bed.dump"), (east - west) * (north - south)
@@ -80,6 +80,14 @@ def record(soil: engine.Soil, shape: str, seed: int, work: Path, out: Path) -> P
     with replacing(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n")
     return path
+
+
+def load(path: Path) -> tuple[np.ndarray, np.ndarray, float]:
+    """Leg angles [deg], forces (Fx, Fz) [N], shape [2, angle], and density [kg/m³] of a record."""
+    with path.open() as file:
+        density = next(float(line.split()[2]) for line in file if line.startswith("# density"))
+    theta, *forces = np.loadtxt(path, delimiter=",", skiprows=3, unpack=True)
+    return theta, np.array(forces[:2]), density
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
-from terraphi.inference.checks import shift_of_theta, without_faults
+from terraphi.inference.checks import without_faults
 from terraphi.inference.inversion import invert
 from terraphi.inference.records import open_record
 
@@ -103,11 +103,3 @@ def test_a_record_of_faults_is_refused() -> None:
 
     with pytest.raises(InputError, match=r"faulty|no reading"):
         answer_to(mostly_zero)
-
-
-def test_shift_of_theta_is_found() -> None:
-    record = open_record(NAME)
-    curve = np.stack(
-        [np.interp(record.theta_deg - 6.0, record.theta_deg, row) for row in record.data]
-    )
-    assert shift_of_theta(record, curve) == pytest.approx(-6.0, abs=1.0)

@@ -82,6 +82,8 @@ class RecordFit:
         Smallest and largest curve over the 95 % interval [N], shape [2, 2, m].
     nrmsd
         Root mean square of data less curve over the data's peak-to-peak, by force [-].
+    shift_deg
+        By how much the record's forces come later than the model's [deg]; the curves are shifted.
     """
 
     source: str
@@ -96,10 +98,12 @@ class RecordFit:
     expected: FloatArray | None = field(repr=False)
     band: FloatArray = field(repr=False)
     nrmsd: Mapping[str, float]
+    shift_deg: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words, without the forces."""
-        names = ("source", "leg", "leg_assumed", "simulated", "n_readings", "n_left_out")
+        names = ("source", "leg", "leg_assumed", "simulated", "n_readings", "n_left_out",
+                 "shift_deg")  # fmt: skip
         return {**{name: getattr(self, name) for name in names}, "nrmsd": dict(self.nrmsd)}
 
 

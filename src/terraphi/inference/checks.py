@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.inference.emulator import emulator_of
-from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals
 from terraphi.inference.records import Record
 from terraphi.library.store import PHI, Library, differences
 
@@ -51,8 +51,8 @@ BETTER, FITS = 0.6, 2.0
 limit of a misfit [-]."""
 USUAL_DEG = (15.0, 50.0)
 """Friction angles of dry soils in plane strain [deg]."""
-USUAL_SHIFT_DEG = (-6.0, 15.0)
-"""Shift of θ of measured forces against the model's that real soils show [deg]."""
+LARGE_SHIFT_DEG = 4.0
+"""Distance of the leg angle's shift from the usual one above which an answer says so [deg]."""
 UNITS = {
     "pounds-force": 4.448,
     "kilograms-force": 9.807,
@@ -210,10 +210,10 @@ def in_air(likelihood: Likelihood) -> list[str]:
     """A sentence for each measured force that is not zero where the leg is in the air."""
     found = []
     inside = np.clip(likelihood.least_squares, likelihood.low, likelihood.high)
-    for record in likelihood.records:
+    for record, shift in zip(likelihood.records, likelihood.shift_deg, strict=True):
         emulator = likelihood.emulators[record.leg]
         force = np.abs(emulator(inside[None])[0])
-        touching = emulator.curves.theta_deg[np.any(force > IN_AIR * force.max(), axis=0)]
+        touching = emulator.curves.theta_deg[np.any(force > IN_AIR * force.max(), axis=0)] + shift
         theta = record.history.theta_deg
         # Soil that the leg carries along may press on it a little where the model has none left.
         for side, air, limit in (
@@ -310,20 +310,7 @@ def _residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str
     own = emulator.curves.scenario.soil.density
     ratio = (record.density_kg_m3 or own) / own
     x = np.linspace(*emulator.bounds, 71)
-    curves = ratio * emulator(x) @ record.operator(emulator.curves.theta_deg).T
-    spans = np.ptp(data, axis=1)[:, None]
-    apart = np.sqrt(np.square((data - curves) / spans).mean(axis=2)).max(axis=1)
-    return float(apart.min())
-
-
-def shift_of_theta(record: Record, curve: FloatArray) -> float:
-    """Shift of θ that aligns the curve with the data best [deg]; the curve has the shape [2, m]."""
-    theta, spans = record.theta_deg, record.span[:, None]
-    best, found = np.inf, 0.0
-    for shift in np.arange(-15.0, 15.1, 0.5):
-        moved = np.stack([np.interp(theta - shift, theta, row) for row in curve])
-        scale = float((moved * record.data / spans**2).sum() / (moved * moved / spans**2).sum())
-        size = float(np.square((record.data - scale * moved) / spans).sum())
-        if size < best:
-            best, found = size, float(shift)
-    return found
+    theta = emulator.curves.theta_deg
+    shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0, 3.0) if likelihood.measured else np.zeros(1)
+    squares = squared_residuals(record, data, ratio * emulator(x), theta, shifts)
+    return float(np.sqrt(squares.min() / data.size))

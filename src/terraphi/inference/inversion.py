@@ -17,11 +17,10 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.checks import (
+    LARGE_SHIFT_DEG,
     USUAL_DEG,
-    USUAL_SHIFT_DEG,
     doubts,
     in_air,
-    shift_of_theta,
     without_faults,
 )
 from terraphi.inference.likelihood import UNKNOWN_DENSITY, Likelihood
@@ -165,7 +164,8 @@ def calibrate(
         verdict, why, _ = _verdict(likelihood, fits, best, found, damaged=bool(in_air(likelihood)))
         if verdict != "consistent":
             raise InputError(f"{record.source}: cannot calibrate with it. {why}")
-        read = float(best[likelihood.keys.index(PHI)]) + likelihood.offset(record.leg)
+        phi = best[likelihood.keys.index(PHI)]
+        read = float(phi + likelihood.offset(record.leg, phi))
         sd = _sd_without(likelihood, ("model: offset", "model: leg"))
         soils.append(
             CalibrationSoil(
@@ -312,7 +312,9 @@ def _fits(
     points[:2] = np.clip(points[:2], likelihood.low, likelihood.high)
     curves = likelihood.curves(points)
     found = []
-    for record, part in zip(likelihood.records, likelihood.parts, strict=True):
+    for record, part, shift in zip(
+        likelihood.records, likelihood.parts, likelihood.shift_deg, strict=True
+    ):
         low, high, curve = (one.reshape(2, -1) for one in curves[:, part])
         residual = likelihood.errors[record.leg].mean_residual(curve, record.theta_deg)
         size = _nrmsd(record.data, curve)
@@ -326,7 +328,7 @@ def _fits(
                 n_left_out=record.n_left_out, theta_deg=record.theta_deg, data=record.data,
                 curve=curve, expected=expected,
                 band=np.stack([np.minimum(low, high), np.maximum(low, high)]),
-                nrmsd={"Fx": float(size[0]), "Fz": float(size[1])},
+                nrmsd={"Fx": float(size[0]), "Fz": float(size[1])}, shift_deg=float(shift),
             )
         )  # fmt: skip
     return found
@@ -424,7 +426,7 @@ def _edge(likelihood: Likelihood) -> str | None:
     i = likelihood.keys.index(PHI)
     read = float(likelihood.least_squares[i])
     sd = _sd_without(likelihood, ("model: offset", "model: leg", "density"))
-    offset = [likelihood.offset(leg) for leg in likelihood.emulators]
+    offset = [float(likelihood.offset(leg, np.array(read))) for leg in likelihood.emulators]
     low, high = likelihood.low[i] - min(offset), likelihood.high[i] - max(offset)
     for edge, beyond in (("low", low - read), ("high", read - high)):
         if 0.5 * math.erfc(-beyond / (math.sqrt(2.0) * max(sd, 1e-6))) > OUTSIDE:
@@ -448,13 +450,13 @@ def _about(
     found = []
     phi = parameters.get(PHI)
     if likelihood.measured and verdict != "misfit":
-        for record, fit in zip(likelihood.records, fits, strict=True):
-            shift = shift_of_theta(record, fit.curve)
-            if not USUAL_SHIFT_DEG[0] <= shift <= USUAL_SHIFT_DEG[1]:
+        for fit in fits:
+            usual = likelihood.errors[fit.leg].shift_deg
+            if abs(fit.shift_deg - usual) > LARGE_SHIFT_DEG:
                 found.append(
-                    f"{record.source}: the forces come {abs(shift):.0f}° "
-                    f"{'later' if shift > 0 else 'earlier'} than the model's; check the zero of "
-                    "theta and the height of the hip."
+                    f"{fit.source}: the forces come {abs(fit.shift_deg):.0f}° "
+                    f"{'later' if fit.shift_deg > 0 else 'earlier'} than the model's; check the "
+                    "zero of theta and the height of the hip."
                 )
     trained = {name for fit in fits for name in likelihood.errors[fit.leg].training}
     shared = [r.measurement for r in likelihood.records if r.measurement in trained]

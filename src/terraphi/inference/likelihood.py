@@ -3,7 +3,11 @@ r"""The likelihood of records: one normal distribution, whose covariance is a su
 With d the window means of all records, one after the other, g(x) the library's curves at parameters
 x (the friction angle, or several), read and averaged as the records were,
 
-    d = g(x) + Σ_t e_t,    e_t ~ N(0, C_t).
+    d = g(x; δ) + Σ_t e_t,    e_t ~ N(0, C_t).
+
+A measured record has an unknown shift δ of its leg angle, by which its forces come later than the
+model's: the zero of the angle, the height of the hip, soil at the surface that gives way before it
+bears. δ is uniform on ± 15°, fitted to each record with x and marginalised.
 
 ========================  ==========================================================================
 term                      covariance
@@ -11,9 +15,10 @@ term                      covariance
 noise                     of the readings, through the windows
 emulator                  of the curves between the library's cases
 particle scatter          between seeds: of a simulated record
-cells, speed-up           of the correction to small cells and a slow motion
+cells, speed-up           of the correction to small cells and a slow motion, unless the offset was
+                          learnt from soils of known angle, which includes it
 leg friction, hip height  a standard deviation of each, times how the curves change with it
-zero of θ                 1° times dg/dθ
+zero of θ                 that of a shift: 15°/√3 times dg/dδ
 density                   relative standard deviation times g, to which forces are proportional
 model: offset             what looks like another angle: (b² + s²) (∂g/∂φ)(∂g/∂φ)' (``soils``)
 model: leg                the same of each leg by itself, l²
@@ -26,8 +31,8 @@ terms are taken at the best point, so that their size is no evidence of x. For m
 linear about that point: several of the terms are degrees wide and known to first order only, and
 the curvature of g would move the median by what is not known.
 
-**Shape.** Let S = ∂g/∂x, A = diag(1/p²), p the peak-to-peak of each force, and c = (S'AS)⁻¹S'A the
-least-squares estimator. How the residual of a real soil varies with θ is unknown, and that of
+**Shape.** Let S = ∂g/∂(x, δ), A = diag(1/p²), p the peak-to-peak of each force, and c = (S'AS)⁻¹S'A
+the least-squares estimator. How the residual of a real soil varies with θ is unknown, and that of
 particle scatter is known from few simulations. So the residual has the covariance P (κp)² P' with P
 = I − Sc and κ large, which is nothing along S. Then the estimate is that of least squares whatever
 the other terms are, and its variance is the sum of c C_t c' over these (a large covariance in
@@ -56,8 +61,8 @@ from terraphi.library.store import PHI, Curves, Library
 
 DIFFUSE = 30.0
 """κ: standard deviation of an unknown shape, of peak-to-peak [-]."""
-ZERO_SD_DEG = 1.0
-"""Standard deviation of the zero of θ [deg]."""
+SHIFT_DEG = 15.0
+"""Largest shift of the leg angle of measured records [deg]."""
 RIDGE = 2e-3
 """Standard deviation added to each window mean, of peak-to-peak [-]."""
 UNKNOWN_DENSITY = 0.10
@@ -66,8 +71,30 @@ BEYOND_DEG = 12.0
 """How far beyond the library's ends angles are looked for, with forces that continue linearly."""
 FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]."""
+NUMERICAL = ("cells", "speed-up")
+"""Causes of corrections that a learnt offset includes."""
 STEP = 1e-3
 """Step of numerical derivatives, of a parameter's range [-]."""
+
+
+def window_means(
+    record: Record, force: FloatArray, theta_deg: FloatArray, shift_deg: float
+) -> FloatArray:
+    """Curves [N] as a record reads them at shifted leg angles, [..., 2, theta] -> [..., 2 m]."""
+    means = force @ record.operator(theta_deg + shift_deg).T
+    return np.asarray(means.reshape(*means.shape[:-2], -1))
+
+
+def squared_residuals(
+    record: Record, data: FloatArray, force: FloatArray, theta_deg: FloatArray, shifts: FloatArray
+) -> FloatArray:
+    """Sum over a record of (d − g)²/p² for curves at shifts of the leg angle, [shift, k] [-].
+
+    The data and their peak-to-peak p are given, [2, m], the curves have the shape [k, 2, theta].
+    """
+    spans, flat = np.repeat(np.ptp(data, axis=1), data.shape[1]), data.ravel()
+    apart = [flat - window_means(record, force, theta_deg, shift) for shift in shifts]
+    return np.square(np.stack(apart) / spans).sum(axis=2)
 
 
 class Likelihood:
@@ -117,7 +144,6 @@ class Likelihood:
                     f"deg only, {record.source} {record.theta_deg[0]:.0f} to "
                     f"{record.theta_deg[-1]:.0f} deg; cut the record or build the library anew"
                 )
-        self.operators = [r.operator(self._curves_of(r).theta_deg) for r in records]
         ends = np.cumsum([0, *(2 * r.theta_deg.size for r in records)])
         self.parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self.data = np.concatenate([record.data.ravel() for record in records])
@@ -132,20 +158,25 @@ class Likelihood:
 
     # -- curves ----------------------------------------------------------------------------------
 
-    def offset(self, leg: str) -> float:
+    def offset(self, leg: str, phi_deg: FloatArray) -> FloatArray:
         """Mean of the read angle less the soil's, of measured forces [deg]."""
         if not self.measured:
-            return 0.0
+            return np.zeros_like(phi_deg)
         error = self.errors[leg]
-        return error.offset_deg + (self.calibration.common(error)[0] if self.calibration else 0.0)
+        common = self.calibration.common(error)[0] if self.calibration else 0.0
+        return np.asarray(error.offset_at(phi_deg) + common)
 
     def curves(self, x: FloatArray) -> FloatArray:
-        """Window means g(x) [N] of all records, shape [k, key] -> [k, n]."""
+        """Window means g(x) [N] of all records at their shifts, shape [k, key] -> [k, n]."""
+        return self._curves_at(x, self.shift_deg)
+
+    def _curves_at(self, x: FloatArray, shift_deg: FloatArray) -> FloatArray:
+        """Window means [N] of all records at given shifts, shape [k, key] -> [k, n]."""
         of_legs = {leg: self._forces(leg, x) for leg in self.emulators}
-        means = [
-            ratio * self._project(record, of_legs[record.leg])
-            for record, ratio in zip(self.records, self._ratio, strict=True)
-        ]
+        means = []
+        for record, ratio, shift in zip(self.records, self._ratio, shift_deg, strict=True):
+            theta = self._curves_of(record).theta_deg
+            means.append(ratio * window_means(record, of_legs[record.leg], theta, shift))
         return np.hstack(means)
 
     def _forces(self, leg: str, x: FloatArray) -> FloatArray:
@@ -154,7 +185,7 @@ class Likelihood:
         if self._phi is None:
             return emulator(x)
         x = x.copy()
-        x[:, self._phi] += self.offset(leg)
+        x[:, self._phi] += self.offset(leg, x[:, self._phi])
         low, high = emulator.phi_bounds_deg
         inside = np.clip(x[:, self._phi], low, high)
         beyond = x[:, self._phi] - inside
@@ -169,26 +200,44 @@ class Likelihood:
             force[out] += np.abs(beyond[out])[:, None, None] * slope
         return force
 
-    def _project(self, record: Record, force: FloatArray) -> FloatArray:
-        """Window means of curves as a record reads them, [..., 2, theta] -> [..., 2 m]."""
-        operator = self.operators[self.records.index(record)]
-        means = force @ operator.T
-        return np.asarray(means.reshape(*means.shape[:-2], -1))
-
     def slope(self, x: FloatArray) -> FloatArray:
         """∂g/∂x at a point [N/unit], shape [key] -> [n, key]."""
+        return self._slope_at(x, self.shift_deg)
+
+    def _slope_at(self, x: FloatArray, shift_deg: FloatArray) -> FloatArray:
+        """∂g/∂x at a point and given shifts [N/unit], shape [n, key]."""
         steps = np.diag(STEP * (self.high - self.low))
-        ahead, behind = self.curves(x + steps), self.curves(x - steps)
+        ahead, behind = (self._curves_at(x + h, shift_deg) for h in (steps, -steps))
         return np.asarray((ahead - behind).T / (2.0 * np.diag(steps)))
+
+    def _shift_slope(self, x: FloatArray, shift_deg: FloatArray) -> FloatArray:
+        """∂g/∂δ of each record [N/deg], shape [n, record]; of simulated records none, [n, 0]."""
+        if not self.measured:
+            return np.zeros((self.data.size, 0))
+        ahead, behind = (self._curves_at(x[None], shift_deg + h)[0] for h in (0.5, -0.5))
+        found = np.zeros((self.data.size, len(self.records)))
+        for i, part in enumerate(self.parts):
+            found[part, i] = (ahead - behind)[part]
+        return found
 
     # -- best point ------------------------------------------------------------------------------
 
-    @cached_property
+    @property
     def least_squares(self) -> FloatArray:
         """Parameters of the smallest squared residual, each force over its peak-to-peak, [key].
 
         The friction angle may lie beyond the library's ends.
         """
+        return self._best[0]
+
+    @property
+    def shift_deg(self) -> FloatArray:
+        """Shift of each record with them [deg], shape [record]: its forces come so much later."""
+        return self._best[1]
+
+    @cached_property
+    def _best(self) -> tuple[FloatArray, FloatArray]:
+        """Parameters and shifts of the smallest squared residual."""
         if len(self.keys) == 1:
             reach = BEYOND_DEG if self._phi == 0 else 0.0
             x = np.linspace(self.low - reach, self.high + reach, 257)
@@ -196,19 +245,31 @@ class Likelihood:
             x = self.low + (self.high - self.low) * np.random.default_rng(0).random(
                 (512, len(self.keys))
             )
-        residual = (self.data - self.curves(x)) / self.span
-        best = x[int(np.square(residual).sum(axis=1).argmin())]
+        of_legs = {leg: self._forces(leg, x) for leg in self.emulators}
+        shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0) if self.measured else np.zeros(1)
+        squares = [
+            squared_residuals(record, record.data, ratio * of_legs[record.leg],
+                              self._curves_of(record).theta_deg, shifts)
+            for record, ratio in zip(self.records, self._ratio, strict=True)
+        ]  # fmt: skip
+        first = int(sum(each.min(axis=0) for each in squares).argmin())
+        best = x[first]
+        shift = shifts[[int(each[:, first].argmin()) for each in squares]]
         for _ in range(20):
-            slope = self.slope(best) / self.span[:, None]
-            rest = (self.data - self.curves(best[None])[0]) / self.span
-            step = np.linalg.lstsq(slope, rest, rcond=None)[0]
+            slope = np.hstack([self._slope_at(best, shift), self._shift_slope(best, shift)])
+            rest = (self.data - self._curves_at(best[None], shift)[0]) / self.span
+            step = np.linalg.lstsq(slope / self.span[:, None], rest, rcond=None)[0]
             # Half the spacing of the first search at most: the global minimum is near.
             limit = (self.high - self.low) / (256 if len(self.keys) == 1 else 8)
-            step = np.clip(step, -limit, limit)
-            best = self._held(best + step)
-            if np.all(np.abs(step) < 1e-6 * (self.high - self.low)):
+            own = np.clip(step[: best.size], -limit, limit)
+            best = self._held(best + own)
+            turn = np.clip(step[best.size :], -0.5, 0.5)
+            if self.measured:
+                shift = np.clip(shift + turn, -SHIFT_DEG, SHIFT_DEG)
+            still = np.abs(turn) < 1e-3
+            if np.all(np.abs(own) < 1e-6 * (self.high - self.low)) and np.all(still):
                 break
-        return best
+        return best, shift
 
     def _held(self, x: FloatArray) -> FloatArray:
         """Parameters within the library, the friction angle up to 12° beyond."""
@@ -244,30 +305,33 @@ class Likelihood:
         curve, slope = self.curves(x[None])[0], self.slope(x)
         found = {"noise": self._blocks([r.noise_covariance for r in self.records])}
         found["noise"] += np.diag(np.square(RIDGE * self.span))
-        inside = np.clip(x, self.low, self.high)
-        of_legs = {leg: e.interpolation(inside) for leg, e in self.emulators.items()}
+        inside = {leg: self._within(leg, x) for leg in self.emulators}
+        of_legs = {leg: e.interpolation(inside[leg]) for leg, e in self.emulators.items()}
         found["emulator"] = self._shared_by_leg(of_legs)
+        of_shift = self._shift_slope(x, self.shift_deg)
+        shape = self._shape(np.hstack([slope, of_shift]))
         if not self.measured:
-            scatter = {leg: e.scatter(inside) for leg, e in self.emulators.items()}
+            scatter = {leg: e.scatter(inside[leg]) for leg, e in self.emulators.items()}
             blocks = []
-            for record, operator, ratio in zip(
-                self.records, self.operators, self._ratio, strict=True
-            ):
+            for record, ratio in zip(self.records, self._ratio, strict=True):
+                operator = record.operator(self._curves_of(record).theta_deg)
                 both = ratio * np.kron(np.eye(2), operator)
                 blocks.append(both @ scatter[record.leg] @ both.T)
             found["particle scatter"] = self._blocks(blocks)
-            found["shape"] = self._shape(slope)
-            return found
+            return {**found, "shape": shape}
         found |= self._of_corrections(inside)
         if self._phi is not None:
             found |= self._model_offset(slope[:, self._phi])
         found["density"] = np.outer(*[self._density_error * curve] * 2)
-        turned = self._turned(x, curve)
-        found["zero of θ"] = self._blocks(
-            [np.outer(turned[part], turned[part]) for part in self.parts]
-        )
-        found["shape"] = self._shape(slope)
-        return found
+        found["zero of θ"] = SHIFT_DEG**2 / 3.0 * of_shift @ of_shift.T
+        return {**found, "shape": shape}
+
+    def _within(self, leg: str, x: FloatArray) -> FloatArray:
+        """Where a leg's curves are taken from, within the library, [key]."""
+        x = x.copy()
+        if self._phi is not None:
+            x[self._phi] += self.offset(leg, x[self._phi])
+        return np.clip(x, *self.emulators[leg].bounds)
 
     @property
     def _density_error(self) -> FloatArray:
@@ -293,21 +357,26 @@ class Likelihood:
         for leg, factor in factors.items():
             stacked = np.zeros((self.data.size, factor.shape[1]))
             curves = factor.T.reshape(factor.shape[1], 2, -1)
-            for record, part, ratio in zip(self.records, self.parts, self._ratio, strict=True):
+            theta = self.emulators[leg].curves.theta_deg
+            for record, part, ratio, shift in zip(
+                self.records, self.parts, self._ratio, self.shift_deg, strict=True
+            ):
                 if record.leg == leg:
-                    stacked[part] = ratio * self._project(record, curves).T
+                    stacked[part] = ratio * window_means(record, curves, theta, shift).T
             found += stacked @ stacked.T
         return found
 
-    def _of_corrections(self, x: FloatArray) -> dict[str, FloatArray]:
+    def _of_corrections(self, inside: dict[str, FloatArray]) -> dict[str, FloatArray]:
         """Terms of the correction's modes, by cause."""
         if self._phi is None:
             return {}
         of_causes: dict[str, dict[str, FloatArray]] = {}
         for leg, emulator in self.emulators.items():
             correction = self.library.corrections.get(leg)
-            modes = correction.modes_at(float(x[self._phi])) if correction else {}
+            modes = correction.modes_at(float(inside[leg][self._phi])) if correction else {}
             for cause, mode in modes.items():
+                if self.errors[leg].training and cause in NUMERICAL:
+                    continue  # part of the offset that soils of known angle taught
                 on = correction.theta_deg if correction else emulator.curves.theta_deg
                 at = np.searchsorted(on, emulator.curves.theta_deg)
                 factor = mode[:, :, at].reshape(len(mode), -1).T
@@ -327,16 +396,6 @@ class Likelihood:
             "model: offset": np.outer(shared, shared),
             "model: leg": np.asarray(sum(np.outer(one, one) for one in of_legs.values())),
         }
-
-    def _turned(self, x: FloatArray, curve: FloatArray) -> FloatArray:
-        """Change of the curves if θ is off by one standard deviation [N], shape [n]."""
-        found = np.zeros_like(curve)
-        for record, part, ratio in zip(self.records, self.parts, self._ratio, strict=True):
-            theta = self._curves_of(record).theta_deg
-            force = self._forces(record.leg, x[None])[0]
-            rate = np.gradient(force, theta, axis=1) * ZERO_SD_DEG
-            found[part] = ratio * self._project(record, rate)
-        return found
 
     def _shape(self, slope: FloatArray) -> FloatArray:
         """P (κp)² P' of all records together.

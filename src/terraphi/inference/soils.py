@@ -2,15 +2,15 @@ r"""How real soils differ from a library's model, and soils of known angle in on
 
 The angle that a library reads off a record of measured forces is
 
-    φ_read = φ + offset + b + s + l,
+    φ_read = φ + offset(φ) + b + s + l,
 
-b common to all soils in one apparatus, s of the soil, l of the leg, each normal about zero. Forces
-show none of them: they look like another angle. They are learnt from soils whose angle was measured
-otherwise, and stand in the library's file.
+the offset linear in φ, b common to all soils in one apparatus, s of the soil, l of the leg, each
+normal about zero. Forces show none of them: they look like another angle. They are learnt from
+soils whose angle was measured otherwise, and stand in the library's file.
 
 A calibration is such a soil in the user's own apparatus. With n of them, each with y_i = φ_read,i −
-φ_i − offset and variance v_i = s² + l²/legs + var(φ_i) + var(φ_read,i), where φ_read,i is the mean
-of the soil's records,
+φ_i − offset(φ_i) and variance v_i = s² + l²/legs + var(φ_i) + var(φ_read,i), where φ_read,i is the
+mean of the soil's records,
 
     1/var(b) = 1/b² + Σ 1/v_i,    E(b) = var(b) Σ y_i / v_i,
 
@@ -33,18 +33,25 @@ from terraphi.experiment.files import replacing
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.library.store import Library
 
+CENTRE_DEG = 27.0
+"""Friction angle at which an offset is given [deg]."""
+
 
 class ModelError(Strict):
     """How real soils differ from a library's model of one leg."""
 
     offset_deg: float = 0.0
-    """Mean of φ_read − φ [deg]."""
+    """Mean of φ_read − φ at CENTRE_DEG [deg]."""
+    slope: float = Field(0.0, gt=-0.9)
+    """Change of that per degree of φ [-]."""
     common_sd_deg: float = Field(3.0, ge=0)
     """Standard deviation of b, common to all soils of one apparatus [deg]."""
     soil_sd_deg: float = Field(4.0, ge=0)
     """Standard deviation of s, between soils [deg]."""
     leg_sd_deg: float = Field(2.0, ge=0)
     """Standard deviation of l, between legs in one soil [deg]."""
+    shift_deg: float = 0.0
+    """Mean shift of the leg angle of training records [deg]."""
     nrmsd_limit: float = Field(0.25, gt=0)
     """Residual above which a record is a misfit [-]."""
     theta_deg: tuple[float, ...] = ()
@@ -53,6 +60,10 @@ class ModelError(Strict):
     """Mean residual of Fx and Fz in real soils, over the model's peak-to-peak [-], [2, theta]."""
     training: tuple[str, ...] = ()
     """Records that this was learnt from."""
+
+    def offset_at(self, phi_deg: FloatArray | float) -> FloatArray | float:
+        """Mean of φ_read − φ at friction angles [deg]."""
+        return self.offset_deg + self.slope * (phi_deg - CENTRE_DEG)
 
     def mean_residual(self, curve: FloatArray, theta_deg: FloatArray) -> FloatArray | None:
         """Expected residual of a record [N]; the curve and it have the shape [2, m]."""
@@ -123,7 +134,7 @@ class Calibration(Strict):
             variance = max(error.soil_sd_deg**2 + of_leg + phi_sd**2 + of_read, 1e-6)
             read = float(np.mean([one.read_deg for one in every]))
             precision += 1.0 / variance
-            total += (read - phi - error.offset_deg) / variance
+            total += (read - phi - float(error.offset_at(phi))) / variance
         return total / precision, math.sqrt(1.0 / precision)
 
     def save(self, path: Path | str) -> None:

@@ -248,8 +248,9 @@ class Library:
             f"F{axis}": (("case", name), force[:, :, i], {"units": "N"})
             for i, axis in enumerate(whole.axes)
         }
-        if all(c.history is None or c.history.moment is not None for c in every):
-            moment: list[Any] = [c.history.moment if c.history else nothing[:, 0] for c in every]
+        moment = [c.history.moment if c.history else None for c in every]
+        if any(one is not None for one in moment):
+            moment = [nothing[:, 0] if one is None else one for one in moment]
             data["M"] = (("case", name), np.stack(moment), {"units": "N m"})
         texts = {
             "scenario": [c.scenario.model_dump_json() for c in every],
@@ -328,7 +329,7 @@ class Library:
             known = json.loads(str(data["provenance"].values[i]))
             history = None
             if not failure:
-                turned = None if moment is None else moment[i]
+                turned = None if moment is None or np.isnan(moment[i]).any() else moment[i]
                 history = ForceHistory(where, force[i], coordinate, axes, known, moment=turned)
             case = Case(scenario, history, failure)
             (replicates if again[i] else cases).append(case)

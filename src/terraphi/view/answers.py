@@ -53,7 +53,10 @@ def headline(answer: Answer) -> str:
         f"{source} · {legs} · {answer.density_kg_m3:g} kg/m³{assumed} · library {answer.library}"
     ]
     if PHI in answer.parameters:
-        lines.append(f"φ = {answer.phi}    {CONVENTIONS.get(answer.convention, answer.convention)}")
+        which = CONVENTIONS.get(answer.convention, answer.convention)
+        if answer.convention == "plane_strain" and not all(r.simulated for r in answer.records):
+            which += ": critical of loose soil, between critical and peak of dense"
+        lines.append(f"φ = {answer.phi}    {which}")
     return "\n".join(lines)
 
 
@@ -107,7 +110,7 @@ def tables(answer: Answer) -> list[Table]:
     records = [
         (
             one.source, one.leg, str(one.n_readings), str(one.n_left_out),
-            f"{one.nrmsd['Fx']:.1%}", f"{one.nrmsd['Fz']:.1%}",
+            f"{one.nrmsd['Fx']:.1%}", f"{one.nrmsd['Fz']:.1%}", f"{one.shift_deg:+.1f}°",
         )
         for one in answer.records
     ]  # fmt: skip
@@ -116,9 +119,10 @@ def tables(answer: Answer) -> list[Table]:
         Table("Standard deviation of φ by term", ("term", "[deg]"), terms),
         Table(
             "Records",
-            ("source", "leg", "readings", "left out", "residual Fx", "residual Fz"),
+            ("source", "leg", "readings", "left out", "residual Fx", "residual Fz", "shift of θ"),
             records,
-            "Residuals: root mean square over the range of the force.",
+            "Residuals: root mean square over the range of the force. A positive shift: the forces "
+            "come later than the model's.",
         ),
     ]
     return [table for table in found if table.rows]

@@ -1,0 +1,277 @@
+"""Measure the friction angle of simulated grains: shear cell and tilting bed.
+
+    python studies/grains/elements.py B-loose --work FOLDER --out studies/data/grains
+
+Both tests are periodic across and along, and their grains settle as those of a leg's bed do.
+
+**Shear cell.** The lowest and the highest layer are glued to plates. Without weight, under 1.5 kPa,
+the upper one moves along at an inertial number of 2e-3, so slowly that its size does not matter,
+and is free to rise. Rows: shear strain, rise over the height, τ and σ on the lower plate and τ on
+the upper one [Pa]. In the steady state both τ agree and σ is the load.
+
+**Tilting bed.** Gravity is turned by 2.5° a second until the bed flows, and back until it rests.
+Rows: angle [deg] and the mean speed along of the grains above the middle [m/s].
+
+Angles of a shear cell are those of Mohr-Coulomb soil in plane strain: with the stress ratio τ/σ and
+the rise tan ψ = dh/dx, τ/σ = sin φ cos ψ / (1 − sin φ sin ψ) (Davis 1968), and sin φ = τ/σ in the
+critical state, where nothing rises.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import engine
+import numpy as np
+import run
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.files import replacing
+
+DIAMETER_MM = 6.0
+"""Of all grains: a test without a length does not see it."""
+CELL, LAYER = (12.0, 8.0, 16.0), 2.0
+"""Length, breadth and height of a cell, and height of a glued layer, in diameters.
+
+Through a layer of 1.3 grains slip out of loose soils.
+"""
+PRESSURE, INERTIAL, STRAIN, ROW = 1500.0, 2e-3, 1.2, 0.005
+"""Load [Pa], inertial number, shear strain of a test, and of a row."""
+TILT_DEG, RATE_DEG, STEP_DEG = 14.0, 2.5, 0.25
+"""Angle at the start [deg], speed of the tilt [deg/s], and width of a row [deg]."""
+FLOWS, RUNS, RESTS = 0.01, 0.1, 0.002
+"""Mean speed of the upper half that is flow, that ends the tilt, and that ends the return [m/s]."""
+SMOOTH, EARLY, BLOCKS = 0.04, 0.5, 4
+"""Shear strain of running means, that by which they peak, and blocks of a steady state."""
+SEEDS = (1, 2, 3, 4)
+
+
+def box_of(soil: engine.Soil) -> tuple[float, ...]:
+    """West, east, south, north and top of a cell [m]."""
+    length, breadth, height = (soil.diameter * each for each in CELL)
+    return -length / 2, length / 2, -breadth / 2, breadth / 2, 3.0 * height
+
+
+def start(soil: engine.Soil) -> str:
+    """First lines of a deck, periodic along too."""
+    return engine.header(soil).replace("boundary f p f", "boundary p p f")
+
+
+def glued(top: float, soil: engine.Soil) -> str:
+    """Groups of the lowest layer, of all above a height [m], and of what is between."""
+    return f"""region low block INF INF INF INF INF {LAYER * soil.diameter:.5g} units box
+region high block INF INF INF INF {top:.5g} INF units box
+group low region low
+group high region high
+group inner subtract all low high
+neigh_modify exclude group low low
+"""
+
+
+def sheared(soil: engine.Soil, top: float, area: float) -> str:
+    """Deck of a shear cell whose surface is at a height [m]."""
+    height = top - 2.0 * LAYER * soil.diameter
+    speed = INERTIAL * height / (soil.diameter * math.sqrt(engine.DENSITY / PRESSURE))
+    every = round(ROW * height / speed / soil.time_step)
+    return f"""{start(soil)}read_restart bed.restart
+{engine.contacts(soil, soil.sliding)}
+{glued(top - LAYER * soil.diameter, soil)}neigh_modify exclude group high high
+velocity all set 0 0 0
+velocity high set {speed:.6g} 0 0
+fix integrate inner nve/sphere
+variable many equal count(high)
+variable each equal -{PRESSURE * area:.6g}/v_many
+fix load high addforce 0 0 ${{each}}
+fix plate high rigid single force 1 off off on torque 1 off off off
+fix ground low freeze
+variable above equal f_plate[1][7]
+variable rise equal xcm(high,z)
+fix mean all ave/time 1 {every} {every} f_ground[1] f_ground[3] v_above v_rise file shear.txt
+dump last all custom {round(STRAIN / ROW) * every} shear.dump id x y z radius
+run {round(STRAIN / ROW) * every}
+"""
+
+
+def tilted(soil: engine.Soil, top: float) -> str:
+    """Deck of a bed that is tilted until it flows, and back until it rests."""
+    steps = round(STEP_DEG / RATE_DEG / soil.time_step)
+    degree = math.pi / 180.0
+
+    def turn(name: str, angle: str, stop: str) -> str:
+        """Loop over angles, one run at each, until the speed passes a limit."""
+        return f"""variable {name} loop 400
+label {name}
+variable angle equal {angle}
+variable along equal sin({degree:.9f}*v_angle)
+variable down equal -cos({degree:.9f}*v_angle)
+fix weight all gravity {engine.GRAVITY} vector ${{along}} 0 ${{down}}
+run {steps}
+if "${{speed}} {stop}" then "jump SELF {name}_end"
+next {name}
+jump SELF {name}
+label {name}_end
+"""
+
+    return f"""{start(soil)}read_restart bed.restart
+{engine.contacts(soil, soil.sliding)}
+{glued(0.5 * top, soil)}group free subtract all low
+fix integrate free nve/sphere
+fix ground low freeze
+variable speed equal vcm(high,x)
+variable angle equal {TILT_DEG}
+fix mean all ave/time 1 {steps} {steps} v_angle v_speed file tilt.txt
+{turn("up", f"{TILT_DEG}+{STEP_DEG}*v_up", f"> {RUNS}")}variable turned equal ${{angle}}
+{turn("back", f"${{turned}}-{STEP_DEG}*v_back", f"< {RESTS}")}"""
+
+
+def shear(soil: engine.Soil, folder: Path, top: float, area: float) -> FloatArray:
+    """Shear a bed: strain, rise over height, τ, σ below and τ above [Pa], shape [row, 5]."""
+    engine.run(sheared(soil, top, area), folder, "shear")
+    _, x, z, above, rise = np.loadtxt(folder / "shear.txt").T
+    strain = ROW * (np.arange(x.size) + 0.5)
+    height = top - 2.0 * LAYER * soil.diameter
+    return np.column_stack([strain, (rise - rise[0]) / height, x / area, -z / area, -above / area])
+
+
+def tilt(soil: engine.Soil, folder: Path, top: float, _: float) -> FloatArray:
+    """Tilt a bed and turn it back: angle [deg], mean speed of its upper half [m/s]."""
+    engine.run(tilted(soil, top), folder, "tilt")
+    return np.loadtxt(folder / "tilt.txt")[:, 1:]
+
+
+TESTS = {
+    "shear": (shear, "strain,rise,tau_Pa,sigma_Pa,tau_top_Pa", "%.4f,%.5f,%.2f,%.2f,%.2f"),
+    "tilt": (tilt, "angle_deg,speed_m_s", "%.3f,%.5f"),
+}
+
+
+def test(name: str, kind: str, seed: int, work: Path, out: Path) -> None:
+    """Make one test of a bed and write its rows, unless the file is there."""
+    path = out / f"{name}_{kind}_{seed}.csv"
+    if path.exists():
+        return
+    soil = replace(run.soils()[name], diameter_mm=DIAMETER_MM)
+    folder = work / f"{name}_{seed}"
+    x0, x1, y0, y1, _ = box = box_of(soil)
+    area = (x1 - x0) * (y1 - y0)
+    engine.bed(soil, seed, box, CELL[2] * soil.diameter, folder, start(soil), walls=False)
+    top, fraction = engine.layering(engine.dump(folder / "bed.dump"), area)
+    perform, columns, form = TESTS[kind]
+    rows = perform(soil, folder, top, area)
+    with replacing(path) as temporary, temporary.open("w") as file:
+        file.write(
+            f"# grains {name}, seed {seed}: sliding friction {soil.sliding}, rolling "
+            f"{soil.rolling}, settled with {soil.settled}, {soil.diameter_mm} mm\n# density "
+            f"{engine.DENSITY * fraction:.0f} kg/m3, volume fraction {fraction:.4f}\n{columns}\n"
+        )
+        np.savetxt(file, rows, fmt=form)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What element tests of one soil say, means over beds."""
+
+    phi_critical_deg: float
+    """Friction angle in plane strain in the critical state [deg]."""
+    phi_critical_sd_deg: float
+    """Its standard error, from blocks or from beds, whichever is larger [deg]."""
+    phi_peak_deg: float
+    """The same at the peak, with the dilation there [deg]."""
+    dilation_deg: float
+    """Dilation angle at the peak [deg]."""
+    softening_strain: float
+    """Shear strain at which half of the softening is gone [-]; NaN without any."""
+    volume_fraction: float
+    """Of the settled bed [-]."""
+    tilt_start_deg: float
+    """Angle at which a tilting bed begins to flow [deg]."""
+    tilt_stop_deg: float
+    """Angle at which it comes to rest [deg]."""
+
+
+def critical(strain: FloatArray, ratio: FloatArray) -> FloatArray:
+    """Friction angle of each block of the second half of a test [deg], from τ/σ [-]."""
+    blocks = np.array_split(ratio[strain > 0.5 * strain[-1]], BLOCKS)
+    return np.degrees(np.arcsin([float(block.mean()) for block in blocks]))
+
+
+def peak(strain: FloatArray, rise: FloatArray, ratio: FloatArray) -> tuple[float, float, float]:
+    """Friction and dilation angle at the peak [deg], and strain of half the softening [-].
+
+    Parameters
+    ----------
+    strain, rise, ratio
+        Evenly spaced shear strain, rise over height and τ/σ [-].
+    """
+    width = max(round(SMOOTH / (strain[1] - strain[0])), 1)
+    smooth = np.convolve(ratio, np.ones(width) / width, "valid")
+    middle = np.convolve(strain, np.ones(width) / width, "valid")
+    top = int(smooth[middle < EARLY].argmax())
+    near = np.abs(strain - middle[top]) < SMOOTH
+    psi = math.atan(max(float(np.polyfit(strain[near], rise[near], 1)[0]), 0.0))
+    # Davis, solved for sin φ.
+    sine = smooth[top] / (math.cos(psi) + smooth[top] * math.sin(psi))
+    steady = float(ratio[strain > 0.5 * strain[-1]].mean())
+    gone = np.flatnonzero(smooth[top:] < 0.5 * (smooth[top] + steady))
+    half = float(middle[top + gone[0]]) if gone.size else math.nan
+    return math.degrees(math.asin(sine)), math.degrees(psi), half
+
+
+def of_tilt(angle: FloatArray, speed: FloatArray) -> tuple[float, float]:
+    """Angles at which a bed begins to flow for good and comes to rest [deg]; NaN if it does not."""
+    top = int(angle.argmax())
+    still = np.flatnonzero(speed[: top + 1] < FLOWS)
+    flows = int(still[-1]) + 1 if still.size else 0
+    rests = np.flatnonzero(speed[top:] < FLOWS)
+    begin = float(angle[flows]) if flows <= top else math.nan
+    return begin, float(angle[top + rests[0]]) if rests.size else math.nan
+
+
+def measured(folder: Path, name: str) -> Measured:
+    """Reduce the tests of a soil; raises FileNotFoundError if it has no shear cell.
+
+    The peak is that of the mean curve of all beds: one bed's largest value is chance in part.
+    Without a tilting bed its angles are NaN.
+    """
+    paths = sorted(folder.glob(f"{name}_shear_*.csv"))
+    if not paths:
+        raise FileNotFoundError(f"{folder}: no shear cell of {name}")
+    curves = [np.loadtxt(path, delimiter=",", skiprows=3)[:, :4].T for path in paths]
+    rows = min(curve.shape[1] for curve in curves)
+    strain, rise, tau, sigma = np.mean([curve[:, :rows] for curve in curves], axis=0)
+    blocks = np.array([critical(curve[0], curve[2] / curve[3]) for curve in curves])
+    errors = [values.std(ddof=1) / math.sqrt(values.size)
+              for values in (blocks.ravel(), blocks.mean(axis=1)) if values.size > 1]  # fmt: skip
+    words = [path.read_text().split("volume fraction ")[1].split()[0] for path in paths]
+    tilts = [
+        of_tilt(*np.loadtxt(path, delimiter=",", skiprows=3, unpack=True))
+        for path in sorted(folder.glob(f"{name}_tilt_*.csv"))
+    ]
+    begin, stop = np.mean(tilts or [(math.nan, math.nan)], axis=0).tolist()
+    return Measured(
+        float(blocks.mean()), float(max(errors)), *peak(strain, rise, tau / sigma),
+        float(np.mean([float(word) for word in words])), begin, stop,
+    )  # fmt: skip
+
+
+def main() -> None:
+    """Test one soil."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("soil", choices=sorted(run.soils()), metavar="SOIL")
+    parser.add_argument("--work", type=Path, required=True, help="folder for the engine's files")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
+    parser.add_argument("--tests", nargs="+", choices=list(TESTS), default=list(TESTS))
+    parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    for kind in options.tests:
+        for seed in options.seeds:
+            test(options.soil, kind, seed, options.work, options.out)
+    print(options.soil, measured(options.out, options.soil))
+
+
+if __name__ == "__main__":
+    main()

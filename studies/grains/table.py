@@ -1,0 +1,220 @@
+"""Simulated grains and measured media, each inverted with what all other soils taught.
+
+    python studies/grains/table.py [--json]
+
+A soil is left out of everything that is learnt (`model_error.py`: offset, spread, residual, limit
+of a misfit; not the size of grains, of which too few soils have several) and then inverted. Without
+--json it writes the page `docs/grains.md`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+import model_error
+import pages
+import terraphi
+from terraphi.library.store import Library
+
+LEGS = {"straight": "#0072b2", "c": "#d55e00", "reversed_c": "#009e73"}
+
+
+def answers(library: Library, every: list[model_error.Reading]) -> list[dict[str, Any]]:
+    """A row for each soil and leg, left out of what was learnt."""
+    rows = []
+    for reading in every:
+        others = [r for r in every if r.soil != reading.soil]
+        own = replace(library, model_error=model_error.learn(others))
+        answer = terraphi.invert(reading.record, library=own)
+        phi = answer.phi
+        rows.append({
+            "soil": reading.soil,
+            "kind": "medium" if reading.real else "grains",
+            "leg": reading.leg,
+            "packing": reading.packing,
+            "phi_peak_deg": _number(reading.peak_deg),
+            "phi_critical_deg": _number(reading.critical_deg),
+            "phi_deg": round(phi.median, 2),
+            "sd_deg": round(phi.sd, 2),
+            "ci68": [round(end, 2) for end in phi.ci68],
+            "ci95": [round(end, 2) for end in phi.ci95],
+            "size_deg": round(reading.with_size_deg - reading.read_deg, 2),
+            "shift_deg": round(answer.records[0].shift_deg, 1),
+            "verdict": answer.verdict,
+            "nrmsd": {name: round(value, 4) for name, value in answer.nrmsd.items()},
+        })  # fmt: skip
+    return rows
+
+
+def _number(value: float) -> float | None:
+    """A number for JSON, which has no NaN."""
+    return None if np.isnan(value) else round(float(value), 2)
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Errors, coverage and verdicts."""
+    grains = [r for r in rows if r["kind"] == "grains"]
+    loose = [r for r in grains if r["packing"] == "loose"]
+    packed = [r for r in grains if r["packing"] != "loose"]
+    known = [r for r in rows if r["packing"] == "loose" and r["phi_critical_deg"] is not None]
+    plain = [r for r in rows if r["packing"] == "loose" and r["leg"] != "c"]
+    followed = np.array([max(r["nrmsd"].values()) for r in plain])
+
+    def of(some: list[dict[str, Any]], count: int) -> str:
+        return f"{count} of {len(some)}"
+
+    def rms(leg: str) -> float:
+        off = [r["phi_deg"] - r["phi_critical_deg"] for r in loose if r["leg"] == leg]
+        return round(float(np.sqrt(np.mean(np.square(off)))), 2)
+
+    def between(r: dict[str, Any], reach: float) -> bool:
+        low, high = r["phi_critical_deg"], r["phi_peak_deg"]
+        return bool(low - reach * r["sd_deg"] <= r["phi_deg"] <= high + reach * r["sd_deg"])
+
+    held = [sum(r[share][0] <= r["phi_critical_deg"] <= r[share][1] for r in known)
+            for share in ("ci68", "ci95")]  # fmt: skip
+    widths = [0.5 * (r["ci68"][1] - r["ci68"][0]) for r in loose]
+    media = [r for r in rows if r not in grains]
+    return {
+        "rms_deg": {leg: rms(leg) for leg in LEGS},
+        "half_width_deg": round(float(np.median(widths)), 2),
+        "in_68": of(known, held[0]),
+        "in_95": of(known, held[1]),
+        "packed_between": of(packed, sum(between(r, 0.0) for r in packed)),
+        "packed_between_within_sd": of(packed, sum(between(r, 1.0) for r in packed)),
+        "consistent_grains": of(grains, sum(r["verdict"] == "consistent" for r in grains)),
+        "consistent_media": of(media, sum(r["verdict"] == "consistent" for r in media)),
+        "nrmsd_median": round(float(np.median(followed)), 3),
+        "nrmsd_within_8_percent": of(plain, int((followed <= 0.08).sum())),
+    }
+
+
+def wrong(library: Library, every: list[model_error.Reading]) -> dict[str, str]:
+    """How many records are consistent that are given with a wrong leg, sign or density."""
+    found: dict[str, list[str]] = {}
+    for reading in every:
+        record = reading.record
+        history = record.history
+        legs = list(LEGS)
+        other = legs[(legs.index(reading.leg) + 1) % 3]
+        kinds = {
+            "another leg": replace(record, leg=other),
+            "Fx turned": replace(record, history=replace(history, force=history.force * [-1, 1])),
+            "Fz turned": replace(record, history=replace(history, force=history.force * [1, -1])),
+            "half the density": replace(record, density_kg_m3=0.5 * record.density_kg_m3),
+            "twice the density": replace(record, density_kg_m3=2.0 * record.density_kg_m3),
+        }
+        for kind, one in kinds.items():
+            try:
+                verdict = terraphi.invert(one, library=library).verdict
+            except terraphi.InputError:
+                verdict = "refused"
+            found.setdefault(kind, []).append(verdict)
+    return {k: f"{v.count('consistent')} of {len(v)}" for k, v in found.items()}
+
+
+def draw(rows: list[dict[str, Any]]) -> Figure:
+    """Inferred over measured angles, loose and dense."""
+    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
+    loose, packed = figure.subplots(1, 2)
+    for r in rows:
+        if r["phi_critical_deg"] is None:
+            continue
+        nudge = 0.25 * (list(LEGS).index(r["leg"]) - 1)
+        look = {"color": LEGS[r["leg"]], "mfc": LEGS[r["leg"]] if r["kind"] == "grains" else "w"}
+        if r["packing"] == "loose":
+            at = r["phi_critical_deg"] + nudge
+            loose.plot([at, at], r["ci95"], color=look["color"], lw=0.8)
+            loose.plot([at, at], r["ci68"], color=look["color"], lw=2.5)
+            loose.plot(at, r["phi_deg"], "o", ms=5, **look)
+    packs = sorted({r["soil"] for r in rows if r["packing"] != "loose" and r["kind"] == "grains"})
+    for i, soil in enumerate(packs):
+        own = [r for r in rows if r["soil"] == soil]
+        ends = own[0]["phi_critical_deg"], own[0]["phi_peak_deg"]
+        packed.plot([i, i], ends, color="0.8", lw=12, solid_capstyle="butt")
+        for r in own:
+            at = i + 0.15 * (list(LEGS).index(r["leg"]) - 1)
+            packed.plot([at, at], r["ci68"], color=LEGS[r["leg"]], lw=2.5)
+            packed.plot(at, r["phi_deg"], "o", ms=5, color=LEGS[r["leg"]])
+    ends = loose.get_xlim()
+    loose.plot(ends, ends, color="grey", lw=0.8)
+    for leg, colour in LEGS.items():
+        loose.plot([], [], "o", color=colour, label=leg)
+    loose.plot([], [], "o", color="grey", mfc="w", label="real, repose")
+    loose.legend(frameon=False, fontsize="small")
+    loose.set(xlabel="critical φ of the shear cell [deg]", ylabel="inferred φ [deg]", title="loose")
+    packed.set_xticks(range(len(packs)), packs, fontsize="small")
+    packed.set(title="packed; grey: critical to peak", ylabel="φ [deg]")
+    return figure
+
+
+def main() -> None:
+    """Read, leave out, print or write the page."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--library", default="sand3d")
+    parser.add_argument("--json", action="store_true", help="print the rows, write nothing")
+    parser.add_argument("--out", type=Path, default=pages.DOCS, help="folder of the page")
+    options = parser.parse_args()
+    library = Library.load(options.library)
+    every = model_error.readings(library)
+    rows = answers(library, every)
+    if options.json:
+        print(json.dumps(rows, indent=1))
+        return
+    found = summary(rows)
+    header = ("soil", "leg", "critical", "peak", "φ", "68 %", "95 %", "size of grains",
+              "shift of θ", "NRMSD Fx / Fz", "verdict")  # fmt: skip
+
+    def shown(value: float | None) -> str:
+        return "–" if value is None else f"{value:.1f}°"
+
+    lines = [
+        (
+            r["soil"], r["leg"], shown(r["phi_critical_deg"]), shown(r["phi_peak_deg"]),
+            shown(r["phi_deg"]), *("{:.0f} to {:.0f}°".format(*r[k]) for k in ("ci68", "ci95")),
+            f"{r['size_deg']:.1f}°", f"{r['shift_deg']:+.1f}°",
+            f"{r['nrmsd']['Fx']:.0%} / {r['nrmsd']['Fz']:.0%}", r["verdict"],
+        )
+        for r in rows
+    ]  # fmt: skip
+    parts = [
+        (
+            "Spheres simulated one by one are sheared, which measures their friction angle, and "
+            "stirred by the leg. Each soil is inverted with `sand3d` and what all other soils "
+            "taught. φ is in plane strain. The size of grains was taken out of the records (a "
+            "column says how many degrees it is). Media are those of Li et al. (2013), with their "
+            "angle of repose for a critical angle."
+        ),
+        pages.table(("what", "value"), [
+            ("RMS error, loose grains: straight / C / reversed C",
+             " / ".join(f"{value}°" for value in found["rms_deg"].values())),
+            ("half-width of the 68 % interval, loose grains", f"{found['half_width_deg']}°"),
+            ("68 % intervals that hold the critical angle, loose", found["in_68"]),
+            ("95 %", found["in_95"]),
+            ("medium and dense grains between critical and peak", found["packed_between"]),
+            ("the same within a standard deviation", found["packed_between_within_sd"]),
+            ("consistent: grains", found["consistent_grains"]),
+            ("consistent: media", found["consistent_media"]),
+            ("residual, loose, straight and reversed C: median", f"{found['nrmsd_median']:.1%}"),
+            ("of at most 8 %", found["nrmsd_within_8_percent"]),
+            *((f"consistent though given with {kind}", count)
+              for kind, count in wrong(library, every).items()),
+        ]),
+        pages.table(header, lines),
+    ]  # fmt: skip
+    alt = "inferred angles over critical ones; packed soils between critical and peak"
+    title = "Grains whose friction angle was measured"
+    pages.write(options.out, "grains", title, parts, draw(rows), alt, script="grains/table.py")
+
+
+if __name__ == "__main__":
+    main()
