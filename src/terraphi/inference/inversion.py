@@ -25,7 +25,7 @@ from terraphi.inference.checks import (
     without_faults,
 )
 from terraphi.inference.likelihood import UNKNOWN_DENSITY, Likelihood
-from terraphi.inference.records import Record, open_record
+from terraphi.inference.records import Record, open_record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
 from terraphi.inference.soils import Calibration, CalibrationSoil
 from terraphi.library.store import PHI, Library, nearest_library, shipped_library
@@ -49,6 +49,7 @@ def invert(
     *,
     leg: str | None = None,
     density: float | str | None = None,
+    columns: Any = None,
     library: Library | Path | str | None = None,
     noise: float | tuple[float, float] | None = None,
     calibration: Calibration | Path | str | None = None,
@@ -60,13 +61,16 @@ def invert(
     Parameters
     ----------
     forces
-        A CSV (``theta_deg,Fx_N,Fz_N``) or NetCDF file, a shipped measurement such as
-        ``"li2013:yuma/c"``, a force history, a DataFrame; or a list of these, of one soil.
+        A table of text or a NetCDF file, a shipped measurement such as ``"li2013:yuma/c"``, a force
+        history, a DataFrame, an xarray Dataset; or a list of these, of one soil.
     leg
         Shape of the leg: ``straight``, ``c`` or ``reversed_c``; ``None``: from the forces' file.
     density
         Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: from the forces' file,
         else the library's.
+    columns
+        Which columns of a table are what, as a mapping of the options of
+        :func:`terraphi.read_forces`, or a TOML file of them; ``None``: guessed.
     library
         Library, file or shipped name; ``None``: ``sand3d`` for measured forces, for simulated ones
         the library whose scenario is nearest.
@@ -102,7 +106,7 @@ def invert(
     with threadpool_limits(limits=1, user_api="blas"):
         return _invert(
             forces, library, calibration, seed, began,
-            leg=leg, density=density, noise=noise, simulated=simulated,
+            leg=leg, density=density, columns=columns, noise=noise, simulated=simulated,
         )  # fmt: skip
 
 
@@ -116,7 +120,7 @@ def _invert(
 ) -> Answer:
     """Records, library and likelihood of :func:`invert`, and the answer from them."""
     every = list(forces) if isinstance(forces, list | tuple) else [forces]
-    records = [without_faults(open_record(one, **options)) for one in every]
+    records = [without_faults(r) for one in every for r in open_records(one, **options)]
     library, reason = _library_for(records, library)
     known = Calibration.load(calibration) if isinstance(calibration, str | Path) else calibration
     if known is not None:

@@ -65,7 +65,7 @@ def kind_of(source: str) -> str:
     elif path.is_file() and path.suffix in LOGS:
         with path.open("rb") as stream:
             head = stream.read(4096)
-        return "forces" if path.suffix == ".csv" and b"theta_deg" in head else "log"
+        return "log" if path.suffix != ".csv" or b"_angle_rad" in head else "forces"
     elif not path.exists() and source in Library.names():
         return "library"
     raise InputError(
