@@ -6,6 +6,7 @@ wrong with a table is reported all at once.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from itertools import pairwise
@@ -21,7 +22,7 @@ from terraphi.experiment.errors import InputError, nearest, sentence_from_valida
 from terraphi.experiment.force_table import CSV_COLUMNS, origin
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.tables import Table, read_table, table_of
-from terraphi.experiment.units import KINDS, kind_of_unit, unit_named
+from terraphi.experiment.units import KINDS, unit_named
 
 TURN_DEG = 10.0
 """Least way back of the leg that ends a stroke [deg]; less is jitter of the encoder."""
@@ -52,7 +53,7 @@ _NAMES = {
 }
 """Names of columns, without units, signs and case."""
 _LOOSE = {"theta": "theta|angle|winkel|θ", "fx": "fx|forcex|xforce", "fz": "fz|forcez|zforce"}
-_KIND = {"theta": "angle", "fx": "force", "fz": "force", "time": "time", "moment": "moment"}
+KIND = {"theta": "angle", "fx": "force", "fz": "force", "time": "time", "moment": "moment"}
 
 
 class ForceColumns(Strict):
@@ -93,7 +94,7 @@ class ForceColumns(Strict):
         if isinstance(given, Path) or (isinstance(given, str) and "=" not in given):
             return parse_toml(Path(given), cls)
         if isinstance(given, str):
-            pairs = [pair.partition("=") for pair in given.split(",")]
+            pairs = [pair.partition("=") for pair in re.split("[,;]", given)]
             given = {key.strip(): _value(text.strip()) for key, _, text in pairs}
         try:
             return strictly({k: v for k, v in (given or {}).items() if v is not None}, cls)
@@ -253,6 +254,8 @@ class _Reading:
                 self._ask(role, found)
         if guessed:
             self.notes.append(f"Read {', '.join(guessed)}.")
+        for role in self.names:
+            self._check(role)
 
     def _take(self, role: str, column: str) -> None:
         """The column of a name, which may lack its unit."""
@@ -290,21 +293,34 @@ class _Reading:
         )
 
     def _unit(self, role: str) -> tuple[str, float]:
-        """Unit of a column and what it is in N, degrees, seconds or N m."""
-        kind = _KIND[role]
-        column = self.names[role]
+        """Unit of a column and what it is in N, degrees, seconds or N m; NaN if it is unknown."""
+        kind = KIND[role]
         given = {"angle": self.given.theta_unit, "force": self.given.unit}.get(kind)
-        written = self.table.units.get(column) or self.parts[column][1]
-        unit = given or unit_named(written or next(iter(KINDS[kind])))
-        if unit is None or kind_of_unit(unit) != kind:
-            key = {"angle": "theta_unit", "force": "unit"}.get(kind)
-            remedy = f"add --columns {key}=…" if key else "rename it"
+        unit = given or unit_named(self._written(role) or next(iter(KINDS[kind])))
+        return (unit, KINDS[kind][unit]) if unit in KINDS[kind] else ("?", math.nan)
+
+    def _written(self, role: str) -> str | None:
+        """Unit of a column as the table has it."""
+        column = self.names[role]
+        return self.table.units.get(column) or self.parts[column][1]
+
+    def _check(self, role: str) -> None:
+        """Complain about words among the numbers of a column, and about its unit."""
+        column, kind = self.names[role][:40], KIND[role]
+        words = self.table.words.get(self.names[role], [])
+        if words:
+            (place, cell), more = words[0], f" and {len(words) - 1} more" if len(words) > 1 else ""
             self.wrong.append(
-                f"column '{column[:40]}': '{written}' is no known unit of {kind}; {remedy} "
-                f"({', '.join(KINDS[kind])})"
+                f"{place}: {column} = {cell[:30]!r}{more} is not a number; leave the cell blank or "
+                "remove the row"
             )
-            return "?", 1.0
-        return unit, KINDS[kind][unit]
+        if math.isnan(self._unit(role)[1]):
+            key = {"angle": "theta_unit", "force": "unit"}.get(kind)
+            remedy = f"add --columns {key}=UNIT" if key else "rename it"
+            self.wrong.append(
+                f"column '{column}': '{self._written(role)}' is no known unit of {kind}; {remedy}, "
+                f"one of {', '.join(KINDS[kind])}"
+            )
 
     # -- numbers ---------------------------------------------------------------------------------
 
@@ -346,16 +362,8 @@ class _Reading:
 
     def _column(self, role: str) -> FloatArray:
         """A column in N, degrees, seconds or N m."""
-        name = self.names[role]
-        words = self.table.words.get(name, [])
-        if words:
-            more = f" and {len(words) - 1} more" if len(words) > 1 else ""
-            self.wrong.append(
-                f"{words[0][0]}: {name[:40]} = {words[0][1][:30]!r}{more} is not a number; leave "
-                "the cell blank or remove the row"
-            )
         _, factor = self._unit(role)
-        return np.asarray(factor * self.table.frame[name].to_numpy(np.float64))
+        return np.asarray(factor * self.table.frame[self.names[role]].to_numpy(np.float64))
 
     # -- strokes ---------------------------------------------------------------------------------
 
@@ -370,7 +378,7 @@ class _Reading:
         up = [p for p in pieces if theta[p][-1] - theta[p][0] >= LEAST_STROKE_DEG]
         down = [p for p in pieces if theta[p][0] - theta[p][-1] >= LEAST_STROKE_DEG]
         up, down = (up, down) if up else (down, [])
-        if not down and _covered(theta, up) > 0.9 * sum(np.ptp(theta[p]) for p in up):
+        if not up or (not down and _covered(theta, up) > 0.9 * sum(np.ptp(theta[p]) for p in up)):
             return [every]  # one stroke, or parts of one
 
         def size(of: list[slice]) -> float:

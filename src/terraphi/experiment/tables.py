@@ -85,8 +85,7 @@ def read_table(path: Path) -> Table:
             f"{path}: no numbers under the header; expected a row of numbers for each reading"
         )
     width = max(len(row) for row in rows[first:])
-    names, units = _header(rows[:first], width, comments, separator)
-    named = sum(not name.startswith("column ") for name in names)
+    names, units, named = _header(rows[:first], width, comments, separator)
     for i, row in enumerate(rows[first:], start=first):
         if named and any(row[named:]):
             raise InputError(
@@ -169,8 +168,8 @@ def _dialect(lines: list[str]) -> tuple[str | None, str]:
 
 def _header(
     rows: list[list[str]], width: int, comments: tuple[str, ...], separator: str | None
-) -> tuple[list[str], dict[str, str]]:
-    """Names of the columns, and units from a row of their own."""
+) -> tuple[list[str], dict[str, str], int]:
+    """Names of the columns, units from a row of their own, and how many cells the header has."""
     rows = [row for row in rows if any(cell.lower() not in _MISSING for cell in row)]
     units: list[str] = []
     last = [cell for cell in rows[-1] if cell not in ("", "-")] if len(rows) > 1 else []
@@ -186,7 +185,8 @@ def _header(
         name = found[i].strip() if i < len(found) else ""
         name = name or f"column {i + 1}"
         names.append(name if name not in names else f"{name} ({i + 1})")
-    return names, {name: unit for name, unit in zip(names, units, strict=False) if unit}
+    units_by_name = {name: unit for name, unit in zip(names, units, strict=False) if unit}
+    return names, units_by_name, len(found)
 
 
 def _numeric(

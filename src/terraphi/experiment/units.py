@@ -42,8 +42,3 @@ def unit_named(text: str) -> str | None:
 def is_unit(text: str) -> bool:
     """Whether a cell of a table is the unit of its column."""
     return unit_named(text) is not None
-
-
-def kind_of_unit(unit: str) -> str:
-    """``force``, ``angle``, ``moment`` or ``time``."""
-    return next(kind for kind, units in KINDS.items() if unit in units)
