@@ -53,7 +53,9 @@ def commands(command: click.Command = cli, path: tuple[str, ...] = ()) -> Iterat
 def test_help_fits_a_screen_and_has_an_example(path: tuple[str, ...], terraphi: Terraphi) -> None:
     status, out, _ = terraphi(*path, "--help")
     assert status == 0
-    assert len(out.splitlines()) <= LINES + 2 * (path[:1] in (("forces",), ("footfalls",), ("invert",)))
+    assert len(out.splitlines()) <= LINES + 2 * (
+        path[:1] in (("forces",), ("footfalls",), ("invert",))
+    )
     assert " ".join(["Example: terraphi", *path]) in " ".join(out.split())
 
 
