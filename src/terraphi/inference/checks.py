@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.history import WINDOW_DEG, ForceHistory
 from terraphi.experiment.units import FORCE
 from terraphi.inference.emulator import emulator_of
 from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.partial import part_of
 from terraphi.inference.records import Record
 from terraphi.library.store import PHI, Library, differences
 
@@ -257,6 +258,13 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
         spacing = float(np.median(np.diff(record.history.theta_deg)))
         if spacing > COARSE_DEG:
             yield f"{name}The readings are {spacing:.0f}° apart; peaks between them are missed."
+        part = part_of(likelihood, record)
+        if part.share < 1.0 and likelihood.measured and PHI in likelihood.keys:
+            low, high = np.clip(record.history.theta_deg[[0, -1]], -WINDOW_DEG, WINDOW_DEG)
+            yield (
+                f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
+                f"{part.share:.0%} of the information on φ of a whole stroke."
+            )
         if record.leg_assumed:
             yield f"{name}The leg is assumed to be straight; give --leg."
         if record.density_kg_m3 is None or record.density_assumed:

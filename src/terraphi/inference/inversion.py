@@ -25,6 +25,7 @@ from terraphi.inference.checks import (
     without_faults,
 )
 from terraphi.inference.likelihood import UNKNOWN_DENSITY, Likelihood
+from terraphi.inference.partial import part_of
 from terraphi.inference.records import Record, open_record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
 from terraphi.inference.soils import Calibration, CalibrationSoil
@@ -319,9 +320,10 @@ def _fits(
     for record, part in zip(likelihood.records, likelihood.parts, strict=True):
         low, high, curve = (one.reshape(2, -1) for one in curves[:, part])
         residual = likelihood.errors[record.leg].mean_residual(curve, record.theta_deg)
-        size = _nrmsd(record.data, curve)
+        span = part_of(likelihood, record).span
+        size = _nrmsd(record.data, curve, span)
         expected = None if record.simulated or residual is None else curve + residual
-        if expected is not None and _nrmsd(record.data, expected).max() > size.max():
+        if expected is not None and _nrmsd(record.data, expected, span).max() > size.max():
             expected = None  # this soil does not differ as others do
         found.append(
             RecordFit(
@@ -336,9 +338,9 @@ def _fits(
     return found
 
 
-def _nrmsd(data: FloatArray, curve: FloatArray) -> FloatArray:
-    """Root mean square of the residual of Fx and Fz over the data's peak-to-peak [-], shape [2]."""
-    return np.asarray(np.sqrt(np.square(data - curve).mean(axis=1)) / np.ptp(data, axis=1))
+def _nrmsd(data: FloatArray, curve: FloatArray, span: FloatArray) -> FloatArray:
+    """Root mean square of the residual of Fx and Fz over their peak-to-peak [-], shape [2]."""
+    return np.asarray(np.sqrt(np.square(data - curve).mean(axis=1)) / span)
 
 
 def _percent(share: float, *, digits: int = 0) -> str:
@@ -384,13 +386,14 @@ def _verdict(
 
 def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
     """A sentence if a record differs from the model by more than real soils do."""
-    for fit in fits:
+    for fit, record in zip(fits, likelihood.records, strict=True):
+        span = part_of(likelihood, record).span
         error = likelihood.errors[fit.leg]
         limit = error.nrmsd_limit * (SEVERAL if len(fits) > 1 else 1.0)
         best = fit.curve if fit.expected is None else fit.expected
-        size = float(_nrmsd(fit.data, best).max())
+        size = float(_nrmsd(fit.data, best, span).max())
         if size > limit:
-            residual = (fit.data - best) / np.ptp(fit.data, axis=1)[:, None]
+            residual = (fit.data - best) / span[:, None]
             i, j = np.unravel_index(np.abs(residual).argmax(), residual.shape)
             return (
                 f"Misfit: {('Fx', 'Fz')[i]} differs from the model by "

@@ -17,6 +17,7 @@ zero of θ                 1° times dg/dθ
 density                   relative standard deviation times g, to which forces are proportional
 model: offset             what looks like another angle: (b² + s²) (∂g/∂φ)(∂g/∂φ)' (``soils``)
 model: leg                the same of each leg by itself, l²
+missing angles            where a record has a part of the stroke (``partial``)
 shape                     whatever does not look like a change of x
 ========================  ==========================================================================
 
@@ -50,6 +51,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.inference.emulator import emulator_of
+from terraphi.inference.partial import missing_angles
 from terraphi.inference.records import Record
 from terraphi.inference.soils import Calibration, model_error
 from terraphi.library.store import PHI, Curves, Library
@@ -175,6 +177,16 @@ class Likelihood:
         means = force @ operator.T
         return np.asarray(means.reshape(*means.shape[:-2], -1))
 
+    def forces_of(self, record: Record, i: int) -> FloatArray:
+        """Means as another record of leg and soil of the i-th has them, 1° below, at and above φ.
+
+        Shape [3, 2, m] [N].
+        """
+        x = np.repeat(np.clip(self.least_squares, self.low, self.high)[None], 3, axis=0)
+        x[:, self._phi or 0] += [-1.0, 0.0, 1.0]
+        operator = record.operator(self._curves_of(record).theta_deg)
+        return np.asarray(self._ratio[i] * self._forces(record.leg, x) @ operator.T)
+
     def slope(self, x: FloatArray) -> FloatArray:
         """∂g/∂x at a point [N/unit], shape [key] -> [n, key]."""
         steps = np.diag(STEP * (self.high - self.low))
@@ -261,6 +273,7 @@ class Likelihood:
         found |= self._of_corrections(inside)
         if self._phi is not None:
             found |= self._model_offset(slope[:, self._phi])
+            found |= missing_angles(self, slope[:, self._phi])
         found["density"] = np.outer(*[self._density_error * curve] * 2)
         turned = self._turned(x, curve)
         found["zero of θ"] = self._blocks(

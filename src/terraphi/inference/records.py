@@ -35,8 +35,8 @@ from terraphi.experiment.measurements import Measurement, measurement_of, open_f
 from terraphi.experiment.reading import read_trials
 from terraphi.experiment.scenario import Scenario
 
-FEWEST_WINDOWS = 10
-"""Windows that a record must have: about 40° of its path."""
+FEWEST_WINDOWS = 9
+"""Windows that a record must have: those within 40° of its path."""
 MOST_READINGS = 4000
 """Readings above which a record is averaged in bins of 0.05°, or wider."""
 DENSITY_SD = 0.05

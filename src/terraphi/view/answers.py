@@ -35,6 +35,7 @@ ADVICE = {
     "density": "A measured density (--density) will narrow it.",
     "hip height": "A measured height of the hip will narrow it.",
     "noise": "More readings will narrow it.",
+    "missing angles": "A record of the whole stroke will narrow it.",
 }
 """What narrows the interval, by its largest term."""
 COLUMNS = (
