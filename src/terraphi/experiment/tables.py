@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +28,8 @@ _MISSING = {
 }
 """Cells that hold no number, in lower case."""
 _COMMENT = re.compile(r"\s*(#(?!n/?a|nv|value!|wert!|div/0!|ref!|num!|null!|name\?)|%|//)", re.I)
+_ODD = frozenset(("", *"#%/ ,;\t"))
+"""First letters of lines that may be comments or empty."""
 _NUMBER = {
     ".": re.compile(r"[-+]?(\d+\.?\d*|\.\d+|\d{1,3}(,\d{3})+(\.\d+)?)(e[-+]?\d+)?", re.I | re.A),
     ",": re.compile(r"[-+]?(\d+(,\d+)?|,\d+|\d{1,3}(\.\d{3})+,\d+)(e[-+]?\d+)?", re.I | re.A),
@@ -34,6 +37,8 @@ _NUMBER = {
 """Numbers by decimal sign; those with groups of thousands have the other sign between them."""
 _SAMPLE = 100
 """Lines that the separator is judged by, from the end of the file."""
+_HEAD = 100_000
+"""Letters that are looked at to see whether a file is text."""
 _CONTROL = re.compile(r"[^\t\n\r\f\x1a\x20-\x7e\x80-\U0010ffff]")
 
 
@@ -73,8 +78,12 @@ def read_table(path: Path) -> Table:
     import pandas as pd
 
     lines = decoded(path, read_bytes(path)).splitlines()
-    kept = [i for i, line in enumerate(lines) if line.strip(" ,;\t") and not _COMMENT.match(line)]
-    comments = tuple(line for line in lines if _COMMENT.match(line))
+    odd = [line[:1] in _ODD for line in lines]  # most lines of a long log are not
+    kept = [
+        i for i, line in enumerate(lines)
+        if not odd[i] or (line.strip(" ,;\t") and not _COMMENT.match(line))
+    ]  # fmt: skip
+    comments = tuple(line for line in itertools.compress(lines, odd) if _COMMENT.match(line))
     if not kept:
         raise InputError(f"{path}: the file is empty; expected a header and a row for each reading")
     separator, decimal = _dialect([lines[i] for i in kept[-_SAMPLE:]])
@@ -92,12 +101,13 @@ def read_table(path: Path) -> Table:
                 f"{path}, line {kept[i] + 1}: {len(row)} cells under {named} names; with decimal "
                 "commas, separate cells by semicolons"
             )
-    body = [lines[i] for i in kept[first:]]
+    body = io.BytesIO("\n".join([lines[i] for i in kept[first:]]).encode())
+    del lines
     # From 3.1 on pandas reads floats exactly unasked.
     exact = {} if Version(pd.__version__) >= Version("3.1") else {"float_precision": "round_trip"}
     try:
         frame = pd.read_csv(
-            io.StringIO("\n".join(body)), sep=separator or r"\s+", decimal=decimal, header=None,
+            body, sep=separator or r"\s+", decimal=decimal, header=None,
             names=range(width), index_col=False, skipinitialspace=True, low_memory=False,
             skip_blank_lines=False, on_bad_lines="error",
             **exact,
@@ -137,7 +147,7 @@ def decoded(path: Path, content: bytes) -> str:
             text = content.decode(codec)
         except UnicodeDecodeError:
             continue
-        if not _CONTROL.search(text):
+        if not _CONTROL.search(text, 0, _HEAD):
             return text.replace("\u2212", "-").replace("\xa0", " ").rstrip("\x1a")
     raise InputError(f"{path}: not a text file; save the table as CSV in UTF-8")
 
