@@ -98,6 +98,36 @@ def savetxt() -> Export:
 
 
 @export
+def matlab() -> Export:
+    rows = [f"  {t: .7e}  {x: .7e}  {z: .7e}" for t, x, z in zip(THETA, FX, FZ, strict=True)]
+    return "\n".join(["% theta [deg]   Fx [N]   Fz [N]", *rows]).encode(), {}
+
+
+@export
+def labview() -> Export:
+    head = "LabVIEW Measurement\t\nSeparator\tTab\nTime\t10:11:12,5\n***End_of_Header***\t\n\n"
+    table = frame(names="Angle Force_X Force_Z")
+    table.insert(0, "X_Value", 0.01 * np.arange(N))
+    return head.encode() + text(table, sep="\t", decimal=","), {}
+
+
+@export
+def header_with_line_breaks() -> Export:
+    return text(frame().set_axis(["Angle", "Force X\n(N)", "Force Z\n(N)"], axis=1)), {}
+
+
+@export
+def no_header() -> Export:
+    columns = {"theta": "column 1", "fx": "column 2", "fz": "column 3"}
+    return text(frame(), header=False, sep=" "), columns
+
+
+@export
+def index_and_clock() -> Export:
+    return text(frame().assign(clock="12:00:01.5"), index=True), {}
+
+
+@export
 def fixed_width_columns() -> Export:
     return frame(names="theta_deg Fx_N Fz_N").to_string(index=False).encode(), {}
 

@@ -195,6 +195,10 @@ def read_trials(
     histories = []
     for i, which in enumerate(strokes):
         position, values = _increasing(theta[which], np.column_stack([force, moment])[which])
+        if i == 0 and len(position) < len(which):
+            found.notes.append(
+                f"Rows are averaged in bins of {BIN_DEG:g}°: {len(which)} become {len(position)}."
+            )
         trial = f" (stroke {i + 1})" if len(strokes) > 1 else ""
         file = "standard input" if name == "-" else Path(name).name
         histories.append(
@@ -235,7 +239,7 @@ class _Reading:
 
     def choose(self) -> None:
         """Find the column of each role: as given, by our own names, or by a guess."""
-        guessed = []
+        guessed, lacking = [], []
         timed = self.given.rate_deg_s is not None
         for role in ("time" if timed else "theta", "fx", "fz", "moment"):
             column = getattr(self.given, role)
@@ -250,8 +254,15 @@ class _Reading:
             if len(found) == 1:
                 self.names[role] = found[0]
                 guessed.append(f"{_WORDS[role]} from '{found[0]}' [{self._unit(role)[0]}]")
+            elif found and role != "moment":
+                listed = " or ".join(f"'{name[:40]}'" for name in found[:4])
+                self.wrong.append(
+                    f"{_WORDS[role]} may be {listed}; add --columns '{role}={found[0]}'"
+                )
             elif role != "moment":
-                self._ask(role, found)
+                lacking.append(role)
+        if lacking:
+            self._ask(lacking, timed)
         if guessed:
             self.notes.append(f"Read {', '.join(guessed)}.")
         for role in self.names:
@@ -281,15 +292,17 @@ class _Reading:
         found = fitting(_NAMES[role], whole=True)
         return found or (fitting(_LOOSE[role], whole=False) if role in _LOOSE else [])
 
-    def _ask(self, role: str, found: list[str]) -> None:
-        if found:
-            listed = " or ".join(f"'{name[:40]}'" for name in found[:4])
-            self.wrong.append(f"{_WORDS[role]} may be {listed}; add --columns '{role}={found[0]}'")
-            return
-        listed = ", ".join(f"'{name[:30]}'" for name in list(self.parts)[:8])
-        more = " or, with a time, rate_deg_s=…" if role == "theta" else ""
+    def _ask(self, lacking: list[str], timed: bool) -> None:
+        """Complain about roles without a column."""
+        header = list(self.parts)
+        listed = ", ".join(f"'{name[:30]}'" for name in header[:8])
+        unnamed = len(header) >= len(lacking) and all(name.startswith("column ") for name in header)
+        names = header if unnamed else ["NAME"] * len(lacking)
+        pairs = ",".join(f"{role}={name}" for role, name in zip(lacking, names, strict=False))
+        more = ", or rate_deg_s=RATE for a time" if "theta" in lacking and not timed else ""
         self.wrong.append(
-            f"no column of {_WORDS[role]} among {listed}; add --columns '{role}=NAME'{more}"
+            f"no column of {', '.join(_WORDS[role] for role in lacking)} among {listed}; add "
+            f"--columns '{pairs}'{more}"
         )
 
     def _unit(self, role: str) -> tuple[str, float]:

@@ -77,7 +77,7 @@ def read_table(path: Path) -> Table:
     """
     import pandas as pd
 
-    lines = decoded(path, read_bytes(path)).splitlines()
+    lines = _without_breaks(decoded(path, read_bytes(path)).splitlines())
     odd = [line[:1] in _ODD for line in lines]  # most lines of a long log are not
     kept = [
         i for i, line in enumerate(lines)
@@ -93,6 +93,11 @@ def read_table(path: Path) -> Table:
         raise InputError(
             f"{path}: no numbers under the header; expected a row of numbers for each reading"
         )
+    # A row with a word in it is a row of numbers still, if there is a header above it.
+    while first > 1 and _numbers(rows[first - 1], decimal) and (
+        len(rows[first]) == len(rows[first - 1]) == len(rows[first - 2])
+    ):  # fmt: skip
+        first -= 1
     width = max(len(row) for row in rows[first:])
     names, units, named = _header(rows[:first], width, comments, separator)
     for i, row in enumerate(rows[first:], start=first):
@@ -152,6 +157,17 @@ def decoded(path: Path, content: bytes) -> str:
     raise InputError(f"{path}: not a text file; save the table as CSV in UTF-8")
 
 
+def _without_breaks(lines: list[str]) -> list[str]:
+    """Lines in which a quoted cell of the header goes on in the next line are one; none is lost."""
+    for i, line in enumerate(lines[:_SAMPLE]):
+        if line.count('"') % 2 and not _COMMENT.match(line):
+            ends = (j for j in range(i + 1, i + 4) if lines[j : j + 1] and '"' in lines[j])
+            for j in range(i + 1, next(ends, i) + 1):
+                lines[i], lines[j] = f"{lines[i]} {lines[j]}", ""
+            return _without_breaks(lines) if lines[i] != line else lines
+    return lines
+
+
 def _cells(line: str, separator: str | None) -> list[str]:
     cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True)) if separator else (
         line.split()
@@ -189,6 +205,7 @@ def _header(
     if not rows and comments:  # as numpy.savetxt writes it
         line = comments[-1].lstrip(" #%/")
         splits = [_cells(line, one) for one in (separator, "\t", ";", ",", None)]
+        splits.append(re.split(r"\s{2,}", line.strip()))
         found = next((one for one in splits if len(one) == width), [])
     names: list[str] = []
     for i in range(width):
