@@ -206,7 +206,7 @@ def read_trials(
                 np.radians(position),
                 values[:, :2].copy(),
                 provenance=known | {"file": file + trial} | (
-                    {"reading": found.notes} if found.notes else {}
+                    {"reading": found.notes} if found.notes and i == 0 else {}
                 ),
                 moment=values[:, 2].copy() if np.isfinite(values[:, 2]).all() else None,
             )
