@@ -12,10 +12,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from scipy import constants
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.measurements import measurement
 from terraphi.experiment.reading import read_forces, read_trials
+from terraphi.experiment.units import ANGLE, FORCE, MOMENT, unit_named
 
 SHIPPED = measurement("li2013:yuma/straight").history
 THETA, FX, FZ = SHIPPED.theta_deg, SHIPPED.Fx, SHIPPED.Fz
@@ -295,6 +297,22 @@ def test_turns_of_a_rotating_leg_are_trials() -> None:
 def test_the_moment_comes_along() -> None:
     found = read_forces(frame().assign(**{"M [N mm]": 1e3 * FZ}))
     assert found.moment == pytest.approx(FZ)
+
+
+def test_units_are_those_of_scipy() -> None:
+    pound, foot, inch = constants.lbf, constants.foot, constants.inch
+    ours = {**FORCE, **MOMENT, **{name: np.radians(value) for name, value in ANGLE.items()}}
+    known = {
+        "lbf": pound, "ozf": pound / 16, "kgf": constants.kgf, "dyn": constants.dyn,
+        "lbf ft": pound * foot, "lbf in": pound * inch, "ozf in": pound / 16 * inch,
+        "deg": constants.degree, "rad": 1.0, "rev": 2 * np.pi, "gon": np.pi / 200, "mrad": 1e-3,
+    }  # fmt: skip
+    assert {name: ours[name] for name in known} == pytest.approx(known, rel=1e-9)
+    for written, name in (
+        ("°", "deg"), ("Lbs", "lbf"), ("N·m", "N m"), ("mN", "mN"), ("MN", "MN"), ("KN", "kN"),
+        ("Newton", "N"), ("[µs]", "us"), ("foo", None), ("", None),
+    ):  # fmt: skip
+        assert unit_named(written) == name
 
 
 # -- what is wrong -------------------------------------------------------------------------------
