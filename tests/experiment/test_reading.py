@@ -283,6 +283,15 @@ def test_strokes_are_trials(back: bool) -> None:
         read_forces(pd.concat(tables))
 
 
+def test_glitches_of_the_encoder_are_left_out() -> None:
+    theta = THETA.copy()
+    theta[[50, 120, 190]] = [-999.0, 400.0, 0.0]
+    found = read_forces(frame(theta))
+    kept = np.delete(np.arange(N), [50, 120, 190])
+    assert found.theta_deg == pytest.approx(THETA[kept])
+    assert found.Fz == pytest.approx(FZ[kept])
+
+
 def test_turns_of_a_rotating_leg_are_trials() -> None:
     theta = np.arange(-180.0, 900.0, 1.0)
     angle = (theta + 180.0) % 360.0 - 180.0

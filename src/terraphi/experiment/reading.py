@@ -361,6 +361,7 @@ class _Reading:
         if np.ptp(theta) > 360.0 or np.abs(np.diff(theta)).max(initial=0.0) > 180.0:
             # The encoder counts turns, or starts again at a full one.
             theta = np.where(np.abs(theta) > 180.0, (theta + 180.0) % 360.0 - 180.0, theta)
+        theta, force, moment = self._without_glitches(theta, force, moment)
         largest = float(np.abs(theta).max())
         if "theta" in self.names and self._unit("theta")[0] == "deg" and largest < LEAST_DEG:
             self.wrong.append(
@@ -368,6 +369,19 @@ class _Reading:
                 "radians; add --columns theta_unit=rad"
             )
         return theta, force, moment
+
+    def _without_glitches(self, *columns: FloatArray) -> tuple[FloatArray, ...]:
+        """Columns without the rows in which the angle jumps away and is back in the next."""
+        theta = columns[0]
+        if _scattered(theta):
+            return columns
+        around = np.median(np.stack([theta[:-2], theta[1:-1], theta[2:]]), axis=0)
+        apart = (theta[1:-1] - around + 180.0) % 360.0 - 180.0
+        kept = np.ones(len(theta), dtype=bool)
+        kept[1:-1] = np.abs(apart) <= TURN_DEG
+        if not kept.all():
+            self.notes.append(f"{(~kept).sum()} rows in which the angle jumps are left out.")
+        return tuple(column[kept] for column in columns)
 
     @property
     def _rate(self) -> float:
@@ -383,7 +397,7 @@ class _Reading:
     def strokes(self, theta: FloatArray, force: FloatArray) -> list[Any]:
         """Rows of each stroke in which θ grows."""
         every = np.arange(len(theta))
-        if len(theta) < 2 or np.median(np.abs(np.diff(theta))) > SCATTERED_DEG:
+        if _scattered(theta):
             return [every]
         turns = _turns(theta)
         pieces = [slice(a, b + 1) for a, b in pairwise(turns)]
@@ -447,6 +461,11 @@ def _split(header: str) -> tuple[str, str | None]:
         if match and unit_named(match[2]) and match[2] not in ("h", "u", "g"):
             return match[1].strip(), match[2]
     return header, None
+
+
+def _scattered(theta: FloatArray) -> bool:
+    """Whether the rows have no order in the angle, or are too few to have one."""
+    return len(theta) < 3 or bool(np.median(np.abs(np.diff(theta))) > SCATTERED_DEG)
 
 
 def _turns(theta: FloatArray) -> list[int]:

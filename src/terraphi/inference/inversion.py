@@ -26,7 +26,7 @@ from terraphi.inference.checks import (
 )
 from terraphi.inference.likelihood import UNKNOWN_DENSITY, Likelihood
 from terraphi.inference.partial import part_of
-from terraphi.inference.records import Record, open_record, open_records
+from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
 from terraphi.inference.soils import Calibration, CalibrationSoil
 from terraphi.library.store import PHI, Library, nearest_library, shipped_library
@@ -159,8 +159,7 @@ def calibrate(
     every = list(forces) if isinstance(forces, list | tuple) else [forces]
     soils = []
     found: Library | None = None
-    for one in every:
-        record = without_faults(open_record(one, **options))
+    for record in [without_faults(r) for one in every for r in open_records(one, **options)]:
         found, _ = _library_for([record], library)
         likelihood = Likelihood([record], found)
         if not likelihood.measured:
