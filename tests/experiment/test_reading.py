@@ -12,6 +12,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy import constants
 
 from terraphi.experiment.errors import InputError
@@ -242,6 +244,45 @@ def test_every_export_gives_the_same_forces(name: str, tmp_path: Path) -> None:
     notes = " ".join(found.provenance.get("reading", []))
     lost = {"german_excel_with_missing_values": "2 of 267", "stroke_forth_and_back": "way back"}
     assert lost.get(name, "") in notes
+
+
+@settings(max_examples=150)
+@given(data=st.data())
+def test_any_mixture_of_habits_gives_the_same_forces(
+    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    def choose(*values: Any) -> Any:
+        return data.draw(st.sampled_from(values))
+
+    angle, degrees = choose(("deg", 1.0), ("°", 1.0), ("rad", np.degrees(1.0)), ("rev", 360.0))
+    unit, newtons = choose(("N", 1.0), ("kN", 1e3), ("mN", 1e-3), ("lbf", LBF), ("kgf", KGF))
+    style = choose("{} [{}]", "{} ({})", "{}/{}", "{} in {}", "{}_{}", "row")
+    names = [choose("theta", "Angle", "leg angle", "WINKEL", "θ")]
+    names += choose(("Fx", "Fz"), ("Force X", "Force Z"), ("F_x", "F_z"), ("Kraft x", "Kraft z"))
+    units = [angle, unit, unit]
+    heads = [n if style == "row" else style.format(n, u) for n, u in zip(names, units, strict=True)]
+    separator, decimal = choose((",", "."), (";", ","), (";", "."), ("\t", ","), ("\t", "."))
+    quoting = choose(csv.QUOTE_MINIMAL, csv.QUOTE_NONNUMERIC)
+    table = frame(THETA / degrees, FX / newtons, FZ / newtons).set_axis(heads, axis=1)
+    if choose(False, True):
+        table.insert(data.draw(st.integers(0, 3)), "note", choose("a", 1, None))
+    if choose(False, True):
+        table = table.sample(frac=1.0, random_state=1)
+    head, _, body = table.to_csv(
+        sep=separator, decimal=decimal, quoting=quoting, index=choose(False, True),
+        lineterminator=choose("\n", "\r\n"),
+    ).partition("\n")  # fmt: skip
+    if style == "row":
+        place = dict(zip(heads, units, strict=True))
+        cells = next(csv.reader([head.rstrip("\r")], delimiter=separator))
+        body = separator.join(place.get(cell, "") for cell in cells) + "\n" + body
+    content = choose("", "# 27.11.2026\n\n", "Day;3\n") + head + "\n" + body
+    file = tmp_path_factory.getbasetemp() / "habits.csv"
+    encodings = ("utf-8", "utf-8-sig", "utf-16") + (() if "θ" in content else ("cp1252",))
+    file.write_bytes(content.encode(choose(*encodings)))
+    found = read_forces(file)
+    assert found.theta_deg == pytest.approx(THETA, abs=1e-6)
+    assert np.abs(found.force - SHIPPED.force).max() < 1e-6
 
 
 def test_tables_in_memory_give_the_same_forces() -> None:

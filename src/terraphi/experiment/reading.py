@@ -456,7 +456,7 @@ def _split(header: str) -> tuple[str, str | None]:
     match = re.fullmatch(r"(.*?)\s*[\[({<]\s*([^\])}>]*)\s*[\])}>]", header)
     if match and match[1]:
         return match[1].strip(), match[2] or None
-    for pattern in (r"(.+?)(?:\s*[/,]\s*|\s+in\s+|[_\s])([^_/,]+)", r"(.+)[_\s,/]+([^_\s,/]+)"):
+    for pattern in (r"(.+?)\s+in\s+(.+)", r"(.+?)\s*[/,]\s*(.+)", r"(.+?)[_\s]+([^_\s]+)"):
         match = re.fullmatch(pattern, header)
         if match and unit_named(match[2]) and match[2] not in ("h", "u", "g"):
             return match[1].strip(), match[2]

@@ -35,6 +35,8 @@ _NUMBER = {
     ",": re.compile(r"[-+]?(\d+(,\d+)?|,\d+|\d{1,3}(\.\d{3})+,\d+)(e[-+]?\d+)?", re.I | re.A),
 }
 """Numbers by decimal sign; those with groups of thousands have the other sign between them."""
+LARGEST = 1e30
+"""Numbers beyond this are no measurement, and count as missing."""
 _SAMPLE = 100
 """Lines that the separator is judged by, from the end of the file."""
 _HEAD = 100_000
@@ -239,5 +241,5 @@ def _numeric(
         else np.array([number(name, i, cell) for i, cell in enumerate(frame[name])], np.float64)
         for name in frame.columns
     }
-    found = {name: np.where(np.isfinite(v), v, np.nan) for name, v in found.items()}
+    found = {name: np.where(np.abs(v) < LARGEST, v, np.nan) for name, v in found.items()}
     return Table(type(frame)(found), units, lines, words, comments)
