@@ -347,6 +347,8 @@ def test_turns_of_a_rotating_leg_are_trials() -> None:
 def test_the_moment_comes_along() -> None:
     found = read_forces(frame().assign(**{"M [N mm]": 1e3 * FZ}))
     assert found.moment == pytest.approx(FZ)
+    for other in ("M [kg]", "torque [A]"):  # not a moment, and no reason to refuse the table
+        assert read_forces(frame().assign(**{other: 1.0})).moment is None
 
 
 def test_units_are_those_of_scipy() -> None:

@@ -190,7 +190,7 @@ def read_trials(
     strokes = found.strokes(theta, force)
     found.refuse_if_wrong(name)
     known: dict[str, Any] = {}
-    if found.names == dict(zip(ROLES, CSV_COLUMNS, strict=True)) and table.comments:
+    if named == ForceColumns() and {*CSV_COLUMNS} == {*found.names.values()}:
         known = origin(Path(name), table.comments, table.frame[list(CSV_COLUMNS)].to_numpy())
     histories = []
     for i, which in enumerate(strokes):
@@ -251,10 +251,15 @@ class _Reading:
                 self.names[role] = str(own)
                 continue
             found = self._like(role)
+            if role == "moment":  # not needed: only if there is no doubt
+                found = [n for n in found if len(found) == 1 and n not in self.table.words]
             if len(found) == 1:
                 self.names[role] = found[0]
+                if role == "moment" and math.isnan(self._unit(role)[1]):
+                    del self.names[role]
+                    continue
                 guessed.append(f"{_WORDS[role]} from '{found[0]}' [{self._unit(role)[0]}]")
-            elif found and role != "moment":
+            elif found:
                 listed = " or ".join(f"'{name[:40]}'" for name in found[:4])
                 self.wrong.append(
                     f"{_WORDS[role]} may be {listed}; add --columns '{role}={found[0]}'"
@@ -344,7 +349,8 @@ class _Reading:
         force = soil * np.stack(
             [self.given.fx_sign * column["fx"], self.given.fz_sign * column["fz"]], axis=1
         )
-        along = column["theta"] if "theta" in column else column["time"] * self._rate
+        rate = self.given.rate_deg_s or 1.0
+        along = column["theta"] if "theta" in column else rate * column["time"]
         theta = self.given.theta_sign * (along + self.given.theta_offset_deg)
         whole = np.isfinite(theta) & np.isfinite(force).all(axis=1)
         moment = soil * self.given.theta_sign * column.get("moment", np.full(len(theta), np.nan))
@@ -352,7 +358,7 @@ class _Reading:
             self.wrong.append("no row has an angle and both forces; check the columns")
             return theta, force, moment
         if not whole.all():
-            first = self.table.lines[int(np.flatnonzero(~whole)[0])]
+            first = self.table.place(int(np.flatnonzero(~whole)[0]))
             self.notes.append(
                 f"{(~whole).sum()} of {len(whole)} rows lack a number and are left out, the first "
                 f"at {first}."
@@ -382,10 +388,6 @@ class _Reading:
         if not kept.all():
             self.notes.append(f"{(~kept).sum()} rows in which the angle jumps are left out.")
         return tuple(column[kept] for column in columns)
-
-    @property
-    def _rate(self) -> float:
-        return self.given.rate_deg_s or 1.0
 
     def _column(self, role: str) -> FloatArray:
         """A column in N, degrees, seconds or N m."""

@@ -54,8 +54,8 @@ class Table:
         A ``pandas.DataFrame`` of floats; NaN where a cell holds no number.
     units
         Units that stand in a row of their own or in the column's attributes, by column.
-    lines
-        Line of the file of each row, or its place in a DataFrame.
+    lines, kind
+        Number of each row, and what it counts: lines of the file or rows of a DataFrame.
     words
         Cells that are neither number nor missing value, by column: place and cell.
     comments
@@ -65,8 +65,13 @@ class Table:
     frame: Any
     units: dict[str, str] = field(default_factory=dict)
     lines: Any = ()
+    kind: str = "line"
     words: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
     comments: tuple[str, ...] = ()
+
+    def place(self, i: int) -> str:
+        """Where a row stands, such as ``line 12``."""
+        return f"{self.kind} {self.lines[i]}"
 
 
 def read_table(path: Path) -> Table:
@@ -125,7 +130,7 @@ def read_table(path: Path) -> Table:
         raise InputError(f"{path}: {why}; each row needs as many cells as the header") from error
     frame.columns = names
     places = np.array(kept[first:]) + 1
-    return _numeric(frame, units, places, "line ", comments, decimal)
+    return _numeric(frame, units, places, "line", comments, decimal)
 
 
 def table_of(frame: Any) -> Table:
@@ -139,7 +144,7 @@ def table_of(frame: Any) -> Table:
     if any(name is not None for name in frame.index.names):
         frame = frame.reset_index()
     frame = frame.set_axis([str(name).strip() for name in frame.columns], axis=1)
-    return _numeric(frame, units, np.arange(len(frame)), "row ", (), ".")
+    return _numeric(frame, units, np.arange(len(frame)), "row", (), ".")
 
 
 def decoded(path: Path, content: bytes) -> str:
@@ -219,7 +224,7 @@ def _header(
 
 
 def _numeric(
-    frame: Any, units: dict[str, str], lines: Any, place: str, comments: tuple[str, ...],
+    frame: Any, units: dict[str, str], lines: Any, kind: str, comments: tuple[str, ...],
     decimal: str,
 ) -> Table:  # fmt: skip
     """Columns as floats, with what is no number set aside."""
@@ -232,7 +237,7 @@ def _numeric(
             if _NUMBER[sign].fullmatch(text):
                 return float(text.replace("." if sign == "," else ",", "").replace(",", "."))
         if text.lower() not in _MISSING:
-            words.setdefault(name, []).append((f"{place}{lines[i]}", text))
+            words.setdefault(name, []).append((f"{kind} {lines[i]}", text))
         return float("nan")
 
     found = {
@@ -242,4 +247,4 @@ def _numeric(
         for name in frame.columns
     }
     found = {name: np.where(np.abs(v) < LARGEST, v, np.nan) for name, v in found.items()}
-    return Table(type(frame)(found), units, lines, words, comments)
+    return Table(type(frame)(found), units, lines, kind, words, comments)
