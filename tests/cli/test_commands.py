@@ -159,6 +159,30 @@ def test_a_table_of_records_is_inverted_as_each_alone(
     assert rows["remark"][0] == "dry"
 
 
+@pytest.mark.parametrize(
+    ("content", "wrong"),
+    [
+        ("file\nli2013:yuma/c\n", ""),
+        ("file;leg;density\nli2013:yuma/c\n\nli2013:yuma/straight;;1600\n", ""),
+        ("fil,leg\na,c\n", "did you mean 'file'"),
+        ("file,dens\nli2013:yuma/c,3\n,3\n", "row 2 names no file"),
+        ("file,leg\n", "no rows"),
+        ("", "not a table"),
+    ],
+)
+def test_a_table_of_records_is_read_or_refused(
+    content: str, wrong: str, terraphi: Terraphi, tmp_path: Path
+) -> None:
+    (tmp_path / "day.csv").write_text(content)
+    ran = terraphi("invert", "--table", "day.csv", *QUICK, "--json")
+    if wrong:
+        assert (ran.status, ran.out) == (2, "")
+        assert wrong in ran.err
+    else:
+        assert {row["verdict"] for row in json.loads(ran.out)["rows"]} <= {"consistent", "misfit"}
+        assert ran.status == 0
+
+
 def test_columns_stand_in_a_file_or_on_the_command_line(terraphi: Terraphi, tmp_path: Path) -> None:
     history = package.measurement("li2013:yuma/c").history
     table = {"q": 132.0 - history.theta_deg, "a": history.Fx / 4.4482216152605, "b": -history.Fz}

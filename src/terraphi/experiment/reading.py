@@ -269,7 +269,7 @@ class _Reading:
         if lacking:
             self._ask(lacking, timed)
         if guessed:
-            self.notes.append(f"Read {', '.join(guessed)}.")
+            self.notes.append(f"Guessed {', '.join(guessed)}.")
         for role in self.names:
             self._check(role)
 

@@ -37,11 +37,13 @@ def read_manifest(path: Path) -> list[dict[str, Any]]:
     """
     import pandas as pd
 
+    text = decoded(path, read_bytes(path))
+    separator = next((sign for sign in "\t;" if sign in text.partition("\n")[0]), ",")
     try:
         table = pd.read_csv(
-            io.StringIO(decoded(path, read_bytes(path))), sep=None, engine="python", dtype=str,
-            keep_default_na=False, skipinitialspace=True,
-        )  # fmt: skip
+            io.StringIO(text), sep=separator, dtype=str, keep_default_na=False,
+            skipinitialspace=True, index_col=False,
+        ).fillna("")  # fmt: skip
     except ValueError as error:
         raise InputError(f"{path}: not a table ({' '.join(str(error).split())})") from error
     table.columns = [str(name).strip() for name in table.columns]
