@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from terraphi.experiment.measurements import measurement as measurement
     from terraphi.experiment.motion import Rotation as Rotation
     from terraphi.experiment.motion import Translation as Translation
+    from terraphi.experiment.reading import read_forces as read_forces
     from terraphi.experiment.scenario import Scenario as Scenario
     from terraphi.experiment.soil import Soil as Soil
     from terraphi.forward import simulate as simulate
@@ -48,6 +49,7 @@ _PLACES = {
     "invert": "inference.inversion",
     "invert_many": "inference.inversion",
     "measurement": "experiment.measurements",
+    "read_forces": "experiment.reading",
     "simulate": "forward",
 }
 """Public name to its module, and to its name there where that differs."""

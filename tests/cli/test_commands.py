@@ -15,6 +15,7 @@ from typing import Any
 
 import click
 import numpy as np
+import pandas as pd
 import pytest
 
 import terraphi as package
@@ -52,7 +53,9 @@ def commands(command: click.Command = cli, path: tuple[str, ...] = ()) -> Iterat
 def test_help_fits_a_screen_and_has_an_example(path: tuple[str, ...], terraphi: Terraphi) -> None:
     status, out, _ = terraphi(*path, "--help")
     assert status == 0
-    assert len(out.splitlines()) <= LINES + 2 * (path[:1] in (("forces",), ("footfalls",)))
+    assert len(out.splitlines()) <= LINES + 2 * (
+        path[:1] in (("forces",), ("footfalls",), ("invert",))
+    )
     assert " ".join(["Example: terraphi", *path]) in " ".join(out.split())
 
 
@@ -109,7 +112,7 @@ def test_table_has_a_row_for_each_record_and_the_reason_of_a_failure(
     (tmp_path / "bad.csv").write_text("theta_deg,Fx_N,Fz_N\n1,2,three\n")
     arguments = ("invert", MEASURED, "bad.csv", *QUICK, "--table", "t.csv")
     ran = terraphi(*arguments, "--json")
-    assert ran.status == 0, ran.err
+    assert ran.status == 1, ran.err
     assert json.loads(ran.out)["verdicts"]["failed"] == 1
     with (tmp_path / "t.csv").open() as stream:
         good, bad = csv.DictReader(stream)
@@ -118,8 +121,85 @@ def test_table_has_a_row_for_each_record_and_the_reason_of_a_failure(
     assert float(good["ci95_high_deg"]) == pytest.approx(alone["phi_deg"]["ci95"][1], rel=1e-4)
     assert (bad["phi_deg"], bad["verdict"]) == ("", "failed")
     assert "line 2" in bad["reason"]
-    assert terraphi(*arguments).status == 0  # over its own table
+    assert terraphi(*arguments).status == 1  # over its own table
     assert "no table of answers" in terraphi(*arguments[:-1], "bad.csv").err
+
+
+@pytest.mark.parametrize("copies", [1, 3])  # in this process, and in several
+def test_a_table_of_records_is_inverted_as_each_alone(
+    copies: int, terraphi: Terraphi, tmp_path: Path
+) -> None:
+    day = tmp_path / "day"
+    day.mkdir()
+    history = package.measurement("li2013:yuma/c").history
+    plain = package.ForceHistory(history.position, history.force)
+    plain.to_csv(day / "plain.csv")
+    pd.DataFrame({"Winkel": plain.theta_deg, "a": plain.Fx / 1e3, "b": plain.Fz / 1e3}).to_csv(
+        day / "other.csv", sep=";", decimal=",", index=False
+    )
+    (day / "c.toml").write_text('fx = "a"\nfz = "b"\nunit = "kN"\n')
+    lines = [
+        "plain.csv,c,1500±50,,dry",
+        "other.csv,c,1500±50,c.toml,",
+        f"{MEASURED},,,,",
+        "no.csv,,,,",
+    ]
+    table = ["file,leg,density,columns,remark", *lines * copies]
+    (day / "day.csv").write_text("\n".join(table) + "\n", encoding="utf-8")
+    ran = terraphi("invert", "--table", "day/day.csv", *QUICK, "--out", "answers.csv")
+    assert ran.status == 1, ran.err
+    assert "no.csv" in ran.err
+    rows = pd.read_csv(tmp_path / "answers.csv")
+    assert len(rows) == 4 * copies
+    assert rows["verdict"].tolist()[3::4] == ["failed"] * copies
+    phi = package.invert(plain, leg="c", density="1500±50", library="rft3d").phi
+    shipped = package.invert(MEASURED, library="rft3d").phi
+    expected = [phi.median, phi.median, shipped.median] * copies
+    assert rows["phi_deg"].dropna().tolist() == pytest.approx(expected, abs=2e-3)
+    assert rows["remark"][0] == "dry"
+
+
+@pytest.mark.parametrize(
+    ("content", "wrong"),
+    [
+        ("file\nli2013:yuma/c\n", ""),
+        ("file;leg;density\nli2013:yuma/c\n\nli2013:yuma/straight;;1600\n", ""),
+        ("fil,leg\na,c\n", "did you mean 'file'"),
+        ("file,dens\nli2013:yuma/c,3\n,3\n", "row 2 names no file"),
+        ("file,leg\n", "no rows"),
+        ("", "not a table"),
+    ],
+)
+def test_a_table_of_records_is_read_or_refused(
+    content: str, wrong: str, terraphi: Terraphi, tmp_path: Path
+) -> None:
+    (tmp_path / "day.csv").write_text(content)
+    ran = terraphi("invert", "--table", "day.csv", *QUICK, "--json")
+    if wrong:
+        assert (ran.status, ran.out) == (2, "")
+        assert wrong in ran.err
+    else:
+        assert {row["verdict"] for row in json.loads(ran.out)["rows"]} <= {"consistent", "misfit"}
+        assert ran.status == 0
+
+
+def test_columns_stand_in_a_file_or_on_the_command_line(terraphi: Terraphi, tmp_path: Path) -> None:
+    history = package.measurement("li2013:yuma/c").history
+    table = {"q": 132.0 - history.theta_deg, "a": history.Fx / 4.4482216152605, "b": -history.Fz}
+    frame = pd.DataFrame(table).assign(b=-history.Fz / 4.4482216152605)
+    frame.to_csv(tmp_path / "x.csv", sep="\t", encoding="utf-16")
+    pairs = "theta=q,fx=a,fz=b,unit=lbf,theta_offset_deg=-132,theta_sign=-1,fz_sign=-1"
+    (tmp_path / "c.toml").write_text(
+        "".join(
+            f"{key} = {json.dumps(value)}\n" if value.isalpha() else f"{key} = {value}\n"
+            for key, value in (pair.split("=") for pair in pairs.split(","))
+        )
+    )
+    density = ("--leg", "c", "--density", "1650", *QUICK, "--json")
+    phi = package.invert("li2013:yuma/c", density=1650, library="rft3d").phi.median
+    for columns in (pairs, "c.toml"):
+        ran = terraphi("invert", "x.csv", "--columns", columns, *density)
+        assert json.loads(ran.out)["phi_deg"]["median"] == pytest.approx(phi, abs=1e-3)
 
 
 def test_a_calibration_narrows_the_interval(terraphi: Terraphi) -> None:
@@ -179,10 +259,11 @@ def rows(theta: np.ndarray, force: float = 1.0) -> str:
     ("content", "word"),
     [
         ("", "empty"),
-        ("theta_deg,Fx_N,Fz\n1,2,3\n", "did you mean 'Fz_N'"),
+        ("theta_deg,Fx_N,lift\n1,2,x\n", "line 2"),
+        ("theta_deg,Fx_N,F\n1,2,3\n", "fz=NAME"),
         (HEADER + "1,2,three\n", "line 2"),
-        (HEADER + "1,nan,3\n", "line 2"),
-        (HEADER + "8,2,3\n7,2,3\n9,2,3\n", "line 3"),
+        (HEADER + "1,nan,3\n", "no row"),
+        (HEADER + "8,2,3\n7,2,3\n9,2,3\n", "40 deg"),
         (rows(np.arange(-90.0, 91.0), 0.0), "same at every angle"),
         ("\x00\x01\x02", ""),
     ],
@@ -211,6 +292,9 @@ def test_unusable_forces_are_one_sentence_and_write_nothing(
         ("invert li2013:yuma/c --noise nan", "nan"),
         ("invert li2013:yuma/c --densty 1600", "--density"),
         ("invert li2013:yuma/c --table t.csv --out o", "--table"),
+        ("invert --table t.csv", "no such file"),
+        ("invert", "FORCES"),
+        ("invert x.csv --columns thta=a", "theta"),
         ("calibrate li2013:yuma/c --phi 35 --out c.toml", "36±2"),
         ("simulate quik", "quick"),
         ("simulate quick --set soil.frction_angle_deg=30", "friction_angle_deg"),

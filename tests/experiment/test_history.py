@@ -14,6 +14,7 @@ from scipy.integrate import quad
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.reading import read_forces
 from terraphi.experiment.scenario import Scenario
 
 BINS_DEG = np.arange(-134.95, 135.0, 0.1)
@@ -229,7 +230,7 @@ def test_csv_there_and_back(tmp_path: Path) -> None:
     theta = np.concatenate([BINS_DEG[:900], BINS_DEG[900] + np.arange(10) * 1e-5])
     history = history_of(bumps, lambda t: 1e-3 * bumps(-t), theta)
     history.to_csv(tmp_path / "x.csv")
-    found = ForceHistory.from_csv(tmp_path / "x.csv")
+    found = read_forces(tmp_path / "x.csv")
     assert found.position == pytest.approx(history.position, abs=1e-11)
     assert found.force == pytest.approx(history.force, rel=5e-6)
     assert found.provenance == {"file": "x.csv"}

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
+from terraphi.experiment.scenario import Scenario
+from terraphi.forward import simulate
 from terraphi.inference.checks import without_faults
 from terraphi.inference.inversion import invert
 from terraphi.inference.records import open_record
@@ -103,3 +106,31 @@ def test_a_record_of_faults_is_refused() -> None:
 
     with pytest.raises(InputError, match=r"faulty|no reading"):
         answer_to(mostly_zero)
+
+
+@pytest.mark.parametrize("name", ["li2013:yuma/straight", "li2013:glass03_close/c"])
+@pytest.mark.parametrize(
+    ("theta", "fx", "fz"),
+    [(1, -1, 1), (1, 1, -1), (1, -1, -1), (-1, 1, 1), (-1, -1, 1), (1, 1e-3, 1e-3), (1, 1e3, 1e3)],
+)
+def test_the_option_that_is_offered_mends_the_record(
+    name: str, theta: float, fx: float, fz: float
+) -> None:
+    known = measurement(name)
+    history, options = known.history, {"leg": known.leg, "density": known.density_kg_m3}
+    columns = {"theta": theta * history.theta_deg, "Fx": fx * history.Fx, "Fz": fz * history.Fz}
+    answer = invert(pd.DataFrame(columns), **options)
+    assert answer.verdict != "consistent"
+    [offer] = [one for one in answer.questions if "--columns" in one]
+    remedy = offer.partition("--columns ")[2].partition(":")[0]
+    mended = invert(pd.DataFrame(columns), columns=remedy, **options)
+    assert mended.verdict == "consistent"
+    assert mended.phi.median == pytest.approx(invert(history, **options).phi.median, abs=1e-6)
+
+
+@pytest.mark.parametrize(("chord", "begins"), [(0.0762, False), (0.045, True)])
+def test_a_short_leg_is_noticed(chord: float, begins: bool) -> None:
+    scenario = {"model": "rft", "dimensions": 3, "leg": {"chord": chord}}
+    made = simulate(Scenario.model_validate(scenario))
+    answer = invert(ForceHistory(made.position, made.force), leg="straight", density=1650)
+    assert any("Contact begins" in one for one in answer.questions) == begins

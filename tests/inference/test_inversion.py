@@ -86,7 +86,11 @@ def test_wrong_records_are_misfits_with_a_remedy(medium: str, leg: str) -> None:
     known = measurement(f"li2013:{medium}/{leg}")
     options = {"leg": leg, "density": known.density_kg_m3}
     assert invert(known.history, **options).verdict == "consistent"
-    for fx, fz, word in ((-1.0, 1.0, "Fx"), (1.0, -1.0, "Fz"), (-1.0, -1.0, "both signs")):
+    for fx, fz, word in (
+        (-1.0, 1.0, "fx_sign=-1"),
+        (1.0, -1.0, "fz_sign=-1"),
+        (-1.0, -1.0, "force_on=soil"),
+    ):
         answer = invert(turned(known.history, fx, fz), **options)
         assert answer.verdict != "consistent"
         assert any(word in question for question in answer.questions)

@@ -76,11 +76,12 @@ def test_density_is_worth_what_forces_in_proportion_to_it_make() -> None:
 
 def test_terms_are_what_their_causes_do_to_the_forces(sand3d: Library) -> None:
     """A degree of the leg's angle, its own part of the density, and each mode of the correction."""
-    likelihood = Likelihood([open_record("li2013:poppy_loose/straight", density="638±20")], sand3d)
+    record = open_record("li2013:poppy_loose/straight", density="638±20")
+    likelihood = Likelihood([record], replace(sand3d, model_error={}))
     emulator = likelihood.emulators["straight"]
     theta, x = emulator.curves.theta_deg, likelihood.least_squares
     x = x + likelihood.offset("straight", x)
-    ratio, record = 638.0 / 1650.0, likelihood.records[0]
+    ratio = 638.0 / 1650.0
     operator = record.operator(theta + likelihood.shift_deg[0])
     curve = ratio * emulator(x[None])[0]
     late, early = (

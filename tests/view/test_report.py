@@ -83,7 +83,7 @@ def test_no_number_is_not_a_number_in_a_page() -> None:
     assert (area["x"], area["y"]) == ([0.0, 1.0, 1.0, 0.0], [3.0, 4.0, 2.0, 1.0])
 
 
-@pytest.mark.parametrize("name", ["a.txt", "a.nc", "folder"])
+@pytest.mark.parametrize("name", ["a.bin", "a.nc", "folder"])
 def test_what_is_no_result_is_refused(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.mkdir() if name == "folder" else path.write_bytes(b"\x89HDF nothing")

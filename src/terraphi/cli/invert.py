@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from terraphi.cli.options import (
     PATH,
     Float,
     WithSd,
+    columns_option,
     density_option,
     json_option,
     leg_option,
@@ -21,11 +23,15 @@ from terraphi.view.answers import headline, print_answer
 from terraphi.view.console import print_json, print_table, progress_bar
 from terraphi.view.table import Table
 
+SOME_FAILED = 1
+"""Exit status where some records of a table cannot be used."""
+
 
 @click.command()
-@click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
+@click.argument("forces", nargs=-1, metavar="[FORCES...]")
 @leg_option
 @density_option
+@columns_option
 @library_option
 @click.option("--noise", type=Float(), help="Noise of a reading [N].  [default: estimated]")
 @click.option("--calibration", type=PATH, help="File of 'terraphi calibrate'.")
@@ -35,7 +41,12 @@ from terraphi.view.table import Table
     help="Whether the forces are simulated.  [default: as in FORCES]",
 )
 @click.option("--out", type=PATH, help="Folder for answer.json, .nc (ArviZ) and .png.")
-@click.option("--table", type=PATH, help="CSV file with a row for each of FORCES, inverted alone.")
+@click.option(
+    "--table",
+    type=PATH,
+    help="CSV to write, a row for each of FORCES. Without FORCES: to read (columns file, leg, "
+    "density, columns); --out is the CSV to write.",
+)
 @click.option("-v", "--verbose", is_flag=True, help="Print all warnings, and tables.")
 @json_option
 def invert(
@@ -48,21 +59,25 @@ def invert(
 ) -> None:
     """Infer the friction angle from FORCES.
 
-    FORCES is a CSV with the columns theta_deg,Fx_N,Fz_N (theta from the downward vertical; x
-    forward, z up; force of the soil on the leg), a NetCDF of terraphi, or a shipped measurement
-    li2013:MEDIUM/LEG. Several FORCES are records of one soil.
+    FORCES is a table of the leg angle (from the downward vertical) and the forces of the soil on
+    the leg (x forward, z up), a NetCDF of terraphi, or li2013:MEDIUM/LEG. Several FORCES are
+    records of one soil.
 
     Example: terraphi invert forces.csv --leg c --density 1600±80 --out answer
 
-    Example: terraphi invert records/*.csv --table angles.csv
+    Example: terraphi invert --table day.csv --out angles.csv
     """
     from terraphi.inference import inversion
+    from terraphi.inference.manifest import read_manifest
 
     if table is not None:
-        if out is not None:
+        if forces and out is not None:
             raise InputError("--table and --out exclude each other; give one of them")
-        tabulate(forces, table, as_json, options)
+        rows = [{"forces": one} for one in forces] or read_manifest(table)
+        tabulate(rows, table if forces else out, as_json, options)
         return
+    if not forces:
+        raise InputError("no forces; give FORCES, or a CSV of records by --table")
     answer = inversion.invert(list(forces), **options)
     if out is not None:
         answer.save(out)
@@ -74,28 +89,37 @@ def invert(
         click.echo(f"Written: {out}/answer.json, answer.nc, answer.png")
 
 
-def tabulate(forces: tuple[str, ...], table: Path, as_json: bool, options: dict[str, Any]) -> None:
-    """Invert records one by one and write a row for each."""
-    from terraphi.inference.inversion import invert_many
-    from terraphi.view.answers import check_table, write_table
+def tabulate(
+    rows: list[dict[str, Any]], table: Path | None, as_json: bool, options: dict[str, Any]
+) -> None:
+    """Invert records one by one and write a row for each; exit status 1 if one failed."""
+    from terraphi.inference.manifest import invert_rows
+    from terraphi.view.answers import check_table, table_of_answers, write_table
 
-    check_table(table)
+    if table is not None:
+        check_table(table)
     with progress_bar("inverting") as report:
-
-        def counted(function: Any, rows: Any) -> Any:
-            for done, row in enumerate(rows, start=1):
-                yield function(row)
-                report(done, len(rows))
-
-        found = invert_many([{"forces": one, **options} for one in forces], map_=counted)
-    if isinstance(found[0], InputError) and all(isinstance(one, InputError) for one in found):
-        raise found[0]
-    counts = write_table(forces, found, table)
+        found = invert_rows(rows, options, report)
+    failed = [str(one) for one in found if isinstance(one, InputError)]
+    if failed and len(failed) == len(rows):
+        raise InputError(failed[0])
+    sources = [str(row["forces"]) for row in rows]
+    notes = [row.get("notes", {}) for row in rows]
+    cells, counts = write_table(sources, found, table, notes)
     if as_json:
-        print_json({"table": str(table), "records": len(forces), "verdicts": counts})
-        return
-    verdicts = ", ".join(f"{count} {name}" for name, count in counts.items())
-    click.echo(f"{len(forces)} records: {verdicts}\nWritten: {table}")
+        shown = {"rows": cells} if table is None else {"table": str(table)}
+        print_json({**shown, "records": len(rows), "verdicts": counts})
+    else:
+        if table is None:
+            print_table(table_of_answers(cells))
+        for sentence in failed:
+            click.echo(f"Failed: {sentence}", err=True)
+        verdicts = ", ".join(f"{count} {name}" for name, count in counts.items())
+        click.echo(f"{len(rows)} records: {verdicts}")
+        if table is not None:
+            click.echo(f"Written: {table}")
+    if failed:
+        sys.exit(SOME_FAILED)
 
 
 @click.command()
@@ -105,6 +129,7 @@ def tabulate(forces: tuple[str, ...], table: Path, as_json: bool, options: dict[
 )
 @leg_option
 @density_option
+@columns_option
 @library_option
 @click.option("--out", type=PATH, required=True, help="TOML file for 'invert --calibration'.")
 @json_option

@@ -97,6 +97,11 @@ density_option = click.option(
     metavar="KG_M3[±SD]",
     help="Bulk density of the soil, as 1600 (± 5 %) or 1600±80.  [default: as in FORCES]",
 )
+columns_option = click.option(
+    "--columns",
+    metavar="FILE|KEY=VALUE",
+    help="Columns, units, signs of FORCES ('terraphi keys forces').  [default: guessed]",
+)
 library_option = click.option(
     "--library",
     metavar="NAME|FILE",

@@ -19,7 +19,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, positions, write_netcdf
-from terraphi.experiment.force_table import read_force_table, write_force_table
+from terraphi.experiment.force_table import write_force_table
 
 WINDOW_DEG = 85.0
 """Half width of the engaged window of the paper [deg]."""
@@ -268,31 +268,14 @@ class ForceHistory:
 
     # -- files -----------------------------------------------------------------------------------
 
-    @classmethod
-    def from_csv(cls, path: Path | str) -> ForceHistory:
-        """Read a CSV with exactly the columns ``theta_deg,Fx_N,Fz_N``.
-
-        Parameters
-        ----------
-        path
-            The file, a pipe, or ``-`` for standard input.
-
-        Raises
-        ------
-        InputError
-            If anything is wrong with the file; the message names the line.
-        """
-        values, provenance = read_force_table(Path(path))
-        name = "standard input" if str(path) == "-" else Path(path).name
-        known = {**provenance, "file": name}
-        return cls(np.radians(values[:, 0]), values[:, 1:].copy(), provenance=known)
-
     def to_csv(self, path: Path | str) -> None:
         """Write ``theta_deg,Fx_N,Fz_N``, and the provenance in a comment before it.
 
         Raises InputError if the place cannot be written.
         """
-        known = {key: value for key, value in self.provenance.items() if key != "file"}
+        known = {
+            key: value for key, value in self.provenance.items() if key not in ("file", "reading")
+        }
         write_force_table(Path(path), np.stack([self.theta_deg, self.Fx, self.Fz], axis=1), known)
 
     def to_netcdf(self, path: Path | str) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -16,6 +17,7 @@ from terraphi.experiment.documents import shipped_file, shipped_names
 from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
 from terraphi.experiment.files import is_there
 from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.reading import read_forces, read_trials
 from terraphi.experiment.scenario import Scenario
 
 COLLECTION = "li2013"
@@ -114,21 +116,24 @@ def _shipped(name: str, kind: str = "") -> ForceHistory:
     if name not in names():
         raise InputError(f"no shipped measurement '{name}'; {nearest(name, names())}")
     file = name.partition(":")[2].replace("/", "-") + kind
-    return ForceHistory.from_csv(shipped_file(COLLECTION, file, ".csv"))
+    return read_forces(shipped_file(COLLECTION, file, ".csv"))
 
 
-def open_forces(source: str | Path) -> Measurement:
-    """A measurement by its shipped name, or a history from a file.
+def open_forces(source: str | Path, columns: Any = None) -> list[Measurement]:
+    """A measurement by its shipped name, or the histories of a file.
 
     Parameters
     ----------
     source
-        ``li2013:MEDIUM/LEG``; a NetCDF (``.nc``) that this package wrote; or a CSV with exactly
-        the columns ``theta_deg,Fx_N,Fz_N``: a file, a pipe, or ``-`` for standard input.
+        ``li2013:MEDIUM/LEG``; a NetCDF (``.nc``) that this package wrote; or a table of text: a
+        file, a pipe, or ``-`` for standard input.
+    columns
+        Which columns of a table are what (:class:`~terraphi.experiment.reading.ForceColumns`).
 
     Returns
     -------
-    Measurement
+    list of Measurement
+        One for each stroke in the file.
         With the leg and the density of the scenario, of a simulation; those of the measurement, of
         a shipped one in a CSV. Of any other file nothing is known, and the leg is assumed to be
         straight.
@@ -142,16 +147,20 @@ def open_forces(source: str | Path) -> Measurement:
     if not is_there(path) and not path.is_dir():
         hint = nearest(text, names())
         if text.startswith(f"{COLLECTION}:"):
-            return measurement(text)
+            return [measurement(text)]
         if not path.suffix and hint.startswith("did"):
             raise InputError(f"'{text}' is neither a file nor a shipped measurement; {hint}")
     if path.suffix.lower() == ".nc":
-        history = ForceHistory.from_netcdf(path)
+        histories = [ForceHistory.from_netcdf(path)]
     else:
-        history = ForceHistory.from_csv(path)
-    if history.coordinate != "theta":
-        raise InputError(f"{path}: forces over {history.coordinate}, expected over theta")
-    return measurement_of(history, "standard input" if text == "-" else text)
+        histories = read_trials(path, columns)
+    if histories[0].coordinate != "theta":
+        raise InputError(f"{path}: forces over {histories[0].coordinate}, expected over theta")
+    name = "standard input" if text == "-" else text
+    return [
+        measurement_of(one, name if len(histories) == 1 else f"{name}, stroke {i}")
+        for i, one in enumerate(histories, start=1)
+    ]
 
 
 def measurement_of(history: ForceHistory, name: str = "") -> Measurement:

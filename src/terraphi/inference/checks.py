@@ -8,14 +8,18 @@ identified, and make any answer a misfit. A doubt is a sentence with one remedy.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import WINDOW_DEG, ForceHistory
+from terraphi.experiment.units import FORCE
 from terraphi.inference.emulator import emulator_of
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals
+from terraphi.inference.partial import part_of
 from terraphi.inference.records import Record
 from terraphi.library.store import PHI, Library, differences
 
@@ -53,14 +57,11 @@ USUAL_DEG = (15.0, 50.0)
 """Friction angles of dry soils in plane strain [deg]."""
 LARGE_SHIFT_DEG = 4.0
 """Distance of the leg angle's shift from the usual one above which an answer says so [deg]."""
-UNITS = {
-    "pounds-force": 4.448,
-    "kilograms-force": 9.807,
-    "grams-force": 9.807e-3,
-    "kilonewtons": 1e3,
-    "millinewtons": 1e-3,
-}
-"""Newtons in other units of force."""
+ONSET, LATE_DEG = 0.1, 11.0
+"""Force over its largest at which contact has begun [-]; difference of that angle from the model's
+that another leg makes [deg]: at most 9° in the shipped records."""
+UNITS = ("lbf", "kgf", "gf", "kN", "mN")
+"""Units of force that a record may be in instead of newtons."""
 
 
 def without_faults(record: Record) -> Record:
@@ -257,6 +258,13 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
         spacing = float(np.median(np.diff(record.history.theta_deg)))
         if spacing > COARSE_DEG:
             yield f"{name}The readings are {spacing:.0f}° apart; peaks between them are missed."
+        part = part_of(likelihood, record)
+        if part.share < 1.0 and likelihood.measured and PHI in likelihood.keys:
+            low, high = np.clip(record.history.theta_deg[[0, -1]], -WINDOW_DEG, WINDOW_DEG)
+            yield (
+                f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
+                f"{part.share:.0%} of the information on φ of a whole stroke."
+            )
         if record.leg_assumed:
             yield f"{name}The leg is assumed to be straight; give --leg."
         if record.density_kg_m3 is None or record.density_assumed:
@@ -270,38 +278,60 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
                     f"{name}The simulation differs from library {library.name} in {listed}: the "
                     "angle may be off."
                 )
-        elif misfit and PHI in likelihood.keys:
-            yield from (
-                f"{name}{sentence}" for sentence in _other_readings(likelihood, record, library)
-            )
+        elif PHI in likelihood.keys:
+            found = list(_other_readings(likelihood, record, library)) if misfit else []
+            for sentence in found or _other_size(likelihood, record):
+                yield f"{name}{sentence}"
 
 
 def _other_readings(likelihood: Likelihood, record: Record, library: Library) -> Iterator[str]:
     """Another leg, sign, unit or order that would describe a misfit much better."""
     own = _residual(record.data, record, likelihood, record.leg)
     best, proposal = min(BETTER * own, FITS * likelihood.errors[record.leg].nrmsd_limit), ""
-    fx, fz = record.data
-    options: dict[str, FloatArray] = {
-        "the sign of Fx is turned (Fx points forward)": np.stack([-fx, fz]),
-        "the sign of Fz is turned (Fz points up)": np.stack([fx, -fz]),
-        "these are the forces of the leg on the soil (turn both signs)": -record.data,
-        "Fx and Fz are exchanged": np.stack([fz, fx]),
+    back = replace(
+        record,
+        history=ForceHistory(-record.history.position[::-1], record.history.force[::-1]),
+    )
+    turned = np.array([[-1.0], [1.0]])
+    options: dict[str, tuple[Record, FloatArray]] = {
+        "fx_sign=-1": (record, turned * record.data),
+        "fz_sign=-1": (record, -turned * record.data),
+        "force_on=soil": (record, -record.data),
+        "fx=FZ_COLUMN,fz=FX_COLUMN": (record, record.data[::-1]),
+        "theta_sign=-1": (back, back.data),
+        "theta_sign=-1,fx_sign=-1": (back, turned * back.data),
+        "theta_sign=-1,fz_sign=-1": (back, -turned * back.data),
+        "theta_sign=-1,force_on=soil": (back, -back.data),
     }
-    theta = record.theta_deg
-    if np.allclose(theta, -theta[::-1], atol=1.0):
-        options["theta runs backwards (it grows as the leg moves)"] = record.data[:, ::-1]
-        options["theta and Fx are turned (mirror the record)"] = np.stack([-fx, fz])[:, ::-1]
-    for unit, newtons in UNITS.items():
-        options[f"the forces are in {unit} (newtons are needed)"] = newtons * record.data
-    for what, data in options.items():
-        size = _residual(data, record, likelihood, record.leg)
+    for unit in UNITS:
+        options[f"unit={unit}"] = (record, FORCE[unit] * record.data)
+    for what, (other, data) in options.items():
+        size = _residual(data, other, likelihood, record.leg)
         if size < best:
-            best, proposal = size, f"Check whether {what}: the record would fit."
+            best, proposal = size, f"The record would fit with --columns {what}: check the columns."
     for leg in library.legs:
         if leg != record.leg and (size := _residual(record.data, record, likelihood, leg)) < best:
-            best, proposal = size, f"Check the leg: the record would fit leg {leg}."
+            best, proposal = size, f"The record would fit with --leg {leg}: check the leg."
     if proposal:
         yield proposal
+
+
+def _other_size(likelihood: Likelihood, record: Record) -> Iterator[str]:
+    """A sentence if contact begins elsewhere than in the model, as of a leg of another length."""
+    best = np.clip(likelihood.least_squares, likelihood.low, likelihood.high)
+    part = likelihood.parts[likelihood.records.index(record)]
+    curve = likelihood.curves(best[None])[0, part].reshape(2, -1)
+    begins = []
+    for force in (record.data, curve):
+        size = np.linalg.norm(force, axis=0)
+        begins.append(int(np.argmax(size > ONSET * size.max())))
+    theta = record.theta_deg[begins]
+    theta[1] -= likelihood.shift_deg[likelihood.records.index(record)]
+    if min(begins) > 0 and abs(theta[0] - theta[1]) > LATE_DEG:
+        yield (
+            f"Contact begins at {theta[0]:.0f}°, in the model at {theta[1]:.0f}°: check the length "
+            "of the leg and the height of its hip; other sizes need a library of their own."
+        )
 
 
 def _residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str) -> float:

@@ -24,7 +24,8 @@ from terraphi.inference.checks import (
     without_faults,
 )
 from terraphi.inference.likelihood import UNKNOWN_DENSITY, Likelihood
-from terraphi.inference.records import Record, open_record
+from terraphi.inference.partial import part_of
+from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
 from terraphi.inference.soils import Calibration, CalibrationSoil
 from terraphi.library.store import PHI, Library, nearest_library, shipped_library
@@ -48,6 +49,7 @@ def invert(
     *,
     leg: str | None = None,
     density: float | str | None = None,
+    columns: Any = None,
     library: Library | Path | str | None = None,
     noise: float | tuple[float, float] | None = None,
     calibration: Calibration | Path | str | None = None,
@@ -59,13 +61,16 @@ def invert(
     Parameters
     ----------
     forces
-        A CSV (``theta_deg,Fx_N,Fz_N``) or NetCDF file, a shipped measurement such as
-        ``"li2013:yuma/c"``, a force history, a DataFrame; or a list of these, of one soil.
+        A table of text or a NetCDF file, a shipped measurement such as ``"li2013:yuma/c"``, a force
+        history, a DataFrame, an xarray Dataset; or a list of these, of one soil.
     leg
         Shape of the leg: ``straight``, ``c`` or ``reversed_c``; ``None``: from the forces' file.
     density
         Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: from the forces' file,
         else the library's.
+    columns
+        Which columns of a table are what, as a mapping of the options of
+        :func:`terraphi.read_forces`, or a TOML file of them; ``None``: guessed.
     library
         Library, file or shipped name; ``None``: ``sand3d`` for measured forces, for simulated ones
         the library whose scenario is nearest.
@@ -101,7 +106,7 @@ def invert(
     with threadpool_limits(limits=1, user_api="blas"):
         return _invert(
             forces, library, calibration, seed, began,
-            leg=leg, density=density, noise=noise, simulated=simulated,
+            leg=leg, density=density, columns=columns, noise=noise, simulated=simulated,
         )  # fmt: skip
 
 
@@ -115,7 +120,7 @@ def _invert(
 ) -> Answer:
     """Records, library and likelihood of :func:`invert`, and the answer from them."""
     every = list(forces) if isinstance(forces, list | tuple) else [forces]
-    records = [without_faults(open_record(one, **options)) for one in every]
+    records = [without_faults(r) for one in every for r in open_records(one, **options)]
     library, reason = _library_for(records, library)
     known = Calibration.load(calibration) if isinstance(calibration, str | Path) else calibration
     if known is not None:
@@ -153,8 +158,7 @@ def calibrate(
     every = list(forces) if isinstance(forces, list | tuple) else [forces]
     soils = []
     found: Library | None = None
-    for one in every:
-        record = without_faults(open_record(one, **options))
+    for record in [without_faults(r) for one in every for r in open_records(one, **options)]:
         found, _ = _library_for([record], library)
         likelihood = Likelihood([record], found)
         if not likelihood.measured:
@@ -317,9 +321,10 @@ def _fits(
     ):
         low, high, curve = (one.reshape(2, -1) for one in curves[:, part])
         residual = likelihood.errors[record.leg].mean_residual(curve, record.theta_deg)
-        size = _nrmsd(record.data, curve)
+        span = part_of(likelihood, record).span
+        size = _nrmsd(record.data, curve, span)
         expected = None if record.simulated or residual is None else curve + residual
-        if expected is not None and _nrmsd(record.data, expected).max() > size.max():
+        if expected is not None and _nrmsd(record.data, expected, span).max() > size.max():
             expected = None  # this soil does not differ as others do
         found.append(
             RecordFit(
@@ -334,9 +339,9 @@ def _fits(
     return found
 
 
-def _nrmsd(data: FloatArray, curve: FloatArray) -> FloatArray:
-    """Root mean square of the residual of Fx and Fz over the data's peak-to-peak [-], shape [2]."""
-    return np.asarray(np.sqrt(np.square(data - curve).mean(axis=1)) / np.ptp(data, axis=1))
+def _nrmsd(data: FloatArray, curve: FloatArray, span: FloatArray) -> FloatArray:
+    """Root mean square of the residual of Fx and Fz over their peak-to-peak [-], shape [2]."""
+    return np.asarray(np.sqrt(np.square(data - curve).mean(axis=1)) / span)
 
 
 def _percent(share: float, *, digits: int = 0) -> str:
@@ -382,13 +387,14 @@ def _verdict(
 
 def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
     """A sentence if a record differs from the model by more than real soils do."""
-    for fit in fits:
+    for fit, record in zip(fits, likelihood.records, strict=True):
+        span = part_of(likelihood, record).span
         error = likelihood.errors[fit.leg]
         limit = error.nrmsd_limit * (SEVERAL if len(fits) > 1 else 1.0)
         best = fit.curve if fit.expected is None else fit.expected
-        size = float(_nrmsd(fit.data, best).max())
+        size = float(_nrmsd(fit.data, best, span).max())
         if size > limit:
-            residual = (fit.data - best) / np.ptp(fit.data, axis=1)[:, None]
+            residual = (fit.data - best) / span[:, None]
             i, j = np.unravel_index(np.abs(residual).argmax(), residual.shape)
             return (
                 f"Misfit: {('Fx', 'Fz')[i]} differs from the model by "

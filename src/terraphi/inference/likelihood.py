@@ -22,6 +22,7 @@ zero of θ                 that of a shift: 15°/√3 times dg/dδ
 density                   relative standard deviation times g, to which forces are proportional
 model: offset             what looks like another angle: (b² + s²) (∂g/∂φ)(∂g/∂φ)' (``soils``)
 model: leg                the same of each leg by itself, l²
+missing angles            where a record has a part of the stroke (``partial``)
 shape                     whatever does not look like a change of x
 ========================  ==========================================================================
 
@@ -55,6 +56,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.inference.emulator import emulator_of
+from terraphi.inference.partial import missing_angles
 from terraphi.inference.records import Record
 from terraphi.inference.soils import Calibration, model_error
 from terraphi.library.store import PHI, Curves, Library
@@ -200,6 +202,17 @@ class Likelihood:
             force[out] += np.abs(beyond[out])[:, None, None] * slope
         return force
 
+    def forces_of(self, record: Record, i: int) -> FloatArray:
+        """Means as another record of leg and soil of the i-th has them, 1° below, at and above φ.
+
+        Shape [3, 2, m] [N].
+        """
+        x = np.repeat(np.clip(self.least_squares, self.low, self.high)[None], 3, axis=0)
+        x[:, self._phi or 0] += [-1.0, 0.0, 1.0]
+        theta, force = self._curves_of(record).theta_deg, self._forces(record.leg, x)
+        means = window_means(record, force, theta, self.shift_deg[i])
+        return np.asarray(self._ratio[i] * means.reshape(3, 2, -1))
+
     def slope(self, x: FloatArray) -> FloatArray:
         """∂g/∂x at a point [N/unit], shape [key] -> [n, key]."""
         return self._slope_at(x, self.shift_deg)
@@ -322,6 +335,7 @@ class Likelihood:
         found |= self._of_corrections(inside)
         if self._phi is not None:
             found |= self._model_offset(slope[:, self._phi])
+            found |= missing_angles(self, slope[:, self._phi])
         found["density"] = np.outer(*[self._density_error * curve] * 2)
         found["zero of θ"] = SHIFT_DEG**2 / 3.0 * of_shift @ of_shift.T
         return {**found, "shape": shape}

@@ -32,10 +32,11 @@ from terraphi.experiment.history import (
 )
 from terraphi.experiment.leg import LEG_SHAPES
 from terraphi.experiment.measurements import Measurement, measurement_of, open_forces, scenario_of
+from terraphi.experiment.reading import read_trials
 from terraphi.experiment.scenario import Scenario
 
-FEWEST_WINDOWS = 10
-"""Windows that a record must have: about 40° of its path."""
+FEWEST_WINDOWS = 9
+"""Windows that a record must have: those within 40° of its path."""
 MOST_READINGS = 4000
 """Readings above which a record is averaged in bins of 0.05°, or wider."""
 DENSITY_SD = 0.05
@@ -194,21 +195,50 @@ def _interpolation(at: FloatArray, x: FloatArray) -> FloatArray:
     return found
 
 
-def open_record(
-    forces: Any,
+def open_record(forces: Any, **options: Any) -> Record:
+    """The record of one stroke; as :func:`open_records`."""
+    found = open_records(forces, **options)
+    if len(found) > 1:
+        raise InputError(f"{found[0].source}: {len(found)} strokes, expected one")
+    return found[0]
+
+
+def open_records(forces: Any, *, columns: Any = None, **options: Any) -> list[Record]:
+    """Records from whatever forces come in, one for each stroke.
+
+    Parameters
+    ----------
+    forces
+        Path of a table or NetCDF, ``li2013:MEDIUM/LEG``, a measurement, a force history, a
+        DataFrame or an xarray Dataset.
+    columns
+        Which columns of a table are what: a
+        :class:`~terraphi.experiment.reading.ForceColumns`, a mapping, or a TOML file.
+    options
+        As of :func:`record_of`.
+
+    Raises
+    ------
+    InputError
+        If the forces, the leg or the density cannot be used.
+    """
+    return [record_of(one, **options) for one in _measurements(forces, columns)]
+
+
+def record_of(
+    known: Measurement,
     *,
     leg: str | None = None,
     density: float | str | None = None,
     noise: float | tuple[float, float] | None = None,
     simulated: bool | None = None,
 ) -> Record:
-    """A record from whatever forces come in.
+    """The record of a measurement.
 
     Parameters
     ----------
-    forces
-        Path of a CSV or NetCDF, ``li2013:MEDIUM/LEG``, a measurement, a force history, or a
-        DataFrame with the columns ``theta_deg``, ``Fx_N``, ``Fz_N``.
+    known
+        Forces, with what is known of leg and soil.
     leg
         Shape of the leg; ``None``: from the forces' file, else straight.
     density
@@ -226,7 +256,6 @@ def open_record(
     InputError
         If the forces, the leg or the density cannot be used.
     """
-    known = _measurement(forces)
     if leg is not None and leg not in LEG_SHAPES:
         raise InputError(f"leg '{leg}' is not known; {nearest(leg, LEG_SHAPES)}")
     history = known.history
@@ -268,34 +297,27 @@ def open_record(
         scenario=made_by,
         simulated=made_by is not None if simulated is None else simulated,
         measurement=str(history.provenance.get("measurement", "")),
+        notes=tuple(history.provenance.get("reading", ())),
         noise_N=sensor,
     )
 
 
-def _measurement(forces: Any) -> Measurement:
-    """Forces with leg and density, from any input."""
+def _measurements(forces: Any, columns: Any) -> list[Measurement]:
+    """Forces with leg and density, from any input: one for each stroke."""
     if isinstance(forces, Measurement):
-        return forces
+        return [forces]
     if isinstance(forces, ForceHistory):
         if forces.coordinate != "theta":
             raise InputError(f"forces over {forces.coordinate}; forces over theta are needed")
-        return measurement_of(forces, "forces" if "file" not in forces.provenance else "")
+        return [measurement_of(forces, "forces" if "file" not in forces.provenance else "")]
     if isinstance(forces, str | Path):
-        return open_forces(forces)
-    columns = ("theta_deg", "Fx_N", "Fz_N")
-    missing = [name for name in columns if name not in getattr(forces, "columns", ())]
-    if missing:
-        raise InputError(
-            f"forces of type {type(forces).__name__} without {', '.join(missing)}; give a path, a "
-            "shipped name, a ForceHistory or a DataFrame with the columns theta_deg, Fx_N, Fz_N"
-        )
-    theta, fx, fz = (np.asarray(forces[name], dtype=np.float64) for name in columns)
-    order = np.argsort(theta, kind="stable")
-    try:
-        history = ForceHistory(np.radians(theta[order]), np.stack([fx, fz], axis=1)[order])
-    except ValueError as error:
-        raise InputError(f"DataFrame: {error}") from error
-    return measurement_of(history, "DataFrame")
+        return open_forces(forces, columns)
+    if hasattr(forces, "to_dataframe") or hasattr(forces, "columns"):
+        return [measurement_of(history) for history in read_trials(forces, columns)]
+    raise InputError(
+        f"forces of type {type(forces).__name__}; give a path, a shipped name, a ForceHistory, a "
+        "DataFrame or an xarray Dataset"
+    )
 
 
 def _binned(history: ForceHistory) -> ForceHistory:

@@ -35,6 +35,7 @@ ADVICE = {
     "density": "A measured density (--density) will narrow it.",
     "hip height": "A measured height of the hip will narrow it.",
     "noise": "More readings will narrow it.",
+    "missing angles": "A record of the whole stroke will narrow it.",
 }
 """What narrows the interval, by its largest term."""
 COLUMNS = (
@@ -158,22 +159,64 @@ def check_table(path: Path) -> None:
 
 
 def write_table(
-    sources: Sequence[str], found: Sequence[Answer | InputError], path: Path
-) -> dict[str, int]:
-    """Write a row for each record as CSV; return the number of records by verdict."""
+    sources: Sequence[str],
+    found: Sequence[Answer | InputError],
+    path: Path | None,
+    notes: Sequence[dict[str, str]],
+) -> tuple[list[dict[str, Any]], dict[str, int]]:
+    """Write a row for each record as CSV, if there is a path.
+
+    Parameters
+    ----------
+    sources, found
+        Of each record.
+    path
+        The file.
+    notes
+        More columns for each record.
+
+    Returns
+    -------
+    list of dict
+        The rows.
+    dict
+        Number of records by verdict.
+    """
     from terraphi.experiment.files import replacing
 
     rows = [
-        {"source": source, "verdict": "failed", "reason": str(one)}
+        {"source": source, "verdict": "failed", "reason": str(one), **note}
         if isinstance(one, InputError)
-        else row(source, one)
-        for source, one in zip(sources, found, strict=True)
+        else row(source, one) | note
+        for source, one, note in zip(sources, found, notes, strict=True)
     ]
-    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, COLUMNS)
-        writer.writeheader()
-        writer.writerows(rows)
-    return dict(Counter(str(one["verdict"]).replace("_", " ") for one in rows))
+    if path is not None:
+        names = dict.fromkeys([*COLUMNS, *(name for note in notes for name in note)])
+        with (
+            replacing(path) as temporary,
+            temporary.open("w", newline="", encoding="utf-8") as stream,
+        ):
+            writer = csv.DictWriter(stream, list(names))
+            writer.writeheader()
+            writer.writerows(rows)
+    return rows, dict(Counter(str(one["verdict"]).replace("_", " ") for one in rows))
+
+
+def table_of_answers(rows: Sequence[dict[str, Any]]) -> Table:
+    """Angle, interval and verdict of each record."""
+    shown = [
+        (
+            one["source"],
+            one.get("leg", ""),
+            f"{float(one['phi_deg']):.1f}" if one.get("phi_deg") else "",
+            f"{float(one['ci95_low_deg']):.0f} to {float(one['ci95_high_deg']):.0f}"
+            if one.get("phi_deg")
+            else "",
+            str(one["verdict"]).replace("_", " "),
+        )
+        for one in rows
+    ]
+    return Table("", ("source", "leg", "φ [deg]", "95 %", "verdict"), shown)
 
 
 def row(source: str, answer: Answer) -> dict[str, Any]:

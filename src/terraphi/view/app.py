@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.leg import LEG_SHAPES
-from terraphi.view.report import ASSETS, digest, kind_of, load_template, render
+from terraphi.view.report import ASSETS, LOGS, digest, kind_of, load_template, render
 from terraphi.view.sections import Section, section_of
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from starlette.responses import Response
 
 HOST = "127.0.0.1"
-SUFFIXES = (".csv", ".nc", ".mcap", ".db3", ".parquet")
+SUFFIXES = (".nc", *LOGS)
 LEGS = ("", *(leg for leg in LEG_SHAPES if leg != "plate"))
 MOST_PAGES = 8
 """Pages that are kept, in memory."""

@@ -18,6 +18,7 @@ DOCUMENTS = {
     "scenario": ("terraphi.experiment.scenario", "Scenario"),
     "plan": ("terraphi.library.plan", "Plan"),
     "robot": ("terraphi.robot.model", "RobotFile"),
+    "forces": ("terraphi.experiment.reading", "ForceColumns"),
     "columns": ("terraphi.robot.logs.columns", "Columns"),
 }
 """Kind of document to the module and the name of its model."""

@@ -23,7 +23,8 @@ from terraphi.view.sections import Plot, Section, section_of
 
 ASSETS = Path(__file__).with_name("assets")
 """Templates and scripts of the pages."""
-LOGS = (".mcap", ".db3", ".parquet", ".csv")
+TABLES = (".csv", ".txt", ".tsv", ".dat", ".lvm")
+LOGS = (".mcap", ".db3", ".parquet", *TABLES)
 KINDS = {
     "answer": "answer", "library": "library", "force history": "simulation",
     "foot forces": "foot forces", "footfalls": "footfalls",
@@ -65,7 +66,7 @@ def kind_of(source: str) -> str:
     elif path.is_file() and path.suffix in LOGS:
         with path.open("rb") as stream:
             head = stream.read(4096)
-        return "forces" if path.suffix == ".csv" and b"theta_deg" in head else "log"
+        return "log" if path.suffix not in TABLES or b"_angle_rad" in head else "forces"
     elif not path.exists() and source in Library.names():
         return "library"
     raise InputError(

@@ -87,8 +87,8 @@ def section_of(
         from terraphi.experiment.measurements import open_forces
         from terraphi.inference.inversion import invert
 
-        measured = open_forces(source)
-        return of_answer(invert(replace(measured, name=name or measured.name), **options))
+        measured = [replace(one, name=name or one.name) for one in open_forces(source)]
+        return of_answer(invert(measured, **options))
     if kind == "library":
         return of_library(source)
     if kind == "simulation":

@@ -16,7 +16,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import check_is_file
 from terraphi.robot.joint_log import JOINT_NAMES, JointLog
 from terraphi.robot.logs.bags import read_bag
-from terraphi.robot.logs.columns import Columns, read_table
+from terraphi.robot.logs.columns import Columns, read_columns
 from terraphi.robot.logs.samples import joint_log
 
 FORMATS = "CSV, Parquet, MCAP or the folder of a rosbag2"
@@ -81,7 +81,7 @@ def read_log(
     try:
         if bag:
             return read_bag(path, topic, joint_names, motors)
-        values = read_table(path, named, motors)
+        values = read_columns(path, named, motors)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     kind = "parquet" if path.suffix == ".parquet" else "csv"

@@ -18,6 +18,7 @@ import numpy as np
 
 from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError, nearest, needing
+from terraphi.experiment.tables import read_table, table_of
 from terraphi.robot.joint_log import JOINT_NAMES, SHAPES
 
 Names = str | tuple[str, ...]
@@ -80,7 +81,7 @@ OWN = Columns(
 """Terraphi's own names."""
 
 
-def read_table(path: Path, columns: Columns | None, motors: Sequence[str]) -> dict[str, Any]:
+def read_columns(path: Path, columns: Columns | None, motors: Sequence[str]) -> dict[str, Any]:
     """Read a CSV, or a Parquet file by its suffix.
 
     Parameters
@@ -136,15 +137,14 @@ def read_table(path: Path, columns: Columns | None, motors: Sequence[str]) -> di
 
 def _table(path: Path) -> Any:
     """The table as numbers; cells that are none become NaN."""
+    if path.suffix != ".parquet":
+        return read_table(path).frame
     import pandas as pd
 
     try:
-        if path.suffix == ".parquet":
-            with needing(f"{path}: reading Parquet", "the package pyarrow", extra="parquet"):
-                return pd.read_parquet(path)
-        table = pd.read_csv(path, encoding="utf-8-sig", skipinitialspace=True, low_memory=False)
-    except (ValueError, UnicodeDecodeError) as error:  # pandas' own errors are ValueErrors
+        with needing(f"{path}: reading Parquet", "the package pyarrow", extra="parquet"):
+            table = pd.read_parquet(path)
+    except ValueError as error:  # pandas' own errors are among them
         why = " ".join(str(error).split())
         raise InputError(f"{path}: cannot be read as a table ({why}); copy it again") from error
-    numbers = table.select_dtypes(exclude="number").columns
-    return table.assign(**{n: pd.to_numeric(table[n], errors="coerce") for n in numbers})
+    return table_of(table).frame

@@ -1,0 +1,508 @@
+"""Forces on a leg from a table as people have it: columns, units, signs, strokes.
+
+Columns are guessed from their names where they are not given, and each guess leaves a note. What is
+wrong with a table is reported all at once.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.documents import Strict, parse_toml, strictly
+from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
+from terraphi.experiment.force_table import CSV_COLUMNS, origin
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.tables import Table, read_table, table_of
+from terraphi.experiment.units import KINDS, unit_named
+
+TURN_DEG = 10.0
+"""Least way back of the leg that ends a stroke [deg]; less is jitter of the encoder."""
+LEAST_STROKE_DEG = 38.0
+"""Shortest stroke that counts [deg]."""
+FEWEST_ROWS = 8
+"""Rows up to which a stroke does not count."""
+BIN_DEG = 0.25
+"""Width of the bins that rows are averaged in, if the angle does not grow from row to row [deg]."""
+SCATTERED_DEG = 5.0
+"""Usual step of the angle from row to row above which the rows have no order [deg]."""
+HEAVIER = 1.3
+"""Ratio of forces on the way back to those forth at which the leg moves the other way [-]."""
+LEAST_DEG = 7.0
+"""Largest angle of a record below which its angles must be radians [deg]."""
+HEAVIEST_DEG = (-60.0, 35.0)
+"""Where half of the squared force has passed [deg]: -43 to 8 in the shipped measurements."""
+ROLES = ("theta", "fx", "fz")
+_NAMES = {
+    "theta": r"theta|θ|angle|winkel|(leg|motor|hip|joint|bein|dreh|encoder)(angle|winkel|theta|pos)"
+    r"|(angle|theta)(leg|motor|hip|joint)|rotation|ang|angular ?position",
+    "fx": r"fx|(force|load|kraft)x|x(force|load|kraft)|(thrust|horizontal)(force)?|fhor\w*|"
+    r"(horizontalkraft|vortrieb)",
+    "fz": r"fz|(force|load|kraft)z|z(force|load|kraft)|(lift|vertical)(force)?|fver\w*|"
+    r"(vertikalkraft|auftrieb)",
+    "time": r"t|time|zeit|timestamp|elapsed(time)?|(time|zeit)s?",
+    "moment": r"m|my|moment|torque|(hip|joint|motor)(moment|torque)|drehmoment|ty|moment[yh]",
+}
+"""Names of columns, without units, signs and case."""
+_LOOSE = {"theta": "theta|angle|winkel|θ", "fx": "fx|forcex|xforce", "fz": "fz|forcez|zforce"}
+KIND = {"theta": "angle", "fx": "force", "fz": "force", "time": "time", "moment": "moment"}
+
+
+class ForceColumns(Strict):
+    """Which columns of a table of forces are what, their units and their signs."""
+
+    theta: str | None = None
+    """Column of the leg angle; if not given, it is guessed."""
+    fx: str | None = None
+    """Column of the forward force; if not given, it is guessed."""
+    fz: str | None = None
+    """Column of the vertical force; if not given, it is guessed."""
+    moment: str | None = None
+    """Column of the moment about the hip."""
+    time: str | None = None
+    """Column of the time, for `rate_deg_s`."""
+    rate_deg_s: float | None = Field(None, gt=0)
+    """Constant rate of the leg [deg/s], where the table has a time instead of an angle."""
+    unit: Literal["N", "kN", "mN", "lbf", "ozf", "kgf", "gf", "dyn"] | None = None
+    """Unit of the forces; if not given, that of the header, else N."""
+    theta_unit: Literal["deg", "rad", "mrad", "rev", "gon"] | None = None
+    """Unit of the angle; if not given, that of the header, else deg."""
+    theta_offset_deg: float = 0.0
+    """Added to the angle of the table [deg], before its sign is turned."""
+    theta_sign: Literal[1, -1] = 1
+    """-1 where the angle of the table falls as the leg moves through the soil."""
+    fx_sign: Literal[1, -1] = 1
+    """-1 where the x axis of the table points backward."""
+    fz_sign: Literal[1, -1] = 1
+    """-1 where the z axis of the table points down."""
+    force_on: Literal["leg", "soil"] = "leg"
+    """Whether the forces act on the leg or on the soil."""
+
+    @classmethod
+    def of(cls, given: ForceColumns | Mapping[str, Any] | Path | str | None) -> ForceColumns:
+        """Columns from a mapping, a TOML file or ``key=value,key=value``; raises InputError."""
+        if isinstance(given, ForceColumns):
+            return given
+        if isinstance(given, Path) or (isinstance(given, str) and "=" not in given):
+            return parse_toml(Path(given), cls)
+        if isinstance(given, str):
+            pairs = [pair.partition("=") for pair in re.split("[,;]", given)]
+            given = {key.strip(): _value(text.strip()) for key, _, text in pairs}
+        try:
+            return strictly({k: v for k, v in (given or {}).items() if v is not None}, cls)
+        except ValidationError as error:
+            raise InputError(sentence_from_validation(error, "columns", cls)) from error
+
+
+def _value(text: str) -> Any:
+    """A number if the text is one."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return text.strip("'\"")
+
+
+def read_forces(
+    source: Any,
+    *,
+    theta: str | None = None,
+    fx: str | None = None,
+    fz: str | None = None,
+    moment: str | None = None,
+    time: str | None = None,
+    rate_deg_s: float | None = None,
+    unit: str | None = None,
+    theta_unit: str | None = None,
+    theta_offset_deg: float = 0.0,
+    theta_sign: int = 1,
+    fx_sign: int = 1,
+    fz_sign: int = 1,
+    force_on: str = "leg",
+) -> ForceHistory:
+    """Read the forces on a leg over its angle from a table.
+
+    Parameters
+    ----------
+    source
+        A text file (any separator, decimal sign and encoding), ``-`` for standard input, a
+        ``pandas.DataFrame`` or an ``xarray.Dataset``.
+    theta, fx, fz, moment, time
+        Names of the columns, with or without their unit; by default they are guessed.
+    rate_deg_s
+        Constant rate of the leg [deg/s], where there is a time instead of an angle.
+    unit, theta_unit
+        Of forces (``N``, ``kN``, ``mN``, ``lbf``, ``kgf``, ``gf`` …) and angle (``deg``, ``rad``,
+        ``rev`` …); by default those of the header, else N and degrees.
+    theta_offset_deg, theta_sign
+        θ is ``theta_sign`` times the sum of the angle in the table and the offset [deg].
+    fx_sign, fz_sign
+        -1 where an axis of the table points backward or down.
+    force_on
+        ``leg`` or ``soil``: what the forces act on.
+
+    Returns
+    -------
+    ForceHistory
+        Of the stroke in which θ grows. What was guessed and left out is in
+        ``provenance["reading"]``, a sentence each.
+
+    Raises
+    ------
+    InputError
+        With everything that is wrong with the table; or if it holds several strokes, which
+        :func:`terraphi.invert` takes as trials.
+
+    Examples
+    --------
+    >>> terraphi.read_forces("leg.csv", theta="Winkel [°]", theta_offset_deg=-85, unit="kN")
+    """
+    given = {key: value for key, value in locals().items() if key != "source"}
+    found = read_trials(source, ForceColumns.of(given))
+    if len(found) > 1:
+        raise InputError(
+            f"{_name_of(source)}: {len(found)} strokes; give the table to invert, which takes them "
+            "as trials, or cut it into files of one stroke"
+        )
+    return found[0]
+
+
+def read_trials(
+    source: Any, columns: ForceColumns | Mapping[str, Any] | Path | str | None = None
+) -> list[ForceHistory]:
+    """Forces of each stroke in which θ grows; source and errors as of :func:`read_forces`."""
+    named, name = ForceColumns.of(columns), _name_of(source)
+    table = read_table(Path(source)) if isinstance(source, str | Path) else table_of(source)
+    found = _Reading(table, named)
+    found.choose()
+    found.refuse_if_wrong(name)
+    theta, force, moment = found.values()
+    found.refuse_if_wrong(name)
+    strokes = found.strokes(theta, force)
+    found.refuse_if_wrong(name)
+    known: dict[str, Any] = {}
+    if named == ForceColumns() and {*CSV_COLUMNS} == {*found.names.values()}:
+        known = origin(Path(name), table.comments, table.frame[list(CSV_COLUMNS)].to_numpy())
+    histories = []
+    for i, which in enumerate(strokes):
+        position, values = _increasing(theta[which], np.column_stack([force, moment])[which])
+        if i == 0 and len(position) < len(which):
+            found.notes.append(
+                f"Rows are averaged in bins of {BIN_DEG:g}°: {len(which)} become {len(position)}."
+            )
+        trial = f" (stroke {i + 1})" if len(strokes) > 1 else ""
+        file = "standard input" if name == "-" else Path(name).name
+        histories.append(
+            ForceHistory(
+                np.radians(position),
+                values[:, :2].copy(),
+                provenance=known | {"file": file + trial} | (
+                    {"reading": found.notes} if found.notes and i == 0 else {}
+                ),
+                moment=values[:, 2].copy() if np.isfinite(values[:, 2]).all() else None,
+            )
+        )  # fmt: skip
+    found.refuse_other_zero(histories[0])
+    found.refuse_if_wrong(name)
+    return histories
+
+
+def _name_of(source: Any) -> str:
+    return str(source) if isinstance(source, str | Path) else type(source).__name__
+
+
+class _Reading:
+    """One table on its way to forces, with what was guessed and what is wrong."""
+
+    def __init__(self, table: Table, given: ForceColumns) -> None:
+        self.table, self.given = table, given
+        self.names: dict[str, str] = {}
+        self.wrong: list[str] = []
+        self.notes: list[str] = []
+        self.parts = {name: _split(str(name)) for name in table.frame.columns}
+
+    def refuse_if_wrong(self, name: str) -> None:
+        """Raise InputError with all that is wrong."""
+        if self.wrong:
+            raise InputError(f"{name}: {'; '.join(self.wrong)}")
+
+    # -- columns ---------------------------------------------------------------------------------
+
+    def choose(self) -> None:
+        """Find the column of each role: as given, by our own names, or by a guess."""
+        guessed, lacking = [], []
+        timed = self.given.rate_deg_s is not None
+        for role in ("time" if timed else "theta", "fx", "fz", "moment"):
+            column = getattr(self.given, role)
+            if column is not None:
+                self._take(role, column)
+                continue
+            own = dict(zip(ROLES, CSV_COLUMNS, strict=True)).get(role)
+            if own in self.parts:
+                self.names[role] = str(own)
+                continue
+            found = self._like(role)
+            if role == "moment":  # not needed: only if there is no doubt
+                found = [n for n in found if len(found) == 1 and n not in self.table.words]
+            if len(found) == 1:
+                self.names[role] = found[0]
+                if role == "moment" and math.isnan(self._unit(role)[1]):
+                    del self.names[role]
+                    continue
+                guessed.append(f"{_WORDS[role]} from '{found[0]}' [{self._unit(role)[0]}]")
+            elif found:
+                listed = " or ".join(f"'{name[:40]}'" for name in found[:4])
+                self.wrong.append(
+                    f"{_WORDS[role]} may be {listed}; add --columns '{role}={found[0]}'"
+                )
+            elif role != "moment":
+                lacking.append(role)
+        if lacking:
+            self._ask(lacking, timed)
+        if guessed:
+            self.notes.append(f"Guessed {', '.join(guessed)}.")
+        for role in self.names:
+            self._check(role)
+
+    def _take(self, role: str, column: str) -> None:
+        """The column of a name, which may lack its unit."""
+        same = [name for name, (bare, _) in self.parts.items() if column in (name, bare)]
+        if len(same) == 1 or column in same:
+            self.names[role] = column if column in same else same[0]
+        else:
+            header = list(self.parts)
+            hint = f"it fits {' and '.join(map(repr, same))}" if same else nearest(column, header)
+            self.wrong.append(f"no column '{column[:40]}' for {role}; {hint[:200]}")
+
+    def _like(self, role: str) -> list[str]:
+        """Columns whose names fit a role."""
+        plain = {
+            name: re.sub(r"[\W_]+", "", bare.lower()) for name, (bare, _) in self.parts.items()
+        }
+        taken = set(self.names.values())
+
+        def fitting(pattern: str, *, whole: bool) -> list[str]:
+            match = re.fullmatch if whole else re.search
+            return [n for n, text in plain.items() if match(pattern, text) and n not in taken]
+
+        found = fitting(_NAMES[role], whole=True)
+        return found or (fitting(_LOOSE[role], whole=False) if role in _LOOSE else [])
+
+    def _ask(self, lacking: list[str], timed: bool) -> None:
+        """Complain about roles without a column."""
+        header = list(self.parts)
+        listed = ", ".join(f"'{name[:30]}'" for name in header[:8])
+        unnamed = len(header) >= len(lacking) and all(name.startswith("column ") for name in header)
+        names = header if unnamed else ["NAME"] * len(lacking)
+        pairs = ",".join(f"{role}={name}" for role, name in zip(lacking, names, strict=False))
+        more = ", or rate_deg_s=RATE for a time" if "theta" in lacking and not timed else ""
+        self.wrong.append(
+            f"no column of {', '.join(_WORDS[role] for role in lacking)} among {listed}; add "
+            f"--columns '{pairs}'{more}"
+        )
+
+    def _unit(self, role: str) -> tuple[str, float]:
+        """Unit of a column and what it is in N, degrees, seconds or N m; NaN if it is unknown."""
+        kind = KIND[role]
+        given = {"angle": self.given.theta_unit, "force": self.given.unit}.get(kind)
+        unit = given or unit_named(self._written(role) or next(iter(KINDS[kind])))
+        return (unit, KINDS[kind][unit]) if unit in KINDS[kind] else ("?", math.nan)
+
+    def _written(self, role: str) -> str | None:
+        """Unit of a column as the table has it."""
+        column = self.names[role]
+        return self.table.units.get(column) or self.parts[column][1]
+
+    def _check(self, role: str) -> None:
+        """Complain about words among the numbers of a column, and about its unit."""
+        column, kind = self.names[role][:40], KIND[role]
+        words = self.table.words.get(self.names[role], [])
+        if words:
+            (place, cell), more = words[0], f" and {len(words) - 1} more" if len(words) > 1 else ""
+            self.wrong.append(
+                f"{place}: {column} = {cell[:30]!r}{more} is not a number; leave the cell blank or "
+                "remove the row"
+            )
+        if math.isnan(self._unit(role)[1]):
+            key = {"angle": "theta_unit", "force": "unit"}.get(kind)
+            remedy = f"add --columns {key}=UNIT" if key else "rename it"
+            self.wrong.append(
+                f"column '{column}': '{self._written(role)}' is no known unit of {kind}; {remedy}, "
+                f"one of {', '.join(KINDS[kind])}"
+            )
+
+    # -- numbers ---------------------------------------------------------------------------------
+
+    def values(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """θ [deg], force [N] (row, 2) and moment [N m] of the rows that are whole."""
+        column = {role: self._column(role) for role in self.names}
+        soil = -1.0 if self.given.force_on == "soil" else 1.0
+        force = soil * np.stack(
+            [self.given.fx_sign * column["fx"], self.given.fz_sign * column["fz"]], axis=1
+        )
+        rate = self.given.rate_deg_s or 1.0
+        along = column["theta"] if "theta" in column else rate * column["time"]
+        theta = self.given.theta_sign * (along + self.given.theta_offset_deg)
+        whole = np.isfinite(theta) & np.isfinite(force).all(axis=1)
+        moment = soil * self.given.theta_sign * column.get("moment", np.full(len(theta), np.nan))
+        if not whole.any():
+            self.wrong.append("no row has an angle and both forces; check the columns")
+            return theta, force, moment
+        if not whole.all():
+            first = self.table.place(int(np.flatnonzero(~whole)[0]))
+            self.notes.append(
+                f"{(~whole).sum()} of {len(whole)} rows lack a number and are left out, the first "
+                f"at {first}."
+            )
+        theta, force, moment = theta[whole], force[whole], moment[whole]
+        if np.ptp(theta) > 360.0 or np.abs(np.diff(theta)).max(initial=0.0) > 180.0:
+            # The encoder counts turns, or starts again at a full one.
+            theta = np.where(np.abs(theta) > 180.0, (theta + 180.0) % 360.0 - 180.0, theta)
+        theta, force, moment = self._without_glitches(theta, force, moment)
+        largest = float(np.abs(theta).max())
+        if "theta" in self.names and self._unit("theta")[0] == "deg" and largest < LEAST_DEG:
+            self.wrong.append(
+                f"the angle runs from {theta.min():.2f} to {theta.max():.2f}, which must be "
+                "radians; add --columns theta_unit=rad"
+            )
+        return theta, force, moment
+
+    def _without_glitches(self, *columns: FloatArray) -> tuple[FloatArray, ...]:
+        """Columns without the rows in which the angle jumps away and is back in the next."""
+        theta = columns[0]
+        if _scattered(theta):
+            return columns
+        around = np.median(np.stack([theta[:-2], theta[1:-1], theta[2:]]), axis=0)
+        apart = (theta[1:-1] - around + 180.0) % 360.0 - 180.0
+        kept = np.ones(len(theta), dtype=bool)
+        kept[1:-1] = np.abs(apart) <= TURN_DEG
+        if not kept.all():
+            self.notes.append(f"{(~kept).sum()} rows in which the angle jumps are left out.")
+        return tuple(column[kept] for column in columns)
+
+    def _column(self, role: str) -> FloatArray:
+        """A column in N, degrees, seconds or N m."""
+        _, factor = self._unit(role)
+        return np.asarray(factor * self.table.frame[self.names[role]].to_numpy(np.float64))
+
+    # -- strokes ---------------------------------------------------------------------------------
+
+    def strokes(self, theta: FloatArray, force: FloatArray) -> list[Any]:
+        """Rows of each stroke in which θ grows."""
+        every = np.arange(len(theta))
+        if _scattered(theta):
+            return [every]
+        turns = _turns(theta)
+        pieces = [slice(a, b + 1) for a, b in pairwise(turns)]
+        pieces = [p for p in pieces if p.stop - p.start > FEWEST_ROWS]  # not where it jumps back
+        up = [p for p in pieces if theta[p][-1] - theta[p][0] >= LEAST_STROKE_DEG]
+        down = [p for p in pieces if theta[p][0] - theta[p][-1] >= LEAST_STROKE_DEG]
+        up, down = (up, down) if up else (down, [])
+        if not up or (not down and _covered(theta, up) > 0.9 * sum(np.ptp(theta[p]) for p in up)):
+            return [every]  # one stroke, or parts of one
+
+        def size(of: list[slice]) -> float:
+            return float(np.median([np.sqrt(np.square(force[p]).mean()) for p in of]))
+
+        if down and size(down) > HEAVIER * size(up):
+            self.wrong.append(
+                "the forces are larger while the angle falls, so the leg goes that way; add "
+                f"--columns theta_sign={-self.given.theta_sign}"
+            )
+        if down:
+            self.notes.append("The leg goes forth and back; the way back is left out.")
+        if len(up) > 1:
+            self.notes.append(f"{len(up)} strokes in one table, taken as trials in one soil.")
+        return [every[p] for p in up]
+
+    def refuse_other_zero(self, history: ForceHistory) -> None:
+        """Complain about an angle that is not zero where the leg hangs down.
+
+        The soil bears most where the leg moves down into it, before θ = 0.
+        """
+        theta = history.theta_deg
+        size = np.linalg.norm(history.force, axis=1)
+        low, high = theta[[0, -1]]
+        middle = 0.5 * (low + high)
+        if high - low < 90.0 or abs(middle) < 30.0 or max(size[0], size[-1]) > 0.3 * size.max():
+            return  # a part of a stroke, or nearly right
+        begins, heaviest, ends = np.interp(
+            [0.02, 0.5, 0.98], np.cumsum(size**2) / np.square(size).sum(), theta
+        )
+        if HEAVIEST_DEG[0] <= heaviest <= HEAVIEST_DEG[1]:
+            return
+        sign = self.given.theta_sign
+        offset = self.given.theta_offset_deg - sign * round(middle)
+        turned = f",theta_sign={-sign}" if heaviest > middle + 10.0 else ""
+        self.wrong.append(
+            f"the angle runs from {low:.0f} to {high:.0f}° and the forces from {begins:.0f} to "
+            f"{ends:.0f}°, but it is zero where the leg hangs down; add --columns "
+            f"theta_offset_deg={offset:g}{turned}"
+        )
+
+
+_WORDS = {"theta": "theta", "fx": "Fx", "fz": "Fz", "moment": "the moment", "time": "the time"}
+
+
+def _split(header: str) -> tuple[str, str | None]:
+    """Name and unit of a column from its header, such as ``Force X (N)`` or ``Fz_N``."""
+    match = re.fullmatch(r"(.*?)\s*[\[({<]\s*([^\])}>]*)\s*[\])}>]", header)
+    if match and match[1]:
+        return match[1].strip(), match[2] or None
+    for pattern in (r"(.+?)\s+in\s+(.+)", r"(.+?)\s*[/,]\s*(.+)", r"(.+?)[_\s]+([^_\s]+)"):
+        match = re.fullmatch(pattern, header)
+        if match and unit_named(match[2]) and match[2] not in ("h", "u", "g"):
+            return match[1].strip(), match[2]
+    return header, None
+
+
+def _scattered(theta: FloatArray) -> bool:
+    """Whether the rows have no order in the angle, or are too few to have one."""
+    return len(theta) < 3 or bool(np.median(np.abs(np.diff(theta))) > SCATTERED_DEG)
+
+
+def _turns(theta: FloatArray) -> list[int]:
+    """Rows at which the leg turns back by ``TURN_DEG`` or more, with the first and the last."""
+    turns, way, low, high = [0], 0, 0, 0
+    for i, angle in enumerate(theta.tolist()):
+        if angle > theta[high]:
+            high = i
+        if angle < theta[low]:
+            low = i
+        if way >= 0 and angle < theta[high] - TURN_DEG:
+            turns, way, low = [*turns, high] if way else turns, -1, i
+        elif way <= 0 and angle > theta[low] + TURN_DEG:
+            turns, way, high = [*turns, low] if way else turns, 1, i
+    return [*turns, len(theta) - 1]
+
+
+def _covered(theta: FloatArray, pieces: list[slice]) -> float:
+    """Part of the path that any of the pieces covers [deg]."""
+    ends = np.array(sorted((theta[p].min(), theta[p].max()) for p in pieces)).reshape(-1, 2)
+    reached = np.maximum.accumulate(ends[:, 1])
+    starts = np.maximum(ends[:, 0], np.concatenate([[-np.inf], reached[:-1]]))
+    return float(np.maximum(ends[:, 1] - starts, 0.0).sum())
+
+
+def _increasing(theta: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rows in the order of θ; averaged in bins if θ does not grow from row to row."""
+    if np.all(np.diff(theta) > 0.0):
+        return theta, values
+    order = np.argsort(theta, kind="stable")
+    theta, values = theta[order], values[order]
+    if np.all(np.diff(theta) > 0.1 * BIN_DEG):
+        return theta, values
+    _, first, count = np.unique(
+        np.floor(theta / BIN_DEG + 0.5), return_index=True, return_counts=True
+    )
+    means = np.add.reduceat(np.column_stack([theta, values]), first) / count[:, None]
+    return means[:, 0], means[:, 1:]

@@ -1,0 +1,250 @@
+"""Tables of numbers as people have them: any separator, decimal sign, encoding, header or unit row.
+
+Lines that begin with ``#``, ``%`` or ``//`` are comments; ``#N/A`` and its like are missing values.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from packaging.version import Version
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import read_bytes
+from terraphi.experiment.units import is_unit
+
+_DIALECTS = [(sep, decimal) for sep in ("\t", ";", ",", "|", None) for decimal in ".,"]
+"""Separator (``None``: spaces) and decimal sign, the more usual first."""
+_MISSING = {
+    *("", "-", "--", "?", "nan", "na", "n/a", "n.a.", "null", "none", "inf", "-inf", "+inf"),
+    *("#n/a", "#na", "#nv", "#value!", "#wert!", "#div/0!", "#ref!", "#num!", "#null!", "#name?"),
+}
+"""Cells that hold no number, in lower case."""
+_COMMENT = re.compile(r"\s*(#(?!n/?a|nv|value!|wert!|div/0!|ref!|num!|null!|name\?)|%|//)", re.I)
+_ODD = frozenset(("", *"#%/ ,;\t"))
+"""First letters of lines that may be comments or empty."""
+_NUMBER = {
+    ".": re.compile(r"[-+]?(\d+\.?\d*|\.\d+|\d{1,3}(,\d{3})+(\.\d+)?)(e[-+]?\d+)?", re.I | re.A),
+    ",": re.compile(r"[-+]?(\d+(,\d+)?|,\d+|\d{1,3}(\.\d{3})+,\d+)(e[-+]?\d+)?", re.I | re.A),
+}
+"""Numbers by decimal sign; those with groups of thousands have the other sign between them."""
+LARGEST = 1e30
+"""Numbers beyond this are no measurement, and count as missing."""
+_SAMPLE = 100
+"""Lines that the separator is judged by, from the end of the file."""
+_HEAD = 100_000
+"""Letters that are looked at to see whether a file is text."""
+_CONTROL = re.compile(r"[^\t\n\r\f\x1a\x20-\x7e\x80-\U0010ffff]")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of numbers.
+
+    Attributes
+    ----------
+    frame
+        A ``pandas.DataFrame`` of floats; NaN where a cell holds no number.
+    units
+        Units that stand in a row of their own or in the column's attributes, by column.
+    lines, kind
+        Number of each row, and what it counts: lines of the file or rows of a DataFrame.
+    words
+        Cells that are neither number nor missing value, by column: place and cell.
+    comments
+        Lines of comment, whole.
+    """
+
+    frame: Any
+    units: dict[str, str] = field(default_factory=dict)
+    lines: Any = ()
+    kind: str = "line"
+    words: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+    comments: tuple[str, ...] = ()
+
+    def place(self, i: int) -> str:
+        """Where a row stands, such as ``line 12``."""
+        return f"{self.kind} {self.lines[i]}"
+
+
+def read_table(path: Path) -> Table:
+    """Read a table from a text file, a pipe or standard input (``-``).
+
+    Raises
+    ------
+    InputError
+        If it is not text, or holds no rows of numbers.
+    """
+    import pandas as pd
+
+    lines = _without_breaks(decoded(path, read_bytes(path)).splitlines())
+    odd = [line[:1] in _ODD for line in lines]  # most lines of a long log are not
+    kept = [
+        i for i, line in enumerate(lines)
+        if not odd[i] or (line.strip(" ,;\t") and not _COMMENT.match(line))
+    ]  # fmt: skip
+    comments = tuple(line for line in itertools.compress(lines, odd) if _COMMENT.match(line))
+    if not kept:
+        raise InputError(f"{path}: the file is empty; expected a header and a row for each reading")
+    separator, decimal = _dialect([lines[i] for i in kept[-_SAMPLE:]])
+    rows = [_cells(lines[i], separator) for i in kept[:_SAMPLE]]
+    first = next((i for i, row in enumerate(rows) if _numbers(row, decimal) >= 2), len(rows))
+    if first == len(rows):
+        raise InputError(
+            f"{path}: no numbers under the header; expected a row of numbers for each reading"
+        )
+    # A row with a word in it is a row of numbers still, if there is a header above it.
+    while first > 1 and _numbers(rows[first - 1], decimal) and (
+        len(rows[first]) == len(rows[first - 1]) == len(rows[first - 2])
+    ):  # fmt: skip
+        first -= 1
+    width = max(len(row) for row in rows[first:])
+    names, units, named = _header(rows[:first], width, comments, separator)
+    for i, row in enumerate(rows[first:], start=first):
+        if named and any(row[named:]):
+            raise InputError(
+                f"{path}, line {kept[i] + 1}: {len(row)} cells under {named} names; with decimal "
+                "commas, separate cells by semicolons"
+            )
+    body = io.BytesIO("\n".join([lines[i] for i in kept[first:]]).encode())
+    del lines
+    # From 3.1 on pandas reads floats exactly unasked.
+    exact = {} if Version(pd.__version__) >= Version("3.1") else {"float_precision": "round_trip"}
+    try:
+        frame = pd.read_csv(
+            body, sep=separator or r"\s+", decimal=decimal, header=None,
+            names=range(width), index_col=False, skipinitialspace=True, low_memory=False,
+            skip_blank_lines=False, on_bad_lines="error",
+            **exact,
+        )  # fmt: skip
+    except ValueError as error:  # pandas' own errors are among them
+        why = " ".join(str(error).split()).removeprefix("Error tokenizing data. C error: ")
+        why = re.sub(r"line (\d+)", lambda m: f"line {kept[first + int(m[1]) - 1] + 1}", why)
+        raise InputError(f"{path}: {why}; each row needs as many cells as the header") from error
+    frame.columns = names
+    places = np.array(kept[first:]) + 1
+    return _numeric(frame, units, places, "line", comments, decimal)
+
+
+def table_of(frame: Any) -> Table:
+    """A table from a ``pandas.DataFrame`` or an ``xarray.Dataset`` of one dimension."""
+    units = {}
+    if hasattr(frame, "data_vars"):
+        units = {str(n): str(v.attrs["units"]) for n, v in frame.variables.items() if
+                 "units" in v.attrs}  # fmt: skip
+        frame = frame.to_dataframe()
+    units |= {str(n): str(frame[n].attrs["units"]) for n in frame if "units" in frame[n].attrs}
+    if any(name is not None for name in frame.index.names):
+        frame = frame.reset_index()
+    frame = frame.set_axis([str(name).strip() for name in frame.columns], axis=1)
+    return _numeric(frame, units, np.arange(len(frame)), "row", (), ".")
+
+
+def decoded(path: Path, content: bytes) -> str:
+    """Text in UTF-8, UTF-16 or, if it is neither, Windows' western encoding; raises InputError."""
+    codecs = ["utf-8-sig", "cp1252"]
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        codecs = ["utf-16"]
+    elif len(content) > 3 and 0 in content[:4]:  # without its mark
+        codecs = ["utf-16-be" if content[0] == 0 else "utf-16-le"]
+    for codec in codecs:
+        try:
+            text = content.decode(codec)
+        except UnicodeDecodeError:
+            continue
+        if not _CONTROL.search(text, 0, _HEAD):
+            return text.replace("\u2212", "-").replace("\xa0", " ").rstrip("\x1a")
+    raise InputError(f"{path}: not a text file; save the table as CSV in UTF-8")
+
+
+def _without_breaks(lines: list[str]) -> list[str]:
+    """Lines in which a quoted cell of the header goes on in the next line are one; none is lost."""
+    for i, line in enumerate(lines[:_SAMPLE]):
+        if line.count('"') % 2 and not _COMMENT.match(line):
+            ends = (j for j in range(i + 1, i + 4) if lines[j : j + 1] and '"' in lines[j])
+            for j in range(i + 1, next(ends, i) + 1):
+                lines[i], lines[j] = f"{lines[i]} {lines[j]}", ""
+            return _without_breaks(lines) if lines[i] != line else lines
+    return lines
+
+
+def _cells(line: str, separator: str | None) -> list[str]:
+    cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True)) if separator else (
+        line.split()
+    )  # fmt: skip
+    return [cell.strip() for cell in cells]
+
+
+def _numbers(row: list[str], decimal: str) -> int:
+    """How many cells of a row are numbers."""
+    return sum(_NUMBER[decimal].fullmatch(cell) is not None for cell in row)
+
+
+def _dialect(lines: list[str]) -> tuple[str | None, str]:
+    """Separator and decimal sign with which lines hold the most numbers and the least else."""
+
+    def score(dialect: tuple[str | None, str]) -> float:
+        rows = [_cells(line, dialect[0]) for line in lines]
+        found = [_numbers(row, dialect[1]) for row in rows]
+        cells = sum(len([cell for cell in row if cell.lower() not in _MISSING]) for row in rows)
+        return float(sum(found)) * sum(found) / max(cells, 1)
+
+    return max(_DIALECTS, key=score)  # of equals the first
+
+
+def _header(
+    rows: list[list[str]], width: int, comments: tuple[str, ...], separator: str | None
+) -> tuple[list[str], dict[str, str], int]:
+    """Names of the columns, units from a row of their own, and how many cells the header has."""
+    rows = [row for row in rows if any(cell.lower() not in _MISSING for cell in row)]
+    units: list[str] = []
+    last = [cell for cell in rows[-1] if cell not in ("", "-")] if len(rows) > 1 else []
+    if last and 2 * sum(is_unit(cell) for cell in last) >= len(last):
+        units = rows.pop()
+    found = rows[-1] if rows else []
+    if not rows and comments:  # as numpy.savetxt writes it
+        line = comments[-1].lstrip(" #%/")
+        splits = [_cells(line, one) for one in (separator, "\t", ";", ",", None)]
+        splits.append(re.split(r"\s{2,}", line.strip()))
+        found = next((one for one in splits if len(one) == width), [])
+    names: list[str] = []
+    for i in range(width):
+        name = found[i].strip() if i < len(found) else ""
+        name = name or f"column {i + 1}"
+        names.append(name if name not in names else f"{name} ({i + 1})")
+    units_by_name = {name: unit for name, unit in zip(names, units, strict=False) if unit}
+    return names, units_by_name, len(found)
+
+
+def _numeric(
+    frame: Any, units: dict[str, str], lines: Any, kind: str, comments: tuple[str, ...],
+    decimal: str,
+) -> Table:  # fmt: skip
+    """Columns as floats, with what is no number set aside."""
+    words: dict[str, list[tuple[str, str]]] = {}
+    numbers = set(frame.select_dtypes("number").columns)
+
+    def number(name: str, i: int, cell: Any) -> float:
+        text = str(cell).strip().replace("\u2212", "-")
+        for sign in (decimal, "."):
+            if _NUMBER[sign].fullmatch(text):
+                return float(text.replace("." if sign == "," else ",", "").replace(",", "."))
+        if text.lower() not in _MISSING:
+            words.setdefault(name, []).append((f"{kind} {lines[i]}", text))
+        return float("nan")
+
+    found = {
+        name: frame[name].to_numpy(np.float64, na_value=np.nan)
+        if name in numbers
+        else np.array([number(name, i, cell) for i, cell in enumerate(frame[name])], np.float64)
+        for name in frame.columns
+    }
+    found = {name: np.where(np.abs(v) < LARGEST, v, np.nan) for name, v in found.items()}
+    return Table(type(frame)(found), units, lines, kind, words, comments)

@@ -1,0 +1,44 @@
+"""Units of force, angle, moment and time, as headers of tables have them."""
+
+from __future__ import annotations
+
+from math import pi
+
+FORCE = {
+    "N": 1.0, "kN": 1e3, "mN": 1e-3, "MN": 1e6, "lbf": 4.4482216152605, "ozf": 0.27801385095378125,
+    "kgf": 9.80665, "gf": 9.80665e-3, "dyn": 1e-5,
+}  # fmt: skip
+"""Newtons."""
+ANGLE = {"deg": 1.0, "rad": 180.0 / pi, "mrad": 0.18 / pi, "rev": 360.0, "gon": 0.9}
+"""Degrees."""
+MOMENT = {"N m": 1.0, "kN m": 1e3, "mN m": 1e-3, "N mm": 1e-3, "N cm": 1e-2}
+MOMENT |= {"lbf ft": 1.3558179483314, "lbf in": 0.1129848290276167, "ozf in": 7.061551814e-3}
+"""Newton meters."""
+TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+"""Seconds."""
+KINDS = {"force": FORCE, "angle": ANGLE, "moment": MOMENT, "time": TIME}
+_OTHER_NAMES = {
+    "newton": "N", "newtons": "N", "lb": "lbf", "lbs": "lbf", "pound": "lbf", "pounds": "lbf",
+    "kp": "kgf", "kg": "kgf", "g": "gf", "°": "deg", "º": "deg", "degree": "deg", "degrees": "deg",
+    "grad": "deg", "radian": "rad", "radians": "rad", "turn": "rev", "turns": "rev",
+    "u": "rev", "sec": "s", "secs": "s", "second": "s", "seconds": "s", "sek": "s", "msec": "ms",
+    "µs": "us", "μs": "us", "ft lb": "lbf ft", "ft lbf": "lbf ft", "in lb": "lbf in",
+    "in lbf": "lbf in", "oz": "ozf",
+}  # fmt: skip
+"""Other names, in lower case. *Grad* is German for degree; a grade is ``gon``."""
+_KNOWN = {name: name for units in KINDS.values() for name in units}
+_LOWER = {name.lower(): name for name in _KNOWN if name != "MN"} | _OTHER_NAMES
+
+
+def unit_named(text: str) -> str | None:
+    """Our name of a unit, however it is written, such as ``lbf`` for ``Lbs``; or ``None``."""
+    text = " ".join(text.strip(" []()<>{}.").replace("·", " ").replace("*", " ").split())
+    compact = text.replace(" ", "")
+    joined = {name.replace(" ", ""): name for name in _KNOWN}
+    lower = {name.replace(" ", ""): unit for name, unit in _LOWER.items()}
+    return _KNOWN.get(text) or joined.get(compact) or lower.get(compact.lower())
+
+
+def is_unit(text: str) -> bool:
+    """Whether a cell of a table is the unit of its column."""
+    return unit_named(text) is not None

@@ -1,0 +1,108 @@
+"""A day of tests in one table: a row for each record, with its leg, its density and its columns."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.files import read_bytes
+from terraphi.experiment.tables import decoded
+from terraphi.inference.answer import Answer
+from terraphi.inference.inversion import invert_many
+from terraphi.library.build import workers
+
+OPTIONS = ("leg", "density", "columns", "library", "noise", "calibration")
+"""Columns that are options of ``invert``, besides ``file``."""
+LEAST_ROWS = 8
+"""Records from which several processes are worth their start."""
+
+
+def read_manifest(path: Path) -> list[dict[str, Any]]:
+    """Rows of a table of records, as :func:`~terraphi.inference.inversion.invert_many` takes them.
+
+    Parameters
+    ----------
+    path
+        Text with a column ``file`` and, if wanted, those of :data:`OPTIONS`. Files are looked for
+        from its folder. Other columns are kept as ``notes``.
+
+    Raises
+    ------
+    InputError
+        With everything that is wrong with it.
+    """
+    import pandas as pd
+
+    text = decoded(path, read_bytes(path))
+    separator = next((sign for sign in "\t;" if sign in text.partition("\n")[0]), ",")
+    try:
+        table = pd.read_csv(
+            io.StringIO(text), sep=separator, dtype=str, keep_default_na=False,
+            skipinitialspace=True, index_col=False,
+        ).fillna("")  # fmt: skip
+    except ValueError as error:
+        raise InputError(f"{path}: not a table ({' '.join(str(error).split())})") from error
+    table.columns = [str(name).strip() for name in table.columns]
+    known = ("file", *OPTIONS)
+    wrong = [] if "file" in table else ["no column 'file'"]
+    for name in [str(name) for name in table.columns if name not in known]:
+        hint = nearest(name, known)
+        if hint.startswith("did"):
+            wrong.append(f"unknown column '{name}'; {hint}")
+    rows = [
+        {key: str(cell).strip() for key, cell in one.items()} for one in table.to_dict("records")
+    ]
+    wrong += [f"row {i} names no file" for i, one in enumerate(rows, 1) if not one.get("file", "-")]
+    if not rows:
+        wrong.append("no rows")
+    if wrong:
+        raise InputError(f"{path}: {'; '.join(wrong)}; expected {','.join(known)}")
+    return [_row(path.parent, one) for one in rows]
+
+
+def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
+    """Options of one record; files that lie in the folder of the table are found there."""
+
+    def placed(text: str) -> str:
+        return str(folder / text) if (folder / text).is_file() else text
+
+    given = {key: placed(cells[key]) for key in OPTIONS if cells.get(key)}
+    if "noise" in given:
+        try:
+            given["noise"] = float(given["noise"])  # type: ignore[assignment]
+        except ValueError:
+            raise InputError(f"{cells['file']}: noise = {given['noise']!r} is no number") from None
+    notes = {key: cell for key, cell in cells.items() if key not in ("file", *OPTIONS)}
+    return {"forces": placed(cells["file"]), **given, "notes": notes}
+
+
+def invert_rows(
+    rows: Sequence[dict[str, Any]],
+    options: dict[str, Any],
+    progress: Callable[[float, float], None] = lambda _done, _all: None,
+) -> list[Answer | InputError]:
+    """Invert records, each by itself, on all cores if there are many.
+
+    Parameters
+    ----------
+    rows
+        Options of each record.
+    options
+        Of those that do not have their own.
+    progress
+        Called with the number of finished records and of all.
+    """
+    whole = [{**options, **{k: v for k, v in row.items() if k != "notes"}} for row in rows]
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    with workers(min(count or 1, len(rows)) if len(rows) >= LEAST_ROWS else 1) as pool:
+
+        def counted(function: Any, rows: Any) -> Any:
+            for done, one in enumerate((map if pool is None else pool.map)(function, rows), 1):
+                yield one
+                progress(done, len(rows))
+
+        return invert_many(whole, map_=counted)

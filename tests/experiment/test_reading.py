@@ -1,0 +1,404 @@
+"""One record written as people export theirs, by pandas and csv: the same forces come back."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import constants
+
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.measurements import measurement
+from terraphi.experiment.reading import read_forces, read_trials
+from terraphi.experiment.units import ANGLE, FORCE, MOMENT, unit_named
+
+SHIPPED = measurement("li2013:yuma/straight").history
+THETA, FX, FZ = SHIPPED.theta_deg, SHIPPED.Fx, SHIPPED.Fz
+LBF, KGF = 4.4482216152605, 9.80665
+N = len(THETA)
+
+Export = tuple[bytes, dict[str, Any]]
+EXPORTS: dict[str, Callable[[], Export]] = {}
+
+
+def export(make: Callable[[], Export]) -> Callable[[], Export]:
+    EXPORTS[make.__name__] = make
+    return make
+
+
+def frame(theta: Any = THETA, fx: Any = FX, fz: Any = FZ, names: str = "theta Fx Fz") -> Any:
+    return pd.DataFrame(dict(zip(names.split(), (theta, fx, fz), strict=True)))
+
+
+def text(table: Any, **options: Any) -> bytes:
+    encoding = options.pop("encoding", "utf-8")
+    return table.to_csv(index=options.pop("index", False), **options).encode(encoding)
+
+
+@export
+def own_names() -> Export:
+    return text(frame(names="theta_deg Fx_N Fz_N")), {}
+
+
+@export
+def german_excel() -> Export:
+    table = frame().set_axis(["Winkel [°]", "Kraft X [N]", "Kraft Z [N]"], axis=1)
+    return text(table, sep=";", decimal=",", encoding="cp1252"), {}
+
+
+@export
+def german_excel_with_missing_values() -> Export:
+    table = frame().set_axis(["Winkel [°]", "Fx (N)", "Fz (N)"], axis=1).astype(object)
+    gaps = pd.DataFrame([["#N/A", 1.0, 2.0], [3.5, None, 2.0], [None] * 3], columns=table.columns)
+    table = pd.concat([table[:9], gaps, table[9:]])
+    return text(table, sep=";", decimal=",", encoding="utf-8-sig"), {}
+
+
+@export
+def tabs_in_utf16() -> Export:
+    return text(frame(names="Angle_deg Fx_N Fz_N"), sep="\t", encoding="utf-16"), {}
+
+
+@export
+def utf16_without_a_mark() -> Export:
+    return text(frame(names="angle Fx Fz"), sep="\t", encoding="utf-16-le"), {}
+
+
+@export
+def units_row() -> Export:
+    body = text(frame(theta=np.radians(THETA), fx=FX / 1e3, fz=FZ / 1e3), header=False, sep="\t")
+    return b"theta\tFx\tFz\nrad\tkN\tkN\n" + body, {}
+
+
+@export
+def units_row_among_other_columns() -> Export:
+    table = frame().assign(Temp=21.5, Fy=0.3, time=0.01 * np.arange(N), note="ok")
+    head = "theta,Fx,Fz,Temp,Fy,time,note\n[deg],[mN],[mN],[°C],[mN],[s],\n"
+    table[["Fx", "Fz"]] *= 1e3
+    return head.encode() + text(table, header=False), {}
+
+
+@export
+def extra_columns_in_another_order() -> Export:
+    table = frame(names="theta_deg Fx_N Fz_N").assign(sample=range(N), Fy_N=0.1, valid=True)
+    return text(table[["sample", "valid", "Fz_N", "Fy_N", "theta_deg", "Fx_N"]]), {}
+
+
+@export
+def savetxt() -> Export:
+    stream = io.StringIO()
+    table = np.stack([THETA, FX, FZ], axis=1)
+    np.savetxt(stream, table, fmt="%.10g", header="theta_deg Fx_N Fz_N")
+    return stream.getvalue().encode(), {}
+
+
+@export
+def matlab() -> Export:
+    rows = [f"  {t: .7e}  {x: .7e}  {z: .7e}" for t, x, z in zip(THETA, FX, FZ, strict=True)]
+    return "\n".join(["% theta [deg]   Fx [N]   Fz [N]", *rows]).encode(), {}
+
+
+@export
+def labview() -> Export:
+    head = "LabVIEW Measurement\t\nSeparator\tTab\nTime\t10:11:12,5\n***End_of_Header***\t\n\n"
+    table = frame(names="Angle Force_X Force_Z")
+    table.insert(0, "X_Value", 0.01 * np.arange(N))
+    return head.encode() + text(table, sep="\t", decimal=","), {}
+
+
+@export
+def header_with_line_breaks() -> Export:
+    return text(frame().set_axis(["Angle", "Force X\n(N)", "Force Z\n(N)"], axis=1)), {}
+
+
+@export
+def no_header() -> Export:
+    columns = {"theta": "column 1", "fx": "column 2", "fz": "column 3"}
+    return text(frame(), header=False, sep=" "), columns
+
+
+@export
+def index_and_clock() -> Export:
+    return text(frame().assign(clock="12:00:01.5"), index=True), {}
+
+
+@export
+def fixed_width_columns() -> Export:
+    return frame(names="theta_deg Fx_N Fz_N").to_string(index=False).encode(), {}
+
+
+@export
+def metadata_above_the_header() -> Export:
+    head = "Prüfstand 3\nDatum;27.11.2026\nBeinlänge;76,2;mm\n\n% sand, dry\n"
+    body = text(frame(names="Leg_angle_deg Force_X Force_Z"), sep=";", decimal=",")
+    return head.encode() + body, {}
+
+
+@export
+def pounds_and_radians_given() -> Export:
+    table = frame(theta=np.radians(THETA), fx=FX / LBF, fz=FZ / LBF, names="q load_a load_b")
+    return text(table), {
+        "theta": "q", "fx": "load_a", "fz": "load_b", "unit": "lbf", "theta_unit": "rad",
+    }  # fmt: skip
+
+
+@export
+def pounds_in_the_header() -> Export:
+    table = frame(fx=FX / LBF, fz=FZ / LBF).set_axis(
+        ["Leg Angle (degrees)", "Force X (lbs)", "Force Z (lbs)"], axis=1
+    )
+    return text(table), {}
+
+
+@export
+def kilograms_and_turns() -> Export:
+    table = frame(theta=THETA / 360.0, fx=FX / KGF, fz=FZ / KGF, names="theta_rev Fx_kgf Fz_kgf")
+    return text(table), {}
+
+
+@export
+def angle_from_zero_and_turned() -> Export:
+    table = frame(theta=140.0 - THETA)[::-1]
+    return text(table), {"theta_offset_deg": -140.0, "theta_sign": -1}
+
+
+@export
+def force_on_the_soil() -> Export:
+    return text(frame(fx=-FX, fz=-FZ)), {"force_on": "soil"}
+
+
+@export
+def z_down_and_x_backward() -> Export:
+    return text(frame(fx=-FX, fz=-FZ)), {"fx_sign": -1, "fz_sign": -1}
+
+
+@export
+def encoder_that_wraps() -> Export:
+    return text(frame(theta=THETA % 360.0)), {}
+
+
+@export
+def shuffled_rows() -> Export:
+    return text(frame().sample(frac=1.0, random_state=0)), {}
+
+
+@export
+def falling_rows_with_line_ends_of_windows() -> Export:
+    return text(frame()[::-1], lineterminator="\r\n"), {}
+
+
+@export
+def repeats_of_a_coarse_encoder() -> Export:
+    jitter = np.tile([-0.3, 0.1, 0.2], N)
+    each = [np.repeat(column, 3) for column in (THETA, FX, FZ)]
+    return text(frame(each[0], each[1] + jitter, each[2] - jitter)), {}
+
+
+@export
+def time_at_a_stated_rate() -> Export:
+    table = frame(theta=(THETA + 132.0) / 30.0 * 1e3, names="time_ms Fx Fz")
+    return text(table), {"rate_deg_s": 30.0, "theta_offset_deg": -132.0}
+
+
+@export
+def stroke_forth_and_back() -> Export:
+    back = frame(fx=0.2 * FX, fz=0.2 * FZ)[::-1]
+    return text(pd.concat([frame(), back])), {}
+
+
+@export
+def quoted_with_trailing_separators() -> Export:
+    stream = io.StringIO()
+    writer = csv.writer(stream, delimiter=";", quoting=csv.QUOTE_ALL)
+    writer.writerow(["theta", "Fx", "Fz", ""])
+    writer.writerows([t, x, z, ""] for t, x, z in zip(THETA, FX, FZ, strict=True))
+    return stream.getvalue().encode(), {}
+
+
+@export
+def groups_of_thousands_and_minus_signs() -> Export:
+    def german(value: float) -> str:
+        return f"{value:,.6f}".translate(str.maketrans(",.", ".,")).replace("-", "\u2212")
+
+    rows = [";".join(map(german, row)) for row in zip(THETA, 1e3 * FX, 1e3 * FZ, strict=True)]
+    return "\n".join(["theta;Fx/mN;Fz/mN", *rows]).encode(), {}
+
+
+@pytest.mark.parametrize("name", EXPORTS)
+def test_every_export_gives_the_same_forces(name: str, tmp_path: Path) -> None:
+    content, options = EXPORTS[name]()
+    (tmp_path / "x.csv").write_bytes(content)
+    found = read_forces(tmp_path / "x.csv", **options)
+    assert found.theta_deg == pytest.approx(THETA, abs=1e-6)
+    assert found.Fx == pytest.approx(FX, abs=1e-6)
+    assert found.Fz == pytest.approx(FZ, abs=1e-6)
+    notes = " ".join(found.provenance.get("reading", []))
+    lost = {"german_excel_with_missing_values": "2 of 267", "stroke_forth_and_back": "way back"}
+    assert lost.get(name, "") in notes
+
+
+@settings(max_examples=150)
+@given(data=st.data())
+def test_any_mixture_of_habits_gives_the_same_forces(
+    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    def choose(*values: Any) -> Any:
+        return data.draw(st.sampled_from(values))
+
+    angle, degrees = choose(("deg", 1.0), ("°", 1.0), ("rad", np.degrees(1.0)), ("rev", 360.0))
+    unit, newtons = choose(("N", 1.0), ("kN", 1e3), ("mN", 1e-3), ("lbf", LBF), ("kgf", KGF))
+    style = choose("{} [{}]", "{} ({})", "{}/{}", "{} in {}", "{}_{}", "row")
+    names = [choose("theta", "Angle", "leg angle", "WINKEL", "θ")]
+    names += choose(("Fx", "Fz"), ("Force X", "Force Z"), ("F_x", "F_z"), ("Kraft x", "Kraft z"))
+    units = [angle, unit, unit]
+    heads = [n if style == "row" else style.format(n, u) for n, u in zip(names, units, strict=True)]
+    separator, decimal = choose((",", "."), (";", ","), (";", "."), ("\t", ","), ("\t", "."))
+    quoting = choose(csv.QUOTE_MINIMAL, csv.QUOTE_NONNUMERIC)
+    table = frame(THETA / degrees, FX / newtons, FZ / newtons).set_axis(heads, axis=1)
+    if choose(False, True):
+        table.insert(data.draw(st.integers(0, 3)), "note", choose("a", 1, None))
+    if choose(False, True):
+        table = table.sample(frac=1.0, random_state=1)
+    head, _, body = table.to_csv(
+        sep=separator, decimal=decimal, quoting=quoting, index=choose(False, True),
+        lineterminator=choose("\n", "\r\n"),
+    ).partition("\n")  # fmt: skip
+    if style == "row":
+        place = dict(zip(heads, units, strict=True))
+        cells = next(csv.reader([head.rstrip("\r")], delimiter=separator))
+        body = separator.join(place.get(cell, "") for cell in cells) + "\n" + body
+    content = choose("", "# 27.11.2026\n\n", "Day;3\n") + head + "\n" + body
+    file = tmp_path_factory.getbasetemp() / "habits.csv"
+    encodings = ("utf-8", "utf-8-sig", "utf-16") + (() if "θ" in content else ("cp1252",))
+    file.write_bytes(content.encode(choose(*encodings)))
+    found = read_forces(file)
+    assert found.theta_deg == pytest.approx(THETA, abs=1e-6)
+    assert np.abs(found.force - SHIPPED.force).max() < 1e-6
+
+
+def test_tables_in_memory_give_the_same_forces() -> None:
+    table = frame(names="theta_deg Fx_N Fz_N")
+    dataset = xr.Dataset(
+        {"Fx": ("theta", FX / 1e3, {"units": "kN"}), "Fz": ("theta", FZ / 1e3, {"units": "kN"})},
+        {"theta": ("theta", np.radians(THETA), {"units": "rad"})},
+    )
+    for source in (table, table.set_index("theta_deg"), table.astype(str), dataset):
+        found = read_forces(source)
+        assert found.theta_deg == pytest.approx(THETA, abs=1e-6)
+        assert np.abs(found.force - SHIPPED.force).max() < 1e-6
+
+
+def test_jitter_of_the_encoder_is_averaged() -> None:
+    rng, theta = np.random.default_rng(0), np.linspace(-90.0, 90.0, 20_000)
+    fx, fz = 5.0 * np.cos(np.radians(theta)), np.sin(np.radians(2.0 * theta))
+    found = read_forces(frame(theta + 0.05 * rng.standard_normal(theta.size), fx, fz))
+    assert 700 < found.position.size < 730
+    # 28 readings a bin, each off by 0.05° times a slope of 0.09 N/°: 0.0008 N, and five times that.
+    assert found.Fx == pytest.approx(5.0 * np.cos(found.position), abs=4e-3)
+    assert found.Fz == pytest.approx(np.sin(2.0 * found.position), abs=4e-3)
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_strokes_are_trials(back: bool) -> None:
+    tables = []
+    for gain in (1.0, 0.9, 1.1):
+        tables.append(frame(fx=gain * FX, fz=gain * FZ))
+        if back:
+            tables.append(frame(fx=0.2 * FX, fz=0.2 * FZ)[::-1])
+    found = read_trials(pd.concat(tables))
+    assert len(found) == 3
+    for gain, one in zip((1.0, 0.9, 1.1), found, strict=True):
+        inside = np.abs(one.theta_deg) < 90.0
+        expected = gain * np.interp(one.theta_deg, THETA, FX)
+        assert one.Fx[inside] == pytest.approx(expected[inside], abs=1e-6)
+    with pytest.raises(InputError, match="3 strokes"):
+        read_forces(pd.concat(tables))
+
+
+def test_glitches_of_the_encoder_are_left_out() -> None:
+    theta = THETA.copy()
+    theta[[50, 120, 190]] = [-999.0, 400.0, 0.0]
+    found = read_forces(frame(theta))
+    kept = np.delete(np.arange(N), [50, 120, 190])
+    assert found.theta_deg == pytest.approx(THETA[kept])
+    assert found.Fz == pytest.approx(FZ[kept])
+
+
+def test_turns_of_a_rotating_leg_are_trials() -> None:
+    theta = np.arange(-180.0, 900.0, 1.0)
+    angle = (theta + 180.0) % 360.0 - 180.0
+    inside = np.abs(angle) < 132.0
+    table = frame(theta, *(np.where(inside, np.interp(angle, THETA, f), 0.0) for f in (FX, FZ)))
+    found = read_trials(table)
+    assert len(found) == 3
+    for one in found:
+        assert one.between(*np.radians([-90.0, 90.0])).Fz == pytest.approx(FZ[42:-42], abs=1e-6)
+
+
+def test_the_moment_comes_along() -> None:
+    found = read_forces(frame().assign(**{"M [N mm]": 1e3 * FZ}))
+    assert found.moment == pytest.approx(FZ)
+    for other in ("M [kg]", "torque [A]"):  # not a moment, and no reason to refuse the table
+        assert read_forces(frame().assign(**{other: 1.0})).moment is None
+
+
+def test_units_are_those_of_scipy() -> None:
+    pound, foot, inch = constants.lbf, constants.foot, constants.inch
+    ours = {**FORCE, **MOMENT, **{name: np.radians(value) for name, value in ANGLE.items()}}
+    known = {
+        "lbf": pound, "ozf": pound / 16, "kgf": constants.kgf, "dyn": constants.dyn,
+        "lbf ft": pound * foot, "lbf in": pound * inch, "ozf in": pound / 16 * inch,
+        "deg": constants.degree, "rad": 1.0, "rev": 2 * np.pi, "gon": np.pi / 200, "mrad": 1e-3,
+    }  # fmt: skip
+    assert {name: ours[name] for name in known} == pytest.approx(known, rel=1e-9)
+    for written, name in (
+        ("°", "deg"), ("Lbs", "lbf"), ("N·m", "N m"), ("mN", "mN"), ("MN", "MN"), ("KN", "kN"),
+        ("Newton", "N"), ("[µs]", "us"), ("foo", None), ("", None),
+    ):  # fmt: skip
+        assert unit_named(written) == name
+
+
+# -- what is wrong -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("table", "remedy"),
+    [
+        (frame(theta=np.radians(THETA)), {"theta_unit": "rad"}),
+        (frame(theta=THETA + 132.0), {"theta_offset_deg": -132.0}),
+        (frame(theta=180.0 + THETA), {"theta_offset_deg": -180.0}),
+        (frame(theta=132.0 - THETA)[::-1], {"theta_offset_deg": -132.0, "theta_sign": -1}),
+        (
+            pd.concat([frame(theta=-THETA), frame(theta=-THETA, fx=0.2 * FX, fz=0.2 * FZ)[::-1]]),
+            {"theta_sign": -1},
+        ),
+    ],
+)
+def test_an_impossible_angle_is_refused_with_the_option_that_mends_it(
+    table: Any, remedy: dict[str, Any]
+) -> None:
+    with pytest.raises(InputError) as caught:
+        read_forces(table)
+    offered = str(caught.value).partition("--columns ")[2]
+    found = dict(pair.split("=") for pair in offered.split(","))
+    assert {key: float(v) if key != "theta_unit" else v for key, v in found.items()} == remedy
+    assert read_forces(table, **remedy).theta_deg == pytest.approx(THETA, abs=1e-6)
+
+
+def test_all_that_is_wrong_is_reported_at_once(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text(
+        "angle_1,angle_2,Fx [foo],Fy\n" + "".join(f"{t},{t},{t},1\n" for t in range(-80, 81, 4))
+    )
+    with pytest.raises(InputError) as caught:
+        read_forces(tmp_path / "x.csv")
+    for part in ("'angle_1' or 'angle_2'", "'foo'", "no column of Fz"):
+        assert part in str(caught.value)

@@ -1,0 +1,47 @@
+"""Parts of a stroke: information adds up, and intervals still hold the angle of the whole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import measurement, names
+from terraphi.inference.inversion import invert
+from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.partial import part_of
+from terraphi.inference.records import open_record
+from terraphi.library.store import Library
+
+
+def cut(name: str, low: float, high: float) -> ForceHistory:
+    history = measurement(name).history
+    return replace(history.between(*np.radians([low, high])), provenance={})
+
+
+def test_information_of_the_parts_adds_up_to_that_of_the_whole(sand3d: Library) -> None:
+    shares = []
+    # Cut between windows, whose width is 170/39°.
+    for low, high in ((-90.0, -170.0 / 78.0 * 20), (-170.0 / 78.0 * 20, 0.0), (0.0, 90.0)):
+        record = open_record(cut("li2013:yuma/straight", low, high), leg="straight", density=1650)
+        shares.append(part_of(Likelihood([record], sand3d), record).share)
+    # Each is taken at the best angle of its part.
+    assert sum(shares) == pytest.approx(1.0, abs=0.1)
+    whole = open_record("li2013:yuma/straight")
+    assert part_of(Likelihood([whole], sand3d), whole).share == 1.0
+
+
+@pytest.mark.parametrize("window", [(-80, 80), (-60, 60), (-60, 0), (-40, 0), (-20, 40), (0, 85)])
+def test_a_part_gives_the_angle_of_the_whole_within_its_own_share(window: tuple[int, int]) -> None:
+    apart = []
+    for name in names():
+        known = measurement(name)
+        whole = invert(known)
+        part = invert(cut(name, *window), leg=known.leg, density=known.density_kg_m3)
+        missing = part.budget_deg.get("missing angles", 0.0)
+        assert part.phi.sd > 0.95 * whole.phi.sd  # other terms change a little too
+        apart.append(abs(part.phi.median - whole.phi.median) / max(missing, 0.3))
+    # Of twelve normal deviates the largest is below 3.5 with 99.4 % probability.
+    assert max(apart) < 3.5
