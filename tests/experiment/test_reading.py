@@ -147,7 +147,7 @@ def metadata_above_the_header() -> Export:
 def pounds_and_radians_given() -> Export:
     table = frame(theta=np.radians(THETA), fx=FX / LBF, fz=FZ / LBF, names="q load_a load_b")
     return text(table), {
-        "theta": "q", "fx": "load_a", "fz": "load_b", "unit": "lbf", "theta_unit": "rad",
+        "theta": "q", "fx": "load_a", "fz": "load_b", "unit": "lbs", "theta_unit": "radians",
     }  # fmt: skip
 
 

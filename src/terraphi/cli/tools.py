@@ -83,7 +83,7 @@ def doctor(as_json: bool) -> None:
 @click.command()
 @click.argument(
     "document",
-    type=Choice(("scenario", "plan", "robot", "columns")),
+    type=Choice(("scenario", "plan", "robot", "forces", "columns")),
     default="scenario",
     metavar="[DOCUMENT]",
 )
@@ -91,8 +91,8 @@ def doctor(as_json: bool) -> None:
 def keys(document: str, as_json: bool) -> None:
     """List the keys of a TOML file.
 
-    With unit, default, choices and meaning. DOCUMENT is scenario (default), plan, robot, or
-    columns (of a robot's log).
+    With unit, default, choices and meaning. DOCUMENT is scenario (default), plan, robot, forces
+    (for invert --columns), or columns (of a robot's log).
 
     Example: terraphi keys plan
     """

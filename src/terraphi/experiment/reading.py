@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict, parse_toml, strictly
@@ -85,6 +85,12 @@ class ForceColumns(Strict):
     """-1 where the z axis of the table points down."""
     force_on: Literal["leg", "soil"] = "leg"
     """Whether the forces act on the leg or on the soil."""
+
+    @field_validator("unit", "theta_unit", mode="before")
+    @classmethod
+    def _named(cls, unit: Any) -> Any:
+        """Our name of a unit that is written otherwise, such as ``lbs``."""
+        return (unit_named(unit) if isinstance(unit, str) else None) or unit
 
     @classmethod
     def of(cls, given: ForceColumns | Mapping[str, Any] | Path | str | None) -> ForceColumns:
