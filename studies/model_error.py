@@ -18,7 +18,7 @@ F(θ, 0), and smooth over θ. What a library reads off the records, by least squ
 - the **offset**: over loose grains, the angle read less the critical angle, a line over φ;
 - what **soils** and **legs** differ by, from a soil's mean over legs and from each leg's distance
   to that. What media of known repose differ by more is common to an apparatus. A prior worth
-  PRIOR_SOILS of PRIOR_SD_DEG keeps each from vanishing;
+  PRIOR_SOILS of PRIOR_SD_DEG (PRIOR_COMMON_DEG) keeps each from vanishing;
 - the **mean residual** over the model's peak-to-peak, and the limit of a misfit: what remains less
   the mean of all other soils, at the quantile LIMIT over records, times MARGIN.
 """
@@ -36,7 +36,7 @@ import numpy as np
 
 from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.measurements import measurement, names
-from terraphi.inference.checks import without_faults
+from terraphi.inference.checks import log_strength, without_faults
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import Record, open_record
 from terraphi.inference.soils import CENTRE_DEG
@@ -54,11 +54,11 @@ SMOOTH_DEG = 5.0
 THETA_DEG = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
 SIZES = ("coarse", "fine")
 """Last parts of the names of soils that are others in another size."""
-PRIOR_SOILS, PRIOR_SD_DEG = 2, 1.0
+PRIOR_SOILS, PRIOR_SD_DEG, PRIOR_COMMON_DEG = 2, 1.0, 1.5
 LIMIT, MARGIN = 0.9, 1.1
 SLOPE_SD = 0.3
 """Standard deviation of the offset's slope over φ before anything is known [-]."""
-REPOSE_SD_DEG = 2.0
+REPOSE_SD_DEG = 3.0
 """Standard deviation of a critical angle that is known as an angle of repose [deg]."""
 
 
@@ -83,6 +83,8 @@ class Reading(NamedTuple):
     """The same off the record of the finest grains as it is [deg]."""
     shift_deg: float
     """Shift of θ [deg]."""
+    strength: float
+    """ln of the factor on the library's curves with which the record fits best [-]."""
     residual: np.ndarray
     """Data less curve over the model's peak-to-peak [-], shape [2, theta]."""
     share: np.ndarray
@@ -143,14 +145,17 @@ def record_of(name: str, leg: str, force: np.ndarray, density: float) -> Record:
     return replace(record, source=f"grains {name}, {leg}")
 
 
-def read(library: Library, record: Record) -> tuple[float, float, np.ndarray, np.ndarray]:
-    """Angle, shift, residual and share of a record, as `Reading` has them."""
+def read(library: Library, record: Record) -> tuple[float, float, float, np.ndarray, np.ndarray]:
+    """Angle, shift, strength, residual and share of a record, as `Reading` has them."""
     likelihood = Likelihood([without_faults(record)], replace(library, model_error={}))
     best, record = likelihood.least_squares, likelihood.records[0]
     curve = likelihood.curves(best[None])[0].reshape(2, -1)
     share = (record.data - curve) / np.ptp(curve, axis=1)[:, None]
     rows = np.stack([np.interp(THETA_DEG, record.theta_deg, row) for row in share])
-    return float(best[0]), float(likelihood.shift_deg[0]), rows, np.ptp(curve, axis=1) / record.span
+    return (
+        float(best[0]), float(likelihood.shift_deg[0]), log_strength(likelihood, record), rows,
+        np.ptp(curve, axis=1) / record.span,
+    )  # fmt: skip
 
 
 def readings(library: Library, folder: Path = GRAINS) -> list[Reading]:
@@ -213,9 +218,9 @@ def learn(every: Sequence[Reading]) -> dict[str, dict]:
             apart.setdefault(r.soil, []).append(excess / (1.0 + slope))
         return [np.array(values) for _, values in sorted(apart.items())]
 
-    def sd(squares: float, count: float) -> float:
+    def sd(squares: float, count: float, prior: float = PRIOR_SD_DEG) -> float:
         """Root mean square of so many values, with the prior [deg]."""
-        total = PRIOR_SOILS * PRIOR_SD_DEG**2 + max(squares, 0.0)
+        total = PRIOR_SOILS * prior**2 + max(squares, 0.0)
         return round(float(np.sqrt(total / (PRIOR_SOILS + count))), 2)
 
     apart = of_soils(grains)
@@ -228,7 +233,7 @@ def learn(every: Sequence[Reading]) -> dict[str, dict]:
         float(one.mean() ** 2) - leg_sd**2 / one.size - soil_sd**2 - REPOSE_SD_DEG**2
         for one in of_soils(media)
     ]
-    common_sd = sd(sum(of_media), len(of_media))
+    common_sd = sd(sum(of_media), len(of_media), PRIOR_COMMON_DEG)
     found = {}
     for leg in legs:
         own = [r for r in every if r.leg == leg]
@@ -240,6 +245,8 @@ def learn(every: Sequence[Reading]) -> dict[str, dict]:
             "soil_sd_deg": soil_sd,
             "leg_sd_deg": leg_sd,
             "shift_deg": round(float(np.mean([r.shift_deg for r in own])), 1),
+            "strength": round(float(np.mean([r.strength for r in own])), 2),
+            "strength_sd": round(float(np.std([r.strength for r in own], ddof=1)), 2),
             "nrmsd_limit": round(MARGIN * float(np.quantile(left, LIMIT)), 3),
             "theta_deg": THETA_DEG.round(3).tolist(),
             "residual": np.mean([r.residual for r in own], axis=0).round(4).tolist(),

@@ -71,7 +71,7 @@ def test_offset_and_spread_are_learnt_as_they_were_made() -> None:
             every.append(
                 model_error.Reading(
                     f"{i}", leg, "loose", False, SimpleNamespace(source=f"{i}/{leg}"), phi,
-                    phi + 2.0, read, read, 0.0, np.zeros((2, 40)), np.ones(2),
+                    phi + 2.0, read, read, 0.0, 0.0, np.zeros((2, 40)), np.ones(2),
                 )
             )  # fmt: skip
     found = model_error.learn(every)

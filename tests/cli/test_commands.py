@@ -94,7 +94,7 @@ def test_invert_prints_angle_and_verdict_within_ten_lines(terraphi: Terraphi) ->
     assert phi.endswith("plane strain")
     assert verdict.split(":")[0] in ("Consistent", "Misfit", "Out of range")
     assert len(rest) <= 7
-    assert "model: offset" in terraphi("invert", "li2013:yuma/c", "-v").out
+    assert "model: soil" in terraphi("invert", "li2013:yuma/c", "-v").out
 
 
 def test_invert_out_writes_what_python_reads(terraphi: Terraphi, tmp_path: Path) -> None:

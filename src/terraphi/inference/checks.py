@@ -18,7 +18,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
 from terraphi.experiment.units import FORCE
 from terraphi.inference.emulator import emulator_of
-from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals
+from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals, window_means
 from terraphi.inference.partial import part_of
 from terraphi.inference.records import Record
 from terraphi.library.store import PHI, Library, differences
@@ -60,6 +60,8 @@ LARGE_SHIFT_DEG = 4.0
 ONSET, LATE_DEG = 0.1, 11.0
 """Force over its largest at which contact has begun [-]; difference of that angle from the model's
 that another leg makes [deg]: at most 9° in the shipped records."""
+UNUSUAL = 1.6
+"""Standard deviations of the size of forces that are unusual [-]: one soil in ten."""
 UNITS = ("lbf", "kgf", "gf", "kN", "mN")
 """Units of force that a record may be in instead of newtons."""
 
@@ -280,7 +282,10 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
                 )
         elif PHI in likelihood.keys:
             found = list(_other_readings(likelihood, record, library)) if misfit else []
-            for sentence in found or _other_size(likelihood, record):
+            for sentence in found or [
+                *_other_size(likelihood, record),
+                *_other_strength(likelihood, record),
+            ]:
                 yield f"{name}{sentence}"
 
 
@@ -332,6 +337,40 @@ def _other_size(likelihood: Likelihood, record: Record) -> Iterator[str]:
             f"Contact begins at {theta[0]:.0f}°, in the model at {theta[1]:.0f}°: check the length "
             "of the leg and the height of its hip; other sizes need a library of their own."
         )
+
+
+def _other_strength(likelihood: Likelihood, record: Record) -> Iterator[str]:
+    """A sentence if the shape of the forces wants another size of them than soils usually do."""
+    error = likelihood.errors[record.leg]
+    if not likelihood.measured or likelihood.keys != (PHI,) or not error.strength_sd:
+        return
+    apart = log_strength(likelihood, record) - error.strength
+    if abs(apart) > UNUSUAL * error.strength_sd:
+        yield (
+            f"By their shape the forces are {np.exp(-apart):.1g} times as large as they should be: "
+            "check the density and the unit of force."
+        )
+
+
+def log_strength(likelihood: Likelihood, record: Record) -> float:
+    """Logarithm of the factor on the library's curves with which, and some φ, a record fits best [-].
+
+    It is known only as well as the shape of the curves depends on φ.
+    """
+    emulator = likelihood.emulators[record.leg]
+    theta, x = emulator.curves.theta_deg, np.linspace(*emulator.bounds, 71)
+    own = emulator.curves.scenario.soil.density
+    force = (record.density_kg_m3 or own) / own * emulator(x)
+    spans, data = np.repeat(record.span, record.theta_deg.size), record.data.ravel()
+    best, found = np.inf, 0.0
+    for shift in np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0):
+        curves = window_means(record, force, theta, shift) / spans
+        factor = np.maximum(curves @ (data / spans) / np.square(curves).sum(axis=1), 1e-6)
+        squares = np.square(data / spans - factor[:, None] * curves).sum(axis=1)
+        i = int(squares.argmin())
+        if squares[i] < best:
+            best, found = float(squares[i]), float(np.log(factor[i]))
+    return found
 
 
 def _residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str) -> float:

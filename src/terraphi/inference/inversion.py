@@ -34,6 +34,8 @@ DEFAULT = "sand3d"
 """Library for measured forces."""
 SECOND = "rft3d"
 """Library of the second opinion."""
+MODEL = ("model: apparatus", "model: soil", "model: leg")
+"""Terms of the error of the model on real soils."""
 FAR = 4.0
 """Standard normal deviate of chi-square above which a simulated record is a misfit."""
 OUTSIDE = 0.3
@@ -170,7 +172,7 @@ def calibrate(
             raise InputError(f"{record.source}: cannot calibrate with it. {why}")
         phi = best[likelihood.keys.index(PHI)]
         read = float(phi + likelihood.offset(record.leg, phi))
-        sd = _sd_without(likelihood, ("model: offset", "model: leg"))
+        sd = _sd_without(likelihood, MODEL)
         soils.append(
             CalibrationSoil(
                 source=record.source, leg=record.leg, phi_deg=phi_deg, phi_sd_deg=phi_sd_deg,
@@ -431,7 +433,7 @@ def _edge(likelihood: Likelihood) -> str | None:
         )
     i = likelihood.keys.index(PHI)
     read = float(likelihood.least_squares[i])
-    sd = _sd_without(likelihood, ("model: offset", "model: leg", "density"))
+    sd = _sd_without(likelihood, (*MODEL, "density"))
     offset = [float(likelihood.offset(leg, np.array(read))) for leg in likelihood.emulators]
     low, high = likelihood.low[i] - min(offset), likelihood.high[i] - max(offset)
     for edge, beyond in (("low", low - read), ("high", read - high)):

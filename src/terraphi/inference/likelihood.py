@@ -20,7 +20,7 @@ cells, speed-up           of the correction to small cells and a slow motion, un
 leg friction, hip height  a standard deviation of each, times how the curves change with it
 zero of θ                 that of a shift: 15°/√3 times dg/dδ
 density                   relative standard deviation times g, to which forces are proportional
-model: offset             what looks like another angle: (b² + s²) (∂g/∂φ)(∂g/∂φ)' (``soils``)
+model: apparatus, soil    what looks like another angle: b² and s² times (∂g/∂φ)(∂g/∂φ)' (``soils``)
 model: leg                the same of each leg by itself, l²
 missing angles            where a record has a part of the stroke (``partial``)
 shape                     whatever does not look like a change of x
@@ -398,16 +398,18 @@ class Likelihood:
         return {cause: self._shared_by_leg(factors) for cause, factors in of_causes.items()}
 
     def _model_offset(self, slope: FloatArray) -> dict[str, FloatArray]:
-        """Covariance of what looks like another angle: of all records alike, and of each leg."""
+        """Covariance of what looks like another angle: of an apparatus, a soil, and each leg."""
         of_legs = {leg: np.zeros_like(slope) for leg in self.errors}
-        shared = np.zeros_like(slope)
+        common, of_soil = np.zeros_like(slope), np.zeros_like(slope)
         for record, part in zip(self.records, self.parts, strict=True):
             error = self.errors[record.leg]
-            common = self.calibration.common(error)[1] if self.calibration else error.common_sd_deg
-            shared[part] = slope[part] * np.hypot(common, error.soil_sd_deg)
+            left = self.calibration.common(error)[1] if self.calibration else error.common_sd_deg
+            common[part] = slope[part] * left
+            of_soil[part] = slope[part] * error.soil_sd_deg
             of_legs[record.leg][part] = slope[part] * error.leg_sd_deg
         return {
-            "model: offset": np.outer(shared, shared),
+            "model: apparatus": np.outer(common, common),
+            "model: soil": np.outer(of_soil, of_soil),
             "model: leg": np.asarray(sum(np.outer(one, one) for one in of_legs.values())),
         }
 

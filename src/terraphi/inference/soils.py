@@ -52,6 +52,10 @@ class ModelError(Strict):
     """Standard deviation of l, between legs in one soil [deg]."""
     shift_deg: float = 0.0
     """Mean shift of the leg angle of training records [deg]."""
+    strength: float = 0.0
+    """Mean of ln of the factor on the curves with which a record fits best [-]."""
+    strength_sd: float = Field(0.0, ge=0)
+    """Its standard deviation between soils; 0 if it is not known."""
     nrmsd_limit: float = Field(0.25, gt=0)
     """Residual above which a record is a misfit [-]."""
     theta_deg: tuple[float, ...] = ()
