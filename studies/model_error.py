@@ -7,7 +7,8 @@ measured, and an apparatus known exactly; the media of Li et al. (2013) are real
 angle of repose.
 
 Grains of 4 to 9 mm on a leg of 25 mm raise its forces, and sand does not. So the **size of grains**
-is taken out of their records first: with F the force over density and peak-to-peak,
+is taken out of their records first: with F the force over density and over its root mean square in
+the finest grains of the soil,
 
     F(θ, d) = F(θ, 0) + d D(θ),
 
@@ -122,13 +123,17 @@ def of_grains(folder: Path) -> dict[tuple[str, str], list[Bed]]:
     return {key: sorted(beds) for key, beds in found.items()}
 
 
+def size_of(bed: Bed) -> np.ndarray:
+    """Root mean square of each force over the density, [2]."""
+    return np.sqrt(np.square(bed.force).mean(axis=0)) / bed.density
+
+
 def of_size(beds: dict[tuple[str, str], list[Bed]], leg: str) -> np.ndarray:
-    """D: force over density and peak-to-peak, per millimetre of grains [1/mm], [theta, 2]."""
+    """D: force over density and size, per millimetre of grains [1/mm], shape [theta, 2]."""
     rows, diameters = [], []
     for (_, shape), own in beds.items():
         if shape == leg and len(own) > 1:
-            scale = np.ptp(own[0].force, axis=0) / own[0].density
-            forces = np.array([bed.force / bed.density / scale for bed in own])
+            forces = np.array([bed.force / bed.density / size_of(own[0]) for bed in own])
             d = np.array([bed.diameter_mm for bed in own])
             rows.append(forces - forces.mean(axis=0))
             diameters.append(d - d.mean())
@@ -165,11 +170,10 @@ def readings(library: Library, folder: Path = GRAINS) -> list[Reading]:
     sizes = {leg: of_size(beds, leg) for leg in {leg for _, leg in beds}}
     for (name, leg), own in beds.items():
         known = elements.measured(folder, name)
-        spans = [np.ptp(bed.force, axis=0) for bed in own]
-        fine = [bed.force - bed.diameter_mm * span * sizes[leg]
-                for bed, span in zip(own, spans, strict=True)]  # fmt: skip
+        fine = [bed.force / bed.density - bed.diameter_mm * size_of(own[0]) * sizes[leg]
+                for bed in own]  # fmt: skip
         density = float(np.mean([bed.density for bed in own]))
-        record = record_of(name, leg, np.mean(fine, axis=0), density)
+        record = record_of(name, leg, density * np.mean(fine, axis=0), density)
         with_size = record_of(name, leg, own[0].force, own[0].density)
         angle, *rest = read(library, record)
         found.append(

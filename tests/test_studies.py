@@ -49,9 +49,9 @@ def test_size_of_grains_is_found_from_soils_in_two_sizes() -> None:
     beds = {}
     for soil, size in (("A-loose", 3.0), ("B-loose", 5.0)):
         plain = size * np.stack([np.cos(np.radians(theta)), -np.sin(np.radians(theta))], axis=1)
-        span = np.ptp(plain, axis=0)
+        size = np.sqrt(np.square(plain).mean(axis=0))
         beds[soil, "straight"] = [
-            model_error.Bed(d, 1.4 * (plain + (d - 6.0) * span * share), 1400.0) for d in (6.0, 9.0)
+            model_error.Bed(d, 1.4 * (plain + (d - 6.0) * size * share), 1400.0) for d in (6.0, 9.0)
         ]
     found = model_error.of_size(beds, "straight")
     inside = np.abs(theta) < 60.0

@@ -33,7 +33,7 @@ from terraphi.experiment.files import replacing
 
 DIAMETER_MM = 6.0
 """Of all grains: a test without a length does not see it."""
-CELL, LAYER = (12.0, 8.0, 16.0), 2.0
+CELL, LAYER = (20.0, 12.0, 26.0), 2.0
 """Length, breadth and height of a cell, and height of a glued layer, in diameters.
 
 Through a layer of 1.3 grains slip out of loose soils.

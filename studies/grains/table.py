@@ -128,11 +128,10 @@ def wrong(library: Library, every: list[model_error.Reading]) -> dict[str, str]:
     for reading in every:
         record = reading.record
         history = record.history
-        legs = list(LEGS)
-        other = legs[(legs.index(reading.leg) + 1) % 3]
+        others = [leg for leg in LEGS if leg != reading.leg]
         kinds = {
             "nothing wrong": record,
-            "another leg": replace(record, leg=other),
+            **{f"another leg, {i}": replace(record, leg=leg) for i, leg in enumerate(others)},
             "Fx turned": replace(record, history=replace(history, force=history.force * [-1, 1])),
             "Fz turned": replace(record, history=replace(history, force=history.force * [1, -1])),
             "half the density": replace(record, density_kg_m3=0.5 * record.density_kg_m3),
@@ -146,7 +145,7 @@ def wrong(library: Library, every: list[model_error.Reading]) -> dict[str, str]:
             else:
                 warned = any("unit of force" in question for question in answer.questions)
                 verdict = "warned" if warned else answer.verdict
-            found.setdefault(kind, []).append(verdict)
+            found.setdefault(kind.partition(",")[0], []).append(verdict)
     return {k: f"{v.count('consistent')} of {len(v)}" for k, v in found.items()}
 
 

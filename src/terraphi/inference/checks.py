@@ -60,8 +60,9 @@ LARGE_SHIFT_DEG = 4.0
 ONSET, LATE_DEG = 0.1, 11.0
 """Force over its largest at which contact has begun [-]; difference of that angle from the model's
 that another leg makes [deg]: at most 9° in the shipped records."""
-UNUSUAL = 1.6
-"""Standard deviations of the size of forces that are unusual [-]: one soil in ten."""
+UNUSUAL, VAGUE = 2.0, 0.5
+"""Standard deviations of the size of forces that are unusual [-]; standard deviation of its
+logarithm between soils above which shapes determine it too vaguely [-]."""
 UNITS = ("lbf", "kgf", "gf", "kN", "mN")
 """Units of force that a record may be in instead of newtons."""
 
@@ -291,7 +292,7 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
 
 def _other_readings(likelihood: Likelihood, record: Record, library: Library) -> Iterator[str]:
     """Another leg, sign, unit or order that would describe a misfit much better."""
-    own = _residual(record.data, record, likelihood, record.leg)
+    own = residual(record.data, record, likelihood, record.leg)
     best, proposal = min(BETTER * own, FITS * likelihood.errors[record.leg].nrmsd_limit), ""
     back = replace(
         record,
@@ -311,11 +312,11 @@ def _other_readings(likelihood: Likelihood, record: Record, library: Library) ->
     for unit in UNITS:
         options[f"unit={unit}"] = (record, FORCE[unit] * record.data)
     for what, (other, data) in options.items():
-        size = _residual(data, other, likelihood, record.leg)
+        size = residual(data, other, likelihood, record.leg)
         if size < best:
             best, proposal = size, f"The record would fit with --columns {what}: check the columns."
     for leg in library.legs:
-        if leg != record.leg and (size := _residual(record.data, record, likelihood, leg)) < best:
+        if leg != record.leg and (size := residual(record.data, record, likelihood, leg)) < best:
             best, proposal = size, f"The record would fit with --leg {leg}: check the leg."
     if proposal:
         yield proposal
@@ -342,7 +343,7 @@ def _other_size(likelihood: Likelihood, record: Record) -> Iterator[str]:
 def _other_strength(likelihood: Likelihood, record: Record) -> Iterator[str]:
     """A sentence if the shape of the forces wants another size of them than soils usually do."""
     error = likelihood.errors[record.leg]
-    if not likelihood.measured or likelihood.keys != (PHI,) or not error.strength_sd:
+    if not likelihood.measured or likelihood.keys != (PHI,) or not 0 < error.strength_sd < VAGUE:
         return
     apart = log_strength(likelihood, record) - error.strength
     if abs(apart) > UNUSUAL * error.strength_sd:
@@ -353,7 +354,7 @@ def _other_strength(likelihood: Likelihood, record: Record) -> Iterator[str]:
 
 
 def log_strength(likelihood: Likelihood, record: Record) -> float:
-    """Logarithm of the factor on the library's curves with which, and some φ, a record fits best [-].
+    """Logarithm of the factor on the curves with which, and some φ, a record fits best [-].
 
     It is known only as well as the shape of the curves depends on φ.
     """
@@ -373,7 +374,7 @@ def log_strength(likelihood: Likelihood, record: Record) -> float:
     return found
 
 
-def _residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str) -> float:
+def residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str) -> float:
     """Smallest residual of data over the library's angles, of peak-to-peak [-]."""
     emulator = emulator_of(likelihood.library, leg, corrected=likelihood.measured)
     own = emulator.curves.scenario.soil.density

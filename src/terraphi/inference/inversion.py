@@ -21,6 +21,7 @@ from terraphi.inference.checks import (
     USUAL_DEG,
     doubts,
     in_air,
+    residual,
     without_faults,
 )
 from terraphi.inference.likelihood import UNKNOWN_DENSITY, Likelihood
@@ -36,6 +37,8 @@ SECOND = "rft3d"
 """Library of the second opinion."""
 MODEL = ("model: apparatus", "model: soil", "model: leg")
 """Terms of the error of the model on real soils."""
+FAR_BETTER = 0.55
+"""Residual by another leg over that by the record's own at which the leg is taken for wrong [-]."""
 FAR = 4.0
 """Standard normal deviate of chi-square above which a simulated record is a misfit."""
 OUTSIDE = 0.3
@@ -322,10 +325,10 @@ def _fits(
         likelihood.records, likelihood.parts, likelihood.shift_deg, strict=True
     ):
         low, high, curve = (one.reshape(2, -1) for one in curves[:, part])
-        residual = likelihood.errors[record.leg].mean_residual(curve, record.theta_deg)
+        usual = likelihood.errors[record.leg].mean_residual(curve, record.theta_deg)
         span = part_of(likelihood, record).span
         size = _nrmsd(record.data, curve, span)
-        expected = None if record.simulated or residual is None else curve + residual
+        expected = None if record.simulated or usual is None else curve + usual
         if expected is not None and _nrmsd(record.data, expected, span).max() > size.max():
             expected = None  # this soil does not differ as others do
         found.append(
@@ -363,7 +366,9 @@ def _verdict(
     if damaged or any(record.damaged for record in likelihood.records):
         return "misfit", "Misfit: the record is damaged. Do not use the angle.", None
     misfit = (
-        _misfit_of_soil(likelihood, fits) if likelihood.measured else _misfit(likelihood, middle)
+        _misfit_of_soil(likelihood, fits) or _other_leg(likelihood)
+        if likelihood.measured
+        else _misfit(likelihood, middle)
     )
     edge = _edge(likelihood)
     if edge is not None:
@@ -396,13 +401,28 @@ def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
         best = fit.curve if fit.expected is None else fit.expected
         size = float(_nrmsd(fit.data, best, span).max())
         if size > limit:
-            residual = (fit.data - best) / span[:, None]
-            i, j = np.unravel_index(np.abs(residual).argmax(), residual.shape)
+            apart = (fit.data - best) / span[:, None]
+            i, j = np.unravel_index(np.abs(apart).argmax(), apart.shape)
             return (
                 f"Misfit: {('Fx', 'Fz')[i]} differs from the model by "
-                f"{100.0 * residual[i, j]:+.0f} % of its range at {fit.theta_deg[j]:.0f}°. The "
+                f"{100.0 * apart[i, j]:+.0f} % of its range at {fit.theta_deg[j]:.0f}°. The "
                 f"residual is {_percent(size, digits=1)}; the limit is "
                 f"{_percent(limit, digits=1)}, from training soils. Do not use the angle."
+            )
+    return ""
+
+
+def _other_leg(likelihood: Likelihood) -> str:
+    """A sentence if another leg describes a record far better."""
+    for record in likelihood.records:
+        sizes = {leg: residual(record.data, record, likelihood, leg)
+                 for leg in likelihood.library.legs}  # fmt: skip
+        leg = min(sizes, key=lambda one: sizes[one])
+        if sizes[leg] < FAR_BETTER * sizes[record.leg]:
+            return (
+                f"Misfit: leg {leg} describes the record with a residual of "
+                f"{_percent(sizes[leg])}, leg {record.leg} with {_percent(sizes[record.leg])}. "
+                "Check the leg. Do not use the angle."
             )
     return ""
 
