@@ -170,6 +170,8 @@ def readings(library: Library, folder: Path = GRAINS) -> list[Reading]:
     sizes = {leg: of_size(beds, leg) for leg in {leg for _, leg in beds}}
     for (name, leg), own in beds.items():
         known = elements.measured(folder, name)
+        # The critical state is one of the grains, whatever their packing.
+        critical = elements.measured(folder, f"{name.split('-')[0]}-loose").phi_critical_deg
         fine = [bed.force / bed.density - bed.diameter_mm * size_of(own[0]) * sizes[leg]
                 for bed in own]  # fmt: skip
         density = float(np.mean([bed.density for bed in own]))
@@ -177,7 +179,7 @@ def readings(library: Library, folder: Path = GRAINS) -> list[Reading]:
         with_size = record_of(name, leg, own[0].force, own[0].density)
         angle, *rest = read(library, record)
         found.append(
-            Reading(name, leg, name.split("-")[1], False, record, known.phi_critical_deg,
+            Reading(name, leg, name.split("-")[1], False, record, critical,
                     known.phi_peak_deg, angle, read(library, with_size)[0], *rest)
         )  # fmt: skip
     for name in names():
