@@ -55,6 +55,17 @@ SMOOTH_DEG = 5.0
 THETA_DEG = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
 SIZES = ("coarse", "fine")
 """Last parts of the names of soils that are others in another size."""
+AGAIN = "second engine"
+"""Behind the name of soils that another engine has simulated; nothing is learnt from them."""
+SECOND = {
+    ("B-loose", "straight", "B_loose_d44_straight.csv"): (4.4, 1426.0),
+    ("B-loose", "straight", "B_loose_d60_straight.csv"): (6.0, 1418.0),
+    ("B-loose", "c", "B_loose_d60_c.csv"): (6.0, 1418.0),
+    ("B-dense", "straight", "B_dense_d60_straight.csv"): (6.0, 1592.0),
+}
+"""Soil, leg and file of these: diameter [mm] and density [kg/m³]."""
+SECOND_DEG = {"B-loose": (26.2, 29.0), "B-dense": (26.2, 38.7)}
+"""Critical and peak angle in that engine's shear cell [deg]."""
 PRIOR_SOILS, PRIOR_SD_DEG, PRIOR_COMMON_DEG = 2, 1.0, 1.5
 LIMIT, MARGIN = 0.9, 1.1
 SLOPE_SD = 0.3
@@ -168,19 +179,28 @@ def readings(library: Library, folder: Path = GRAINS) -> list[Reading]:
     found = []
     beds = of_grains(folder)
     sizes = {leg: of_size(beds, leg) for leg in {leg for _, leg in beds}}
-    for (name, leg), own in beds.items():
-        known = elements.measured(folder, name)
+    angles = {}
+    for name in {name for name, _ in beds}:
         # The critical state is one of the grains, whatever their packing.
         critical = elements.measured(folder, f"{name.split('-')[0]}-loose").phi_critical_deg
+        angles[name] = critical, elements.measured(folder, name).phi_peak_deg
+    for (name, leg, file), (diameter, density) in SECOND.items():
+        theta, *force = np.loadtxt(folder / "second_engine" / file, delimiter=",", skiprows=1).T[:3]
+        force = np.array([np.interp(ANGLES_DEG, theta, row) for row in force]).T
+        key = f"{name} {AGAIN}", leg
+        beds.setdefault(key, []).append(Bed(diameter, force, density))
+        angles[key[0]] = SECOND_DEG[name]
+    for (name, leg), own in beds.items():
         fine = [bed.force / bed.density - bed.diameter_mm * size_of(own[0]) * sizes[leg]
                 for bed in own]  # fmt: skip
         density = float(np.mean([bed.density for bed in own]))
         record = record_of(name, leg, density * np.mean(fine, axis=0), density)
         with_size = record_of(name, leg, own[0].force, own[0].density)
         angle, *rest = read(library, record)
+        packing = name.split()[0].split("-")[1]
         found.append(
-            Reading(name, leg, name.split("-")[1], False, record, critical,
-                    known.phi_peak_deg, angle, read(library, with_size)[0], *rest)
+            Reading(name, leg, packing, False, record, *angles[name], angle,
+                    read(library, with_size)[0], *rest)
         )  # fmt: skip
     for name in names():
         medium, leg = name.removeprefix("li2013:").split("/")
@@ -210,6 +230,7 @@ def line(some: Sequence[Reading]) -> tuple[float, float]:
 
 def learn(every: Sequence[Reading]) -> dict[str, dict]:
     """Model error by leg, as `terraphi.inference.soils.ModelError` has it."""
+    every = [r for r in every if AGAIN not in r.soil]
     loose = [r for r in every if r.packing == "loose" and not np.isnan(r.critical_deg)]
     grains, media = ([r for r in loose if r.real == real] for real in (False, True))
     legs = sorted({r.leg for r in every})

@@ -39,7 +39,7 @@ def answers(library: Library, every: list[model_error.Reading]) -> list[dict[str
     """A row for each soil and leg, left out of what was learnt."""
     rows = []
     for reading in every:
-        others = [r for r in every if r.soil != reading.soil]
+        others = [r for r in every if r.soil.split()[0] != reading.soil.split()[0]]
         own = replace(library, model_error=model_error.learn(others))
         answer = inverted(reading.record, own)
         phi = answer.phi

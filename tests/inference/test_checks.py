@@ -13,9 +13,12 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
-from terraphi.inference.checks import without_faults
+from terraphi.inference.checks import log_strength, without_faults
+from terraphi.inference.emulator import Emulator
 from terraphi.inference.inversion import invert
+from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_record
+from terraphi.library.store import Library
 
 NAME = "li2013:poppy_loose/straight"
 
@@ -126,6 +129,19 @@ def test_the_option_that_is_offered_mends_the_record(
     mended = invert(pd.DataFrame(columns), columns=remedy, **options)
     assert mended.verdict == "consistent"
     assert mended.phi.median == pytest.approx(invert(history, **options).phi.median, abs=1e-6)
+
+
+@pytest.mark.parametrize("leg", ["straight", "reversed_c"])
+@pytest.mark.parametrize("factor", [0.25, 1.0, 4.0])
+def test_forces_of_another_size_are_measured_by_their_shape(leg: str, factor: float) -> None:
+    """Curves of the library itself, as of measured forces: the factor on them is found."""
+    library = Library.load("sand3d")
+    emulator = Emulator(library.curves(leg, corrected=True))
+    force = factor * emulator(np.array([[30.0]]))[0].T
+    history = ForceHistory(np.radians(emulator.curves.theta_deg), force)
+    record = open_record(history, leg=leg, density=1650.0)
+    found = log_strength(Likelihood([record], library), record)
+    assert found == pytest.approx(np.log(factor), abs=0.15)
 
 
 @pytest.mark.parametrize(("chord", "begins"), [(0.0762, False), (0.045, True)])

@@ -60,6 +60,8 @@ LARGE_SHIFT_DEG = 4.0
 ONSET, LATE_DEG = 0.1, 11.0
 """Force over its largest at which contact has begun [-]; difference of that angle from the model's
 that another leg makes [deg]: at most 9° in the shipped records."""
+NEARLY_ALL = 0.995
+"""Share of a stroke's information that counts as all of it [-]."""
 UNUSUAL, VAGUE = 2.0, 0.5
 """Standard deviations of the size of forces that are unusual [-]; standard deviation of its
 logarithm between soils above which shapes determine it too vaguely [-]."""
@@ -262,7 +264,7 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
         if spacing > COARSE_DEG:
             yield f"{name}The readings are {spacing:.0f}° apart; peaks between them are missed."
         part = part_of(likelihood, record)
-        if part.share < 1.0 and likelihood.measured and PHI in likelihood.keys:
+        if part.share < NEARLY_ALL and likelihood.measured and PHI in likelihood.keys:
             low, high = np.clip(record.history.theta_deg[[0, -1]], -WINDOW_DEG, WINDOW_DEG)
             yield (
                 f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
@@ -348,7 +350,7 @@ def _other_strength(likelihood: Likelihood, record: Record) -> Iterator[str]:
     apart = log_strength(likelihood, record) - error.strength
     if abs(apart) > UNUSUAL * error.strength_sd:
         yield (
-            f"By their shape the forces are {np.exp(-apart):.1g} times as large as they should be: "
+            f"By their shape the forces are {np.exp(apart):.1g} times as large as they should be: "
             "check the density and the unit of force."
         )
 
