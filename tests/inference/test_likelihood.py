@@ -13,7 +13,7 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import names
 from terraphi.forward import simulate
 from terraphi.inference.emulator import Emulator
-from terraphi.inference.inversion import invert
+from terraphi.inference.inversion import calibrate, invert
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_record
 from terraphi.inference.sampling import quadrature, sample
@@ -148,6 +148,15 @@ def test_known_soils_narrow_and_shift(sand3d: Library) -> None:
     assert answers[-1].phi.median == pytest.approx(lower, abs=0.15)
 
 
+@pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
+def test_a_known_soil_narrows_most_where_its_leg_is_the_record_s(leg: str) -> None:
+    """Height of the hip and friction of the leg stay; and no interval is wider than without."""
+    known = calibrate("li2013:glass03_loose/straight", 25.0, 1.0)
+    record = f"li2013:poppy_loose/{leg}"
+    ratio = invert(record, calibration=known).phi.sd / invert(record).phi.sd
+    assert ratio < (0.75 if leg == "straight" else 1.0)
+
+
 def test_calibration_is_the_posterior_of_its_normal_model() -> None:
     """Two soils; the second was read twice, by two legs, and shares all but their errors."""
     error = ModelError(offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0, leg_sd_deg=1.2)
@@ -157,7 +166,7 @@ def test_calibration_is_the_posterior_of_its_normal_model() -> None:
         CalibrationSoil(leg="c", phi_deg=25.0, read_deg=29.5, **soil),
         CalibrationSoil(leg="straight", phi_deg=25.0, read_deg=28.5, **soil),
     ]
-    mean, sd = Calibration(library="x", library_hash="", soils=soils).common(error)
+    mean, sd = Calibration(library="x", library_hash="", soils=soils).common(error, "c")
     b = np.linspace(-20.0, 20.0, 40_001)
     log_p = -0.5 * b**2 / 9.0
     for apart, legs in ((3.0, 1), (4.0, 2)):

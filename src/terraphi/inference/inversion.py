@@ -24,7 +24,7 @@ from terraphi.inference.checks import (
     residual,
     without_faults,
 )
-from terraphi.inference.likelihood import UNKNOWN_DENSITY, Likelihood
+from terraphi.inference.likelihood import OF_RIG, UNKNOWN_DENSITY, Likelihood
 from terraphi.inference.partial import part_of
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
@@ -175,11 +175,13 @@ def calibrate(
             raise InputError(f"{record.source}: cannot calibrate with it. {why}")
         phi = best[likelihood.keys.index(PHI)]
         read = float(phi + likelihood.offset(record.leg, phi))
-        sd = _sd_without(likelihood, MODEL)
+        shares = likelihood.budget(_within(likelihood, best))
+        sd = _sd_without(likelihood, (*MODEL, *OF_RIG))
         soils.append(
             CalibrationSoil(
                 source=record.source, leg=record.leg, phi_deg=phi_deg, phi_sd_deg=phi_sd_deg,
                 read_deg=read, read_sd_deg=sd,
+                rig_sd_deg=math.hypot(*(shares.get(name, 0.0) for name in OF_RIG)),
             )
         )  # fmt: skip
     assert found is not None

@@ -75,6 +75,8 @@ FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]."""
 NUMERICAL = ("cells", "speed-up")
 """Causes of corrections that a learnt offset includes."""
+OF_RIG = ("leg friction", "hip height")
+"""Causes that stay as they are in an apparatus."""
 STEP = 1e-3
 """Step of numerical derivatives, of a parameter's range [-]."""
 
@@ -165,7 +167,7 @@ class Likelihood:
         if not self.measured:
             return np.zeros_like(phi_deg)
         error = self.errors[leg]
-        common = self.calibration.common(error)[0] if self.calibration else 0.0
+        common = self.calibration.common(error, leg)[0] if self.calibration else 0.0
         return np.asarray(error.offset_at(phi_deg) + common)
 
     def curves(self, x: FloatArray) -> FloatArray:
@@ -391,6 +393,8 @@ class Likelihood:
             for cause, mode in modes.items():
                 if self.errors[leg].training and cause in NUMERICAL:
                     continue  # part of the offset that soils of known angle taught
+                if self.calibration and self.calibration.has(leg) and cause in OF_RIG:
+                    continue  # part of what soils of known angle show of the apparatus
                 on = correction.theta_deg if correction else emulator.curves.theta_deg
                 at = np.searchsorted(on, emulator.curves.theta_deg)
                 factor = mode[:, :, at].reshape(len(mode), -1).T
@@ -403,7 +407,9 @@ class Likelihood:
         common, of_soil = np.zeros_like(slope), np.zeros_like(slope)
         for record, part in zip(self.records, self.parts, strict=True):
             error = self.errors[record.leg]
-            left = self.calibration.common(error)[1] if self.calibration else error.common_sd_deg
+            left = error.common_sd_deg
+            if self.calibration:
+                left = self.calibration.common(error, record.leg)[1]
             common[part] = slope[part] * left
             of_soil[part] = slope[part] * error.soil_sd_deg
             of_legs[record.leg][part] = slope[part] * error.leg_sd_deg

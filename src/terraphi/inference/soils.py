@@ -14,7 +14,9 @@ mean of the soil's records,
 
     1/var(b) = 1/b² + Σ 1/v_i,    E(b) = var(b) Σ y_i / v_i,
 
-so that an interval can only become narrower.
+so that an interval can only become narrower. The height of the hip and the friction of the leg stay
+as they are between records with one leg: b² includes their variance, and they are no terms of their
+own then.
 """
 
 from __future__ import annotations
@@ -98,6 +100,8 @@ class CalibrationSoil(Strict):
     """Angle that the library reads off the record, without its offset [deg]."""
     read_sd_deg: float = Field(ge=0)
     """Standard deviation of that from noise, density and the library [deg]."""
+    rig_sd_deg: float = Field(0.0, ge=0)
+    """The same from the height of the hip and the friction of the leg, which stay as they are."""
 
 
 class Calibration(Strict):
@@ -124,9 +128,16 @@ class Calibration(Strict):
                 f"'{library.name}'; invert with that library, or calibrate again"
             )
 
-    def common(self, error: ModelError) -> tuple[float, float]:
+    def has(self, leg: str) -> bool:
+        """Whether a soil was read with this leg, whose height and friction are then part of b."""
+        return any(soil.leg == leg for soil in self.soils)
+
+    def common(self, error: ModelError, leg: str) -> tuple[float, float]:
         """Mean and standard deviation of b, given the calibration soils [deg]."""
-        precision, total = 1.0 / max(error.common_sd_deg, 1e-6) ** 2, 0.0
+        of_rig = float(np.mean([soil.rig_sd_deg**2 for soil in self.soils]))
+        shared = self.has(leg)
+        wide = error.common_sd_deg**2 + (of_rig if shared else 0.0)
+        precision, total = 1.0 / max(wide, 1e-12), 0.0
         # Records of one soil share s, φ and most of what makes φ_read uncertain.
         of_soils: dict[tuple[float, float], list[CalibrationSoil]] = {}
         for soil in self.soils:
@@ -135,7 +146,8 @@ class Calibration(Strict):
             legs = len({one.leg for one in every})
             of_leg = error.leg_sd_deg**2 / legs
             of_read = float(np.mean([one.read_sd_deg**2 for one in every]))
-            variance = max(error.soil_sd_deg**2 + of_leg + phi_sd**2 + of_read, 1e-6)
+            variance = error.soil_sd_deg**2 + of_leg + phi_sd**2 + of_read
+            variance = max(variance + (0.0 if shared else of_rig), 1e-6)
             read = float(np.mean([one.read_deg for one in every]))
             precision += 1.0 / variance
             total += (read - phi - float(error.offset_at(phi))) / variance
